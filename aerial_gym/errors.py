@@ -59,7 +59,7 @@ class ClosedError(AerialGymError, AttributeError):
     """A simulation or a task is used after ``close``."""
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
+def suggest_name(name: object, known: Iterable[str]) -> str:
     """Return a sentence with the most similar known name, after a space; empty if none is similar."""
     from difflib import get_close_matches
 

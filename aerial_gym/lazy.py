@@ -44,7 +44,7 @@ def _homes(tree: ast.Module) -> dict[str, str]:
 
 
 @contextmanager
-def no_garbage() -> Iterator[None]:
+def pause_garbage_collection() -> Iterator[None]:
     """Pause garbage collection during imports, which saves a seventh of the time for torch and SciPy.
 
     The imported objects are also excluded from later collections.
@@ -60,7 +60,7 @@ def no_garbage() -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Home:
+class ImportPath:
     """A class or other object of a module, by its path ``package.module:Name``."""
 
     place: str

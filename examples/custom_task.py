@@ -19,13 +19,13 @@ from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
 
 @OBSERVATIONS.term(width=3)
 def way_body(target_velocity: Tensor, robot_orientation: Tensor) -> Tensor:
-    """Return where the target goes [m/s], body, (E, 3)."""
+    """Return the target's velocity [m/s], body frame, (E, 3)."""
     return quat_rotate_inverse(robot_orientation, target_velocity)
 
 
 @REWARDS.term()
 def nose_along_the_way(target_velocity: Tensor, robot_orientation: Tensor, *, power: int = 1) -> Tensor:
-    """Return the cosine between the body's x axis and the way of the target, not below 0, to a power, (E,)."""
+    """Return ``max(cos a, 0) ** power``, (E,), with the angle a between body x and the target's velocity."""
     forward = torch.zeros_like(target_velocity) + torch.cat(
         [torch.ones_like(target_velocity[:, :1]), torch.zeros_like(target_velocity[:, :2])], dim=-1
     )

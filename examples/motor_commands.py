@@ -20,10 +20,10 @@ def main(out: Path, seconds: float) -> None:
     train(replace(cfg, task=TASK, seed=16, max_time_s=seconds), out)
     with task_registry.make_task(TASK, num_envs=256, seed=1_000_003) as task:
         policy, _ = load_policy(out, device=task.device)
-        found = evaluate(policy, task)
-    error = found.final_error_mean_m
+        result = evaluate(policy, task)
+    error = result.final_error_mean_m
     print(
-        f"{found.crash_rate:.1%} lost, the others end {'nowhere' if error is None else f'{error:.3f} m'} beside the target"
+        f"{result.crash_rate:.1%} lost, the others end {'nowhere' if error is None else f'{error:.3f} m'} beside the target"
     )
     for written in export_policy(out, out / "export", ["c99"], name="motors"):
         told = written.not_checked or f"{written.largest_difference:.1e} from torch at most"

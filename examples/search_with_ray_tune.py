@@ -65,13 +65,13 @@ def main(
     else:
         scheduler = ASHAScheduler(**time, max_t=slices, grace_period=1)
     init(include_dashboard=False, ignore_reinit_error=True)
-    found = tune.Tuner(
+    results = tune.Tuner(
         tune.with_resources(trial, {"cpu": 1, "gpu": gpus_each}),
         param_space=SPACE | fixed,
         tune_config=tune.TuneConfig(num_samples=samples, scheduler=scheduler),
         run_config=tune.RunConfig(name=out.name, storage_path=str(out.resolve().parent)),
     ).fit()
-    best = found.get_best_result("episode_return", "max")
+    best = results.get_best_result("episode_return", "max")
     print({name: best.config[name] for name in SPACE}, best.metrics["episode_return"])
     print("evaluate it: aerial-gym evaluate --policy", best.checkpoint.path)
 

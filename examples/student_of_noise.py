@@ -39,9 +39,9 @@ def main(out: Path, seconds: float) -> None:
     for run in ("teacher", "student", "forgetful"):
         with task_registry.make_task(name, num_envs=512, seed=1_000_003) as task:
             policy, _ = load_policy(out / run, device=task.device)
-            found = evaluate(policy, task)
-        error = found.final_error_mean_m
-        print(f"{run}: {found.crash_rate:.1%} crash, the others end {error or float('nan'):.3f} m beside the target")
+            result = evaluate(policy, task)
+        error = result.final_error_mean_m
+        print(f"{run}: {result.crash_rate:.1%} crash, the others end {error or float('nan'):.3f} m beside the target")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ FLIP_S, SPAN_S = 0.6, 12.0
 
 
 def main() -> None:
-    """Fly, and say where it ends."""
+    """Fly, and print the final state."""
     env = SimBuilder().build_env(
         sim_name="base_sim", env_name="empty_env", robot_name=ROBOT, controller_name="lee_attitude_control",
         num_envs=4, device="cpu", seed=0,

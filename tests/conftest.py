@@ -176,7 +176,7 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 
 @pytest.fixture
-def optimised() -> Iterator[None]:
+def optimise_kernels() -> Iterator[None]:
     """Compile kernels as users have them, also those that were launched before.
 
     Each family of kernels has tests with this fixture; the others compare unoptimised ones. Tests of batch independence need

@@ -6,17 +6,17 @@ from typing import Any
 import pytest
 
 
-def seldom(values: Iterable[Any], which: Container[Any]) -> list[Any]:
+def rare_values(values: Iterable[Any], index: Container[Any]) -> list[Any]:
     """Return values as parameters of a test, of which some are tested with ``make test-slow`` alone."""
-    return [_parameter(value, slow=value in which) for value in values]
+    return [_parameter(value, slow=value in index) for value in values]
 
 
-def often(values: Iterable[Any], which: Container[Any]) -> list[Any]:
+def frequent_values(values: Iterable[Any], index: Container[Any]) -> list[Any]:
     """Return values as parameters of a test, of which all but some are tested with ``make test-slow`` alone."""
-    return [_parameter(value, slow=value not in which) for value in values]
+    return [_parameter(value, slow=value not in index) for value in values]
 
 
-def thinned(values: Iterable[Any], every: int) -> list[Any]:
+def thin_values(values: Iterable[Any], every: int) -> list[Any]:
     """Return values as parameters of a test, of which the first of so many is tested always."""
     return [_parameter(value, slow=number % every > 0) for number, value in enumerate(values)]
 

@@ -24,7 +24,7 @@ RANK = {name: rank for rank, group in enumerate(GROUPS) for name in group}
 
 ROOMS = (
     ("arrays", "findings"),
-    ("plain", "progress", "statistics", "memory"),
+    ("json_values", "progress", "statistics", "memory"),
     ("logs",),
     ("predict",),
     ("identify",),
@@ -33,7 +33,7 @@ ROOMS = (
     ("wording",),
     ("report",),
     ("replay", "teststand"),
-    ("in_memory",),
+    ("memory_loop",),
     ("close_loop",),
 )
 """The only statement of the import order within ``sim2real``. Each folder may import the folders above it."""

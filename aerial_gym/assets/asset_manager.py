@@ -23,9 +23,9 @@ from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 if TYPE_CHECKING:
-    from aerial_gym.assets.below import SurfaceBelow
     from aerial_gym.assets.clearance import Clearance
-    from aerial_gym.assets.motion import Motion
+    from aerial_gym.assets.height_probe import HeightProbe
+    from aerial_gym.assets.obstacle_motion import ObstacleMotion
     from aerial_gym.assets.track import TrackPlacement
 
 _OWNER = "AssetManager"
@@ -164,7 +164,7 @@ class AssetManager:
         if self._motion is not None:
             self._motion.step(dt)
 
-    def track_from(self, start: Tensor) -> None:
+    def set_track_start(self, start: Tensor) -> None:
         """Set the start positions of robots [m], world, (E, 3), for the race tracks of ``place_track``."""
         if self.cfg.track is not None:
             from aerial_gym.assets.track import TrackPlacement
@@ -188,11 +188,11 @@ class AssetManager:
             take_mask(self.random.mask, mask)
             self._track.draw()
 
-    def surface_below(self, position: Tensor, *, height_out: Tensor) -> "SurfaceBelow":
+    def make_height_probe(self, position: Tensor, *, height_out: Tensor) -> "HeightProbe":
         """Return the probe that writes the height of the surface below positions (E, 3) to ``height_out`` (E,) [m], world."""
-        from aerial_gym.assets.below import SurfaceBelow
+        from aerial_gym.assets.height_probe import HeightProbe
 
-        return SurfaceBelow(self.scene, position=position, height_out=height_out)
+        return HeightProbe(self.scene, position=position, height_out=height_out)
 
     def clear_start(self, mask: Tensor, position: Tensor) -> None:
         """Redraw, or park, obstacles of masked environments that are too close to the robot's start.
@@ -207,7 +207,7 @@ class AssetManager:
         if self._clearance is not None:
             from aerial_gym.assets.clearance import START
 
-            self._clearance.clear(mask, position, which=START)
+            self._clearance.clear(mask, position, point_index=START)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
         """Clear the surroundings of a goal likewise; those of the start stay clear.
@@ -219,7 +219,7 @@ class AssetManager:
         if self._clearance is not None:
             from aerial_gym.assets.clearance import GOAL
 
-            self._clearance.clear(mask, position, which=GOAL)
+            self._clearance.clear(mask, position, point_index=GOAL)
 
     def _declare(self, gtd: GlobalTensorDictionary, asset_state: Tensor | None) -> None:
         gtd.define_size("A", self.num_assets)
@@ -296,11 +296,11 @@ class AssetManager:
             lamps=self.cfg.lamps,
         )
 
-    def _make_motion(self) -> "Motion":
+    def _make_motion(self) -> "ObstacleMotion":
         """Return the motion of obstacles. The import is local because Warp functions take long to import."""
-        from aerial_gym.assets.motion import Motion
+        from aerial_gym.assets.obstacle_motion import ObstacleMotion
 
-        return Motion(self._obstacles, twists=self._env_actions)
+        return ObstacleMotion(self._obstacles, twists=self._env_actions)
 
     def _make_clearance(self, room: float) -> "Clearance":
         """Return the clearance of start and goal with a margin [m]; the import is local likewise."""

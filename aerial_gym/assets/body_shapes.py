@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import torch
 import warp as wp
 
-from aerial_gym.assets.cores import core_of
+from aerial_gym.assets.cores import shape_core
 from aerial_gym.assets.geometry import signed_distance
 from aerial_gym.assets.nearest import Core, nearest_of_core
 from aerial_gym.assets.shape_row import Shape
@@ -42,8 +42,8 @@ def shape_gap(
         core.half = own.half
         distance = signed_distance(shape, core.center)
         if own.reach > own.radius and distance - own.reach < nearest:
-            found = nearest_of_core(shape, core, wp.min(distance, nearest + own.radius))
-            distance = found.distance
+            pair = nearest_of_core(shape, core, wp.min(distance, nearest + own.radius))
+            distance = pair.distance
         nearest = wp.min(nearest, distance - own.radius)
     return nearest
 
@@ -72,7 +72,7 @@ def body_shapes(shapes: Sequence[CollisionShape], *, device: torch.device) -> wp
     """Return the shapes for a kernel, (C,) of ``BodyShape``."""
     rows = []
     for shape in shapes:
-        center, attitude, half, radius = core_of(shape)
+        center, attitude, half, radius = shape_core(shape)
         row = BodyShape()
         row.center, row.attitude = wp.vec3(*center.tolist()), wp.quat(*attitude.tolist())
         row.half, row.radius = wp.vec3(*half.tolist()), radius

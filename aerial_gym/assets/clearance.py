@@ -14,7 +14,7 @@ from aerial_gym.assets.geometry import signed_distance
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attitude, part_position
-from aerial_gym.interop import RecordedLaunch
+from aerial_gym.interop import ReusableLaunch
 from aerial_gym.math.random import take_mask
 
 NUM_ATTEMPTS = 16
@@ -26,11 +26,11 @@ START, GOAL = 0, 1
 
 @wp.func
 def _gap(
-    scene: SceneArrays, env: int, first: int, end: int, start: wp.vec3, goal: wp.vec3, which: int, room: float
+    scene: SceneArrays, env: int, first: int, end: int, start: wp.vec3, goal: wp.vec3, point_index: int, room: float
 ) -> float:
     """Return the least distance of parts ``first`` to ``end`` from points 0 to ``which`` [m], at most ``room``."""
     nearest = float(room)
-    for k in range(which + 1):
+    for k in range(point_index + 1):
         point = wp.where(k == 0, start, goal)
         for part in range(first, end):
             offset = point - part_position(scene, env, part)
@@ -49,7 +49,7 @@ def _clear(
     end_part: wp.array2d[wp.int32],  # (E, A)
     # params
     point: wp.array[wp.vec3],  # (E,) the last of the points that count, world [m]
-    which: int,  # START or GOAL
+    point_index: int,  # START or GOAL
     room: float,  # [m]
     num_attempts: int,
     parked_z: float,  # [m]
@@ -63,7 +63,7 @@ def _clear(
         return
     goal = point[env]
     start = goal
-    if which > 0:
+    if point_index > 0:
         start = start_out[env]
     elif a == 0:
         start_out[env] = start
@@ -73,13 +73,13 @@ def _clear(
         return
     first = first_part[env, a]
     end = end_part[env, a]
-    gap = _gap(scene, env, first, end, start, goal, which, room)
-    attempt = num_attempts * which  # start and goal have draws of their own
+    gap = _gap(scene, env, first, end, start, goal, point_index, room)
+    attempt = num_attempts * point_index  # start and goal have draws of their own
     last_attempt = attempt + num_attempts
     while gap < room and attempt < last_attempt:
         attempt += 1
         draw_instance(obstacles_out, env, a, attempt)
-        gap = _gap(scene, env, first, end, start, goal, which, room)
+        gap = _gap(scene, env, first, end, start, goal, point_index, room)
     if gap < room:
         place = obstacles_out.position[env, a]
         obstacles_out.position[env, a] = wp.vec3(place[0], place[1], parked_z)
@@ -106,14 +106,14 @@ class Clearance:
         self.restart()
         inputs = [self._mask, scene.arrays, self._first_part, self._end_part, self._point]
         self._commands = [
-            RecordedLaunch(
+            ReusableLaunch(
                 _clear,
                 dim=obstacles.asset.shape,
-                inputs=[*inputs, which, room, NUM_ATTEMPTS, PARKED_Z],
+                inputs=[*inputs, point_index, room, NUM_ATTEMPTS, PARKED_Z],
                 outputs=[self._start, obstacles],
                 device=device,
             )
-            for which in (START, GOAL)
+            for point_index in (START, GOAL)
         ]
 
     def restart(self) -> None:
@@ -122,7 +122,7 @@ class Clearance:
         self._end_part.copy_(parts.cumsum(dim=1))
         self._first_part.copy_(self._end_part - parts)
 
-    def clear(self, mask: Tensor, point: Tensor, *, which: int) -> None:
+    def clear(self, mask: Tensor, point: Tensor, *, point_index: int) -> None:
         """Clear the surroundings of a point in masked environments, and keep those of earlier points clear.
 
         Args:
@@ -132,4 +132,4 @@ class Clearance:
         """
         take_mask(self._mask, mask)
         self._point.copy_(point)
-        self._commands[which].launch(self._mask)
+        self._commands[point_index].launch(self._mask)

@@ -15,7 +15,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.body_shapes import body_shapes
-from aerial_gym.assets.collision_kernel import NoObstacles, make_walk
+from aerial_gym.assets.collision_kernel import NoObstacles, make_collision_kernel
 from aerial_gym.assets.cores import body_reach, contact_points, has_cores
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene import Scene
@@ -23,7 +23,7 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split
+from aerial_gym.interop import ReusableLaunch, launch_side_by_side, on_torch_stream, split
 
 BLOCK_DIM = 64
 """Threads per environment on a GPU."""
@@ -36,7 +36,7 @@ _ROUNDING = 1.0 + 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkShapes:
+class LinkGeometry:
     """Collision shapes of one link, and the link's pose."""
 
     shapes: Sequence[CollisionShape]  # In the frame of the link
@@ -53,7 +53,7 @@ class LinkShapes:
 class _Body:
     """Kernel arrays of the shapes of one link."""
 
-    def __init__(self, link: LinkShapes, *, device: torch.device) -> None:
+    def __init__(self, link: LinkGeometry, *, device: torch.device) -> None:
         self.link, self.cores, self.hull = link, has_cores(link.shapes), _ROUNDING * body_reach(link.shapes)
         self._points = contact_points(link.shapes, device=device)
         of_spheres = wp.from_torch(self._points, dtype=wp.vec4)
@@ -72,7 +72,7 @@ class CollisionTest:
         attitude: Tensor,
         distance_out: Tensor,
         moving: "Obstacles | None" = None,
-        links: Sequence["LinkShapes"] = (),
+        links: Sequence["LinkGeometry"] = (),
     ) -> None:
         """Take views of the tensors, which must stay where they are.
 
@@ -88,17 +88,17 @@ class CollisionTest:
             ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("distance_out", distance_out, (scene.num_envs,), device=scene.device)
-        body = LinkShapes(shapes=tuple(shapes), position=position, attitude=attitude)
+        body = LinkGeometry(shapes=tuple(shapes), position=position, attitude=attitude)
         self._links = [_Body(link, device=scene.device) for link in (body, *links) if link.shapes or link is body]
         self._scene, self._out, self._moving = scene, distance_out, moving
         self.has_solids = scene.num_solid > 0
         """Whether there is anything to touch."""
         self._nothing = torch.zeros(0, dtype=torch.bool, device=scene.device)
-        self._now: list[list[RecordedLaunch]] = []
+        self._now: list[list[ReusableLaunch]] = []
         if self.has_solids:
             poses = [(own.link.position.unsqueeze(0), own.link.attitude.unsqueeze(0)) for own in self._links]
             self._now = self._record(poses, dt=0.0, crashes=self._nothing)
-        self._step: list[list[RecordedLaunch]] | None = None
+        self._step: list[list[ReusableLaunch]] | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
         """Record the launches of ``step``.
@@ -123,7 +123,7 @@ class CollisionTest:
 
     def _record(
         self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False
-    ) -> list[list[RecordedLaunch]]:
+    ) -> list[list[ReusableLaunch]]:
         """Record the launches link by link."""
         last = len(self._links) - 1
         return [
@@ -133,7 +133,7 @@ class CollisionTest:
 
     def _record_link(
         self, own: "_Body", position: Tensor, attitude: Tensor, *, dt: float, crashes: Tensor, flags: tuple[bool, ...]
-    ) -> list[RecordedLaunch]:
+    ) -> list[ReusableLaunch]:
         scene, rows = self._scene, (position.shape[0], self._scene.num_envs)
         inputs = [
             scene.arrays,
@@ -152,8 +152,10 @@ class CollisionTest:
         ]
         shared = scene.device.type == "cuda"
         return [
-            RecordedLaunch(
-                make_walk(moves=self._moving is not None, shared=shared, cores=own.cores, meshes=scene.has_meshes),
+            ReusableLaunch(
+                make_collision_kernel(
+                    moves=self._moving is not None, shared=shared, cores=own.cores, meshes=scene.has_meshes
+                ),
                 dim=[count],
                 inputs=[*inputs, first],
                 outputs=outputs,

@@ -19,12 +19,12 @@ import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape, body_distance
 from aerial_gym.assets.geometry import primitive_distance, signed_distance
-from aerial_gym.assets.motion import instance_moves, move_instance, moved
+from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
 from aerial_gym.assets.shape_row import MESH, Shape
-from aerial_gym.assets.sweep import bow_between, make_meets_moving, make_meets_still, path_between
-from aerial_gym.assets.sweep_spheres import balls_meet_still
+from aerial_gym.assets.sweep import make_moving_sweep, make_path, make_static_sweep, relative_sagitta
+from aerial_gym.assets.sweep_spheres import spheres_touch_static
 
 REGISTERS = 96
 """Largest number of registers of a thread of the smallest kernel: ten blocks of 64 threads fit a multiprocessor's 65,536.
@@ -41,7 +41,7 @@ are rounded by 6e-5 m."""
 class NoObstacles:
     """Small stand-in for absent moving obstacles: the cost of a launch grows with the size of its arguments."""
 
-    nothing: int
+    unused: int
 
 
 @wp.func
@@ -55,7 +55,7 @@ def _make_gap(*, meshes: bool) -> wp.Function:
     distance_to = signed_distance if meshes else primitive_distance
 
     @wp.func
-    def gap_of(
+    def sphere_gap(
         shape: Shape,
         origin: wp.vec3,
         turn: wp.quat,
@@ -73,7 +73,7 @@ def _make_gap(*, meshes: bool) -> wp.Function:
                 nearest = wp.min(nearest, distance_to(shape, wp.quat_rotate_inv(turn, offset)) - radius)
         return nearest
 
-    return gap_of
+    return sphere_gap
 
 
 @wp.func
@@ -92,7 +92,9 @@ def _part(scene: SceneArrays, env: int, part: int):  # fmt: skip
 
 
 @wp.func
-def _way_from(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull: float, env: int, k: int) -> float:
+def _displacement_bound(
+    position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull: float, env: int, k: int
+) -> float:
     """Return an upper bound of the displacement of any hull point from pose k to the last pose [m]."""
     last = position.shape[0] - 1
     ahead = attitude[last, env] - attitude[k, env]
@@ -102,7 +104,7 @@ def _way_from(position: wp.array2d[wp.vec3], attitude: wp.array2d[wp.quat], hull
 
 
 @cache
-def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Kernel:
+def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Kernel:
     """Return the kernel of the collision test.
 
     Args:
@@ -115,8 +117,8 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
     body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
     gap_of = body_distance if cores else _make_gap(meshes=meshes)
     obstacles_type: Any = Obstacles if moves else NoObstacles
-    meets_still = make_meets_still(cores=cores, meshes=meshes) if cores or meshes else balls_meet_still
-    meets_moving = make_meets_moving(cores=cores, meshes=meshes)
+    meets_still = make_static_sweep(cores=cores, meshes=meshes) if cores or meshes else spheres_touch_static
+    meets_moving = make_moving_sweep(cores=cores, meshes=meshes)
     lean = not (moves or cores or meshes)
 
     @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=REGISTERS if lean else None)
@@ -148,8 +150,11 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
         touches = wp.bool(False)
         reach = wp.float32(0.0)
         for k in range(lane, last, wp.block_dim()):
-            ends = wp.max(_way_from(position, attitude, hull, env, k), _way_from(position, attitude, hull, env, k + 1))
-            bow = (hull + wp.length(pivot)) * bow_between(attitude[k, env], attitude[k + 1, env])
+            ends = wp.max(
+                _displacement_bound(position, attitude, hull, env, k),
+                _displacement_bound(position, attitude, hull, env, k + 1),
+            )
+            bow = (hull + wp.length(pivot)) * relative_sagitta(attitude[k, env], attitude[k + 1, env])
             reach = wp.max(reach, ends + bow + MARGIN)
         for part in range(lane, scene.num_solid, wp.block_dim()):
             row, a, x, q = _part(scene, env, part)
@@ -158,7 +163,7 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
                     if a != WORLD and is_step and instance_moves(obstacles_out, env, a):
                         v = obstacles_out.lin_vel[env, a]
                         for k in range(last):
-                            path = path_between(
+                            path = make_path(
                                 pivot, position[k, env], attitude[k, env], position[k + 1, env], attitude[k + 1, env]
                             )
                             touches = touches or meets_moving(
@@ -183,7 +188,7 @@ def make_walk(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Ker
                                     if wp.length(p - origin) - scene.radius[env, part] - hull < 0.0:
                                         turn = q * shape.attitude
                                         touches = gap_of(shape, origin, turn, body, p, attitude[k, env], 0.0) < 0.0
-                            x, q, v = moved(obstacles_out, env, a, x, q, v, dt)
+                            x, q, v = advance_pose(obstacles_out, env, a, x, q, v, dt)
                 p = position[last, env]
                 origin = x + wp.quat_rotate(q, scene.shapes[row].position)
                 if wp.length(p - origin) - scene.radius[env, part] - hull < nearest:

@@ -15,7 +15,7 @@ from aerial_gym.config.robot import BoxCfg, CollisionShape, SphereCfg
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 
 
-def core_of(shape: CollisionShape) -> tuple[Tensor, Tensor, Tensor, float]:
+def shape_core(shape: CollisionShape) -> tuple[Tensor, Tensor, Tensor, float]:
     """Return centre (3,), attitude (4,), half edges of the core (3,) and radius of a shape, float64."""
     center = torch.tensor(shape.center, dtype=torch.float64)
     if isinstance(shape, SphereCfg):
@@ -35,7 +35,7 @@ def contact_points(shapes: Sequence[CollisionShape], *, device: torch.device) ->
     """Return the corners of all cores in the body frame and the radii around them [m], float32, (C, 4)."""
     rows = []
     for shape in shapes:
-        center, attitude, half, radius = core_of(shape)
+        center, attitude, half, radius = shape_core(shape)
         signs = [(1.0, -1.0) if size > 0.0 else (0.0,) for size in half.tolist()]
         for corner in product(*signs):
             place = center + quat_rotate(attitude, half * torch.tensor(corner, dtype=torch.float64))

@@ -160,14 +160,14 @@ def nearest_on_triangle(point: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> w
     ca = wp.dot(wp.cross(a - c, point - c), normal)
     if square > 0.0 and wp.min(ab, wp.min(bc, ca)) >= 0.0:
         return point - (wp.dot(point - a, normal) / square) * normal
-    found = _nearest_on_line(point, a, b)
+    nearest = _nearest_on_line(point, a, b)
     second = _nearest_on_line(point, b, c)
     third = _nearest_on_line(point, c, a)
-    if wp.length_sq(second - point) < wp.length_sq(found - point):
-        found = second
-    if wp.length_sq(third - point) < wp.length_sq(found - point):
-        found = third
-    return found
+    if wp.length_sq(second - point) < wp.length_sq(nearest - point):
+        nearest = second
+    if wp.length_sq(third - point) < wp.length_sq(nearest - point):
+        nearest = third
+    return nearest
 
 
 @wp.func

@@ -47,7 +47,7 @@ class Core:
 
 
 @wp.func
-def corner_of(half: wp.vec3, number: int) -> wp.vec3:
+def box_corner(half: wp.vec3, number: int) -> wp.vec3:
     """Return corner 0 to 7 of a box."""
     return wp.vec3(
         wp.where((number & 1) == 0, half[0], -half[0]),
@@ -66,10 +66,10 @@ def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
 
 
 @wp.func
-def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -> Nearest:
+def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
-    if primitive_distance(shape, middle) - wp.length(half) >= found.distance:
-        return found  # distances change by no more than the point moves
+    if primitive_distance(shape, middle) - wp.length(half) >= best.distance:
+        return best  # distances change by no more than the point moves
     low = wp.float32(-1.0)
     high = wp.float32(1.0)
     t = wp.float32(1.0)
@@ -93,15 +93,15 @@ def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, found: Nearest) -
         k += 1
     point = middle + t * half
     distance = primitive_distance(shape, point)
-    if distance < found.distance:
-        found.distance = distance
-        found.point = point
-        found.normal = normal
-    return found
+    if distance < best.distance:
+        best.distance = distance
+        best.point = point
+        best.normal = normal
+    return best
 
 
 @wp.func
-def _search_face(shape: Shape, core: Core, axis: int, side: float, found: Nearest) -> Nearest:
+def _search_face(shape: Shape, core: Core, axis: int, side: float, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or that of a core's face and the deepest point of a cylinder's rim."""
     b = (axis + 1) % 3
     c = (axis + 2) % 3
@@ -113,11 +113,11 @@ def _search_face(shape: Shape, core: Core, axis: int, side: float, found: Neares
     inside = wp.quat_rotate_inv(core.turn, point - core.center)
     distance = side * inside[axis] - core.half[axis]
     beside = wp.max(wp.abs(inside[b]) - core.half[b], wp.abs(inside[c]) - core.half[c])
-    if beside <= 0.0 and distance > -2.0 * core.half[axis] and distance < found.distance:
-        found.distance = distance
-        found.point = point
-        found.normal = normal
-    return found
+    if beside <= 0.0 and distance > -2.0 * core.half[axis] and distance < best.distance:
+        best.distance = distance
+        best.point = point
+        best.normal = normal
+    return best
 
 
 @wp.func
@@ -142,7 +142,7 @@ def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
 
 
 @wp.func
-def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, found: Nearest) -> Nearest:
+def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or the nearest on the edges of a box, or on its line if it has no width."""
     k = wp.int32(0)
     while k < 12:
@@ -150,9 +150,9 @@ def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, f
         repeats = (k & 3) > 0 and half[(axis + 1) % 3] + half[(axis + 2) % 3] == 0.0
         if half[axis] > 0.0 and not repeats:
             middle = center + wp.quat_rotate(turn, _edge_middle(half, k))
-            found = _search_edge(shape, middle, wp.quat_rotate(turn, _edge_half(half, k)), found)
+            best = _search_edge(shape, middle, wp.quat_rotate(turn, _edge_half(half, k)), best)
         k += 1
-    return found
+    return best
 
 
 @wp.func
@@ -165,17 +165,17 @@ def as_box(core: Core) -> Shape:
 
 
 @wp.func
-def _turned_round(core: Core, seen: Nearest, radius: float) -> Nearest:
+def _swap_pair(core: Core, seen: Nearest, radius: float) -> Nearest:
     """Return a pair of the core's frame in the other shape's frame, with that shape's radius subtracted."""
-    found = Nearest()
-    found.distance = seen.distance - radius
-    found.normal = -wp.quat_rotate(core.turn, seen.normal)
-    found.point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * found.normal
-    return found
+    best = Nearest()
+    best.distance = seen.distance - radius
+    best.normal = -wp.quat_rotate(core.turn, seen.normal)
+    best.point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * best.normal
+    return best
 
 
 @wp.func
-def _search_back(shape: Shape, core: Core, found: Nearest) -> Nearest:
+def _search_back(shape: Shape, core: Core, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or the nearest of the other shape's own edges or axis to a box.
 
     The axis of a cylinder counts only inside the box, where it pierces two faces far from all edges.
@@ -188,14 +188,14 @@ def _search_back(shape: Shape, core: Core, found: Nearest) -> Nearest:
             radius = shape.size[0]
     back = wp.quat_inverse(core.turn)
     seen = Nearest()
-    seen.distance = found.distance + radius
+    seen.distance = best.distance + radius
     if shape.kind == CYLINDER:
         seen.distance = wp.min(seen.distance, 0.0)
     least = seen.distance
     seen = _search_edges(as_box(core), wp.quat_rotate(back, -core.center), back, half, seen)
     if seen.distance < least:
-        return _turned_round(core, seen, radius)
-    return found
+        return _swap_pair(core, seen, radius)
+    return best
 
 
 PIERCED = wp.constant(1.0e-6)
@@ -203,48 +203,48 @@ PIERCED = wp.constant(1.0e-6)
 
 
 @wp.func
-def _search_corners(shape: Shape, core: Core, found: Nearest) -> Nearest:
+def _search_corners(shape: Shape, core: Core, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or that of a mesh and the corners, centre or edges of a core."""
     nearer = wp.bool(False)
     k = wp.int32(0)
     while k < 9:
-        corner = wp.where(k == 8, 0.0, 1.0) * corner_of(core.half, k)
+        corner = wp.where(k == 8, 0.0, 1.0) * box_corner(core.half, k)
         point = core.center + wp.quat_rotate(core.turn, corner)
         distance = signed_distance(shape, point)
-        if distance < found.distance:
-            found.distance = distance
-            found.point = point
+        if distance < best.distance:
+            best.distance = distance
+            best.point = point
             nearer = True
         k += 1
     if nearer:
-        found.normal = outward_normal(shape, found.point)
+        best.normal = outward_normal(shape, best.point)
     k = wp.int32(0)
     while k < 12:
         edge = wp.quat_rotate(core.turn, _edge_half(core.half, k))
         length = wp.length(edge)
-        if found.distance > -PIERCED and length > 0.0:
+        if best.distance > -PIERCED and length > 0.0:
             start = core.center + wp.quat_rotate(core.turn, _edge_middle(core.half, k)) - edge
             query = wp.mesh_query_ray(shape.ray_mesh, start, edge / length, 2.0 * length)
             if query.result:
-                found.distance = -PIERCED
-                found.point = start + (query.t / length) * edge
-                found.normal = query.normal
+                best.distance = -PIERCED
+                best.point = start + (query.t / length) * edge
+                best.normal = query.normal
         k += 1
-    return found
+    return best
 
 
 @wp.func
-def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
+def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or that of a mesh and a core."""
-    found = _search_corners(shape, core, found)
+    best = _search_corners(shape, core, best)
     box = as_box(core)
     matrix = wp.quat_to_matrix(core.turn)
-    extent = wp.vec3(wp.max(found.distance, 0.0), wp.max(found.distance, 0.0), wp.max(found.distance, 0.0))
+    extent = wp.vec3(wp.max(best.distance, 0.0), wp.max(best.distance, 0.0), wp.max(best.distance, 0.0))
     for i in range(3):
         for j in range(3):
             extent[i] = extent[i] + wp.abs(matrix[i, j]) * core.half[j]
     seen = Nearest()
-    seen.distance = found.distance
+    seen.distance = best.distance
     query = wp.mesh_query_aabb(shape.mesh, core.center - extent, core.center + extent)
     face = wp.int32(0)
     while wp.mesh_query_aabb_next(query, face):
@@ -254,24 +254,24 @@ def _search_mesh(shape: Shape, core: Core, found: Nearest) -> Nearest:
             b = wp.quat_rotate_inv(core.turn, wp.mesh_get_point(shape.mesh, 3 * face + (k + 1) % 3) - core.center)
             seen = _search_edge(box, 0.5 * (a + b), 0.5 * (b - a), seen)
             k += 1
-    if seen.distance < found.distance:
-        return _turned_round(core, seen, 0.0)
-    return found
+    if seen.distance < best.distance:
+        return _swap_pair(core, seen, 0.0)
+    return best
 
 
 @wp.func
-def _closer(found: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
+def _closer(best: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
     """Return the nearer pair: ``found``, or that of a point at ``away`` from the other shape."""
     distance = wp.length(away)
-    if distance < found.distance and distance > 0.0:
-        found.distance = distance
-        found.point = point
-        found.normal = away / distance
-    return found
+    if distance < best.distance and distance > 0.0:
+        best.distance = distance
+        best.point = point
+        best.normal = away / distance
+    return best
 
 
 @wp.func
-def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
+def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or that of a triangle and a core without overlap, in closed form.
 
     The nearest pair of two separate polytopes has a corner of one of them, or an edge of each.
@@ -283,8 +283,8 @@ def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
     k = wp.int32(0)
     while k < 8:
         if not repeats_corner(core.half, k):
-            point = core.center + wp.quat_rotate(core.turn, corner_of(core.half, k))
-            found = _closer(found, point, point - nearest_on_triangle(point, a, b, c))
+            point = core.center + wp.quat_rotate(core.turn, box_corner(core.half, k))
+            best = _closer(best, point, point - nearest_on_triangle(point, a, b, c))
         k += 1
     k = wp.int32(0)
     while k < 3:
@@ -295,9 +295,9 @@ def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
             wp.clamp(own[2], -box.size[2], box.size[2]),
         )
         if wp.length_sq(own - inside) == 0.0:
-            found.distance = wp.min(found.distance, -PIERCED)
+            best.distance = wp.min(best.distance, -PIERCED)
         point = core.center + wp.quat_rotate(core.turn, inside)
-        found = _closer(found, point, point - a)
+        best = _closer(best, point, point - a)
         n = wp.int32(0)
         while n < 12:
             half = wp.quat_rotate(core.turn, _edge_half(core.half, n))
@@ -307,31 +307,31 @@ def _search_triangle(shape: Shape, core: Core, found: Nearest) -> Nearest:
                 middle = core.center + wp.quat_rotate(core.turn, _edge_middle(core.half, n))
                 pair = wp.closest_point_edge_edge(middle - half, middle + half, a, b, 1.0e-12)
                 point = middle + (2.0 * pair[0] - 1.0) * half
-                found = _closer(found, point, point - (a + pair[1] * (b - a)))
+                best = _closer(best, point, point - (a + pair[1] * (b - a)))
             n += 1
         first = a
         a = b
         b = c
         c = first
         k += 1
-    return found
+    return best
 
 
 @wp.func
 def nearest_of_core(shape: Shape, core: Core, limit: float) -> Nearest:
     """Return the nearest pair of a core and a shape; beyond ``limit`` [m], that distance without a pair."""
-    found = Nearest()
-    found.distance = limit
+    best = Nearest()
+    best.distance = limit
     if shape.kind == MESH:
-        return _search_mesh(shape, core, found)
+        return _search_mesh(shape, core, best)
     if shape.kind == TRIANGLE:
-        return _search_triangle(shape, core, found)
-    found = _search_edges(shape, core.center, core.turn, core.half, found)
+        return _search_triangle(shape, core, best)
+    best = _search_edges(shape, core.center, core.turn, core.half, best)
     if wp.min(core.half) > 0.0 and shape.kind != PLANE:
         if shape.kind == CYLINDER:
             k = wp.int32(0)
             while k < 6:
-                found = _search_face(shape, core, k >> 1, wp.where((k & 1) == 0, 1.0, -1.0), found)
+                best = _search_face(shape, core, k >> 1, wp.where((k & 1) == 0, 1.0, -1.0), best)
                 k += 1
-        found = _search_back(shape, core, found)
-    return found
+        best = _search_back(shape, core, best)
+    return best

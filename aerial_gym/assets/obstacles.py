@@ -10,7 +10,7 @@ from torch import Tensor
 from aerial_gym.assets.asset_table import WAYPOINTS, AssetRow
 from aerial_gym.assets.views import vector_view
 from aerial_gym.interop import make_struct
-from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
 
@@ -76,7 +76,7 @@ def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3,
 def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
     """Draw pose, twist and path of one instance."""
     row = obstacles.table[obstacles.asset[env, a]]
-    random = substream(substream(stream_of(obstacles.random, env, wp.static(int(Purpose.OBSTACLES))), a), attempt)
+    random = substream(substream(episode_stream(obstacles.random, env, wp.static(int(Purpose.OBSTACLES))), a), attempt)
     lower = obstacles.bounds_min[env]
     upper = obstacles.bounds_max[env]
     place = _draw_place(random, 0, row, lower, upper)

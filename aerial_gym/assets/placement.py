@@ -10,10 +10,10 @@ from torch import Tensor
 from aerial_gym.assets.obstacles import Obstacles, draw_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
-from aerial_gym.interop import RecordedLaunch, start_warp
+from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
-from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform, take_mask
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays
+from aerial_gym.math.random import Purpose, Randomness, split_state, take_mask, uniform_draw
 
 
 @wp.kernel(enable_backward=False)
@@ -33,7 +33,7 @@ def _draw_bounds(
     env = wp.tid()
     if not mask[env]:
         return
-    stream = stream_of(random, env, wp.static(int(Purpose.BOUNDS)))
+    stream = episode_stream(random, env, wp.static(int(Purpose.BOUNDS)))
     lower_out[env] = draw_vec3(stream, 0, lower_low, lower_high)
     upper_out[env] = draw_vec3(stream, 1, upper_low, upper_high)
 
@@ -53,9 +53,9 @@ class Bounds:
         lower.copy_(torch.tensor(limits[0], device=device))
         upper.copy_(torch.tensor(limits[2], device=device))
         self._mask = random.mask
-        self._command: RecordedLaunch | None = None
+        self._command: ReusableLaunch | None = None
         if limits[0] != limits[1] or limits[2] != limits[3]:
-            self._command = RecordedLaunch(
+            self._command = ReusableLaunch(
                 _draw_bounds,
                 dim=envs,
                 inputs=[self._mask, random_arrays(random), *(wp.vec3(*limit) for limit in limits)],
@@ -80,19 +80,19 @@ def draw_kinds(assets: tuple[AssetCfg, ...], random: Randomness) -> tuple[Tensor
     device, num_envs = random.seed.device, random.num_envs
     kept = [i for i, asset in enumerate(assets) if asset.keep for _ in range(asset.count)]
     rest = [i for i, asset in enumerate(assets) if not asset.keep for _ in range(asset.count)]
-    key = _lasting(random, Purpose.ASSETS, len(rest))
+    key = _random_states(random, Purpose.ASSETS, len(rest))
     order = key.argsort(dim=1, stable=True)
     shuffled = torch.tensor(rest, device=device, dtype=torch.int64)[order]
     fixed = torch.tensor(kept, device=device, dtype=torch.int64).expand(num_envs, -1)
     asset = torch.cat((fixed, shuffled), dim=1)
     choices = torch.tensor([len(a.shapes) for a in assets], device=device, dtype=torch.int64)[asset]
-    share = counted_uniform(_lasting(random, Purpose.SHAPES, asset.shape[1]), dtype=torch.float64)
+    share = uniform_draw(_random_states(random, Purpose.SHAPES, asset.shape[1]), dtype=torch.float64)
     return asset, (share * choices).long()
 
 
-def _lasting(random: Randomness, purpose: Purpose, count: int) -> Tensor:
+def _random_states(random: Randomness, purpose: Purpose, count: int) -> Tensor:
     """Return a random state for each of ``count`` obstacles, int64, (E, count)."""
-    return counted_state(random.lasting_stream(purpose).unsqueeze(-1), torch.arange(count, device=random.seed.device))
+    return split_state(random.seed_stream(purpose).unsqueeze(-1), torch.arange(count, device=random.seed.device))
 
 
 @wp.kernel(enable_backward=False)
@@ -131,7 +131,7 @@ class Placement:
         """
         self._mask = mask
         asked = wp.from_torch(mask)
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _place,
             dim=obstacles.asset.shape,
             inputs=[asked, num_kept, num_others, PARKED_Z],

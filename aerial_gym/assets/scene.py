@@ -86,7 +86,7 @@ class Scene:
         self.shape_index = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.semantic_id = torch.zeros(size, dtype=torch.int32, device=self.device)
         self._take_instances(shape_index, semantic_id)
-        carriers = [int(WORLD)] * len(fixed) + [int(BODY) - _link_of(part, robot_links) for part in robot]
+        carriers = [int(WORLD)] * len(fixed) + [int(BODY) - _link_index(part, robot_links) for part in robot]
         self._allocate_parts(self._most_parts(groups), carriers)
         self._lay_out_parts()
         size = (self.num_envs, self.num_instances)
@@ -217,7 +217,7 @@ class Scene:
         return values
 
 
-def _link_of(part: PartCfg, names: Sequence[str]) -> int:
+def _link_index(part: PartCfg, names: Sequence[str]) -> int:
     if part.link not in names:
         raise ConfigError(f"{part.shape.kind} on link {part.link!r}: the robot has the links {', '.join(names)}")
     return names.index(part.link)

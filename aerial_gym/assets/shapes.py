@@ -8,7 +8,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from aerial_gym.assets.looks import LookTable, MeshLook, look_of_mesh
+from aerial_gym.assets.appearance import AppearanceTable, MeshAppearance, read_mesh_appearance
 from aerial_gym.assets.mesh_files import join_pieces, read_pieces
 from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
 from aerial_gym.assets.urdf import load_urdf_shape
@@ -45,7 +45,7 @@ class ShapeTable:
         self.num_parts = torch.tensor([len(group) for group in parts], dtype=torch.int64, device=device)
         self.first_part = self.num_parts.cumsum(0) - self.num_parts
         inherited = [shape.color for shape, group in zip(self.shapes, parts, strict=True) for _ in group]
-        looks = LookTable()
+        looks = AppearanceTable()
         rows = np.zeros(len(self.parts), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
         for row, part, color in zip(rows, self.parts, inherited, strict=True):
             cfg = part.shape
@@ -79,7 +79,7 @@ class ShapeTable:
                 rays=wp.Mesh(points=points, indices=indices, **RAY_TREE) if self._device.is_cuda else solid,
                 radius=float(np.linalg.norm(surface.vertices, axis=1).max()),
                 bounds=np.asarray(surface.bounds, dtype=np.float32),
-                look=look_of_mesh(pieces, np.asarray(surface.faces)),
+                look=read_mesh_appearance(pieces, np.asarray(surface.faces)),
             )
         return self._meshes[key]
 
@@ -92,7 +92,7 @@ class _Mesh:
     rays: wp.Mesh
     radius: float
     bounds: np.ndarray
-    look: MeshLook | None
+    look: MeshAppearance | None
 
 
 def half_size(cfg: ShapeCfg) -> tuple[float, float, float]:

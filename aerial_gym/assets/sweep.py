@@ -21,8 +21,8 @@ import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape
 from aerial_gym.assets.geometry import primitive_distance, primitive_normal, support
-from aerial_gym.assets.motion import moved, next_turning
-from aerial_gym.assets.nearest import BISECTIONS, Core, corner_of, nearest_of_core, repeats_corner
+from aerial_gym.assets.nearest import BISECTIONS, Core, box_corner, nearest_of_core, repeats_corner
+from aerial_gym.assets.obstacle_motion import advance_pose, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.shape_row import BOX, MESH, TRIANGLE, Shape
 
@@ -49,7 +49,7 @@ class Path:
 
 
 @wp.func
-def path_between(pivot: wp.vec3, x0: wp.vec3, q0: wp.quat, x1: wp.vec3, q1: wp.quat) -> Path:
+def make_path(pivot: wp.vec3, x0: wp.vec3, q0: wp.quat, x1: wp.vec3, q1: wp.quat) -> Path:
     """Return the motion between two poses of a body's origin, with the shorter rotation."""
     path = Path()
     path.pivot = pivot
@@ -65,13 +65,13 @@ def path_between(pivot: wp.vec3, x0: wp.vec3, q0: wp.quat, x1: wp.vec3, q1: wp.q
 
 
 @wp.func
-def bow_between(q0: wp.quat, q1: wp.quat) -> float:
+def relative_sagitta(q0: wp.quat, q1: wp.quat) -> float:
     """Return the sagitta of a point's arc between two attitudes, divided by its lever arm: ``1 - cos(angle / 2)``."""
     return 1.0 - wp.abs(wp.dot(q0, q1))
 
 
 @wp.func
-def attitude_at(path: Path, t: float) -> wp.quat:
+def path_attitude(path: Path, t: float) -> wp.quat:
     """Return the attitude on a path at time t, body to world, xyzw."""
     return wp.quat_from_axis_angle(wp.normalize(path.turn), t * wp.length(path.turn)) * path.attitude
 
@@ -145,8 +145,8 @@ def make_touch_time(*, cores: bool) -> wp.Function:
         by_center = wp.bool(True)  # the plane from the centre is cheap, and nearly always shows that the part is far
         while k < wp.static(MAX_STEPS):
             k += 1
-            q = attitude_at(path, t)
-            turn = attitude_at(other, t)
+            q = path_attitude(path, t)
+            turn = path_attitude(other, t)
             arm = wp.quat_rotate(q, own.center - path.pivot)
             away = path.start - other.start + t * drift
             to_part = wp.quat_rotate(turn, shape.position - other.pivot)
@@ -168,10 +168,10 @@ def make_touch_time(*, cores: bool) -> wp.Function:
                     core.center = local
                     core.turn = wp.quat_inverse(turn) * q * own.attitude
                     core.half = own.half
-                    found = nearest_of_core(shape, core, distance)
-                    if found.distance < distance:
-                        distance = found.distance
-                        normal = found.normal
+                    pair = nearest_of_core(shape, core, distance)
+                    if pair.distance < distance:
+                        distance = pair.distance
+                        normal = pair.normal
                     slack += EDGE * own.reach
                     if wp.min(own.half) > 0.0 and shape.kind == BOX:
                         slack += EDGE * shape.radius
@@ -185,7 +185,7 @@ def make_touch_time(*, cores: bool) -> wp.Function:
             c = wp.int32(0)
             while c < wp.static(num_corners):
                 if not repeats_corner(own.half, c):
-                    corner = arm + wp.quat_rotate(q, wp.quat_rotate(own.attitude, corner_of(own.half, c)))
+                    corner = arm + wp.quat_rotate(q, wp.quat_rotate(own.attitude, box_corner(own.half, c)))
                     at = _time_of_corner(path, other, corner, away, span, outward, surface, slack)
                     soonest = wp.min(soonest, at)
                 c += 1
@@ -205,14 +205,14 @@ def make_touch_time(*, cores: bool) -> wp.Function:
 @wp.func
 def local_center(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> wp.vec3:
     """Return the centre of the robot's shape in the frame of the part at a time [m]."""
-    q = attitude_at(other, t)
-    center = path.start + t * path.shift + wp.quat_rotate(attitude_at(path, t), own.center - path.pivot)
+    q = path_attitude(other, t)
+    center = path.start + t * path.shift + wp.quat_rotate(path_attitude(path, t), own.center - path.pivot)
     origin = other.start + t * other.shift + wp.quat_rotate(q, shape.position - other.pivot)
     return wp.quat_rotate_inv(q * shape.attitude, center - origin)
 
 
 @wp.func
-def swept_box(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float):
+def sweep_bounds(shape: Shape, other: Path, own: BodyShape, path: Path, first: float, last: float):
     """Return centre and half edges of a bounding box of the robot shape's motion between two times, in a mesh's frame [m]."""
     a = local_center(shape, other, own, path, first)
     b = local_center(shape, other, own, path, last)
@@ -227,7 +227,7 @@ def swept_box(shape: Shape, other: Path, own: BodyShape, path: Path, first: floa
 
 
 @wp.func
-def face_of(shape: Shape, face: int) -> Shape:
+def face_shape(shape: Shape, face: int) -> Shape:
     """Return one face of a mesh as a shape of its own."""
     solid = shape
     solid.kind = TRIANGLE
@@ -257,14 +257,14 @@ def make_touches(*, cores: bool, meshes: bool) -> wp.Function:
         face = wp.int32(0)
         is_mesh = shape.kind == MESH
         if is_mesh:
-            middle, half = swept_box(shape, other, own, path, first, last)
+            middle, half = sweep_bounds(shape, other, own, path, first, last)
             query = wp.mesh_query_aabb(shape.mesh, middle - half, middle + half)
         more = wp.bool(True)
         while more:
             if is_mesh:
                 more = wp.mesh_query_aabb_next(query, face)
                 if more:
-                    solid = face_of(shape, face)
+                    solid = face_shape(shape, face)
             if more and touches_solid(solid, other, own, path, first, last):
                 return True
             more = more and is_mesh
@@ -274,12 +274,12 @@ def make_touches(*, cores: bool, meshes: bool) -> wp.Function:
 
 
 @cache
-def make_meets_still(*, cores: bool, meshes: bool) -> wp.Function:
+def make_static_sweep(*, cores: bool, meshes: bool) -> wp.Function:
     """Return the sweep of a robot's shapes against a part at rest over a step."""
     touches, body_type = make_touches(cores=cores, meshes=meshes), wp.array[BodyShape] if cores else wp.array[wp.vec4]
 
     @wp.func
-    def meets_still(
+    def touches_static(
         shape: Shape,
         x: wp.vec3,
         q: wp.quat,
@@ -303,9 +303,9 @@ def make_meets_still(*, cores: bool, meshes: bool) -> wp.Function:
         while k + 1 < position.shape[0]:
             p = position[k, env]
             end = position[k + 1, env]
-            bow = wp.length(pivot) * bow_between(attitude[k, env], attitude[k + 1, env])
+            bow = wp.length(pivot) * relative_sagitta(attitude[k, env], attitude[k + 1, env])
             if wp.length(end - origin) - radius - hull < wp.length(end - p) + bow + NEAR:
-                path = path_between(pivot, p, attitude[k, env], end, attitude[k + 1, env])
+                path = make_path(pivot, p, attitude[k, env], end, attitude[k + 1, env])
                 c = wp.int32(0)
                 while c < body.shape[0]:
                     if touches(shape, other, as_body_shape(body[c]), path, 0.0, 1.0):
@@ -314,16 +314,16 @@ def make_meets_still(*, cores: bool, meshes: bool) -> wp.Function:
             k += 1
         return False
 
-    return meets_still
+    return touches_static
 
 
 @cache
-def make_meets_moving(*, cores: bool, meshes: bool) -> wp.Function:
+def make_moving_sweep(*, cores: bool, meshes: bool) -> wp.Function:
     """Return the sweep of a robot's shapes against a moving part over one substep."""
     touches, body_type = make_touches(cores=cores, meshes=meshes), wp.array[BodyShape] if cores else wp.array[wp.vec4]
 
     @wp.func
-    def meets_moving(
+    def touches_moving(
         obstacles: Obstacles,
         env: int,
         a: int,
@@ -343,10 +343,10 @@ def make_meets_moving(*, cores: bool, meshes: bool) -> wp.Function:
         """
         first = wp.float32(0.0)
         while first < 1.0:
-            last = next_turning(obstacles, env, a, x, v, dt, first)
+            last = next_reversal(obstacles, env, a, x, v, dt, first)
             quarter = 0.25 * (last - first)
-            early, _q, _v = moved(obstacles, env, a, x, q, v, dt * (first + quarter))
-            late, _q, _v = moved(obstacles, env, a, x, q, v, dt * (last - quarter))
+            early, _q, _v = advance_pose(obstacles, env, a, x, q, v, dt * (first + quarter))
+            late, _q, _v = advance_pose(obstacles, env, a, x, q, v, dt * (last - quarter))
             other = Path()
             other.shift = (late - early) / wp.max(2.0 * quarter, 1.0e-20)
             other.start = early - (first + quarter) * other.shift
@@ -363,4 +363,4 @@ def make_meets_moving(*, cores: bool, meshes: bool) -> wp.Function:
             first = last
         return False
 
-    return meets_moving
+    return touches_moving

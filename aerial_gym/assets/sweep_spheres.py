@@ -7,7 +7,7 @@ import warp as wp
 
 from aerial_gym.assets.geometry import primitive_distance, primitive_normal, support
 from aerial_gym.assets.shape_row import Shape
-from aerial_gym.assets.sweep import MAX_STEPS, NEAR, bow_between, path_between, time_to_plane
+from aerial_gym.assets.sweep import MAX_STEPS, NEAR, make_path, relative_sagitta, time_to_plane
 
 
 @wp.func
@@ -49,7 +49,7 @@ def _ball_touches(
 
 
 @wp.func
-def balls_meet_still(
+def spheres_touch_static(
     shape: Shape,
     x: wp.vec3,
     q: wp.quat,
@@ -61,7 +61,7 @@ def balls_meet_still(
     attitude: wp.array2d[wp.quat],
     env: int,
 ) -> wp.bool:
-    """Return whether a sphere touches the part, as ``meets_still`` does.
+    """Return whether a sphere touches the part, as ``touches_static`` does.
 
     The nearest pair at the last pose gives a plane. It clears nearly all substeps, those wholly above it, at once.
     """
@@ -86,8 +86,8 @@ def balls_meet_still(
             q1 = attitude[k, env]
             before = wp.dot(outward, x0 + wp.quat_rotate(q0, center) - origin)
             after = wp.dot(outward, x1 + wp.quat_rotate(q1, center) - origin)
-            if wp.min(before, after) <= surface + lever * bow_between(q0, q1):
-                path = path_between(pivot, x0, q0, x1, q1)
+            if wp.min(before, after) <= surface + lever * relative_sagitta(q0, q1):
+                path = make_path(pivot, x0, q0, x1, q1)
                 angle = wp.length(path.turn)
                 axis = path.turn / wp.max(angle, 1.0e-20)
                 arm = wp.quat_rotate(q0, center - pivot)

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.config.track import LayoutCfg, TrackCfg
-from aerial_gym.interop import RecordedLaunch, make_struct, start_warp
+from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of, substream
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
 NUM_ATTEMPTS = 64
@@ -28,7 +28,7 @@ NUM_DRAWS = wp.constant(7)
 
 
 @wp.struct
-class Layout:
+class TrackLayout:
     """Kernel form of ``LayoutCfg``."""
 
     is_drawn: wp.int32
@@ -43,7 +43,7 @@ class Layout:
 
 
 @wp.struct
-class Track:
+class TrackParameters:
     """Kernel form of ``TrackCfg``."""
 
     gate_position: wp.array[wp.vec3]  # (G,) nominal, world [m]
@@ -55,11 +55,11 @@ class Track:
     gate_euler_high: wp.vec3
     pole_low: wp.vec3
     pole_high: wp.vec3
-    layout: Layout
+    layout: TrackLayout
 
 
 @wp.struct
-class Places:
+class TrackPoses:
     """Poses of gates and positions of poles."""
 
     gate_position: wp.array2d[wp.vec3]  # (E, G) world [m]
@@ -74,7 +74,7 @@ def _flat(place: wp.vec3) -> wp.vec2:
 
 @wp.func
 def _room(
-    nominal: Places,
+    nominal: TrackPoses,
     env: int,
     gates: int,  # number of gates with a known place
     poles: int,
@@ -94,7 +94,9 @@ def _room(
 
 
 @wp.func
-def _gate_place(nominal: Places, layout: Layout, env: int, g: int, poles: int, start: wp.vec2, random: wp.uint32):
+def _gate_place(
+    nominal: TrackPoses, layout: TrackLayout, env: int, g: int, poles: int, start: wp.vec2, random: wp.uint32
+):
     """Draw the place of the next gate [m], and its heading from the previous one [rad]."""
     best = wp.vec2()
     most = float(-wp.inf)
@@ -116,7 +118,9 @@ def _gate_place(nominal: Places, layout: Layout, env: int, g: int, poles: int, s
 
 
 @wp.func
-def _pole_place(nominal: Places, layout: Layout, env: int, g: int, start: wp.vec2, near: wp.uint32, far: wp.uint32):
+def _pole_place(
+    nominal: TrackPoses, layout: TrackLayout, env: int, g: int, start: wp.vec2, near: wp.uint32, far: wp.uint32
+):
     """Draw the place [m] of the pole before a gate of known place."""
     last = start
     if g > 0:
@@ -156,17 +160,17 @@ def _draw_track(
     start: wp.array[wp.vec3],  # (E,) of the robot, world [m]
     # params
     random: RandomArrays,
-    track: Track,
+    track: TrackParameters,
     # out
-    nominal_out: Places,
-    places_out: Places,
+    nominal_out: TrackPoses,
+    places_out: TrackPoses,
     obstacles_out: Obstacles,
 ):
     """Draw the track of masked environments: nominal and actual places of gates and poles, the first G + P instances."""
     env = wp.tid()
     if not mask[env]:
         return
-    stream = stream_of(random, env, wp.static(int(Purpose.TRACK)))
+    stream = episode_stream(random, env, wp.static(int(Purpose.TRACK)))
     gates = track.gate_position.shape[0]
     poles = track.pole.shape[0]
     layout = track.layout
@@ -177,11 +181,11 @@ def _draw_track(
         euler = track.gate_euler[g]
         if layout.is_drawn == 1:
             known = wp.min(g, poles)
-            found, heading = _gate_place(
+            gate_place, heading = _gate_place(
                 nominal_out, layout, env, g, known, from_there, substream(stream, first + PLACE)
             )
             turn = layout.yaw_range * (2.0 * wp.randf(substream(stream, first + YAW)) - 1.0)
-            place = wp.vec3(found[0], found[1], place[2])
+            place = wp.vec3(gate_place[0], gate_place[1], place[2])
             euler = wp.vec3(euler[0], euler[1], heading + turn)
         nominal_out.gate_position[env, g] = place
         nominal_out.gate_attitude[env, g] = quat_of_angles(euler)
@@ -207,8 +211,8 @@ def _draw_track(
         obstacles_out.attitude[env, gates + p] = wp.quat_identity()
 
 
-def _layout_of(cfg: LayoutCfg | None) -> Layout:
-    layout = Layout()
+def _kernel_layout(cfg: LayoutCfg | None) -> TrackLayout:
+    layout = TrackLayout()
     if cfg is not None:
         layout.is_drawn, layout.lower, layout.upper = 1, wp.vec2(*cfg.lower), wp.vec2(*cfg.upper)
         for name in ("start_distance", "gate_distance", "pole_to_gate", "pole_distance", "corridor", "yaw_range"):
@@ -216,9 +220,9 @@ def _layout_of(cfg: LayoutCfg | None) -> Layout:
     return layout
 
 
-def _places(tensors: Sequence[Tensor]) -> Places:
+def _places(tensors: Sequence[Tensor]) -> TrackPoses:
     position, attitude, pole = tensors
-    return make_struct(Places, gate_position=position, gate_attitude=attitude, pole_position=pole)
+    return make_struct(TrackPoses, gate_position=position, gate_attitude=attitude, pole_position=pole)
 
 
 class TrackPlacement:
@@ -247,13 +251,13 @@ class TrackPlacement:
         device = start.device
         lists = [[gate.position for gate in cfg.gates], [gate.euler for gate in cfg.gates], cfg.poles]
         given = [torch.tensor(rows, device=device, dtype=torch.float32).reshape(-1, 3) for rows in lists]
-        track = make_struct(Track, gate_position=given[0], gate_euler=given[1], pole=given[2])
+        track = make_struct(TrackParameters, gate_position=given[0], gate_euler=given[1], pole=given[2])
         for name in ("gate_position", "gate_euler", "pole"):
             for end in ("low", "high"):
                 setattr(track, f"{name}_{end}", wp.vec3(*getattr(cfg, f"{name}_{end}")))
-        track.layout = _layout_of(cfg.layout)
+        track.layout = _kernel_layout(cfg.layout)
         self._mask = random.mask
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _draw_track,
             dim=start.shape[0],
             inputs=[self._mask, start, random_arrays(random), track],

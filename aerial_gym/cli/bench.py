@@ -16,7 +16,7 @@ from aerial_gym.workloads.task import TaskBench
 class BenchCmd:
     """Measure the speed of the physics alone, of whole task steps, or of cameras, or the memory of a simulator."""
 
-    what: tyro.conf.OmitArgPrefixes[
+    benchmark: tyro.conf.OmitArgPrefixes[
         tyro.conf.OmitSubcommandPrefixes[
             Annotated[PhysicsBench, tyro.conf.subcommand("physics")]
             | Annotated[TaskBench, tyro.conf.subcommand("task")]
@@ -31,9 +31,10 @@ class BenchCmd:
         from aerial_gym.workloads.measure import WorkloadError
 
         try:
-            return self.what.run()
+            return self.benchmark.run()
         except WorkloadError as error:
             print(
-                f"aerial-gym bench {type(self.what).__name__.removesuffix('Bench').lower()}: {error}", file=sys.stderr
+                f"aerial-gym bench {type(self.benchmark).__name__.removesuffix('Bench').lower()}: {error}",
+                file=sys.stderr,
             )
             return 1

@@ -71,12 +71,12 @@ def _print(report: "RobotReport") -> None:
     table.add_row("thrust to weight", f"{report.thrust_to_weight:.2f}")
     table.add_row("independent forces and torques", str(report.rank))
     limits = [f" (rotor {rotor})" if rotor is not None else "" for rotor in report.first_at_limit]
-    for what, values, unit, ends in (
+    for quantity, values, unit, ends in (
         ("force along x, y, z at hover", report.force_n, "N", limits[:3]),
         ("torque about x, y, z at hover", report.torque_n_m, "N m", limits[3:]),
         ("angular acceleration", report.angular_acceleration_rad_s2, "rad/s²", ["", "", ""]),
     ):
-        table.add_row(what, ", ".join(f"{v:.3g}{end}" for v, end in zip(values, ends, strict=True)) + f" {unit}")
+        table.add_row(quantity, ", ".join(f"{v:.3g}{end}" for v, end in zip(values, ends, strict=True)) + f" {unit}")
     console.print(table)
     if report.stable_steps:
         steps = Table(title="largest stable time step, flown", title_justify="left", box=None, pad_edge=False)

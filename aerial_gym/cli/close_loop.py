@@ -9,7 +9,7 @@ from rich.table import Table
 
 from aerial_gym.cli.progress import progress_bar
 from aerial_gym.config.console import json_line
-from aerial_gym.lazy import no_garbage
+from aerial_gym.lazy import pause_garbage_collection
 
 if TYPE_CHECKING:
     from aerial_gym.sim2real import Verdict
@@ -74,7 +74,7 @@ class CloseLoopCmd:
 
     def run(self) -> int:
         """Run the loop and print the verdict; return the exit status."""
-        with no_garbage():
+        with pause_garbage_collection():
             from aerial_gym.config import load
             from aerial_gym.sim2real import close_loop
             from aerial_gym.sim2real.identify.selection.scoring import Criteria
@@ -111,7 +111,7 @@ class CloseLoopCmd:
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
     from aerial_gym.sim2real.judge.answer import answer
-    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, became_rows, channel_rows, named_rows, rollout_rows
+    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, became_rows, channel_rows, effect_rows, rollout_rows
     from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
     console = Console(markup=False)
@@ -122,7 +122,7 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
     for note in shown:
         if note.code == "flight_left_out":
             console.print(text(note))
-    for effect in named_rows(verdict):
+    for effect in effect_rows(verdict):
         console.print(f"  {effect['name']}: {effect['parameters']}; {effect['sure']}")
     for state, channels in became_rows(verdict).items():
         console.print(f"  {state}: {channels}")

@@ -79,14 +79,14 @@ class EvaluateCmd:
             check_fits(policy, task, cfg.task)
             if self.watch is not None:
                 task.watch()
-            found = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
+            result = evaluate(policy, task, on_step=lambda step, steps: progress("flying", step / steps))
             if self.watch is not None:
                 task.dump(self.watch)
         if self.json:
-            print(json.dumps(asdict(found)))
+            print(json.dumps(asdict(result)))
             return 0
         table = Table(box=None, pad_edge=False, show_header=False)
-        for name, value in asdict(found).items():
+        for name, value in asdict(result).items():
             table.add_row(name, "-" if value is None else f"{value:.4g}")
         Console(markup=False).print(table)
         return 0

@@ -45,31 +45,31 @@ class ExportCmd:
     def run(self) -> int:
         """Write, compare, print; return 0, or 1 if a file is not the policy."""
         from aerial_gym.export.export import export_policy
-        from aerial_gym.rl_training.run.run_folder import run_folder_of
+        from aerial_gym.rl_training.run.run_folder import find_run_folder
 
-        folder = self.policy if self.policy.is_dir() else run_folder_of(self.policy).path
+        folder = self.policy if self.policy.is_dir() else find_run_folder(self.policy).path
         out = self.out or folder / "export"
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         with progress_bar() as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of the exporters, about names of axes
             progress("writing", 0.0)
-            found = export_policy(self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check)
+            exports = export_policy(self.policy, out, self.to, robot=self.robot, name=self.name, check=self.check)
             progress("writing", 1.0)
-        for each in found:
+        for each in exports:
             if each.agrees is False:
                 print(_refusal(each), file=sys.stderr)
         if self.json:
-            for each in found:
+            for each in exports:
                 print(json.dumps(_row(each)))
         else:
             table = Table(box=None, pad_edge=False)
             for column in ("format", "file", "kB", "error", "limit", "output"):
                 table.add_column(column)
-            for each in found:
+            for each in exports:
                 table.add_row(each.to, str(each.file), f"{each.file.stat().st_size / 1e3:.0f}", *_cells(each))
             Console(markup=False).print(table)
             print(f"{out / 'policy.json'}: inputs and outputs, entry by entry")
-        return int(any(each.agrees is False for each in found))
+        return int(any(each.agrees is False for each in exports))
 
 
 def _row(each: "Exported") -> dict[str, object]:

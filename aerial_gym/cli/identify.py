@@ -214,7 +214,7 @@ class HoverCmd:
 class IdentifyCmd:
     """Identify rotors or a compliant joint from bench CSVs, joints from flights, or the thrust coefficient from hover."""
 
-    what: tyro.conf.OmitArgPrefixes[
+    subject: tyro.conf.OmitArgPrefixes[
         tyro.conf.OmitSubcommandPrefixes[
             Annotated[MotorCmd, tyro.conf.subcommand("motor")]
             | Annotated[JointCmd, tyro.conf.subcommand("joint")]
@@ -226,7 +226,7 @@ class IdentifyCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
-        return self.what.run()
+        return self.subject.run()
 
 
 def _read(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str]) -> "list[Bench]":

@@ -44,9 +44,9 @@ class ImportRobotCmd:
         from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.robots.importers import RotorHints, import_robot
 
-        others = None if self.rotors_of is None else robot_by_name(self.rotors_of)
+        rotor_robot = None if self.rotors_of is None else robot_by_name(self.rotors_of)
         hints = RotorHints(
-            rotors_of=others,
+            rotors_of=rotor_robot,
             spins=self.spins,
             lag=self.lag_s,
             joints=self.joints,

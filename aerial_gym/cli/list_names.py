@@ -9,32 +9,34 @@ from textwrap import fill
 
 from aerial_gym.config.console import json_line
 from aerial_gym.errors import UnknownNameError
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 
 KINDS = {
-    "sims": (Home("aerial_gym.env_manager:SIMS"),),
-    "environments": (Home("aerial_gym.assets:ENVIRONMENTS"),),
-    "robots": (Home("aerial_gym.robots:ROBOTS"),),
-    "controllers": (Home("aerial_gym.control:CONTROLLERS"),),
-    "sensors": (Home("aerial_gym.sensors:SENSORS"), Home("aerial_gym.sensors:IMUS")),
-    "imus": (Home("aerial_gym.sensors:IMUS"),),
-    "effects": (Home("aerial_gym.physics:EFFECTS"),),
-    "backends": (Home("aerial_gym.physics:BACKENDS"),),
-    "tasks": (Home("aerial_gym.task:task_registry"),),
-    "trainers": (Home("aerial_gym.rl_training:TRAINERS"),),
+    "sims": (ImportPath("aerial_gym.env_manager:SIMS"),),
+    "environments": (ImportPath("aerial_gym.assets:ENVIRONMENTS"),),
+    "robots": (ImportPath("aerial_gym.robots:ROBOTS"),),
+    "controllers": (ImportPath("aerial_gym.control:CONTROLLERS"),),
+    "sensors": (ImportPath("aerial_gym.sensors:SENSORS"), ImportPath("aerial_gym.sensors:IMUS")),
+    "imus": (ImportPath("aerial_gym.sensors:IMUS"),),
+    "effects": (ImportPath("aerial_gym.physics:EFFECTS"),),
+    "backends": (ImportPath("aerial_gym.physics:BACKENDS"),),
+    "tasks": (ImportPath("aerial_gym.task:task_registry"),),
+    "trainers": (ImportPath("aerial_gym.rl_training:TRAINERS"),),
 }
 """Registries by kind. None of them imports torch or Warp for its names."""
 
-UNREGISTERED = {"effects": {"learned_residual": Home("aerial_gym.physics.effects.learned_residual:LearnedResidual")}}
+UNREGISTERED = {
+    "effects": {"learned_residual": ImportPath("aerial_gym.physics.effects.learned_residual:LearnedResidual")}
+}
 """Entries that are no names to build from: a learned residual has the numbers of its robot file."""
 
 PARTS_OF_TASKS = {
-    "observation-terms": (Home("aerial_gym.task:OBSERVATIONS"),),
-    "reward-terms": (Home("aerial_gym.task:REWARDS"),),
-    "termination-terms": (Home("aerial_gym.task:TERMINATIONS"),),
-    "task-buffers": (Home("aerial_gym.task:BUFFERS"),),
-    "commands": (Home("aerial_gym.task:COMMANDS"),),
-    "actions": (Home("aerial_gym.task:ACTIONS"),),
+    "observation-terms": (ImportPath("aerial_gym.task:OBSERVATIONS"),),
+    "reward-terms": (ImportPath("aerial_gym.task:REWARDS"),),
+    "termination-terms": (ImportPath("aerial_gym.task:TERMINATIONS"),),
+    "task-buffers": (ImportPath("aerial_gym.task:BUFFERS"),),
+    "commands": (ImportPath("aerial_gym.task:COMMANDS"),),
+    "actions": (ImportPath("aerial_gym.task:ACTIONS"),),
 }
 """Parts of tasks, listed only on request, as their functions import torch."""
 
@@ -65,26 +67,26 @@ class ListCmd:
         kinds = KINDS if self.kind is None else KINDS | PARTS_OF_TASKS
         if self.kind is not None and self.kind not in kinds:
             raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(kinds)}")
-        found = {kind: _summaries(kind, homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
+        summaries = {kind: _summaries(kind, homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
         if self.json:
-            print(json_line(found, indent=2))
+            print(json_line(summaries, indent=2))
             return 0
-        rows = [(kind, name, line) for kind, lines in found.items() for name, line in lines.items()]
+        rows = [(kind, name, line) for kind, lines in summaries.items() for name, line in lines.items()]
         widths = [max(len(row[column]) for row in rows) + 2 for column in (0, 1)]
         for kind, name, line in rows:
-            print(_wrapped(f"{kind:<{widths[0]}}{name:<{widths[1]}}", line))
+            print(_wrap_row(f"{kind:<{widths[0]}}{name:<{widths[1]}}", line))
         return 0
 
 
-def _summaries(kind: str, homes: Sequence[Home]) -> dict[str, str]:
+def _summaries(kind: str, homes: Sequence[ImportPath]) -> dict[str, str]:
     """Return the names and lines of a kind, registry by registry, without the marks of code in docstrings."""
-    found = {name: line for home in homes for name, line in home.load().summaries().items()}
+    summaries = {name: line for home in homes for name, line in home.load().summaries().items()}
     more = {name: home.summary() for name, home in UNREGISTERED.get(kind, {}).items()}
-    both = dict(sorted((found | more).items())) if more else found
+    both = dict(sorted((summaries | more).items())) if more else summaries
     return {name: line.replace("``", "") for name, line in both.items()}
 
 
-def _wrapped(head: str, line: str) -> str:
+def _wrap_row(head: str, line: str) -> str:
     """Return a row of the table; broken between words where a terminal would break it anywhere."""
     if not sys.stdout.isatty():
         return head + line

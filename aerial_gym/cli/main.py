@@ -13,10 +13,10 @@ from aerial_gym import __version__
 from aerial_gym.cli import process
 from aerial_gym.config.console import accept_any_console
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 
 
-class Command(Protocol):
+class Subcommand(Protocol):
     """A subcommand."""
 
     def run(self) -> int:
@@ -27,23 +27,23 @@ class Command(Protocol):
 RENAMED: dict[str, str] = {"import-robot": "robot import", "check": "robot check", "tune": "robot tune"}
 """Names of 0.1.0, each with its replacement; they warn for one release."""
 
-COMMANDS: dict[str, Home] = {
-    "list": Home("aerial_gym.cli.list_names:ListCmd"),
-    "robot import": Home("aerial_gym.cli.import_robot:ImportRobotCmd"),
-    "robot check": Home("aerial_gym.cli.check:CheckCmd"),
-    "robot tune": Home("aerial_gym.cli.tune:TuneCmd"),
-    "train": Home("aerial_gym.cli.train:TrainCmd"),
-    "train-encoder": Home("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
-    "play": Home("aerial_gym.cli.play:PlayCmd"),
-    "evaluate": Home("aerial_gym.cli.evaluate:EvaluateCmd"),
-    "export": Home("aerial_gym.cli.export:ExportCmd"),
-    "replay": Home("aerial_gym.cli.replay:ReplayCmd"),
-    "watch": Home("aerial_gym.cli.watch:WatchCmd"),
-    "close-loop": Home("aerial_gym.cli.close_loop:CloseLoopCmd"),
-    "identify": Home("aerial_gym.cli.identify:IdentifyCmd"),
-    "bench": Home("aerial_gym.cli.bench:BenchCmd"),
-    "render-gallery": Home("aerial_gym.cli.render_gallery:RenderGalleryCmd"),
-    "demo": Home("aerial_gym.cli.demo.command:DemoCmd"),
+COMMANDS: dict[str, ImportPath] = {
+    "list": ImportPath("aerial_gym.cli.list_names:ListCmd"),
+    "robot import": ImportPath("aerial_gym.cli.import_robot:ImportRobotCmd"),
+    "robot check": ImportPath("aerial_gym.cli.check:CheckCmd"),
+    "robot tune": ImportPath("aerial_gym.cli.tune:TuneCmd"),
+    "train": ImportPath("aerial_gym.cli.train:TrainCmd"),
+    "train-encoder": ImportPath("aerial_gym.cli.train_encoder:TrainEncoderCmd"),
+    "play": ImportPath("aerial_gym.cli.play:PlayCmd"),
+    "evaluate": ImportPath("aerial_gym.cli.evaluate:EvaluateCmd"),
+    "export": ImportPath("aerial_gym.cli.export:ExportCmd"),
+    "replay": ImportPath("aerial_gym.cli.replay:ReplayCmd"),
+    "watch": ImportPath("aerial_gym.cli.watch:WatchCmd"),
+    "close-loop": ImportPath("aerial_gym.cli.close_loop:CloseLoopCmd"),
+    "identify": ImportPath("aerial_gym.cli.identify:IdentifyCmd"),
+    "bench": ImportPath("aerial_gym.cli.bench:BenchCmd"),
+    "render-gallery": ImportPath("aerial_gym.cli.render_gallery:RenderGalleryCmd"),
+    "demo": ImportPath("aerial_gym.cli.demo.command:DemoCmd"),
 }
 
 
@@ -67,7 +67,7 @@ def _split(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     return (pair, argv[2:]) if pair in COMMANDS else (argv[0], argv[1:])
 
 
-def _parse(argv: Sequence[str]) -> Command | int:
+def _parse(argv: Sequence[str]) -> Subcommand | int:
     """Return the command, or an exit status after help or a wrong request."""
     if not argv or argv[0] in ("-h", "--help"):
         print(_overview())
@@ -125,9 +125,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if isinstance(error, BrokenPipeError) and not _is_read():
             return 1
-        from aerial_gym.config.storage import storage_sentence
+        from aerial_gym.config.storage import storage_message
 
-        print(f"aerial-gym: {storage_sentence(error)}", file=sys.stderr)
+        print(f"aerial-gym: {storage_message(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("aerial-gym: interrupted", file=sys.stderr)

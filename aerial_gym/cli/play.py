@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import torch
 
 from aerial_gym.cli.film import Film, check_film, visible_robot
-from aerial_gym.config.storage import told_storage
+from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 
 COLUMNS = (
@@ -99,7 +99,7 @@ class PlayCmd:
             film = None if self.video is None else Film(task)
             rows = _fly(policy, task, self.num_steps, film)
             if film is not None and self.video is not None:
-                with told_storage(self.video, only_full=True):
+                with storage_errors(self.video, only_full=True):
                     film.save(self.video)
         if film is None or self.out is not None:
             self._write([list(COLUMNS), *rows])
@@ -107,7 +107,7 @@ class PlayCmd:
 
     def _show(self, dump: Path) -> int:
         """Report the cause of each row's end on stderr, and write its last steps."""
-        from aerial_gym.robots.watch import read_dump
+        from aerial_gym.robots.finite_watch import read_dump
 
         table, sentences = read_dump(dump)
         for sentence in sentences:
@@ -119,7 +119,7 @@ class PlayCmd:
         if self.out is None:
             csv.writer(sys.stdout, lineterminator="\n").writerows(rows)
             return
-        with told_storage(self.out, only_full=True), self.out.open("w", encoding="utf-8", newline="") as file:
+        with storage_errors(self.out, only_full=True), self.out.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file).writerows(rows)
 
 

@@ -17,16 +17,16 @@ def begin() -> None:
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
     keep_bytecode()
     if sys.argv[1:2] == ["train"]:
-        preload(_device_in(sys.argv))
+        preload(_parse_device(sys.argv))
 
 
-def _device_in(argv: list[str]) -> str | None:
+def _parse_device(argv: list[str]) -> str | None:
     """Return the device of a command line, given as ``--device NAME`` or ``--device=NAME``; None without one."""
     words = [part for word in argv for part in word.split("=", 1)]
     return words[words.index("--device") + 1] if "--device" in words[:-1] else None
 
 
-def started_at() -> float:
+def start_time() -> float:
     """Return the start of the command on the clock of ``time.perf_counter`` [s]: that of the process, or now without one."""
     return time.perf_counter() if _started is None else _started
 

@@ -102,27 +102,29 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
 
     scale = 1.0 if cfg.normalize else cfg.max_range
     distance = first(images.distance)
-    found = [{"title": cfg.kind, "url": _colored(np.where(distance < 0.0, np.nan, distance / scale))}]
+    pictures = [{"title": cfg.kind, "url": _color_url(np.where(distance < 0.0, np.nan, distance / scale))}]
     for title, ids in (("segmentation", images.segmentation), ("faces", images.face_ids)):
         if ids is not None:
-            found.append({"title": title, "url": _numbered(first(ids))})
+            pictures.append({"title": title, "url": _id_url(first(ids))})
     if images.normals is not None:
-        found.append({"title": f"normals, {cfg.normals}", "url": _png(0.5 + 0.5 * first(images.normals))})
+        pictures.append({"title": f"normals, {cfg.normals}", "url": _png(0.5 + 0.5 * first(images.normals))})
     if images.disparity is not None:
         shift = first(images.disparity)
-        found.append({"title": "disparity", "url": _colored(1.0 - shift / max(float(shift.max()), 1e-6))})
+        pictures.append({"title": "disparity", "url": _color_url(1.0 - shift / max(float(shift.max()), 1e-6))})
     if images.optical_flow is not None:
-        found.append({"title": "optical flow at 1 m/s ahead", "url": _directed(first(images.optical_flow))})
+        pictures.append({"title": "optical flow at 1 m/s ahead", "url": _flow_url(first(images.optical_flow))})
     if images.color is not None:
-        found.append({"title": "colour", "url": _png(first(images.color))})
+        pictures.append({"title": "colour", "url": _png(first(images.color))})
     if images.points is not None:
         height = first(images.points)[..., 2]
         span = max(float(np.ptp(height)), 1e-6)
-        found.append({"title": f"height of the points, {cfg.points}", "url": _colored((height - height.min()) / span)})
-    return found
+        pictures.append(
+            {"title": f"height of the points, {cfg.points}", "url": _color_url((height - height.min()) / span)}
+        )
+    return pictures
 
 
-def _colored(share: "np.ndarray") -> str:
+def _color_url(share: "np.ndarray") -> str:
     """Return shares of 1 in colour, NaN in grey."""
     import numpy as np
     from matplotlib import colormaps
@@ -132,7 +134,7 @@ def _colored(share: "np.ndarray") -> str:
     return _png(colors)
 
 
-def _directed(flow: "np.ndarray") -> str:
+def _flow_url(flow: "np.ndarray") -> str:
     """Return vectors in the hue of their direction (right is red, down is yellow-green), the fuller the longer; 0 is white.
 
     The 99th percentile has the full colour.
@@ -146,7 +148,7 @@ def _directed(flow: "np.ndarray") -> str:
     return _png(hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1)))
 
 
-def _numbered(ids: "np.ndarray") -> str:
+def _id_url(ids: "np.ndarray") -> str:
     """Return ids in colours of their own, negative ones in grey."""
     import numpy as np
 

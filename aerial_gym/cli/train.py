@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from aerial_gym.cli.process import started_at
+from aerial_gym.cli.process import start_time
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop.preload import import_beside
-from aerial_gym.lazy import no_garbage
+from aerial_gym.interop.preload import import_without_torch
+from aerial_gym.lazy import pause_garbage_collection
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.settings import TrainingCfg
@@ -90,9 +90,9 @@ class TrainCmd:
 
     def run(self) -> int:
         """Train and print where the policy lies; return the exit status, 1 if it was interrupted."""
-        with no_garbage():
-            import_beside()
-            from aerial_gym.rl_training.ranks import launched_rank
+        with pause_garbage_collection():
+            import_without_torch()
+            from aerial_gym.rl_training.ranks import torchrun_rank
             from aerial_gym.rl_training.run.run_folder import RunFolder
             from aerial_gym.rl_training.settings import load_settings, settings_for
             from aerial_gym.rl_training.training import train
@@ -105,7 +105,7 @@ class TrainCmd:
             self._refuse_changes(cfg)
         else:
             known = self.config or settings_for(self.trainer or TRAINER, task, device=self.device or "auto")
-            cfg = replace(load_settings(known), task=lasting_name(task))
+            cfg = replace(load_settings(known), task=absolute_name(task))
             if self.trainer not in (None, cfg.trainer):
                 raise ConfigError(
                     f"--trainer {self.trainer}: the settings in {known} are of {cfg.trainer}. Leave one out"
@@ -133,9 +133,9 @@ class TrainCmd:
             resume=self.resume,
             watch=self.watch,
             wandb=self.wandb,
-            started=started_at(),
+            started=start_time(),
         )
-        if launched_rank() == 0:
+        if torchrun_rank() == 0:
             self._tell(result)
         return 1 if result.interrupted else 0
 
@@ -159,7 +159,7 @@ class TrainCmd:
 
     def _refuse_changes(self, cfg: "TrainingCfg") -> None:
         for flag, given, own in (
-            ("task", None if self.task is None else lasting_name(self.task), cfg.task),
+            ("task", None if self.task is None else absolute_name(self.task), cfg.task),
             ("trainer", self.trainer, cfg.trainer),
         ):
             if given not in (None, own):
@@ -174,7 +174,7 @@ class TrainCmd:
                 )
 
 
-def lasting_name(task: str) -> str:
+def absolute_name(task: str) -> str:
     """Return a task's name, with an absolute path for a file."""
     file, colon, name = task.rpartition(":")
     if file.endswith(".py"):

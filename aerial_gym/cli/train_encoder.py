@@ -35,30 +35,30 @@ class TrainEncoderCmd(EncoderTrainingCfg):
         names = [each.name for each in fields(EncoderTrainingCfg)]
         cfg = EncoderTrainingCfg(**{name: getattr(self, name) for name in names})
         with progress_bar() as progress:
-            found = train_encoder(cfg, self.out, resume=self.resume, tell=progress)
+            result = train_encoder(cfg, self.out, resume=self.resume, tell=progress)
         if self.json:
-            print(json.dumps(asdict(found)))
+            print(json.dumps(asdict(result)))
         else:
-            self._tell(found)
-        return int(found.interrupted)
+            self._tell(result)
+        return int(result.interrupted)
 
-    def _tell(self, found: "EncoderResult") -> None:
+    def _tell(self, result: "EncoderResult") -> None:
         console = Console(markup=False, highlight=False)
         console.print(
-            f"{'interrupted' if found.interrupted else 'trained'}: {found.epochs} epochs, {found.time_s:.0f} s"
+            f"{'interrupted' if result.interrupted else 'trained'}: {result.epochs} epochs, {result.time_s:.0f} s"
         )
-        if found.interrupted:
+        if result.interrupted:
             console.print(f"next: aerial-gym train-encoder --out {self.out} --resume")
             return
         table = Table(box=None, pad_edge=False)
         for column in ("told by, on other scenes", "rms [m]", "mean [m]", "rms of near pixels [m]"):
             table.add_column(column)
-        for name, errors in [*found.errors.items(), *found.errors_by_env.items()]:
+        for name, errors in [*result.errors.items(), *result.errors_by_env.items()]:
             near = "-" if errors.near_rms_m is None else f"{errors.near_rms_m:.3f}"
             table.add_row(name, f"{errors.rms_m:.3f}", f"{errors.mean_m:.3f}", near)
         console.print(table)
-        console.print(f"latents that tell images apart: {found.active_latents}")
+        console.print(f"latents that tell images apart: {result.active_latents}")
         console.print(
-            f"next: aerial-gym train --task navigation_task --robot {found.robot} --encoder {found.encoder}",
+            f"next: aerial-gym train --task navigation_task --robot {result.robot} --encoder {result.encoder}",
             soft_wrap=True,
         )

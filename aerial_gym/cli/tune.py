@@ -36,23 +36,28 @@ class TuneCmd:
         from aerial_gym.robots.tune import tune_robot
 
         robot = robot_by_name(self.robot)
-        found = tune_robot(
+        tuning = tune_robot(
             robot, name=self.robot, attitude=2.0 * pi * self.attitude_hz,
             position=2.0 * pi * self.position_hz, damping=self.damping, dt=self.dt_s,
         )  # fmt: skip
         names = ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
-        rows = {name: [round(number, 6) for number in getattr(found.control, name)] for name in names}
-        told = {"lag_s": found.lag, "delay_s": found.delay, "yaw_limited": found.yaw_limited, "radius": found.radius}
+        rows = {name: [round(number, 6) for number in getattr(tuning.control, name)] for name in names}
+        told = {
+            "lag_s": tuning.lag,
+            "delay_s": tuning.delay,
+            "yaw_limited": tuning.yaw_limited,
+            "radius": tuning.radius,
+        }
         if self.json:
             print(json.dumps(rows | told))
         else:
-            yaw = "; yaw is slower than asked, as the rotors give no more torque" if found.yaw_limited else ""
+            yaw = "; yaw is slower than asked, as the rotors give no more torque" if tuning.yaw_limited else ""
             print(
-                f"# rotor lag {found.lag:.4g} s, dead time {found.delay:.4g} s; spectral radius {found.radius:.6f}{yaw}"
+                f"# rotor lag {tuning.lag:.4g} s, dead time {tuning.delay:.4g} s; spectral radius {tuning.radius:.6f}{yaw}"
             )
             if robot.joints is not None:
                 print(f"# {robot.joints.rigid_note('gains are those for a vehicle that does not bend')}")
             print("control:")
             print("\n".join(f"  {name}: {numbers}" for name, numbers in rows.items()))
-            print(f'  source: "{found.control.source}"')
-        return int(found.radius > 1.0)
+            print(f'  source: "{tuning.control.source}"')
+        return int(tuning.radius > 1.0)

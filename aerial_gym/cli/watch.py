@@ -12,7 +12,7 @@ from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
     from aerial_gym.config.robot import RobotCfg
-    from aerial_gym.sim2real.failures.watch import Alarm, Watch
+    from aerial_gym.sim2real.failures.watch import Alarm, FlightWatch
     from aerial_gym.sim2real.logs.readers.csv_lines import CsvHeader
 
 SHOWN = 3
@@ -57,7 +57,7 @@ class WatchCmd:
     def _watch(self, robot: "RobotCfg", lines: Iterator[str]) -> bool:
         """Print a line for each failure in the lines of one flight, then a summary; return False if it was interrupted."""
         from aerial_gym.errors import DataError
-        from aerial_gym.sim2real.failures.watch import NAMED, Watch
+        from aerial_gym.sim2real.failures.watch import NAMED, FlightWatch
         from aerial_gym.sim2real.logs.readers.csv_lines import find_header
         from aerial_gym.sim2real.wording import render_findings, text
 
@@ -68,7 +68,7 @@ class WatchCmd:
         if header is None:
             raise DataError(f"{self.log}: holds no header line")
         name = "flight" if self.log == "-" else Path(self.log).stem
-        watch = Watch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
+        watch = FlightWatch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
         try:
             for alarm in _alarms(watch, header, numbered, self.log, refuse=not self.follow):
                 named += alarm.stage == NAMED
@@ -99,7 +99,7 @@ def _flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:
 
 
 def _alarms(
-    watch: "Watch", header: "CsvHeader", lines: Iterator[tuple[int, str]], log: str, *, refuse: bool
+    watch: "FlightWatch", header: "CsvHeader", lines: Iterator[tuple[int, str]], log: str, *, refuse: bool
 ) -> "Iterator[Alarm]":
     """Yield the alarms while lines come, and when they end; name the first rows that are left out, and count all.
 
@@ -116,25 +116,27 @@ def _alarms(
         row, rows = _numbers(header.row(line.rstrip("\r\n"))), rows + 1
         if row is None:
             unreadable += 1
-            named += _name_bad(named, f"{log}, line {number}: its fields do not fit the header, or are no numbers")
+            named += _report_bad_row(
+                named, f"{log}, line {number}: its fields do not fit the header, or are no numbers"
+            )
             continue
         before = watch.bad_rows
         yield from watch.add(row)
         if watch.bad_rows > before:
             assert watch.last_bad is not None
-            named += _name_bad(named, f"{log}, by line {number}: {text(watch.last_bad)}")
-    yield from watch.ended()
+            named += _report_bad_row(named, f"{log}, by line {number}: {text(watch.last_bad)}")
+    yield from watch.finish()
     bad = unreadable + watch.bad_rows
     if refuse and bad == rows:
-        found = f"none of its {rows} rows can be used" if rows else "holds no rows"
-        raise DataError(f"{log}: {found}; is it a flight log?")
+        fault = f"none of its {rows} rows can be used" if rows else "holds no rows"
+        raise DataError(f"{log}: {fault}; is it a flight log?")
     if bad:
         print(f"{log}: {bad} of {rows} rows left out", file=sys.stderr)
     if watch.clock_steps:
         print(f"{log}: its clock was set back {watch.clock_steps} times", file=sys.stderr)
 
 
-def _name_bad(named: int, sentence: str) -> bool:
+def _report_bad_row(named: int, sentence: str) -> bool:
     """Print the reason for a left-out row, for the first ``SHOWN`` rows; return whether it was printed."""
     if named < SHOWN:
         print(f"row left out: {sentence}", file=sys.stderr)

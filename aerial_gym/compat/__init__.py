@@ -3,7 +3,7 @@
 A thin layer: names are translated, rules stay where they are. A script runs with its ``isaacgym`` imports removed, by hand or
 by ``python -m aerial_gym.compat SCRIPT.py``. ``docs/guides/coming_from_aerial_gym.md`` has all names side by side.
 
-``modules``: import paths. ``sim_builder``, ``env_manager``, ``tensors``, ``registries``, ``base_task``, ``registered_task``:
+``modules``: import paths. ``sim_builder``, ``env_manager``, ``tensors``, ``registries``, ``base_task``, ``native_task``:
 what scripts call. ``config``: configuration classes. ``math``, ``logs``, ``arguments``: helpers. ``page``: the table of names.
 """
 

@@ -59,7 +59,7 @@ class EnvManager:
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the environments of some ids; ``crashes`` and ``truncations`` stay until the next step."""
-        self._reset(self.mask_of(env_ids))
+        self._reset(self.as_mask(env_ids))
 
     def reset_terminated_and_truncated_envs(self) -> Tensor:
         """Reset crashed (unless ``reset_on_collision`` is False) and truncated environments; return their ids, int64."""
@@ -89,7 +89,7 @@ class EnvManager:
         """Release device memory; tasks of that simulator call this method, which it lacks."""
         self.env.close()
 
-    def mask_of(self, env_ids: Tensor | Sequence[int]) -> Tensor:
+    def as_mask(self, env_ids: Tensor | Sequence[int]) -> Tensor:
         """Return the bool mask (E,) of environment ids; masks are returned unchanged."""
         ids = torch.as_tensor(env_ids, device=self.device)
         if ids.dtype == torch.bool:
@@ -133,7 +133,7 @@ class RobotManager:
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the robots of some environments; the obstacles stay."""
-        self._manager.env.robot_manager.reset(self._manager.mask_of(env_ids))
+        self._manager.env.robot_manager.reset(self._manager.as_mask(env_ids))
 
 
 class AssetManager:

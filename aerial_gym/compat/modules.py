@@ -36,10 +36,8 @@ MODULES: dict[str, dict[str, str]] = {
     "robots.base_multirotor": {"BaseMultirotor": "registries:BaseMultirotor"},
     "robots.BaseMultirotor": {"": "registries:BaseMultirotor"},
     "task.base_task": {"BaseTask": "base_task:BaseTask"},
-    "task.position_setpoint_task.position_setpoint_task": {
-        "PositionSetpointTask": "registered_task:PositionSetpointTask"
-    },
-    "task.navigation_task.navigation_task": {"NavigationTask": "registered_task:NavigationTask"},
+    "task.position_setpoint_task.position_setpoint_task": {"PositionSetpointTask": "native_task:PositionSetpointTask"},
+    "task.navigation_task.navigation_task": {"NavigationTask": "native_task:NavigationTask"},
     "config.task_config.position_setpoint_task_config": {
         "task_config": 'config.tasks:task_class_config("position_setpoint_task")'
     },
@@ -222,8 +220,8 @@ def resolve(place: str) -> Any:
     for opening, closing in (("[", "]"), ("(", ")")):
         if expression.endswith(closing):
             name, _, argument = expression[:-1].partition(opening)
-            found = getattr(home, name)
-            return found[argument.strip('"')] if opening == "[" else found(argument.strip('"'))
+            value = getattr(home, name)
+            return value[argument.strip('"')] if opening == "[" else value(argument.strip('"'))
     return getattr(home, expression)
 
 

@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Sequence
 
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
-from aerial_gym.compat.config.fields import Table
+from aerial_gym.compat.config.fields import ConfigTable
 from aerial_gym.compat.modules import GONE, MODULES
 from aerial_gym.compat.names import METHODS
 from aerial_gym.compat.tensors import KEYS
 
-TABLES: tuple[tuple[str, Table], ...] = (
+TABLES: tuple[tuple[str, ConfigTable], ...] = (
     ("Sims", sims.TABLE),
     ("Environments", environments.TABLE),
     ("Obstacles", assets.TABLE),
@@ -27,7 +27,7 @@ def names() -> str:
     parts = [
         "## Methods", _methods(),
         "## Tensor keys", _keys(),
-        "## Registered names", _registered(),
+        "## Registered names", _registry_note(),
         "## Module paths", _modules(),
         "## Configuration classes", _classes(),
     ]  # fmt: skip
@@ -44,16 +44,16 @@ def _code(text: str) -> str:
 
 
 def _methods() -> str:
-    rows = ((f"`{name.theirs.partition(':')[2]}`", _code(name.ours), name.remark) for name in METHODS)
+    rows = ((f"`{name.script_name.partition(':')[2]}`", _code(name.native), name.remark) for name in METHODS)
     return _rows(("there", "here", "remark"), rows)
 
 
 def _keys() -> str:
-    rows = ((f"`{name}`", _code(key.ours), key.remark) for name, key in KEYS.items())
+    rows = ((f"`{name}`", _code(key.native), key.remark) for name, key in KEYS.items())
     return _rows(("key there", "here", "remark"), rows)
 
 
-def _registered() -> str:
+def _registry_note() -> str:
     return (
         "All sims, environments, robots, controllers and tasks of that simulator are registered here under their names "
         "(`aerial-gym list`), `base_sim_headless` among them."
@@ -61,12 +61,12 @@ def _registered() -> str:
 
 
 def _modules() -> str:
-    found = (
+    module_rows = (
         (f"`aerial_gym.{path}`", ", ".join(f"`{n}`" for n in given if n) or "-") for path, given in MODULES.items()
     )
     gone = ((f"`aerial_gym.{path}`", way) for path, way in GONE.items())
     return (
-        _rows(("module", "names"), found)
+        _rows(("module", "names"), module_rows)
         + "\n\nWithout a counterpart; importing one says so:\n\n"
         + _rows(("module", "way out"), gone)
     )
@@ -76,7 +76,7 @@ def _classes() -> str:
     parts = []
     for title, table in TABLES:
         rows = [
-            (f"`{f.theirs}`", _code(f.ours), f"other values are refused: {f.remark}" if f.refused else f.remark)
+            (f"`{f.script_name}`", _code(f.native), f"other values are refused: {f.remark}" if f.refused else f.remark)
             for f in table.fields
         ]
         rows += [(f"`{section}.*`", "-", why) for section, why in table.idle_sections.items()]

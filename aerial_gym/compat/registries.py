@@ -11,23 +11,23 @@ from typing import Any, NoReturn
 
 from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.compat.config import controllers, environments, robots, sims, tasks
-from aerial_gym.compat.config.fields import Table, fresh
+from aerial_gym.compat.config.fields import ConfigTable, copy_class
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS
 from aerial_gym.env_manager.sim_builder import environment_by_name
-from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError, did_you_mean
+from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError, suggest_name
 from aerial_gym.registry import Registry
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.task import task_registry as TASKS  # noqa: N812 (as the other registries of ours)
 
 
-class _Names:
+class _NativeNames:
     """Entries of a script and of this package's registry."""
 
     kind: str
-    ours: Registry[Any]
+    native: Registry[Any]
     built_in: Mapping[str, Any] = {}
 
     def __init__(self) -> None:
@@ -36,23 +36,23 @@ class _Names:
     def _add(self, name: str, entry: Any, identity: Any) -> None:
         """Add an entry; repeating the same class has no effect, another one under the same name is an error."""
         known = self._own.get(name, (self.built_in.get(name), None))[0]
-        if name not in self.ours if known is None else _same_class(known, identity):
+        if name not in self.native if known is None else _same_class(known, identity):
             self._own[name] = (identity, entry)
             return
         raise DuplicateNameError(f"{self.kind} {name!r} is registered already, as something else. Choose another name.")
 
     def names(self) -> list[str]:
         """Return all names, sorted."""
-        return sorted({*self._own, *self.built_in, *self.ours})
+        return sorted({*self._own, *self.built_in, *self.native})
 
     def _find(self, name: str) -> Any:
         """Return the script's entry of a name, None for a name of this package; else raise ``UnknownNameError``."""
         if name in self._own:
             return self._own[name][1]
-        if name in self.built_in or name in self.ours:
+        if name in self.built_in or name in self.native:
             return None
         names = self.names()
-        raise UnknownNameError(f"no {self.kind} {name!r}.{did_you_mean(name, names)} Known: {', '.join(names)}")
+        raise UnknownNameError(f"no {self.kind} {name!r}.{suggest_name(name, names)} Known: {', '.join(names)}")
 
 
 def _same_class(a: Any, b: Any) -> bool:
@@ -64,33 +64,33 @@ def _is_file(name: object) -> bool:
     return str(name).endswith((".yaml", ".yml"))
 
 
-class _Configurations(_Names):
+class _Configurations(_NativeNames):
     """A registry of configuration classes."""
 
-    table: Table
+    table: ConfigTable
     translate: Callable[[Any], Any]
     load: Callable[[Any], Any]
 
     def config_class(self, name: str) -> Any:
         """Return the configuration class of a name: the script's, or one generated from this package's entry or file."""
-        found = None if _is_file(name) else self._find(name)
-        if found is not None:
-            return found if isclass(found) else self.table.class_of(name, found)
-        return self.built_in[name] if name in self.built_in else self.table.class_of(str(name), self.load(name))
+        entry = None if _is_file(name) else self._find(name)
+        if entry is not None:
+            return entry if isclass(entry) else self.table.make_class(name, entry)
+        return self.built_in[name] if name in self.built_in else self.table.make_class(str(name), self.load(name))
 
     def resolve(self, name: str) -> Any:
         """Return this package's configuration for a name; its own names and files unchanged."""
-        found = None if _is_file(name) else self._find(name)
-        if found is None:
-            found = self.built_in.get(name)
-        return self.translate(found) if isclass(found) else found or name
+        entry = None if _is_file(name) else self._find(name)
+        if entry is None:
+            entry = self.built_in.get(name)
+        return self.translate(entry) if isclass(entry) else entry or name
 
 
 class SimConfigRegistry(_Configurations):
     """``sim_config_registry``."""
 
-    kind, ours, built_in, table = "sim", SIMS, sims.CLASSES, sims.TABLE
-    translate, load = staticmethod(sims.sim_of), staticmethod(SIMS.get)
+    kind, native, built_in, table = "sim", SIMS, sims.CLASSES, sims.TABLE
+    translate, load = staticmethod(sims.translate_sim), staticmethod(SIMS.get)
 
     def register(self, sim_name: str, sim_config: Any) -> None:
         """Register a sim class, or a ``SimCfg``; another one under a registered name is refused."""
@@ -100,7 +100,7 @@ class SimConfigRegistry(_Configurations):
         """Return the sim class."""
         return self.config_class(sim_name)
 
-    get_sim_names = _Names.names
+    get_sim_names = _NativeNames.names
 
     make_sim = get_sim_config
     """Nothing is built, as there."""
@@ -109,8 +109,8 @@ class SimConfigRegistry(_Configurations):
 class EnvConfigRegistry(_Configurations):
     """``env_config_registry``."""
 
-    kind, ours, built_in, table = "environment", ENVIRONMENTS, environments.CLASSES, environments.TABLE
-    translate, load = staticmethod(environments.environment_of), staticmethod(environment_by_name)
+    kind, native, built_in, table = "environment", ENVIRONMENTS, environments.CLASSES, environments.TABLE
+    translate, load = staticmethod(environments.translate_environment), staticmethod(environment_by_name)
 
     def register(self, env_name: str, env_config: Any) -> None:
         """Register an environment class, or an ``EnvironmentCfg``; another one under a registered name is refused."""
@@ -120,7 +120,7 @@ class EnvConfigRegistry(_Configurations):
         """Return the environment class."""
         return self.config_class(env_name)
 
-    get_env_names = _Names.names
+    get_env_names = _NativeNames.names
 
     make_env = get_env_config
     """Nothing is built, as there."""
@@ -133,8 +133,8 @@ class BaseMultirotor:
 class RobotRegistry(_Configurations):
     """``robot_registry``."""
 
-    kind, ours, built_in, table = "robot", ROBOTS, robots.CLASSES, robots.TABLE
-    translate, load = staticmethod(robots.robot_of), staticmethod(robot_by_name)
+    kind, native, built_in, table = "robot", ROBOTS, robots.CLASSES, robots.TABLE
+    translate, load = staticmethod(robots.translate_robot), staticmethod(robot_by_name)
 
     def register(self, robot_name: str, robot_class: type, robot_config: Any) -> None:
         """Register a robot class, or a ``RobotCfg``; another one under a registered name is refused.
@@ -158,7 +158,7 @@ class RobotRegistry(_Configurations):
         """Return the robot class."""
         return self.config_class(robot_name)
 
-    get_robot_names = _Names.names
+    get_robot_names = _NativeNames.names
 
     def make_robot(self, robot_name: str, *_: object, **__: object) -> NoReturn:
         """Refuse: a robot is built with its environment."""
@@ -167,10 +167,10 @@ class RobotRegistry(_Configurations):
         )
 
 
-class ControllerRegistry(_Names):
+class ControllerRegistry(_NativeNames):
     """``controller_registry``."""
 
-    kind, ours = "controller", CONTROLLERS
+    kind, native = "controller", CONTROLLERS
 
     def register_controller(self, controller_name: str, controller_class: Any, controller_config: Any) -> None:
         """Register a control law by its class in that simulator, with a class of gains.
@@ -178,22 +178,22 @@ class ControllerRegistry(_Names):
         Raises:
             ConfigError: If the law is the script's own, or a gain is impossible.
         """
-        controllers.controller_of(controller_class, controller_config)
+        controllers.translate_controller(controller_class, controller_config)
         self._add(controller_name, (controller_class, controller_config), controller_config)
 
-    get_controller_names = _Names.names
+    get_controller_names = _NativeNames.names
 
     def get_controller_class(self, controller_name: str) -> Any:
         """Return the law's class in that simulator; None for laws of this package alone."""
-        found = self._find(controller_name)
-        if found is not None:
-            return found[0]
+        entry = self._find(controller_name)
+        if entry is not None:
+            return entry[0]
         return next((law for law in controllers.LAWS.values() if law.name == controller_name), None)
 
     def get_controller_config(self, controller_name: str) -> Any:
         """Return the class of gains."""
-        found = self._find(controller_name)
-        return controllers.control if found is None else found[1]
+        entry = self._find(controller_name)
+        return controllers.control if entry is None else entry[1]
 
     def make_controller(self, controller_name: str, *_: object, **__: object) -> NoReturn:
         """Refuse: a controller is built with its robot."""
@@ -204,7 +204,7 @@ class ControllerRegistry(_Names):
     def resolve(self, name: str) -> Any:
         """Return this package's controller for a name; its own names unchanged."""
         classes = self._classes(name)
-        return name if classes is None else controllers.controller_of(*classes)
+        return name if classes is None else controllers.translate_controller(*classes)
 
     def gain_randomization(self, name: str) -> Randomize:
         """Return the random gains of a controller, by the names of ``randomize:``."""
@@ -213,37 +213,37 @@ class ControllerRegistry(_Names):
 
     def _classes(self, name: str) -> tuple[Any, Any] | None:
         """Return law and gains; None for a controller of this package with the robot's gains."""
-        found = self._find(name)
-        if found is not None:
-            return found
+        entry = self._find(name)
+        if entry is not None:
+            return entry
         law = self.get_controller_class(name)
         return (law, controllers.control) if law is not None and controllers.control_is_changed() else None
 
 
-class TaskRegistry(_Names):
+class TaskRegistry(_NativeNames):
     """``task_registry``."""
 
-    kind, ours = "task", TASKS
+    kind, native = "task", TASKS
 
     def register_task(self, task_name: str, task_class: type, task_config: Any) -> None:
         """Register a task class with its configuration; another class under a registered name is refused."""
         self._add(task_name, (task_class, task_config), task_class)
 
-    get_task_names = _Names.names
+    get_task_names = _NativeNames.names
 
     def get_task_class(self, task_name: str) -> type:
         """Return the task class."""
-        found = self._find(task_name)
-        if found is not None:
-            return found[0]
-        from aerial_gym.compat.registered_task import task_class
+        entry = self._find(task_name)
+        if entry is not None:
+            return entry[0]
+        from aerial_gym.compat.native_task import task_class
 
         return task_class(task_name)
 
     def get_task_config(self, task_name: str) -> Any:
         """Return the configuration class."""
-        found = self._find(task_name)
-        return tasks.task_class_config(task_name) if found is None else found[1]
+        entry = self._find(task_name)
+        return tasks.task_class_config(task_name) if entry is None else entry[1]
 
     def get_task_classes(self) -> list[type]:
         """Return the class of every task."""
@@ -267,7 +267,7 @@ class TaskRegistry(_Names):
         The class gets a configuration of its own, so that its writes, usual in that simulator, reach no other task.
         """
         given = {"seed": seed, "num_envs": num_envs, "headless": headless, "use_warp": use_warp}
-        return self.get_task_class(task_name)(fresh(self.get_task_config(task_name)), **given, **more)
+        return self.get_task_class(task_name)(copy_class(self.get_task_config(task_name)), **given, **more)
 
 
 sim_config_registry = SimConfigRegistry()

@@ -54,5 +54,5 @@ def _is_isaacgym(alias: ast.alias) -> bool:
 
 def _rest(node: ast.Import | ast.ImportFrom) -> str:
     """Return an import statement without ``isaacgym``: the other modules of its line, or ``pass``."""
-    others = [alias for alias in node.names if not _is_isaacgym(alias)] if isinstance(node, ast.Import) else []
-    return ast.unparse(ast.Import(names=others)) if others else "pass"
+    remaining = [alias for alias in node.names if not _is_isaacgym(alias)] if isinstance(node, ast.Import) else []
+    return ast.unparse(ast.Import(names=remaining)) if remaining else "pass"

@@ -5,8 +5,8 @@ from typing import Any
 
 import torch
 
-from aerial_gym.compat.config.environments import kept_values
-from aerial_gym.compat.config.fields import fresh
+from aerial_gym.compat.config.environments import batch_settings
+from aerial_gym.compat.config.fields import copy_class
 from aerial_gym.compat.config.robots import floats
 from aerial_gym.compat.env_manager import EnvManager
 from aerial_gym.compat.registries import (
@@ -62,7 +62,7 @@ class SimBuilder:
         """
         del args, use_warp, headless
         env_class = env_config_registry.config_class(env_name)
-        default_envs, reset_on_collision = kept_values(env_class)
+        default_envs, reset_on_collision = batch_settings(env_class)
         robot_class = robot_registry.config_class(robot_name)
         sim = sim_config_registry.resolve(sim_name)
         if floats(robot_class):
@@ -95,7 +95,7 @@ class SimBuilder:
 
 def _with_number(env_class: Any, num_envs: int) -> Any:
     """Return a subclass with the built number of environments, which scripts read from the class."""
-    cfg = fresh(env_class)
+    cfg = copy_class(env_class)
     if hasattr(cfg, "env"):
         cfg.env.num_envs = num_envs
     return cfg

@@ -55,13 +55,13 @@ class _Loader(Loader):
             module.__dict__.update({name: getattr(helpers, name) for name in helpers.__all__}, __all__=helpers.__all__)
             return
 
-        def missing(name: str) -> NoReturn:
+        def raise_missing(name: str) -> NoReturn:
             raise AttributeError(
                 f"{module.__name__}.{name}: there is no Isaac Gym here. What scripts ask it for is in global_tensor_dict; see "
                 "docs/guides/coming_from_aerial_gym.md"
             )
 
-        module.__dict__.update(__getattr__=missing, __all__=[])
+        module.__dict__.update(__getattr__=raise_missing, __all__=[])
 
 
 class _Finder(MetaPathFinder):

@@ -41,7 +41,7 @@ def require_finite(config: object, *names: str) -> None:
             raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be finite")
 
 
-def require_single(config: object, *names: str) -> None:
+def require_float32(config: object, *names: str) -> None:
     """Raise ``ConfigError`` unless the named numbers are finite in single precision (NaN fails as well)."""
     for name in names:
         value = getattr(config, name)

@@ -105,7 +105,7 @@ class CollisionCfg:
     source: str
     """Source of the numbers."""
 
-    def on(self, link: str) -> tuple[CollisionShape, ...]:
+    def link_shapes(self, link: str) -> tuple[CollisionShape, ...]:
         """Return the shapes on a link."""
         return tuple(shape for shape in self.shapes if shape.link == link)
 
@@ -117,10 +117,10 @@ class CollisionCfg:
     @property
     def parts(self) -> tuple[PartCfg, ...]:
         """All shapes as visible parts, in the order of ``shapes``."""
-        return tuple(_part_of(shape) for shape in self.shapes)
+        return tuple(_shape_part(shape) for shape in self.shapes)
 
 
-def _part_of(own: CollisionShape) -> PartCfg:
+def _shape_part(own: CollisionShape) -> PartCfg:
     if isinstance(own, SphereCfg):
         return PartCfg(shape=ShapeCfg(kind="sphere", radius=own.radius), position=own.center, link=own.link)
     if isinstance(own, BoxCfg):

@@ -15,7 +15,7 @@ SIGNS = {
 """Plain letters for signs that Unicode does not take apart."""
 
 
-def plain_letters(error: UnicodeError) -> tuple[str, int]:
+def ascii_fallback(error: UnicodeError) -> tuple[str, int]:
     """Return plain letters for unencodable characters and the next position, as an error handler of ``codecs``."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
@@ -30,7 +30,7 @@ def _without_marks(sign: str) -> str:
 
 def accept_any_console() -> None:
     """Make stdout and stderr replace characters outside their encoding by plain letters."""
-    codecs.register_error(PLAIN, plain_letters)
+    codecs.register_error(PLAIN, ascii_fallback)
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:

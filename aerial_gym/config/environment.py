@@ -211,8 +211,8 @@ class EnvironmentCfg:
 
     def _check_track(self) -> None:
         counts = {} if self.track is None else self.track.counts
-        found = {asset.name: asset.count for asset in self.assets[: len(counts)] if asset.keep}
-        if found != counts or list(found) != list(counts):
+        asset_counts = {asset.name: asset.count for asset in self.assets[: len(counts)] if asset.keep}
+        if asset_counts != counts or list(asset_counts) != list(counts):
             needed = ", ".join(f"{name} (count: {count}, keep: true)" for name, count in counts.items())
             raise ConfigError(f"EnvironmentCfg.track: its gates and poles are the first assets: needs {needed}")
 

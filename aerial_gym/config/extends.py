@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
 
-from aerial_gym.config.loader import build, files_of, read_yaml, shown, to_mapping
+from aerial_gym.config.loader import build, family_files, format_value, read_yaml, to_mapping
 from aerial_gym.config.sensor_mount import is_file
-from aerial_gym.errors import ConfigError, did_you_mean
+from aerial_gym.errors import ConfigError, suggest_name
 
 T = TypeVar("T")
 
@@ -33,47 +33,47 @@ def load_extended(
 
 
 def _load(cls: type[T], path: Path, family: str, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
-    data, itself = read_yaml(path), path.resolve()
-    if itself in above:
-        names = " -> ".join(file.name for file in (*above[above.index(itself) :], itself))
+    data, resolved = read_yaml(path), path.resolve()
+    if resolved in above:
+        names = " -> ".join(file.name for file in (*above[above.index(resolved) :], resolved))
         raise ConfigError(f"{path}: extends itself ({names})")
     if "extends" in data:
-        base = _load(cls, _base_of(path, data.pop("extends"), family), family, located, (*above, itself))
-        data = _on_top(to_mapping(base), data, str(path))
-    return located(build(cls, data, where=str(path)), itself.parent)
+        base = _load(cls, _base_file(path, data.pop("extends"), family), family, located, (*above, resolved))
+        data = _overlay(to_mapping(base), data, str(path))
+    return located(build(cls, data, where=str(path)), resolved.parent)
 
 
-def _base_of(path: Path, name: object, family: str) -> Path:
+def _base_file(path: Path, name: object, family: str) -> Path:
     if not isinstance(name, str):
-        raise ConfigError(f"{path}: extends = {shown(name)}: must be one name, or the path of a .yaml file")
+        raise ConfigError(f"{path}: extends = {format_value(name)}: must be one name, or the path of a .yaml file")
     if is_file(name):
         return path.resolve().parent / name
-    known = files_of(family)
+    known = family_files(family)
     if name in known:
         return known[name]
-    hint = did_you_mean(name, known)
+    hint = suggest_name(name, known)
     raise ConfigError(
-        f"{path}: extends = {shown(name)}: no file of that name comes with the package.{hint} Known: {', '.join(known)}; "
+        f"{path}: extends = {format_value(name)}: no such file in the package.{hint} Known: {', '.join(known)}; "
         "give a file of your own by its path, which ends in .yaml"
     )
 
 
-def _on_top(base: Mapping[str, object], change: Mapping[str, object], where: str) -> dict[str, object]:
+def _overlay(base: Mapping[str, object], change: Mapping[str, object], where: str) -> dict[str, object]:
     """Return a mapping with a change on top; neither is touched."""
-    found = {**base}
+    merged = {**base}
     for key, value in change.items():
         if value is None:
-            found.pop(key, None)
+            merged.pop(key, None)
         else:
-            found[key] = _merged(base.get(key), value, f"{where}: {key}")
-    return found
+            merged[key] = _merge(base.get(key), value, f"{where}: {key}")
+    return merged
 
 
-def _merged(base: object, value: object, where: str) -> object:
+def _merge(base: object, value: object, where: str) -> object:
     if not isinstance(value, Mapping):
         return value
     if isinstance(base, Mapping):
-        return _on_top(base, value, where)
+        return _overlay(base, value, where)
     return _with_entries(base, value, where) if isinstance(base, list) else value
 
 
@@ -83,5 +83,7 @@ def _with_entries(base: list[object], value: Mapping[str, object], where: str) -
     if len(entries) < len(base) or not base:
         raise ConfigError(f"{where}: entries of this list have no names in the base. Give the whole list")
     if unknown := [name for name in value if name not in entries]:
-        raise ConfigError(f"{where}: the base has nothing named {shown(unknown[0])} here. Names: {', '.join(entries)}")
-    return list(_on_top(entries, value, where).values())
+        raise ConfigError(
+            f"{where}: the base has nothing named {format_value(unknown[0])} here. Names: {', '.join(entries)}"
+        )
+    return list(_overlay(entries, value, where).values())

@@ -84,8 +84,8 @@ class ImagesCfg:
         return False
 
 
-Nothing = float | Vec3
-Of = Callable[["RangeSensorCfg"], str]
+PixelValue = float | Vec3
+SensorText = Callable[["RangeSensorCfg"], str]
 """Unit, frame or meaning of an image as a function of its sensor."""
 
 
@@ -99,13 +99,13 @@ class Image:
     wanted: Callable[["RangeSensorCfg"], bool] | None = None
     """Whether a sensor has it; None: every one."""
 
-    unit: str | Of = "-"
+    unit: str | SensorText = "-"
     """Unit."""
 
-    frame: str | Of = "sensor"
+    frame: str | SensorText = "sensor"
     """Frame."""
 
-    meaning: str | Of
+    meaning: str | SensorText
     """One line."""
 
     ids: bool = False
@@ -114,22 +114,22 @@ class Image:
     components: int = 1
     """Numbers of a pixel: 1, 2 or 3."""
 
-    nothing: Nothing | Callable[["RangeSensorCfg"], Nothing] | None = None
+    empty_pixel: PixelValue | Callable[["RangeSensorCfg"], PixelValue] | None = None
     """Pixel value without a hit; None if it depends on the sensor's pose and motion."""
 
-    def is_in(self, cfg: "RangeSensorCfg") -> bool:
+    def is_enabled(self, cfg: "RangeSensorCfg") -> bool:
         """Return whether a sensor has this image."""
         return self.wanted is None or self.wanted(cfg)
 
-    def unit_of(self, cfg: "RangeSensorCfg") -> str:
+    def resolve_unit(self, cfg: "RangeSensorCfg") -> str:
         """Return the image's unit for a sensor."""
         return self.unit if isinstance(self.unit, str) else self.unit(cfg)
 
-    def frame_of(self, cfg: "RangeSensorCfg") -> str:
+    def resolve_frame(self, cfg: "RangeSensorCfg") -> str:
         """Return the image's frame for a sensor."""
         return self.frame if isinstance(self.frame, str) else self.frame(cfg)
 
-    def meaning_of(self, cfg: "RangeSensorCfg") -> str:
+    def resolve_meaning(self, cfg: "RangeSensorCfg") -> str:
         """Return the image's meaning for a sensor, one line."""
         return self.meaning if isinstance(self.meaning, str) else self.meaning(cfg)
 
@@ -151,14 +151,14 @@ IMAGES: dict[str, Image] = {
         key="depth_range_pixels",
         unit=lambda cfg: f"{cfg.max_range:g} m" if cfg.normalize else "m",
         meaning=_distance,
-        nothing=lambda cfg: cfg.far_pixel,
+        empty_pixel=lambda cfg: cfg.far_pixel,
     ),
     "segmentation": Image(
         key="segmentation_pixels",
         wanted=lambda cfg: cfg.segmentation,
         meaning=f"segmentation id; {MISS_ID} without a hit",
         ids=True,
-        nothing=MISS_ID,
+        empty_pixel=MISS_ID,
     ),
     "points": Image(
         key="point_cloud_pixels",
@@ -174,7 +174,7 @@ IMAGES: dict[str, Image] = {
         frame=lambda cfg: cfg.normals or "-",
         meaning="unit normal of the surface, towards the sensor; 0 without a hit",
         components=3,
-        nothing=(0.0, 0.0, 0.0),
+        empty_pixel=(0.0, 0.0, 0.0),
     ),
     "face_ids": Image(
         key="face_id_pixels",
@@ -182,21 +182,21 @@ IMAGES: dict[str, Image] = {
         meaning="triangle of a mesh; box: 2 axis + (1 for the upper side); cylinder: 0 side, 1 bottom, 2 top; "
         f"{MISS_FACE} without a hit",
         ids=True,
-        nothing=MISS_FACE,
+        empty_pixel=MISS_FACE,
     ),
     "disparity": Image(
         key="disparity_pixels",
         wanted=lambda cfg: cfg.has_second_camera,
         unit="pixel",
         meaning="shift of the second image, f |b| / z; 0 for an invalid pixel",
-        nothing=0.0,
+        empty_pixel=0.0,
     ),
     "color": Image(
         key="rgb_pixels",
         wanted=lambda cfg: cfg.light is not None,
         meaning="red, green, blue, each 0 to 1",
         components=3,
-        nothing=lambda cfg: (cfg.light or LightCfg()).sky,
+        empty_pixel=lambda cfg: (cfg.light or LightCfg()).sky,
     ),
     "optical_flow": Image(
         key="optical_flow_pixels",

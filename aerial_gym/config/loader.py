@@ -10,7 +10,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import yaml
 
 from aerial_gym.config.checks import LARGEST_SINGLE
-from aerial_gym.errors import ConfigError, did_you_mean
+from aerial_gym.errors import ConfigError, suggest_name
 
 T = TypeVar("T")
 
@@ -21,10 +21,10 @@ CONFIG_DIR = Path(__file__).parent
 """Folder of the configurations that come with the package."""
 
 
-def files_of(family: str) -> dict[str, Path]:
+def family_files(family: str) -> dict[str, Path]:
     """Return the files of a family (a folder of ``CONFIG_DIR``, with subfolders) by name."""
-    found = sorted((CONFIG_DIR / family).rglob("*.yaml"), key=lambda path: path.stem)
-    return {path.stem: path for path in found}
+    paths = sorted((CONFIG_DIR / family).rglob("*.yaml"), key=lambda path: path.stem)
+    return {path.stem: path for path in paths}
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -36,7 +36,7 @@ def read_yaml(path: str | Path) -> dict[str, object]:
     path = Path(path)
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-        itself = _holds_itself(data, set(), set())
+        recursive = _is_recursive(data, set(), set())
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -49,25 +49,25 @@ def read_yaml(path: str | Path) -> dict[str, object]:
         raise ConfigError(f"{path}: holds a value that YAML cannot read ({error})") from None
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: must hold a mapping of fields, found {type(data).__name__}")
-    if itself:
+    if recursive:
         raise ConfigError(f"{path}: not valid YAML (an alias refers to a node that contains it)")
     return data
 
 
-def _holds_itself(value: object, around: set[int], done: set[int]) -> bool:
+def _is_recursive(value: object, around: set[int], done: set[int]) -> bool:
     """Return whether a list or mapping contains itself; ``around`` holds its parents, ``done`` those already checked."""
     if not isinstance(value, (dict, list)) or id(value) in done:
         return False
     if id(value) in around:
         return True
     around.add(id(value))
-    nested = any(_holds_itself(one, around, done) for one in (value.values() if isinstance(value, dict) else value))
+    nested = any(_is_recursive(one, around, done) for one in (value.values() if isinstance(value, dict) else value))
     around.remove(id(value))
     done.add(id(value))
     return nested
 
 
-def summary_in(path: str | Path) -> str:
+def read_summary(path: str | Path) -> str:
     """Return the ``summary`` of a configuration file without building the configuration."""
     return str(read_yaml(path).get("summary", ""))
 
@@ -90,7 +90,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         ConfigError: If a key is unknown or missing, a type does not fit, or the dataclass refuses a value.
     """
     if not isinstance(data, Mapping):
-        raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {shown(data)}")
+        raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {format_value(data)}")
     hints = get_type_hints(cls)
     known = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     moved = getattr(cls, "MOVED", {})
@@ -98,7 +98,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
         if key in moved:
             raise ConfigError(f"{where}: field {key!r} is gone: {moved[key]}")
         if key not in known:
-            raise ConfigError(f"{where}: unknown field {key!r}.{did_you_mean(key, known)} Known: {', '.join(known)}")
+            raise ConfigError(f"{where}: unknown field {key!r}.{suggest_name(key, known)} Known: {', '.join(known)}")
     values = {key: convert(hints[key], value, f"{where}: {key}") for key, value in data.items()}
     for name, field in known.items():
         required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
@@ -145,7 +145,7 @@ def _plain(value: Any) -> Any:
 def convert(hint: Any, value: Any, where: str) -> Any:
     """Return a value converted to a type hint; ``where`` is the prefix of errors."""
     if hint is object:
-        return _any(value, where)
+        return _convert_untyped(value, where)
     origin, args = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return _convert_optional(args, value, where)
@@ -155,20 +155,20 @@ def convert(hint: Any, value: Any, where: str) -> Any:
         return _convert_tuple(args, value, where)
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         if not isinstance(value, Mapping):
-            raise ConfigError(f"{where} = {shown(value)}: must be a mapping")
+            raise ConfigError(f"{where} = {format_value(value)}: must be a mapping")
         return {convert(args[0], k, where): convert(args[1], v, f"{where}.{k}") for k, v in value.items()}
     return _convert_scalar(hint, value, where)
 
 
-def _any(value: Any, where: str) -> Any:
+def _convert_untyped(value: Any, where: str) -> Any:
     """Return numbers, texts, booleans and lists of them unconverted, for fields without a fixed type."""
     if isinstance(value, (list, tuple)):
-        return tuple(_any(item, f"{where}[{i}]") for i, item in enumerate(value))
+        return tuple(_convert_untyped(item, f"{where}[{i}]") for i, item in enumerate(value))
     if isinstance(value, (int, float)) and LARGEST_SINGLE < abs(value) < inf:
-        raise ConfigError(f"{where} = {shown(value)}: must be at most {LARGEST_SINGLE:.2g} either way")
+        raise ConfigError(f"{where} = {format_value(value)}: must be at most {LARGEST_SINGLE:.2g} either way")
     if isinstance(value, (str, int, float)):
         return value
-    raise ConfigError(f"{where} = {shown(value)}: must be a number, a text, or a list of such")
+    raise ConfigError(f"{where} = {format_value(value)}: must be a number, a text, or a list of such")
 
 
 def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
@@ -187,11 +187,11 @@ def _convert_optional(args: tuple[Any, ...], value: Any, where: str) -> Any:
 
 def _convert_tuple(args: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, (list, tuple)):
-        raise ConfigError(f"{where} = {shown(value)}: must be a list")
+        raise ConfigError(f"{where} = {format_value(value)}: must be a list")
     if len(args) == 2 and args[1] is Ellipsis:
         return tuple(convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
     if len(value) != len(args):
-        raise ConfigError(f"{where} = {shown(value)}: must have {len(args)} entries")
+        raise ConfigError(f"{where} = {format_value(value)}: must have {len(args)} entries")
     return tuple(convert(arg, item, f"{where}[{i}]") for i, (arg, item) in enumerate(zip(args, value, strict=True)))
 
 
@@ -202,17 +202,17 @@ def _convert_scalar(hint: Any, value: Any, where: str) -> Any:
         try:
             return float(value)
         except OverflowError:
-            raise ConfigError(f"{where} = {shown(value)}: must be a finite number") from None
+            raise ConfigError(f"{where} = {format_value(value)}: must be a finite number") from None
     if hint is int and isinstance(value, int) and not isinstance(value, bool):
         if not -(2**63) <= value < 2**63:
-            raise ConfigError(f"{where} = {shown(value)}: must fit into 64 bits")
+            raise ConfigError(f"{where} = {format_value(value)}: must fit into 64 bits")
         return value
     if hint in (str, bool) and isinstance(value, hint):
         return value
-    raise ConfigError(f"{where} = {shown(value)}: must be {getattr(hint, '__name__', hint)}")
+    raise ConfigError(f"{where} = {format_value(value)}: must be {getattr(hint, '__name__', hint)}")
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """Return the Python text of a value for messages, shortened to ``LONGEST_SHOWN`` characters."""
     try:
         text = repr(value)

@@ -38,15 +38,15 @@ class PlacementCfg:
             self._check(name, f"{name}_low", f"{name}_high")
 
     def _check(self, name: str, low: str, high: str) -> None:
-        what = type(self).__name__
+        label = type(self).__name__
         if (getattr(self, low) is None) != (getattr(self, high) is None):
-            raise ConfigError(f"{what}: give both {low} and {high}, or neither")
+            raise ConfigError(f"{label}: give both {low} and {high}, or neither")
         names = (name,) if getattr(self, low) is None else (low, name, high)
         require_finite(self, *names)
         for one in names if name == "euler" else ():
             angles = getattr(self, one)
             if any(abs(angle) > 2.0 * pi for angle in angles):
-                raise ConfigError(f"{what}.{one} = {angles!r}: must lie within +-2 pi. Angles are in radians")
+                raise ConfigError(f"{label}.{one} = {angles!r}: must lie within +-2 pi. Angles are in radians")
         if len(names) > 1:
             require_ordered(self, low, high)
             require_ordered(self, low, name)

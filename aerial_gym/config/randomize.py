@@ -69,13 +69,13 @@ class RandomizeCfg:
             known = ", ".join(DISTRIBUTIONS)
             raise ConfigError(f"RandomizeCfg.distribution = {self.distribution!r}: must be one of {known}")
         normal = self.distribution == "normal"
-        needed, others = (("mean", "std"), ()) if normal else (("low", "high"), ("mean", "std"))
+        needed, forbidden = (("mean", "std"), ()) if normal else (("low", "high"), ("mean", "std"))
         for name in needed:
             if getattr(self, name) is None:
                 raise ConfigError(
                     f"RandomizeCfg.{name}: a {self.distribution} distribution needs {' and '.join(needed)}"
                 )
-        for name in others:
+        for name in forbidden:
             if getattr(self, name) is not None:
                 raise ConfigError(f"RandomizeCfg.{name}: a {self.distribution} distribution has none")
         if self.correlation and not normal:
@@ -107,7 +107,7 @@ class RandomizeCfg:
         if self.how == "scale" and not low >= 0.0:
             raise ConfigError(f"RandomizeCfg.low = {low!r}: a factor needs a lowest value >= 0 (how: scale)")
 
-    def reached(self, name: str, declared: Sequence[float], *, spread: float = inf) -> list[tuple[float, float]]:
+    def value_limits(self, name: str, declared: Sequence[float], *, spread: float = inf) -> list[tuple[float, float]]:
         """Return the lowest and the highest value that each component of a quantity takes.
 
         Args:
@@ -120,15 +120,15 @@ class RandomizeCfg:
             numbers = self.components(len(declared))
         except ConfigError as error:
             raise ConfigError(f"randomize: {name}: {error}") from None
-        found = []
+        rows = []
         for value, (low, high, mean, std) in zip(declared, numbers, strict=True):
             if std > 0.0:
                 low, high = max(low, mean - spread * std), min(high, mean + spread * std)
             ends = {"value": (low, high), "offset": (value + low, value + high)}.get(
                 self.how, (value * low, value * high)
             )
-            found.append((min(ends), max(ends)))
-        return found
+            rows.append((min(ends), max(ends)))
+        return rows
 
     def widths(self) -> set[int]:
         """Return the numbers of components that the fields have; 1 for single numbers."""
@@ -141,15 +141,15 @@ class RandomizeCfg:
         Raises:
             ConfigError: If a field has another number of components.
         """
-        found = []
+        rows = []
         for name, missing in (("low", -inf), ("high", inf), ("mean", 0.0), ("std", 0.0)):
             value = getattr(self, name)
             value = missing if value is None else value
             row = value if isinstance(value, tuple) else (value,) * width
             if len(row) != width:
                 raise ConfigError(f"RandomizeCfg.{name} = {value!r}: needs one number, or {width}")
-            found.append(row)
-        return list(zip(*found, strict=True))
+            rows.append(row)
+        return list(zip(*rows, strict=True))
 
 
 Randomize = Mapping[str, RandomizeCfg]

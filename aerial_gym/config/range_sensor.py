@@ -50,7 +50,7 @@ class NoiseCfg:
         """Return the standard deviation [m] at a distance [m]."""
         return (self.std_a * distance + self.std_b) * distance + self.std_c
 
-    def least_std_at(self, low: float, high: float) -> float:
+    def least_std_distance(self, low: float, high: float) -> float:
         """Return the distance within an interval [m] with the smallest standard deviation."""
         vertex = -0.5 * self.std_b / self.std_a if self.std_a > 0.0 else low
         return min((low, high, min(max(vertex, low), high)), key=self.std)
@@ -116,7 +116,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
     def __post_init__(self) -> None:
         own = getattr(type(self), "model", None)
         if self.model != own:
-            raise ConfigError(f"{_of(self, 'model')}: must be {own!r}; another model is another class")
+            raise ConfigError(f"{_field_text(self, 'model')}: must be {own!r}; another model is another class")
         _check_image(self)
         _check_outputs(self)
         _check_noise(self)
@@ -152,7 +152,7 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
         return value / self.max_range if self.normalize else value
 
 
-def _of(cfg: object, name: str) -> str:
+def _field_text(cfg: object, name: str) -> str:
     """Return ``Class.field = value``, the start of most messages."""
     return f"{type(cfg).__name__}.{name} = {getattr(cfg, name)!r}"
 
@@ -164,7 +164,7 @@ def _is_count(value: object) -> bool:
 def _check_image(cfg: RangeSensorCfg) -> None:
     for name in ("width", "height"):
         if not _is_count(getattr(cfg, name)):
-            raise ConfigError(f"{_of(cfg, name)}: must be at least 1 pixel, and whole")
+            raise ConfigError(f"{_field_text(cfg, name)}: must be at least 1 pixel, and whole")
     require_count(cfg, "width", "height", most=MAX_MADE)
     if not 0.0 <= cfg.min_range < cfg.max_range < inf:
         raise ConfigError(
@@ -174,28 +174,30 @@ def _check_image(cfg: RangeSensorCfg) -> None:
     for name in ("far_out_of_range_value", "near_out_of_range_value"):
         value = getattr(cfg, name)
         if value is not None and not isfinite(value):
-            raise ConfigError(f"{_of(cfg, name)}: must be finite")
+            raise ConfigError(f"{_field_text(cfg, name)}: must be finite")
 
 
 def _check_outputs(cfg: RangeSensorCfg) -> None:
     if cfg.kind not in KINDS:
-        raise ConfigError(f"{_of(cfg, 'kind')}: must be one of {', '.join(KINDS)}")
+        raise ConfigError(f"{_field_text(cfg, 'kind')}: must be one of {', '.join(KINDS)}")
     for name in ("points", "normals"):
         if getattr(cfg, name) not in (None, *FRAMES):
-            raise ConfigError(f"{_of(cfg, name)}: must be one of {', '.join(FRAMES)}, or None for no such image")
+            raise ConfigError(
+                f"{_field_text(cfg, name)}: must be one of {', '.join(FRAMES)}, or None for no such image"
+            )
     if cfg.optical_flow and not cfg.has_image_plane:
         raise ConfigError(
-            f"{_of(cfg, 'optical_flow')}: a {cfg.model} has no image plane; a pinhole, stereo or fisheye camera has one"
+            f"{_field_text(cfg, 'optical_flow')}: a {cfg.model} has no image plane; a pinhole, stereo or fisheye camera has one"
         )
     if not _is_count(cfg.count):
-        raise ConfigError(f"{_of(cfg, 'count')}: must be at least 1 sensor, and whole")
+        raise ConfigError(f"{_field_text(cfg, 'count')}: must be at least 1 sensor, and whole")
     require_count(cfg, "count", most=MAX_MADE)
 
 
 def _check_noise(cfg: RangeSensorCfg) -> None:
     if cfg.noise is None:
         return
-    worst = cfg.noise.least_std_at(cfg.min_range, cfg.max_range)
+    worst = cfg.noise.least_std_distance(cfg.min_range, cfg.max_range)
     if not cfg.noise.std(worst) >= 0.0:
         raise ConfigError(
             f"{type(cfg).__name__}.noise: standard deviation {cfg.noise.std(worst):g} m at {worst:g} m: "
@@ -205,6 +207,6 @@ def _check_noise(cfg: RangeSensorCfg) -> None:
 
 def _check_timing(cfg: RangeSensorCfg) -> None:
     if cfg.rate_hz is not None and not 0.0 < cfg.rate_hz < inf:
-        raise ConfigError(f"{_of(cfg, 'rate_hz')}: must be > 0 and finite, or None for an image at every step")
+        raise ConfigError(f"{_field_text(cfg, 'rate_hz')}: must be > 0 and finite, or None for an image at every step")
     if not 0.0 <= cfg.latency_s < inf:
-        raise ConfigError(f"{_of(cfg, 'latency_s')}: must be >= 0 and finite")
+        raise ConfigError(f"{_field_text(cfg, 'latency_s')}: must be >= 0 and finite")

@@ -277,14 +277,14 @@ class RobotCfg:
 
     def the_rotor(self, purpose: str) -> RotorCfg:
         """Return the only rotor type; raise ``ConfigError`` with the purpose if mounts have different ones."""
-        first, *others = self.rotor_types
-        if any(other != first for other in others):
+        first, *rest = self.rotor_types
+        if any(other != first for other in rest):
             names = ", ".join(self.rotors)
             raise ConfigError(f"{purpose} needs one rotor type, but the mounts of this robot have several: {names}")
         return first
 
     @property
-    def seen_parts(self) -> tuple[PartCfg, ...]:
+    def visible_parts(self) -> tuple[PartCfg, ...]:
         """Visible shapes of the robot, in the frames of its links; none unless it is visible."""
         parts = (self.visual or self.collision.parts) if self.visible else ()
         return tuple(replace(part, semantic_id=ROBOT_ID) if part.semantic_id is None else part for part in parts)
@@ -336,21 +336,21 @@ class RobotCfg:
         carried += [(f"visual: part {number}", part.link) for number, part in enumerate(self.visual, 1)]
         carried += [(f"collision: shape {number}", shape.link) for number, shape in enumerate(self.collision.shapes, 1)]
         carried += [(f"sensors: {mount.key}", mount.link) for mount in self.sensor_mounts]
-        for what, link in carried:
+        for label, link in carried:
             if link not in self.link_names:
                 hint = (
                     "the robot has no joints" if self.joints is None else f"the links are {', '.join(self.link_names)}"
                 )
-                raise ConfigError(f"RobotCfg.{what} sits on link {link!r}, but {hint}")
+                raise ConfigError(f"RobotCfg.{label} sits on link {link!r}, but {hint}")
 
 
 def load_robot(path: str | Path) -> RobotCfg:
     """Return the robot in a YAML file, which may extend another (``config.extends``); the files of its visual shapes and
     sensors are taken relative to the file that names them."""
-    return load_extended(RobotCfg, path, family="robots", located=_located)
+    return load_extended(RobotCfg, path, family="robots", located=_absolute_files)
 
 
-def _located(cfg: RobotCfg, folder: Path) -> RobotCfg:
+def _absolute_files(cfg: RobotCfg, folder: Path) -> RobotCfg:
     """Return a robot with absolute file paths; relative ones count from ``folder``."""
     parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
     sensors = (_absolute_sensor(sensor, folder) for sensor in cfg.sensors)

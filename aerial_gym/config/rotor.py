@@ -132,7 +132,7 @@ class RotorCfg:
         up = inf if self.slew_rate is None else self.slew_rate
         return up, up if self.slew_rate_down is None else self.slew_rate_down
 
-    def speed_at(self, thrust: float) -> float:
+    def speed_for_thrust(self, thrust: float) -> float:
         """Return the rotor state for a thrust [N]: the speed [rad/s], the larger root of the thrust map; or the thrust."""
         if self.mode == "force":
             return thrust
@@ -155,13 +155,13 @@ class RotorCfg:
     @property
     def torque_coefficients(self) -> Vec3:
         """Drag torque polynomial [N m] of the state, whichever way it was given."""
-        return self.torque_map or self._torque_of(self.thrust_coefficients)
+        return self.torque_map or self._drag_torque(self.thrust_coefficients)
 
     @property
     def reverse_torque_coefficients(self) -> Vec3:
         """Drag torque polynomial [N m] of the size of a negative state."""
-        return self.reverse_torque_map or self.torque_map or self._torque_of(self.reverse_thrust_coefficients)
+        return self.reverse_torque_map or self.torque_map or self._drag_torque(self.reverse_thrust_coefficients)
 
-    def _torque_of(self, thrust: Vec3) -> Vec3:
+    def _drag_torque(self, thrust: Vec3) -> Vec3:
         ratio = self.torque_ratio or 0.0
         return ratio * thrust[0], ratio * thrust[1], ratio * thrust[2]

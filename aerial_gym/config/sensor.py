@@ -9,10 +9,10 @@ from pathlib import Path
 from aerial_gym.config.camera import CameraCfg, FisheyeCfg, StereoCfg
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.config.lidar import LidarCfg, RayTableCfg
-from aerial_gym.config.loader import build, read_yaml, shown
+from aerial_gym.config.loader import build, format_value, read_yaml
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
 from aerial_gym.config.rosette import PrismCfg, RosetteCfg
-from aerial_gym.errors import ConfigError, did_you_mean
+from aerial_gym.errors import ConfigError, suggest_name
 
 __all__ = [
     "FRAMES",
@@ -68,7 +68,7 @@ def load_any_sensor(path: str | Path) -> SensorCfg:
         return build(ImuCfg, data, where=str(path))
     if not isinstance(model, str) or model not in MODELS:
         raise ConfigError(
-            f"{path}: model = {shown(model)}: must be one of {', '.join(MODELS)}, imu.{did_you_mean(model, MODELS)}"
+            f"{path}: model = {format_value(model)}: must be one of {', '.join(MODELS)}, imu.{suggest_name(model, MODELS)}"
         )
     cfg = build(MODELS[str(model)], data, where=str(path))
     if isinstance(cfg, RayTableCfg | RosetteCfg) and cfg.path is not None:

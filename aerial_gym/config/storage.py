@@ -18,7 +18,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Codes of a disk, a quota or a limit that is reached."""
 
 
-def write_whole(path: str | Path, content: bytes | str) -> None:
+def write_atomic(path: str | Path, content: bytes | str) -> None:
     """Write a file atomically: even after a crash it holds either the old or the new content.
 
     The content goes to a temporary file in the same folder, which is synced and then renamed.
@@ -29,7 +29,7 @@ def write_whole(path: str | Path, content: bytes | str) -> None:
     path = Path(path)
     partial = path.with_name(f".{path.name}.partial")
     data = content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content
-    with told_storage(path):
+    with storage_errors(path):
         try:
             with partial.open("wb") as file:
                 file.write(data)
@@ -51,10 +51,10 @@ def write_archive(path: str | Path, payload: Mapping[str, object]) -> None:
 
     memory = io.BytesIO()
     torch.save(dict(payload), memory)
-    write_whole(path, memory.getvalue())
+    write_atomic(path, memory.getvalue())
 
 
-def read_archive(path: str | Path, what: str) -> dict[str, Any]:
+def read_archive(path: str | Path, kind: str) -> dict[str, Any]:
     """Return the content of an archive by ``write_archive``, on the CPU, without running code from the file.
 
     Raises:
@@ -64,27 +64,27 @@ def read_archive(path: str | Path, what: str) -> dict[str, Any]:
 
     path = Path(path)
     if not path.is_file():
-        raise ConfigError(f"{what} {path}: no such file")
+        raise ConfigError(f"{kind} {path}: no such file")
     try:
         with zipfile.ZipFile(path) as archive:
             damaged = archive.testzip()
     except Exception:  # the library raises various types for a damaged archive
-        raise ConfigError(f"{what} {path}: cannot be read, it is damaged or no {what}") from None
+        raise ConfigError(f"{kind} {path}: cannot be read, it is damaged or no {kind}") from None
     if damaged is not None:
-        raise ConfigError(f"{what} {path}: is damaged, the check sum of {damaged!r} is another")
+        raise ConfigError(f"{kind} {path}: is damaged, the check sum of {damaged!r} is another")
     try:
         payload = torch.load(path, map_location="cpu", weights_only=True)
     except Exception:  # torch's own message advises to unpickle arbitrary code
         raise ConfigError(
-            f"{what} {path}: holds something other than tensors, numbers and text; it is not opened"
+            f"{kind} {path}: holds something other than tensors, numbers and text; it is not opened"
         ) from None
     if not isinstance(payload, dict):
-        raise ConfigError(f"{what} {path}: must hold a mapping, found {type(payload).__name__}")
+        raise ConfigError(f"{kind} {path}: must hold a mapping, found {type(payload).__name__}")
     return payload
 
 
 @contextmanager
-def told_storage(where: str | Path, *, only_full: bool = False) -> Iterator[None]:
+def storage_errors(where: str | Path, *, only_full: bool = False) -> Iterator[None]:
     """Convert an ``OSError`` of a write into a message with ``where``; with ``only_full``, only for a full disk.
 
     Raises:
@@ -97,10 +97,10 @@ def told_storage(where: str | Path, *, only_full: bool = False) -> Iterator[None
     except OSError as error:
         if only_full and error.errno not in FULL:
             raise
-        raise StorageError(storage_sentence(error, where)) from None
+        raise StorageError(storage_message(error, where)) from None
 
 
-def storage_sentence(error: OSError, where: str | Path | None = None) -> str:
+def storage_message(error: OSError, where: str | Path | None = None) -> str:
     """Return the message for a failed write, with the remedy."""
     name = error.filename if where is None else where
     place = "" if name is None else f"{name}: "

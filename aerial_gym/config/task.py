@@ -222,13 +222,13 @@ class TaskCfg:
         return [each for each in self.terminations.values() if each.kind == "success"]
 
     @property
-    def tells_success(self) -> bool:
+    def defines_success(self) -> bool:
         """Whether the task defines success."""
         return bool(self._successes)
 
     @property
     def success_radius(self) -> float | None:
         """Success radius around the target [m]: ``radius`` of the first success that has one."""
-        found = (each.params["radius"] for each in self._successes if "radius" in each.params)
-        radius = next(found, None)
+        radii = (each.params["radius"] for each in self._successes if "radius" in each.params)
+        radius = next(radii, None)
         return float(radius) if isinstance(radius, (int, float)) else None

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from aerial_gym.config.checks import MAX_MADE, require_not_negative, require_positive, require_single
+from aerial_gym.config.checks import MAX_MADE, require_float32, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 
 Params = Mapping[str, object]
@@ -167,7 +167,7 @@ class RewardCfg:
     """Names of reward terms, without factors of their own, whose sum multiplies this term; none: 1."""
 
     def __post_init__(self) -> None:
-        require_single(self, "weight", "difficulty_weight")
+        require_float32(self, "weight", "difficulty_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +184,7 @@ class EndRewardCfg:
     """``replace``: the reward of that step is this alone; ``add``: it comes on top."""
 
     def __post_init__(self) -> None:
-        require_single(self, "value", "difficulty_value")
+        require_float32(self, "value", "difficulty_value")
         if self.how not in ("replace", "add"):
             raise ConfigError(f"EndRewardCfg.how = {self.how!r}: must be replace or add")
 

@@ -11,7 +11,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from aerial_gym.control.effectiveness import Actuation, actuation_of, allocation_matrix, pseudo_inverse, right_inverse
+from aerial_gym.control.effectiveness import Actuation, allocation_matrix, find_actuation, pseudo_inverse, right_inverse
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED
 from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
@@ -36,7 +36,7 @@ class Allotment:
     rest: Tensor  # Share of the yaw torque and the lateral force, 0 to 1, (E, 1)
 
 
-def prioritised_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def allot_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return the thrusts of ``allot``, (E, R) [N]."""
     return allot(inverse, wrench, low, high).thrust
 
@@ -80,18 +80,18 @@ def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Allotme
     thrust = torch.where(carries, share * turn + collective * lift, resting)
     rest_share = _share(thrust, rest, low, high)
     thrust = torch.clamp(thrust + rest_share * rest, low, high)
-    inside = within(plain, low, high)
+    inside = is_within_limits(plain, low, high)
     return Allotment(
         torch.where(inside, plain, thrust), torch.where(inside, 1.0, share), torch.where(inside, 1.0, rest_share)
     )
 
 
-def within(thrust: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def is_within_limits(thrust: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return whether all rotors of an environment are within their limits, bool (E, 1)."""
     return ((thrust >= low) & (thrust <= high)).all(-1, keepdim=True)
 
 
-def _fitting(room: Tensor, need: Tensor) -> Tensor:
+def _largest_share(room: Tensor, need: Tensor) -> Tensor:
     """Return the quotient ``room / need``, at most 1."""
     room = room.clamp_min(0.0)
     short = need > room
@@ -101,7 +101,7 @@ def _fitting(room: Tensor, need: Tensor) -> Tensor:
 def _share(thrust: Tensor, change: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return the largest feasible share (E, 1), at most 1, of a change of thrusts (E, R)."""
     room = torch.where(change > 0.0, high - thrust, thrust - low)
-    return _fitting(room, change.abs()).amin(-1, keepdim=True)
+    return _largest_share(room, change.abs()).amin(-1, keepdim=True)
 
 
 def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
@@ -111,7 +111,7 @@ def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
     need = torch.where(
         need > NEGLIGIBLE * (upper.abs() + lower.abs()), need, 0.0
     )  # ignore round-off between equal rotors
-    return _fitting(room, need).flatten(1).amin(-1, keepdim=True)
+    return _largest_share(room, need).flatten(1).amin(-1, keepdim=True)
 
 
 def _highest(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
@@ -145,7 +145,7 @@ class Allocation:
             effectiveness: Matrix of the ``nominal`` vehicle, or of the ``actual`` one once ``follow`` is called.
         """
         matrix = allocation_matrix(vehicle, gravity)
-        asked = actuation_of(matrix[0]).mask_rows(matrix)
+        asked = find_actuation(matrix[0]).mask_rows(matrix)
         low, high = _thrust_limits(vehicle)
         self.vehicle, self.saturation, self.effectiveness = vehicle, saturation, effectiveness
         if is_shared(vehicle.mass):  # a declared vehicle is the same everywhere
@@ -168,7 +168,7 @@ class Allocation:
         own = {name for name, rows in vehicle.rows().items() if not is_shared(rows)}
         if own & MATRIX_FIELDS:
             self._own += ("allocation",)
-            self._actuation, self.inverse = actuation_of(self._matrix), own_rows(self.inverse)
+            self._actuation, self.inverse = find_actuation(self._matrix), own_rows(self.inverse)
         if own & set(MAP_FIELDS):
             names = MAP_FIELDS if "reversible" in vehicle.traits else MAP_FIELDS[:1]
             self._own += ("low", "high", *names)
@@ -181,15 +181,15 @@ class Allocation:
         limits = {"allocation": self.inverse, "low": self.low, "high": self.high}
         return {name: limits[name] if name in limits else getattr(self.vehicle, name) for name in self._own}
 
-    def rows_for(self, vehicle: Vehicle) -> dict[str, Tensor]:
+    def compute_rows(self, vehicle: Vehicle) -> dict[str, Tensor]:
         """Compute the values of ``rows`` for a vehicle, as a row function of ``interop.rows``."""
         vehicle = vehicle if vehicle.mass.dtype == self._dtype else vehicle.to(self._dtype)
-        found = {name: rows for name, rows in vehicle.rows().items() if name in self._own}
+        result = {name: rows for name, rows in vehicle.rows().items() if name in self._own}
         if "low" in self._own:
-            found["low"], found["high"] = _thrust_limits(vehicle)
+            result["low"], result["high"] = _thrust_limits(vehicle)
         if self._actuation is not None:
-            found["allocation"] = right_inverse(allocation_matrix(vehicle, self._gravity), self._actuation)
-        return {name: found[name] for name in self._own}
+            result["allocation"] = right_inverse(allocation_matrix(vehicle, self._gravity), self._actuation)
+        return {name: result[name] for name in self._own}
 
     def thrust(self, wrench: Tensor) -> Tensor:
         """Return unclamped rotor thrusts [N], (E, R), of least norm for a wrench [N, N m], body, (E, 6)."""
@@ -208,7 +208,7 @@ class Allocation:
         if self.saturation == "prioritised":
             return allot(self.inverse, wrench, self.low, self.high)
         thrust = self.thrust(wrench)
-        given = within(thrust, self.low, self.high).to(thrust.dtype)
+        given = is_within_limits(thrust, self.low, self.high).to(thrust.dtype)
         return Allotment(thrust, given, given)
 
     def torque_authority(self, weight: float) -> Tensor:
@@ -231,7 +231,7 @@ class Allocation:
         """Share of a force or torque along each body axis that the rotors give, (6,): 1 if independently available, else 0."""
         return (self._matrix * self.inverse[0].detach().T).sum(-1)
 
-    def limiting_rotors(self, weight: float) -> Tensor:
+    def critical_rotors(self, weight: float) -> Tensor:
         """Return the index of the rotor that limits ``wrench_authority`` along each axis, int64, (6,)."""
         return self._room(weight).argmin(0)
 

@@ -17,11 +17,11 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.control import cascade_fused, lee_fused
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import GAINS, gains_for, spacing_of, with_own_rows
+from aerial_gym.control.gains import GAINS, loop_spacing, make_gains, with_own_rows
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.lee import LeeGains, wrench_from
-from aerial_gym.control.remembering import RememberingController, layout_of
-from aerial_gym.control.timing import timing_of
+from aerial_gym.control.lee import LeeGains, thrust_wrench
+from aerial_gym.control.stateful import StatefulController, make_layout
+from aerial_gym.control.timing import make_timing
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
@@ -52,17 +52,17 @@ def rate_gains(
     """
     inertia, row = vehicle.inertia[0].diagonal(), partial(share_row, num_envs=vehicle.num_envs)
     authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity) / inertia
-    proportional = _given(cfg.proportional, base.rate[0] / inertia)
+    proportional = _explicit_or_derived(cfg.proportional, base.rate[0] / inertia)
     return RateGains(
         proportional=row(proportional),
-        integral=row(_given(cfg.integral, (proportional / spacing_of(phase_margin)) ** 2)),
-        integral_limit=row(_given(cfg.integral_limit, INTEGRAL_SHARE * authority)),
+        integral=row(_explicit_or_derived(cfg.integral, (proportional / loop_spacing(phase_margin)) ** 2)),
+        integral_limit=row(_explicit_or_derived(cfg.integral_limit, INTEGRAL_SHARE * authority)),
         derivative=row(inertia.new_tensor(cfg.derivative)),
         smoothing=1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt),
     )
 
 
-def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
+def _explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
     return derived if numbers is None else derived.new_tensor(numbers)
 
 
@@ -77,16 +77,16 @@ OWN_NUMBERS = 9
 """Memory of a rate loop: integral (3), derivative (3), angular velocity of the previous run (3)."""
 
 
-class CascadeController(RememberingController):
+class CascadeController(StatefulController):
     """A law with memory; ``command`` is one physics step of it."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive the gains from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot settings."""
         law, loop = LAWS[cfg.law], cfg.rate_loop
-        self.timing = timing = timing_of(cfg, dt)
+        self.timing = timing = make_timing(cfg, dt)
         self.action_names, self._law = law.action, law
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        base = gains_for(
+        base = make_gains(
             cfg, control, vehicle, self.allocation, gravity=gravity, dt=timing.loop * dt, extra_lag=timing.extra_lag
         )
         self._inertia = vehicle.inertia
@@ -95,7 +95,7 @@ class CascadeController(RememberingController):
         if loop is not None:
             margin, span = control.phase_margin, timing.loop * dt
             self.rate_gains = rate_gains(loop, base, vehicle, self.allocation, phase_margin=margin, dt=span)
-        self._layout = layout_of(
+        self._layout = make_layout(
             timing,
             own=OWN_NUMBERS if loop is not None else 0,
             num_rotors=vehicle.num_rotors,
@@ -103,7 +103,7 @@ class CascadeController(RememberingController):
         )
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return self.gains.mass[0] * self.gains.gravity
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -111,7 +111,7 @@ class CascadeController(RememberingController):
         if gains is None:
             return self.allocation.speed_for_wrench(wanted), memory.numbers[:, :0], sent
         setpoint = torch.cat((wanted[:, 2:3], wanted[:, 3:] + state.ang_vel), dim=-1)
-        setpoint, sent = self._pass_on(setpoint, sent, memory.since)
+        setpoint, sent = self._delay_setpoint(setpoint, sent, memory.since)
         return *self._run_loop(gains, state.ang_vel, setpoint, memory), sent
 
     def _run_loop(
@@ -127,7 +127,7 @@ class CascadeController(RememberingController):
         wanted = gains.proportional * error + integral - gains.derivative * slope
         torque = (self._inertia * wanted.unsqueeze(1)).sum(-1)
         torque = torque + torch.linalg.cross(ang_vel, (self._inertia * ang_vel.unsqueeze(1)).sum(-1))
-        allotted = self.allocation.allot(wrench_from(setpoint[:, 0], torque))
+        allotted = self.allocation.allot(thrust_wrench(setpoint[:, 0], torque))
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
         grows = (given >= 1.0) | (error * wanted <= 0.0)  # stops while the rotors saturate
         integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
@@ -154,7 +154,7 @@ class CascadeController(RememberingController):
         has_loop = self.rate_gains is not None
         return self._fused(
             make_stateful_step=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
-            gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.Gains,
+            gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.LeeRows,
             gains=self._fused_gains(),
         )
 

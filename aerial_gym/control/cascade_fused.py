@@ -8,25 +8,25 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from aerial_gym.control.lee_fused import Gains, read_vec3
+from aerial_gym.control.lee_fused import LeeRows, read_vec3
 from aerial_gym.control.timing import Timing
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.fused.allocation import make_prioritised_thrust
-from aerial_gym.physics.fused.command import make_limited, make_speed_of
+from aerial_gym.physics.fused.allocation import make_allot_thrust
+from aerial_gym.physics.fused.command import make_clamp, make_speed_command
 from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
     from aerial_gym.control.laws import Law
-    from aerial_gym.control.remembering import Layout
+    from aerial_gym.control.stateful import MemoryLayout
 
 
 @wp.struct
 class CascadeGains:
     """Gains of the law and of the rate loop."""
 
-    lee: Gains
+    lee: LeeRows
     proportional: wp.vec3  # [1/s]
     integral: wp.vec3  # [1/s²]
     integral_limit: wp.vec3  # [rad/s²]
@@ -36,23 +36,23 @@ class CascadeGains:
 
 
 def maker(
-    lee_law: "Law", timing: Timing, layout: "Layout", *, has_loop: bool
+    lee_law: "Law", timing: Timing, layout: "MemoryLayout", *, has_loop: bool
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
     """Return ``FusedLaw.make_stateful_step`` of the controller."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         if has_loop:
-            wish, run_loop = make_wish(law, lee_law), make_rate_loop(law, num_rotors, general, timing)
+            wish, run_loop = make_setpoint(law, lee_law), make_rate_loop(law, num_rotors, general, timing)
             run = make_two_levels(law, num_rotors, general, timing, wish, run_loop)
         else:
             run = make_one_level(law, num_rotors, general, lee_law)
-        return make_remembering(law, num_rotors, general, timing, layout, run)
+        return make_stateful_step(law, num_rotors, general, timing, layout, run)
 
     return make
 
 
-def make_remembering(
-    law: FusedLaw, num_rotors: int, general: bool, timing: Timing, layout: "Layout", run: wp.Function
+def make_stateful_step(
+    law: FusedLaw, num_rotors: int, general: bool, timing: Timing, layout: "MemoryLayout", run: wp.Function
 ) -> wp.Function:
     """Return the function of one physics step, from motion and action to commanded rotor speeds [rad/s]; it updates the memory.
 
@@ -66,10 +66,10 @@ def make_remembering(
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_type(law.num_actions)
     gains_type, held, loop_steps = law.gains_type, layout.held, timing.loop
-    late = make_late_action(law.num_actions, timing, layout)
+    late = make_action_delay(law.num_actions, timing, layout)
 
     @wp.func
-    def remembering(
+    def stateful_step(
         params: command_type, gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3,
         ang_vel: wp.vec3, action: action_type, arrays: LawArrays, env: int, dt: float,
     ) -> vector:  # fmt: skip
@@ -87,14 +87,14 @@ def make_remembering(
                 command[i] = arrays.numbers[wp.static(held) + i, env]
         return command
 
-    return remembering
+    return stateful_step
 
 
 def make_one_level(law: FusedLaw, num_rotors: int, general: bool, lee_law: "Law") -> wp.Function:
     """Return the run of a law without a rate loop."""
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_type(law.num_actions)
-    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_command(num_rotors, general)
     law_wrench, prepare, gains_type = lee_law.fused, preparation(lee_law.prepare, law.num_actions), law.gains_type
 
     @wp.func
@@ -110,20 +110,20 @@ def make_one_level(law: FusedLaw, num_rotors: int, general: bool, lee_law: "Law"
     return run
 
 
-def make_wish(law: FusedLaw, lee_law: "Law") -> wp.Function:
+def make_setpoint(law: FusedLaw, lee_law: "Law") -> wp.Function:
     """Return the function from motion and action to thrust [N] and body-rate setpoint [rad/s] of a geometric law."""
     action_type, gains_type = vector_type(law.num_actions), law.gains_type
     law_wrench, prepare = lee_law.fused, preparation(lee_law.prepare, law.num_actions)
 
     @wp.func
-    def wish(
+    def setpoint_function(
         gains: gains_type, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
         action: action_type, arrays: LawArrays, env: int, since: int, dt: float,
     ) -> wp.vec4:  # fmt: skip
         wrench = law_wrench(position, attitude, lin_vel, ang_vel, prepare(action, gains.lee), gains.lee)
         return wp.vec4(wrench[2], wrench[3] + ang_vel[0], wrench[4] + ang_vel[1], wrench[5] + ang_vel[2])
 
-    return wish
+    return setpoint_function
 
 
 def make_two_levels(
@@ -154,7 +154,7 @@ def make_two_levels(
     return run
 
 
-def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.Function:
+def make_action_delay(num_actions: int, timing: Timing, layout: "MemoryLayout") -> wp.Function:
     """Return the delay of actions: a function that stores the new action and returns the delayed one."""
     action_type, first = vector_type(num_actions), layout.actions
     slots, delay = timing.action_slots, timing.action_delay
@@ -164,7 +164,7 @@ def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.F
         return action
 
     @wp.func
-    def late(arrays: LawArrays, env: int, since: int, action: action_type) -> action_type:
+    def delay_action(arrays: LawArrays, env: int, since: int, action: action_type) -> action_type:
         arrived = action_type()
         for i in range(wp.static(num_actions)):
             arrays.past[wp.static(first) + (since % wp.static(slots)) * wp.static(num_actions) + i, env] = action[i]
@@ -173,20 +173,20 @@ def make_late_action(num_actions: int, timing: Timing, layout: "Layout") -> wp.F
             arrived[i] = arrays.past[wp.static(first) + now * wp.static(num_actions) + i, env]
         return arrived
 
-    return late if slots else at_once
+    return delay_action if slots else at_once
 
 
 def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     """Return the Warp version of ``Allocation.allot``: thrusts, and the shares of the wanted torque that they give."""
     types, prioritised = rotor_types(num_rotors, general), law.saturation == "prioritised"
-    limited = make_limited(num_rotors, general)
+    limited = make_clamp(num_rotors, general)
     command_type, thrust_for = (
         types.command,
-        make_prioritised_thrust(num_rotors, general, idle=law.idle, lateral=law.lateral),
+        make_allot_thrust(num_rotors, general, idle=law.idle, lateral=law.lateral),
     )
 
     @wp.func
-    def clamped(params: command_type, wanted: wp.spatial_vector):
+    def clamp_thrust(params: command_type, wanted: wp.spatial_vector):
         thrust = params.allocation * wanted
         given = wp.float32(1.0)
         for i in range(wp.static(num_rotors)):
@@ -194,14 +194,14 @@ def make_allot(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
                 given = 0.0
         return limited(params, thrust), given, given
 
-    return thrust_for if prioritised else clamped
+    return thrust_for if prioritised else clamp_thrust
 
 
 def make_rate_loop(law: FusedLaw, num_rotors: int, general: bool, timing: Timing) -> wp.Function:
     """Return the Warp version of ``CascadeController._run_loop``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
-    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_command(num_rotors, general)
 
     @wp.func
     def run_loop(

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from aerial_gym.config import CONFIG_DIR, files_of, load
+from aerial_gym.config import CONFIG_DIR, family_files, load
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
@@ -63,12 +63,12 @@ for _name, _kind, _own in (
     CONTROLLERS.register(f"crazyflie_{_name}_control", replace(_cfg, summary=_summary, **_own))
 
 
-def _gains_of(robot: str) -> LeeGainsCfg:
+def _read_gains(robot: str) -> LeeGainsCfg:
     """Read the published gains of a robot from its gains file, else from the robot file."""
     own = CONFIG_DIR / "controllers" / f"{robot}_gains.yaml"
     if own.is_file():
         return load(LeeGainsCfg, own)
-    path = files_of("robots")[robot]
+    path = family_files("robots")[robot]
     control = read_yaml(path)["control"]
     return build(LeeGainsCfg, control["gains"], where=f"{path}: control: gains")  # type: ignore[index]
 
@@ -77,7 +77,7 @@ def _register_with_gains(name: str, base: str, summary: str, robot: str) -> None
     """Register a controller with a robot's published gains; the file is read at first use."""
     CONTROLLERS.register_later(
         name,
-        lambda: replace(CONTROLLERS.get(base), summary=summary, gains=_gains_of(robot)),
+        lambda: replace(CONTROLLERS.get(base), summary=summary, gains=_read_gains(robot)),
         summary=lambda: summary,
     )
 

@@ -13,23 +13,23 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import GAINS, gains_for, with_own_rows
+from aerial_gym.control.gains import GAINS, make_gains, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.timing import remembers
 from aerial_gym.errors import ConfigError
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
 WITH_MEMORY = {
-    None: Home("aerial_gym.control.cascade:CascadeController"),
-    "px4": Home("aerial_gym.control.px4.controller:Px4Controller"),
-    "betaflight": Home("aerial_gym.control.betaflight.controller:BetaflightController"),
-    "mellinger": Home("aerial_gym.control.crazyflie.controller:MellingerController"),
-    "crazyflie_pid": Home("aerial_gym.control.crazyflie.controller:PidController"),
-    "crazyflie_lee": Home("aerial_gym.control.crazyflie.controller:CrazyflieLeeController"),
-    "brescianini": Home("aerial_gym.control.crazyflie.controller:BrescianiniController"),
+    None: ImportPath("aerial_gym.control.cascade:CascadeController"),
+    "px4": ImportPath("aerial_gym.control.px4.controller:Px4Controller"),
+    "betaflight": ImportPath("aerial_gym.control.betaflight.controller:BetaflightController"),
+    "mellinger": ImportPath("aerial_gym.control.crazyflie.controller:MellingerController"),
+    "crazyflie_pid": ImportPath("aerial_gym.control.crazyflie.controller:PidController"),
+    "crazyflie_lee": ImportPath("aerial_gym.control.crazyflie.controller:CrazyflieLeeController"),
+    "brescianini": ImportPath("aerial_gym.control.crazyflie.controller:BrescianiniController"),
 }
 """Controllers with rates or memory, by the field of ``ControllerCfg`` with their autopilot's parameters; imported at first
 use."""
@@ -123,7 +123,7 @@ class LeeController:
                 f"law {cfg.law!r}: pushes sideways without leaning, and the rotors of this vehicle do not. Take "
                 "lee_position_control, or a robot with rotors that point in several directions (aerial-gym robot check: rank 6)"
             )
-        self.gains = gains_for(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
+        self.gains = make_gains(cfg, control, vehicle, self.allocation, gravity=gravity, dt=dt)
 
     @property
     def gains_by_name(self) -> dict[str, Tensor]:
@@ -151,7 +151,7 @@ class LeeController:
             idle=self.allocation.idle,
             wrench=self._law.fused,
             prepare=self._law.prepare,
-            gains_type=lee_fused.Gains,
+            gains_type=lee_fused.LeeRows,
             gains=lee_fused.gain_rows(self.gains),
         )
 
@@ -165,7 +165,7 @@ def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_acti
         thrust_map=allocation.vehicle.thrust_map,
         reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
         allocation=allocation.inverse if output == "wrench" else None,
-        follow=allocation.rows_for if allocation.rows else None,
+        follow=allocation.compute_rows if allocation.rows else None,
         **law,
     )
 

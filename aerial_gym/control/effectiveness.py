@@ -72,7 +72,7 @@ class Actuation:
         return torch.where(kept, matrix, 0.0)
 
 
-def actuation_of(matrix: Tensor) -> Actuation:
+def find_actuation(matrix: Tensor) -> Actuation:
     """Find the independent forces and torques of one vehicle from its effectiveness matrix (6, R).
 
     An axis counts if enough of it, in the range of the matrix, is orthogonal to the axes of higher priority. The CPU computes

@@ -43,16 +43,16 @@ def loop_shape(lag: float, phase_margin: float) -> tuple[float, float]:
 
     Source: Kessler (1958), symmetrical optimum: ``a = tan(pi/4 + margin/2)``, ``w = a^-1.5 / T``, ``z = sqrt(a) / 2``.
     """
-    spacing = spacing_of(phase_margin)
+    spacing = loop_spacing(phase_margin)
     return 1.0 / (spacing**1.5 * lag), 0.5 * spacing**0.5
 
 
-def spacing_of(phase_margin: float) -> float:
+def loop_spacing(phase_margin: float) -> float:
     """Return the frequency ratio a between zero, crossover and lag of a loop with a phase margin [rad]."""
     return tan(0.25 * pi + 0.5 * phase_margin)
 
 
-def derived_gains(
+def derive_gains(
     cfg: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float, dt: float, extra_lag: float = 0.0
 ) -> LeeGains:
     """Derive the gains of a declared vehicle, equal in all environments.
@@ -70,14 +70,14 @@ def derived_gains(
     lag = float(torch.maximum(vehicle.time_constant_up[0], vehicle.time_constant_down[0]).max()) + dt
     quickest, damping = loop_shape(lag, cfg.phase_margin)
     authority = (allocation.torque_authority(float(vehicle.mass[0]) * gravity) / inertia).clamp_min(0.0).sqrt()
-    attitude = _given(cfg.attitude_frequency, authority.clamp_max(quickest))
-    attitude_damping = _given(cfg.attitude_damping, torch.full_like(inertia, damping))
+    attitude = _explicit_or_derived(cfg.attitude_frequency, authority.clamp_max(quickest))
+    attitude_damping = _explicit_or_derived(cfg.attitude_damping, torch.full_like(inertia, damping))
     if extra_lag > 0.0:
-        attitude, attitude_damping = _slowed(attitude, attitude_damping, spacing_of(cfg.phase_margin) * extra_lag)
-    attitude_lag = _lag_of(attitude[:2], attitude_damping[:2])
+        attitude, attitude_damping = _add_lag(attitude, attitude_damping, loop_spacing(cfg.phase_margin) * extra_lag)
+    attitude_lag = _longest_lag(attitude[:2], attitude_damping[:2])
     frequency, damping = loop_shape(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
-    position = _given(cfg.position_frequency, torch.full_like(inertia, frequency))
-    position_damping = _given(cfg.position_damping, torch.full_like(inertia, damping))
+    position = _explicit_or_derived(cfg.position_frequency, torch.full_like(inertia, frequency))
+    position_damping = _explicit_or_derived(cfg.position_damping, torch.full_like(inertia, damping))
     tilt = cfg.max_inclination
     return LeeGains(
         position=vehicle.share(position**2),
@@ -88,11 +88,11 @@ def derived_gains(
         inertia=vehicle.inertia,
         gravity=gravity,
         max_yaw_rate=cfg.max_yaw_rate,
-        max_inclination=derived_inclination(vehicle, allocation, gravity) if tilt is None else tilt,
+        max_inclination=derive_inclination(vehicle, allocation, gravity) if tilt is None else tilt,
     )
 
 
-def _slowed(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Tensor]:
+def _add_lag(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Tensor]:
     """Return frequency and damping with the same rate gain, ``2 z w``, and a closed loop slower by ``lag`` [s]."""
     moves = frequency > 0.0
     rate = 2.0 * damping * frequency
@@ -100,16 +100,16 @@ def _slowed(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Ten
     return torch.where(moves, slower, 0.0), torch.where(moves, 0.5 * rate / torch.where(moves, slower, 1.0), damping)
 
 
-def _given(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
+def _explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
     return derived if numbers is None else derived.new_tensor(numbers)
 
 
-def _lag_of(frequency: Tensor, damping: Tensor) -> float:
+def _longest_lag(frequency: Tensor, damping: Tensor) -> float:
     """Return the longest lag ``2 z / w`` [s] of closed loops; 0 if an axis is uncontrolled."""
     return float((2.0 * damping / frequency).max()) if bool((frequency > 0.0).all()) else 0.0
 
 
-def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float) -> float:
+def derive_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float) -> float:
     """Return the tilt limit [rad]: there, thrust of weight plus half the surplus has the weight as its vertical part.
 
     Derived: ``cos tilt (1 + (F / (m g) - 1) / 2) = 1`` with the largest thrust F along body z.
@@ -121,7 +121,7 @@ def derived_inclination(vehicle: Vehicle, allocation: Allocation, gravity: float
     return min(acos(1.0 / (1.0 + 0.5 * surplus)), LARGEST_INCLINATION)
 
 
-def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | None:
+def select_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | None:
     """Return the explicit gains of a controller, else of the robot; None for derived gains."""
     return cfg.gains if cfg.gains is not None else control.gains
 
@@ -129,11 +129,11 @@ def explicit_gains_of(cfg: ControllerCfg, control: ControlCfg) -> LeeGainsCfg | 
 def has_explicit_gains(cfg: ControllerCfg, control: ControlCfg) -> bool:
     """Return whether the controller or the robot gives any explicit gain."""
     if cfg.autopilot is not None:
-        return autopilot_of(cfg, control).explicit
-    return explicit_gains_of(cfg, control) is not None
+        return select_autopilot(cfg, control).explicit
+    return select_explicit_gains(cfg, control) is not None
 
 
-def autopilot_of(cfg: ControllerCfg, control: ControlCfg) -> Any:
+def select_autopilot(cfg: ControllerCfg, control: ControlCfg) -> Any:
     """Return the autopilot parameters of a controller, else those of the robot, with the controller's own rate."""
     assert cfg.autopilot is not None
     own, of_robot = getattr(cfg, cfg.autopilot), getattr(control, cfg.autopilot)
@@ -143,7 +143,7 @@ def autopilot_of(cfg: ControllerCfg, control: ControlCfg) -> Any:
     return of_robot if rate is None else replace(of_robot, rate_hz=rate)
 
 
-def gains_for(
+def make_gains(
     cfg: ControllerCfg,
     control: ControlCfg,
     vehicle: Vehicle,
@@ -153,19 +153,19 @@ def gains_for(
     dt: float | None,
     extra_lag: float = 0.0,
 ) -> LeeGains:
-    """Return the explicit gains of a controller, or else ``derived_gains``.
+    """Return the explicit gains of a controller, or else ``derive_gains``.
 
     Raises:
         ConfigError: If derived gains lack a time step, or buoyancy carries the weight that the law needs.
     """
     gravity = apparent_gravity(control, float(vehicle.mass[0]), gravity)
     _require_weight(cfg.law, gravity)
-    explicit = explicit_gains_of(cfg, control)
+    explicit = select_explicit_gains(cfg, control)
     if explicit is not None:
         return explicit_gains(explicit, vehicle, gravity)
     if dt is None:
         raise ConfigError(f"law {cfg.law!r}: gains are derived from the time step. Give dt [s]")
-    return derived_gains(control, vehicle, allocation, gravity=gravity, dt=dt, extra_lag=extra_lag)
+    return derive_gains(control, vehicle, allocation, gravity=gravity, dt=dt, extra_lag=extra_lag)
 
 
 def apparent_gravity(control: ControlCfg, mass: float, gravity: float) -> float:
@@ -194,12 +194,12 @@ def explicit_gains(cfg: LeeGainsCfg, vehicle: Vehicle, gravity: float) -> LeeGai
     )
 
 
-def ends_of(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, Tensor]:
+def gain_range(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, Tensor]:
     """Return the lowest and highest drawn values (E, 3) of a gain with one shared row, at least 0.
 
     Ranges with negative gains are refused elsewhere.
     """
-    reached = cfg.reached(f"gains.{name}", declared[0].tolist(), spread=LARGEST_NORMAL)
+    reached = cfg.value_limits(f"gains.{name}", declared[0].tolist(), spread=LARGEST_NORMAL)
     low, high = (declared.new_tensor(ends).clamp_min(0.0) for ends in zip(*reached, strict=True))
     return share_row(low, len(declared)), share_row(high, len(declared))
 

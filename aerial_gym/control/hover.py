@@ -12,7 +12,7 @@ from math import ceil, inf
 import torch
 from torch import Tensor
 
-from aerial_gym.control.linear_loop import BODY, LinearLoop, SampledLoop
+from aerial_gym.control.linear_loop import BODY, DiscreteLoop, LinearLoop
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.torch_backend import TorchBackend
 
@@ -58,7 +58,7 @@ DEPENDENT = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rest:
+class RestState:
     """Equilibria of closed loops, and the loops linearised there."""
 
     start: Tensor  # First states, (B, X): the rest of a vehicle that flies as its law expects
@@ -77,13 +77,13 @@ class Rest:
         return self.state[:, 6:9]
 
 
-def find_rest(loop: SampledLoop, start: Tensor, action: Tensor, kept: Sequence[int]) -> Rest:
+def find_rest(loop: DiscreteLoop, start: Tensor, action: Tensor, kept: Sequence[int]) -> RestState:
     """Find the equilibrium of loops from starts (B, X) under an action (U,), by Newton's method.
 
     Args:
         kept: Indices of controlled states; all others stay constant.
     """
-    state, about = start, loop.linearised(start, action)
+    state, about = start, loop.linearise(start, action)
     for _ in range(ITERATIONS):
         step = _newton_step(about, kept)
         size = torch.cat((torch.ones_like(step[:, :BODY]), state[:, BODY:].abs().clamp_min(1.0)), -1)
@@ -91,10 +91,10 @@ def find_rest(loop: SampledLoop, start: Tensor, action: Tensor, kept: Sequence[i
         step = step * (LARGEST_TURN / step[:, 3:6].abs().amax(-1, keepdim=True).clamp_min(LARGEST_TURN))
         state = torch.where(step.isfinite().all(-1, keepdim=True), state + step, state)
         if bool(converged.all()):
-            return Rest(start=start, state=state, converged=converged, loop=about)
-        about = loop.linearised(state, action)
+            return RestState(start=start, state=state, converged=converged, loop=about)
+        about = loop.linearise(state, action)
     state = torch.where(converged.unsqueeze(-1), state, start)
-    return Rest(start=start, state=state, converged=converged, loop=loop.linearised(state, action))
+    return RestState(start=start, state=state, converged=converged, loop=loop.linearise(state, action))
 
 
 def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
@@ -108,7 +108,7 @@ def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
     return step
 
 
-def distances(rest: Rest, *, rotors: Tensor, dt: float) -> Tensor:
+def distances(rest: RestState, *, rotors: Tensor, dt: float) -> Tensor:
     """Return the distances [m] of the body origins from their starts over ``HOVER_SPAN``, (SAMPLES, B), in the linear loop.
 
     Args:
@@ -126,7 +126,7 @@ def distances(rest: Rest, *, rotors: Tensor, dt: float) -> Tensor:
     return torch.stack(history).nan_to_num(nan=inf)
 
 
-def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bool, decays: bool) -> float:
+def flight_distance(loop: DiscreteLoop, rest: RestState, action: Tensor, *, returns: bool, decays: bool) -> float:
     """Return the largest final distance [m] from rest of ``NUM_STARTS`` nonlinear flights of ``HOVER_SPAN``.
 
     Args:
@@ -140,7 +140,7 @@ def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bo
     begin = rest.start[0].repeat(NUM_STARTS, 1)
     for i, size in enumerate(DISTURBANCE):
         begin[:, 3 * i : 3 * i + 3] += size * signs.roll(i, 0)
-    state, told = loop.fly_in(backend, begin), action.expand(NUM_STARTS, -1)
+    state, told = loop.prepare_flight(backend, begin), action.expand(NUM_STARTS, -1)
     steps, home, farthest = max(1, round(LOOK / loop.dt)), rest.state[0, :3].repeat(NUM_STARTS, 1), 0.0
     looks, last = ceil(HOVER_SPAN / (steps * loop.dt)), ceil(LAST / (steps * loop.dt))
     for look in range(looks):
@@ -148,7 +148,7 @@ def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bo
         distance = float((state.position - home).norm(dim=-1).nan_to_num(nan=inf).max())
         if distance > LOST:
             return distance
-        if decays and _left(state, home if returns else state.position) < QUIET:
+        if decays and _deviation_share(state, home if returns else state.position) < QUIET:
             return distance if returns else 0.0
         if look > looks - last:
             farthest = max(farthest, distance)
@@ -157,7 +157,7 @@ def flown_distance(loop: SampledLoop, rest: Rest, action: Tensor, *, returns: bo
     return farthest
 
 
-def _left(state: BodyState, home: Tensor) -> float:
+def _deviation_share(state: BodyState, home: Tensor) -> float:
     """Return the largest deviation of flights in position, speed and rate, as a share of ``DISTURBANCE``."""
     parts = (state.position - home, state.lin_vel, state.ang_vel)
     sizes = (DISTURBANCE[0], *DISTURBANCE[2:])

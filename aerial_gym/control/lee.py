@@ -108,16 +108,16 @@ def acceleration_wrench(
     rotation = quat_to_matrix(state.attitude)
     thrust = (force * rotation[:, :, 2]).sum(-1)
     still = torch.zeros_like(state.ang_vel)
-    rate = still if yaw_rate is None else body_rates_of_yaw_rate(rotation, _within(gains.max_yaw_rate, yaw_rate))
+    rate = still if yaw_rate is None else body_rates_of_yaw_rate(rotation, _clamp_rate(gains.max_yaw_rate, yaw_rate))
     torque = attitude_torque(gains, rotation, attitude_from_force(force, yaw), state.ang_vel, rate)
-    return wrench_from(thrust, torque)
+    return thrust_wrench(thrust, torque)
 
 
-def _within(largest: float, rate: Tensor) -> Tensor:
+def _clamp_rate(largest: float, rate: Tensor) -> Tensor:
     return rate.clamp(-largest, largest)
 
 
-def wrench_from(thrust: Tensor, torque: Tensor) -> Tensor:
+def thrust_wrench(thrust: Tensor, torque: Tensor) -> Tensor:
     """Return the wrench (E, 6) of a thrust (E,) along body z and a torque (E, 3)."""
     zero = torch.zeros_like(thrust)
     return torch.cat((torch.stack((zero, zero, thrust), dim=-1), torque), dim=-1)
@@ -168,15 +168,15 @@ def attitude_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tenso
     """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad], yaw rate [rad/s], action (E, 4)."""
     rotation = quat_to_matrix(state.attitude)
     desired = matrix_from_euler(action[:, 1], action[:, 2], yaw_from_quat(state.attitude))
-    rate = body_rates_of_yaw_rate(rotation, _within(gains.max_yaw_rate, action[:, 3]))
+    rate = body_rates_of_yaw_rate(rotation, _clamp_rate(gains.max_yaw_rate, action[:, 3]))
     torque = attitude_torque(gains, rotation, desired, state.ang_vel, rate)
-    return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
+    return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
 
 
 def rates_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for thrust [multiples of weight, 0 is hover] and body rates p, q, r [rad/s], action (E, 4)."""
     torque = rate_torque(gains, state.ang_vel, action[:, 1:4])
-    return wrench_from((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
+    return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
 
 
 def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.remembering import RememberingController
+from aerial_gym.control.stateful import StatefulController
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw, PhysicsBackend
 from aerial_gym.physics.effects import DelayEffect, EffectsByKind
@@ -112,7 +112,7 @@ def _step_map(step: LinearStep, basis: Tensor, *, slots: int, gain: float) -> Te
     return matrix
 
 
-class SampledLoop:
+class DiscreteLoop:
     """Vehicles with their effects under one control law, at one time step."""
 
     def __init__(
@@ -130,8 +130,8 @@ class SampledLoop:
         self.dt = dt
         """Time step [s]."""
         self._integrator = integrator
-        law = make_law(_repeated_vehicle(declared, 1))
-        self._cascade = law if isinstance(law, RememberingController) else None
+        law = make_law(_repeat_vehicle(declared, 1))
+        self._cascade = law if isinstance(law, StatefulController) else None
         self._laws: dict[int, ControlLaw] = {}
         self._plants: dict[int, tuple[Model, Memory]] = {}
         self._whole = whole_delay(model, dt)
@@ -149,29 +149,29 @@ class SampledLoop:
         body = torch.zeros(BODY, dtype=torch.float64)
         body[AXES.index("z")] = height
         thrust = thrust.to(body)
-        speed = state_for_thrust(_repeated_vehicle(self._declared, 1), thrust.unsqueeze(0))[0]
+        speed = state_for_thrust(_repeat_vehicle(self._declared, 1), thrust.unsqueeze(0))[0]
         law = body[:0] if self._cascade is None else self._cascade.rest_memory(thrust)
         state = torch.cat((body, speed, self._plant(1)[1].initial, law))
         return state.repeat(self._model.vehicle.num_envs, 1)
 
-    def linearised(self, state: Tensor, action: Tensor) -> LinearLoop:
+    def linearise(self, state: Tensor, action: Tensor) -> LinearLoop:
         """Linearise the loop about states (B, X) under an action (U,)."""
         cascade, plant = self._cascade, state[:, : self.num_plant]
         size = state.abs().clamp_min(1.0)
         size[:, :BODY] = 1.0
         phases = [None] if cascade is None else [cascade.phase(number) for number in range(cascade.period)]
-        told = self._commanded(state, action, 0)[0]
+        told = self._law_step(state, action, 0)[0]
         reach = torch.cat((size[:, : self.num_plant], *[told.abs().clamp_min(1.0)] * 2), dim=-1)
-        moved = _slopes(self._moved, torch.cat((plant, told, told), dim=-1), reach)
+        moved = _slopes(self._plant_step, torch.cat((plant, told, told), dim=-1), reach)
         moved, earlier, later = moved.split((plant.shape[1], told.shape[1], told.shape[1]), dim=-1)
-        found: dict[Hashable, LinearStep] = {}
+        step_by_phase: dict[Hashable, LinearStep] = {}
         for number, phase in enumerate(phases):
-            if phase in found:
+            if phase in step_by_phase:
                 continue
-            command, memory = self._commanded(state, action, number)
-            asked = _slopes(partial(self._answered, action, number), state, size)
-            after = torch.cat((self._moved(torch.cat((plant, command, command), dim=-1)), memory), dim=-1)
-            found[phase] = LinearStep(
+            command, memory = self._law_step(state, action, number)
+            asked = _slopes(partial(self._law_response, action, number), state, size)
+            after = torch.cat((self._plant_step(torch.cat((plant, command, command), dim=-1)), memory), dim=-1)
+            step_by_phase[phase] = LinearStep(
                 plant=moved,
                 earlier=earlier,
                 later=later,
@@ -180,40 +180,40 @@ class SampledLoop:
                 change=after - state,
             )
         return LinearLoop(
-            steps=tuple(found[phase] for phase in phases),
+            steps=tuple(step_by_phase[phase] for phase in phases),
             told=told,
             rotate_ring=(lambda rows: rows) if cascade is None else cascade.rotate_ring,
             slots=self._whole + 1 if self._model.effects[DelayEffect] else 0,
         )
 
-    def fly_in(self, backend: PhysicsBackend, states: Tensor) -> BodyState:
+    def prepare_flight(self, backend: PhysicsBackend, states: Tensor) -> BodyState:
         """Allocate the first vehicle and its law on a backend, and return the body in states (E, X) for its steps."""
         count = len(states)
         first = single(self._model)
-        law = self._make_law(_repeated_vehicle(single_vehicle(self._declared), count))
-        _follow(getattr(law, "allocation", None), _repeated_vehicle(first.vehicle, count))
-        backend.allocate(repeated(first, count), law, integrator=self._integrator)
+        law = self._make_law(_repeat_vehicle(single_vehicle(self._declared), count))
+        _follow(getattr(law, "allocation", None), _repeat_vehicle(first.vehicle, count))
+        backend.allocate(repeat_model(first, count), law, integrator=self._integrator)
         return _body(states[:, : BODY + self.num_rotors])
 
-    def _answered(self, action: Tensor, number: int, states: Tensor) -> Tensor:
+    def _law_response(self, action: Tensor, number: int, states: Tensor) -> Tensor:
         """Return commands and law memory, (E, R + N), at a step of a period."""
-        return torch.cat(self._commanded(states, action, number), dim=-1)
+        return torch.cat(self._law_step(states, action, number), dim=-1)
 
-    def _commanded(self, states: Tensor, action: Tensor, number: int) -> tuple[Tensor, Tensor]:
+    def _law_step(self, states: Tensor, action: Tensor, number: int) -> tuple[Tensor, Tensor]:
         """Return commands (E, R) in states (E, X) at a step of a period, and the memory of the law after it, (E, N)."""
         law, cascade = self._law(len(states)), self._cascade
         body, remembered = _body(states[:, : BODY + self.num_rotors]), states[:, self.num_plant :]
-        memory = None if cascade is None else cascade.memory_from(remembered, number)
+        memory = None if cascade is None else cascade.restore_memory(remembered, number)
         command, memory = law_command(law, body, action.expand(len(states), -1), memory)
         return command, remembered if cascade is None or memory is None else cascade.flatten_memory(memory)
 
-    def _moved(self, rows: Tensor) -> Tensor:
+    def _plant_step(self, rows: Tensor) -> Tensor:
         """Return plant states (E, Z) after a step, from rows of plant state, earlier and later command, (E, Z + 2 R)."""
         states, earlier, later = rows.split((self.num_plant, self.num_rotors, self.num_rotors), dim=-1)
         model, memory = self._plant(len(rows) // self._model.vehicle.num_envs)
         body, numbers = _body(states[:, : BODY + self.num_rotors]), states[:, BODY + self.num_rotors :]
         known = None
-        if model.effects.remembering:
+        if model.effects.names_with_memory:
             past = memory.past.clone()
             past[:, self._whole : self._whole + 1] = earlier.unsqueeze(1)
             past[:, max(self._whole - 1, 0) : self._whole] = later.unsqueeze(1)
@@ -225,7 +225,7 @@ class SampledLoop:
     def _plant(self, each: int) -> tuple[Model, Memory]:
         """Return the vehicles in ``each`` rows, and their memory with delayed commands of the law."""
         if each not in self._plants:
-            model = repeated(self._model, each)
+            model = repeat_model(self._model, each)
             memory = make_memory(model, self.dt)
             long_ago = torch.full_like(memory.since, memory.past.shape[1])
             self._plants[each] = model, replace(memory, since=long_ago)
@@ -233,9 +233,9 @@ class SampledLoop:
 
     def _law(self, num_rows: int) -> ControlLaw:
         if num_rows not in self._laws:
-            self._laws[num_rows] = law = self._make_law(_repeated_vehicle(single_vehicle(self._declared), num_rows))
+            self._laws[num_rows] = law = self._make_law(_repeat_vehicle(single_vehicle(self._declared), num_rows))
             each = num_rows // self._model.vehicle.num_envs
-            _follow(getattr(law, "allocation", None), _repeated_vehicle(self._model.vehicle, each))
+            _follow(getattr(law, "allocation", None), _repeat_vehicle(self._model.vehicle, each))
         return self._laws[num_rows]
 
 
@@ -246,14 +246,14 @@ def whole_delay(model: Model, dt: float) -> int:
     return 0
 
 
-def repeated(model: Model, each: int) -> Model:
+def repeat_model(model: Model, each: int) -> Model:
     """Repeat every vehicle of a model in ``each`` consecutive rows."""
     params = [(effect, rows.repeat_interleave(each, 0)) for effect, rows in model.effects]
     return replace(
         model,
-        vehicle=_repeated_vehicle(model.vehicle, each),
-        inertia_inverse=_repeated_rows(model.inertia_inverse, each),
-        other_position=_repeated_rows(model.other_position, each),
+        vehicle=_repeat_vehicle(model.vehicle, each),
+        inertia_inverse=_repeat_rows(model.inertia_inverse, each),
+        other_position=_repeat_rows(model.other_position, each),
         effects=EffectsByKind(params),
     )
 
@@ -275,11 +275,11 @@ def single_vehicle(vehicle: Vehicle) -> Vehicle:
     return vehicle.map_rows(lambda rows: share_row(rows[0], 1))
 
 
-def _repeated_vehicle(vehicle: Vehicle, each: int) -> Vehicle:
-    return vehicle.map_rows(lambda rows: _repeated_rows(rows, each))
+def _repeat_vehicle(vehicle: Vehicle, each: int) -> Vehicle:
+    return vehicle.map_rows(lambda rows: _repeat_rows(rows, each))
 
 
-def _repeated_rows(rows: Tensor, each: int) -> Tensor:
+def _repeat_rows(rows: Tensor, each: int) -> Tensor:
     return share_row(rows[0], len(rows) * each) if is_shared(rows) else rows.repeat_interleave(each, 0)
 
 
@@ -289,7 +289,7 @@ def _follow(allocation: Allocation | None, vehicle: Vehicle) -> None:
         return
     own = vehicle.map_rows(own_rows)
     allocation.follow(own)
-    for name, rows in allocation.rows_for(own).items():
+    for name, rows in allocation.compute_rows(own).items():
         allocation.rows[name].copy_(rows)
 
 

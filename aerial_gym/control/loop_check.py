@@ -11,10 +11,10 @@ from math import log
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control.gains import GAINS, explicit_gains_of, has_explicit_gains
+from aerial_gym.control.gains import GAINS, has_explicit_gains, select_explicit_gains
 from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.stability import TURNS, ClosedLoop, Hover, stable
+from aerial_gym.control.stability import TURNS, ClosedLoop, HoverResult, stable
 from aerial_gym.errors import ConfigError
 
 _log = logging.getLogger(__name__)
@@ -56,18 +56,24 @@ def check_closed_loop(
     if controller.law not in LAWS:
         return
     loop = ClosedLoop(
-        robot, controller, gravity=gravity, integrator=integrator, names=names, drawn=drawn_gains(randomize or {})
+        robot,
+        controller,
+        gravity=gravity,
+        integrator=integrator,
+        names=names,
+        drawn=select_gain_ranges(randomize or {}),
     )
-    who = f"robot {names[0]} with controller {names[1]}"
-    if vain := _held_in_vain(loop.idle, controller, robot):
+    subject = f"robot {names[0]} with controller {names[1]}"
+    if vain := _uncontrollable_axes(loop.idle, controller, robot):
         refuse(
             controller,
-            f"{who}: the explicit gains control {vain}, but its rotors give no torque there, "
+            f"{subject}: the explicit gains control {vain}, but its rotors give no torque there, "
             f"and the lasting error hides the others. Give attitude gains of 0 about {vain}, or leave them out",
         )
-    who, hover = f"{who} at dt = {dt:g} s", loop.hover(dt)
+    subject, hover = f"{subject} at dt = {dt:g} s", loop.hover(dt)
     if hover.is_lost or not hover.stable:
-        fault = f"{who} {instability(hover, dt)}, with {_gains_of(controller, robot)}. {_remedy(loop, controller, robot, dt)}"
+        source, advice = _gain_source(controller, robot), _remedy(loop, controller, robot, dt)
+        fault = f"{subject} {instability(hover, dt)}, with {source}. {advice}"
         if hover.is_lost:
             refuse(controller, fault)
         else:
@@ -79,19 +85,19 @@ def check_closed_loop(
         growth, span = max(loop.radii(dt)), _largest_dt(loop, dt)
         refuse(
             controller,
-            f"{who} is unstable with gains at the ends of what is drawn of {ends}: a disturbance grows by a factor of "
+            f"{subject} is unstable with gains at the ends of what is drawn of {ends}: a disturbance grows by a factor of "
             f"{growth:.3g} in each step. {span}Narrow these ranges (randomize:)",
         )
     elif not hover.holds:
         effects = ", ".join(robot.effects) or "none"
         _log.warning(
-            f"{who} {hover_error(hover)}, as its law does not know of its effects ({effects}). {remedy(hover)}"
+            f"{subject} {hover_error(hover)}, as its law does not know of its effects ({effects}). {remedy(hover)}"
         )
     elif _log.isEnabledFor(logging.INFO) and not loop.is_firm(dt):
-        _log.info(f"{who} has a gain margin of less than 6 dB. {_remedy(loop, controller, robot, dt)}")
+        _log.info(f"{subject} has a gain margin of less than 6 dB. {_remedy(loop, controller, robot, dt)}")
 
 
-def hover_error(hover: Hover) -> str:
+def hover_error(hover: HoverResult) -> str:
     """Return the hover error of a vehicle, as the predicate of a sentence."""
     speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
     if speed * HOVER_SPAN > HOVER_RANGE:
@@ -114,12 +120,12 @@ def refuse(controller: ControllerCfg, message: str) -> None:
     _log.warning(message)
 
 
-def remedy(hover: Hover) -> str:
+def remedy(hover: HoverResult) -> str:
     """Return the remedy for a vehicle that hovers beside its setpoint."""
     return SLOW_REMEDY if max(map(abs, (*hover.offset, *hover.drift))) < 0.01 else REMEDY
 
 
-def instability(hover: Hover, dt: float) -> str:
+def instability(hover: HoverResult, dt: float) -> str:
     """Return the fault of an unstable loop at a time step [s], as the predicate of a sentence."""
     if hover.stable:
         return f"is nearly unstable: from starts with {DISTURBANCE[2]:g} m/s and {DISTURBANCE[3]:g} rad/s it does not come back"
@@ -129,13 +135,13 @@ def instability(hover: Hover, dt: float) -> str:
     return f"is unstable: a disturbance at hover grows by a factor of {hover.growth:.6g} in each step, tenfold in {span:.2g} s"
 
 
-def _held_in_vain(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
+def _uncontrollable_axes(idle: list[str], controller: ControllerCfg, robot: RobotCfg) -> str:
     """Return the axes with explicit attitude gains but without rotor torque; empty if there are none."""
-    explicit = None if controller.autopilot else explicit_gains_of(controller, robot.control)
+    explicit = None if controller.autopilot else select_explicit_gains(controller, robot.control)
     return "" if explicit is None else " and ".join(name for name in idle if explicit.attitude[TURNS.index(name)] > 0.0)
 
 
-def _gains_of(controller: ControllerCfg, robot: RobotCfg) -> str:
+def _gain_source(controller: ControllerCfg, robot: RobotCfg) -> str:
     explicit = has_explicit_gains(controller, robot.control)
     return "the explicit gains given" if explicit else "its frequencies and damping"
 
@@ -162,6 +168,6 @@ def _largest_dt(loop: ClosedLoop, dt: float) -> str:
     return f"The largest dt with a gain margin of 6 dB is {best:.3g} s. "
 
 
-def drawn_gains(randomize: Randomize) -> dict[str, RandomizeCfg]:
+def select_gain_ranges(randomize: Randomize) -> dict[str, RandomizeCfg]:
     """Return the ranges of randomised gains, by their names without ``gains.``."""
     return {name: randomize[f"gains.{name}"] for name in GAINS if f"gains.{name}" in randomize}

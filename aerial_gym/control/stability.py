@@ -21,10 +21,18 @@ from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.controllers import LeeController, make_controller
-from aerial_gym.control.gains import apparent_gravity, ends_of
-from aerial_gym.control.hover import DISTURBANCE, HOVER_RANGE, HOVER_SPAN, Rest, distances, find_rest, flown_distance
+from aerial_gym.control.gains import apparent_gravity, gain_range
+from aerial_gym.control.hover import (
+    DISTURBANCE,
+    HOVER_RANGE,
+    HOVER_SPAN,
+    RestState,
+    distances,
+    find_rest,
+    flight_distance,
+)
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.linear_loop import AXES, BODY, SampledLoop
+from aerial_gym.control.linear_loop import AXES, BODY, DiscreteLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.backend import ControlLaw
 from aerial_gym.physics.effects import DelayEffect, EffectParams
@@ -100,7 +108,7 @@ def stable(radii: Sequence[float]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hover:
+class HoverResult:
     """Result of a hover that begins at its setpoint."""
 
     stable: bool
@@ -168,7 +176,7 @@ class ClosedLoop:
         self._drifting = [place.memory.start + number for place in places for number in place.effect.drifting]
         self.delay = max((float(effect.delay(p).max()) for effect, p in self._model.effects[DelayEffect]), default=0.0)
         """Longest dead time [s]."""
-        self._rests: dict[tuple[float, Corner], Rest] = {}
+        self._rests: dict[tuple[float, Corner], RestState] = {}
         self._modes: dict[tuple[float, Corner, float], Tensor] = {}
         allocation = Allocation(self._vehicle, gravity)
         self._felt = apparent_gravity(robot.control, robot.body.mass, gravity)
@@ -195,11 +203,11 @@ class ClosedLoop:
 
     def radii(self, dt: float) -> list[float]:
         """Return the spectral radii with the declared gains and with each combination of ends of the drawn ones."""
-        return [self._radius_with(corner, 1.0, dt) for corner in self._corners]
+        return [self._corner_radius(corner, 1.0, dt) for corner in self._corners]
 
     def margins(self, dt: float) -> list[float]:
         """Return the spectral radii with the declared gains at each of ``LOOP_GAINS``."""
-        return [self._radius_with(None, gain, dt) for gain in LOOP_GAINS]
+        return [self._corner_radius(None, gain, dt) for gain in LOOP_GAINS]
 
     def is_stable(self, dt: float) -> bool:
         """Return whether the loop is stable at a time step [s], also at the ends of drawn gains."""
@@ -214,40 +222,40 @@ class ClosedLoop:
         cases = [*((corner, 1.0) for corner in self._corners), *((None, gain) for gain in LOOP_GAINS)]
         best: float | None = unfirm
         lowest = max(DT_RANGE[0], self.delay / FINEST_DELAY)
-        while best is not None and not stable(radii := [self._radius_with(*case, best) for case in cases]):
-            best = largest_stable_dt(partial(self._radius_with, *cases[radii.index(max(radii))]), best, lowest=lowest)
+        while best is not None and not stable(radii := [self._corner_radius(*case, best) for case in cases]):
+            best = largest_stable_dt(partial(self._corner_radius, *cases[radii.index(max(radii))]), best, lowest=lowest)
         return best
 
     def modes(self, dt: float) -> Tensor:
         """Return the discrete poles ``exp(s dt)`` of the loop with the declared gains at a time step [s], complex."""
-        return self._modes_with(None, 1.0, dt)[0]
+        return self._corner_modes(None, 1.0, dt)[0]
 
-    def _radius_with(self, corner: Corner, loop_gain: float, dt: float) -> float:
-        return float(self._modes_with(corner, loop_gain, dt).abs().max())
+    def _corner_radius(self, corner: Corner, loop_gain: float, dt: float) -> float:
+        return float(self._corner_modes(corner, loop_gain, dt).abs().max())
 
-    def _modes_with(self, corner: Corner, loop_gain: float, dt: float) -> Tensor:
+    def _corner_modes(self, corner: Corner, loop_gain: float, dt: float) -> Tensor:
         if (dt, corner, loop_gain) not in self._modes:
             self._modes[dt, corner, loop_gain] = self._eigenvalues(self.rest(dt, corner), loop_gain)
         return self._modes[dt, corner, loop_gain]
 
-    def _eigenvalues(self, rest: Rest, loop_gain: float) -> Tensor:
+    def _eigenvalues(self, rest: RestState, loop_gain: float) -> Tensor:
         mapped, width = rest.loop.period_map(gain=loop_gain), rest.state.shape[1]
-        rows = [*self._kept(width), *range(width, mapped.shape[1] - 1)]
+        rows = [*self._rest_indices(width), *range(width, mapped.shape[1] - 1)]
         return torch.linalg.eigvals(mapped[:, rows][:, :, rows]) ** (1.0 / len(rest.loop.steps))
 
     def growth(self, dt: float) -> Tensor:
         """Return the spectral radius of each vehicle at a time step [s], (B,)."""
-        return self._modes_with(None, 1.0, dt).abs().amax(-1)
+        return self._corner_modes(None, 1.0, dt).abs().amax(-1)
 
-    def hover(self, dt: float) -> Hover:
+    def hover(self, dt: float) -> HoverResult:
         """Return the hover of the first vehicle at a time step [s], with flights if rotor limits may matter."""
-        found = self.hovers(dt)[0]
-        tight = not (found.stable and stable([self._radius_with(None, gain, dt) for gain in TIGHT_GAINS]))
+        result = self.hovers(dt)[0]
+        tight = not (result.stable and stable([self._corner_radius(None, gain, dt) for gain in TIGHT_GAINS]))
         if not self.holds_place or not (tight or self._slews(dt)):
-            return found
-        loop, returns = self._sampled(dt, None), "x" in self.axes.split()
-        flown = flown_distance(loop, self.rest(dt), self._action(), returns=returns, decays=found.stable)
-        return replace(found, flown=flown)
+            return result
+        loop, returns = self._make_loop(dt, None), "x" in self.axes.split()
+        flown = flight_distance(loop, self.rest(dt), self._action(), returns=returns, decays=result.stable)
+        return replace(result, flown=flown)
 
     def _slews(self, dt: float) -> bool:
         """Return whether a disturbance exceeds the rotors' slew rate, by the change of the command over the lag."""
@@ -260,7 +268,7 @@ class ClosedLoop:
         )
         return bool((change > slowest[0]).any())
 
-    def hovers(self, dt: float) -> list[Hover]:
+    def hovers(self, dt: float) -> list[HoverResult]:
         """Return the hover of each vehicle at a time step [s], without flights."""
         rest, growth = self.rest(dt), self.growth(dt)
         rests, way = rest.converged & (growth <= 1.0 + ROUND_OFF), torch.zeros_like(growth)
@@ -269,7 +277,9 @@ class ClosedLoop:
             way = torch.where(rests, self.distance(dt), away)
         rows = (rests, growth, rest.offset, rest.drift, way)
         return [
-            Hover(stable=stays, growth=factor, offset=tuple(offset), drift=tuple(drift), distance=distance, flown=None)
+            HoverResult(
+                stable=stays, growth=factor, offset=tuple(offset), drift=tuple(drift), distance=distance, flown=None
+            )
             for stays, factor, offset, drift, distance in zip(*(row.tolist() for row in rows), strict=True)
         ]
 
@@ -278,15 +288,15 @@ class ClosedLoop:
         """Whether the law controls position, or velocity, which is 0 at hover."""
         return "vx" in self.axes.split()
 
-    def rest(self, dt: float, corner: Corner = None) -> Rest:
+    def rest(self, dt: float, corner: Corner = None) -> RestState:
         """Return the equilibrium of the loop at a time step [s]."""
         if (dt, corner) not in self._rests:
-            loop = self._sampled(dt, corner)
+            loop = self._make_loop(dt, corner)
             start = loop.start(HEIGHT, self._hover)
-            self._rests[dt, corner] = find_rest(loop, start, self._action(), self._kept(start.shape[1]))
+            self._rests[dt, corner] = find_rest(loop, start, self._action(), self._rest_indices(start.shape[1]))
         return self._rests[dt, corner]
 
-    def left_after(self, dt: float, steps: int, size: Tensor) -> Tensor:
+    def deviation_bound(self, dt: float, steps: int, size: Tensor) -> Tensor:
         """Return bounds of the deviations on ``AXES``, (12,), after some steps from deviations up to a size on each axis."""
         loop = self.rest(dt).loop
         mapped = torch.linalg.matrix_power(loop.period_map()[0], steps // len(loop.steps))
@@ -297,7 +307,7 @@ class ClosedLoop:
         rest = self.rest(dt)
         return distances(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
 
-    def _kept(self, width: int) -> list[int]:
+    def _rest_indices(self, width: int) -> list[int]:
         """Return the indices of controlled states in a state vector of the given width."""
         first = BODY + len(self._hover)
         drifting = {first + place for place in self._drifting}
@@ -312,8 +322,8 @@ class ClosedLoop:
             action[AXES.index("z")] = HEIGHT
         return action
 
-    def _sampled(self, dt: float, corner: Corner) -> SampledLoop:
-        return SampledLoop(
+    def _make_loop(self, dt: float, corner: Corner) -> DiscreteLoop:
+        return DiscreteLoop(
             self._model,
             partial(self._make_law, dt, corner),
             declared=self._vehicle,
@@ -329,6 +339,6 @@ class ClosedLoop:
 
         if isinstance(law, LeeController | CascadeController):
             chosen, known = zip(self.drawn.items(), corner, strict=True), law.gains_by_name
-            ends = {name: ends_of(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
+            ends = {name: gain_range(name, cfg, known[name])[end] for (name, cfg), end in chosen if name in known}
             law.gains = replace(law.gains, **ends)
         return law

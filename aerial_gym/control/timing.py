@@ -37,7 +37,7 @@ class Timing:
         return (self.law - self.loop + self.delay) * self.dt
 
 
-def timing_of(cfg: ControllerCfg, dt: float) -> Timing:
+def make_timing(cfg: ControllerCfg, dt: float) -> Timing:
     """Return the timing of a controller's levels at physics steps of ``dt`` [s].
 
     Raises:

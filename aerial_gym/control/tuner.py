@@ -50,7 +50,7 @@ class Tuning:
     @property
     def closed(self) -> Response:
         """Closed-loop response of angle or position to its setpoint."""
-        return _closed(self.proportional, self.derivative, self.inner)
+        return _close_loop(self.proportional, self.derivative, self.inner)
 
     @property
     def natural_frequency(self) -> Tensor:
@@ -68,7 +68,7 @@ def rotor_response(lag: Tensor, delay: float | Tensor) -> Response:
     return lambda s: torch.exp(-delay * s) / (lag * s + 1.0)
 
 
-def placed_gains(frequency: Tensor, damping: float, inner: Response) -> tuple[Tensor, Tensor]:
+def place_poles(frequency: Tensor, damping: float, inner: Response) -> tuple[Tensor, Tensor]:
     """Return k_p [1/s²] and k_d [1/s], (E, 3), that place a pair of poles.
 
     Args:
@@ -81,7 +81,7 @@ def placed_gains(frequency: Tensor, damping: float, inner: Response) -> tuple[Te
     return wanted.real - derivative * s.real, derivative
 
 
-def tuned(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float, what: str) -> Tuning:
+def tune_loop(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float, loop_name: str) -> Tuning:
     """Tune the gains of a loop around H to a bandwidth and a damping ratio.
 
     Args:
@@ -102,19 +102,19 @@ def tuned(inner: Response, lag: Tensor, *, bandwidth: Bandwidth, damping: float,
     low, high = torch.zeros_like(highest), highest
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        short = _gain_at(asked, middle, damping, inner) < sqrt(0.5)
+        short = _closed_loop_gain(asked, middle, damping, inner) < sqrt(0.5)
         low, high = torch.where(short, middle, low), torch.where(short, high, middle)
-    if bool((_gain_at(asked, highest, damping, inner) < sqrt(0.5)).any()):
+    if bool((_closed_loop_gain(asked, highest, damping, inner) < sqrt(0.5)).any()):
         most = [f"{value:.4g}" for value in _bandwidth(highest, damping, inner).amin(0).tolist()]
         raise ConfigError(
-            f"{what} loop: a bandwidth of {bandwidth!r} rad/s with a damping of {damping:.3g} is more than a lag of "
+            f"{loop_name} loop: a bandwidth of {bandwidth!r} rad/s with a damping of {damping:.3g} is more than a lag of "
             f"{float(lag.amax()):.3g} s allows. Ask for at most {', '.join(most)} rad/s about x, y, z, or for less damping"
         )
-    proportional, derivative = placed_gains(high, damping, inner)
+    proportional, derivative = place_poles(high, damping, inner)
     return Tuning(frequency=high, proportional=proportional, derivative=derivative, inner=inner)
 
 
-def _closed(proportional: Tensor, derivative: Tensor, inner: Response) -> Response:
+def _close_loop(proportional: Tensor, derivative: Tensor, inner: Response) -> Response:
     def closed(s: Tensor) -> Tensor:
         response = inner(s)
         return proportional * response / (s.square() + (proportional + derivative * s) * response)
@@ -122,11 +122,11 @@ def _closed(proportional: Tensor, derivative: Tensor, inner: Response) -> Respon
     return closed
 
 
-def _gain_at(bandwidth: Tensor, frequency: Tensor, damping: float, inner: Response) -> Tensor:
+def _closed_loop_gain(bandwidth: Tensor, frequency: Tensor, damping: float, inner: Response) -> Tensor:
     """Return the gain of the closed loop at an angular frequency [rad/s], (E, 3), with poles placed at another."""
     safe = frequency.clamp_min(1e-9)
     s = torch.complex(torch.zeros_like(safe), bandwidth.expand_as(safe))
-    return _closed(*placed_gains(safe, damping, inner), inner)(s).abs()
+    return _close_loop(*place_poles(safe, damping, inner), inner)(s).abs()
 
 
 def _bandwidth(frequency: Tensor, damping: float, inner: Response) -> Tensor:
@@ -134,7 +134,7 @@ def _bandwidth(frequency: Tensor, damping: float, inner: Response) -> Tensor:
     low, high = torch.zeros_like(frequency), 4.0 * frequency
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        above = _gain_at(middle, frequency, damping, inner) > sqrt(0.5)
+        above = _closed_loop_gain(middle, frequency, damping, inner) > sqrt(0.5)
         low, high = torch.where(above, middle, low), torch.where(above, high, middle)
     return low
 
@@ -158,7 +158,7 @@ def tune_attitude(
         slowest.expand(-1, 3),
         HELD * dt + (delay.double().unsqueeze(-1) if isinstance(delay, Tensor) else delay),
     )
-    return tuned(rotor_response(lag, late), lag + late, bandwidth=bandwidth, damping=damping, what="attitude")
+    return tune_loop(rotor_response(lag, late), lag + late, bandwidth=bandwidth, damping=damping, loop_name="attitude")
 
 
 def tune_position(attitude: Tuning, *, bandwidth: Bandwidth, damping: float) -> Tuning:
@@ -177,4 +177,4 @@ def tune_position(attitude: Tuning, *, bandwidth: Bandwidth, damping: float) -> 
 
     lag = attitude.derivative / attitude.proportional
     lag = torch.cat((lag[:, [1, 0]], 1.0 / ((1.0 + FAR_POLE) * attitude.frequency[:, 2:])), dim=-1)
-    return tuned(inner, lag, bandwidth=bandwidth, damping=damping, what="position")
+    return tune_loop(inner, lag, bandwidth=bandwidth, damping=damping, loop_name="position")

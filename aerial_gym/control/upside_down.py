@@ -18,7 +18,7 @@ from aerial_gym.control.controllers import Controller, make_controller
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.loop_check import refuse
-from aerial_gym.control.remembering import RememberingController
+from aerial_gym.control.stateful import StatefulController
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.physics.rotors import rotor_thrust
@@ -52,10 +52,10 @@ def check_starts(
     """
     if controller.law not in LAWS or "roll" not in LAWS[controller.law].trim:
         return
-    attitudes = attitudes_beyond(robot.initial_state)
+    attitudes = sample_attitudes(robot.initial_state)
     if len(attitudes) == 0:
         return
-    stuck = int((righting_acceleration(robot, controller, attitudes, gravity=gravity, dt=dt) < STILL).sum())
+    stuck = int((recovery_acceleration(robot, controller, attitudes, gravity=gravity, dt=dt) < STILL).sum())
     if stuck:
         refuse(
             controller,
@@ -68,15 +68,15 @@ def check_starts(
         )
 
 
-def attitudes_beyond(start: InitialStateCfg) -> Tensor:
+def sample_attitudes(start: InitialStateCfg) -> Tensor:
     """Return the attitudes (N, 4), xyzw, of a grid in the start's roll and pitch that are tilted by more than 90 degrees."""
-    roll, pitch = (_inside(start.euler_low[i], start.euler_high[i]) for i in (0, 1))
+    roll, pitch = (_grid_points(start.euler_low[i], start.euler_high[i]) for i in (0, 1))
     yaw = 0.5 * (start.euler_low[2] + start.euler_high[2])
     angles = torch.tensor([(r, p, yaw) for r, p in product(roll, pitch)], dtype=torch.float64)
     return quat_from_euler(angles[torch.cos(angles[:, 0]) * torch.cos(angles[:, 1]) < 0.0])
 
 
-def righting_acceleration(
+def recovery_acceleration(
     robot: RobotCfg, controller: ControllerCfg, attitudes: Tensor, *, gravity: float, dt: float
 ) -> Tensor:
     """Return a law's angular acceleration about roll and pitch [rad/s²], (N,), at attitudes (N, 4).
@@ -88,15 +88,15 @@ def righting_acceleration(
     state = state_at_rest(len(attitudes), vehicle.num_rotors, device=attitudes.device, dtype=attitudes.dtype)
     state.attitude[:] = attitudes
     state.ang_vel[:] = attitudes.new_tensor(robot.initial_state.ang_vel_high)
-    thrust = rotor_thrust(vehicle, _settled_command(law, state))
+    thrust = rotor_thrust(vehicle, _steady_command(law, state))
     torque = (allocation_matrix(vehicle, gravity)[:, 3:] * thrust.unsqueeze(1)).sum(-1)
     return torch.linalg.solve(vehicle.inertia, torque)[:, :2].norm(dim=-1)
 
 
-def _settled_command(law: Controller, state: BodyState) -> Tensor:
+def _steady_command(law: Controller, state: BodyState) -> Tensor:
     """Return the rotor command (N, R) for a constant state, after all delays of the law."""
     action = state.position.new_zeros(state.num_envs, len(law.action_names))
-    if not isinstance(law, RememberingController):
+    if not isinstance(law, StatefulController):
         return law.rotor_command(state, action)
     memory, timing = fresh_law_memory(law.needs, state.num_envs, state.position), law.timing
     for _ in range(timing.action_delay + timing.delay + timing.law):
@@ -104,6 +104,6 @@ def _settled_command(law: Controller, state: BodyState) -> Tensor:
     return law.command(state, action, memory)[0]
 
 
-def _inside(low: float, high: float) -> list[float]:
+def _grid_points(low: float, high: float) -> list[float]:
     low, high = low + INSET * (high - low), high - INSET * (high - low)
     return sorted({low + (high - low) * k / (GRID - 1) for k in range(GRID)})

@@ -2,11 +2,11 @@
 
 from functools import partial
 
-from aerial_gym.config import files_of, load
+from aerial_gym.config import family_files, load
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.registry import Registry
 
 SIMS: Registry[SimCfg] = Registry("sim")
 
-for _name, _path in files_of("sims").items():
+for _name, _path in family_files("sims").items():
     SIMS.register_later(_name, partial(load, SimCfg, _path))

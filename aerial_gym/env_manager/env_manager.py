@@ -21,25 +21,25 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop
 from aerial_gym.control.upside_down import check_starts
-from aerial_gym.env_manager.touch import Touch, recorded
+from aerial_gym.env_manager.collision_tests import CollisionTests, make_trajectory
 from aerial_gym.errors import ClosedError, ConfigError
 from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
-from aerial_gym.registry.state import below, check_state, identity, restore, saved
+from aerial_gym.registry.state import add_prefix, check_state, copy_tensors, identity, restore
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.drawn_ranges import report_drawn_ranges
 from aerial_gym.robots.joints.link_tensors import declare_links
+from aerial_gym.robots.range_warnings import report_range_faults
 from aerial_gym.sensors import ImuSet, SensorManager, mounted_sensors
 
 if TYPE_CHECKING:
-    from aerial_gym.assets.below import SurfaceBelow
+    from aerial_gym.assets.height_probe import HeightProbe
     from aerial_gym.robots.joints.links import LinkPlaces
 
 
-def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
+def _registry_name(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
     """Return a configuration's registered name, else its summary."""
     return next((repr(name) for name in registry if registry.get(name) is entry), repr(entry.summary))
 
@@ -47,7 +47,7 @@ def _name_in(registry: Registry[Any], entry: RobotCfg | ControllerCfg) -> str:
 def _check_gradients(env: EnvironmentCfg, *, differentiable: bool, dtype: torch.dtype) -> None:
     if not differentiable and dtype != torch.float32:
         raise ConfigError(
-            f"dtype = {dtype}: the GTD is float32; give differentiable=True as well, and read the states in env.traced"
+            f"dtype = {dtype}: the GTD is float32. Give differentiable=True, and read the states in env.gradient_tensors"
         )
     if differentiable and env.num_assets and env.contact is not None:
         raise ConfigError(
@@ -103,14 +103,14 @@ class EnvManager:
             bounds_max=bounds[1],
             asset_state=root[:, 1:],
             robot_radius=body_reach(robot.collision.shapes),
-            robot_parts=robot.seen_parts,
+            robot_parts=robot.visible_parts,
             robot_state=root[:, 0] if links is None else links.state,
             robot_links=robot.link_names,
         )
         random = {**robot.randomize, **env.randomize, **(randomize or {})}
         places = {name: each for name, each in random.items() if name.startswith("sensors.")}
-        names = (_name_in(ROBOTS, robot), _name_in(CONTROLLERS, controller))
-        for check in (check_closed_loop, report_drawn_ranges):
+        names = (_registry_name(ROBOTS, robot), _registry_name(CONTROLLERS, controller))
+        for check in (check_closed_loop, report_range_faults):
             check(
                 robot,
                 controller,
@@ -122,7 +122,7 @@ class EnvManager:
             )
         check_starts(robot, controller, gravity=sim.gravity, dt=sim.dt, names=names)
         scene = self.asset_manager.scene
-        trajectory = recorded(env, robot, num_envs=num_envs, device=device, differentiable=differentiable)
+        trajectory = make_trajectory(env, robot, num_envs=num_envs, device=device, differentiable=differentiable)
         around = Surroundings(
             bounds=bounds,
             crashes=self.gtd["crashes"],
@@ -147,13 +147,13 @@ class EnvManager:
         )
         self._links: LinkPlaces | None = None
         if robot.joints is not None and links is not None:
-            assert isinstance(self.robot_manager.tensors.state, JointedState)
+            assert isinstance(self.robot_manager.tensors.state, ArticulatedState)
             self._links = links.places(robot.joints, self.robot_manager.tensors.state, trajectory)
         surface = self.robot_manager.felt.surface_height
-        self._below: SurfaceBelow | None = None
+        self._below: HeightProbe | None = None
         if surface is not None:
-            self._below = self.asset_manager.surface_below(self.gtd["robot_position"], height_out=surface)
-        self.asset_manager.track_from(self.gtd["robot_position"])
+            self._below = self.asset_manager.make_height_probe(self.gtd["robot_position"], height_out=surface)
+        self.asset_manager.set_track_start(self.gtd["robot_position"])
         pose = {"position": self.gtd["robot_position"], "attitude": self.gtd["robot_orientation"]}
         range_sensors, imus = mounted_sensors(robot.sensor_mounts, places)
         carriers = {} if links is None else links.carriers({**range_sensors, **imus})
@@ -185,7 +185,7 @@ class EnvManager:
             carriers=carriers,
         )
         self._move_links()
-        self._collision = Touch(
+        self._collision = CollisionTests(
             robot,
             self.gtd,
             self.asset_manager,
@@ -235,12 +235,12 @@ class EnvManager:
             )
 
     @property
-    def traced(self) -> Mapping[str, Tensor]:
+    def gradient_tensors(self) -> Mapping[str, Tensor]:
         """The robots' motion and actions of this instant by the keys of the GTD, with gradients; of a ``differentiable`` one.
 
         The tensors are never overwritten, so that a loss may hold those of many steps. The GTD has float32 copies.
         """
-        return self._graph().traced
+        return self._graph().gradient_tensors
 
     def detach(self) -> None:
         """Cut the gradients at this instant: later losses are differentiated back to here, and no further."""
@@ -254,10 +254,10 @@ class EnvManager:
         self._graph().settle()
 
     def _graph(self) -> DifferentiableBackend:
-        found = self.robot_manager.differentiable
-        if found is None:
+        simulation = self.robot_manager.differentiable
+        if simulation is None:
             raise ConfigError("this simulation has no gradients: build it with differentiable=True")
-        return found
+        return simulation
 
     @property
     def dt(self) -> float:
@@ -353,14 +353,16 @@ class EnvManager:
             "sensors": self.sensor_manager.state_tensors(),
             "imus": self.imus.state_tensors(),
         }
-        return self._identity | {name: t for prefix, part in parts.items() for name, t in below(prefix, part).items()}
+        return self._identity | {
+            name: t for prefix, part in parts.items() for name, t in add_prefix(prefix, part).items()
+        }
 
     def save_state(self) -> dict[str, Tensor]:
         """Return a copy of everything on which the future depends: after ``load_state`` the flight is the same, bit for bit.
 
         ``torch.save`` writes it; ``torch.load(path, weights_only=True)`` reads it.
         """
-        return saved(self.state_tensors())
+        return copy_tensors(self.state_tensors())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Restore a state saved by this or an equal simulation. Waits for the device.

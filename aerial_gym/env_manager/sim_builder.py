@@ -40,7 +40,7 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
 
 
 @contextmanager
-def told_memory(num_envs: int, device: torch.device) -> Iterator[None]:
+def memory_errors(num_envs: int, device: torch.device) -> Iterator[None]:
     """Convert out-of-memory errors of torch and NumPy into one message.
 
     Raises:
@@ -102,8 +102,8 @@ class SimBuilder:
                 episode alone: ``num_envs=1, first_env=17`` flies environment 17 of any larger batch with that seed.
             first_episode: Number of the first episode, likewise.
             backend: Registered physics backend in place of the sim's own; ``auto`` takes the fastest.
-            differentiable: Whether gradients flow from actions through ``step`` to the states in ``env.traced``; on backend
-                ``torch``. ``env.detach()`` ends them.
+            differentiable: Whether gradients flow from actions through ``step`` to the states in ``env.gradient_tensors``;
+                on backend ``torch``. ``env.detach()`` ends them.
             dtype: Float type of those states; the GTD shows them in float32.
             randomize: Quantities drawn at resets, by name, in addition to those of robot and environment; the same names
                 replace it.
@@ -116,7 +116,7 @@ class SimBuilder:
         """
         sim = sim_name if isinstance(sim_name, SimCfg) else SIMS.get(sim_name)
         where = resolve_device(device)
-        with told_memory(num_envs, where):
+        with memory_errors(num_envs, where):
             return EnvManager(
                 sim=sim if backend is None else replace(sim, backend=backend),
                 env=environment_by_name(env_name),

@@ -58,16 +58,16 @@ class Comparison:
         self._error, self._rounding, self._difference = zeros, zeros, zeros
         self._low, self._high = zeros + inf, zeros - inf
 
-    def add(self, exact: Tensor, rounded: Tensor, found: Tensor) -> None:
+    def add(self, exact: Tensor, rounded: Tensor, exported: Tensor) -> None:
         """Count outputs (B, N) of torch in float64, of torch in float32, and of the file."""
         self._low, self._high = self._low.minimum(exact.amin(0)), self._high.maximum(exact.amax(0))
-        self._error = self._error.maximum((found.double() - exact).abs().amax(0))
+        self._error = self._error.maximum((exported.double() - exact).abs().amax(0))
         self._rounding = self._rounding.maximum((rounded.double() - exact).abs().amax(0))
-        self._difference = self._difference.maximum((found - rounded).double().abs().amax(0))
+        self._difference = self._difference.maximum((exported - rounded).double().abs().amax(0))
 
-    def add_not_finite(self, found: Tensor) -> None:
+    def add_not_finite(self, exported: Tensor) -> None:
         """Count outputs (B, N) of the file for inputs that are not finite."""
-        self._error = torch.where(found.isnan().all(0), self._error, inf)
+        self._error = torch.where(exported.isnan().all(0), self._error, inf)
 
     @property
     def largest_difference(self) -> float:

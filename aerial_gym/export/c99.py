@@ -12,10 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.export.c99_images import CONVOLVE, Looking, joined, looking, parameters, passing, told
+from aerial_gym.export.c99_images import CONVOLVE, ImageCode, image_code, image_text, join_code, layer_code, parameters
 from aerial_gym.export.finite import C_FINITE
 from aerial_gym.export.layout import Layout
-from aerial_gym.export.module import FlownPolicy, transform_of
+from aerial_gym.export.module import DeployablePolicy, action_transform
 from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.task import ACTIONS
 from aerial_gym.task.terms import actions
@@ -29,7 +29,7 @@ def header(layout: Layout, *, work: int = 0) -> str:
     n, upper = layout.name, layout.name.upper()
     memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
     memory += f"\n    float work[2][{work}];" if layout.images else ""
-    looks = " * images\n" + "".join(told(image) for image in layout.images) if layout.images else ""
+    looks = " * images\n" + "".join(image_text(image) for image in layout.images) if layout.images else ""
     seen = "\n".join(
         f" *   {_places(s.first, s.count):>9}  {s.term}: {s.meaning}{_history(s.history)}" for s in layout.observation
     )
@@ -78,7 +78,7 @@ def step(layout: Layout) -> str:
     return f"{head}{parameters(layout)}float command[{given}])"
 
 
-def source(policy: FlownPolicy, layout: Layout) -> str:
+def source(policy: DeployablePolicy, layout: Layout) -> str:
     """Return the source.
 
     Raises:
@@ -89,10 +89,10 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
     if write is None:
         raise ConfigError(f"action {layout.transform}: has no form in C. Export onnx or torchscript")
     parts: list[str] = []
-    mean, std, limit = policy.normalized()
+    mean, std, limit = policy.normalization()
     scale = policy.scale.double()
     parts += [_array("shift", mean.double() / scale), _array("factor", scale / std.double())]
-    looks = looking(policy, layout, _array)
+    looks = image_code(policy, layout, _array)
     parts += looks.arrays
     linears = [layer for layer in body.layers if isinstance(layer, nn.Linear)]
     for i, layer in enumerate(linears):
@@ -106,7 +106,7 @@ def source(policy: FlownPolicy, layout: Layout) -> str:
     clamped = "" if limit is None else f"\n        seen[i] = clamped(seen[i], {_number(limit)});"
     layers, before = [], "seen"
     if layout.images:
-        layers, before = [looks.code, joined(policy, looks.widths)], "joined"
+        layers, before = [looks.code, join_code(policy, looks.widths)], "joined"
     for i, (wide_in, wide_out) in enumerate(pairwise(widths)):
         layers += [
             f"    float layer_{i}[{wide_out}];",
@@ -150,7 +150,7 @@ void {n}_reset({n}_state *state) {{
     finite = finite && is_finite(state->action, {layout.num_actions});
     for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = clamped(state->action[i], 1.0f);
     const float *action = state->action;
-{write(layout, transform_of(layout)[1])}
+{write(layout, action_transform(layout)[1])}
 {_result(outputs)}
 }}
 """
@@ -173,7 +173,7 @@ def encoder_header(encoder: Encoder, name: str) -> str:
 
 /* Work space of one call: nothing stays. */
 typedef struct {{
-    float work[2][{_passing(encoder, lambda _, __: "").work}];
+    float work[2][{_encoder_code(encoder, lambda _, __: "").work}];
 }} {name}_space;
 
 /* Returns 0. Returns 1, with NaN in all latents, if a pixel or a latent is NaN or infinite. */
@@ -185,7 +185,7 @@ typedef struct {{
 
 def encoder_source(encoder: Encoder, name: str) -> str:
     """Return the source of an encoder."""
-    passed, pixels = _passing(encoder, _array), encoder.seen.rows * encoder.seen.columns
+    passed, pixels = _encoder_code(encoder, _array), encoder.seen.rows * encoder.seen.columns
     return f"""#include "{name}.h"
 
 #include <math.h>
@@ -220,8 +220,8 @@ def _result(outputs: Mapping[str, int]) -> str:
     return f"    if (!finite) {{ {bad} }}\n    return !finite;"
 
 
-def _passing(encoder: Encoder, array: Callable[[str, Tensor], str]) -> Looking:
-    return passing(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), array, name="layer", out="latents")
+def _encoder_code(encoder: Encoder, array: Callable[[str, Tensor], str]) -> ImageCode:
+    return layer_code(encoder.layers, (1, encoder.seen.rows, encoder.seen.columns), array, name="layer", out="latents")
 
 
 _AFTER_ERROR = "Then reset the state, or restore a copy of it from before the step."
@@ -291,15 +291,15 @@ def _four_places(layout: Layout, params: Mapping[str, Any]) -> str:
     rotors = zip(params["mix"], params["low"], params["high"], params["speeds"], strict=True)
     for i, (row, low, high, speed) in enumerate(rotors):
         share = " + ".join(f"{_number(weight)} * lift[{k}]" for k, weight in enumerate(row))
-        size = f"fminf(fmaxf(fabsf(share), {_number(actions.NOTHING)}), 1.0f)"
+        size = f"fminf(fmaxf(fabsf(share), {_number(actions.NEGLIGIBLE)}), 1.0f)"
         size = f"sqrtf({size})" if speed else size
         if low < 0.0:
             signed = f"{_number(high)} * (share > 0.0f ? size : share < 0.0f ? -size : 0.0f)"
-            found = f"fminf(fmaxf({signed}, {_number(low)}), {_number(high)})"
+            expression = f"fminf(fmaxf({signed}, {_number(low)}), {_number(high)})"
         else:
-            found = f"share > 0.0f ? {_number(low)} + {_number(high - low)} * size : {_number(low)}"
+            expression = f"share > 0.0f ? {_number(low)} + {_number(high - low)} * size : {_number(low)}"
         lines.append(f"    {{ const float share = {share}, size = {size};")
-        lines.append(f"      command[{i}] = {found}; }}")
+        lines.append(f"      command[{i}] = {expression}; }}")
     return "\n".join(lines)
 
 

@@ -10,8 +10,8 @@ from math import prod
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.export.layout import Layout, SeenImage
-from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.layout import Layout, ObservationImage
+from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.rl_training.policies.body import Pixels
 
 PIXELS = {"uint8": ("unsigned char", " / 255.0f"), "float32": ("float", "")}
@@ -40,7 +40,7 @@ static void convolve(const float *weight, const float *bias, int num_in, int row
 
 
 @dataclass(frozen=True, kw_only=True)
-class Looking:
+class ImageCode:
     """C code of image networks."""
 
     arrays: tuple[str, ...]  # Definitions of weights
@@ -58,7 +58,7 @@ def parameters(layout: Layout) -> str:
     return "".join(f"const {_pixel(image)[0]} {image.key}[{prod(image.shape)}], " for image in layout.images)
 
 
-def _pixel(image: SeenImage) -> tuple[str, str]:
+def _pixel(image: ObservationImage) -> tuple[str, str]:
     if image.dtype not in PIXELS:
         raise ConfigError(
             f"image {image.key!r}: {image.dtype} has no type in C99. Export onnx or torchscript, or train with dtype "
@@ -67,7 +67,7 @@ def _pixel(image: SeenImage) -> tuple[str, str]:
     return PIXELS[image.dtype]
 
 
-def told(image: SeenImage) -> str:
+def image_text(image: ObservationImage) -> str:
     """Return the header's comment on an image."""
     channels, rows, columns = image.shape
     written = "floor(255 share + 0.5)" if image.dtype == "uint8" else "the share itself"
@@ -78,7 +78,7 @@ def told(image: SeenImage) -> str:
     )
 
 
-def looking(policy: FlownPolicy, layout: Layout, array: Callable[[str, Tensor], str]) -> Looking:
+def image_code(policy: DeployablePolicy, layout: Layout, array: Callable[[str, Tensor], str]) -> ImageCode:
     """Return the C code of a policy's image networks; ``array`` defines a constant array of a name."""
     arrays: list[str] = []
     code: list[str] = []
@@ -89,19 +89,19 @@ def looking(policy: FlownPolicy, layout: Layout, array: Callable[[str, Tensor], 
         code.append(
             f"    for (int i = 0; i < {prod(image.shape)}; ++i) state->work[0][i] = {image.key}[i]{_pixel(image)[1]};"
         )
-        passed = passing(encoder, image.shape, array, name=image.key, out=f"{image.key}_features")
+        passed = layer_code(encoder, image.shape, array, name=image.key, out=f"{image.key}_features")
         wide = widths[image.key] = passed.widths[image.key]
         out = f"{image.key}_features"
         arrays += passed.arrays
         code += [f"    float {out}[{wide}];", passed.code]
         code.append(f"    for (int i = 0; i < {wide}; ++i) {out}[i] = activated({out}[i]);")
         work = max(work, passed.work)
-    return Looking(arrays=tuple(arrays), code="\n".join(code), widths=widths, work=work)
+    return ImageCode(arrays=tuple(arrays), code="\n".join(code), widths=widths, work=work)
 
 
-def passing(
+def layer_code(
     network: nn.Module, shape: tuple[int, int, int], array: Callable[[str, Tensor], str], *, name: str, out: str
-) -> Looking:
+) -> ImageCode:
     """Return the C code of convolutions and the final dense layer, without its activation.
 
     Args:
@@ -127,10 +127,10 @@ def passing(
         )
         shape, place = (layer.out_channels, (shape[1] + 1) // 2, (shape[2] + 1) // 2), 1 - place
         work = max(work, prod(shape))
-    return Looking(arrays=tuple(arrays), code="\n".join(code), widths={name: wide}, work=work)
+    return ImageCode(arrays=tuple(arrays), code="\n".join(code), widths={name: wide}, work=work)
 
 
-def joined(policy: FlownPolicy, widths: dict[str, int]) -> str:
+def join_code(policy: DeployablePolicy, widths: dict[str, int]) -> str:
     """Return statements that put vectors and features side by side in ``joined``, in the order of the policy."""
     lines, first, place = [], 0, 0
     counts = {key: shape[0] for key, shape in policy.policy.shapes.items() if len(shape) == 1}

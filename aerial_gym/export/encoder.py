@@ -11,13 +11,13 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.config.storage import write_whole
+from aerial_gym.config.storage import write_atomic
 from aerial_gym.errors import CapabilityError
 from aerial_gym.export import c99
 from aerial_gym.export.agreement import Comparison, not_finite
 from aerial_gym.export.finite import finite_rows, nan_unless
 from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
-from aerial_gym.export.pilot import compiled
+from aerial_gym.export.pilot import compile_library
 from aerial_gym.sensors.encoder.file import Encoder, load_encoder
 
 INPUT, OUTPUT = "image", "latents"
@@ -27,7 +27,7 @@ CHECKED = 1_000
 """Random images with which a file is compared."""
 
 
-class FlownEncoder(nn.Module):
+class DeployableEncoder(nn.Module):
     """An encoder that gives NaN for an image with a pixel that is NaN or infinite."""
 
     def __init__(self, encoder: Encoder) -> None:
@@ -45,18 +45,18 @@ def write_encoder(encoder: str, file: Path) -> Path:
     """Write an encoder as ONNX, TorchScript or C99, by the ending of the file; return the file."""
     module = load_encoder(encoder)
     if file.suffix == ".c":
-        write_whole(file.with_suffix(".h"), c99.encoder_header(module, file.stem))
-        write_whole(file, c99.encoder_source(module, file.stem))
+        write_atomic(file.with_suffix(".h"), c99.encoder_header(module, file.stem))
+        write_atomic(file, c99.encoder_source(module, file.stem))
         return file
-    flown, given = FlownEncoder(module).eval(), (torch.zeros(2, module.seen.rows, module.seen.columns),)
+    flown, given = DeployableEncoder(module).eval(), (torch.zeros(2, module.seen.rows, module.seen.columns),)
     if file.suffix == ".onnx":
-        write_whole(file, onnx_bytes(flown, given, [INPUT], [OUTPUT], ({0: torch.export.Dim("rows")},)))
+        write_atomic(file, onnx_bytes(flown, given, [INPUT], [OUTPUT], ({0: torch.export.Dim("rows")},)))
     else:
-        write_whole(file, torchscript_bytes(flown, given))
+        write_atomic(file, torchscript_bytes(flown, given))
     return file
 
 
-def _compiled(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
+def _compile(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
     name, pixels = file.stem, encoder.seen.rows * encoder.seen.columns
     driver = f"""#include "{name}.h"
 void rows(int rows, const float *images, float *latents) {{
@@ -64,7 +64,7 @@ void rows(int rows, const float *images, float *latents) {{
     for (int r = 0; r < rows; ++r) {name}_encode(&space, images + r * {pixels}, latents + r * {encoder.num_latents});
 }}
 """
-    call = compiled(file, driver).rows
+    call = compile_library(file, driver).rows
 
     def run(images: Tensor) -> Tensor:
         images, out = images.contiguous(), torch.empty(len(images), encoder.num_latents)
@@ -74,14 +74,14 @@ void rows(int rows, const float *images, float *latents) {{
     return run
 
 
-def runner_of(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
+def make_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
     """Return the function of an encoder file, images (B, H, W) to latents (B, L).
 
     Raises:
         CapabilityError: If the package or compiler that runs the file is missing.
     """
     if file.suffix == ".c":
-        return _compiled(encoder, file)
+        return _compile(encoder, file)
     if file.suffix == ".onnx":
         try:
             import onnxruntime
@@ -100,10 +100,10 @@ def compare_encoder(encoder: Encoder, file: Path) -> Comparison:
         CapabilityError: If the package or compiler that runs the file is missing.
     """
     rows, columns = encoder.seen.rows, encoder.seen.columns
-    run, found = runner_of(encoder, file), Comparison([f"{OUTPUT} {i}" for i in range(encoder.num_latents)])
+    run, result = make_runner(encoder, file), Comparison([f"{OUTPUT} {i}" for i in range(encoder.num_latents)])
     images = torch.rand(CHECKED, rows, columns, generator=torch.Generator().manual_seed(0))
-    found.add(deepcopy(encoder).double()(images.double()), encoder(images), run(images))
+    result.add(deepcopy(encoder).double()(images.double()), encoder(images), run(images))
     pixels = rows * columns
     bad = not_finite(pixels, (0, pixels // 2, pixels - 1)).unflatten(-1, (rows, columns))
-    found.add_not_finite(run(bad))
-    return found
+    result.add_not_finite(run(bad))
+    return result

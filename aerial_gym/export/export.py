@@ -11,22 +11,22 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
 from aerial_gym.export.agreement import Agreement, Comparison, not_finite
 from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
-from aerial_gym.export.layout import Layout, SeenImage, layout_of
-from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
+from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.interop import usual_settings
 from aerial_gym.rl_training.policies.load import check_fits, load_policy
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.sensors.encoder.file import load_encoder
 from aerial_gym.task import task_registry
-from aerial_gym.task.seen.images import TYPES
 from aerial_gym.task.terms.observations import LATENTS
+from aerial_gym.task.vision.images import TYPES
 
 CHECKED, STEPS = 100_000, 10
 """Observations with which an exported policy is compared, in sequences of so many steps: a memory is then in use."""
@@ -98,20 +98,20 @@ def export_policy(
     ) as task:
         check_fits(policy, task, cfg.task)
         named = name or Path(cfg.task.rpartition(":")[2]).stem
-        layout = layout_of(policy, cfg, task, name=named, source=str(source))
+        layout = policy_layout(policy, cfg, task, name=named, source=str(source))
     return write_policy(policy, layout, Path(out), wanted, check=check)
 
 
 def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *, check: bool = True) -> list[Exported]:
     """Write a policy with its layout; see ``export_policy``."""
-    flown = FlownPolicy(policy, layout).eval()
-    with told_storage(out):
+    flown = DeployablePolicy(policy, layout).eval()
+    with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     layout.write(out)
     files = []
     for each in (wanted := list(to)):
         file = FORMATS[each](flown, layout, out)
-        files.append(_checked(each, file, lambda file: compare(flown, layout, file), check))
+        files.append(_check_file(each, file, lambda file: compare(flown, layout, file), check))
     return files + (_encoders(layout.encoder, layout, out, wanted, check=check) if sees_latents(layout) else [])
 
 
@@ -126,44 +126,48 @@ def _encoders(encoder: str | None, layout: Layout, out: Path, to: list[str], *, 
     module = load_encoder(encoder)
     files = (write_encoder(encoder, out / f"{layout.name}_encoder{ENDINGS[each]}") for each in to)
     return [
-        _checked(each, file, lambda file: compare_encoder(module, file), check)
+        _check_file(each, file, lambda file: compare_encoder(module, file), check)
         for each, file in zip(to, files, strict=True)
     ]
 
 
-def _checked(to: str, file: Path, comparison: Callable[[Path], Comparison], check: bool) -> Exported:
+def _check_file(to: str, file: Path, comparison: Callable[[Path], Comparison], check: bool) -> Exported:
     """Return a written file, compared with torch if asked for and possible."""
     if not check:
         return Exported(to=to, file=file, largest_difference=None, not_checked="not asked for")
     try:
-        found = comparison(file)
+        result = comparison(file)
     except CapabilityError as error:
         return Exported(to=to, file=file, largest_difference=None, not_checked=str(error))
-    return Exported(to=to, file=file, largest_difference=found.largest_difference, agreement=found.worst)
+    return Exported(to=to, file=file, largest_difference=result.largest_difference, agreement=result.worst)
 
 
 @torch.no_grad()
-def compare(flown: FlownPolicy, layout: Layout, file: Path) -> Comparison:
+def compare(flown: DeployablePolicy, layout: Layout, file: Path) -> Comparison:
     """Return the comparison of an exported policy with torch, on random observations and some with NaN or infinity."""
-    found, step = Comparison(flown.outputs), load_exported(file).step
+    result, step = Comparison(flown.outputs), load_exported(file).step
     exact, generator = deepcopy(flown).double(), torch.Generator().manual_seed(0)
     rows = (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
-    theirs = torch.zeros(rows, layout.memory)
-    ours = [(theirs.double(),), (theirs,)] if layout.memory else [(), ()]
-    mean, std, _ = flown.normalized()
+    file_memory = torch.zeros(rows, layout.memory)
+    torch_memory = [(file_memory.double(),), (file_memory,)] if layout.memory else [(), ()]
+    mean, std, _ = flown.normalization()
     for _ in range(STEPS):
         seen = (mean + SPREAD * std * torch.randn(rows, len(mean), generator=generator)) / flown.scale
-        images = [drawn_image(image, rows, generator) for image in layout.images]
-        outputs = exact(seen.double(), *images, *ours[0]), flown(seen, *images, *ours[1]), step(seen, theirs, *images)
-        found.add(*(torch.cat(output, dim=-1) for output in outputs))
-        ours, theirs = [output[2:] for output in outputs[:2]], outputs[2][2]
+        images = [random_image(image, rows, generator) for image in layout.images]
+        outputs = (
+            exact(seen.double(), *images, *torch_memory[0]),
+            flown(seen, *images, *torch_memory[1]),
+            step(seen, file_memory, *images),
+        )
+        result.add(*(torch.cat(output, dim=-1) for output in outputs))
+        torch_memory, file_memory = [output[2:] for output in outputs[:2]], outputs[2][2]
     bad = not_finite(layout.num_observations, range(layout.num_observations))
-    images = [drawn_image(image, len(bad), generator) for image in layout.images]
-    found.add_not_finite(torch.cat(step(bad, torch.zeros(len(bad), layout.memory), *images), dim=-1))
-    return found
+    images = [random_image(image, len(bad), generator) for image in layout.images]
+    result.add_not_finite(torch.cat(step(bad, torch.zeros(len(bad), layout.memory), *images), dim=-1))
+    return result
 
 
-def drawn_image(image: SeenImage, rows: int, generator: torch.Generator) -> Tensor:
+def random_image(image: ObservationImage, rows: int, generator: torch.Generator) -> Tensor:
     """Return random images (B, C, H, W): walls at random distances with some noise pixels."""
     shape = (rows, *image.shape)
     walls = torch.rand(rows, image.shape[0], 1, image.shape[2], generator=generator).expand(shape)
@@ -176,30 +180,30 @@ ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}
 """Of an encoder's file, by the format."""
 
 
-def _onnx(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
+def _onnx(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.names
     batch = torch.export.Dim("rows")
     more = tuple({0: batch} for _ in inputs[1:])
     dynamic = ({0: batch}, more) if more else ({0: batch},)
-    write_whole(file, onnx_bytes(flown, flown.example(), inputs, outputs, dynamic))
+    write_atomic(file, onnx_bytes(flown, flown.example(), inputs, outputs, dynamic))
     return file
 
 
-def _torchscript(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
+def _torchscript(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     file = out / f"{layout.name}.pt"
-    write_whole(file, torchscript_bytes(flown, flown.example()))
+    write_atomic(file, torchscript_bytes(flown, flown.example()))
     return file
 
 
-def _c99(flown: FlownPolicy, layout: Layout, out: Path) -> Path:
+def _c99(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     text = c99.source(flown, layout)
-    work = c99.looking(flown, layout, lambda _, __: "").work
-    write_whole(out / f"{layout.name}.h", c99.header(layout, work=work))
-    write_whole(out / f"{layout.name}.c", text)
+    work = c99.image_code(flown, layout, lambda _, __: "").work
+    write_atomic(out / f"{layout.name}.h", c99.header(layout, work=work))
+    write_atomic(out / f"{layout.name}.c", text)
     return out / f"{layout.name}.c"
 
 
-FORMATS: dict[str, Callable[[FlownPolicy, Layout, Path], Path]] = {
+FORMATS: dict[str, Callable[[DeployablePolicy, Layout, Path], Path]] = {
     "onnx": _onnx,
     "torchscript": _torchscript,
     "c99": _c99,

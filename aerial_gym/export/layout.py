@@ -10,20 +10,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from aerial_gym.config.storage import write_whole
+from aerial_gym.config.storage import write_atomic
 from aerial_gym.config.task_terms import steps_range
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.task import Task
-from aerial_gym.task.seen.images import scale_of
+from aerial_gym.task.vision.images import image_scale
 
 LAYOUT_FILE = "policy.json"
 """Beside every exported policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class ObservationTerm:
     """One term of the observation."""
 
     key: str  # Key of the task's observation to which it belongs
@@ -41,7 +41,7 @@ class Seen:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeenImage:
+class ObservationImage:
     """One image of the observation: numbers as the task gives them, (C, H, W)."""
 
     key: str  # Of the task's observation, and of the input
@@ -63,8 +63,8 @@ class Layout:
     robot: str
     controller: str
     rate_hz: float  # Rate of the policy in training [1/s]
-    observation: tuple[Seen, ...]  # Terms in order, in their own units, before `scale`
-    images: tuple[SeenImage, ...] = ()  # Images, in the order of the inputs
+    observation: tuple[ObservationTerm, ...]  # Terms in order, in their own units, before `scale`
+    images: tuple[ObservationImage, ...] = ()  # Images, in the order of the inputs
     command: tuple[str, ...]  # Entries of the controller command, with units
     num_actions: int  # V: entries of the action behind the command, each -1 to 1; fed back where observed
     transform: str  # From action to command (`aerial_gym.task.ACTIONS`)
@@ -83,7 +83,7 @@ class Layout:
 
     def write(self, folder: Path) -> Path:
         """Write ``policy.json``; return its path."""
-        write_whole(folder / LAYOUT_FILE, json.dumps(asdict(self), indent=2) + "\n")
+        write_atomic(folder / LAYOUT_FILE, json.dumps(asdict(self), indent=2) + "\n")
         return folder / LAYOUT_FILE
 
     @classmethod
@@ -94,19 +94,21 @@ class Layout:
             ConfigError: If the file is missing or no layout.
         """
         try:
-            found = json.loads((folder / LAYOUT_FILE).read_text(encoding="utf-8"))
-            seen = tuple(Seen(**each | {"delay_steps": tuple(each["delay_steps"])}) for each in found["observation"])
-            images = [SeenImage(**each | {"shape": tuple(each["shape"])}) for each in found.get("images", ())]
-            more = {"images": tuple(images), "command": tuple(found["command"])}
-            more |= {"action_delay_steps": tuple(found["action_delay_steps"])}
-            return cls(**found | {"observation": seen} | more)
+            spec = json.loads((folder / LAYOUT_FILE).read_text(encoding="utf-8"))
+            seen = tuple(
+                ObservationTerm(**each | {"delay_steps": tuple(each["delay_steps"])}) for each in spec["observation"]
+            )
+            images = [ObservationImage(**each | {"shape": tuple(each["shape"])}) for each in spec.get("images", ())]
+            more = {"images": tuple(images), "command": tuple(spec["command"])}
+            more |= {"action_delay_steps": tuple(spec["action_delay_steps"])}
+            return cls(**spec | {"observation": seen} | more)
         except FileNotFoundError:
             raise ConfigError(f"{folder}: no {LAYOUT_FILE} in it. Make it with aerial-gym export") from None
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"{folder / LAYOUT_FILE}: is no layout of a policy ({error}). Export it again") from None
 
 
-def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source: str) -> Layout:
+def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source: str) -> Layout:
     """Return the layout of a policy that flies a task.
 
     Raises:
@@ -116,7 +118,7 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
 
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
         raise ConfigError(f"name {name!r}: C allows letters, digits and _, no digit first")
-    seen: list[Seen] = []
+    seen: list[ObservationTerm] = []
     first = 0
     images = tuple(_image(key, shape, task) for key, shape in policy.shapes.items() if len(shape) == 3)
     if len(images) == len(policy.shapes):
@@ -127,10 +129,10 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
     for key, shape in policy.shapes.items():
         if len(shape) == 3:
             continue
-        for entry in task.observed[key]:
+        for entry in task.observation_terms[key]:
             count = entry.width * entry.cfg.history
             seen.append(
-                Seen(
+                ObservationTerm(
                     key=key, term=entry.cfg.term, meaning=_meaning(entry.term.term.summary), first=first,
                     count=count, history=entry.cfg.history, scale=entry.cfg.scale, noise_std=entry.cfg.noise_std,
                     delay_steps=steps_range(entry.cfg.delay_steps), dropout=entry.cfg.dropout,
@@ -161,12 +163,12 @@ def layout_of(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source
     )
 
 
-def _image(key: str, shape: tuple[int, ...], task: Task) -> SeenImage:
+def _image(key: str, shape: tuple[int, ...], task: Task) -> ObservationImage:
     """Return the description of an image observation."""
     cfg = task.cfg.images[key]
     spec = task.env.gtd.spec(cfg.key)
-    largest, without = scale_of(task.env.gtd[cfg.key], cfg, task.env.sensor_manager)
-    return SeenImage(
+    largest, without = image_scale(task.env.gtd[cfg.key], cfg, task.env.sensor_manager)
+    return ObservationImage(
         key=key,
         meaning=spec.meaning,
         shape=(shape[0], shape[1], shape[2]),

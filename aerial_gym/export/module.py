@@ -14,17 +14,17 @@ from aerial_gym.export.layout import Layout
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task import ACTIONS
-from aerial_gym.task.seen.images import TYPES
-from aerial_gym.task.terms.term import checked
+from aerial_gym.task.terms.term import check_params
+from aerial_gym.task.vision.images import TYPES
 
 
-def transform_of(layout: Layout) -> tuple[Callable[..., Tensor], dict[str, Any]]:
+def action_transform(layout: Layout) -> tuple[Callable[..., Tensor], dict[str, Any]]:
     """Return the transform from action to command, and its numbers."""
     value = ACTIONS.get(layout.transform).value
-    return value, checked(value, layout.params, f"action {layout.transform}")
+    return value, check_params(value, layout.params, f"action {layout.transform}")
 
 
-class FlownPolicy(nn.Module):
+class DeployablePolicy(nn.Module):
     """Scale, normaliser, network, limits and transform."""
 
     scale: Tensor
@@ -33,7 +33,7 @@ class FlownPolicy(nn.Module):
         """Take a policy and its layout."""
         super().__init__()
         self.policy, self._layout = policy, layout
-        self._transform, self._params = transform_of(layout)
+        self._transform, self._params = action_transform(layout)
         self._vectors = {key: shape[0] for key, shape in policy.shapes.items() if len(shape) == 1}
         self._images = [image.key for image in layout.images]
         scale = [torch.full((seen.count,), seen.scale) for seen in layout.observation]
@@ -57,7 +57,7 @@ class FlownPolicy(nn.Module):
         finite = finite_rows(observation, *more, mean)
         return tuple(nan_unless(finite, output) for output in outputs)
 
-    def normalized(self) -> tuple[Tensor, Tensor, float | None]:
+    def normalization(self) -> tuple[Tensor, Tensor, float | None]:
         """Return mean and standard deviation of the normaliser for scaled vectors, (O,), and its output limit.
 
         Without a normaliser they are 0, 1 and None.

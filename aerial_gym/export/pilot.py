@@ -112,7 +112,7 @@ def onnx_step(file: Path, layout: Layout) -> Step:
     return step
 
 
-def compiled(file: Path, driver: str) -> ctypes.CDLL:
+def compile_library(file: Path, driver: str) -> ctypes.CDLL:
     """Compile a C file with its driver into a shared library for this machine.
 
     Raises:
@@ -162,7 +162,7 @@ void {n}_rows(int rows, const float *observation, float *command, float *action,
     }}
 }}
 """
-    call = getattr(compiled(file, rows), f"{n}_rows")
+    call = getattr(compile_library(file, rows), f"{n}_rows")
 
     def step(observation: Tensor, memory: Tensor, *images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         pixels = [image.contiguous() for image in images]

@@ -6,13 +6,13 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.interop.devices import plain_device, resolve_device
-    from aerial_gym.interop.launches import RecordedLaunch, compile_ahead, make_struct, on_torch_stream, wait_for
+    from aerial_gym.interop.launches import ReusableLaunch, compile_ahead, make_struct, on_torch_stream, wait_for_kernel
     from aerial_gym.interop.settings import usual_settings, with_usual_settings
-    from aerial_gym.interop.streams import on_device, recorded, start_warp
+    from aerial_gym.interop.streams import on_device, record_graph, start_warp
     from aerial_gym.interop.threads import launch_side_by_side, one_thread, split
 
 __all__ = [
-    "RecordedLaunch",
+    "ReusableLaunch",
     "compile_ahead",
     "launch_side_by_side",
     "make_struct",
@@ -20,12 +20,12 @@ __all__ = [
     "on_torch_stream",
     "one_thread",
     "plain_device",
-    "recorded",
+    "record_graph",
     "resolve_device",
     "split",
     "start_warp",
     "usual_settings",
-    "wait_for",
+    "wait_for_kernel",
     "with_usual_settings",
 ]
 

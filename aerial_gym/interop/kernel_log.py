@@ -20,13 +20,13 @@ class KernelLog:
 
     def info(self, message: str) -> None:
         """Log a compiled module; drop Warp's banner and modules from the cache."""
-        found = _COMPILED.search(message)
-        if found is None:
+        match = _COMPILED.search(message)
+        if match is None:
             return
-        what = f"{found['module']} for {found['device']} in {float(found['ms']) / 1000.0:.1f} s"
+        summary = f"{match['module']} for {match['device']} in {float(match['ms']) / 1000.0:.1f} s"
         kept = "" if self._told else f"; once for this machine, kept in {wp.config.kernel_cache_dir}"
         self._told = True
-        _log.warning("compiled %s%s", what, kept)
+        _log.warning("compiled %s%s", summary, kept)
 
     def debug(self, message: str) -> None:
         """Log debug messages of Warp, which ``wp.config.log_level`` enables."""

@@ -35,14 +35,14 @@ def _workers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(min(torch.get_num_threads(), MAX_WORKERS), thread_name_prefix="compile")
 
 
-def _forget() -> None:
+def _reset_after_fork() -> None:
     """Reset the compilations in a forked process, which has no threads of its parent."""
     _workers.cache_clear()
     _begun.clear()
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget)
+    os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def compile_ahead(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
@@ -70,7 +70,7 @@ def _own_flags(kernel: wp.Kernel) -> tuple[str, ...]:
     return ("-fno-slp-vectorize",) if kernel.adj.source.count("\n") > LONGEST_SEARCHED else ()
 
 
-def wait_for(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
+def wait_for_kernel(kernel: wp.Kernel, device: wp.Device, *, block_dim: int = 256) -> None:
     """Wait until a kernel of ``compile_ahead`` can be launched; compile errors appear at the launch."""
     begun = _begun.get(_key(kernel, device, block_dim))
     if begun is not None:
@@ -95,7 +95,7 @@ def on_torch_stream(tensor: Tensor) -> Iterator[None]:
         yield
 
 
-class RecordedLaunch:
+class ReusableLaunch:
     """A launch with fixed arguments, for repeated use.
 
     The first use waits for the compilation of its kernel.
@@ -126,7 +126,7 @@ class RecordedLaunch:
     @cached_property
     def command(self) -> wp.Launch:
         """The launch as Warp recorded it."""
-        wait_for(self._kernel, self._device, block_dim=self._given["block_dim"])
+        wait_for_kernel(self._kernel, self._device, block_dim=self._given["block_dim"])
         command = self._launch(self._kernel, device=self._device, record_cmd=True, **self._given)
         assert isinstance(command, wp.Launch)
         return command

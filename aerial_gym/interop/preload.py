@@ -30,7 +30,7 @@ def preload(device: str | None) -> threading.Thread:
     return thread
 
 
-def import_beside() -> None:
+def import_without_torch() -> None:
     """Import modules that do not need PyTorch, while the thread of ``preload`` loads PyTorch's libraries."""
     for name in BESIDE:
         import_module(name)
@@ -49,8 +49,8 @@ def _load(index: int | None) -> None:
 
 def _library(package: str, file: str) -> str:
     """Return the path of a package's library, without importing the package."""
-    found = find_spec(package)
-    folders = (found.submodule_search_locations or [""]) if found is not None else [""]
+    spec = find_spec(package)
+    folders = (spec.submodule_search_locations or [""]) if spec is not None else [""]
     return str(Path(folders[0]) / file)
 
 

@@ -50,14 +50,14 @@ def _no_cache(folder: str | None, reason: str) -> str:
 @contextmanager
 def _silent_stderr() -> Iterator[None]:
     sys.stderr.flush()
-    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 2)
+    kept, null_device = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null_device, 2)
     try:
         yield
     finally:
         os.dup2(kept, 2)
         os.close(kept)
-        os.close(nothing)
+        os.close(null_device)
 
 
 @contextmanager
@@ -68,7 +68,7 @@ def on_device(device: torch.device) -> Iterator[None]:
 
 
 @contextmanager
-def recorded(graph: torch.cuda.CUDAGraph, device: torch.device, *, errors: str = "global") -> Iterator[None]:
+def record_graph(graph: torch.cuda.CUDAGraph, device: torch.device, *, errors: str = "global") -> Iterator[None]:
     """Capture launches into a CUDA graph, on a stream of the given GPU.
 
     torch's own capture stream belongs to the GPU of the first capture. Pending compilations are awaited first, because a GPU

@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from threadpoolctl import threadpool_limits
 
-from aerial_gym.interop.launches import RecordedLaunch
+from aerial_gym.interop.launches import ReusableLaunch
 
 
 @contextmanager
@@ -39,15 +39,15 @@ def _pool(workers: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(workers, thread_name_prefix="warp")
 
 
-def launch_side_by_side(launches: Sequence[RecordedLaunch]) -> None:
+def launch_side_by_side(launches: Sequence[ReusableLaunch]) -> None:
     """Run recorded CPU launches in parallel, each on a thread: Warp releases Python's lock while a kernel runs.
 
     A single launch, as always on a GPU, has no overhead. Split a batch into ``torch.get_num_threads()`` launches, so that
     Warp uses as many cores as torch.
     """
     first, *rest = launches
-    others = [_pool(len(rest)).submit(launch.launch) for launch in rest]
+    futures = [_pool(len(rest)).submit(launch.launch) for launch in rest]
     first.launch()
-    wait(others)
-    for other in others:
+    wait(futures)
+    for other in futures:
         other.result()

@@ -32,7 +32,7 @@ def substream(state: wp.uint32, index: int) -> wp.uint32:
 
 
 @wp.func
-def stream_of(random: RandomArrays, env: int, purpose: int) -> wp.uint32:
+def episode_stream(random: RandomArrays, env: int, purpose: int) -> wp.uint32:
     """Return the random state of a purpose in an environment's present episode, as ``Randomness.stream``."""
     state = substream(wp.rand_init(random.seed[0], purpose), random.environment[env])
     return substream(state, random.episode[env])

@@ -77,36 +77,36 @@ def _scramble(state: Word) -> Word:
     return (word >> 22) ^ word
 
 
-def counted_state(state: Tensor, count: Tensor | int) -> Tensor:
+def split_state(state: Tensor, count: Tensor | int) -> Tensor:
     """Return the random state of a count within a state, int64: ``wp.rand_init(int(state), count)``."""
     if isinstance(count, Tensor):
         return _scramble((state.long() + _scramble(count.long() & 0xFFFFFFFF)) & 0xFFFFFFFF)
     return _scramble((state.long() + _scramble(count & 0xFFFFFFFF)) & 0xFFFFFFFF)
 
 
-def counted_uniform(state: Tensor, *, dtype: torch.dtype) -> Tensor:
+def uniform_draw(state: Tensor, *, dtype: torch.dtype) -> Tensor:
     """Return the first uniform draw of each state, in [0, 1): ``wp.randf(state)``."""
     return (_scramble(state) >> 8).to(dtype) / 2**24
 
 
-def counted_uniforms(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
+def uniform_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
     """Return uniform draws in [0, 1), (..., width), of each state; ``index`` separates the quantities of one state.
 
     They equal consecutive ``wp.randf(stream)`` with ``stream = wp.rand_init(int(state), index)``.
     """
-    stream, draws = counted_state(state, index), []
+    stream, draws = split_state(state, index), []
     for _ in range(width):
         stream = _scramble(stream)
         draws.append((stream >> 8).to(dtype) / 2**24)
     return torch.stack(draws, dim=-1)
 
 
-def counted_normal(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
+def normal_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
     """Return normal draws (..., width); ``index`` separates the quantities of one state.
 
     They equal consecutive ``wp.randn(stream)`` with ``stream = wp.rand_init(int(state), index)`` to round-off.
     """
-    stream, draws = counted_state(state, index), []
+    stream, draws = split_state(state, index), []
     for _ in range(width):
         stream = _scramble(stream)
         radius = torch.sqrt(-2.0 * torch.log((stream >> 8).to(dtype) / 2**24 + 5.96e-8))
@@ -174,16 +174,16 @@ class Randomness:
         self.episode.add_(self.mask)
 
     def stream(self, purpose: Purpose) -> Tensor:
-        """Return the random state of a purpose in every environment, int64, (E,): ``draws.stream_of`` in a kernel."""
-        return counted_state(self._environments(purpose), self.episode)
+        """Return the random state of a purpose in every environment, int64, (E,): ``draws.episode_stream`` in a kernel."""
+        return split_state(self._environments(purpose), self.episode)
 
-    def lasting_stream(self, purpose: Purpose) -> Tensor:
+    def seed_stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of draws that hold in all episodes of a seed, int64, (E,)."""
-        return counted_state(self._environments(purpose), 0)
+        return split_state(self._environments(purpose), 0)
 
     def _environments(self, purpose: Purpose) -> Tensor:
         """Return the random state of seed, purpose and environment. The purpose comes first: if two episodes meet by chance in
 
         one of 2^32 states, they do so for one purpose and differ in the others.
         """
-        return counted_state(counted_state(self.seed, int(purpose)), self.environment)
+        return split_state(split_state(self.seed, int(purpose)), self.environment)

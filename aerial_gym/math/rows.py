@@ -48,7 +48,7 @@ def times(rows: Tensor, matrix: Tensor) -> Tensor:
     return rows @ matrix
 
 
-def on_whole_vectors(function: Callable[..., Result], num_rows: int, device: torch.device) -> Callable[..., Result]:
+def make_batch_invariant(function: Callable[..., Result], num_rows: int, device: torch.device) -> Callable[..., Result]:
     """Return the function with bit-identical results of each row in every batch.
 
     On a CPU the last row is repeated up to a multiple of ``WHOLE_ROWS``; elsewhere the function is unchanged.
@@ -60,13 +60,13 @@ def on_whole_vectors(function: Callable[..., Result], num_rows: int, device: tor
     if device.type != "cpu" or not missing:
         return function
 
-    def padded(tensor: Tensor) -> Tensor:
+    def pad_rows(tensor: Tensor) -> Tensor:
         if tensor.dim() == 0 or tensor.shape[0] != num_rows:
             return tensor
         return torch.cat((tensor, tensor[-1:].expand(missing, *tensor.shape[1:])))
 
     def whole(*tensors: Tensor) -> Result:
-        result = function(*(padded(tensor) for tensor in tensors))
+        result = function(*(pad_rows(tensor) for tensor in tensors))
         return result[:num_rows] if isinstance(result, Tensor) else tuple(part[:num_rows] for part in result)
 
     return whole

@@ -80,7 +80,7 @@ def rotate_inverse(q: wp.quat, v: wp.vec3) -> wp.vec3:
 
 
 @wp.struct
-class _Root:
+class _CholeskyFactor:
     """Lower triangular root L of a symmetric positive 3 x 3 matrix ``L Lᵀ``; its diagonal as reciprocals."""
 
     diagonal: wp.vec3
@@ -88,8 +88,8 @@ class _Root:
 
 
 @wp.func
-def _cholesky_root(a: wp.mat33) -> _Root:
-    factor = _Root()
+def _cholesky_root(a: wp.mat33) -> _CholeskyFactor:
+    factor = _CholeskyFactor()
     x = 1.0 / wp.sqrt(a[0, 0])
     along = a[1, 0] * x
     far = a[2, 0] * x
@@ -102,7 +102,7 @@ def _cholesky_root(a: wp.mat33) -> _Root:
 
 
 @wp.func
-def _forwards(root: _Root, v: wp.vec3) -> wp.vec3:
+def _forwards(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
     """Return ``L⁻¹ v``."""
     x = v[0] * root.diagonal[0]
     y = (v[1] - root.below[0] * x) * root.diagonal[1]
@@ -110,7 +110,7 @@ def _forwards(root: _Root, v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def _backwards(root: _Root, v: wp.vec3) -> wp.vec3:
+def _backwards(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
     """Return ``L⁻ᵀ v``."""
     z = v[2] * root.diagonal[2]
     y = (v[1] - root.below[2] * z) * root.diagonal[1]

@@ -32,7 +32,7 @@ class Capabilities:
     contact_of_links: bool = False  # Whether links have contact forces with ground, obstacles and each other
 
 
-class EffectsThatRun(Collection[str]):
+class EffectSet(Collection[str]):
     """Names of supported effects. An effect is imported at its test, because a vehicle has few."""
 
     def __init__(self, can_run: Callable[[Effect], bool]) -> None:

@@ -33,14 +33,14 @@ class Needs:
     contact_of_links: bool = False  # Whether links have contact forces with ground, obstacles or each other
 
 
-def needs_of(robot: RobotCfg, device: torch.device, **others: object) -> Needs:
+def robot_needs(robot: RobotCfg, device: torch.device, **fields: object) -> Needs:
     """Return the needs of a robot, with further fields of ``Needs`` by name."""
     learned = () if robot.learned_residual is None else (LearnedResidual.name,)
-    others.setdefault("joints", robot.joints is not None)
-    return Needs(device=device, effects=(*robot.effects, *learned), rotors=robot.rotor_traits, **others)  # type: ignore[arg-type]
+    fields.setdefault("joints", robot.joints is not None)
+    return Needs(device=device, effects=(*robot.effects, *learned), rotors=robot.rotor_traits, **fields)  # type: ignore[arg-type]
 
 
-def _lacking(able: Capabilities, needs: Needs) -> Iterator[str]:
+def _unmet_needs(able: Capabilities, needs: Needs) -> Iterator[str]:
     """Yield the unmet needs, as words that follow 'cannot'."""
     if needs.device.type not in able.devices:
         yield f"run on {needs.device} (devices: {', '.join(able.devices)})"
@@ -99,12 +99,16 @@ def _has_type(able: Capabilities, needs: Needs) -> bool:
 
 def require(backend: PhysicsBackend, needs: Needs, *, name: str | None = None) -> None:
     """Raise ``CapabilityError`` for an unmet need, with the backends that meet it."""
-    lacking = list(_lacking(backend.capabilities, needs))
+    lacking = list(_unmet_needs(backend.capabilities, needs))
     if not lacking:
         return
     known = dict.fromkeys((*BACKEND_PREFERENCE, *BACKENDS.names()))
-    others = [
-        n for n in known if n != name and n in BACKENDS and not any(_lacking(BACKENDS.get(n)().capabilities, needs))
+    alternatives = [
+        n for n in known if n != name and n in BACKENDS and not any(_unmet_needs(BACKENDS.get(n)().capabilities, needs))
     ]
-    way_out = f"Use backend {', '.join(map(repr, others))}." if others else "No registered backend can: leave it out."
+    way_out = (
+        f"Use backend {', '.join(map(repr, alternatives))}."
+        if alternatives
+        else "No registered backend can: leave it out."
+    )
     raise CapabilityError(f"backend {name or type(backend).__name__}: cannot {lacking[0]}. {way_out}")

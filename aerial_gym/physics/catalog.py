@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
 
 if TYPE_CHECKING:
@@ -18,5 +18,5 @@ for _name, _place in (
     ("mujoco", "aerial_gym.physics.mujoco.backend:MujocoBackend"),
     ("mujoco_warp", "aerial_gym.physics.mujoco.backend:MujocoWarpBackend"),
 ):
-    _home = Home(_place)
+    _home = ImportPath(_place)
     BACKENDS.register_later(_name, _home.load, summary=_home.summary)

@@ -132,7 +132,7 @@ def _velocity_change(
             pushed = touch & (press > 0.0)
             limit = cfg.friction * (pushed * press).unsqueeze(-1)
             slip = slip_at_start + _times(along, change)
-            rub = base - grip * _times(_without(along, heading), slip)
+            rub = base - grip * _times(_remove_component(along, heading), slip)
             cautious = torch.minimum(limit / _length(slip), penalty)
             if k < ITERATIONS:
                 pushes = pushed
@@ -148,7 +148,7 @@ def _velocity_change(
                 pushes = torch.where(gains.squeeze(-1), pushed, pushes)
                 heading, base = torch.where(gains, 0.0, heading), torch.where(gains, 0.0, base)
                 grip = torch.where(gains, cautious, grip)
-        held = _without(along, heading)
+        held = _remove_component(along, heading)
         impulse = (pushes * load).unsqueeze(-1) * normal + base - grip * _times(held, slip_at_start)
         give = (pushes * hardness)[..., None, None] * across + grip.unsqueeze(-1) * held
         system = inertia + (to_point.mT @ give @ to_point).sum(1)
@@ -163,7 +163,7 @@ def _skew(vector: Tensor) -> Tensor:
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).unflatten(-1, (3, 3))
 
 
-def _without(matrix: Tensor, direction: Tensor) -> Tensor:
+def _remove_component(matrix: Tensor, direction: Tensor) -> Tensor:
     return matrix - direction.unsqueeze(-1) * direction.unsqueeze(-2)
 
 

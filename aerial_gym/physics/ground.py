@@ -29,7 +29,7 @@ class LinkShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinkShapes:
+class LinkContacts:
     """Contact shapes of an articulated vehicle, their pairs and the obstacles."""
 
     links: tuple[int, ...]  # Link of each sphere that can touch the ground, the base being 0, (C,)
@@ -58,7 +58,7 @@ class Ground:
     impulse: Tensor | None = None
     """With ``cfg``: receives the sum of the impulses [N s], world, (E, 3). Never cleared by the physics."""
 
-    on_links: LinkShapes | None = None
+    on_links: LinkContacts | None = None
     """With ``cfg``, contacts of an articulated vehicle; ``spheres`` are then in the axes of their links."""
 
 
@@ -83,7 +83,7 @@ def push_off_ground(
         share: From ``contact.position_share``.
     """
     contacts = ground_contacts(ground, model, after)
-    crashes = crash_at(contacts, cfg, before, after)
+    crashes = detect_crash(contacts, cfg, before, after)
     state, impulse = push(contacts, cfg, model, after, dt=dt, share=share)
     return state, impulse, crashes
 
@@ -99,7 +99,7 @@ def ground_contacts(ground: Ground, model: Model, state: MassState) -> Contacts:
     return Contacts(gap=gap, lever=offset - spheres[:, 3:] * normal, normal=normal)
 
 
-def crash_at(contacts: Contacts, cfg: ContactCfg, before: MassState, after: MassState) -> Tensor:
+def detect_crash(contacts: Contacts, cfg: ContactCfg, before: MassState, after: MassState) -> Tensor:
     """Return whether a contact after a step is a crash, bool (E,): its approach speed was at least ``cfg.crash_speed``."""
     lever = contacts.lever
     turn = quat_rotate(after.attitude, before.ang_vel).unsqueeze(1).expand_as(lever)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.physics.effects import FluidEffect
-from aerial_gym.physics.kirchhoff import coasted
+from aerial_gym.physics.kirchhoff import coast_change
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rigid_body import (
     air_velocity,
@@ -69,17 +69,19 @@ def to_body_state(model: Model, state: MassState) -> BodyState:
 
 def _derivative(model: Model, state: MassState, rotor_acc: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     position, attitude, lin_vel, ang_vel, rotor_speed, _ = vars(state).values()
-    return _accelerated(model, state, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc))
+    return _accelerations(
+        model, state, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+    )
 
 
-def _accelerated(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+def _accelerations(model: Model, state: MassState, wrench: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
     """Return the accelerations of vehicle and load under a force and a torque."""
     (force, torque), attitude, ang_vel = wrench, state.attitude, state.ang_vel
     acc, ang_acc = com_acceleration(model, attitude, force), angular_acceleration(model, ang_vel, torque)
     return with_load(model, attitude, ang_vel, state.load, acc, ang_acc)
 
 
-def held_wrench(
+def step_wrench(
     model: Model, state: MassState, rotor_command: RotorCommand, dt: float
 ) -> tuple[Tensor, tuple[Tensor, Tensor]]:
     """Return the rotor speeds after a step (E, R), and the constant wrench of a first-order integrator.
@@ -98,7 +100,7 @@ def held_wrench(
     return rotor_speed, body_wrench(model, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
 
 
-def swing_on(load: Tensor, swing: Tensor, dt: float) -> Tensor:
+def advance_load(load: Tensor, swing: Tensor, dt: float) -> Tensor:
     """Return direction and rate of a load's link, (E, 6), after a semi-implicit step under n'' [1/s²], (E, 3)."""
     rate = load[:, 3:] + dt * swing
     return _settle(torch.cat((load[:, :3] + dt * rate, rate), dim=-1))
@@ -121,8 +123,8 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorComm
     """
     if model.effects[FluidEffect]:
         return euler_in_fluid(model, state, rotor_command, dt)
-    rotor_speed, wrench = held_wrench(model, state, rotor_command, dt)
-    acc, ang_acc, swing = _accelerated(model, state, wrench)
+    rotor_speed, wrench = step_wrench(model, state, rotor_command, dt)
+    acc, ang_acc, swing = _accelerations(model, state, wrench)
     lin_vel, ang_vel = state.lin_vel + dt * acc, state.ang_vel + dt * ang_acc
     return MassState(
         position=state.position + dt * lin_vel,
@@ -130,7 +132,7 @@ def semi_implicit_euler(model: Model, state: MassState, rotor_command: RotorComm
         lin_vel=lin_vel,
         ang_vel=ang_vel,
         rotor_speed=rotor_speed,
-        load=swing_on(state.load, swing, dt),
+        load=advance_load(state.load, swing, dt),
     )
 
 
@@ -142,8 +144,8 @@ def euler_in_fluid(model: Model, state: MassState, rotor_command: RotorCommand, 
     Source: Hairer, Lubich, Wanner (2006), Geometric Numerical Integration, II.5 (Strang splitting).
     """
     middle = coast(model, state, 0.5 * dt)
-    rotor_speed, (force, torque) = held_wrench(model, middle, rotor_command, dt)
-    acc, ang_acc, swing = _accelerated(model, middle, (force, torque))
+    rotor_speed, (force, torque) = step_wrench(model, middle, rotor_command, dt)
+    acc, ang_acc, swing = _accelerations(model, middle, (force, torque))
     free_force, free_torque = free_wrench(model, middle)
     acc = acc - quat_rotate(middle.attitude, free_force / model.vehicle.mass.unsqueeze(-1))
     ang_acc = ang_acc - multiply_rows(model.inertia_inverse, free_torque)
@@ -163,7 +165,7 @@ def coast(model: Model, state: MassState, dt: float) -> MassState:
     attitude, load = state.attitude, state.load
     through = air_velocity(model, state.position, attitude, state.lin_vel)
     mass = model.vehicle.mass.unsqueeze(-1) + effect.added_mass(params)
-    move, gain, turn, ang_vel = coasted(mass, model.vehicle.inertia, through, state.ang_vel, dt)
+    move, gain, turn, ang_vel = coast_change(mass, model.vehicle.inertia, through, state.ang_vel, dt)
     return replace(
         state,
         position=state.position + dt * state.lin_vel + quat_rotate(attitude, move),

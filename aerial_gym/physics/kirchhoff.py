@@ -13,7 +13,7 @@ Source: Lamb (1932), Hydrodynamics, articles 121-124; Hairer, Lubich, Wanner (20
 import torch
 from torch import Tensor
 
-from aerial_gym.math.short import dot, inverse_3x3
+from aerial_gym.math.small_vectors import dot, inverse_3x3
 from aerial_gym.physics.rigid_body import multiply_rows
 
 ITERATIONS = 5
@@ -22,7 +22,7 @@ ITERATIONS = 5
 cross = torch.linalg.cross
 
 
-def coasted(
+def coast_change(
     mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tensor, dt: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return the changes of motion in a step without force; as small numbers they conserve the invariants in float32.
@@ -42,7 +42,7 @@ def coasted(
     mean = _mean_ang_vel(mass, inertia, lin_vel, ang_vel, dt)
     a = 0.5 * dt * mean
     square = dot(a, a).unsqueeze(-1)
-    more = -cross(a, _turned_half(a, mass * lin_vel)) / mass  # of the mean velocity, body axes that turn
+    more = -cross(a, _half_rotation(a, mass * lin_vel)) / mass  # of the mean velocity, body axes that turn
     end = lin_vel + 2.0 * more
     move = dt / (1.0 + square) * (more + cross(a, lin_vel + more) - square * lin_vel)
     gain = 2.0 * more + 2.0 / (1.0 + square) * (cross(a, end) + cross(a, cross(a, end)))
@@ -54,18 +54,18 @@ def _mean_ang_vel(mass: Tensor, inertia: Tensor, lin_vel: Tensor, ang_vel: Tenso
     half, impulse, spin, mean = 0.5 * dt, mass * lin_vel, multiply_rows(inertia, ang_vel), ang_vel
     unit = torch.eye(3, dtype=mass.dtype, device=mass.device).expand(mass.shape[0], 3, 3)
     for _ in range(ITERATIONS):
-        turned, momentum = _turned_half(half * mean, impulse), multiply_rows(inertia, mean)
+        turned, momentum = _half_rotation(half * mean, impulse), multiply_rows(inertia, mean)
         v = turned / mass
         missing = momentum - spin + half * (cross(mean, momentum) + cross(v, turned))
         w, p, v, spun = (rows.unsqueeze(1) for rows in (mean, turned, v, momentum))  # (E, 1, 3)
-        more = half * _turned_half(half * w, cross(p, unit))
+        more = half * _half_rotation(half * w, cross(p, unit))
         gyroscopic = cross(unit, spun) + cross(w, inertia)
         slopes = inertia + half * (gyroscopic + cross(more / mass.unsqueeze(1), p) + cross(v, more))
         mean = mean - dot(inverse_3x3(slopes.mT), missing.unsqueeze(1))
     return mean
 
 
-def _turned_half(a: Tensor, vector: Tensor) -> Tensor:
+def _half_rotation(a: Tensor, vector: Tensor) -> Tensor:
     """Return ``(1 + [a])^-1 b``, (..., 3): the mean of b and of ``(1 + [a])^-1 (1 - [a]) b``."""
     along = dot(a, vector).unsqueeze(-1) * a
     return (vector - cross(a, vector) + along) / (1.0 + dot(a, a).unsqueeze(-1))

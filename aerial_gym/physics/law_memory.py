@@ -37,7 +37,7 @@ class LawMemory:
         return {"numbers": self.numbers, "past": self.past, "since": self.since}
 
 
-def needs_of(law: object) -> LawNeeds | None:
+def law_needs(law: object) -> LawNeeds | None:
     """Return the memory that a law needs; None without memory."""
     return getattr(law, "needs", None)
 

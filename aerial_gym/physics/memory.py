@@ -10,10 +10,10 @@ from math import ceil
 import torch
 from torch import Tensor
 
-from aerial_gym.math.random import Purpose, Randomness, counted_state
+from aerial_gym.math.random import Purpose, Randomness, split_state
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, LoadEffect, Moment
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rotor_lag import Ramp, RotorCommand, Succession
+from aerial_gym.physics.rotor_lag import CommandSwitch, Ramp, RotorCommand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ def begin_substep(
             commands acts.
         dt: Its length [s].
     """
-    random = counted_state(memory.random.stream(Purpose.EFFECTS), memory.since)
+    random = split_state(memory.random.stream(Purpose.EFFECTS), memory.since)
     moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
     places = model.effects.places(rotor_speed.shape[1])
     numbers = [
@@ -83,19 +83,19 @@ def begin_substep(
     if isinstance(command, Ramp):
         return model, command, memory
     if not model.effects[DelayEffect]:
-        return model, _led_to(model, command), memory
+        return model, _effective_command(model, command), memory
     memory = replace(memory, past=torch.cat((command.unsqueeze(1), memory.past[:, :-1]), dim=1))
-    return model, _delayed(model, memory, rotor_speed, dt), memory
+    return model, _delay_command(model, memory, rotor_speed, dt), memory
 
 
-def _led_to(model: Model, command: Tensor) -> Tensor:
+def _effective_command(model: Model, command: Tensor) -> Tensor:
     """Return the rotor speeds (E, R) that commands lead to."""
     for effect, values in model.effects[CommandEffect]:
         command = effect.command(command, model.vehicle, values)
     return command
 
 
-def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Succession:
+def _delay_command(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> CommandSwitch:
     """Return the delayed commands of the substep; the rotor states before the first command arrives."""
     effect, params = model.effects[DelayEffect][0]
     substeps = (effect.delay(params) / dt).clamp(0.0, float(memory.past.shape[1] - 2))
@@ -103,13 +103,13 @@ def _delayed(model: Model, memory: Memory, rotor_speed: Tensor, dt: float) -> Su
     arriving = []
     for age in (whole.long() + 1, whole.long()):
         rows = age[:, None, None].clamp_max(memory.past.shape[1] - 1).expand(-1, 1, rotor_speed.shape[1])
-        led_to = _led_to(model, memory.past.gather(1, rows).squeeze(1))
+        led_to = _effective_command(model, memory.past.gather(1, rows).squeeze(1))
         arriving.append(torch.where((age <= memory.since).unsqueeze(-1), led_to, rotor_speed))
     earlier, later = arriving
-    return Succession(earlier=earlier, later=later, change=dt * (substeps - whole).unsqueeze(-1))
+    return CommandSwitch(earlier=earlier, later=later, change=dt * (substeps - whole).unsqueeze(-1))
 
 
-def load_of(model: Model, memory: Memory) -> Tensor:
+def load_state(model: Model, memory: Memory) -> Tensor:
     """Return direction and rate of the load's link, (E, 6), or (E, 0) without a load."""
     width = sum(len(effect.memory) for effect, _ in model.effects[LoadEffect])
     return memory.numbers[:, memory.numbers.shape[1] - width :]

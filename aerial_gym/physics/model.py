@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.math.short import inverse_3x3
+from aerial_gym.math.small_vectors import inverse_3x3
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,
@@ -85,13 +85,13 @@ class Model:
         return max((effect.longest for effect, _ in self.effects[DelayEffect]), default=0.0)
 
 
-def bends_of(robot: RobotCfg, *, like: Tensor) -> "Articulation | None":
-    """Return ``articulation_of`` a robot; None for a rigid one, without importing the articulated engine."""
+def load_articulation(robot: RobotCfg, *, like: Tensor) -> "Articulation | None":
+    """Return ``build_articulation`` a robot; None for a rigid one, without importing the articulated engine."""
     if robot.joints is None:
         return None
-    from aerial_gym.physics.articulated.articulation import articulation_of
+    from aerial_gym.physics.articulated.articulation import build_articulation
 
-    return articulation_of(robot, like=like)
+    return build_articulation(robot, like=like)
 
 
 def build_model(
@@ -158,14 +158,18 @@ def check_rotors(effect: Effect | type[Effect], traits: Set[str]) -> None:
 
 def check_joints(effect: Effect | type[Effect], *, bends: bool) -> None:
     """Raise ``ConfigError`` for an effect that does not suit a vehicle with joints, or a rigid one."""
-    others = " or ".join(", ".join(effect.instead).rsplit(", ", 1))
+    alternatives = " or ".join(", ".join(effect.instead).rsplit(", ", 1))
     if not bends and not effect.on_rigid:
-        way_out = f"Give it {others}, or joints" if others else "Give it joints"
+        way_out = f"Give it {alternatives}, or joints" if alternatives else "Give it joints"
         raise ConfigError(
             f"effect {effect.name}: is of the links of a vehicle with joints, and this one is rigid. {way_out}"
         )
     if bends and not effect.on_joints:
-        way_out = f"Give it {others}, or leave out the joints" if others else "Leave the effect out, or the joints"
+        way_out = (
+            f"Give it {alternatives}, or leave out the joints"
+            if alternatives
+            else "Leave the effect out, or the joints"
+        )
         raise ConfigError(f"effect {effect.name}: is for rigid vehicles, and this one has joints. {way_out}")
 
 
@@ -219,12 +223,12 @@ def effects_from_config(
         UnknownNameError: If an effect is not registered.
         ConfigError: If a parameter is unknown, missing or out of bounds.
     """
-    found = []
+    result = []
     for name, values in effects.items():
         effect = EFFECTS.get(name) if robot is None else EFFECTS.get(name).bind_robot(robot)
-        row = torch.tensor(effect.params_from(values), dtype=dtype, device=device)
-        found.append((effect, row.expand(num_envs, -1).clone()))
-    return found
+        row = torch.tensor(effect.parse_params(values), dtype=dtype, device=device)
+        result.append((effect, row.expand(num_envs, -1).clone()))
+    return result
 
 
 def robot_effects(
@@ -235,11 +239,11 @@ def robot_effects(
     With ``rigid`` the robot counts as rigid in its reference pose, and effects on links are omitted.
     """
     effects = effects_on_rigid(robot) if rigid else robot.effects
-    found = effects_from_config(effects, num_envs=num_envs, device=device, dtype=dtype, robot=robot)
+    result = effects_from_config(effects, num_envs=num_envs, device=device, dtype=dtype, robot=robot)
     if robot.learned_residual is not None:
         learned = LearnedResidual(robot.learned_residual, dtype=dtype, device=device)
-        found.append((learned, torch.ones(num_envs, 1, dtype=dtype, device=device)))
-    return found
+        result.append((learned, torch.ones(num_envs, 1, dtype=dtype, device=device)))
+    return result
 
 
 def effects_on_rigid(robot: RobotCfg) -> dict[str, Mapping[str, float]]:
@@ -256,7 +260,7 @@ def check_effects(robot: RobotCfg) -> None:
         check_rotors(effect, robot.rotor_traits)
         check_joints(effect, bends=robot.joints is not None)
         effect.check(robot)
-        row = dict(zip((p.name for p in effect.parameters), effect.params_from(values), strict=True))
+        row = dict(zip((p.name for p in effect.parameters), effect.parse_params(values), strict=True))
         for parameter in effect.parameters:
             if parameter.kind == "rotor" and row[parameter.name] not in range(1, robot.num_rotors + 1):
                 raise ConfigError(

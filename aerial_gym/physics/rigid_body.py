@@ -15,8 +15,8 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
 from aerial_gym.math.rows import times
-from aerial_gym.math.short import dot
-from aerial_gym.physics.answers import Answers
+from aerial_gym.math.small_vectors import dot
+from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import (
     Condition,
     Effect,
@@ -72,7 +72,9 @@ def body_wrench(
     if not any(model.effects[kind] for kind in (RotorEffect, WrenchEffect, FluidEffect)):
         thrust, drag = rotor_thrust(vehicle, rotor_speed), rotor_torque(vehicle, rotor_speed)
         return rotor_wrench(vehicle, thrust, drag)
-    return _wrench_in(model, _condition_in(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc))
+    return _condition_wrench(
+        model, _build_condition(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc)
+    )
 
 
 MOVES_OF_VEHICLE = ("com", "rotor_position", "rotor_axis")
@@ -85,13 +87,13 @@ _THRUST_MAPS = ("thrust_map", "reverse_thrust_map")
 def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
     """Return the condition of effects in a state, with rotor accelerations ``rotor_acc`` [rad/s²], (E, R).
 
-    It depends on vehicle, wind and surroundings only, so models that differ in other effects share it. ``condition_for``
+    It depends on vehicle, wind and surroundings only, so models that differ in other effects share it. ``adapt_condition``
     adapts it to vehicles with equal ``MOVES_OF_VEHICLE``.
     """
     com, turn = model.vehicle.com, state.attitude
     position = state.position + quat_rotate(turn, com)
     com_vel = state.lin_vel + quat_rotate(turn, torch.linalg.cross(state.ang_vel, com))
-    return _condition_in(model, position, turn, com_vel, state.ang_vel, state.rotor_speed, rotor_acc)
+    return _build_condition(model, position, turn, com_vel, state.ang_vel, state.rotor_speed, rotor_acc)
 
 
 def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
@@ -101,7 +103,7 @@ def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Co
     mass share it, except for a wind that depends on position.
     """
     com, turn = model.vehicle.com, state.attitude
-    found = _condition_in(
+    result = _build_condition(
         model,
         state.position + quat_rotate(turn, com),
         turn,
@@ -111,17 +113,17 @@ def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Co
         rotor_acc,
     )
     origin = share_row(torch.zeros_like(com[0]), com.shape[0])
-    return replace(found, position=state.position, vehicle=replace(model.vehicle, com=origin))
+    return replace(result, position=state.position, vehicle=replace(model.vehicle, com=origin))
 
 
-def condition_for(vehicle: Vehicle, known: Condition) -> Condition:
+def adapt_condition(vehicle: Vehicle, known: Condition) -> Condition:
     """Adapt a known condition to a vehicle with equal ``MOVES_OF_VEHICLE``."""
     maps = [(getattr(vehicle, name), getattr(known.vehicle, name)) for name in _THRUST_MAPS]
     same = all(is_shared(old) and is_same_row(new, old) for new, old in maps)
     return known.of_vehicle(vehicle, known.rotor_thrust if same else rotor_thrust(vehicle, known.rotor_speed))
 
 
-def _condition_in(
+def _build_condition(
     model: Model,
     position: Tensor,
     attitude: Tensor,
@@ -147,7 +149,7 @@ def _condition_in(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Acting:
+class ForceBreakdown:
     """Contributions to force and torque on the body, without gravity."""
 
     thrust: Tensor
@@ -168,14 +170,14 @@ class Acting:
         return sum((more for _, more in self.thrusts), self.thrust)
 
 
-def acting_in(
+def force_breakdown(
     model: Model,
     condition: Condition,
-    answers: Answers[Condition] | None = None,
+    answers: EffectCache[Condition] | None = None,
     *,
     apart: bool = False,
     hubs: Condition | None = None,
-) -> Acting:
+) -> ForceBreakdown:
     """Return the contributions to the wrench in a condition, without fluid and load, which depend on their sum.
 
     Args:
@@ -185,39 +187,41 @@ def acting_in(
     """
     hubs = condition if hubs is None else hubs
 
-    def asked(law: Callable[..., Tensor], source: Condition, *params: Tensor) -> Tensor:
+    def evaluate(law: Callable[..., Tensor], source: Condition, *params: Tensor) -> Tensor:
         return law(source, *params) if answers is None else answers.ask(law, source, *params)
 
-    more = [(effect.name, asked(effect.thrust, hubs, params)) for effect, params in model.effects[RotorEffect]]
-    found = Acting(thrust=hubs.rotor_thrust, thrusts=more, wrenches=[])
-    condition, hubs = condition.with_thrust(found.whole_thrust), hubs.with_thrust(found.whole_thrust)
+    more = [(effect.name, evaluate(effect.thrust, hubs, params)) for effect, params in model.effects[RotorEffect]]
+    result = ForceBreakdown(thrust=hubs.rotor_thrust, thrusts=more, wrenches=[])
+    condition, hubs = condition.with_thrust(result.whole_thrust), hubs.with_thrust(result.whole_thrust)
     for effect, params in model.effects[WrenchEffect]:
         seen = hubs if effect.at_hubs else condition
         if apart and isinstance(effect, LinearWrenchEffect):
-            found.linear.append((effect.name, asked(effect.regressor, seen), params))
+            result.linear.append((effect.name, evaluate(effect.regressor, seen), params))
         else:
-            found.wrenches.append((effect.name, asked(effect.wrench, seen, params)))
-    return found
+            result.wrenches.append((effect.name, evaluate(effect.wrench, seen, params)))
+    return result
 
 
-def with_fluid(model: Model, condition: Condition, acting: Acting) -> Acting:
+def with_fluid(model: Model, condition: Condition, acting: ForceBreakdown) -> ForceBreakdown:
     """Add the contributions of fluids with added mass, which depend on the sum of all others."""
     if not model.effects[FluidEffect]:
         return acting
-    change = torch.cat(_wrench_of(model, condition, acting), dim=-1) - torch.cat(
-        _summed(model, condition, acting), dim=-1
+    change = torch.cat(_total_wrench(model, condition, acting), dim=-1) - torch.cat(
+        _sum_wrenches(model, condition, acting), dim=-1
     )
     return replace(acting, wrenches=[*acting.wrenches, ("fluids", change)])
 
 
-def _wrench_in(model: Model, condition: Condition, answers: Answers[Condition] | None = None) -> tuple[Tensor, Tensor]:
+def _condition_wrench(
+    model: Model, condition: Condition, answers: EffectCache[Condition] | None = None
+) -> tuple[Tensor, Tensor]:
     """Return the force without gravity [N] and the torque about the centre of mass [N m], body, each (E, 3)."""
-    return _wrench_of(model, condition, acting_in(model, condition, answers))
+    return _total_wrench(model, condition, force_breakdown(model, condition, answers))
 
 
-def _wrench_of(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor, Tensor]:
+def _total_wrench(model: Model, condition: Condition, acting: ForceBreakdown) -> tuple[Tensor, Tensor]:
     """Return total force [N] and torque [N m] with added mass, body, each (E, 3)."""
-    force, torque = _summed(model, condition, acting)
+    force, torque = _sum_wrenches(model, condition, acting)
     for effect, params in model.effects[FluidEffect]:
         condition = condition.with_thrust(acting.whole_thrust)
         wrench = effect.entrain(torch.cat((force, torque), dim=-1), condition, model.gravity, params)
@@ -225,7 +229,7 @@ def _wrench_of(model: Model, condition: Condition, acting: Acting) -> tuple[Tens
     return force, torque
 
 
-def _summed(model: Model, condition: Condition, acting: Acting) -> tuple[Tensor, Tensor]:
+def _sum_wrenches(model: Model, condition: Condition, acting: ForceBreakdown) -> tuple[Tensor, Tensor]:
     """Return the sum of forces [N] and torques [N m], body, each (E, 3)."""
     drag = rotor_torque(model.vehicle, condition.rotor_speed)
     force, torque = rotor_wrench(model.vehicle, acting.whole_thrust, drag)
@@ -298,10 +302,12 @@ def pull_of_load(
     lever = -model.vehicle.com
     turning = torch.linalg.cross(ang_acc, lever)
     turning = turning + torch.linalg.cross(ang_vel, torch.linalg.cross(ang_vel, lever))
-    return pull_at(model, attitude, suspension_at(model, attitude, acc + quat_rotate(attitude, turning)), load)
+    return suspension_pull(
+        model, attitude, origin_suspension(model, attitude, acc + quat_rotate(attitude, turning)), load
+    )
 
 
-def suspension_at(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspension:
+def origin_suspension(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspension:
     """Return the suspension of a load at the body origin, which has ``acceleration`` [m/s²], world, (E, 3), without it."""
     cross = _skew(-model.vehicle.com)
     mobility = -cross @ model.inertia_inverse @ cross
@@ -310,7 +316,9 @@ def suspension_at(model: Model, attitude: Tensor, acceleration: Tensor) -> Suspe
     return Suspension(acceleration=acceleration, mobility=rotation @ mobility @ rotation.mT, gravity=model.gravity)
 
 
-def pull_at(model: Model, attitude: Tensor, suspension: Suspension, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def suspension_pull(
+    model: Model, attitude: Tensor, suspension: Suspension, load: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     """Return force, torque and n'' of a load on a suspension, as ``pull_of_load``."""
     ((effect, params),) = model.effects[LoadEffect]
     force, swing = effect.pull(suspension, load, params)
@@ -327,10 +335,10 @@ def _skew(vector: Tensor) -> Tensor:
 def with_memory(model: Model, remembered: Mapping[str, Tensor]) -> Model:
     """Return the model with the effects' memory appended to their parameters."""
 
-    def joined(effect: Effect, params: Tensor) -> Tensor:
+    def append_memory(effect: Effect, params: Tensor) -> Tensor:
         return torch.cat((params, remembered[effect.name]), dim=-1) if effect.name in remembered else params
 
-    return replace(model, effects=model.effects.with_params(joined))
+    return replace(model, effects=model.effects.with_params(append_memory))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,7 +357,7 @@ def accelerations(
     load: Tensor | None = None,
     remembered: Mapping[str, Tensor] | None = None,
     condition: Condition | None = None,
-    answers: Answers[Condition] | None = None,
+    answers: EffectCache[Condition] | None = None,
 ) -> Accelerations:
     """Return specific force and angular acceleration in a state; each row may be a moment of a flight log.
 
@@ -378,7 +386,7 @@ def accelerations(
     if condition is None:
         spin_up = torch.zeros_like(state.rotor_speed) if rotor_acc is None else rotor_acc
         condition = condition_in(model, state, spin_up)
-    force, torque = _wrench_in(model, condition, answers)
+    force, torque = _condition_wrench(model, condition, answers)
     ang_acc = angular_acceleration(model, ang_vel, torque)
     felt = force / model.vehicle.mass.unsqueeze(-1)
     if load is not None:

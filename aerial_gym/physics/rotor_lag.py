@@ -20,7 +20,7 @@ SHORTEST = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Succession:
+class CommandSwitch:
     """Two successive commands of the rotors within a step."""
 
     earlier: Tensor  # First commands [rad/s] or [N], (E, R)
@@ -35,7 +35,7 @@ class Ramp:
     rate: Tensor  # Rate of change of their states [rad/s²] or [N/s], (E, R)
 
 
-RotorCommand = Tensor | Succession | Ramp
+RotorCommand = Tensor | CommandSwitch | Ramp
 """Command of the rotors in a step: one constant (E, R), two successive ones, or measured speeds."""
 
 
@@ -61,7 +61,7 @@ def _follow_held(vehicle: Vehicle, state: Tensor, command: Tensor, dt: float | T
     lag = vehicle.time_constant_up, vehicle.time_constant_down
     if not vehicle.traits & {"reversible", "slew"}:
         return lag_speed(state, command, *lag, dt)
-    return limited_lag(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, dt)
+    return slew_limited_lag(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, dt)
 
 
 def stage_rates(
@@ -76,16 +76,16 @@ def stage_rates(
         return command.rate, command.rate, command.rate
     start, _, end = stages
     if isinstance(command, Tensor):
-        return tuple(rate_towards(vehicle, state, command, command - start, dt) for state in stages)
+        return tuple(state_rate(vehicle, state, command, command - start, dt) for state in stages)
     rates = []
     for state, time in zip(stages, (0.0, 0.5 * dt, dt), strict=True):
         now = torch.where(command.change > time, command.earlier, command.later)
-        rates.append(rate_towards(vehicle, state, now, end - start, dt))
+        rates.append(state_rate(vehicle, state, now, end - start, dt))
     missing = (end - start) / dt - (rates[0] + 4.0 * rates[1] + rates[2]) / 6.0
     return tuple(rate + missing for rate in rates)
 
 
-def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, dt: float) -> Tensor:
+def state_rate(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, dt: float) -> Tensor:
     """Return the rates of change of the states, (E, R); those of rotors without lag are ``jump / dt``."""
     lag = vehicle.time_constant_up, vehicle.time_constant_down
     if not vehicle.traits & {"reversible", "slew"}:
@@ -97,7 +97,7 @@ def rate_towards(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor,
     return torch.maximum(torch.minimum(rate, slew), -slew)
 
 
-def limited_lag(
+def slew_limited_lag(
     state: Tensor,
     command: Tensor,
     tau_up: Tensor,
@@ -132,20 +132,20 @@ def limited_lag(
     falls = state * way < 0.0
     crosses = falls & (command * way > 0.0)
     beyond = torch.where(crosses, command.abs(), 1.0)
-    until_zero = _time_between(torch.where(crosses, distance, 1.0), beyond, tau_down, slew_down)
+    until_zero = _fall_time(torch.where(crosses, distance, 1.0), beyond, tau_down, slew_down)
     span = torch.zeros_like(distance) + dt  # of their float type, which a bare number would not have
     falling = torch.minimum(torch.where(crosses, until_zero, torch.where(falls, span, 0.0)), span)
-    distance = _remaining(distance, tau_down, slew_down, falling)
-    return command - way * _remaining(distance, tau_up, slew_up, span - falling)
+    distance = _distance_left(distance, tau_down, slew_down, falling)
+    return command - way * _distance_left(distance, tau_up, slew_up, span - falling)
 
 
-def _remaining(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) -> Tensor:
+def _distance_left(distance: Tensor, tau: Tensor, slew: Tensor, span: Tensor) -> Tensor:
     """Return the remaining part of a distance >= 0 after a span [s]."""
     linear = torch.minimum(slew * span, (distance - slew * tau).clamp_min(0.0))
     return (distance - linear) * torch.exp(-(span - linear / slew).clamp_min(0.0) / tau)
 
 
-def _time_between(distance: Tensor, less: Tensor, tau: Tensor, slew: Tensor) -> Tensor:
+def _fall_time(distance: Tensor, less: Tensor, tau: Tensor, slew: Tensor) -> Tensor:
     """Return the time [s] in which a distance shrinks to ``less`` > 0."""
     linear = torch.minimum((distance - slew * tau).clamp_min(0.0), distance - less)
     return linear / slew + tau * torch.log((distance - linear) / less)

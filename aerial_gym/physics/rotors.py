@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.rows import times
-from aerial_gym.math.short import sum_slices
+from aerial_gym.math.small_vectors import sum_slices
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 

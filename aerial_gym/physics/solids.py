@@ -56,7 +56,7 @@ class Solids:
         rows = ([solid.position for solid in self.table], [solid.attitude for solid in self.table])
         return torch.tensor(rows[0], **kind), torch.tensor(rows[1], **kind)
 
-    def of_parts(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def part_motion(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return poses and velocities of all parts, float64.
 
         Returns:

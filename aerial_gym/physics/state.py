@@ -30,12 +30,12 @@ class BodyState:
 
     def copy_(self, other: "BodyState") -> None:
         """Write the values of ``other`` into these tensors."""
-        for mine, theirs in zip(self.tensors(), other.tensors(), strict=True):
-            mine.copy_(theirs)
+        for target, source in zip(self.tensors(), other.tensors(), strict=True):
+            target.copy_(source)
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointedState(BodyState):
+class ArticulatedState(BodyState):
     """State of an articulated vehicle, whose body is the base of a tree of links."""
 
     joint_pos: Tensor  # Coordinates of the joints [rad] or [m], (E, D)

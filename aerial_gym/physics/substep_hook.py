@@ -15,7 +15,7 @@ from torch import Tensor
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics.fused.hook import FusedHook, trajectory_hook
 from aerial_gym.physics.integrators import MassState
-from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.state import ArticulatedState, BodyState
 
 
 class SubstepHook(Protocol):
@@ -88,7 +88,7 @@ class Trajectory:
         self.position[row].copy_(state.position)
         self.attitude[row].copy_(state.attitude)
         if self.joint_pos is not None:
-            assert isinstance(state, JointedState)
+            assert isinstance(state, ArticulatedState)
             self.joint_pos[row].copy_(state.joint_pos)
 
     def fused(self) -> FusedHook:

@@ -26,20 +26,20 @@ from aerial_gym.physics.law_memory import (
     forget_law,
     fresh_law_memory,
     law_command,
-    needs_of,
+    law_needs,
 )
 from aerial_gym.physics.memory import (
     Memory,
     begin_substep,
     end_substep,
     forget,
-    load_of,
+    load_state,
     make_memory,
     num_past_commands,
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import Ramp, stop_in_dead_band
-from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
 from aerial_gym.physics.torch_rows import SubstepRows
 from aerial_gym.physics.vehicle import is_shared
@@ -64,8 +64,8 @@ def advance(
         command: Constant action, (E, number of actions).
         dt: Length of one substep [s].
     """
-    memory, law_memory = make_memory(model, dt) if model.effects.remembering else None, None
-    needs = needs_of(control)
+    memory, law_memory = make_memory(model, dt) if model.effects.names_with_memory else None, None
+    needs = law_needs(control)
     if needs is not None:
         check_law_step(needs, dt)
         law_memory = fresh_law_memory(needs, state.num_envs, state.position)
@@ -107,7 +107,7 @@ def _substep(
         before = to_mass_state(model, state)
         return before, stepper(model, before, rotor_command, dt), None
     now, followed, memory = begin_substep(model, memory, state.rotor_speed, rotor_command, dt)
-    before = to_mass_state(model, state, load_of(model, memory))
+    before = to_mass_state(model, state, load_state(model, memory))
     after = stepper(now, before, followed, dt)
     return before, after, end_substep(memory, after.load)
 
@@ -115,7 +115,7 @@ def _substep(
 AnyMemory = TypeVar("AnyMemory", Memory, LawMemory)
 
 
-def _kept(old: AnyMemory | None, new: AnyMemory | None) -> AnyMemory | None:
+def _store_memory(old: AnyMemory | None, new: AnyMemory | None) -> AnyMemory | None:
     """Return the memory to keep: the old one, written in place for captured steps, or the new one if it has gradients."""
     if new is None or old is None or any(part.requires_grad for m in (new, old) for part in m.tensors().values()):
         return new
@@ -130,7 +130,7 @@ def _cut(memory: AnyMemory) -> AnyMemory:
 
 
 @torch.no_grad()
-def in_places(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def copy_tensors(places: dict[str, Tensor], tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Copy tensors into ``places``, allocating new names, and return these."""
     for name, tensor in tensors.items():
         if name not in places or places[name].shape != tensor.shape:
@@ -214,23 +214,25 @@ class TorchBackend:
     def load(self) -> Tensor | None:
         """Return direction and rate of the load's link, (E, 6); None without a load."""
         return (
-            load_of(self._model, self._memory) if self._memory is not None and self._model.effects[LoadEffect] else None
+            load_state(self._model, self._memory)
+            if self._memory is not None and self._model.effects[LoadEffect]
+            else None
         )
 
     def prepare(self, dt: float) -> None:
         """Allocate the memory of effects and control law."""
-        self._memory_for(dt)
-        self._law_memory_for(self._model.vehicle.mass, dt)
+        self._get_memory(dt)
+        self._get_law_memory(self._model.vehicle.mass, dt)
         if self._model.articulation is not None and self._model.articulation.num_creep and self._crept is None:
             self._crept = self._model.articulation.fresh_creep(self._model.vehicle.num_envs)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint, by name."""
-        found = {f"parameter.{i}": rows for i, rows in enumerate(self.parameter_targets())}
+        tensors = {f"parameter.{i}": rows for i, rows in enumerate(self.parameter_targets())}
         for name, memory in (("memory", self._memory), ("law", self.law_memory)):
             if memory is not None:
-                found |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
-        return found if self._crept is None else found | {"crept": self._crept}
+                tensors |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
+        return tensors if self._crept is None else tensors | {"crept": self._crept}
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the vehicle's parameters that differ between environments, and the inverse inertia."""
@@ -258,46 +260,48 @@ class TorchBackend:
         if self._model.articulation is None:
             before, after = self._free_substep(state, command, dt)
             return before, to_body_state(self._model, after)
-        assert isinstance(state, JointedState)
-        return to_mass_state(self._model, state), self._jointed_substep(state, command, dt)
+        assert isinstance(state, ArticulatedState)
+        return to_mass_state(self._model, state), self._articulated_substep(state, command, dt)
 
-    def _jointed_substep(self, state: JointedState, command: Tensor, dt: float) -> JointedState:
+    def _articulated_substep(self, state: ArticulatedState, command: Tensor, dt: float) -> ArticulatedState:
         """Return the state after a substep; the last entries of the action command the joints' drives."""
-        from aerial_gym.physics.articulated.flight import jointed_step
+        from aerial_gym.physics.articulated.flight import articulated_step
 
-        memory, model = self._memory_for(dt), self._model
+        memory, model = self._get_memory(dt), self._model
         assert model.articulation is not None
         num_actions = command.shape[1] - model.articulation.num_driven
         command, joint_command = command[:, :num_actions], command[:, num_actions:]
-        followed, law_memory = law_command(self._control, state, command, self._law_memory_for(state.position, dt))
+        followed, law_memory = law_command(self._control, state, command, self._get_law_memory(state.position, dt))
         followed = stop_in_dead_band(model.vehicle, followed)
-        self.law_memory = _kept(self.law_memory, law_memory)
+        self.law_memory = _store_memory(self.law_memory, law_memory)
         if memory is not None:
             model, followed, memory = begin_substep(model, memory, state.rotor_speed, followed, dt)
-            self._memory = _kept(self._memory, end_substep(memory, state.position[:, :0]))
-        step = partial(jointed_step, model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt))
+            self._memory = _store_memory(self._memory, end_substep(memory, state.position[:, :0]))
+        step = partial(
+            articulated_step, model, state, followed, joint_command, dt, stepper=self.tree_stepper(model, dt)
+        )
         bends = self._model.articulation
         if bends is None or not bends.num_creep:
             return step()
         before = bends.fresh_creep(state.num_envs) if self._crept is None else self._crept
         crept = bends.initialise_creep(before, state.joint_pos)
         after = step(crept=crept)
-        crept = bends.creep_on(crept, after.joint_pos, dt)
+        crept = bends.advance_creep(crept, after.joint_pos, dt)
         self._crept = crept if self._crept is None or crept.requires_grad else self._crept.copy_(crept)
         return after
 
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""
-        memory = self._memory_for(dt)
-        rotor_command, law_memory = law_command(self._control, state, command, self._law_memory_for(state.position, dt))
+        memory = self._get_memory(dt)
+        rotor_command, law_memory = law_command(self._control, state, command, self._get_law_memory(state.position, dt))
         before, after, memory = _substep(self._model, self._stepper, state, rotor_command, dt, memory)
-        self._memory = _kept(self._memory, memory)
-        self.law_memory = _kept(self.law_memory, law_memory)
+        self._memory = _store_memory(self._memory, memory)
+        self.law_memory = _store_memory(self.law_memory, law_memory)
         return before, after
 
-    def _law_memory_for(self, like: Tensor, dt: float) -> LawMemory | None:
+    def _get_law_memory(self, like: Tensor, dt: float) -> LawMemory | None:
         """Return the memory of the control law, allocated at its first step."""
-        needs = needs_of(self._control)
+        needs = law_needs(self._control)
         if needs is None:
             return None
         check_law_step(needs, dt)
@@ -305,9 +309,9 @@ class TorchBackend:
             self.law_memory = fresh_law_memory(needs, like.shape[0], like)
         return self.law_memory
 
-    def _memory_for(self, dt: float) -> Memory | None:
+    def _get_memory(self, dt: float) -> Memory | None:
         """Return the memory of effects, reallocated if the length of a substep changes the number of commands."""
-        if not self._model.effects.remembering:
+        if not self._model.effects.names_with_memory:
             return None
         if self._memory is None or self._memory.past.shape[1] != num_past_commands(self._model, dt):
             self._memory = make_memory(self._model, dt, random=self._random)
@@ -339,13 +343,13 @@ class TorchBackend:
         state.copy_(after)
         return before
 
-    def in_rows(self, state: BodyState, command: Tensor, dt: float) -> SubstepRows | None:
+    def make_substep_rows(self, state: BodyState, command: Tensor, dt: float) -> SubstepRows | None:
         """Return a substep as one kernel for such a state and action; None if it needs torch operations.
 
         Memory of effects or law, or contact forces, need them. The kernel is valid until the model is replaced.
         """
         ground, model = self._ground, self._model
-        remembers = model.effects.remembering or needs_of(self._control) is not None
+        remembers = model.effects.names_with_memory or law_needs(self._control) is not None
         if remembers or model.articulation is not None or (ground is not None and ground.cfg is not None):
             return None
 
@@ -385,11 +389,11 @@ class TorchBackend:
         """Detach the memory from gradients, in the same tensors at every call."""
         self.detach()
         if self._memory is not None:
-            self._memory = replace(self._memory, **in_places(self._places[0], self._memory.tensors()))
+            self._memory = replace(self._memory, **copy_tensors(self._places[0], self._memory.tensors()))
         if self.law_memory is not None:
-            self.law_memory = replace(self.law_memory, **in_places(self._places[1], self.law_memory.tensors()))
+            self.law_memory = replace(self.law_memory, **copy_tensors(self._places[1], self.law_memory.tensors()))
         if self._crept is not None:
-            self._crept = in_places(self._places[2], {"crept": self._crept})["crept"]
+            self._crept = copy_tensors(self._places[2], {"crept": self._crept})["crept"]
 
     def forget(self, mask: Tensor) -> None:
         """Reset the memory of the environments in ``mask``, and keep the gradients of others.
@@ -408,8 +412,8 @@ class TorchBackend:
         """Reset the memory of the environments in ``mask``; gradients through memory end for all."""
         self.detach()
         if self._memory is not None:
-            self._memory = _kept(self._memory, forget(self._memory, mask))
+            self._memory = _store_memory(self._memory, forget(self._memory, mask))
         if self.law_memory is not None:
-            self.law_memory = _kept(self.law_memory, forget_law(self.law_memory, mask))
+            self.law_memory = _store_memory(self.law_memory, forget_law(self.law_memory, mask))
         if self._crept is not None:
             self._crept.masked_fill_(mask[:, None, None], nan)

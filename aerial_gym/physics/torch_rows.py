@@ -36,7 +36,7 @@ class SubstepRows:
         rows = [action, *state.tensors()]
         if ground is not None:
             rows.append(ground.spheres)
-        self._rows = DifferentiableRows(partial(self._of, substep, dt), rows, lifts=True)
+        self._rows = DifferentiableRows(partial(self._compute, substep, dt), rows, lifts=True)
 
     def __call__(self, state: BodyState, action: Tensor) -> BodyState:
         """Return the differentiable state after the substep, and update the ground's contacts."""
@@ -46,7 +46,7 @@ class SubstepRows:
         self._ground.contact.logical_or_(touches)
         return self._state(after)
 
-    def _of(self, substep: Substep, dt: float, action: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
+    def _compute(self, substep: Substep, dt: float, action: Tensor, *given: Tensor) -> tuple[Tensor, ...]:
         after = substep(self._state(given[: len(self._names)]), action, dt)
         if self._ground is None:
             return after.tensors()

@@ -200,8 +200,8 @@ def vehicle_from_config(
         dead_band=rows([rotor.dead_band for rotor in rotors]),
         rotor_radius=rows([nan if rotor.radius is None else rotor.radius for rotor in rotors]),
         battery=rows(battery),
-        speed_low=rows([rotor.speed_at(rotor.thrust_range[0]) for rotor in rotors]),
-        speed_high=rows([rotor.speed_at(rotor.thrust_range[1]) for rotor in rotors]),
+        speed_low=rows([rotor.speed_for_thrust(rotor.thrust_range[0]) for rotor in rotors]),
+        speed_high=rows([rotor.speed_for_thrust(rotor.thrust_range[1]) for rotor in rotors]),
         traits=robot.rotor_traits,
     )
     _check_numbers(vehicle)

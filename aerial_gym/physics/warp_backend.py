@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import (
-    RecordedLaunch,
+    ReusableLaunch,
     compile_ahead,
     launch_side_by_side,
     make_struct,
@@ -25,7 +25,7 @@ from aerial_gym.interop import (
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectsThatRun
+from aerial_gym.physics.backend import Capabilities, ControlLaw, EffectSet
 from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.effects import Effect, FluidEffect, LoadEffect
 from aerial_gym.physics.fused.contact import contact_parameters
@@ -38,11 +38,11 @@ from aerial_gym.physics.fused.packing import (
     Numbers,
     Packing,
     arrange,
-    numbers_of,
-    packed_rows,
+    collect_numbers,
+    make_structs,
+    model_types,
+    pack_rows,
     parameter_rows,
-    shared_structs,
-    types_of,
 )
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.ground import Ground
@@ -81,7 +81,7 @@ class _Binding:
     command: Tensor
     dt: float
     substeps: int
-    launches: list[RecordedLaunch]
+    launches: list[ReusableLaunch]
 
 
 class WarpBackend:
@@ -105,7 +105,7 @@ class WarpBackend:
             dtypes=(torch.float32,),
             integrators=tuple(STAGES),
             differentiable=self._differentiable,
-            effects=EffectsThatRun(self._can_run),
+            effects=EffectSet(self._can_run),
             rotors=ROTOR_TRAITS,
             contact=not self._differentiable,
             joints=not self._differentiable,
@@ -134,10 +134,10 @@ class WarpBackend:
         for effect, _ in model.effects.forces:
             if not effect.has_twin:
                 raise CapabilityError(f"backend warp: cannot run effect {effect.name!r}. Use backend 'torch'.")
-        if self._differentiable and model.effects.remembering:
+        if self._differentiable and model.effects.names_with_memory:
             raise CapabilityError(
-                f"backend warp: a differentiable rollout cannot run effect {model.effects.remembering[0]!r}, which has memory. "
-                "Use backend 'torch'."
+                f"backend warp: a differentiable rollout cannot run effect {model.effects.names_with_memory[0]!r}, "
+                "which has memory. Use backend 'torch'."
             )
         if model.articulation is not None:
             if self._differentiable:
@@ -205,8 +205,10 @@ class WarpBackend:
     def _ground_arrays(self, ground: Ground | None) -> _GroundArrays:
         """Return the kernel arguments of a ground."""
         if ground is None:
-            nothing = torch.zeros(1, 4, device=self._device)
-            ground = Ground(height=0.0, spheres=nothing, contact=torch.zeros(1, dtype=torch.bool, device=self._device))
+            placeholder = torch.zeros(1, 4, device=self._device)
+            ground = Ground(
+                height=0.0, spheres=placeholder, contact=torch.zeros(1, dtype=torch.bool, device=self._device)
+            )
         impulse = ground.impulse
         if impulse is None:  # unread
             impulse = torch.zeros(self._num_envs if ground.cfg is not None else 1, 3, device=self._device)
@@ -220,7 +222,7 @@ class WarpBackend:
         )
 
     def _numbers(self, dt: float) -> Numbers:
-        return numbers_of(self._model, self._law, STAGES[self._integrator] * dt)
+        return collect_numbers(self._model, self._law, STAGES[self._integrator] * dt)
 
     def set_model(self, model: Model) -> None:
         """Replace the parameters.
@@ -276,27 +278,27 @@ class WarpBackend:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the state for a checkpoint, by name."""
-        found = {"packed": self._packed}
+        tensors = {"packed": self._packed}
         for name, memory in (("memory", self._memory), ("law", self.law_memory)):
             if memory is not None:
-                found |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
+                tensors |= {f"{name}.{key}": tensor for key, tensor in memory.tensors().items()}
         bends = self._model.articulation
         if self._dashpots is not None and bends is not None and bends.num_creep:
-            found["dashpots"] = self._dashpots
-        return found
+            tensors["dashpots"] = self._dashpots
+        return tensors
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the packed numbers of the vehicle and of a law that follows it, (E, n), and of the effects, (E, m)."""
         follow = self._law.follow
         law = self._law if follow is None else replace(self._law, **follow(model.vehicle))
-        numbers = numbers_of(model, law, STAGES[self._integrator] * self._dt)
+        numbers = collect_numbers(model, law, STAGES[self._integrator] * self._dt)
         return parameter_rows(self._packing, numbers, command=follow is not None)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
         """Return their memory in the packed tensor (N, E)."""
         width = sum(rows.shape[1] for rows in self._numbers(self._dt).effects)
         packing = self._packing
-        first = packing.behind_vehicle if self._law.follow is None else packing.behind_command
+        first = packing.vehicle_end if self._law.follow is None else packing.command_end
         return tuple(
             rows.T for rows in (self._packed[:first], self._packed[self._packing.effects :][:width]) if len(rows)
         )
@@ -310,14 +312,14 @@ class WarpBackend:
     @torch.no_grad()
     def _write_packed(self) -> None:
         if self._packing.total:
-            torch.cat([rows.T for rows in packed_rows(self._packing, self._numbers(self._dt))], out=self._packed)
+            torch.cat([rows.T for rows in pack_rows(self._packing, self._numbers(self._dt))], out=self._packed)
 
     def _prepare(self, dt: float) -> None:
         """Compute all values that depend on the length of a substep."""
         self._dt, self._binding = dt, None
         self._write_packed()
         self._arrange_memory(dt)
-        self._shared = shared_structs(self._packing, self._numbers(dt), self._law, types_of(self._model))
+        self._shared = make_structs(self._packing, self._numbers(dt), self._law, model_types(self._model))
 
     def _arrange_memory(self, dt: float) -> None:
         """Allocate the memory unless its size is right; neighbouring environments are contiguous, (M, E)."""
@@ -331,7 +333,7 @@ class WarpBackend:
 
     def _effect_arrays(self, dt: float) -> Any:
         """Return ``MemoryArrays``; None if no effect has memory."""
-        if not self._model.effects.remembering:
+        if not self._model.effects.names_with_memory:
             return None
         slots = num_past_commands(self._model, dt)
         memory = self._memory
@@ -379,7 +381,7 @@ class WarpBackend:
         launches = []
         for first, count in self._chunks(substeps):
             launches.append(
-                RecordedLaunch(
+                ReusableLaunch(
                     self.kernel,
                     dim=count,
                     inputs=[*inputs, first, self._memory_arrays, self._hook_data, *creep],
@@ -430,7 +432,7 @@ class WarpBackend:
             after = replace(state, **{name: tensor.clone() for name, tensor in vars(state).items()})
             self.step(after, command, dt, substeps)
             return after
-        rows = packed_rows(self._packing, self._numbers(dt))
+        rows = pack_rows(self._packing, self._numbers(dt))
         rollout = Rollout(self.kernel, self._shared, self._ground, self._model.gravity, dt, substeps, self._kinds())
         after = rollout(state.tensors(), command, torch.cat([row.T for row in rows]))
         return BodyState(**dict(zip(vars(state), after, strict=True)))

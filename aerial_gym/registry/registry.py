@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeVar, cast
 
-from aerial_gym.errors import DuplicateNameError, UnknownNameError, did_you_mean
+from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class _Later(Generic[T]):
+class _LazyEntry(Generic[T]):
     """An entry before its first use."""
 
     make: Callable[[], T]
@@ -22,7 +22,7 @@ class Registry(Generic[T]):
 
     def __init__(self, kind: str) -> None:
         self._kind = kind
-        self._entries: dict[str, T | _Later[T]] = {}
+        self._entries: dict[str, T | _LazyEntry[T]] = {}
 
     @property
     def kind(self) -> str:
@@ -42,7 +42,7 @@ class Registry(Generic[T]):
             name: As for ``register``.
             summary: Returns one line about the entry without making it; where it is missing, the entry is made and asked.
         """
-        self.register(name, _Later(make, summary))  # type: ignore[arg-type]
+        self.register(name, _LazyEntry(make, summary))  # type: ignore[arg-type]
 
     def get(self, name: str) -> T:
         """Return the entry, or raise ``UnknownNameError`` that lists what exists."""
@@ -51,9 +51,9 @@ class Registry(Generic[T]):
         except KeyError:
             known = ", ".join(sorted(self._entries)) or "none"
             raise UnknownNameError(
-                f"no {self._kind} {name!r}.{did_you_mean(name, self._entries)} Known: {known}"
+                f"no {self._kind} {name!r}.{suggest_name(name, self._entries)} Known: {known}"
             ) from None
-        if isinstance(entry, _Later):
+        if isinstance(entry, _LazyEntry):
             entry = self._entries[name] = entry.make()
         return cast("T", entry)
 
@@ -63,7 +63,7 @@ class Registry(Generic[T]):
 
     def _summary(self, name: str) -> str:
         entry = self._entries[name]
-        if isinstance(entry, _Later) and entry.summary is not None:
+        if isinstance(entry, _LazyEntry) and entry.summary is not None:
             return entry.summary()
         entry = self.get(name)
         return getattr(entry, "summary", None) or (entry.__doc__ or "").partition("\n")[0]

@@ -32,12 +32,12 @@ def identity(**configs: object) -> dict[str, Tensor]:
     return {f"{IDENTITY}{name}": digest(config) for name, config in configs.items()}
 
 
-def below(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def add_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return tensors with ``prefix.`` in front of their names."""
     return {f"{prefix}.{name}": tensor for name, tensor in tensors.items()}
 
 
-def saved(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def copy_tensors(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return independent copies."""
     return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
@@ -51,8 +51,8 @@ def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
             )
     unknown, missing = sorted(state.keys() - own.keys()), sorted(own.keys() - state.keys())
     if unknown or missing:
-        what = f"has {unknown[0]!r}, unknown here" if unknown else f"lacks {missing[0]!r}"
-        raise ConfigError(f"state: {what}; it is of another simulation, or of another version")
+        difference = f"has {unknown[0]!r}, unknown here" if unknown else f"lacks {missing[0]!r}"
+        raise ConfigError(f"state: {difference}; it is of another simulation, or of another version")
     for name, tensor in own.items():
         given = state[name]
         if given.shape != tensor.shape or given.dtype != tensor.dtype:

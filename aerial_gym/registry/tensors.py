@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.errors import DuplicateNameError, OwnershipError, ShapeError, UnknownNameError
 from aerial_gym.interop import plain_device
-from aerial_gym.registry.guarded import GuardedTensor
+from aerial_gym.registry.write_guard import WriteGuardTensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,11 +77,11 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
     def refuse(self, key: str, instead: str) -> None:
         """Refuse writes to a key from now on; ``instead`` is the remedy in the error message."""
         self._instead[key] = instead
-        self._guarded[key] = GuardedTensor.wrap(self.plain(key), partial(self._refuse_write, key), _do_nothing)
+        self._guarded[key] = WriteGuardTensor.wrap(self.plain(key), partial(self._refuse_write, key), _ignore)
 
     def watch(self, key: str, notice: Callable[[], None]) -> None:
         """Call ``notice`` after each write to a key from now on."""
-        self._guarded[key] = GuardedTensor.wrap(self.plain(key), _do_nothing, notice)
+        self._guarded[key] = WriteGuardTensor.wrap(self.plain(key), _ignore, notice)
 
     def _refuse_write(self, key: str) -> NoReturn:
         raise OwnershipError(f"GTD key {key!r} is read-only: {self._instead[key]}")
@@ -144,4 +144,4 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         return spec.key, shape, dtype, spec.unit, spec.frame, spec.owner, meaning
 
 
-def _do_nothing() -> None: ...
+def _ignore() -> None: ...

@@ -101,7 +101,7 @@ def evaluate(
         raise ConfigError(f"policy: is on {where}, the task on {task.device}. Use load_policy(..., device=task.device)")
     steps, dt = task.cfg.episode_len_steps, task.env.dt
     final_steps = min(steps, max(1, round(FINAL_SPAN_S / dt)))
-    ends_count = success_radius is None and task.cfg.tells_success
+    ends_count = success_radius is None and task.cfg.defines_success
     radius = success_radius or task.cfg.success_radius or SUCCESS_RADIUS_M
     observation, _ = task.reset()
     policy.reset()

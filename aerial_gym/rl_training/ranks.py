@@ -33,7 +33,7 @@ class Ranks:
         self.rank, self.size, self.joined = rank, size, joined
 
     @property
-    def leads(self) -> bool:
+    def is_leader(self) -> bool:
         """Whether this is the process that decides, and writes files."""
         return self.rank == 0
 
@@ -45,7 +45,7 @@ class Ranks:
     def sum_(self, tensor: Tensor) -> Tensor:
         """Replace a tensor by its sum over all processes and return it, bit-equal in all."""
         if self.joined:
-            with _others_may_end():
+            with _report_peer_end():
                 torch.distributed.all_reduce(tensor)
         return tensor
 
@@ -66,7 +66,7 @@ class Ranks:
     def share_(self, tensors: Iterable[Tensor]) -> None:
         """Overwrite tensors with those of rank 0."""
         if self.joined:
-            with _others_may_end():
+            with _report_peer_end():
                 for tensor in tensors:
                     torch.distributed.broadcast(tensor, 0)
 
@@ -80,10 +80,10 @@ class Ranks:
         """Return an object from rank 0 in all processes."""
         if not self.joined:
             return value
-        found: list[Any] = [value if self.leads else None]
-        with _others_may_end():
-            torch.distributed.broadcast_object_list(found, 0, device=torch.device("cpu"))
-        return found[0]
+        objects: list[Any] = [value if self.is_leader else None]
+        with _report_peer_end():
+            torch.distributed.broadcast_object_list(objects, 0, device=torch.device("cpu"))
+        return objects[0]
 
     def any(self, flag: bool) -> bool:
         """Return whether any process says so."""
@@ -93,17 +93,17 @@ class Ranks:
         """Return the values of the other processes by rank, in rank 0; an empty list elsewhere."""
         if self.size == 1:
             return []
-        found: list[Any] | None = [None] * self.size if self.leads else None
-        with _others_may_end():
-            torch.distributed.gather_object(_on_cpu(value), found, 0)
-        return [] if found is None else found[1:]
+        objects: list[Any] | None = [None] * self.size if self.is_leader else None
+        with _report_peer_end():
+            torch.distributed.gather_object(_on_cpu(value), objects, 0)
+        return [] if objects is None else objects[1:]
 
 
 ALONE = Ranks()
 """A training in one process."""
 
 
-def launched_rank() -> int:
+def torchrun_rank() -> int:
     """Return the rank of this process under ``torchrun``; 0 without it."""
     return int(os.environ["RANK"]) if all(name in os.environ for name in VARIABLES) else 0
 
@@ -128,7 +128,7 @@ def own_device(name: str) -> str:
 
 
 @contextmanager
-def joined_ranks(device: str) -> Iterator[Ranks]:
+def join_ranks(device: str) -> Iterator[Ranks]:
     """Join the process group of ``torchrun`` on a device; ``ALONE`` without it.
 
     Raises:
@@ -141,7 +141,7 @@ def joined_ranks(device: str) -> Iterator[Ranks]:
     if resolve_device(device).type == "cuda":
         kind = torch.device(own_device(device))
         torch.cuda.set_device(kind)
-    with _others_may_end():
+    with _report_peer_end():
         torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if kind.type == "cuda" else "gloo")
     yield Ranks(torch.distributed.get_rank(), torch.distributed.get_world_size(), joined=True)
     # Not after an error: NCCL would wait for collectives that others never reach, and for graphs held by the traceback.
@@ -157,7 +157,7 @@ def _on_cpu(value: Any) -> Any:
 
 
 @contextmanager
-def _others_may_end() -> Iterator[None]:
+def _report_peer_end() -> Iterator[None]:
     """Raise an error if another process has ended during a collective operation.
 
     Raises:
@@ -170,6 +170,6 @@ def _others_may_end() -> Iterator[None]:
             raise
         reason = (str(error).strip().splitlines() or ["no reason given"])[0]
         raise TrainingError(
-            f"rank {launched_rank()}: the processes of this training cannot go on together ({reason}). If another one has "
+            f"rank {torchrun_rank()}: the processes of this training cannot go on together ({reason}). If another one has "
             "ended, its own message says why"
         ) from error

@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import AerialGymError, ConfigError, StorageError, TrainingError
 from aerial_gym.interop import on_device, resolve_device, usual_settings
 from aerial_gym.physics import BACKENDS
-from aerial_gym.rl_training.policies.load import checkpoint_of
-from aerial_gym.rl_training.ranks import Ranks, joined_ranks, own_device
+from aerial_gym.rl_training.policies.load import find_checkpoint
+from aerial_gym.rl_training.ranks import Ranks, join_ranks, own_device
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, checkpoint_steps
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
-from aerial_gym.rl_training.run.keeper import Keeper, steps_of
 from aerial_gym.rl_training.run.progress import Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.run.weights_and_biases import require_wandb, sent_to_wandb
+from aerial_gym.rl_training.run.weights_and_biases import require_wandb, send_scalars
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS, trainer_names
 from aerial_gym.robots.catalog import robot_by_name
@@ -100,13 +100,13 @@ def train(
     TRAINERS.get(cfg.trainer).require()
     if wandb is not None:
         require_wandb()
-    with joined_ranks(cfg.device) as ranks, _folder_of(ranks, out) as folder:
+    with join_ranks(cfg.device) as ranks, _rank_folder(ranks, out) as folder:
         if ranks.size > 1 and not TRAINERS.get(cfg.trainer).several_processes:
             raise ConfigError(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
                 f"--trainer {trainer_names('several_processes')}"
             )
-        with contextlib.nullcontext() if resume else _begun(cfg, folder, ranks):
+        with contextlib.nullcontext() if resume else _new_run(cfg, folder, ranks):
             return _train(
                 cfg,
                 folder,
@@ -120,7 +120,7 @@ def train(
 
 
 @contextlib.contextmanager
-def _begun(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
+def _new_run(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
     """Make the folder of a new run, and remove it if the request is refused before the first session."""
     folder.create(cfg)
     try:
@@ -128,15 +128,15 @@ def _begun(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
     except (StorageError, TrainingError):
         raise
     except AerialGymError:
-        if ranks.leads:
-            folder.discard_unless_begun()
+        if ranks.is_leader:
+            folder.discard_unstarted()
         raise
 
 
 @contextlib.contextmanager
-def _folder_of(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
+def _rank_folder(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
     """Yield the run folder in rank 0, and a temporary one in other processes."""
-    if ranks.leads:
+    if ranks.is_leader:
         yield RunFolder(out)
         return
     with tempfile.TemporaryDirectory(prefix=f"aerial_gym_rank_{ranks.rank}_") as folder:
@@ -154,20 +154,20 @@ def _train(
     watch: bool,
     wandb: str | None,
 ) -> TrainingResult:
-    resumed = ranks.broadcast(folder.newest_whole() if resume and ranks.leads else None)
-    if resume and resumed is None and ranks.leads:
+    resumed = ranks.broadcast(folder.newest_readable() if resume and ranks.is_leader else None)
+    if resume and resumed is None and ranks.is_leader:
         _log.warning(
             "%s: was ended before its first checkpoint; the training starts anew in the same folder", folder.path
         )
-    steps = steps_of(resumed, cfg.trainer)
-    shown = show_progress and ranks.leads
+    steps = checkpoint_steps(resumed, cfg.trainer)
+    shown = show_progress and ranks.is_leader
     with (
-        told_storage(folder.path, only_full=True),
-        _restored_globals(cfg),
+        storage_errors(folder.path, only_full=True),
+        _restore_globals(cfg),
         interruptible(ranks) as interruption,
         Progress(cfg, folder.curve_file, started=started, show=shown, resumed_steps=steps, ranks=ranks) as progress,
-        folder.captured_output(),
-        contextlib.nullcontext() if wandb is None or not ranks.leads else sent_to_wandb(wandb, folder, cfg),
+        folder.redirect_output(),
+        contextlib.nullcontext() if wandb is None or not ranks.is_leader else send_scalars(wandb, folder, cfg),
     ):
         try:
             interrupted = _run(cfg, folder, progress, resumed, interruption, ranks, watch=watch)
@@ -178,14 +178,14 @@ def _train(
         trainer=cfg.trainer,
         checkpoint=str(checkpoints[-1]) if checkpoints else None,
         env_steps=max(progress.env_steps, steps),
-        time_s=progress.elapsed_s(),
+        time_s=progress.session_time_s(),
         env_steps_per_s=progress.steps_per_s,
         episode_return=last.episode_return if last else None,
         episode_length=last.episode_length if last else None,
         interrupted=interrupted,
         non_finite=progress.non_finite,
     )
-    write_whole(folder.result_file, json.dumps(asdict(result), indent=1) + "\n")
+    write_atomic(folder.result_file, json.dumps(asdict(result), indent=1) + "\n")
     return result
 
 
@@ -194,7 +194,7 @@ def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
     task_registry.get(cfg.task)
     TRAINERS.get(cfg.trainer).check(cfg)
     if cfg.initial is not None and not resume:
-        checkpoint_of(cfg.initial)
+        find_checkpoint(cfg.initial)
     if cfg.robot is not None:
         robot_by_name(cfg.robot)
     if cfg.encoder is not None:
@@ -241,7 +241,7 @@ def _run(
         interruption.check()
         task.practise()
         folder.add_session(cfg, str(task.device))
-        keeper = Keeper(cfg, folder, task, resumed=resumed, ranks=ranks)
+        keeper = CheckpointKeeper(cfg, folder, task, resumed=resumed, ranks=ranks)
         if watch:
             task.watch()
         interrupted = trainer.run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, ranks=ranks)
@@ -253,7 +253,7 @@ def _run(
 
 
 @contextlib.contextmanager
-def _restored_globals(cfg: TrainingCfg) -> Iterator[None]:
+def _restore_globals(cfg: TrainingCfg) -> Iterator[None]:
     """Set the threads of torch, and restore the global settings that the libraries change."""
     threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
     cudnn = torch.backends.cudnn.benchmark, torch.backends.cudnn.allow_tf32, torch.backends.cuda.matmul.allow_tf32

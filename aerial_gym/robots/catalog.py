@@ -3,13 +3,13 @@
 from functools import partial
 from pathlib import Path
 
-from aerial_gym.config import files_of, summary_in
+from aerial_gym.config import family_files, read_summary
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.registry import Registry
 
 ROBOTS: Registry[RobotCfg] = Registry("robot")
 
-_FILES = files_of("robots")
+_FILES = family_files("robots")
 
 for _name in (
     "base_quadrotor",
@@ -69,7 +69,7 @@ for _name in (
     "snakey6_effort",
 ):
     _path = _FILES[_name]
-    ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(summary_in, _path))
+    ROBOTS.register_later(_name, partial(load_robot, _path), summary=partial(read_summary, _path))
 
 
 def robot_by_name(name: str | Path | RobotCfg) -> RobotCfg:

@@ -21,8 +21,8 @@ import warp as wp
 
 from aerial_gym.assets.body_shapes import BodyShape
 from aerial_gym.assets.geometry import outward_normal, primitive_distance, primitive_normal, signed_distance, support
-from aerial_gym.assets.motion import instance_moves, moved, next_turning
 from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
+from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays
 from aerial_gym.assets.shape_row import MESH, TRIANGLE, Shape
@@ -31,17 +31,17 @@ from aerial_gym.assets.sweep import (
     NEAR,
     Path,
     as_body_shape,
-    attitude_at,
-    face_of,
+    face_shape,
     local_center,
+    make_path,
     make_touch_time,
-    path_between,
-    swept_box,
+    path_attitude,
+    sweep_bounds,
 )
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics.fused.contact import point_velocity
 from aerial_gym.physics.fused.hook import Substep
-from aerial_gym.robots.touching_pairs import SceneMotion, TouchingPairs
+from aerial_gym.robots.contact_pairs import ContactPairs, SceneMotion
 
 ROUNDS = wp.constant(4)  # as many as a vec4 has numbers
 """Largest number of planes that stop a robot in one substep, and of sweeps for them."""
@@ -63,43 +63,43 @@ class Crossing:
 
 
 @wp.struct
-class Stop:
+class CrossingStop:
     """Pose and contacts at which a robot's path is stopped."""
 
     crosses: wp.bool  # whether anything is in its way
     crashes: wp.bool  # whether it touches at the speed of a crash
-    pairs: TouchingPairs  # crossed surfaces
+    pairs: ContactPairs  # crossed surfaces
     position: wp.vec3  # of the centre of mass, world [m]
     attitude: wp.quat  # body to world
 
 
 @wp.func
-def path_of(done: Substep) -> Path:
+def substep_path(done: Substep) -> Path:
     """Return the path of a body in a substep, with the centre of mass on a straight line."""
     first = done.first_position - rotate(done.first_attitude, done.com)
     last = done.position - rotate(done.attitude, done.com)
-    return path_between(done.com, first, done.first_attitude, last, done.attitude)
+    return make_path(done.com, first, done.first_attitude, last, done.attitude)
 
 
 @wp.func
-def _core_at(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> Core:
+def _transform_core(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> Core:
     """Return the core of the robot's shape in the frame of a part."""
     core = Core()
     core.center = local_center(shape, other, own, path, t)
-    core.turn = wp.quat_inverse(attitude_at(other, t) * shape.attitude) * attitude_at(path, t) * own.attitude
+    core.turn = wp.quat_inverse(path_attitude(other, t) * shape.attitude) * path_attitude(path, t) * own.attitude
     core.half = own.half
     return core
 
 
 @wp.func
-def _depth_along(core: Core, normal: wp.vec3) -> float:
+def _core_depth(core: Core, normal: wp.vec3) -> float:
     """Return the half extent of a core along a direction [m], the support function of a box."""
     own = wp.quat_rotate_inv(core.turn, normal)
     return wp.dot(core.half, wp.vec3(wp.abs(own[0]), wp.abs(own[1]), wp.abs(own[2])))
 
 
 @wp.func
-def _shift_above(pairs: TouchingPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
+def _lift_shift(pairs: ContactPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
     """Return the shift [m] that puts a robot no deeper below any plane than its floor."""
     for _k in range(wp.static(PASSES)):
         for i in range(count):
@@ -119,9 +119,9 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
         pair.normal = primitive_normal(solid, core.center)
         if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
-                found = nearest_of_core(solid, core, pair.distance)
-                if found.distance < pair.distance:
-                    pair = found
+                hit = nearest_of_core(solid, core, pair.distance)
+                if hit.distance < pair.distance:
+                    pair = hit
         if solid.kind == TRIANGLE and pair.distance <= 0.0:
             flat = wp.normalize(wp.cross(solid.center - solid.size, solid.half - solid.size))
             pair.normal = wp.where(wp.dot(flat, core.center - solid.size) < 0.0, -1.0, 1.0) * flat
@@ -132,31 +132,31 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
 
 
 @cache
-def _make_push_on(*, cores: bool) -> wp.Function:
+def _make_push(*, cores: bool) -> wp.Function:
     @wp.func
-    def push_on(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
+    def push(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
         """Return the contact normal on a shape, in the frame of the part; 0 if both are clearly apart."""
         if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
                 limit = own.radius + 2.0 * NEAR + 2.0 * EDGE * (own.reach + shape.radius)
-                found = nearest_of_core(shape, core, limit)
-                return wp.where(found.distance < limit, 1.0, 0.0) * found.normal
+                hit = nearest_of_core(shape, core, limit)
+                return wp.where(hit.distance < limit, 1.0, 0.0) * hit.normal
         if signed_distance(shape, core.center) < own.radius + 2.0 * NEAR:
             return outward_normal(shape, core.center)
         return wp.vec3()
 
-    return push_on
+    return push
 
 
 @cache
 def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
     """Return the search along one path; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
     touch_time = make_touch_time(cores=cores)
-    nearest_pair, push_on = _make_nearest_pair(cores=cores), _make_push_on(cores=cores)
+    nearest_pair, push_on = _make_nearest_pair(cores=cores), _make_push(cores=cores)
     obstacles_type: Any = Obstacles if moves else int
 
     @wp.func
-    def meet_solid(
+    def earlier_crossing(
         solid: Shape,
         shape: Shape,
         other: Path,
@@ -168,17 +168,17 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         least_approach: float,
         before: wp.vec4,
         push: wp.vec4,
-        found: Crossing,
+        hit: Crossing,
     ):
         """Return the earlier of the given crossing and that of a part or face, and whether it is a crash.
 
         ``before`` and ``push`` hold the contact normal at the start and at the end, with 1 as fourth entry once known; both
         are returned. A shape that starts inside a mesh counts as on the side of its contact normal.
         """
-        t = touch_time(solid, other, own, path, 0.0, wp.min(found.time, 1.0))
+        t = touch_time(solid, other, own, path, 0.0, wp.min(hit.time, 1.0))
         if t == wp.inf:
-            return found, wp.bool(False), before, push
-        core = _core_at(shape, other, own, path, t)
+            return hit, wp.bool(False), before, push
+        core = _transform_core(shape, other, own, path, t)
         pair = nearest_pair(solid, own, core)
         local = pair.normal
         overlaps = solid.kind == TRIANGLE and pair.distance < own.radius
@@ -188,9 +188,9 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                 before = wp.vec4(direction[0], direction[1], direction[2], 1.0)
             if wp.length(wp.vec3(before[0], before[1], before[2])) > 0.0:
                 local = wp.vec3(before[0], before[1], before[2])
-        turn = attitude_at(other, t) * shape.attitude
+        turn = path_attitude(other, t) * shape.attitude
         normal = wp.quat_rotate(turn, local)
-        from_carrier = wp.quat_rotate(turn, pair.point) + wp.quat_rotate(attitude_at(other, t), shape.position)
+        from_carrier = wp.quat_rotate(turn, pair.point) + wp.quat_rotate(path_attitude(other, t), shape.position)
         surface_vel = lin_vel + wp.cross(spin, from_carrier)
         arm = other.start + t * other.shift + from_carrier - path.start - t * path.shift
         approach = wp.dot(
@@ -198,32 +198,32 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
             surface_vel - point_velocity(done.first_lin_vel, rotate(done.first_attitude, done.first_ang_vel), arm),
         )
         crashes = approach >= least_approach
-        reach = own.radius + _depth_along(core, local)
+        reach = own.radius + _core_depth(core, local)
         surface = support(solid, local)
         if overlaps:
             surface = wp.dot(local, core.center) - reach - (pair.distance - own.radius)
         floor = wp.min(wp.dot(local, core.center) - reach - surface, 0.0)
-        end = _core_at(shape, other, own, path, 1.0)
-        reach = own.radius + _depth_along(end, local)
+        end = _transform_core(shape, other, own, path, 1.0)
+        reach = own.radius + _core_depth(end, local)
         gap = wp.dot(local, end.center) - reach - surface
         if gap >= floor:
-            return found, crashes, before, push
+            return hit, crashes, before, push
         if push[3] == 0.0:
             direction = push_on(shape, own, end)
             push = wp.vec4(direction[0], direction[1], direction[2], 1.0)
         if wp.dot(wp.vec3(push[0], push[1], push[2]), local) > 0.0:
-            return found, crashes, before, push
-        turn = attitude_at(other, 1.0) * shape.attitude
-        found.time = t
-        found.normal = wp.quat_rotate(turn, local)
-        found.gap = gap
-        found.floor = floor
-        found.surface_vel = surface_vel
-        found.lever = wp.quat_rotate(attitude_at(path, 1.0), wp.quat_rotate_inv(attitude_at(path, t), arm))
-        return found, crashes, before, push
+            return hit, crashes, before, push
+        turn = path_attitude(other, 1.0) * shape.attitude
+        hit.time = t
+        hit.normal = wp.quat_rotate(turn, local)
+        hit.gap = gap
+        hit.floor = floor
+        hit.surface_vel = surface_vel
+        hit.lever = wp.quat_rotate(path_attitude(path, 1.0), wp.quat_rotate_inv(path_attitude(path, t), arm))
+        return hit, crashes, before, push
 
     @wp.func
-    def meet_part(
+    def earlier_part_crossing(
         shape: Shape,
         other: Path,
         own: BodyShape,
@@ -232,9 +232,9 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         spin: wp.vec3,
         lin_vel: wp.vec3,
         least_approach: float,
-        found: Crossing,
+        hit: Crossing,
     ):
-        """Return the earlier of two crossings as ``meet_solid`` does, for a part; of a mesh, over all its faces."""
+        """Return the earlier of two crossings as ``earlier_crossing`` does, for a part; of a mesh, over all its faces."""
         solid = shape
         crashes = wp.bool(False)
         before = wp.vec4()
@@ -243,7 +243,7 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         is_mesh = wp.static(meshes) and shape.kind == MESH
         if wp.static(meshes):  # noqa: SIM102 (wp.static must be the whole condition)
             if is_mesh:
-                middle, half = swept_box(shape, other, own, path, 0.0, 1.0)
+                middle, half = sweep_bounds(shape, other, own, path, 0.0, 1.0)
                 query = wp.mesh_query_aabb(shape.mesh, middle - half, middle + half)
         more = wp.bool(True)
         while more:
@@ -251,14 +251,14 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                 if is_mesh:
                     more = wp.mesh_query_aabb_next(query, face)
                     if more:
-                        solid = face_of(shape, face)
+                        solid = face_shape(shape, face)
             if more:
-                found, fast, before, push = meet_solid(
-                    solid, shape, other, own, path, done, spin, lin_vel, least_approach, before, push, found
+                hit, fast, before, push = earlier_crossing(
+                    solid, shape, other, own, path, done, spin, lin_vel, least_approach, before, push, hit
                 )
                 crashes = crashes or fast
             more = more and is_mesh
-        return found, crashes
+        return hit, crashes
 
     @wp.func
     def first_crossing(
@@ -274,8 +274,8 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
         hull: float,
     ):
         """Return the first crossing of a path, and whether anything is touched at the speed of a crash."""
-        found = Crossing()
-        found.time = wp.inf
+        hit = Crossing()
+        hit.time = wp.inf
         crashes = wp.bool(False)
         end = path.start + path.shift
         part = wp.int32(0)
@@ -296,8 +296,8 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                 spin = motion.ang_vel[env, a]
                 if wp.static(moves):  # noqa: SIM102 (wp.static must be the whole condition)
                     if is_there and instance_moves(obstacles, env, a):
-                        to, _q, _v = moved(obstacles, env, a, x, q, lin_vel, done.dt)
-                        if next_turning(obstacles, env, a, x, lin_vel, done.dt, 0.0) < 1.0:
+                        to, _q, _v = advance_pose(obstacles, env, a, x, q, lin_vel, done.dt)
+                        if next_reversal(obstacles, env, a, x, lin_vel, done.dt, 0.0) < 1.0:
                             other.start = to
                         else:
                             other.shift = to - x
@@ -311,19 +311,21 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                     c = wp.int32(0)
                     while c < sphere.shape[0]:
                         point = as_body_shape(sphere[c])
-                        found, fast = meet_part(shape, other, point, path, done, spin, lin_vel, least_approach, found)
+                        hit, fast = earlier_part_crossing(
+                            shape, other, point, path, done, spin, lin_vel, least_approach, hit
+                        )
                         crashes = crashes or fast
                         c += 1
                     if wp.static(cores):
                         c = wp.int32(0)
                         while c < body.shape[0]:
-                            found, fast = meet_part(
-                                shape, other, body[c], path, done, spin, lin_vel, least_approach, found
+                            hit, fast = earlier_part_crossing(
+                                shape, other, body[c], path, done, spin, lin_vel, least_approach, hit
                             )
                             crashes = crashes or fast
                             c += 1
             part += 1
-        return found, crashes
+        return hit, crashes
 
     return first_crossing
 
@@ -345,15 +347,15 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         least_approach: float,
         env: int,
         done: Substep,
-    ) -> Stop:
+    ) -> CrossingStop:
         """Return the pose at which obstacles stop the robot; they stand as before the substep.
 
         ``hull`` is the radius [m] of a ball about the robot's origin that holds its shapes.
         """
-        stop = Stop()
+        stop = CrossingStop()
         stop.position = done.position
         stop.attitude = done.attitude
-        path = path_of(done)
+        path = substep_path(done)
         whole = path.shift
         shift = wp.vec3()
         floors = wp.vec4()
@@ -361,20 +363,20 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         clear = wp.bool(False)
         while count < ROUNDS and not clear:
             path.shift = whole + shift
-            found, crashes = first_crossing(
+            hit, crashes = first_crossing(
                 scene, motion, obstacles, sphere, body, least_approach, env, done, path, hull + wp.length(done.com)
             )
             stop.crashes = stop.crashes or crashes
-            clear = found.time == wp.inf
+            clear = hit.time == wp.inf
             if not clear:
                 stop.crosses = True
-                stop.pairs.gaps[count] = found.gap - wp.dot(found.normal, shift)
-                stop.pairs.levers[count] = found.lever
-                stop.pairs.normals[count] = found.normal
-                stop.pairs.surface_vels[count] = found.surface_vel
-                floors[count] = found.floor
+                stop.pairs.gaps[count] = hit.gap - wp.dot(hit.normal, shift)
+                stop.pairs.levers[count] = hit.lever
+                stop.pairs.normals[count] = hit.normal
+                stop.pairs.surface_vels[count] = hit.surface_vel
+                floors[count] = hit.floor
                 count += 1
-                shift = _shift_above(stop.pairs, floors, count, shift)
+                shift = _lift_shift(stop.pairs, floors, count, shift)
         stop.position += shift
         if not clear:
             stop.position = done.first_position

@@ -16,9 +16,9 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics.backend import Capabilities, ControlLaw, PhysicsBackend
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.substep_hook import SubstepHook, check_substeps
-from aerial_gym.physics.torch_backend import TorchBackend, in_places
+from aerial_gym.physics.torch_backend import TorchBackend, copy_tensors
 from aerial_gym.physics.torch_rows import SubstepRows
 
 
@@ -40,17 +40,17 @@ class DifferentiableBackend:
         self._inner, self._shown, self._shown_actions, self._dtype = backend, shown, shown_actions, dtype
         self._hook: SubstepHook | None = None
         self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
-        self.actions: tuple[Tensor, Tensor] = _two(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
+        self.actions: tuple[Tensor, Tensor] = _map_pair(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
         """Actions of this step and the previous one, each (E, U), with gradients."""
-        self._traced: TracedKeys | None = None
+        self._traced: GradientTensors | None = None
         self._rows: tuple[float, SubstepRows | None] | None = None
         self._places: dict[str, Tensor] = {}
 
     @property
-    def traced(self) -> "TracedKeys":
+    def gradient_tensors(self) -> "GradientTensors":
         """Motion, actions and secondary states with gradients, by GTD key."""
         if self._traced is None or self._traced.state is not self.state:
-            self._traced = TracedKeys(self.state, self.actions)
+            self._traced = GradientTensors(self.state, self.actions)
         return self._traced
 
     def act(self, action: Tensor) -> None:
@@ -89,8 +89,8 @@ class DifferentiableBackend:
 
     def load(self) -> Tensor | None:
         """Return direction and rate of the load's cable, in float32 and without gradients; None without a load."""
-        found = self._inner.load()
-        return None if found is None else found.detach().float()
+        link = self._inner.load()
+        return None if link is None else link.detach().float()
 
     def prepare(self, dt: float) -> None:
         """Make the memory of the effects."""
@@ -136,7 +136,7 @@ class DifferentiableBackend:
         """Return a substep of ``dt`` [s] as one float32 kernel, without the hook, which needs the motion before it."""
         if self._rows is None or self._rows[0] != dt:
             plain = self._dtype == torch.float32 and self._hook is None
-            self._rows = (dt, self._inner.in_rows(self.state, self.actions[0], dt) if plain else None)
+            self._rows = (dt, self._inner.make_substep_rows(self.state, self.actions[0], dt) if plain else None)
         return self._rows[1]
 
     def reset(self, mask: Tensor) -> None:
@@ -145,25 +145,27 @@ class DifferentiableBackend:
         self._inner.forget(mask)
         rows = mask.unsqueeze(-1)
 
-        def begun(new: Tensor, old: Tensor) -> Tensor:
+        def select_rows(new: Tensor, old: Tensor) -> Tensor:
             return torch.where(rows, new.to(self._dtype), old)
 
         old = vars(self.state)
-        self.state = replace(self.state, **{name: begun(new, old[name]) for name, new in vars(self._shown).items()})
+        self.state = replace(
+            self.state, **{name: select_rows(new, old[name]) for name, new in vars(self._shown).items()}
+        )
         (last, before), (new, new_before) = self.actions, self._shown_actions
-        self.actions = (begun(new, last), begun(new_before, before))
+        self.actions = (select_rows(new, last), select_rows(new_before, before))
 
     def detach(self) -> None:
         """Cut the gradients at this instant."""
         self.state = _map(self.state, torch.Tensor.detach)
-        self.actions = _two(self.actions, torch.Tensor.detach)
+        self.actions = _map_pair(self.actions, torch.Tensor.detach)
         self._inner.detach()
 
     def settle(self) -> None:
         """Cut the gradients at this instant, in tensors that stay the same at every call, as start of a recorded window."""
         self.detach()
         own = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
-        settled = in_places(self._places, own)
+        settled = copy_tensors(self._places, own)
         self.actions = (settled.pop("action"), settled.pop("previous_action"))
         self.state, self._traced = replace(self.state, **settled), None
         self._inner.settle()
@@ -174,12 +176,12 @@ def _map(state, change):
     return replace(state, **{name: change(rows) for name, rows in vars(state).items()})
 
 
-def _two(pair: tuple[Tensor, Tensor], change: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
+def _map_pair(pair: tuple[Tensor, Tensor], change: Callable[[Tensor], Tensor]) -> tuple[Tensor, Tensor]:
     """Return a pair with a change of both."""
     return change(pair[0]), change(pair[1])
 
 
-FOLLOWING: dict[str, Callable[["TracedKeys"], Tensor]] = {
+FOLLOWING: dict[str, Callable[["GradientTensors"], Tensor]] = {
     "robot_angvel": lambda now: quat_rotate(now.state.attitude, now.state.ang_vel),
     "robot_body_linvel": lambda now: quat_rotate_inverse(now.state.attitude, now.state.lin_vel),
     "robot_vehicle_orientation": lambda now: quat_from_euler(
@@ -190,13 +192,13 @@ FOLLOWING: dict[str, Callable[["TracedKeys"], Tensor]] = {
 }
 """Secondary states as functions of the motion, by GTD key."""
 
-FOLLOWING_JOINTS: dict[str, Callable[["TracedKeys"], Tensor]] = {
+FOLLOWING_JOINTS: dict[str, Callable[["GradientTensors"], Tensor]] = {
     "dof_state_tensor": lambda now: torch.stack((now["dof_position"], now["dof_velocity"]), dim=-1),
 }
 """Quantities derived from joint states, by GTD key."""
 
 
-class TracedKeys(Mapping[str, Tensor]):
+class GradientTensors(Mapping[str, Tensor]):
     """Motion, actions and secondary states of one instant, by GTD key; secondary states are computed on request."""
 
     def __init__(self, state: BodyState, actions: tuple[Tensor, Tensor]) -> None:
@@ -212,7 +214,7 @@ class TracedKeys(Mapping[str, Tensor]):
             "robot_prev_actions": actions[1],
         }
         self._following = FOLLOWING
-        if isinstance(state, JointedState):
+        if isinstance(state, ArticulatedState):
             self._known |= {"dof_position": state.joint_pos, "dof_velocity": state.joint_vel}
             self._following = FOLLOWING | FOLLOWING_JOINTS
         self._names = (*self._known, *self._following)

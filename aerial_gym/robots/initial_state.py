@@ -7,14 +7,14 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import InitialStateCfg
-from aerial_gym.interop import RecordedLaunch, make_struct
+from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.interop.rows import RowWork
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, quat_of_angles, random_arrays, stream_of
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.physics import BodyState
-from aerial_gym.robots.derived import DerivedArrays, DerivedStates, write_derived
-from aerial_gym.robots.noticed import Noticed, take_place
+from aerial_gym.robots.non_finite_rows import NonFiniteRows, take_place
+from aerial_gym.robots.secondary_states import SecondaryArrays, SecondaryStates, write_derived
 
 
 @wp.struct
@@ -51,7 +51,7 @@ class StartArrays:
     rotor_speed: wp.array2d[float]  # (E, R)
     actions: wp.array2d[float]  # (E, U)
     prev_actions: wp.array2d[float]  # (E, U)
-    derived: DerivedArrays
+    derived: SecondaryArrays
     count: wp.array[wp.int32]  # (1,) rows that were not finite
     rows: wp.array2d[wp.int32]  # (K, 4) environment, episode, step and bits of the first ones
 
@@ -73,7 +73,7 @@ def start_row(e: int, given: StartArrays):
     given.episode_step[e] = 0
     given.crashes[e] = False
     given.truncations[e] = False
-    stream = stream_of(given.random, e, wp.static(int(Purpose.START)))
+    stream = episode_stream(given.random, e, wp.static(int(Purpose.START)))
     ranges = given.ranges
     share = draw_vec3(stream, 0, ranges.position_ratio_low, ranges.position_ratio_high)
     position = given.bounds_min[e] + wp.cw_mul(given.bounds_max[e] - given.bounds_min[e], share)
@@ -123,10 +123,10 @@ def _begin_step(
 class StepBegin:
     """Launch that begins a step of all environments, with all views except the action's made at construction."""
 
-    def __init__(self, actions: Tensor, prev_actions: Tensor, noticed: Noticed) -> None:
+    def __init__(self, actions: Tensor, prev_actions: Tensor, noticed: NonFiniteRows) -> None:
         """Take the output tensors, the first two (E, U)."""
         self._actions = actions
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _begin_step,
             dim=tuple(actions.shape),
             inputs=[actions],
@@ -148,14 +148,14 @@ class InitialState:
         self,
         cfg: InitialStateCfg,
         state: BodyState,
-        derived: DerivedStates,
+        derived: SecondaryStates,
         *,
         bounds: tuple[Tensor, Tensor],
         rest_speed: Tensor,
         actions: Tensor,
         prev_actions: Tensor,
         random: Randomness,
-        noticed: Noticed | None = None,
+        noticed: NonFiniteRows | None = None,
     ) -> None:
         """Take the output tensors and the inputs of the draws.
 
@@ -167,7 +167,7 @@ class InitialState:
             noticed: Table of non-finite rows, and the flags to clear.
         """
         self._mask = random.mask
-        noticed = noticed or Noticed.placeholder(state)
+        noticed = noticed or NonFiniteRows.placeholder(state)
         given = make_struct(
             StartArrays,
             random=random_arrays(random),
@@ -188,7 +188,7 @@ class InitialState:
         )
         self.work = RowWork(function=start_row, given_type=StartArrays, given=given)
         """The start of one environment, for use in another kernel."""
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _start,
             dim=state.num_envs,
             inputs=[self._mask, given],

@@ -15,8 +15,8 @@ import warp as wp
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
-from aerial_gym.interop.rows import Made
-from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.interop.rows import KernelInput
+from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
 ROUND_OFF = 1e-6
@@ -32,14 +32,14 @@ def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
     """
     stated = {(name, other): value for name, each in cfg.items() for other, value in each.correlation.items()}
     for name, other in stated:
-        what = f"randomize: {name}: correlation with {other!r}"
+        label = f"randomize: {name}: correlation with {other!r}"
         if other not in cfg:
-            raise ConfigError(f"{what}, which is not drawn. Draw it, or drop the correlation")
+            raise ConfigError(f"{label}, which is not drawn. Draw it, or drop the correlation")
         if name == other or (other, name) in stated:
-            raise ConfigError(f"{what}: give each pair of two quantities once")
+            raise ConfigError(f"{label}: give each pair of two quantities once")
         for one in (name, other):
             if cfg[one].distribution != "normal" or cfg[one].each_rotor or cfg[one].widths() != {1}:
-                raise ConfigError(f"{what}: {one} must be a normal distribution of one number")
+                raise ConfigError(f"{label}: {one} must be a normal distribution of one number")
     joint = tuple(name for name in cfg if any(name in pair for pair in stated))
     matrix = np.eye(len(joint))
     for (name, other), value in stated.items():
@@ -54,7 +54,7 @@ def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class RandomQuantity:
     """A randomised quantity and its columns among the K numbers."""
 
     name: str  # Of the quantity
@@ -64,7 +64,7 @@ class Drawn:
 
 
 @wp.struct
-class Draw:
+class DrawLimits:
     """Distribution parameters and limits of one number."""
 
     low: wp.float32  # of the number; of its logarithm; of the normal probability
@@ -80,12 +80,12 @@ class DrawArrays:
     """Inputs of the draws of an environment."""
 
     random: RandomArrays
-    draws: wp.array[Draw]  # (K,)
+    draws: wp.array[DrawLimits]  # (K,)
     factor: wp.array2d[float]  # (K, K), lower Cholesky factor of the correlations of joint numbers
 
 
 @wp.func
-def share_of(draw: Draw, state: wp.uint32) -> float:
+def uniform_value(draw: DrawLimits, state: wp.uint32) -> float:
     """Return a uniform draw between ``low`` and ``high``."""
     return draw.low + (draw.high - draw.low) * wp.randf(state)
 
@@ -103,42 +103,42 @@ def independent_normal(state: wp.uint32) -> float:
 
 
 @wp.func
-def uniform(draw: Draw, state: wp.uint32) -> float:
+def uniform(draw: DrawLimits, state: wp.uint32) -> float:
     """Return a draw of a uniform distribution."""
-    return wp.clamp(share_of(draw, state), draw.least, draw.most)
+    return wp.clamp(uniform_value(draw, state), draw.least, draw.most)
 
 
 @wp.func
-def log_uniform(draw: Draw, state: wp.uint32) -> float:
+def log_uniform(draw: DrawLimits, state: wp.uint32) -> float:
     """Return a draw whose logarithm is uniform."""
-    return wp.clamp(wp.exp(share_of(draw, state)), draw.least, draw.most)
+    return wp.clamp(wp.exp(uniform_value(draw, state)), draw.least, draw.most)
 
 
 @wp.func
-def normal(draw: Draw, state: wp.uint32) -> float:
+def normal(draw: DrawLimits, state: wp.uint32) -> float:
     """Return a draw of a truncated normal distribution."""
-    return wp.clamp(draw.mean + draw.std * standard_normal(share_of(draw, state)), draw.least, draw.most)
+    return wp.clamp(draw.mean + draw.std * standard_normal(uniform_value(draw, state)), draw.least, draw.most)
 
 
 @wp.func
-def integer(draw: Draw, state: wp.uint32) -> float:
+def integer(draw: DrawLimits, state: wp.uint32) -> float:
     """Return a draw of whole numbers; ``high`` is one beyond the last."""
-    return wp.clamp(wp.floor(share_of(draw, state)), draw.least, draw.most)
+    return wp.clamp(wp.floor(uniform_value(draw, state)), draw.least, draw.most)
 
 
 @wp.func
-def joint(draw: Draw, weighted: float) -> float:
+def joint(draw: DrawLimits, weighted: float) -> float:
     """Return a number of a joint normal distribution; ``weighted`` is its row of the factor times independent normal draws."""
     return wp.clamp(draw.mean + draw.std * weighted, draw.least, draw.most)
 
 
-_CALLED = (stream_of, substream, independent_normal, uniform, log_uniform, normal, integer, joint)
+_CALLED = (episode_stream, substream, independent_normal, uniform, log_uniform, normal, integer, joint)
 
 
-def drawing(drawn: Sequence[Drawn], random: Randomness, *, device: torch.device) -> Made:
+def draw_code(drawn: Sequence[RandomQuantity], random: Randomness, *, device: torch.device) -> KernelInput:
     """Return the kernel code of the draws of one environment, all independent."""
     start_warp()
-    rows = np.zeros(drawn[-1].columns.stop, dtype=Draw.numpy_dtype())  # type: ignore[call-overload]
+    rows = np.zeros(drawn[-1].columns.stop, dtype=DrawLimits.numpy_dtype())  # type: ignore[call-overload]
     for each in drawn:
         width = each.columns.stop - each.columns.start
         for i, numbers in enumerate(each.cfg.components(width)):
@@ -149,14 +149,14 @@ def drawing(drawn: Sequence[Drawn], random: Randomness, *, device: torch.device)
     factor[np.ix_(columns, columns)] = small
     given, target = DrawArrays(), wp.device_from_torch(device)
     given.random = random_arrays(random)
-    given.draws, given.factor = wp.array(rows, dtype=Draw, device=target), wp.array(factor, device=target)
+    given.draws, given.factor = wp.array(rows, dtype=DrawLimits, device=target), wp.array(factor, device=target)
     names = {function.key: function for function in _CALLED}
-    return Made(lines=tuple(_lines(drawn, columns)), names=names, given_type=DrawArrays, given=given)
+    return KernelInput(lines=tuple(_lines(drawn, columns)), names=names, given_type=DrawArrays, given=given)
 
 
-def _lines(drawn: Sequence[Drawn], joint_columns: Sequence[int]) -> Iterator[str]:
+def _lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int]) -> Iterator[str]:
     """Yield the kernel lines that draw each number; ``joint_columns`` are the columns of the joint distribution."""
-    yield f"episode = stream_of(given.random, row, {int(Purpose.PARAMETERS)})"
+    yield f"episode = episode_stream(given.random, row, {int(Purpose.PARAMETERS)})"
     for i, each in enumerate(drawn):
         yield f"quantity_{i} = substream(episode, {_stream(each.name)})"
         for element, k in enumerate(range(each.columns.start, each.columns.stop)):

@@ -19,7 +19,7 @@ BATTERY = ("nominal_voltage", "full_voltage", "empty_voltage", "internal_resista
 """Columns of ``Vehicle.battery``."""
 
 
-def drawn_value(cfg: RandomizeCfg, declared: Tensor, draw: Tensor) -> Tensor:
+def apply_draw(cfg: RandomizeCfg, declared: Tensor, draw: Tensor) -> Tensor:
     """Return a quantity from its declared value and its draw."""
     if cfg.how == "value":
         return draw + torch.zeros_like(declared)
@@ -64,7 +64,7 @@ class Quantity:
 
 
 def _mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    mass = drawn_value(cfg, vehicle.mass, draw)
+    mass = apply_draw(cfg, vehicle.mass, draw)
     if cfg.keep_inertia:
         return replace(vehicle, mass=mass)
     return replace(vehicle, mass=mass, inertia=vehicle.inertia * (mass / vehicle.mass)[:, None, None])
@@ -79,7 +79,7 @@ def _field(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Te
     drawn: dict[int, Tensor] = {}
     for declared in (getattr(vehicle, name) for name in names):  # one tensor for all names stays one
         if id(declared) not in drawn:
-            drawn[id(declared)] = drawn_value(cfg, declared, draw)
+            drawn[id(declared)] = apply_draw(cfg, declared, draw)
     return replace(vehicle, **{name: drawn[id(getattr(vehicle, name))] for name in names})
 
 
@@ -94,13 +94,13 @@ def _torque(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
 
 
 def _axis(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
-    axis = drawn_value(cfg, vehicle.rotor_axis, draw)
+    axis = apply_draw(cfg, vehicle.rotor_axis, draw)
     return replace(vehicle, rotor_axis=axis / axis.norm(dim=-1, keepdim=True))
 
 
 def _battery(column: int, vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     columns = list(vehicle.battery.unbind(-1))
-    columns[column] = drawn_value(cfg, columns[column], draw)
+    columns[column] = apply_draw(cfg, columns[column], draw)
     return replace(vehicle, battery=torch.stack(columns, dim=-1))
 
 
@@ -112,7 +112,7 @@ def _charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     return replace(vehicle, battery=torch.stack(columns, dim=-1))
 
 
-def _plain(unit: str, width: Width, meaning: str, *fields: str) -> Quantity:
+def _field_quantity(unit: str, width: Width, meaning: str, *fields: str) -> Quantity:
     return Quantity(unit=unit, width=width, apply=partial(_field, fields), meaning=meaning)
 
 
@@ -120,7 +120,7 @@ QUANTITIES: dict[str, Quantity] = {
     "body.mass": Quantity(
         unit="kg", width="one", apply=_mass, meaning="mass; the inertia grows with it (keep_inertia)"
     ),
-    "body.com": _plain("m", "vector", "centre of mass from the body origin, body", "com"),
+    "body.com": _field_quantity("m", "vector", "centre of mass from the body origin, body", "com"),
     "body.inertia": Quantity(
         unit="-",
         width="vector",
@@ -134,15 +134,17 @@ QUANTITIES: dict[str, Quantity] = {
     "rotor.torque_map": Quantity(
         unit="-", width="rotor", apply=_torque, how=("scale",), meaning="drag torque of a speed alone"
     ),
-    "rotor.time_constant": _plain("s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"),
-    "rotor.time_constant_up": _plain("s", "rotor", "lag of a speed that grows", "time_constant_up"),
-    "rotor.time_constant_down": _plain("s", "rotor", "lag of a speed that falls", "time_constant_down"),
-    "rotor.slew_rate": _plain(
+    "rotor.time_constant": _field_quantity(
+        "s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"
+    ),
+    "rotor.time_constant_up": _field_quantity("s", "rotor", "lag of a speed that grows", "time_constant_up"),
+    "rotor.time_constant_down": _field_quantity("s", "rotor", "lag of a speed that falls", "time_constant_down"),
+    "rotor.slew_rate": _field_quantity(
         "rad/s² or N/s", "rotor", "largest rates of the rotor's state", "slew_rate", "slew_rate_down"
     ),
-    "rotor.dead_band": _plain("rad/s or N", "rotor", "commands that stop the rotor", "dead_band"),
-    "rotor.radius": _plain("m", "rotor", "radius of the propeller", "rotor_radius"),
-    "mounts.*.position": _plain("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
+    "rotor.dead_band": _field_quantity("rad/s or N", "rotor", "commands that stop the rotor", "dead_band"),
+    "rotor.radius": _field_quantity("m", "rotor", "radius of the propeller", "rotor_radius"),
+    "mounts.*.position": _field_quantity("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
     "mounts.*.axis": Quantity(
         unit="-", width="rotor_vector", apply=_axis, how=("offset",), meaning="directions of thrust, made unit length"
     ),

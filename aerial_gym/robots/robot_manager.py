@@ -17,7 +17,7 @@ from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.errors import ShapeError
 from aerial_gym.interop import with_usual_settings
-from aerial_gym.interop.rows import MaskedRows
+from aerial_gym.interop.rows import RowUpdate
 from aerial_gym.math.random import Randomness, take_mask
 from aerial_gym.physics import (
     PhysicsBackend,
@@ -25,26 +25,26 @@ from aerial_gym.physics import (
     build_model,
     vehicle_from_config,
 )
-from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
-from aerial_gym.physics.model import Model, bends_of, check_effects, robot_effects
+from aerial_gym.physics.model import Model, check_effects, load_articulation, robot_effects
 from aerial_gym.physics.rotors import hover_speed
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.registry.state import below
+from aerial_gym.registry.state import add_prefix
+from aerial_gym.robots.contact_sources import ContactSources
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.felt_scene import declare_felt_scene
-from aerial_gym.robots.guarded_parameters import guard_parameters
-from aerial_gym.robots.hung_load import hung_load
+from aerial_gym.robots.effect_scene import declare_effect_scene
 from aerial_gym.robots.initial_state import InitialState, StepBegin
-from aerial_gym.robots.joints.drawn_bodies import check_drawn_bodies
+from aerial_gym.robots.joints.base_draws import check_base_draws
 from aerial_gym.robots.joints.states import JointStates
-from aerial_gym.robots.noticed import Noticed
-from aerial_gym.robots.parameter_draws import drawing
-from aerial_gym.robots.pushed_robot import Pushing
-from aerial_gym.robots.randomized import Followed, Randomized, with_drawn_effects
+from aerial_gym.robots.non_finite_rows import NonFiniteRows
+from aerial_gym.robots.parameter_draws import draw_code
+from aerial_gym.robots.parameter_guards import guard_parameters
+from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_random_effects
+from aerial_gym.robots.slung_load import make_slung_load
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 from aerial_gym.robots.surroundings import Surroundings
 
@@ -81,14 +81,14 @@ class RobotManager:
             ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
                 is there.
         """
-        robot = with_drawn_effects(robot, randomize or {})
+        robot = add_random_effects(robot, randomize or {})
         self.cfg, self._sim, self._gtd, self._random, self._around = robot, sim, gtd, random, around
         check_effects(robot)
         self._num_envs = root_state.shape[0]
         self.declared: Vehicle = vehicle_from_config(robot, num_envs=self._num_envs, device=gtd.device)
         self._effects = robot_effects(robot, num_envs=self._num_envs, device=gtd.device, dtype=root_state.dtype)
         self._com = torch.zeros(self._num_envs, 3, device=gtd.device)
-        self.articulation = bends_of(robot, like=root_state)
+        self.articulation = load_articulation(robot, like=root_state)
         """Joints of the robot; None for a rigid one."""
         pushed = around.contact is not None
         asked = {
@@ -98,7 +98,7 @@ class RobotManager:
         }
         if gradients is not None:
             asked |= {"gradients": True, "dtype": gradients}
-        self.backend: PhysicsBackend = choose_backend(sim.backend, needs=needs_of(robot, gtd.device, **asked))
+        self.backend: PhysicsBackend = choose_backend(sim.backend, needs=robot_needs(robot, gtd.device, **asked))
         self.controller: Controller = make_controller(
             controller,
             self.declared if gradients is None else self.declared.to(gradients),
@@ -118,8 +118,8 @@ class RobotManager:
         self._stale = False
         drawn = [] if self._randomized is None else self._randomized.random_effects
         guard_parameters(gtd, self._effects, drawn, notice=self._note_write)
-        self._pushing = Pushing(robot, gtd, around)
-        self._load = hung_load(gtd, self._effects, self.tensors.state)
+        self._pushing = ContactSources(robot, gtd, around)
+        self._load = make_slung_load(gtd, self._effects, self.tensors.state)
         self.backend.allocate(
             self._build_model(),
             self.controller,
@@ -131,7 +131,7 @@ class RobotManager:
         self.backend.prepare(sim.dt)
         rest_speed = hover_speed(self.declared, sim.gravity)
         self.tensors.state.rotor_speed.copy_(rest_speed)
-        self.noticed = Noticed.from_gtd(gtd)
+        self.noticed = NonFiniteRows.from_gtd(gtd)
         """Rows that were not finite."""
         self._initial = InitialState(
             robot.initial_state,
@@ -146,7 +146,7 @@ class RobotManager:
         )
         self._joints: JointStates | None = None
         if robot.joints is not None:
-            assert isinstance(self.tensors.state, JointedState)
+            assert isinstance(self.tensors.state, ArticulatedState)
             self._joints = JointStates(robot.joints, gtd, self.tensors.state, random)
         self._update = self._make_update()
         self._begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
@@ -179,7 +179,7 @@ class RobotManager:
             ))  # fmt: skip
         scene, gradients = self._around.scene, self.differentiable is not None
         obstacles = scene is not None and scene.num_instances > 0
-        self.felt = declare_felt_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
+        self.felt = declare_effect_scene(gtd, self._effects, obstacles=obstacles, gradients=gradients)
 
     def _note_write(self) -> None:
         self._stale = True
@@ -203,14 +203,14 @@ class RobotManager:
         """Width U of an action."""
         return len(self.action_names)
 
-    def _make_randomized(self, cfg: Randomize) -> Randomized | None:
+    def _make_randomized(self, cfg: Randomize) -> RobotDraws | None:
         """Return the layout of the random quantities and declare their numbers; None without any."""
         if not cfg:
             return None
         gains = self.controller.gains_by_name
-        randomized = Randomized(cfg, self.cfg, self.declared, self._effects, gains)
+        randomized = RobotDraws(cfg, self.cfg, self.declared, self._effects, gains)
         if self.articulation is not None:
-            check_drawn_bodies(randomized, self.articulation, [params for _, params in self._effects])
+            check_base_draws(randomized, self.articulation, [params for _, params in self._effects])
         if randomized.random_gains:
             self.controller.own_gains()  # pyright: ignore[reportAttributeAccessIssue] - every controller with gains has it
         names = ", ".join(f"{each.name} ({each.cfg.how})" for each in randomized.drawn)
@@ -230,12 +230,12 @@ class RobotManager:
         drawn = () if self._randomized is None else (self._values,)
         return (*drawn, *(params for _, params in self._effects), *self.felt.sources)
 
-    def _model_of(self, *sources: Tensor, declared: Vehicle | None = None) -> tuple[Model, Followed]:
+    def _make_model(self, *sources: Tensor, declared: Vehicle | None = None) -> tuple[Model, DrawResult]:
         """Return the model and the drawn values, by torch functions on the rows of ``_sources`` and ``declared``."""
         rest = list(sources)
         values = rest.pop(0) if self._randomized is not None else None
-        felt = self.felt.take_from(rest)
-        followed = Followed(vehicle=self.declared, params=tuple(rest), gains={})
+        felt = self.felt.pop_rows(rest)
+        followed = DrawResult(vehicle=self.declared, params=tuple(rest), gains={})
         if self._randomized is not None and values is not None:
             followed = self._randomized.follow(values, *rest, vehicle=declared)
         model = build_model(
@@ -251,7 +251,7 @@ class RobotManager:
 
     def _build_model(self) -> Model:
         """Return the model of all environments with tensors of its own, and write the parameters that other parts hold."""
-        model, followed = self._model_of(*self._sources(), declared=self.declared)
+        model, followed = self._make_model(*self._sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
         for target, rows in zip(self._targets(), self._rows(model, followed), strict=True):
@@ -281,33 +281,33 @@ class RobotManager:
         drawn = [] if self._randomized is None else self._randomized.random_effects
         return any(isinstance(self._effects[i][0], ImuEffect) for i in drawn)
 
-    def _rows(self, model: Model, followed: Followed) -> list[Tensor]:
+    def _rows(self, model: Model, followed: DrawResult) -> list[Tensor]:
         """Return allocation, parameters of effects, gains and errors of inertial sensors that follow from draws."""
-        found = [] if self._allocation is None else [*self._allocation.rows_for(model.vehicle).values()]
+        tensors = [] if self._allocation is None else [*self._allocation.compute_rows(model.vehicle).values()]
         if self._randomized is not None:
-            found += [followed.params[i] for i in self._randomized.random_effects]
-            found += [followed.gains[name] for name in self._randomized.random_gains]
+            tensors += [followed.params[i] for i in self._randomized.random_effects]
+            tensors += [followed.gains[name] for name in self._randomized.random_gains]
         if self._draws_imu_errors:
-            found.append(imu_errors(model.effects[ImuEffect]))
-        return found
+            tensors.append(imu_errors(model.effects[ImuEffect]))
+        return tensors
 
     def _targets(self) -> list[Tensor]:
         """Return the tensors that receive the results of ``_rows``, in that order."""
-        found = [] if self._allocation is None else [*self._allocation.rows.values()]
+        tensors = [] if self._allocation is None else [*self._allocation.rows.values()]
         if self._randomized is not None:
-            found += [self._effects[i][1] for i in self._randomized.random_effects]
-            found += [self.controller.gains_by_name[name] for name in self._randomized.random_gains]
+            tensors += [self._effects[i][1] for i in self._randomized.random_effects]
+            tensors += [self.controller.gains_by_name[name] for name in self._randomized.random_gains]
         if self.imu_errors is not None and self._draws_imu_errors:
-            found.append(self.imu_errors)
-        return found
+            tensors.append(self.imu_errors)
+        return tensors
 
-    def _make_update(self) -> MaskedRows | None:
+    def _make_update(self) -> RowUpdate | None:
         """Return the launch that draws parameters and initial state for a mask; None without random parameters."""
         if self._randomized is None:
             return None
 
         def rows(*sources: Tensor, declared: Vehicle | None = None) -> tuple[Tensor, ...]:
-            model, followed = self._model_of(*sources, declared=declared)
+            model, followed = self._make_model(*sources, declared=declared)
             shown = (getattr(model.vehicle, name) for name in own)
             follows = (rows.to(dtype) for rows, dtype in zip(self._rows(model, followed), types, strict=True))
             return (*shown, *follows, *self.backend.parameter_rows(model))
@@ -316,12 +316,12 @@ class RobotManager:
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
         targets = (*(shown[name] for name in own), *self._targets(), *self.backend.parameter_targets())
-        return MaskedRows(
+        return RowUpdate(
             rows,
             self._sources(),
             targets,
             mask=self._random.mask,
-            made=drawing(self._randomized.drawn, self._random, device=self._gtd.device),
+            made=draw_code(self._randomized.drawn, self._random, device=self._gtd.device),
             beside=self._initial.work,
             plain=partial(rows, declared=self.declared),
         )
@@ -346,8 +346,8 @@ class RobotManager:
         drawn = [] if self._randomized is None else self._randomized.random_gains
         kept = {name: self.controller.gains_by_name[name] for name in drawn}
         rows = {} if self._allocation is None else self._allocation.rows
-        found = {"com": self._com} | below("gains", kept) | below("allocation", rows)
-        return found | below("backend", self.backend.state_tensors())
+        tensors = {"com": self._com} | add_prefix("gains", kept) | add_prefix("allocation", rows)
+        return tensors | add_prefix("backend", self.backend.state_tensors())
 
     def act(self, actions: Tensor) -> None:
         """Begin a step: store action (E, U) and previous action, count the step, clear the flags of episode ends."""

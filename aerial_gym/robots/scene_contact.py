@@ -18,35 +18,35 @@ from torch import Tensor
 from aerial_gym.assets import Scene
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes
 from aerial_gym.assets.cores import has_cores
-from aerial_gym.assets.motion import move_instance
+from aerial_gym.assets.obstacle_motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
 from aerial_gym.assets.scene_arrays import SceneArrays
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import RecordedLaunch
+from aerial_gym.interop import ReusableLaunch
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import position_share
 from aerial_gym.physics.fused.contact import (
     ContactParameters,
     contact_parameters,
-    displaced,
+    displace,
     make_velocity_change,
 )
 from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.integrators import MassState
-from aerial_gym.robots.crossings import make_find_stop
-from aerial_gym.robots.touching_pairs import (
+from aerial_gym.robots.contact_pairs import (
     MAX_CONTACTS,
     SceneMotion,
     add_cores,
     add_pairs,
-    come_fast,
     find_pairs,
+    has_fast_approach,
     scene_motion,
 )
+from aerial_gym.robots.crossings import make_find_stop
 
 _velocity_change = make_velocity_change(MAX_CONTACTS)
 
@@ -69,7 +69,7 @@ class SceneSurroundings:
 
 
 @wp.struct
-class MovingSurroundings:
+class DynamicSurroundings:
     """``SceneSurroundings`` with moving obstacles."""
 
     around: SceneSurroundings
@@ -77,12 +77,12 @@ class MovingSurroundings:
 
 
 @cache
-def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
     """Return the contact after a substep; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
     find_stop, obstacles_type = make_find_stop(moves=moves, cores=cores, meshes=meshes), Obstacles if moves else int
 
     @wp.func
-    def meet(around: SceneSurroundings, obstacles: obstacles_type, env: int, done: Substep):
+    def contact_motion(around: SceneSurroundings, obstacles: obstacles_type, env: int, done: Substep):
         """Return a robot's motion after the swept test against obstacles and the impulses of contact.
 
         Obstacles move by the substep between these. The motion of a robot without contact is unchanged bit for bit.
@@ -104,7 +104,7 @@ def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         if stop.crosses:
             pairs = add_pairs(pairs, stop.pairs)
         turn = rotate(q, done.first_ang_vel)
-        if stop.crashes or come_fast(pairs, done.first_lin_vel, turn, around.law.least_approach):
+        if stop.crashes or has_fast_approach(pairs, done.first_lin_vel, turn, around.law.least_approach):
             around.crashes[env] = True
         if wp.min(pairs.gaps) >= 0.0:
             return x, q, v, w
@@ -113,7 +113,7 @@ def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
             pairs.gaps, pairs.levers, pairs.normals, pairs.surface_vels,
         )  # fmt: skip
         around.impulse[env] = around.impulse[env] + done.mass * delta
-        pushed_x, pushed_q, v, w = displaced(around.law, done.dt, x, q, v, w, delta, delta_turn)
+        pushed_x, pushed_q, v, w = displace(around.law, done.dt, x, q, v, w, delta, delta_turn)
         if not stop.crosses:
             shifted = done  # the push of one end of a rod may turn its other end through a wall
             shifted.dt = 0.0
@@ -128,13 +128,13 @@ def _make_meet(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
             q = end.attitude
         return x, q, v, w
 
-    return meet
+    return contact_motion
 
 
 @cache
-def _hook_of(*, moves: bool, cores: bool, meshes: bool) -> tuple[type, wp.Function]:
+def _make_hook(*, moves: bool, cores: bool, meshes: bool) -> tuple[type, wp.Function]:
     """Return the struct and the function of a hook."""
-    meet = _make_meet(moves=moves, cores=cores, meshes=meshes)
+    meet = _make_contact_motion(moves=moves, cores=cores, meshes=meshes)
 
     @wp.func
     def meet_still(around: SceneSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001 (all hooks have the same)
@@ -142,17 +142,17 @@ def _hook_of(*, moves: bool, cores: bool, meshes: bool) -> tuple[type, wp.Functi
         return x, q, v, w
 
     @wp.func
-    def meet_moving(data: MovingSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001
+    def meet_moving(data: DynamicSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001
         x, q, v, w = meet(data.around, data.obstacles, env, done)
         return x, q, v, w
 
-    return (MovingSurroundings, meet_moving) if moves else (SceneSurroundings, meet_still)
+    return (DynamicSurroundings, meet_moving) if moves else (SceneSurroundings, meet_still)
 
 
 @cache
 def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
     """Return the kernel of one substep, for backends that are no kernel themselves."""
-    data_type, meet = _hook_of(moves=moves, cores=cores, meshes=meshes)
+    data_type, meet = _make_hook(moves=moves, cores=cores, meshes=meshes)
 
     @wp.kernel(module="unique", enable_backward=False)
     def push(
@@ -204,7 +204,7 @@ def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PushedRobot:
+class ContactBody:
     """Tensors of the robot in contact; they keep their memory."""
 
     mass: Tensor  # [kg], (E,)
@@ -225,7 +225,7 @@ class SceneContact:
         self,
         scene: Scene,
         cfg: ContactCfg,
-        robot: PushedRobot,
+        robot: ContactBody,
         state: BodyState,
         *,
         integrator: str,
@@ -263,15 +263,15 @@ class SceneContact:
         around.hull = float((robot.spheres[:, :3].norm(dim=1) + robot.spheres[:, 3]).max())
         self._data = around
         if moving is not None:
-            self._data = MovingSurroundings()
+            self._data = DynamicSurroundings()
             self._data.around, self._data.obstacles = around, moving
         self._kinds = {"moves": moving is not None, "cores": cores, "meshes": scene.has_meshes}
         self._kept_alive = (crashes_out, impulse_out, moving)
-        self._command: RecordedLaunch | None = None
+        self._command: ReusableLaunch | None = None
 
     def fused(self) -> FusedHook:
         """Return this hook as Warp code for a fused kernel."""
-        struct, function = _hook_of(**self._kinds)
+        struct, function = _make_hook(**self._kinds)
         return FusedHook(struct, self._data, function)
 
     def begin(self, state: BodyState) -> None:
@@ -288,7 +288,7 @@ class SceneContact:
             self._command = self._record()
         self._command.launch(self._state.lin_vel)
 
-    def _record(self) -> RecordedLaunch:
+    def _record(self) -> ReusableLaunch:
         scene, robot, envs, device = self._scene, self._robot, (self._scene.num_envs,), self._scene.device
         check_tensor("mass", robot.mass, envs, device=device)
         check_tensor("inertia", robot.inertia, (*envs, 3, 3), device=device)
@@ -300,7 +300,7 @@ class SceneContact:
         inputs += [view(name, tensor) for name, tensor in zip(("com", *_FIRST), (robot.com, *self._first), strict=True)]
         moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
         self._views = (inputs, moved)
-        return RecordedLaunch(
+        return ReusableLaunch(
             _make_push(**self._kinds),
             dim=scene.num_envs,
             inputs=[*inputs, self._dt],

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.physics import BodyState
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.robots.derived import Checked, DerivedStates
 from aerial_gym.robots.joints.states import declare_joints
+from aerial_gym.robots.secondary_states import FiniteCheck, SecondaryStates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +21,7 @@ class RobotTensors:
     """The robot's tensors in the GTD."""
 
     state: BodyState  # Written by the physics
-    derived: DerivedStates  # Written after the physics and after a reset
+    derived: SecondaryStates  # Written after the physics and after a reset
     actions: Tensor  # (E, U)
     prev_actions: Tensor  # (E, U)
 
@@ -59,10 +59,10 @@ def declare_robot_tensors(
         ),
     )
     if joints is not None:
-        state = JointedState(**vars(state), **declare_joints(gtd, joints))
+        state = ArticulatedState(**vars(state), **declare_joints(gtd, joints))
     state.attitude[:, 3] = 1.0
     actions = new("robot_actions", "U", "see controller", "-", "robot", "last action")
-    derived = DerivedStates(
+    derived = SecondaryStates(
         state,
         root_state=root_state,
         ang_vel_world=new("robot_angvel", 3, "rad/s", "world", "robot", "angular velocity"),
@@ -70,7 +70,7 @@ def declare_robot_tensors(
         vehicle_attitude=new("robot_vehicle_orientation", 4, "-", "world", "robot", "yaw alone, xyzw"),
         vehicle_lin_vel=new("robot_vehicle_linvel", 3, "m/s", "vehicle", "robot", "velocity of the origin"),
         euler=new("robot_euler_angles", 3, "rad", "-", "robot", "ZYX roll, pitch, yaw in (-pi, pi]"),
-        checked=Checked(actions=actions, non_finite=gtd["non_finite"], crashes=gtd["crashes"]),
+        checked=FiniteCheck(actions=actions, non_finite=gtd["non_finite"], crashes=gtd["crashes"]),
     )
     return RobotTensors(
         state=state,

@@ -22,7 +22,7 @@ GRAVITY = 9.81
 
 
 @dataclass(frozen=True, kw_only=True)
-class TunedRobot:
+class TuningResult:
     """The derived ``control:`` of a robot file and the resulting closed loop."""
 
     control: ControlCfg  # With frequencies and damping ratios of attitude and position
@@ -34,7 +34,7 @@ class TunedRobot:
 
 def tune_robot(
     robot: RobotCfg, *, name: str, attitude: float, position: float, damping: float, dt: float
-) -> TunedRobot:
+) -> TuningResult:
     """Return the control that meets a bandwidth and a damping ratio.
 
     Args:
@@ -74,4 +74,4 @@ def tune_robot(
         names=(name, "lee_position_control"),
     )  # fmt: skip
     lag = float(torch.maximum(vehicle.time_constant_up, vehicle.time_constant_down).max())
-    return TunedRobot(control=control, lag=lag, delay=delay, yaw_limited=limited, radius=loop.radius(dt))
+    return TuningResult(control=control, lag=lag, delay=delay, yaw_limited=limited, radius=loop.radius(dt))

@@ -10,7 +10,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split, start_warp
+from aerial_gym.interop import ReusableLaunch, launch_side_by_side, on_torch_stream, split, start_warp
 
 BLOCK_DIM = 256
 """Threads of a block on a GPU: eight cells, of which neighbours read the same sectors of memory."""
@@ -32,7 +32,7 @@ MIN_PIXELS_PER_THREAD = 100_000
 #endif
     return value;
 """)
-def least_of_warp(value: float) -> float:
+def warp_minimum(value: float) -> float:
     """Return the least value among the lanes of a warp; on a CPU the value."""
 
 
@@ -69,7 +69,7 @@ def make_pool(*, lanes: int, rows: int) -> wp.Kernel:
                     distance = image[env, wp.min(top + k, bottom - 1), x]
                     nearest = wp.min(nearest, wp.where(distance >= 0.0, distance, wp.inf))
         if wp.static(lanes > 1):
-            nearest = least_of_warp(nearest)
+            nearest = warp_minimum(nearest)
         if lane == 0:
             nearest_out[env, row, column] = wp.where(nearest < wp.inf, nearest / largest, empty)
 
@@ -99,9 +99,9 @@ class NearestInCells:
         """As a share of the largest, (E, R C), row by row from the upper left cell."""
         arrays = wp.from_torch(image[:, 0]), wp.from_torch(self.nearest.view(-1, rows, columns))
         size = -(-height // rows), -(-width // columns)
-        lanes, together = _sharing(size, image.device)
+        lanes, together = _thread_layout(size, image.device)
         self._launches = [
-            RecordedLaunch(
+            ReusableLaunch(
                 make_pool(lanes=lanes, rows=together),
                 dim=(count, rows, columns, lanes),
                 inputs=[arrays[0], *size, largest, empty, first],
@@ -125,7 +125,7 @@ class NearestInCells:
             launch_side_by_side(self._launches)
 
 
-def _sharing(size: tuple[int, int], device: torch.device) -> tuple[int, int]:
+def _thread_layout(size: tuple[int, int], device: torch.device) -> tuple[int, int]:
     """Return the threads that share a cell of a size, height and width [pixels], and the rows that each reads at once."""
     if device.type != "cuda":
         return 1, 1

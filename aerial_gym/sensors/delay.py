@@ -12,7 +12,7 @@ CLOCK_MARGIN = 1e-4
 """Share of a period by which a measurement may come early: steps do not add up to a period exactly in float32."""
 
 
-def steps_of(latency_s: float, dt: float) -> int:
+def latency_steps(latency_s: float, dt: float) -> int:
     """Return a latency in steps of ``dt`` [s], rounded to a whole number."""
     return round(latency_s / dt)
 
@@ -59,6 +59,6 @@ class DelayLine:
         self._started.logical_and_(~mask)
 
 
-def like(images: SensorImages) -> SensorImages:
+def make_zeros_like(images: SensorImages) -> SensorImages:
     """Return images of the same shapes."""
     return SensorImages(**{name: torch.zeros_like(image) for name, image in images.items()})

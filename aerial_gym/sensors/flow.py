@@ -20,7 +20,7 @@ from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch
+from aerial_gym.interop import ReusableLaunch
 from aerial_gym.sensors.rays import ray_table
 
 LEAST_DISTANCE = wp.constant(1.0e-6)
@@ -41,7 +41,7 @@ class Flow:
 
 
 @wp.kernel(enable_backward=False)
-def relate(
+def relative_twist(
     # scene
     scene: SceneArrays,
     instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
@@ -91,7 +91,7 @@ def relate(
 
 
 @wp.func
-def flow_of(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance: float, part: int) -> wp.vec2:
+def ray_flow(flow: Flow, env: int, mount: int, pixel: int, ray: wp.vec3, distance: float, part: int) -> wp.vec2:
     """Return the optical flow [pixel/s] of a ray's hit at a distance; part -1 is a miss, at infinity."""
     a = flow.drift.shape[1] - 1
     if part >= 0:
@@ -119,7 +119,7 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     return flow
 
 
-def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> RecordedLaunch:
+def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> ReusableLaunch:
     """Record the launch that works out the motions before the rays are traced.
 
     Args:
@@ -131,7 +131,7 @@ def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp
     """
     inputs = [scene.arrays, *instance_twists(scene), *link_twists(scene), *pose[:2], *twist, *pose[2:], link]
     outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)
-    return RecordedLaunch(relate, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device)
+    return ReusableLaunch(relative_twist, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device)
 
 
 def instance_twists(scene: Scene) -> list[wp.array]:
@@ -147,7 +147,10 @@ def link_twists(scene: Scene) -> list[wp.array]:
 
 def _twists(name: str, state: Tensor) -> list[wp.array]:
     shape, columns = (*state.shape[:2], 3), {"velocity": slice(7, 10), "angular velocity": slice(10, 13)}
-    return [vector_view(f"{name} {what}", state[..., at], shape, device=state.device) for what, at in columns.items()]
+    return [
+        vector_view(f"{name} {quantity}", state[..., at], shape, device=state.device)
+        for quantity, at in columns.items()
+    ]
 
 
 def flow_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:

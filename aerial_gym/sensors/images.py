@@ -47,23 +47,23 @@ class SensorImages(Mapping[str, Tensor]):
 
     def check(self, cfg: RangeSensorCfg, num_envs: int, device: torch.device) -> None:
         """Raise ``ShapeError`` unless exactly the images that ``cfg`` asks for are here, and fit."""
-        asked = images_of(cfg)
+        asked = sensor_images(cfg)
         for name in (*IMAGES, *self):
             if (name in self) != (name in asked):
                 raise ShapeError(f"{name} must be given exactly if the sensor has such an image: it is {name in asked}")
         for name, image in self.items():
             shape = image_shape(cfg, asked[name], num_envs)
-            check_tensor(name, image, shape, device=device, dtype=dtype_of(asked[name]))
+            check_tensor(name, image, shape, device=device, dtype=pixel_dtype(asked[name]))
             if not image.is_contiguous():
                 raise ShapeError(f"{name} has stride {image.stride()}: images must be contiguous")
 
 
-def images_of(cfg: RangeSensorCfg) -> dict[str, Image]:
+def sensor_images(cfg: RangeSensorCfg) -> dict[str, Image]:
     """Return the rows of ``IMAGES`` that a sensor has."""
-    return {name: image for name, image in IMAGES.items() if image.is_in(cfg)}
+    return {name: image for name, image in IMAGES.items() if image.is_enabled(cfg)}
 
 
-def dtype_of(image: Image) -> torch.dtype:
+def pixel_dtype(image: Image) -> torch.dtype:
     """Return the dtype of an image's pixels."""
     return torch.int32 if image.ids else torch.float32
 
@@ -81,8 +81,8 @@ POISON = {torch.float32: float("nan"), torch.int32: -(2**31)}
 def make_images(cfg: RangeSensorCfg, num_envs: int, *, device: torch.device, poisoned: bool = False) -> SensorImages:
     """Return new images of a sensor, full of zeros, or of ``POISON``."""
     images = {}
-    for name, image in images_of(cfg).items():
-        shape, dtype = image_shape(cfg, image, num_envs), dtype_of(image)
+    for name, image in sensor_images(cfg).items():
+        shape, dtype = image_shape(cfg, image, num_envs), pixel_dtype(image)
         images[name] = torch.full(shape, POISON[dtype] if poisoned else 0, dtype=dtype, device=device)
     return SensorImages(**images)
 
@@ -101,13 +101,13 @@ def declare_images(
         name: gtd.declare(TensorSpec(
             key=f"{prefix}{image.key}",
             shape=shape if image.components == 1 else (*shape, image.components),
-            dtype=dtype_of(image),
-            unit=image.unit_of(cfg),
-            frame=image.frame_of(cfg),
+            dtype=pixel_dtype(image),
+            unit=image.resolve_unit(cfg),
+            frame=image.resolve_frame(cfg),
             owner=owner,
-            meaning=image.meaning_of(cfg),
+            meaning=image.resolve_meaning(cfg),
         ))
-        for name, image in images_of(cfg).items()
+        for name, image in sensor_images(cfg).items()
     })  # fmt: skip
 
 
@@ -115,7 +115,7 @@ _PIXEL = {1: wp.float32, 2: wp.vec2, 3: wp.vec3}
 """Type of a pixel by the number of its components."""
 
 
-def _pixel_of(image: Image) -> type:
+def _pixel_type(image: Image) -> type:
     return wp.int32 if image.ids else _PIXEL[image.components]
 
 
@@ -128,15 +128,15 @@ def arrays_type(names: tuple[str, ...]) -> type:
         "attitude": wp.array[wp.quat],  # (M,) sensor to world; likewise
         "flow": Flow,
     }
-    written = {name: wp.array2d[_pixel_of(IMAGES[name])] for name in names}
+    written = {name: wp.array2d[_pixel_type(IMAGES[name])] for name in names}
     return wp.struct(type("Images", (), {"__annotations__": {**needed, **written}, "__module__": __name__}))
 
 
-def arrays_of(images: SensorImages) -> object:
+def make_arrays(images: SensorImages) -> object:
     """Return the struct of these images; its other members are set later."""
     arrays = arrays_type(tuple(images))()
     for name, image in images.items():
         pixels = image.shape[2] * image.shape[3]
         view = image.view(-1, pixels, *image.shape[4:])
-        setattr(arrays, name, wp.from_torch(view, dtype=_pixel_of(IMAGES[name])))
+        setattr(arrays, name, wp.from_torch(view, dtype=_pixel_type(IMAGES[name])))
     return arrays

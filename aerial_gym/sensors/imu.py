@@ -28,22 +28,22 @@ from torch import Tensor
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch, make_struct, start_warp, with_usual_settings
+from aerial_gym.interop import ReusableLaunch, make_struct, start_warp, with_usual_settings
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
 from aerial_gym.physics.effects.imu_errors import WIDTH
-from aerial_gym.sensors.delay import CLOCK_MARGIN, steps_of
+from aerial_gym.sensors.delay import CLOCK_MARGIN, latency_steps
 from aerial_gym.sensors.mounts import Pose, nominal_pose
-from aerial_gym.sensors.places import PlaceRange, place_of, place_range
+from aerial_gym.sensors.sensor_poses import PoseRange, draw_pose, pose_range
 
 
 @wp.struct
-class Unit:
+class ImuParameters:
     """IMU parameters, equal in all environments. Noise and walk are per step."""
 
-    mount: PlaceRange  # IMU to body, without misalignment
+    mount: PoseRange  # IMU to body, without misalignment
     misalignment: wp.vec3  # +- [rad]
     accel_noise: wp.vec3  # [m/s²]
     gyro_noise: wp.vec3  # [rad/s]
@@ -62,7 +62,7 @@ class Unit:
 
 
 @wp.struct
-class Motion:
+class ImuMotion:
     """Motion of the body or link that carries the IMU."""
 
     attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
@@ -74,7 +74,7 @@ class Motion:
 
 
 @wp.struct
-class Outputs:
+class ImuOutputs:
     """Arrays that a sample and a reset write."""
 
     sample: wp.array[wp.int32]  # (E,) counted from the reset on
@@ -92,11 +92,11 @@ class Outputs:
 
 
 @wp.func
-def _count(random: RandomArrays, number: int, e: int, out: Outputs) -> wp.uint32:
+def _count(random: RandomArrays, number: int, e: int, out: ImuOutputs) -> wp.uint32:
     """Return the random state of an environment's next sample, and count it."""
     sample = out.sample[e]
     out.sample[e] = sample + 1
-    return substream(substream(stream_of(random, e, wp.static(int(Purpose.IMU))), number), sample)
+    return substream(substream(episode_stream(random, e, wp.static(int(Purpose.IMU))), number), sample)
 
 
 @wp.func
@@ -122,13 +122,13 @@ def _limit(value: wp.vec3, bound: float) -> wp.vec3:
 
 
 @wp.func
-def _point_velocity(motion: Motion, position: wp.vec3, e: int) -> wp.vec3:
+def _point_velocity(motion: ImuMotion, position: wp.vec3, e: int) -> wp.vec3:
     """Return ``v_o + R (w x r)`` [m/s], world."""
     return motion.lin_vel[e] + rotate(motion.attitude[e], wp.cross(motion.ang_vel[e], position))
 
 
 @wp.func
-def _felt(motion: Motion, unit: Unit, e: int, first: int, true: wp.vec3) -> wp.vec3:
+def _apply_errors(motion: ImuMotion, unit: ImuParameters, e: int, first: int, true: wp.vec3) -> wp.vec3:
     """Return a vector in body axes after the robot's IMU errors, ``M v + b``; rows ``first`` on hold b and the columns of M."""
     if not unit.errs:
         return true
@@ -138,9 +138,9 @@ def _felt(motion: Motion, unit: Unit, e: int, first: int, true: wp.vec3) -> wp.v
 
 @wp.func
 def _write(
-    motion: Motion,
-    unit: Unit,
-    out: Outputs,
+    motion: ImuMotion,
+    unit: ImuParameters,
+    out: ImuOutputs,
     e: int,
     random: wp.uint32,
     mount: wp.quat,
@@ -156,12 +156,12 @@ def _write(
     """
     share = 1.0 / wp.sqrt(steps)
     accel = (
-        rotate_inverse(mount, _felt(motion, unit, e, 0, force))
+        rotate_inverse(mount, _apply_errors(motion, unit, e, 0, force))
         + accel_bias
         + _normal(random, 0, share * unit.accel_noise)
     )
     gyro = (
-        rotate_inverse(mount, _felt(motion, unit, e, 4, ang_vel))
+        rotate_inverse(mount, _apply_errors(motion, unit, e, 4, ang_vel))
         + gyro_bias
         + _normal(random, 1, share * unit.gyro_noise)
     )
@@ -172,21 +172,21 @@ def _write(
 
 
 @wp.func
-def _deliver(unit: Unit, out: Outputs, e: int):
+def _deliver(unit: ImuParameters, out: ImuOutputs, e: int):
     """Output the sample of ``latency`` steps ago, and queue the newest one."""
     place = out.place[e]
     for i in range(2):
-        found = out.fresh[e, i]
+        value = out.fresh[e, i]
         if unit.latency > 0:
-            found = out.line[place, e, i]
+            value = out.line[place, e, i]
             out.line[place, e, i] = out.fresh[e, i]
-        out.measurement[e, i] = found
+        out.measurement[e, i] = value
     if unit.latency > 0:
         out.place[e] = (place + 1) % unit.latency
 
 
 @wp.kernel(enable_backward=False)
-def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out: Outputs):
+def _measure(motion: ImuMotion, unit: ImuParameters, random: RandomArrays, number: int, out: ImuOutputs):
     """Add the last step to the sample, and write the sample if due."""
     e = wp.tid()
     ang_vel = motion.ang_vel[e]
@@ -213,7 +213,9 @@ def _measure(motion: Motion, unit: Unit, random: RandomArrays, number: int, out:
 
 
 @wp.kernel(enable_backward=False)
-def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomArrays, number: int, out: Outputs):
+def _reset(
+    mask: wp.array[wp.bool], motion: ImuMotion, unit: ImuParameters, random: RandomArrays, number: int, out: ImuOutputs
+):
     """Draw place, bias and misalignment and write a first sample where the mask says so; leave every other row alone."""
     e = wp.tid()
     if not mask[e]:
@@ -222,7 +224,7 @@ def _reset(mask: wp.array[wp.bool], motion: Motion, unit: Unit, random: RandomAr
     state = _count(random, number, e, out)
     turn = _uniform(state, 4, unit.misalignment)
     yaw_pitch = small_turn(wp.vec3(0.0, 0.0, turn[2])) * small_turn(wp.vec3(0.0, turn[1], 0.0))
-    position, nominal = place_of(unit.mount, substream(state, 7))
+    position, nominal = draw_pose(unit.mount, substream(state, 7))
     mount = wp.normalize(nominal * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
     accel_bias = _uniform(state, 5, unit.accel_initial_bias)
     gyro_bias = _uniform(state, 6, unit.gyro_initial_bias)
@@ -299,7 +301,7 @@ class Imu:
         """IMU to body, with the misalignment of the episode, (E, 4)."""
         self._point_vel = torch.zeros(envs, 3, device=device)
         self._sample = torch.zeros(envs, dtype=torch.int32, device=device)
-        latency = steps_of(cfg.latency_s, dt)
+        latency = latency_steps(cfg.latency_s, dt)
         self._clock, self._force_sum = torch.zeros(envs, device=device), torch.zeros(envs, 3, device=device)
         self._steps, self._place = torch.zeros_like(self._sample), torch.zeros_like(self._sample)
         self._fresh = torch.zeros_like(measurement_out)
@@ -310,7 +312,7 @@ class Imu:
         unit.latency, unit.errs = latency, errors is not None
         self.is_drawn = bool(unit.mount.is_drawn)
         """Whether its place differs between episodes."""
-        motion = Motion()
+        motion = ImuMotion()
         motion.attitude = vector_view("attitude", attitude, (envs, 4), device=device)
         motion.lin_vel = vector_view("lin_vel", lin_vel, (envs, 3), device=device)
         motion.ang_vel = vector_view("ang_vel", ang_vel, (envs, 3), device=device)
@@ -319,13 +321,13 @@ class Imu:
             motion.errors = wp.from_torch(errors.view(envs, -1, 3), dtype=wp.vec3)
         inputs = [motion, unit, random_arrays(self._random), number, self._make_outputs()]
         launch = {"dim": envs, "device": wp.device_from_torch(device), "block_dim": BLOCK_DIM}
-        self._measure_command = RecordedLaunch(_measure, inputs=inputs, **launch)
-        self._reset_command = RecordedLaunch(_reset, inputs=[self._mask, *inputs], **launch)
+        self._measure_command = ReusableLaunch(_measure, inputs=inputs, **launch)
+        self._reset_command = ReusableLaunch(_reset, inputs=[self._mask, *inputs], **launch)
 
-    def _make_outputs(self) -> Outputs:
+    def _make_outputs(self) -> ImuOutputs:
         pairs = {"bias": self.bias, "fresh": self._fresh, "line": self._line, "measurement": self.measurement}
         return make_struct(
-            Outputs,
+            ImuOutputs,
             sample=self._sample,
             point_vel=self._point_vel,
             position=self.mount_position,
@@ -371,12 +373,12 @@ class Imu:
         self._reset_command.launch(self._mask)
 
 
-def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float) -> Unit:
-    unit = Unit()
+def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float) -> ImuParameters:
+    unit = ImuParameters()
     unit.dt, unit.gravity = dt, gravity
     unit.period = dt if cfg.rate_hz is None else 1.0 / cfg.rate_hz
     unit.due = (1.0 - CLOCK_MARGIN) * unit.period
-    unit.mount = place_range(cfg, pose)
+    unit.mount = pose_range(cfg, pose)
     unit.misalignment = wp.vec3(*(radians(angle) for angle in cfg.misalignment_deg))
     for kind in ("accel", "gyro"):
         noise = wp.vec3(*getattr(cfg, f"{kind}_noise_density")) / sqrt(dt)

@@ -12,8 +12,8 @@ from aerial_gym.config.imu import ImuCfg
 from aerial_gym.interop import with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.registry.state import below
-from aerial_gym.sensors.mounts import Carrier, Mounted
+from aerial_gym.registry.state import add_prefix
+from aerial_gym.sensors.mounts import Carrier, RobotSensor
 
 if TYPE_CHECKING:
     from aerial_gym.sensors.imu import Imu
@@ -25,7 +25,7 @@ class ImuSet:
 
     def __init__(
         self,
-        mounted: Mapping[str, Mounted[ImuCfg]],
+        mounted: Mapping[str, RobotSensor[ImuCfg]],
         gtd: GlobalTensorDictionary,
         *,
         attitude: Tensor,
@@ -77,16 +77,16 @@ class ImuSet:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name."""
-        return {name: t for key, imu in self.imus.items() for name, t in below(key, imu.state_tensors()).items()}
+        return {name: t for key, imu in self.imus.items() for name, t in add_prefix(key, imu.state_tensors()).items()}
 
     def draws(self) -> dict[str, Tensor]:
         """Return the poses of IMUs with random placement: position [m], body, (E, 3); attitude, IMU to body, (E, 4)."""
-        found = {}
+        poses = {}
         for name, imu in self.imus.items():
             if imu.is_drawn:
-                found[f"sensors.{name}.position"] = imu.mount_position
-                found[f"sensors.{name}.attitude"] = imu.mount_attitude
-        return found
+                poses[f"sensors.{name}.position"] = imu.mount_position
+                poses[f"sensors.{name}.attitude"] = imu.mount_attitude
+        return poses
 
     def measure(self) -> None:
         """Write the samples of the step that has just ended; launched on torch's current stream, not waited for."""

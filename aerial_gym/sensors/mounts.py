@@ -15,7 +15,7 @@ from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
 from aerial_gym.config.shape import BASE
-from aerial_gym.errors import ConfigError, did_you_mean
+from aerial_gym.errors import ConfigError, suggest_name
 from aerial_gym.math.quaternion import (
     quat_conjugate,
     quat_from_euler,
@@ -62,7 +62,7 @@ class Carrier:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Mounted(Generic[Cfg]):
+class RobotSensor(Generic[Cfg]):
     """A sensor on a robot."""
 
     cfg: Cfg  # The sensor, with the rate and latency of its mount
@@ -116,19 +116,19 @@ def _with_drawn_place(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
         drawn: Uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of the sensor's own file.
     """
     ends = {}
-    for what, each in drawn.items():
-        nominal = getattr(cfg, what)
+    for field, each in drawn.items():
+        nominal = getattr(cfg, field)
         for k, end in enumerate(("low", "high")):
-            ends[f"{what}_{end}"] = tuple(n + x[k] for n, x in zip(nominal, each.components(3), strict=True))
+            ends[f"{field}_{end}"] = tuple(n + x[k] for n, x in zip(nominal, each.components(3), strict=True))
     return replace(cfg, **ends)
 
 
 def _check_places(places: Randomize, mounts: Sequence[SensorMountCfg]) -> None:
-    known = [f"sensors.{mount.key}.{what}" for mount in mounts for what in PLACE]
+    known = [f"sensors.{mount.key}.{field}" for mount in mounts for field in PLACE]
     for name, each in places.items():
         if name not in known:
             raise ConfigError(
-                f"randomize: no quantity {name!r}.{did_you_mean(name, known)} Known: {', '.join(known) or 'no sensor'}"
+                f"randomize: no quantity {name!r}.{suggest_name(name, known)} Known: {', '.join(known) or 'no sensor'}"
             )
         if each.how != "offset" or each.distribution != "uniform":
             raise ConfigError(f"randomize: {name}: places of sensors take uniform offsets (how: offset)")
@@ -136,7 +136,7 @@ def _check_places(places: Randomize, mounts: Sequence[SensorMountCfg]) -> None:
 
 def mounted_sensors(
     mounts: Sequence[SensorMountCfg], places: Randomize | None = None
-) -> tuple[dict[str, Mounted[RangeSensorCfg]], dict[str, Mounted[ImuCfg]]]:
+) -> tuple[dict[str, RobotSensor[RangeSensorCfg]], dict[str, RobotSensor[ImuCfg]]]:
     """Return the range sensors and the IMUs of a robot by the names of their mounts, in order.
 
     Args:
@@ -144,21 +144,21 @@ def mounted_sensors(
 
     Raises:
         UnknownNameError: If a sensor is not registered.
-        ConfigError: If a file holds no sensor, a mount has an option that the sensor lacks, or ``places`` has an unknown
-        sensor, or a draw other than a uniform offset.
+        ConfigError: If a file holds no sensor, or a mount has an option that the sensor lacks. Also if ``places``
+            has an unknown sensor, or a draw other than a uniform offset.
     """
     places = places or {}
     _check_places(places, mounts)
-    ranges: dict[str, Mounted[RangeSensorCfg]] = {}
-    imus: dict[str, Mounted[ImuCfg]] = {}
+    ranges: dict[str, RobotSensor[RangeSensorCfg]] = {}
+    imus: dict[str, RobotSensor[ImuCfg]] = {}
     for mount in mounts:
         cfg = sensor_by_name(mount.sensor)
         timing = {name: getattr(mount, name) for name in ("rate_hz", "latency_s") if getattr(mount, name) is not None}
         pose = mount_pose(mount, cfg)
-        drawn = {what: places[name] for what in PLACE if (name := f"sensors.{mount.key}.{what}") in places}
+        drawn = {field: places[name] for field in PLACE if (name := f"sensors.{mount.key}.{field}") in places}
         cfg = _with_drawn_place(replace(cfg, **timing), drawn)
         if isinstance(cfg, ImuCfg):
-            imus[mount.key] = Mounted(cfg=cfg, pose=pose, link=mount.link)
+            imus[mount.key] = RobotSensor(cfg=cfg, pose=pose, link=mount.link)
         else:
-            ranges[mount.key] = Mounted(cfg=cfg, pose=pose, link=mount.link)
+            ranges[mount.key] = RobotSensor(cfg=cfg, pose=pose, link=mount.link)
     return ranges, imus

@@ -12,20 +12,20 @@ import warp as wp
 
 from aerial_gym.config.images import MISS_FACE as _MISS_FACE
 from aerial_gym.config.images import MISS_ID as _MISS_ID
-from aerial_gym.math.draws import RandomArrays, stream_of, substream
+from aerial_gym.math.draws import RandomArrays, episode_stream, substream
 from aerial_gym.math.random import Purpose
-from aerial_gym.sensors.flow import flow_of
+from aerial_gym.sensors.flow import ray_flow
 from aerial_gym.sensors.images import arrays_type
-from aerial_gym.sensors.shading import Light, seen_color
-from aerial_gym.sensors.surface import surface_at
-from aerial_gym.sensors.view import View, is_blocked
+from aerial_gym.sensors.sensor_view import SensorView, is_blocked
+from aerial_gym.sensors.shading import Light, pixel_color
+from aerial_gym.sensors.surface import hit_surface
 
 MISS_ID = wp.constant(_MISS_ID)
 MISS_FACE = wp.constant(_MISS_FACE)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outputs:
+class PixelOutputs:
     """Images that a sensor writes, and the pixel computations that they need."""
 
     images: tuple[str, ...]  # Names in `IMAGES`
@@ -38,7 +38,7 @@ class Outputs:
 
 
 @wp.struct
-class Limits:
+class DistanceLimits:
     """Range limits and scale of a distance."""
 
     min_range: wp.float32  # [m]
@@ -54,7 +54,7 @@ class Limits:
 
 
 @wp.struct
-class Noise:
+class DistanceNoise:
     """Noise of a distance r: N(r - mean_offset, (a r² + b r + c)²), or the pixel is dropped."""
 
     std_a: wp.float32  # [1/m]
@@ -90,7 +90,7 @@ def locate(
 
 
 @wp.func
-def limit_of(limits: Limits, ray: wp.vec3) -> float:
+def ray_limit(limits: DistanceLimits, ray: wp.vec3) -> float:
     """Return the range limit along a ray [m]."""
     return wp.where(limits.projected, limits.max_range / ray[0], limits.max_range)
 
@@ -100,7 +100,7 @@ SURFACE_SKIN = wp.constant(1.0e-4)
 
 
 @wp.func
-def second_camera_sees(view: View, limits: Limits, env: int, mount: int, point: wp.vec3) -> wp.bool:
+def second_camera_sees(view: SensorView, limits: DistanceLimits, env: int, mount: int, point: wp.vec3) -> wp.bool:
     """Return whether a point in the sensor's frame is in the image of the second camera, with nothing in between."""
     start = wp.vec3(0.0, limits.baseline, 0.0)
     to = point - start
@@ -111,7 +111,7 @@ def second_camera_sees(view: View, limits: Limits, env: int, mount: int, point: 
 
 
 @cache
-def make_write_pixel(outputs: Outputs) -> wp.Function:
+def make_write_pixel(outputs: PixelOutputs) -> wp.Function:
     """Return the function that writes a pixel of a sensor with these outputs."""
     images_type, written, in_world = arrays_type(outputs.images), outputs.images, outputs.in_world
     has_noise, shadows, lamps = outputs.noise, outputs.shadows, outputs.lamps
@@ -124,10 +124,10 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
     @wp.func
     def write_pixel(
         images: images_type,
-        limits: Limits,
-        noise: Noise,
+        limits: DistanceLimits,
+        noise: DistanceNoise,
         light: Light,
-        view: View,
+        view: SensorView,
         env: int,
         mount: int,
         seat: int,
@@ -140,7 +140,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
         measured = nearest * along
         dropped = wp.bool(False)
         if wp.static(has_noise):
-            taken = substream(stream_of(noise.random, env, wp.static(int(Purpose.IMAGE_NOISE))), noise.sensor)
+            taken = substream(episode_stream(noise.random, env, wp.static(int(Purpose.IMAGE_NOISE))), noise.sensor)
             own = (mount - env * noise.mounts) * images.distance.shape[1] + pixel
             random = substream(substream(taken, noise.image[env]), own)
             dropped = wp.randf(random) < noise.dropout
@@ -165,7 +165,7 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
                 seen = images.semantic_id[env, hit]
             images.segmentation[mount, pixel] = seen
         if wp.static(flows):
-            images.optical_flow[mount, pixel] = flow_of(images.flow, env, mount, pixel, ray, nearest, hit)
+            images.optical_flow[mount, pixel] = ray_flow(images.flow, env, mount, pixel, ray, nearest, hit)
         valid = hit >= 0 and not dropped and measured >= limits.min_range and measured <= limits.max_range
         if wp.static(stereo):
             images.disparity[mount, pixel] = wp.where(valid, limits.focal_baseline * along / (measured * ray[0]), 0.0)
@@ -179,11 +179,11 @@ def make_write_pixel(outputs: Outputs) -> wp.Function:
             face = wp.int32(MISS_FACE)
             color = light.sky
             if hit >= 0:
-                surface = surface_at(view, env, seat, hit, ray, nearest)
+                surface = hit_surface(view, env, seat, hit, ray, nearest)
                 if wp.static(colors):
                     place = images.origin[seat]
                     turn = images.attitude[seat]
-                    color = seen_color(
+                    color = pixel_color(
                         view,
                         light,
                         env,

@@ -19,20 +19,20 @@ from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg, ScannedCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import RecordedLaunch, launch_side_by_side, on_torch_stream, split, with_usual_settings
+from aerial_gym.interop import ReusableLaunch, launch_side_by_side, on_torch_stream, split, with_usual_settings
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
-from aerial_gym.sensors.images import SensorImages, arrays_of, images_of
+from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
 from aerial_gym.sensors.mounts import Pose
-from aerial_gym.sensors.pixels import MISS_ID, Limits, Noise, Outputs, locate
-from aerial_gym.sensors.places import Places
+from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import ray_table, rosette_rays
-from aerial_gym.sensors.scan import Scan
+from aerial_gym.sensors.scan import ColumnScan
+from aerial_gym.sensors.sensor_poses import SensorPoses
+from aerial_gym.sensors.sensor_view import SensorView, view_parts
 from aerial_gym.sensors.shading import Light
-from aerial_gym.sensors.tiles import make_tiles, stacked
-from aerial_gym.sensors.view import View, look
+from aerial_gym.sensors.tiles import make_tiles, stack_tiles
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
 
@@ -86,7 +86,7 @@ class RayCaster:
         self._device, self._number = device, number
         self._random = random or Randomness(envs, device=device)
         self.direction = ray_table(cfg, device=device)
-        self.places = Places(cfg, self._random, number=number, pose=pose)
+        self.places = SensorPoses(cfg, self._random, number=number, pose=pose)
         self.due = torch.ones(envs, dtype=torch.bool, device=device)
         """Environments whose images the next ``cast`` takes, bool, (E,)."""
         self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
@@ -100,9 +100,9 @@ class RayCaster:
             vector_view("mount_attitude", self.places.attitude, (*mounts, 4), device=device),
         ]
         twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
-        self._scan: Scan | None = None
+        self._scan: ColumnScan | None = None
         if isinstance(cfg, ScannedCfg) and cfg.column_s is not None:
-            self._scan = Scan(cfg, scene, pose, twist, link)
+            self._scan = ColumnScan(cfg, scene, pose, twist, link)
             pose = self._scan.pose
         self._groups = 1 if self._scan is None else self._scan.groups
         self._view = _make_view(scene, envs * cfg.count * self._groups)
@@ -123,30 +123,32 @@ class RayCaster:
         """Sensor to body, xyzw, (E, S, 4)."""
         return self.places.attitude
 
-    def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[RecordedLaunch]:
+    def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[ReusableLaunch]:
         """Record the launches before the rays: sensor poses, and parts in the sensors' frames."""
         mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)
         self._origin = wp.zeros(mounts, dtype=wp.vec3, device=device)
         self._attitude = wp.zeros(mounts, dtype=wp.quat, device=device)
-        found: list = [] if self._scan is None else [self._scan.record_placement()]
+        launches: list = [] if self._scan is None else [self._scan.record_placement()]
         if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
-            found.append(RecordedLaunch(locate, dim=mounts, inputs=pose, outputs=where, device=device))
+            launches.append(ReusableLaunch(locate, dim=mounts, inputs=pose, outputs=where, device=device))
         if scene.num_parts and self._scan is not None:
-            found.append(self._scan.record_look(self._view, self._reach()))
+            launches.append(self._scan.record_look(self._view, self._reach()))
         elif scene.num_parts:
             out = [self._view.rows, self._view.kind]
             inputs = [scene.arrays, *pose, self._reach()]
-            found.append(RecordedLaunch(look, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device))
-        return found
+            launches.append(
+                ReusableLaunch(view_parts, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device)
+            )
+        return launches
 
     def _reach(self) -> float:
         """Return the largest range limit of all rays [m]."""
         cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
         return self.cfg.max_range / cosine
 
-    def _record_rays(self, scene: Scene) -> list[RecordedLaunch]:
+    def _record_rays(self, scene: Scene) -> list[ReusableLaunch]:
         """Record the launches that trace the rays."""
         cfg, on_gpu = self.cfg, self._device.type == "cuda"
         height, width = GPU_TILE if on_gpu else CPU_TILE
@@ -161,13 +163,13 @@ class RayCaster:
             tilings = [self._scan.make_tiles(direction, height=height, width=width) for direction in directions]
             parts = [tiles for tiles, _ in tilings]
             rays.group = wp.from_torch(tilings[0][1])
-        tiles, rays.num_tiles, rays.frame = stacked(parts), parts[0].num_tiles, wp.from_torch(self._frames.number)
+        tiles, rays.num_tiles, rays.frame = stack_tiles(parts), parts[0].num_tiles, wp.from_torch(self._frames.number)
         rays.direction, rays.pixel = wp.from_torch(tiles.direction, dtype=wp.vec3), wp.from_torch(tiles.pixel)
         rays.middle = wp.from_torch(tiles.middle, dtype=wp.vec3)
         rays.spread = wp.from_torch(tiles.spread, dtype=wp.vec3)
-        outputs = Outputs(
+        outputs = PixelOutputs(
             images=tuple(self.images),
-            in_world=tuple(name for name, image in images_of(cfg).items() if image.frame_of(cfg) == "world"),
+            in_world=tuple(name for name, image in sensor_images(cfg).items() if image.resolve_frame(cfg) == "world"),
             noise=cfg.active_noise is not None,
             shadows=cfg.light is not None and cfg.light.shadows,
             lamps=cfg.light is not None and bool(scene.lamps),
@@ -178,10 +180,10 @@ class RayCaster:
         inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
         mounts = self._view.kind.shape[0] // self._groups
 
-        def record(kernel: wp.Kernel, dim: int, *more: int) -> RecordedLaunch:
+        def record(kernel: wp.Kernel, dim: int, *more: int) -> ReusableLaunch:
             device = wp.device_from_torch(self._device)
             given = [*inputs, *more]
-            return RecordedLaunch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM)
+            return ReusableLaunch(kernel, dim=dim, inputs=given, device=device, block_dim=BLOCK_DIM)
 
         if on_gpu:
             return [record(make_warp_kernel(outputs), mounts * rays.num_tiles * 32)]
@@ -190,13 +192,13 @@ class RayCaster:
         return [record(kernel, count, per_tile, first) for first, count in chunks]
 
     def _make_images(self, scene: Scene) -> object:
-        arrays = arrays_of(self.images)
+        arrays = make_arrays(self.images)
         arrays.semantic_id, arrays.flow = scene.arrays.semantic_id, self._flow
         arrays.origin, arrays.attitude = self._origin, self._attitude
         return arrays
 
-    def _make_noise(self) -> Noise:
-        noise, cfg = Noise(), self.cfg.active_noise
+    def _make_noise(self) -> DistanceNoise:
+        noise, cfg = DistanceNoise(), self.cfg.active_noise
         if cfg is not None:
             for field in fields(cfg):
                 setattr(noise, field.name, getattr(cfg, field.name))
@@ -208,7 +210,7 @@ class RayCaster:
         """Write the images of the environments that are due; launched on torch's current stream, not waited for."""
         if self.cfg.active_noise is not None:
             self._image_number.add_(self.due)
-        self._frames.move_on(self.due)
+        self._frames.advance(self.due)
         with on_torch_stream(self.images.distance):
             for launch in self._prepare:
                 launch.launch()
@@ -241,8 +243,8 @@ def _twist_views(
     return [vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()]
 
 
-def _limits(cfg: RangeSensorCfg) -> Limits:
-    limits = Limits()
+def _limits(cfg: RangeSensorCfg) -> DistanceLimits:
+    limits = DistanceLimits()
     limits.min_range, limits.max_range = cfg.min_range, cfg.max_range
     limits.projected = cfg.kind == "depth"
     limits.divisor = cfg.max_range if cfg.normalize else 1.0
@@ -271,9 +273,9 @@ def _light(cfg: RangeSensorCfg, scene: Scene) -> Light:
     return light
 
 
-def _make_view(scene: Scene, mounts: int) -> View:
+def _make_view(scene: Scene, mounts: int) -> SensorView:
     device, count = wp.device_from_torch(scene.device), scene.num_parts
-    view = View()
+    view = SensorView()
     view.rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
     view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
     view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
@@ -289,7 +291,7 @@ class Frames:
         self.number = torch.full((num_envs,), count - 1, dtype=torch.int32, device=device)
         """Frame of the last image, int32, (E,)."""
 
-    def move_on(self, due: Tensor) -> None:
+    def advance(self, due: Tensor) -> None:
         """Go to the next frame in the environments ``due``, bool (E,)."""
         if self.count > 1:
             self.number.add_(due).remainder_(self.count)

@@ -9,9 +9,9 @@ import warp as wp
 
 from aerial_gym.assets.shape_row import MESH
 from aerial_gym.sensors.images import arrays_type
-from aerial_gym.sensors.pixels import Limits, Noise, Outputs, limit_of, make_write_pixel
+from aerial_gym.sensors.pixels import DistanceLimits, DistanceNoise, PixelOutputs, make_write_pixel, ray_limit
+from aerial_gym.sensors.sensor_view import SensorView, ballot, least_lane, lowest_bit, part_entry, trace
 from aerial_gym.sensors.shading import Light
-from aerial_gym.sensors.view import View, ballot, entry_of, least_lane, lowest_bit, trace
 
 
 @wp.struct
@@ -29,16 +29,16 @@ class Rays:
 
 
 @cache
-def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
+def make_warp_kernel(outputs: PixelOutputs) -> wp.Kernel:
     """Return the kernel with one ray per thread, for GPUs: the 32 threads of a warp hold one tile."""
     write_pixel, images_type = make_write_pixel(outputs), arrays_type(outputs.images)
 
     @wp.kernel(module="unique", enable_backward=False)
     def cast_by_warp(
-        view: View,
+        view: SensorView,
         rays: Rays,
-        limits: Limits,
-        noise: Noise,
+        limits: DistanceLimits,
+        noise: DistanceNoise,
         light: Light,
         sensors: int,
         due: wp.array[wp.bool],
@@ -67,7 +67,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
         spread = rays.spread[seen]
         ray = rays.direction[seen * 32 + lane]
         pixel = rays.pixel[tile * 32 + lane]
-        nearest = limit_of(limits, ray)
+        nearest = ray_limit(limits, ray)
         hit = wp.int32(-1)
         count = view.kind.shape[1]
         first = wp.int32(0)
@@ -76,7 +76,7 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
             entry = float(wp.inf)
             mesh = wp.bool(False)
             if a < count:
-                entry = entry_of(view, seat, a, middle, spread)
+                entry = part_entry(view, seat, a, middle, spread)
                 mesh = view.kind[seat, a] == MESH
             analytic = ballot(entry < wp.inf and not mesh)
             meshes = ballot(entry < wp.inf and mesh)
@@ -107,23 +107,23 @@ def make_warp_kernel(outputs: Outputs) -> wp.Kernel:
 
 
 @cache
-def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
+def make_tile_kernel(outputs: PixelOutputs, num_parts: int) -> wp.Kernel:
     """Return the kernel in which one thread traces all rays of a tile: for processors without warps."""
     write_pixel, images_type = make_write_pixel(outputs), arrays_type(outputs.images)
     num_words = max(1, -(-num_parts // 32))
     words_type = wp.types.vector(length=num_words, dtype=wp.uint32)
 
     @wp.func
-    def find_candidates(view: View, mount: int, middle: wp.vec3, spread: wp.vec3, meshes: wp.bool) -> words_type:
+    def find_candidates(view: SensorView, mount: int, middle: wp.vec3, spread: wp.vec3, meshes: wp.bool) -> words_type:
         words = words_type()
         for a in range(view.kind.shape[1]):
-            if (view.kind[mount, a] == MESH) == meshes and entry_of(view, mount, a, middle, spread) < wp.inf:
+            if (view.kind[mount, a] == MESH) == meshes and part_entry(view, mount, a, middle, spread) < wp.inf:
                 words[a >> 5] = words[a >> 5] | (wp.uint32(1) << wp.uint32(a & 31))
         return words
 
     @wp.func
-    def nearest_of(
-        view: View, env: int, mount: int, words: words_type, ray: wp.vec3, limit: float, before: int
+    def nearest_part(
+        view: SensorView, env: int, mount: int, words: words_type, ray: wp.vec3, limit: float, before: int
     ) -> tuple[float, int]:
         nearest = limit
         hit = before
@@ -140,10 +140,10 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def cast_by_tile(
-        view: View,
+        view: SensorView,
         rays: Rays,
-        limits: Limits,
-        noise: Noise,
+        limits: DistanceLimits,
+        noise: DistanceNoise,
         light: Light,
         sensors: int,
         due: wp.array[wp.bool],
@@ -171,8 +171,8 @@ def make_tile_kernel(outputs: Outputs, num_parts: int) -> wp.Kernel:
             pixel = rays.pixel[tile * per_tile + i]
             if pixel >= 0:
                 ray = rays.direction[seen * per_tile + i]
-                nearest, hit = nearest_of(view, env, seat, analytic, ray, limit_of(limits, ray), -1)
-                nearest, hit = nearest_of(view, env, seat, meshes, ray, nearest, hit)
+                nearest, hit = nearest_part(view, env, seat, analytic, ray, ray_limit(limits, ray), -1)
+                nearest, hit = nearest_part(view, env, seat, meshes, ray, nearest, hit)
                 write_pixel(images, limits, noise, light, view, env, mount, seat, pixel, ray, nearest, hit)
 
     return cast_by_tile

@@ -37,7 +37,7 @@ def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
     elif isinstance(cfg, RosetteCfg):
         return rosette_rays(cfg, device=device, frames=1)[0]
     elif isinstance(cfg, RayTableCfg):
-        rays = listed_rays(cfg, device=device)
+        rays = custom_rays(cfg, device=device)
     else:
         raise ConfigError(f"{type(cfg).__name__} has no ray table. Give the rays by a RayTableCfg instead")
     least = float(rays[..., 0].min())
@@ -147,14 +147,14 @@ def through_prisms(prisms: Sequence[PrismCfg], time: Tensor, beam: Tensor) -> Te
         level = torch.full_like(turn, -cos(wedge))
         inclined = torch.stack((level, across * torch.cos(turn), across * torch.sin(turn)), dim=-1)
         faces = (inclined, flat) if prism.inclined_face == "entry" else (flat, inclined)
-        ray = _refracted(ray, faces[0], 1.0 / prism.refractive_index)
-        ray = _refracted(ray, faces[1], prism.refractive_index)
+        ray = _refract(ray, faces[0], 1.0 / prism.refractive_index)
+        ray = _refract(ray, faces[1], prism.refractive_index)
     if not bool(ray.isfinite().all()):
         raise ConfigError("RosetteCfg.prisms: a beam is reflected inside a prism. Make a wedge_deg smaller")
     return ray
 
 
-def _refracted(ray: Tensor, normal: Tensor, ratio: float) -> Tensor:
+def _refract(ray: Tensor, normal: Tensor, ratio: float) -> Tensor:
     """Return rays (T, 3) refracted at a face with a normal against them (T, 3); ``ratio`` is the index before over behind.
 
     NaN where the ray is reflected.
@@ -164,7 +164,7 @@ def _refracted(ray: Tensor, normal: Tensor, ratio: float) -> Tensor:
     return ratio * ray + (ratio * cosine - behind) * normal
 
 
-def listed_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
+def custom_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
     """Return the listed directions, made unit length, float32, (H, W, 3); raise ``ConfigError`` if a file does not fit."""
     rays = torch.tensor(cfg.rays, dtype=torch.float64) if cfg.path is None else read_rays(cfg.path)
     if len(rays) != cfg.height * cfg.width:

@@ -16,20 +16,20 @@ import warp as wp
 from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.config.sensor import ScannedCfg
-from aerial_gym.interop import RecordedLaunch
+from aerial_gym.interop import ReusableLaunch
 from aerial_gym.sensors.flow import instance_twists, link_twists
+from aerial_gym.sensors.sensor_view import SensorView, view_part
 from aerial_gym.sensors.tiles import Tiles, make_tiles
-from aerial_gym.sensors.view import View, see_part
 
 
 @wp.func
-def turn_by(ang_vel: wp.vec3, time: float) -> wp.quat:
+def rotation_over_time(ang_vel: wp.vec3, time: float) -> wp.quat:
     """Return the turn by ``ang_vel * time`` [rad]."""
     return wp.quat_from_axis_angle(wp.normalize(ang_vel), wp.length(ang_vel) * time)
 
 
 @wp.func
-def shift_by(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) -> wp.vec3:
+def shift_over_time(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) -> wp.vec3:
     """Return the displacement of an origin in a time [m]: screw motion of a link, straight line of the body and of obstacles.
 
     Source: Murray, Li, Sastry (1994), A Mathematical Introduction to Robotic Manipulation, equation 2.36, as a series in the
@@ -51,7 +51,7 @@ def shift_by(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) -> wp.v
 
 
 @wp.kernel(enable_backward=False)
-def place_seats(
+def place_columns(
     # state
     body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
     body_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
@@ -69,14 +69,14 @@ def place_seats(
     env, seat = wp.tid()
     sensor = seat // age.shape[0]
     ago = age[seat - sensor * age.shape[0]]
-    back = turn_by(body_ang_vel[env], -ago)
-    gone = shift_by(wp.quat_rotate_inv(body_attitude[env], body_lin_vel[env]), body_ang_vel[env], -ago, link)
+    back = rotation_over_time(body_ang_vel[env], -ago)
+    gone = shift_over_time(wp.quat_rotate_inv(body_attitude[env], body_lin_vel[env]), body_ang_vel[env], -ago, link)
     position_out[env, seat] = wp.quat_rotate(back, mount_position[env, sensor]) + gone
     attitude_out[env, seat] = back * mount_attitude[env, sensor]
 
 
 @wp.kernel(enable_backward=False)
-def look_back(
+def view_columns(
     # scene
     scene: SceneArrays,
     instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
@@ -128,16 +128,16 @@ def look_back(
             place = scene.link_position[env, BODY - instance]
         if wp.length_sq(velocity) + wp.length_sq(spin) > 0.0:
             ago = age[seat - (seat // age.shape[0]) * age.shape[0]]
-            forth = turn_by(spin, ago)
+            forth = rotation_over_time(spin, ago)
             if instance >= BODY:
                 origin = place + wp.quat_rotate(forth, origin + ago * velocity - place)
             else:
-                origin = place + wp.quat_rotate(forth, origin - place) + shift_by(velocity, spin, ago, 1)
+                origin = place + wp.quat_rotate(forth, origin - place) + shift_over_time(velocity, spin, ago, 1)
             attitude = forth * attitude
-    see_part(scene, env, a, origin, attitude, reach, row, rows_out, kind_out)
+    view_part(scene, env, a, origin, attitude, reach, row, rows_out, kind_out)
 
 
-class Scan:
+class ColumnScan:
     """Sensor poses of the column groups of a scanning lidar, with the launches that compute them."""
 
     def __init__(self, cfg: ScannedCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
@@ -162,21 +162,21 @@ class Scan:
         self.pose = [*pose[:2], position, attitude]
         """Body position and attitude, seat position and attitude (E, S * G); seats replace mounts."""
 
-    def record_placement(self) -> RecordedLaunch:
+    def record_placement(self) -> ReusableLaunch:
         """Record the launch that places the seats."""
         _, attitude, *mount = self._mount
         inputs = [attitude, *self._twist, *mount, self._age, self._link]
-        return self._record(place_seats, self.pose[2].shape, inputs, self.pose[2:])
+        return self._record(place_columns, self.pose[2].shape, inputs, self.pose[2:])
 
-    def record_look(self, view: View, reach: float) -> RecordedLaunch:
+    def record_look(self, view: SensorView, reach: float) -> ReusableLaunch:
         """Record the launch that transforms every part within a reach [m] into the frame of every column group."""
         scene = self._scene
         twists = [*instance_twists(scene), *link_twists(scene)]
         inputs = [scene.arrays, *twists, *self.pose, *self._mount[2:], self._age, reach, self._link]
-        return self._record(look_back, view.kind.shape, inputs, [view.rows, view.kind])
+        return self._record(view_columns, view.kind.shape, inputs, [view.rows, view.kind])
 
-    def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> RecordedLaunch:
-        return RecordedLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
+    def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> ReusableLaunch:
+        return ReusableLaunch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
 
     def make_tiles(self, direction: torch.Tensor, *, height: int, width: int) -> tuple[Tiles, torch.Tensor]:
         """Return tiles of as many rays as ``height`` x ``width``, each within one group, and the group of each, int32."""

@@ -16,8 +16,8 @@ from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.interop import plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.registry.state import below
-from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, like, steps_of
+from aerial_gym.registry.state import add_prefix
+from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, latency_steps, make_zeros_like
 from aerial_gym.sensors.images import declare_images
 from aerial_gym.sensors.mounts import Carrier, Pose
 
@@ -88,8 +88,8 @@ class SensorManager:
                     gtd.define_size(letter, size)
             shape = ("E", "S", "H", "W") if first else ("E", cfg.count, cfg.height, cfg.width)
             seen = declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_", owner=_OWNER)
-            steps = steps_of(cfg.latency_s, self._dt) if self._dt else 0
-            taken = like(seen) if steps else seen
+            steps = latency_steps(cfg.latency_s, self._dt) if self._dt else 0
+            taken = make_zeros_like(seen) if steps else seen
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
             self.casters[name] = _caster_class()(
@@ -147,16 +147,16 @@ class SensorManager:
         parts: list[tuple[str, Mapping[str, Tensor]]] = [("clock", self._clock)]
         parts += [(f"caster.{name}", caster.state_tensors()) for name, caster in self.casters.items()]
         parts += [(f"delay.{name}", delay.state_tensors()) for name, delay in self._delay.items()]
-        return {name: tensor for prefix, part in parts for name, tensor in below(prefix, part).items()}
+        return {name: tensor for prefix, part in parts for name, tensor in add_prefix(prefix, part).items()}
 
     def draws(self) -> dict[str, Tensor]:
         """Return the poses of sensors with random placement: position [m], (E, S, 3), and attitude, (E, S, 4), body."""
-        found = {}
+        poses = {}
         for name, caster in self.casters.items():
             if caster.places.is_drawn:
-                found[f"sensors.{name}.position"] = caster.places.position
-                found[f"sensors.{name}.attitude"] = caster.places.attitude
-        return found
+                poses[f"sensors.{name}.position"] = caster.places.position
+                poses[f"sensors.{name}.attitude"] = caster.places.attitude
+        return poses
 
     def reset(self, mask: Tensor) -> None:
         """Reset the mounts of masked environments, bool (E,); their images are due at the next capture."""

@@ -6,9 +6,9 @@ Frames: a sensor looks along its own x. Letters: E environments, M mounts (senso
 
 import warp as wp
 
-from aerial_gym.assets.looks import NOTHING, Looks, Texture
+from aerial_gym.assets.appearance import NO_ENTRY, AppearanceArrays, Texture
+from aerial_gym.sensors.sensor_view import SensorView, is_blocked
 from aerial_gym.sensors.surface import Surface
-from aerial_gym.sensors.view import View, is_blocked
 
 
 @wp.struct
@@ -20,7 +20,7 @@ class Light:
     sky: wp.vec3  # colour of a miss
     lamp_position: wp.array[wp.vec3]  # (L,) world [m]
     lamp_power: wp.array[wp.vec3]  # (L,) brightness of a white surface that faces it, times squared distance [m²]
-    looks: Looks
+    looks: AppearanceArrays
 
 
 SHADOW_LIFT = wp.constant(1.0e-3)
@@ -38,14 +38,14 @@ DEPTH_OF_FIELDS = wp.constant(0.01)
 
 
 @wp.func
-def lift_off(surface: Surface, point: wp.vec3) -> wp.vec3:
+def shadow_ray_start(surface: Surface, point: wp.vec3) -> wp.vec3:
     """Return the start of a shadow ray, lifted off the surface against self-intersection, sensor frame [m]."""
     return point + SHADOW_LIFT * wp.max(wp.length(point), 1.0) * surface.normal
 
 
 @wp.func
 def sunlight(
-    view: View, env: int, mount: int, surface: Surface, point: wp.vec3, sun: wp.vec3, shadows: wp.bool
+    view: SensorView, env: int, mount: int, surface: Surface, point: wp.vec3, sun: wp.vec3, shadows: wp.bool
 ) -> float:
     """Return the share of the sun's light on a surface, ``max(n . s, 0)``, or 0 in shadow; all in the sensor's frame.
 
@@ -53,7 +53,7 @@ def sunlight(
     """
     share = wp.max(wp.dot(surface.normal, sun), 0.0)
     if shadows and share > 0.0:
-        start = lift_off(surface, point)
+        start = shadow_ray_start(surface, point)
         if is_blocked(view, env, mount, start, sun, FAR_AWAY):
             return 0.0
     return share
@@ -61,7 +61,7 @@ def sunlight(
 
 @wp.func
 def lamplight(
-    view: View, env: int, mount: int, surface: Surface, point: wp.vec3, lamp: wp.vec3, shadows: wp.bool
+    view: SensorView, env: int, mount: int, surface: Surface, point: wp.vec3, lamp: wp.vec3, shadows: wp.bool
 ) -> float:
     """Return ``max(n . l, 0) / r²`` of a lamp at distance r in direction l [1/m²], or 0 in shadow.
 
@@ -73,7 +73,7 @@ def lamplight(
     square = wp.max(wp.dot(to, to), NEAREST)
     share = wp.max(wp.dot(surface.normal, to) / wp.sqrt(square), 0.0) / square
     if shadows and share > 0.0:
-        start = lift_off(surface, point)
+        start = shadow_ray_start(surface, point)
         way = lamp - start
         distance = wp.length(way)
         if is_blocked(view, env, mount, start, wp.normalize(way), distance):
@@ -82,18 +82,18 @@ def lamplight(
 
 
 @wp.func
-def texel(looks: Looks, texture: Texture, column: int, row: int) -> wp.vec3:
+def texel(looks: AppearanceArrays, texture: Texture, column: int, row: int) -> wp.vec3:
     """Return the colour of a texture pixel; the image repeats in both directions."""
     x = column - texture.width * int(wp.floor(float(column) / float(texture.width)))
     y = row - texture.height * int(wp.floor(float(row) / float(texture.height)))
     x = wp.clamp(x, 0, texture.width - 1)
     y = wp.clamp(y, 0, texture.height - 1)
-    found = looks.texels[texture.first + y * texture.width + x]
-    return wp.vec3(float(found[0]), float(found[1]), float(found[2])) / 255.0
+    channels = looks.texels[texture.first + y * texture.width + x]
+    return wp.vec3(float(channels[0]), float(channels[1]), float(channels[2])) / 255.0
 
 
 @wp.func
-def texture_color(looks: Looks, texture: Texture, uv: wp.vec2) -> wp.vec3:
+def texture_color(looks: AppearanceArrays, texture: Texture, uv: wp.vec2) -> wp.vec3:
     """Return the colour of an image at (u, v), linear between the middles of its pixels; the image repeats."""
     u = uv[0] - wp.floor(uv[0])
     v = uv[1] - wp.floor(uv[1])
@@ -111,12 +111,12 @@ def texture_color(looks: Looks, texture: Texture, uv: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def paint(view: View, looks: Looks, env: int, part: int, surface: Surface) -> wp.vec3:
+def paint(view: SensorView, looks: AppearanceArrays, env: int, part: int, surface: Surface) -> wp.vec3:
     """Return the colour of a surface in white light."""
     row = view.part_shape[env, part]
     look = looks.shape[row]
     color = look.color
-    if look.first_face != NOTHING and surface.face >= 0:
+    if look.first_face != NO_ENTRY and surface.face >= 0:
         face = look.first_face + surface.face
         w = 1.0 - surface.u - surface.v
         a = 3 * face
@@ -124,7 +124,7 @@ def paint(view: View, looks: Looks, env: int, part: int, surface: Surface) -> wp
             surface.u * looks.corner_color[a] + surface.v * looks.corner_color[a + 1] + w * looks.corner_color[a + 2]
         )
         image = looks.face_texture[face]
-        if image != NOTHING:
+        if image != NO_ENTRY:
             uv = surface.u * looks.corner_uv[a] + surface.v * looks.corner_uv[a + 1] + w * looks.corner_uv[a + 2]
             color = wp.cw_mul(color, texture_color(looks, looks.textures[image], uv))
     if look.checker_size > 0.0:
@@ -139,8 +139,8 @@ def paint(view: View, looks: Looks, env: int, part: int, surface: Surface) -> wp
 
 
 @wp.func
-def seen_color(
-    view: View,
+def pixel_color(
+    view: SensorView,
     light: Light,
     env: int,
     mount: int,

@@ -6,7 +6,7 @@ Frames: a sensor looks along its own x. Letters: E environments, M mounts (senso
 import warp as wp
 
 from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE
-from aerial_gym.sensors.view import View
+from aerial_gym.sensors.sensor_view import SensorView
 
 
 @wp.struct
@@ -24,7 +24,7 @@ class Surface:
 
 
 @wp.func
-def surface_at(view: View, env: int, mount: int, part: int, ray: wp.vec3, distance: float) -> Surface:
+def hit_surface(view: SensorView, env: int, mount: int, part: int, ray: wp.vec3, distance: float) -> Surface:
     """Return normal and face where a ray meets a part.
 
     In the frame of the bounding box the surface is F(p) = 0 with p = A r + o; its normal in the frame of r is A^T grad F.

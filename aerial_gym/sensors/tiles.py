@@ -52,7 +52,7 @@ def make_tiles(direction: Tensor, *, height: int, width: int) -> Tiles:
     )
 
 
-def stacked(frames: Sequence[Tiles]) -> Tiles:
+def stack_tiles(frames: Sequence[Tiles]) -> Tiles:
     """Return the concatenated tiles of several frames, with the pixels of the first."""
     parts = {name: torch.cat([getattr(tiles, name) for tiles in frames]) for name in ("direction", "middle", "spread")}
     return Tiles(pixel=frames[0].pixel, **parts)

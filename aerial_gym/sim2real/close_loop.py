@@ -11,21 +11,21 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.interop import one_thread
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.in_memory import judge_flights
+from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.logs.inputs import Inputs, read_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.plain import write_json
+from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
-from aerial_gym.sim2real.report.ranges import with_found_ranges
+from aerial_gym.sim2real.report.ranges import with_uncertainty_ranges
 from aerial_gym.sim2real.report.report import write_report
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.report.verdict_json import verdict_json
 from aerial_gym.sim2real.wording import text
 
 if TYPE_CHECKING:
-    from aerial_gym.sim2real.teststand.joints.flights import FoundJoints
+    from aerial_gym.sim2real.teststand.joints.flights import FlightJointStudy
 
 
 def close_loop(
@@ -81,7 +81,7 @@ def close_loop(
         inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
         for note in inputs.left_out:
             progress(text(note), 0.0)
-        found = _found_joints(declared, inputs, progress) if joints else None
+        joints_result = _identify_joints(declared, inputs, progress) if joints else None
         alone = judge_flights(
             declared,
             inputs.train,
@@ -96,9 +96,9 @@ def close_loop(
             progress=progress,
         )
         told = replace(alone, verdict=replace(alone.verdict, notes=(*inputs.left_out, *alone.verdict.notes)))
-        judged = told if found is None else found.told_in(told)
+        judged = told if joints_result is None else joints_result.add_to_verdict(told)
         verdict = judged.verdict
-        corrected = with_found_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
+        corrected = with_uncertainty_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
         progress("writing the report", 0.97)
         config = {
             "command": "close-loop",
@@ -125,7 +125,7 @@ def close_loop(
     return verdict
 
 
-def _found_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> "FoundJoints":
+def _identify_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> "FlightJointStudy":
     """Return the joint parameters fitted to the training flights."""
     from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints
 

@@ -1,4 +1,4 @@
-"""Findings: every statement of the loop as data, a code with values. ``wording`` has the sentence for each code."""
+"""Findings: each statement of the loop as data, with a code, a subject and values. ``wording`` has the sentences."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -14,13 +14,13 @@ class Severity(StrEnum):
     """A result about the vehicle."""
 
     WARNING = "warning"
-    """Something got worse, is missing, or asks for an action."""
+    """A larger error, a missing input, or an action for the reader."""
 
     OPEN = "open"
-    """The flights do not decide it."""
+    """A question that the flights do not decide."""
 
     INFO = "info"
-    """A step of the processing that changes no conclusion."""
+    """A processing step that changes no conclusion."""
 
 
 _BY_SEVERITY = {
@@ -79,21 +79,21 @@ _BY_SEVERITY = {
 }
 
 CODES: dict[str, Severity] = {code: severity for severity, codes in _BY_SEVERITY.items() for code in codes.split()}
-"""Every code with its severity."""
+"""Severity of each code."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One statement: its code, the thing that it is about, and its numbers."""
+    """One statement about the flights or the vehicle: its code, its subject and its numbers."""
 
     code: str
     """A key of ``CODES``."""
 
     subject: str = ""
-    """Name of an effect, channel, flight, joint or tolerance; empty: the whole run."""
+    """Name of an effect, channel, flight, joint or tolerance; empty for the whole run."""
 
     values: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers, with their units in the keys, and names."""
+    """Numbers and names; the key of a number ends in its unit."""
 
     def __post_init__(self) -> None:
         if self.code not in CODES:
@@ -104,17 +104,17 @@ class Finding:
 
     @property
     def severity(self) -> Severity:
-        """Importance to the reader, by the code."""
+        """Importance of the finding to its reader."""
         return CODES[self.code]
 
 
 def refusal(code: str, subject: str, objections: Iterable[Finding]) -> Finding:
-    """Return a finding that holds its objections as values."""
+    """Return a finding whose values list the objections to an effect."""
     rows = [{"code": one.code, "subject": one.subject, "values": one.values} for one in objections]
     return Finding(code, subject, {"objections": rows})
 
 
 def unit_key(unit: str) -> str:
-    """Return a unit as the end of a key of values: ``m_s2`` for m/s², ``ratio`` for none."""
+    """Return the suffix of a key for a unit: ``m_s2`` for m/s², ``ratio`` for none."""
     plain = unit.translate(str.maketrans("²³⁴", "234")).lower()
     return "_".join(part for part in re.split(r"[^a-z0-9]+", plain) if part) or "ratio"

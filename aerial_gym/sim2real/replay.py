@@ -10,13 +10,13 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate, missing_for_rollouts
-from aerial_gym.sim2real.logs.flights import Flight, load_flights, notes_of, rigid_notes
+from aerial_gym.sim2real.json_values import write_json
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate, rollout_gap
+from aerial_gym.sim2real.logs.flights import Flight, load_flights, merge_notes, rigid_notes
 from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import check_scene
@@ -35,13 +35,13 @@ class Replay:
     predictor: Predictor
     params: ModelParams
     bandwidth: float
-    evaluation: Evaluation
+    evaluation: ModelEvaluation
 
     @property
     def notes(self) -> list[Finding]:
         """Findings on the vehicle, the logs and missing rollouts."""
-        missing = missing_for_rollouts(self.flights)
-        return [*rigid_notes(self.robot), *notes_of(self.flights), *([] if missing is None else [missing])]
+        missing = rollout_gap(self.flights)
+        return [*rigid_notes(self.robot), *merge_notes(self.flights), *([] if missing is None else [missing])]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the results for JSON."""
@@ -91,9 +91,9 @@ def replay(
     layout = None if mapping is None else find_mapping(mapping)
     with one_thread():
         digests = file_digests(flights)
-        found = load_flights(flights, declared, mapping=layout, bandwidth=bandwidth)
+        results = load_flights(flights, declared, mapping=layout, bandwidth=bandwidth)
         progress("predicting every row, rolling out every window", 0.3)
-        result = replay_flights(declared, found, bandwidth=bandwidth, seed=seed)
+        result = replay_flights(declared, results, bandwidth=bandwidth, seed=seed)
         if out_dir is not None:
             progress("writing the report", 0.9)
             config = {"command": "replay", "robot": str(robot), "flights": [str(path) for path in flights]}
@@ -110,7 +110,7 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     band = comparison_band(flights, bandwidth)
     channels = find_channels(flights)
     predictor = Predictor(robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances())
-    params = declared_params(robot)
+    params = params_from_robot(robot)
     check_scene(tuple(robot.effects), flights)
     floor = noise_floor(robot, flights, params, channels, bandwidth=band)
     return Replay(
@@ -133,8 +133,8 @@ def _write(folder: Path, result: Replay) -> None:
 
     write_json(folder / "replay.json", result.as_mapping())
     write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.params})
-    channels, found = result.predictor.channels, profiles(result.predictor, {"declared": result.params})
-    write_profiles(folder / "profiles.csv", found, channels)
+    channels, results = result.predictor.channels, profiles(result.predictor, {"declared": result.params})
+    write_profiles(folder / "profiles.csv", results, channels)
     figures = [{"title": "Residuals", "image": plots.residual_bars(result.evaluation, None)}]
     for variant, title in VARIANTS.items():
         if variant in result.evaluation.rollout:
@@ -143,7 +143,7 @@ def _write(folder: Path, result: Replay) -> None:
         words = kind.replace("_", " ")
         image = plots.traces(result.predictor, {"declared": result.params}, kind)
         figures.append({"title": f"The {words} over time", "image": image})
-        image = plots.residual_profiles(found, channels, kind)
+        image = plots.residual_profiles(results, channels, kind)
         figures.append({"title": f"Mean residual of the {words} with its standard error", "image": image})
     rollouts = [
         {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval(rms)}
@@ -160,6 +160,6 @@ def _write(folder: Path, result: Replay) -> None:
         "figures": figures,
         "notes": [text(note) for note in result.notes],
         "shown_notes": SHOWN_NOTES,
-        "no_rollouts": missing_for_rollouts(result.flights),
+        "no_rollouts": rollout_gap(result.flights),
     }
     (folder / "report.html").write_text(render("replay.html", context), encoding="utf-8", errors="surrogateescape")

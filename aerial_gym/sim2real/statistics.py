@@ -18,7 +18,7 @@ FALSE_ALARM_HOURS = 100.0
 """Mean flight time between two false alarms of a detector [h], under its noise model."""
 
 
-def normal_above(value: float) -> float:
+def normal_tail(value: float) -> float:
     """Return the probability that a standard normal variable exceeds a value."""
     return float(special.ndtr(-value))
 
@@ -28,7 +28,7 @@ def normal_quantile(share: float) -> float:
     return float(special.ndtri(share))
 
 
-def student_above(value: float, freedom: float) -> float:
+def student_tail(value: float, freedom: float) -> float:
     """Return the probability that a variable with Student's t distribution exceeds a value."""
     return float(special.stdtr(freedom, -value))
 
@@ -38,7 +38,7 @@ def student_quantile(share: float, freedom: ArrayLike) -> Array:
     return special.stdtrit(freedom, share)
 
 
-def chi_square_above(value: float, freedom: float) -> float:
+def chi_square_tail(value: float, freedom: float) -> float:
     """Return the probability that a chi-squared variable exceeds a value."""
     return float(special.chdtrc(freedom, np.maximum(value, 0.0)))
 
@@ -48,12 +48,12 @@ def ratio_quantile(share: float, over: ArrayLike, under: ArrayLike) -> Array:
     return special.fdtri(over, under, share)
 
 
-def line_through(x: Array, y: Array) -> tuple[float, float, float]:
+def fit_line(x: Array, y: Array) -> tuple[float, float, float]:
     """Return slope and intercept of the least-squares line through points (S,), and the slope's p-value."""
     x_away, y_away, freedom = x - x.mean(), y - y.mean(), max(x.size - 2, 1)
     slope = float(x_away @ y_away) / float(x_away @ x_away)
     std_error = np.linalg.norm(y_away - slope * x_away) / np.sqrt(freedom * (x_away @ x_away))
-    p_value = 2.0 * student_above(abs(slope) / max(float(std_error), 1e-300), freedom)
+    p_value = 2.0 * student_tail(abs(slope) / max(float(std_error), 1e-300), freedom)
     return slope, float(y.mean()) - slope * float(x.mean()), p_value
 
 
@@ -145,7 +145,7 @@ def _scatter(score: Array, label: Indices) -> tuple[Array, int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BinnedMean:
+class BinMeans:
     """Means of samples by bin."""
 
     count: Indices
@@ -164,10 +164,10 @@ class BinnedMean:
     def half_width(self) -> Array:
         """Return half the 68 % interval of each mean, (B, C): the standard error, widened for few groups."""
         freedom = np.maximum(self.groups - 1, 1)[:, None]
-        return student_quantile(normal_above(-1.0), freedom) * self.std_error
+        return student_quantile(normal_tail(-1.0), freedom) * self.std_error
 
 
-def binned_mean(values: Array, place: Indices, bins: int, group: Indices) -> BinnedMean:
+def bin_means(values: Array, place: Indices, bins: int, group: Indices) -> BinMeans:
     """Return the mean of each bin, and its standard error from the scatter of whole groups.
 
     Its square is ``sum_g (s_g - n_g m)² G / (G - 1) / n²``, with the sum ``s_g`` of the ``n_g`` samples that group g of G
@@ -191,7 +191,7 @@ def binned_mean(values: Array, place: Indices, bins: int, group: Indices) -> Bin
         away = np.where(counts[:, :, None] > 0, sums - counts[:, :, None] * mean[:, None], 0.0)
         variance = (away**2).sum(axis=1) / total[:, None] ** 2 * (groups / (groups - 1.0))[:, None]
     std_error = np.sqrt(np.where(groups[:, None] > 1, variance, np.nan))
-    return BinnedMean(count=total, mean=mean, std_error=std_error, groups=groups)
+    return BinMeans(count=total, mean=mean, std_error=std_error, groups=groups)
 
 
 DOUBTFUL = 0.2

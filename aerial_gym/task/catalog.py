@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from aerial_gym.config import files_of, summary_in
+from aerial_gym.config import family_files, read_summary
 from aerial_gym.config.extends import load_extended
 from aerial_gym.config.task import CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg
@@ -87,7 +87,7 @@ class TaskRegistry(Registry[TaskCfg]):
         if encoder is not None:
             cfg = with_encoder(cfg, encoder)
         if level is not None:
-            cfg = replace(cfg, curriculum=_held(cfg, name, level))
+            cfg = replace(cfg, curriculum=_hold_curriculum(cfg, name, level))
         elif first_episode and cfg.curriculum is not None:
             raise ConfigError(
                 f"first_episode = {first_episode}: seed, environment and episode do not say which level of its curriculum "
@@ -108,7 +108,7 @@ class TaskRegistry(Registry[TaskCfg]):
             differentiable=differentiable,
             dtype=dtype or torch.float32,
         )
-        make = imported(name) if ":" in name else None
+        make = import_object(name) if ":" in name else None
         made = make if isinstance(make, type) else Task
         return usual_settings(lambda: made(cfg, built, capture=capture))()  # also for a user's class
 
@@ -128,8 +128,8 @@ class TaskRegistry(Registry[TaskCfg]):
             return _level(name)
         if ":" not in name:
             return super().get(name)
-        found = imported(name)
-        cfg = getattr(found, "cfg", None) if isinstance(found, type) else found
+        target = import_object(name)
+        cfg = getattr(target, "cfg", None) if isinstance(target, type) else target
         if not isinstance(cfg, TaskCfg):
             raise ConfigError(f"task {name!r}: must be a TaskCfg, or a subclass of Task that has one as its cfg")
         return cfg
@@ -149,7 +149,7 @@ def _level(path: str) -> TaskCfg:
     return load_level(path, base, robot_by_name(base.robot))
 
 
-def imported(name: str) -> object:
+def import_object(name: str) -> object:
     """Return the object ``module:Name`` or ``file.py:Name``; the module may be in the current folder.
 
     Raises:
@@ -172,14 +172,14 @@ def _import(name: str, folder: Path) -> ModuleType:
     here = str(folder.resolve())
     sys.path.append(here)
     try:
-        return _module_of(folder / name) if name.endswith(".py") else import_module(name)
+        return _load_module(folder / name) if name.endswith(".py") else import_module(name)
     except (FileNotFoundError, ModuleNotFoundError) as error:
         raise UnknownNameError(str(error)) from None
     finally:
         sys.path.remove(here)
 
 
-def _module_of(path: Path) -> ModuleType:
+def _load_module(path: Path) -> ModuleType:
     """Return the module of a file, run once per process so that it registers its entries once."""
     path = path.resolve()
     known = f"aerial_gym_task_{path.stem}_{sha256(str(path).encode()).hexdigest()[:8]}"
@@ -210,10 +210,10 @@ def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
         ConfigError: If it sees neither these nor latents.
     """
 
-    def seen(entry: ObservationCfg) -> ObservationCfg:
+    def use_latents(entry: ObservationCfg) -> ObservationCfg:
         return replace(entry, term="image_latents") if entry.term in CELL_TERMS and not entry.params else entry
 
-    groups = {name: tuple(seen(entry) for entry in entries) for name, entries in cfg.observations.items()}
+    groups = {name: tuple(use_latents(entry) for entry in entries) for name, entries in cfg.observations.items()}
     if not any(entry.term == "image_latents" for entries in groups.values() for entry in entries):
         raise ConfigError(
             f"encoder {encoder}: this task has no image_latents and no {' or '.join(CELL_TERMS)} of 8 x 8 cells among its "
@@ -222,7 +222,7 @@ def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
     return replace(cfg, observations=groups, encoder=encoder)
 
 
-def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
+def _hold_curriculum(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
     """Return the task's curriculum, held at a level."""
     if cfg.curriculum is None:
         raise ConfigError(f"level = {level}: task {name} has no curriculum")
@@ -231,5 +231,5 @@ def _held(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
 
 task_registry = TaskRegistry("task")
 
-for _name, _path in files_of("tasks").items():
-    task_registry.register_later(_name, partial(load_task, _path), summary=partial(summary_in, _path))
+for _name, _path in family_files("tasks").items():
+    task_registry.register_later(_name, partial(load_task, _path), summary=partial(read_summary, _path))

@@ -13,7 +13,7 @@ from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.task import CurriculumCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.task.step.by_row import ByRow
+from aerial_gym.task.step.row_kernels import RowKernel
 
 
 def next_level(level: Tensor, finished: Tensor, succeeded: Tensor, cfg: CurriculumCfg) -> tuple[Tensor, Tensor, Tensor]:
@@ -65,7 +65,7 @@ class Curriculum:
         self.difficulty = torch.zeros((), device=self.level.device)
         self.of_all: Callable[[Tensor], Tensor] | None = None
         """Sums counts, (2,), over the processes of a training, in each of which the level is then the same."""
-        self._decide = ByRow(self._decision, "the curriculum")
+        self._decide = RowKernel(self._decision, "the curriculum")
         self.restart()
 
     def restart(self) -> None:

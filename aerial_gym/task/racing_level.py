@@ -50,14 +50,14 @@ def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path}: no level can be read ({error})") from None
     try:
-        return _task_of(level, base, robot, name=path.stem)
+        return _make_task(level, base, robot, name=path.stem)
     except KeyError as error:
         raise ConfigError(f"{path}: field {error} is missing") from None
     except (ConfigError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _task_of(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: str) -> TaskCfg:
+def _make_task(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: str) -> TaskCfg:
     env, sim = level["env"], level["sim"]
     if sim["drone_model"] != VEHICLE:
         raise ConfigError(f"sim.drone_model = {sim['drone_model']!r}: only {VEHICLE} is known")
@@ -65,16 +65,16 @@ def _task_of(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name: 
     spread = _Spreads(env.get("randomizations", {}))
     if env["track"].get("randomize", False) and len(env["track"]["obstacles"]) > len(env["track"]["gates"]):
         raise ConfigError("env.track: more obstacles than gates cannot be drawn")
-    where = _environment_of(level, spread, name=name)
+    where = _make_environment(level, spread, name=name)
     return replace(
         base,
         summary=f"{name} of lsy_drone_racing",
-        sim=_sim_of(sim["freq"]),
+        sim=_make_sim(sim["freq"]),
         env=where,
-        start=_start_of(env["track"], spread, where),
-        randomize=_randomize_of(spread, robot) | _forces_of(disturbances, sim["freq"]),
-        action=replace(base.action, noise_std=_command_noise_of(disturbances)),
-        command=_command_of(base, env["sensor_range"]),
+        start=_make_start(env["track"], spread, where),
+        randomize=_make_randomize(spread, robot) | _force_ranges(disturbances, sim["freq"]),
+        action=replace(base.action, noise_std=_command_noise(disturbances)),
+        command=_make_command(base, env["sensor_range"]),
         source=f"{name}.toml; the rest: {base.source}",
     )
 
@@ -110,7 +110,7 @@ def _vector(numbers: Sequence[float]) -> Vec3:
     return x, y, z
 
 
-def _sim_of(freq: float) -> str:
+def _make_sim(freq: float) -> str:
     for name in SIMS.names():
         if abs(SIMS.get(name).dt * freq - 1.0) < 1e-9:
             return name
@@ -118,7 +118,7 @@ def _sim_of(freq: float) -> str:
     raise ConfigError(f"sim.freq = {freq!r}: no sim has this frequency. Known: {known} Hz")
 
 
-def _environment_of(level: Mapping[str, Any], spread: _Spreads, *, name: str) -> EnvironmentCfg:
+def _make_environment(level: Mapping[str, Any], spread: _Spreads, *, name: str) -> EnvironmentCfg:
     base, env = ENVIRONMENTS.get("racing_env"), level["env"]
     steps = level["sim"]["freq"] / env["freq"]
     if steps != int(steps):
@@ -133,7 +133,7 @@ def _environment_of(level: Mapping[str, Any], spread: _Spreads, *, name: str) ->
         gate_euler_high=spread["gate_rpy"][1],
         pole_low=spread["obstacle_pos"][0],
         pole_high=spread["obstacle_pos"][1],
-        layout=_layout_of(given["safety_limits"]) if given.get("randomize", False) else None,
+        layout=_make_layout(given["safety_limits"]) if given.get("randomize", False) else None,
     )
     counts = track.counts
     assets = tuple(replace(asset, count=counts[asset.name]) for asset in base.assets if asset.name in counts)
@@ -148,12 +148,12 @@ def _environment_of(level: Mapping[str, Any], spread: _Spreads, *, name: str) ->
     )
 
 
-def _layout_of(limits: Mapping[str, Sequence[float]]) -> LayoutCfg:
+def _make_layout(limits: Mapping[str, Sequence[float]]) -> LayoutCfg:
     (x0, y0, _), (x1, y1, _) = _vector(limits["pos_limit_low"]), _vector(limits["pos_limit_high"])
     return LayoutCfg(lower=(x0 + BORDER, y0 + BORDER), upper=(x1 - BORDER, y1 - BORDER))
 
 
-def _start_of(track: Mapping[str, Any], spread: _Spreads, env: EnvironmentCfg) -> InitialStateCfg:
+def _make_start(track: Mapping[str, Any], spread: _Spreads, env: EnvironmentCfg) -> InitialStateCfg:
     """Return the initial state of flights: around the drone's place, or for random tracks within the safety limits."""
     drone = track["drones"][0]
     if len(track["drones"]) != 1:
@@ -182,19 +182,19 @@ def _share(point: Sequence[float], env: EnvironmentCfg) -> Vec3:
     return _vector([(p - a) / (b - a) for p, a, b in zip(point, lower, upper, strict=True)])
 
 
-def _randomize_of(spread: _Spreads, robot: RobotCfg) -> dict[str, RandomizeCfg]:
-    found = {}
+def _make_randomize(spread: _Spreads, robot: RobotCfg) -> dict[str, RandomizeCfg]:
+    draws = {}
     if "drone_mass" in spread:
         low, high = spread.number("drone_mass")
-        found["body.mass"] = RandomizeCfg(how="offset", low=low, high=high, keep_inertia=True)
+        draws["body.mass"] = RandomizeCfg(how="offset", low=low, high=high, keep_inertia=True)
     if "drone_inertia" in spread:
         ends = (tuple(1.0 + end[i] / robot.body.inertia[i][i] for i in range(3)) for end in spread["drone_inertia"])
         low, high = ends
-        found["body.inertia"] = RandomizeCfg(low=low, high=high)
-    return found
+        draws["body.inertia"] = RandomizeCfg(low=low, high=high)
+    return draws
 
 
-def _forces_of(disturbances: Mapping[str, Any], freq: float) -> dict[str, RandomizeCfg]:
+def _force_ranges(disturbances: Mapping[str, Any], freq: float) -> dict[str, RandomizeCfg]:
     """Return the force ranges of the effect ``random_force``, which the benchmark draws at every simulation step."""
     for name in disturbances:
         if name not in ("action", "dynamics"):
@@ -211,7 +211,7 @@ def _forces_of(disturbances: Mapping[str, Any], freq: float) -> dict[str, Random
     return {f"effects.random_force.{key}": RandomizeCfg(how="value", low=v, high=v) for key, v in values.items()}
 
 
-def _command_noise_of(disturbances: Mapping[str, Any]) -> float:
+def _command_noise(disturbances: Mapping[str, Any]) -> float:
     """Return the standard deviation of command noise, converted from rad and N to weights and rad/s."""
     if "action" not in disturbances:
         return 0.0
@@ -221,6 +221,6 @@ def _command_noise_of(disturbances: Mapping[str, Any]) -> float:
     return float(given["scale"])
 
 
-def _command_of(base: TaskCfg, sensor_range: float) -> Any:
+def _make_command(base: TaskCfg, sensor_range: float) -> Any:
     assert base.command is not None
     return replace(base.command, params={**base.command.params, "sensor_range": float(sensor_range)})

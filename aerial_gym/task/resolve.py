@@ -8,11 +8,11 @@ import torch
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError, ConfigError, UnknownNameError
-from aerial_gym.task.step.shapes import check_number, check_truth, width_of
+from aerial_gym.task.step.term_checks import check_number, check_truth, term_width
 from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
-from aerial_gym.task.terms.observations import whole
-from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, checked
+from aerial_gym.task.terms.observations import tensor_term
+from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, check_params
 from aerial_gym.task.values import Values
 
 Observed = list[tuple[BoundTerm, ObservationCfg, int]]
@@ -38,7 +38,7 @@ def resolve_action(cfg: TaskCfg, command: tuple[str, ...]) -> tuple[Action, dict
     name = cfg.action.transform
     action = ACTIONS.get(name)
     _check_command(f"action {name}: gives", action.command, cfg, command)
-    return action, checked(action.value, cfg.action.params, f"action {name}")
+    return action, check_params(action.value, cfg.action.params, f"action {name}")
 
 
 def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[str, Observed]:
@@ -49,17 +49,17 @@ def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[s
         ConfigError: If numbers or shapes do not fit.
     """
     rows = values.gtd["sim_steps"].shape[0]
-    found: dict[str, Observed] = {}
+    resolved: dict[str, Observed] = {}
     for group, entries in cfg.observations.items():
-        found[group] = []
+        resolved[group] = []
         for number, entry in enumerate(entries):
             term = _observation(entry.term, values)
             label = f"observation term {entry.term!r}" + ("" if number == _first(entries, entry) else f" ({number})")
             bound = bind(term, entry.params, label if group == "policy" else f"{label} of {group!r}")
-            values.read_by(bound)
+            values.term_inputs(bound)
             said = num_commands if term.width == ACTION else term.width
-            found[group].append((bound, entry, width_of(bound, values, rows=rows, width=said)))
-    return found
+            resolved[group].append((bound, entry, term_width(bound, values, rows=rows, width=said)))
+    return resolved
 
 
 def _first(entries: tuple[ObservationCfg, ...], entry: ObservationCfg) -> int:
@@ -74,7 +74,7 @@ def _observation(name: str, values: Values) -> Term:
     except UnknownNameError:
         OBSERVATIONS.get(name)  # raises with the known names
         raise
-    return whole(name)
+    return tensor_term(name)
 
 
 def resolve_rewards(cfg: TaskCfg, values: Values, command: tuple[str, ...]) -> dict[str, tuple[BoundTerm, RewardCfg]]:
@@ -84,24 +84,24 @@ def resolve_rewards(cfg: TaskCfg, values: Values, command: tuple[str, ...]) -> d
         UnknownNameError: If a term or one of its inputs does not exist.
         ConfigError: If numbers, shapes or the controller do not fit.
     """
-    found = {}
+    resolved = {}
     for name, entry in cfg.rewards.items():
         bound = _bound(REWARDS, entry.term, entry.params, f"reward {name!r}", cfg, values, command)
         check_number(bound, values, rows=values.gtd["sim_steps"].shape[0])
-        found[name] = (bound, entry)
-    return found
+        resolved[name] = (bound, entry)
+    return resolved
 
 
 def resolve_terminations(
     cfg: TaskCfg, values: Values, command: tuple[str, ...]
 ) -> dict[str, tuple[BoundTerm, TerminationCfg]]:
     """Return the terminations by name, with the errors of ``resolve_rewards``."""
-    found = {}
+    resolved = {}
     for name, entry in cfg.terminations.items():
         bound = _bound(TERMINATIONS, entry.term, entry.params, f"termination {name!r}", cfg, values, command)
         check_truth(bound, values, rows=values.gtd["sim_steps"].shape[0])
-        found[name] = (bound, entry)
-    return found
+        resolved[name] = (bound, entry)
+    return resolved
 
 
 def _bound(
@@ -116,13 +116,13 @@ def _bound(
     entry = registry.get(term)
     _check_command(f"{label}: term {term} is about", entry.command, cfg, command)
     bound = bind(entry, params, f"{label} ({term})")
-    values.read_by(bound)
+    values.term_inputs(bound)
     return bound
 
 
-def _check_command(what: str, needed: tuple[str, ...] | None, cfg: TaskCfg, command: tuple[str, ...]) -> None:
+def _check_command(label: str, needed: tuple[str, ...] | None, cfg: TaskCfg, command: tuple[str, ...]) -> None:
     if needed is not None and needed != command:
-        raise ConfigError(f"{what} {', '.join(needed)}; controller {cfg.controller} takes {', '.join(command)}")
+        raise ConfigError(f"{label} {', '.join(needed)}; controller {cfg.controller} takes {', '.join(command)}")
 
 
 def check_gradients(
@@ -146,7 +146,7 @@ def check_gradients(
             if name is not None:
                 raise CapabilityError(
                     f"{term.label}: reads {name}, which has no gradient, and differentiable=True asks for one. Leave the term "
-                    "out, or compute it from env.traced"
+                    "out, or compute it from env.gradient_tensors"
                 )
 
 

@@ -34,9 +34,9 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     """Return a task with the action ``rotor_range`` resolved for a robot; other tasks unchanged.
 
     An action of -1 and 1 is then the lowest and the highest command of a rotor, speed [rad/s] or thrust [N], and its
-    entries belong to places (``order_of_places``). With ``params: {places: 4}`` a robot with another number of rotors,
+    entries belong to places (``rotor_order``). With ``params: {places: 4}`` a robot with another number of rotors,
     other spins or force mode takes the commands of a quadrotor: its rotors together give the lift and torque of those four
-    (``mix_of_four``).
+    (``quadrotor_mix``).
 
     Raises:
         ConfigError: If the controller takes neither, the robot cannot be flown so, or a parameter is not known.
@@ -55,7 +55,7 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     for name, rotor in zip(command, robot.rotor_types, strict=False):
         low, high = rotor.thrust_range
         if name.startswith("speed"):
-            low, high = rotor.speed_at(low), rotor.speed_at(high)
+            low, high = rotor.speed_for_thrust(low), rotor.speed_for_thrust(high)
         elif not name.startswith("thrust") or len(command) != robot.num_rotors:
             known = "no_control, rotor_speed_control"
             raise ConfigError(
@@ -63,18 +63,18 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
             )
         ranges.append((low, high))
     low, high = zip(*ranges, strict=True)
-    order = order_of_places([mount.position for mount in robot.mounts.layout])
-    if cfg.action.params and not _is_square(robot, order):
+    order = rotor_order([mount.position for mount in robot.mounts.layout])
+    if cfg.action.params and not _is_standard_quadrotor(robot, order):
         rotors = zip(command, robot.rotor_types, strict=True)
         speeds = tuple(name.startswith("speed") and rotor.mode == "speed" for name, rotor in rotors)
-        params = {"low": low, "high": high, "mix": mix_of_four(robot), "speeds": speeds}
+        params = {"low": low, "high": high, "mix": quadrotor_mix(robot), "speeds": speeds}
         return replace(cfg, action=replace(cfg.action, transform="four_places", params=params))
     return replace(
         cfg, action=replace(cfg.action, transform="affine", params={"low": low, "high": high, "order": order})
     )
 
 
-def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
+def quadrotor_mix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
     """Return the mixing matrix (R, 4) from the four thrust shares of a quadrotor to the thrust shares of R rotors.
 
     Lift along body z and each torque use the least-squares thrusts without other components. Full lift is reached when the
@@ -100,7 +100,7 @@ def mix_of_four(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
     return _as_rows(shares @ torch.tensor(FOUR, dtype=matrix.dtype).T / 4.0)
 
 
-def _is_square(robot: RobotCfg, order: Sequence[int]) -> bool:
+def _is_standard_quadrotor(robot: RobotCfg, order: Sequence[int]) -> bool:
     """Return whether a robot is a quadrotor with speed commands and the usual spins."""
     spins = [spin for _, spin in sorted(zip(order, (mount.spin for mount in robot.mounts.layout), strict=True))]
     return spins == [1, -1, 1, -1] and all(rotor.mode == "speed" for rotor in robot.rotor_types)
@@ -110,7 +110,7 @@ def _as_rows(matrix: Tensor) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in matrix.tolist())
 
 
-def order_of_places(positions: Sequence[Vec3]) -> tuple[int, ...]:
+def rotor_order(positions: Sequence[Vec3]) -> tuple[int, ...]:
     """Return the number of each rotor if they are counted clockwise as seen from above, from the nose on.
 
     Args:

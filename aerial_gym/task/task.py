@@ -16,9 +16,9 @@ from aerial_gym.config.task import POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import on_device, with_usual_settings
-from aerial_gym.math.random import Purpose, counted_uniform
-from aerial_gym.registry.state import below, check_state, identity, restore, saved
-from aerial_gym.robots.watch import Watch
+from aerial_gym.math.random import Purpose, uniform_draw
+from aerial_gym.registry.state import add_prefix, check_state, copy_tensors, identity, restore
+from aerial_gym.robots.finite_watch import FiniteWatch
 from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
 from aerial_gym.task.curriculum import Curriculum
@@ -30,18 +30,18 @@ from aerial_gym.task.resolve import (
     resolve_terminations,
 )
 from aerial_gym.task.rotor_range import with_rotor_range
-from aerial_gym.task.seen.cells import Cells
-from aerial_gym.task.seen.images import Images
-from aerial_gym.task.seen.latents import Latents
-from aerial_gym.task.spaces import action_space, key_of, observation_space
-from aerial_gym.task.step.act import Actor, declare_delay
+from aerial_gym.task.spaces import action_space, group_key, observation_space
+from aerial_gym.task.step.actor import Actor, declare_delay
+from aerial_gym.task.step.gradient_graph import GradientGraph
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
-from aerial_gym.task.step.observe import Entry, Observer
-from aerial_gym.task.step.remember import make_memory
+from aerial_gym.task.step.observer import Entry, Observer
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced
-from aerial_gym.task.step.traced import Graph
+from aerial_gym.task.step.step_memory import make_memory
 from aerial_gym.task.terms.buffers import STEP_TIME
 from aerial_gym.task.values import Values
+from aerial_gym.task.vision.cells import Cells
+from aerial_gym.task.vision.images import TaskImages
+from aerial_gym.task.vision.latents import Latents
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -126,7 +126,7 @@ class Task:
         self._judge = Judge(
             cfg, rewards, terminations, self.values, command=self._command, observer=self._observer, random=env.random
         )
-        self._images = Images(cfg.images, self.values, env.sensor_manager)
+        self._images = TaskImages(cfg.images, self.values, env.sensor_manager)
         self._actor = Actor(
             cfg.action,
             action,
@@ -139,7 +139,9 @@ class Task:
         )
         self._memory = make_memory(self._command, self.values)
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self._watch = Watch(env.gtd, env.robot_manager.noticed, num_actions=self.num_actions, dt=env.dt, keep=False)
+        self._watch = FiniteWatch(
+            env.gtd, env.robot_manager.noticed, num_actions=self.num_actions, dt=env.dt, keep=False
+        )
         self._graph: StepGraph[StepResult] | None = None
         if capture:
             self._check_capture()
@@ -154,7 +156,7 @@ class Task:
 
     @property
     def _widths(self) -> dict[str, int]:
-        return {key_of(name): self._observer.width(name) for name in self._observer.groups}
+        return {group_key(name): self._observer.width(name) for name in self._observer.groups}
 
     @cached_property
     def observation_space(self) -> "spaces.Dict":
@@ -167,7 +169,7 @@ class Task:
         return action_space(self.num_actions)
 
     @property
-    def captured(self) -> bool:
+    def is_captured(self) -> bool:
         """Whether a step is the replay of a CUDA graph."""
         return self._graph is not None
 
@@ -218,9 +220,9 @@ class Task:
         Raises:
             CapabilityError: If the step is held in a CUDA graph already.
         """
-        if self.captured:
+        if self.is_captured:
             raise CapabilityError("watch: the step is recorded already. Call it before the first reset")
-        self._watch = Watch(
+        self._watch = FiniteWatch(
             self._gtd, self.env.robot_manager.noticed, num_actions=self.num_actions, dt=self.env.dt, keep=True
         )
 
@@ -258,7 +260,7 @@ class Task:
         for name in (SUMS, ARRIVED):
             if name in self.values.own:
                 self.values.own[name].zero_()
-        return self._observed(), {}
+        return self._observe(), {}
 
     def practise(self) -> None:
         """Start episodes at the command's places of practice, from the next resets on."""
@@ -267,7 +269,7 @@ class Task:
     def stagger(self) -> None:
         """Give every environment a random age, so that episodes end one by one: a batch then holds all their phases."""
         steps, age = self.cfg.episode_len_steps, self._gtd["sim_steps"]
-        age.copy_(counted_uniform(self.env.random.stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
+        age.copy_(uniform_draw(self.env.random.stream(Purpose.AGE), dtype=torch.float64).mul_(steps))
 
     def step(self, actions: Tensor) -> StepResult:
         """Advance by one action, (E, V); return observation, reward (E,), terminated, truncated (E,) bool, info.
@@ -279,7 +281,7 @@ class Task:
             raise ShapeError(
                 f"actions has shape {tuple(actions.shape)}, expected (E, V) = {(self.num_envs, self.num_actions)}"
             )
-        if self.env.robot_manager.take_writes() and self.captured:
+        if self.env.robot_manager.take_writes() and self.is_captured:
             self._graph, self._capture_at_reset = None, True
         if self.values.graph is None:
             actions = actions.to(torch.float32)  # the caller's default type may be another one
@@ -299,7 +301,7 @@ class Task:
             self.curriculum.count(judged["ended"], judged["success"])
         self._watch.keep(actions, judged["ended"])
         self._begin(judged["ended"], counted=True)
-        return self._observed(), judged["reward"], judged["terminated"], judged["truncated"], info
+        return self._observe(), judged["reward"], judged["terminated"], judged["truncated"], info
 
     def _begin(self, mask: Tensor, *, counted: bool = False) -> None:
         """Start episodes in the environments of ``mask``: robot, obstacles, target and the room around it."""
@@ -313,12 +315,12 @@ class Task:
         if self._memory is not None:
             self._memory()
 
-    def _observed(self) -> Observation:
+    def _observe(self) -> Observation:
         """Read the sensors and return the observation of this instant."""
         self._look(begun=bool(self._images.frames))
         self._observer.draw_noise()
-        found = {key_of(group): value for group, value in self._observer().items()}
-        return found | {name: frames.clone() for name, frames in self._images.frames.items()}
+        entries = {group_key(group): value for group, value in self._observer().items()}
+        return entries | {name: frames.clone() for name, frames in self._images.frames.items()}
 
     def _look(self, *, begun: bool = False) -> None:
         """Read the sensors and update image terms; ``begun``: only where an episode has just begun."""
@@ -334,16 +336,16 @@ class Task:
         the task's own computation.
         """
         few = torch.arange(self.num_envs, device=self.device) % 100 == 0
-        found: dict[str, Callable[[], None]] = {"physics": self.env.fly, "collision": self.env.collide}
-        found["reset"] = partial(self._begin, few)
+        entries: dict[str, Callable[[], None]] = {"physics": self.env.fly, "collision": self.env.collide}
+        entries["reset"] = partial(self._begin, few)
         if self.env.sensor_manager.casters:
-            found["rendering"] = self._look
-        return found
+            entries["rendering"] = self._look
+        return entries
 
     @property
-    def observed(self) -> dict[str, list[Entry]]:
+    def observation_terms(self) -> dict[str, list[Entry]]:
         """Terms in the order of their columns, by observation key."""
-        return {key_of(group): entries for group, entries in self._observer.groups.items()}
+        return {group_key(group): entries for group, entries in self._observer.groups.items()}
 
     @property
     def target_position(self) -> Tensor:
@@ -372,8 +374,8 @@ class Task:
         env = self.env
         sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
         simulation = env.robot_manager.differentiable
-        graph = None if simulation is None else Graph(simulation)
-        makers = {**self._cells.makers, **self._latents.makers, STEP_TIME: self._make_step_time}
+        graph = None if simulation is None else GradientGraph(simulation)
+        makers = {**self._cells.buffer_makers, **self._latents.buffer_makers, STEP_TIME: self._make_step_time}
         values = Values(env.gtd, sizes=sizes, makers=makers, graph=graph)
         values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
         return values
@@ -385,15 +387,15 @@ class Task:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return everything on which the future depends, by name: tensors that keep their places, and digests."""
         curriculum = {} if self.curriculum is None else self.curriculum.state_tensors()
-        found = identity(task=self.cfg) | self.env.state_tensors()
-        return found | below("task", self.values.own.state_tensors()) | below("curriculum", curriculum)
+        entries = identity(task=self.cfg) | self.env.state_tensors()
+        return entries | add_prefix("task", self.values.own.state_tensors()) | add_prefix("curriculum", curriculum)
 
     def save_state(self) -> dict[str, Tensor]:
         """Return a copy of everything on which the future depends, the simulation included (``EnvManager.save_state``).
 
         The memory of a policy is not included.
         """
-        return saved(self.state_tensors())
+        return copy_tensors(self.state_tensors())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Restore a state saved by this or an equal task; call ``reset`` once before. Waits for the device.

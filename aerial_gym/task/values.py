@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator, Mapping
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import DuplicateNameError, UnknownNameError, did_you_mean
+from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.task.step.traced import Graph
+from aerial_gym.task.step.gradient_graph import GradientGraph
 from aerial_gym.task.terms.buffers import BUFFERS
 from aerial_gym.task.terms.term import BoundTerm, bind
 
@@ -25,7 +25,7 @@ class Values(Mapping[str, Tensor]):
         *,
         sizes: Mapping[str, int],
         makers: Mapping[str, Callable[..., Tensor]],
-        graph: Graph | None = None,
+        graph: GradientGraph | None = None,
     ) -> None:
         """Take the simulation's dictionary.
 
@@ -72,7 +72,7 @@ class Values(Mapping[str, Tensor]):
         if name in self.own:
             return self.own[name]
         for template, make in self._makers.items():
-            numbers = numbers_in(name, template)
+            numbers = parse_numbers(name, template)
             if numbers is not None:
                 made = make(self, reader, **numbers)
                 self.measured |= {name} if made.ndim else set()
@@ -82,7 +82,7 @@ class Values(Mapping[str, Tensor]):
         known = sorted({*self.gtd, *self.own, *self._makers, *BUFFERS})
         raise UnknownNameError(
             f"{reader} reads {name!r}, which is neither a key of the GTD nor a task buffer."
-            f"{did_you_mean(name, known)} Known: {', '.join(known)}"
+            f"{suggest_name(name, known)} Known: {', '.join(known)}"
         )
 
     def _make(self, name: str) -> Tensor:
@@ -94,7 +94,7 @@ class Values(Mapping[str, Tensor]):
         self.updates[name] = bind(entry.term, {}, label)
         return made
 
-    def read_by(self, *terms: BoundTerm) -> dict[str, Tensor]:
+    def term_inputs(self, *terms: BoundTerm) -> dict[str, Tensor]:
         """Return the inputs of terms, by name."""
         return {name: self.find(name, term.label) for term in terms for name in term.reads}
 
@@ -108,10 +108,10 @@ class Values(Mapping[str, Tensor]):
         return len(self.gtd) + len(self.own)
 
 
-def numbers_in(name: str, template: str) -> dict[str, int] | None:
+def parse_numbers(name: str, template: str) -> dict[str, int] | None:
     """Return the whole numbers of a name by a template such as ``"nearest_in_{rows}x{columns}_cells"``.
 
     None if it does not.
     """
-    found = re.fullmatch(re.sub(r"\{(\w+)\}", r"(?P<\1>[1-9][0-9]*)", template), name)
-    return None if found is None else {key: int(number) for key, number in found.groupdict().items()}
+    matches = re.fullmatch(re.sub(r"\{(\w+)\}", r"(?P<\1>[1-9][0-9]*)", template), name)
+    return None if matches is None else {key: int(number) for key, number in matches.groupdict().items()}

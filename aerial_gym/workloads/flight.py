@@ -15,12 +15,12 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import BACKENDS, EFFECTS, BodyState, PhysicsBackend, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
+from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
 from aerial_gym.physics.model import EffectParams
-from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots.catalog import robot_by_name
-from aerial_gym.workloads.measure import WorkloadError, batch_of
+from aerial_gym.workloads.measure import WorkloadError, make_batch
 
 LAUNCHES_PER_BATCH = 20
 """Launches in one CUDA graph: the cost of starting a replay is shared by them."""
@@ -38,7 +38,7 @@ MAX_NORM_ERROR = 1e-3
 """Largest distance of a quaternion's norm from 1; float32 round-off stays below 1e-6."""
 
 
-class Flight:
+class HoverFlight:
     """A backend, the state it advances, and the hover action that it holds."""
 
     def __init__(self, backend: PhysicsBackend, state: BodyState, action: Tensor, *, dt: float, substeps: int) -> None:
@@ -48,7 +48,7 @@ class Flight:
         launches = max(1, int(STRETCH_S / (dt * substeps)))
         self.launches_per_batch = min(LAUNCHES_PER_BATCH, launches) if self.device.type == "cuda" else 1
         self.batches_per_stretch = launches // self.launches_per_batch
-        self.run_batch = batch_of(
+        self.run_batch = make_batch(
             lambda: backend.step(state, action, dt, substeps), self.launches_per_batch, self.device
         )
 
@@ -101,7 +101,7 @@ def make_flight(
     dt: float,
     device: torch.device,
     seed: int = 0,
-) -> Flight:
+) -> HoverFlight:
     """Return a batch near hover, built from names.
 
     Raises:
@@ -115,7 +115,7 @@ def make_flight(
         able = ", ".join(stepper.capabilities.devices)
         raise CapabilityError(f"backend {backend}: cannot run on {device}. Devices: {able}")
     declared = vehicle_from_config(cfg, num_envs=num_envs, device=device)
-    articulation = articulation_of(cfg, like=declared.mass)
+    articulation = build_articulation(cfg, like=declared.mass)
     rows = moderate_effects(effects, cfg, num_envs=num_envs, device=device)
     model = build_model(declared, rows, articulation=articulation)
     control = make_controller(law, declared, model.gravity, dt=dt, control=cfg.control)
@@ -126,17 +126,17 @@ def make_flight(
     if articulation is not None:
         state, action = _with_joints(articulation, state, action)
     stepper.allocate(model, control, integrator=integrator)
-    return Flight(stepper, state, action, dt=dt, substeps=substeps)
+    return HoverFlight(stepper, state, action, dt=dt, substeps=substeps)
 
 
-def _with_joints(articulation: Articulation, state: BodyState, action: Tensor) -> tuple[JointedState, Tensor]:
+def _with_joints(articulation: Articulation, state: BodyState, action: Tensor) -> tuple[ArticulatedState, Tensor]:
     """Return state and action of vehicles in their reference pose, whose drives hold it."""
     joint_pos = articulation.reference.repeat(state.num_envs, 1)
     held = [
         articulation.reference[k] if mode == "position" else articulation.reference.new_zeros(())
         for k, mode in zip(articulation.driven, articulation.modes, strict=True)
     ]
-    jointed = JointedState(**vars(state), joint_pos=joint_pos, joint_vel=torch.zeros_like(joint_pos))
+    jointed = ArticulatedState(**vars(state), joint_pos=joint_pos, joint_vel=torch.zeros_like(joint_pos))
     if not held:
         return jointed, action
     return jointed, torch.cat((action, torch.stack(held).expand(state.num_envs, -1)), dim=1).contiguous()
@@ -146,14 +146,14 @@ def moderate_effects(
     names: Sequence[str], robot: RobotCfg, *, num_envs: int, device: torch.device
 ) -> list[EffectParams]:
     """Return the effects with every parameter (E, P) one ``scale`` above neutral, within its bounds."""
-    found = []
+    rows = []
     for name in names:
         effect = EFFECTS.get(name)
         effect.check(robot)
         pairs = zip(effect.neutral(robot), effect.parameters, strict=True)
         row = torch.tensor([min(max(value + p.scale, p.low), p.high) for value, p in pairs], device=device)
-        found.append((effect, row.expand(num_envs, -1).clone()))
-    return found
+        rows.append((effect, row.expand(num_envs, -1).clone()))
+    return rows
 
 
 def _hover_thrust(robot: RobotCfg, effects: Sequence[str], device: torch.device) -> tuple[Tensor, Tensor]:

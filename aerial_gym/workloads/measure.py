@@ -13,7 +13,7 @@ from typing import Protocol
 import torch
 
 from aerial_gym.errors import AerialGymError, ConfigError
-from aerial_gym.interop import recorded
+from aerial_gym.interop import record_graph
 
 WARM_UP_CALLS = 3
 """Calls before a capture: kernels are compiled and buffers made, which a graph cannot hold."""
@@ -100,7 +100,7 @@ def synchronize(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> Callable[[], None]:
+def make_batch(call: Callable[[], None], launches: int, device: torch.device) -> Callable[[], None]:
     """Return a function that makes ``launches`` calls: a loop on the CPU, the replay of a CUDA graph on a GPU.
 
     ``call`` is run some times before; it must work in place and wait for nothing.
@@ -114,7 +114,7 @@ def batch_of(call: Callable[[], None], launches: int, device: torch.device) -> C
             _repeat(call, WARM_UP_CALLS)
         torch.cuda.current_stream(device).wait_stream(side)
         graph = torch.cuda.CUDAGraph()
-        with recorded(graph, device):
+        with record_graph(graph, device):
             _repeat(call, launches)
 
     def replay(
@@ -130,7 +130,7 @@ def _repeat(call: Callable[[], None], times: int) -> None:
         call()
 
 
-def spread(seconds: list[float], units: float) -> tuple[float, float, float]:
+def rate_range(seconds: list[float], units: float) -> tuple[float, float, float]:
     """Return median, lowest and highest rate [1/s] of launches that take ``seconds`` and hold ``units`` each."""
     return units / statistics.median(seconds), units / max(seconds), units / min(seconds)
 

@@ -59,7 +59,7 @@ class MemoryBench:
         from aerial_gym.env_manager import SimBuilder
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.measure import require_at_least
-        from aerial_gym.workloads.output import device_name, packages_of, provenance
+        from aerial_gym.workloads.output import backend_packages, device_name, provenance
 
         require_at_least(1, num_envs=self.num_envs)
         require_at_least(0, largest=self.largest)
@@ -78,9 +78,9 @@ class MemoryBench:
         env.step(torch.zeros_like(env.gtd["robot_actions"]))
         env.render()
         taken = None if free is None else free - (_free_bytes(device) or 0)
-        arrays = arrays_of(env, device)
+        arrays = array_bytes(env, device)
         total = sum(arrays.values())
-        images = sum(arrays_of([caster.images for caster in env.sensor_manager.casters.values()], device).values())
+        images = sum(array_bytes([caster.images for caster in env.sensor_manager.casters.values()], device).values())
         figures = {
             "case": "memory",
             "name": "total",
@@ -94,21 +94,21 @@ class MemoryBench:
             "images_bytes_per_env": images / self.num_envs,
             "others_bytes_per_env": (total - images) / self.num_envs,
             "device_bytes": taken,
-            **provenance(*packages_of(self.backend)),
+            **provenance(*backend_packages(self.backend)),
         }
         rows = sorted(arrays.items(), key=lambda entry: -entry[1])[: self.largest]
         return [figures, *({"name": name, "bytes": size, "bytes_per_env": size / self.num_envs} for name, size in rows)]
 
 
-def arrays_of(holder: object, device: "torch.device") -> dict[str, int]:
+def array_bytes(holder: object, device: "torch.device") -> dict[str, int]:
     """Return the bytes of all torch and Warp arrays on a device that an object holds, by attribute path.
 
     Views of one memory are counted once, under the name of the widest of them that was found first.
     """
-    found = sorted(_spans(holder, device), key=lambda span: (span[0], -span[1]))
+    spans = sorted(_spans(holder, device), key=lambda span: (span[0], -span[1]))
     sizes: dict[str, int] = {}
     end = 0
-    for begin, stop, name in found:
+    for begin, stop, name in spans:
         if stop > end:
             sizes[name] = sizes.get(name, 0) + stop - max(begin, end)
             end = stop

@@ -43,7 +43,7 @@ def provenance(*packages: str) -> dict[str, object]:
     }
 
 
-def packages_of(backend: str | None) -> tuple[str, ...]:
+def backend_packages(backend: str | None) -> tuple[str, ...]:
     """Return the additional packages that a registered backend needs."""
     return () if backend in (None, "auto") else getattr(BACKENDS.get(backend), "packages", ())
 
@@ -52,12 +52,12 @@ def commit() -> str | None:
     """Return the short hash of the checkout, with ``-dirty`` if it was changed; None outside a checkout."""
     command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        found = subprocess.run(
+        process = subprocess.run(
             command, cwd=Path(__file__).parent, capture_output=True, encoding="utf-8", errors="replace", check=True
         )
     except (OSError, subprocess.CalledProcessError):
         return None
-    return found.stdout.strip()
+    return process.stdout.strip()
 
 
 def print_figures(figures: Mapping[str, object], *, as_json: bool) -> None:
@@ -67,11 +67,11 @@ def print_figures(figures: Mapping[str, object], *, as_json: bool) -> None:
         return
     table = Table(box=None, pad_edge=False, show_header=False)
     for name, value in figures.items():
-        table.add_row(name, readable(value))
+        table.add_row(name, format_value(value))
     Console(markup=False, highlight=False).print(table)
 
 
-def readable(value: object) -> str:
+def format_value(value: object) -> str:
     """Return a value as a person wants it: ``12.7 M`` for 12.7e6, no brackets around lists."""
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {entry}" for key, entry in value.items())

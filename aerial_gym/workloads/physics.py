@@ -66,12 +66,12 @@ class PhysicsBench:
         """
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.flight import make_flight
-        from aerial_gym.workloads.measure import require_at_least, spread, time_launches, torch_threads
-        from aerial_gym.workloads.output import device_name, packages_of, provenance
+        from aerial_gym.workloads.measure import rate_range, require_at_least, time_launches, torch_threads
+        from aerial_gym.workloads.output import backend_packages, device_name, provenance
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
         device = resolve_device(self.device)
-        beside = provenance(*packages_of(self.backend))
+        beside = provenance(*backend_packages(self.backend))
         with torch_threads(self.threads) as threads:  # no progress bar: its thread would take part of a measured core
             flight = make_flight(
                 backend=self.backend,
@@ -85,7 +85,7 @@ class PhysicsBench:
                 device=device,
             )
             seconds = time_launches(flight, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
-        median, low, high = spread(seconds, self.num_envs * self.substeps)
+        median, low, high = rate_range(seconds, self.num_envs * self.substeps)
         return {
             "case": "physics",
             "backend": self.backend,

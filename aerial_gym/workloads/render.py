@@ -62,8 +62,8 @@ class RenderBench:
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a peer did not draw the scene."""
-        from aerial_gym.workloads.beside import summary
         from aerial_gym.workloads.output import print_figures
+        from aerial_gym.workloads.peers import summary
 
         rows, failures = self.measure()
         print_figures(rows[0], as_json=self.json)
@@ -82,11 +82,11 @@ class RenderBench:
         """
         from aerial_gym.errors import ConfigError
         from aerial_gym.interop import resolve_device
-        from aerial_gym.workloads.beside import names_of
         from aerial_gym.workloads.measure import require_at_least, torch_threads
+        from aerial_gym.workloads.peers import renderer_names
 
         require_at_least(1, num_envs=self.num_envs, width=self.width, height=self.height)
-        device, names, threads = resolve_device(self.device), names_of(self.against), self.threads
+        device, names, threads = resolve_device(self.device), renderer_names(self.against), self.threads
         if names and self.lidar:
             raise ConfigError("--against: the others draw with a camera, not with --lidar")
         if names and device.type == "cpu":
@@ -102,9 +102,9 @@ class RenderBench:
         import torch
 
         from aerial_gym.sensors import RayCaster, SensorImages
-        from aerial_gym.workloads.beside import Beside
-        from aerial_gym.workloads.measure import WorkloadError, spread
+        from aerial_gym.workloads.measure import WorkloadError, rate_range
         from aerial_gym.workloads.output import device_name, provenance
+        from aerial_gym.workloads.peers import PeerComparison
         from aerial_gym.workloads.scenes import make_scene
 
         provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
@@ -126,7 +126,7 @@ class RenderBench:
         seconds = self._time(caster.cast, depth)
         elsewhere = scene.state.clone()
         move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
-        beside = Beside(
+        beside = PeerComparison(
             scene=scene,
             camera=sensor,
             images=images,
@@ -136,19 +136,19 @@ class RenderBench:
             repeats=self.repeats,
             repeat_time_s=self.repeat_time_s,
         )
-        others, failures = [], []
+        peer_results, failures = [], []
         for name in names:
-            why = beside.why_not(name)
+            why = beside.refusal(name)
             if why is not None:
                 print(why, file=sys.stderr)
                 continue
             try:
-                others.append(beside.measure(name, self._time))
+                peer_results.append(beside.measure(name, self._time))
             except WorkloadError as error:
                 failures.append(str(error))
             seconds += self._time(caster.cast, depth)
-        median, low, high = spread(seconds, self.num_envs)
-        ours = {
+        median, low, high = rate_range(seconds, self.num_envs)
+        own_row = {
             "case": "render",
             "name": "aerial_gym",
             "scene": self.scene,
@@ -168,7 +168,7 @@ class RenderBench:
             "move_s": move,
             **provided,
         }
-        return [ours, *(other.row(median, self.num_envs) for other in others)], failures
+        return [own_row, *(other.row(median, self.num_envs) for other in peer_results)], failures
 
     def _sensor(self, max_range: float) -> "RangeSensorCfg":
         """Return the camera or the lidar."""
@@ -215,11 +215,11 @@ class _Images:
     batches_per_stretch = 1_000_000_000  # the scene stays: nothing is put back
 
     def __init__(self, call: "Callable[[], object]", depth: "torch.Tensor") -> None:
-        from aerial_gym.workloads.measure import batch_of
+        from aerial_gym.workloads.measure import make_batch
 
         self.device, self._depth = depth.device, depth
         self.launches_per_batch = 4
-        self.run_batch = batch_of(lambda: (call(), None)[1], self.launches_per_batch, self.device)
+        self.run_batch = make_batch(lambda: (call(), None)[1], self.launches_per_batch, self.device)
 
     def restore(self) -> None:
         """Nothing to put back."""

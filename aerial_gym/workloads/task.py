@@ -55,12 +55,12 @@ class TaskBench:
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
         from aerial_gym.workloads.episodes import Episodes
-        from aerial_gym.workloads.measure import spread, time_launches, torch_threads
-        from aerial_gym.workloads.output import device_name, packages_of, provenance
-        from aerial_gym.workloads.parts import time_parts
+        from aerial_gym.workloads.measure import rate_range, time_launches, torch_threads
+        from aerial_gym.workloads.output import backend_packages, device_name, provenance
+        from aerial_gym.workloads.step_parts import time_parts
 
         device = resolve_device(self.device)
-        beside = provenance(*packages_of(self.backend))
+        beside = provenance(*backend_packages(self.backend))
         with (
             torch_threads(self.threads) as threads,
             task_registry.make_task(
@@ -71,7 +71,7 @@ class TaskBench:
             seconds = time_launches(episodes, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
             captured = bool(getattr(task, "captured", False))
             parts = time_parts(task, episodes.actions, repeats=self.repeats) if self.parts else {}
-        median, low, high = spread(seconds, self.num_envs)
+        median, low, high = rate_range(seconds, self.num_envs)
         return {
             "case": "task",
             "task": self.task,

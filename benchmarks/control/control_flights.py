@@ -77,8 +77,8 @@ MEANT_FOR = {"lmf2": "lmf2", "magpie": "magpie", "octarotor": "base_octarotor", 
 
 
 @dataclass(frozen=True)
-class Flight:
-    """What came of a robot under a controller at a sim."""
+class ControlFlight:
+    """Results of the flights of a robot under a controller at a sim."""
 
     robot: str
     controller: str
@@ -119,51 +119,51 @@ class Flight:
 
 
 def different_robots(*, bend: bool = False) -> dict[str, RobotCfg]:
-    """Return the registered robots that fly differently, by the first name of each: rigid ones, or those that bend.
+    """Return the registered robots with distinct flight dynamics, by the first name of each: rigid ones, or those with joints.
 
     Robots on a stand do not fly.
     """
-    found: dict[str, RobotCfg] = {}
+    result: dict[str, RobotCfg] = {}
     for name in ROBOTS:
         robot = ROBOTS.get(name)
         chosen = robot.joints is not None and robot.joints.floating if bend else robot.joints is None
-        if chosen and _flight_of(robot) not in map(_flight_of, found.values()):
-            found[name] = robot
-    return found
+        if chosen and _flight_key(robot) not in map(_flight_key, result.values()):
+            result[name] = robot
+    return result
 
 
-def _flight_of(robot: RobotCfg) -> tuple[object, ...]:
-    """Return what of a robot decides how it flies."""
+def _flight_key(robot: RobotCfg) -> tuple[object, ...]:
+    """Return the parts of a robot's configuration that determine its flight."""
     return robot.body, robot.rotor, robot.mounts, robot.joints, robot.control.buoyancy
 
 
 def holds_shape(robot: RobotCfg) -> bool:
-    """Return whether every drive of a robot is told an angle: without a law for its joints the others hold none."""
+    """Return whether every drive of a robot takes an angle; other drives do not hold their joints without a joint law."""
     layout = () if robot.joints is None else robot.joints.layout
     return all(joint.drive is None or joint.drive.mode == "position" for joint in layout)
 
 
 def geometric_controllers() -> dict[str, ControllerCfg]:
-    """Return the registered controllers whose law has gains that are the robot's own."""
-    found = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
-    return {name: cfg for name, cfg in found.items() if cfg.law in STEPS and cfg.gains is None}
+    """Return the registered controllers that take their gains from the robot."""
+    result = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
+    return {name: cfg for name, cfg in result.items() if cfg.law in STEPS and cfg.gains is None}
 
 
-def named_controllers() -> dict[str, ControllerCfg]:
-    """Return the registered controllers whose name means the gains of a robot, which is that of ``meant_for``."""
-    found = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
-    return {name: cfg for name, cfg in found.items() if cfg.law in STEPS and cfg.gains is not None}
+def robot_controllers() -> dict[str, ControllerCfg]:
+    """Return the registered controllers with the gains of one robot, ``target_robot``."""
+    result = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
+    return {name: cfg for name, cfg in result.items() if cfg.law in STEPS and cfg.gains is not None}
 
 
-def meant_for(controller: str) -> str:
-    """Return the robot whose gains the name of a controller means."""
+def target_robot(controller: str) -> str:
+    """Return the robot for whose gains a controller is named."""
     return MEANT_FOR[controller.partition("_")[0]]
 
 
 def unfit(
     robot: RobotCfg, controller: ControllerCfg, sim: SimCfg | None = None, *, names: tuple[str, str] = ("this", "it")
 ) -> str:
-    """Return why a controller does not fit a robot at a sim, `base_sim` if not given; empty if it does."""
+    """Return the reason why a controller does not fit a robot at a sim (default `base_sim`), or an empty text."""
     sim = SIMS.get("base_sim") if sim is None else sim
     try:
         check_closed_loop(robot, controller, gravity=sim.gravity, dt=sim.dt, integrator=sim.integrator, names=names)
@@ -172,15 +172,15 @@ def unfit(
     return ""
 
 
-def axes_of(robot: RobotCfg) -> tuple[bool, ...]:
-    """Return about which body axes a robot can turn itself."""
+def turn_axes(robot: RobotCfg) -> tuple[bool, ...]:
+    """Return the mask of body axes with torque authority, (3,)."""
     allocation = Allocation(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), GRAVITY)
     return tuple((allocation.torque_authority(robot.body.mass * GRAVITY) > 0.0).tolist())
 
 
-def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> Flight:
-    """Return one flight; ``names`` are those of robot, controller and sim."""
-    law, can_turn = controller.law, axes_of(robot)
+def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> ControlFlight:
+    """Fly a robot and return the results; ``names`` are those of robot, controller and sim."""
+    law, can_turn = controller.law, turn_axes(robot)
     in_air = robot.control.buoyancy == 0.0
     env = EnvManager(
         sim=sim,
@@ -211,10 +211,10 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
         env.step(actions)
         acceleration = (gtd["robot_linvel"] - before) / SAMPLE
         before = gtd["robot_linvel"].clone()
-        found = _measured(law, gtd, acceleration, can_turn)
-        wanted = torch.zeros_like(found)
+        result = _attitude_measure(law, gtd, acceleration, can_turn)
+        wanted = torch.zeros_like(result)
         wanted[[STEP, AT_LIMITS], axis] = STEPS[law]
-        errors.append((found - wanted).norm(dim=-1))
+        errors.append((result - wanted).norm(dim=-1))
         responses.append(_answer(law, gtd, acceleration)[:, axis] / STEPS[law])
         tilts.append(float(_tilt(gtd["robot_orientation"][DRAWN]).max()))
         margin = NEAR_LIMIT * (high - low)
@@ -223,7 +223,7 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
     error, response = torch.stack(errors).nan_to_num(nan=inf), torch.stack(responses)
     settled, overshoot = figures(response[:, STEP].tolist())
     limit_settled, limit_overshoot = figures(response[:, AT_LIMITS].tolist())
-    return Flight(
+    return ControlFlight(
         robot=names[0], controller=names[1], law=law, sim=names[2],
         error=float(error[-1, DRAWN].max()), settling_s=settled, overshoot=overshoot,
         tilt_rad=max(tilts[-round(1.0 / SAMPLE) :]),
@@ -236,7 +236,7 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
 
 
 class Drives:
-    """Commands of drives, behind those of the law: the reference pose, and of a tail on a servo what holds the heading."""
+    """Drive commands, after those of the law: the reference pose, and for a servo tail the angle that holds the heading."""
 
     def __init__(self, robot: RobotCfg, dt: float) -> None:
         joints = () if robot.joints is None else robot.joints.layout
@@ -283,8 +283,10 @@ def _limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
     return state_for_thrust(vehicle, allocation.low)[0], state_for_thrust(vehicle, allocation.high)[0]
 
 
-def _measured(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_turn: tuple[bool, ...]) -> Tensor:
-    """Return what the law holds, (E, 3), of attitude (E, 2)."""
+def _attitude_measure(
+    law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_turn: tuple[bool, ...]
+) -> Tensor:
+    """Return the quantity that a law controls, (E, 3); for ``attitude`` roll and pitch, (E, 2)."""
     if law == "attitude":
         return gtd["robot_euler_angles"][:, :2]
     if law == "rates":
@@ -293,7 +295,7 @@ def _measured(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_t
 
 
 def _answer(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Tensor:
-    """Return what answers to a command, (E, 3)."""
+    """Return the response to a law's command, (E, 3)."""
     return {
         "position": gtd["robot_position"],
         "pose": gtd["robot_position"],

@@ -29,13 +29,13 @@ from benchmarks.control.control_flights import (
     SPAN,
     STEPS,
     UNITS,
-    Flight,
+    ControlFlight,
     different_robots,
     fly,
     geometric_controllers,
     holds_shape,
-    meant_for,
-    named_controllers,
+    robot_controllers,
+    target_robot,
     unfit,
 )
 
@@ -68,19 +68,19 @@ class Refusal:
 
     @property
     def of_kind(self) -> bool:
-        """Whether the law does not fit the vehicle, whatever the gains; else the gains do not hold it at this time step."""
+        """Whether the law does not fit the vehicle with any gains; else the gains are unsuitable at this time step."""
         return self.refused.startswith("law ")
 
 
 def fly_all(
     robots: Iterable[str], controllers: Iterable[str], sims: Iterable[str] = COMPARED_SIMS
-) -> tuple[list[Flight], list[Refusal]]:
-    """Return the flights of robots under controllers at sims, by their names, and what was refused."""
-    flights, refusals, named = [], [], named_controllers()
+) -> tuple[list[ControlFlight], list[Refusal]]:
+    """Return the flights and the refusals of all named robots, controllers and sims."""
+    flights, refusals, named = [], [], robot_controllers()
     for robot in robots:
         cfg = ROBOTS.get(robot)
         for controller in controllers:
-            foreign = controller in named and meant_for(controller) != robot
+            foreign = controller in named and target_robot(controller) != robot
             for sim in sims:
                 why = unfit(cfg, CONTROLLERS.get(controller), SIMS.get(sim), names=(robot, controller))
                 if why:
@@ -95,14 +95,14 @@ def _holds_place(controller: str) -> bool:
     return CONTROLLERS.get(controller).law in ("position", "pose")
 
 
-def own(flights: list[Flight]) -> list[Flight]:
-    """Return the flights with a robot's own gains, derived, of its file, or meant by the name."""
-    named = named_controllers()
-    return [f for f in flights if f.controller not in named or meant_for(f.controller) == f.robot]
+def own(flights: list[ControlFlight]) -> list[ControlFlight]:
+    """Return the flights with the robot's own gains: derived, from its file, or of a controller named for it."""
+    named = robot_controllers()
+    return [f for f in flights if f.controller not in named or target_robot(f.controller) == f.robot]
 
 
 def _finite(value: str | float) -> str | float | None:
-    """Return a value as JSON can have it: null for what is infinite or not measured."""
+    """Return a value for JSON: null if it is infinite or NaN."""
     return value if isinstance(value, str) or isfinite(value) else None
 
 
@@ -116,29 +116,29 @@ def _answer(settling: float, overshoot: float) -> str:
     return f"{f'{settling:.3g}' if settling < SPAN else f'> {SPAN:g}'}, {overshoot:.0%}"
 
 
-def _controllers(flights: list[Flight]) -> list[str]:
+def _controllers(flights: list[ControlFlight]) -> list[str]:
     """Return the controllers of flights, each once."""
     return list(dict.fromkeys(flight.controller for flight in flights))
 
 
-def _flights_of(flights: list[Flight], controller: str, sim: str = COARSEST) -> list[Flight]:
+def _controller_flights(flights: list[ControlFlight], controller: str, sim: str = COARSEST) -> list[ControlFlight]:
     """Return the flights of a controller at a sim."""
     return [flight for flight in flights if (flight.controller, flight.sim) == (controller, sim)]
 
 
-def _largest(flights: list[Flight], error: Callable[[Flight], float]) -> str:
+def _largest(flights: list[ControlFlight], error: Callable[[ControlFlight], float]) -> str:
     """Return the largest error with its unit, and its robot if it is not negligible."""
     worst = max(flights, key=error)
     text = f"{_error_text(error(worst))} {UNITS[worst.law]}"
     return text if error(worst) < NEGLIGIBLE else f"{text} (`{worst.robot}`)"
 
 
-def _is_lost(flight: Flight) -> bool:
+def _is_lost(flight: ControlFlight) -> bool:
     """Return whether a vehicle is lost after its rotors were at their limits."""
     return not flight.limit_error <= LOST * STEPS[flight.law]
 
 
-def controllers_table(flights: list[Flight]) -> str:
+def controllers_table(flights: list[ControlFlight]) -> str:
     """Return a row for each controller: the largest error from drawn starts at the coarsest sim, and steps at each sim."""
     flights = own(flights)
     heads = [f"step, {1e3 * SIMS.get(sim).dt:g} ms" for sim in COMPARED_SIMS]
@@ -147,14 +147,14 @@ def controllers_table(flights: list[Flight]) -> str:
         "| --- | --- | --- |" + " --- |" * len(heads),
     ]
     for controller in _controllers(flights):
-        rows = _flights_of(flights, controller)
+        rows = _controller_flights(flights, controller)
         error = _largest(rows, lambda flight: flight.error) if rows else "-"
-        cells = [_summary(_flights_of(flights, controller, sim)) for sim in COMPARED_SIMS]
+        cells = [_summary(_controller_flights(flights, controller, sim)) for sim in COMPARED_SIMS]
         lines.append(f"| `{controller}` | {len(rows)} | {error} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _summary(flights: list[Flight]) -> str:
+def _summary(flights: list[ControlFlight]) -> str:
     """Return the median settling time, the largest overshoot, and the number of vehicles lost with rotors at limits."""
     if not flights:
         return "-"
@@ -163,7 +163,7 @@ def _summary(flights: list[Flight]) -> str:
     return f"{answer}, {lost} lost" if lost else answer
 
 
-def steps_table(flights: list[Flight], refusals: list[Refusal], controllers: Iterable[str]) -> str:
+def steps_table(flights: list[ControlFlight], refusals: list[Refusal], controllers: Iterable[str]) -> str:
     """Return a row for each robot: a step of 1 m and the error from drawn starts under each controller of position."""
     controllers = [name for name in controllers if _holds_place(name)]
     cells: dict[tuple[str, str], str] = {}
@@ -179,7 +179,7 @@ def steps_table(flights: list[Flight], refusals: list[Refusal], controllers: Ite
     return "\n".join(lines)
 
 
-def wind_table(flights: list[Flight]) -> str:
+def wind_table(flights: list[ControlFlight]) -> str:
     """Return a row for each controller of position or velocity: its error in wind, and the share that remains after 10 s."""
     lines = [
         "| controller | robots | error after 10 s, median | largest | share of the largest error that remains, median |",
@@ -187,7 +187,7 @@ def wind_table(flights: list[Flight]) -> str:
     ]
     held = [f for f in own(flights) if f.sim == COARSEST and f.law in HELD and f.wind_largest > 0.0]
     for controller in _controllers(held):
-        rows = _flights_of(held, controller)
+        rows = _controller_flights(held, controller)
         middle = f"{_error_text(median(f.wind_error for f in rows))} {UNITS[rows[0].law]}"
         share = median(f.wind_error / f.wind_largest for f in rows)
         largest = _largest(rows, lambda flight: flight.wind_error)
@@ -214,7 +214,7 @@ def _names(robots: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in dict.fromkeys(robots)) or "-"
 
 
-def joints_table(flights: list[Flight]) -> str:
+def joints_table(flights: list[ControlFlight]) -> str:
     """Return a row for each robot with joints: how many controllers lose it at the coarsest sim."""
     lines = [
         "| robot | controllers | overturned from drawn starts | lost after a step | lost with rotors at limits | "
@@ -230,7 +230,9 @@ def joints_table(flights: list[Flight]) -> str:
     return "\n".join(lines)
 
 
-def page(flights: list[Flight], refusals: list[Refusal], joints: tuple[list[Flight], list[Refusal]]) -> str:
+def page(
+    flights: list[ControlFlight], refusals: list[Refusal], joints: tuple[list[ControlFlight], list[Refusal]]
+) -> str:
     """Return the tables with hardware and versions; ``joints`` are the flights and refusals of robots with joints."""
     meant = ", ".join(f"`{family}_*` from `{robot}`" for family, robot in MEANT_FOR.items())
     versions = f"torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}"
@@ -250,7 +252,7 @@ def page(flights: list[Flight], refusals: list[Refusal], joints: tuple[list[Flig
             "## Gains of another robot",
             f"These controllers take the gains of one robot: {meant}. Cells are as above. Other robots are not judged "
             "with rotors at limits.",
-            steps_table(flights, refusals, named_controllers()),
+            steps_table(flights, refusals, robot_controllers()),
             "## Refused by name",
             refusals_table(refusals),
             "## Robots with joints",
@@ -259,7 +261,7 @@ def page(flights: list[Flight], refusals: list[Refusal], joints: tuple[list[Flig
     )
 
 
-def draw(flights: list[Flight], path: Path) -> None:
+def draw(flights: list[ControlFlight], path: Path) -> None:
     """Draw the step responses at the coarsest sim, a panel for each controller, those of the named gains by law."""
     import matplotlib
 
@@ -267,8 +269,8 @@ def draw(flights: list[Flight], path: Path) -> None:
     from matplotlib import pyplot
 
     flights = [f for f in own(flights) if f.sim == COARSEST]
-    named = set(named_controllers())
-    panels: dict[str, Callable[[Flight], bool]] = {
+    named = set(robot_controllers())
+    panels: dict[str, Callable[[ControlFlight], bool]] = {
         name: lambda f, name=name: f.controller == name for name in geometric_controllers()
     }
     panels |= {
@@ -321,7 +323,7 @@ def main() -> None:
     if options.write is not None and not options.write.is_file():
         parser.error(f"--write {options.write}: no such page")
     torch.set_num_threads(1)
-    controllers = options.controllers or [*geometric_controllers(), *named_controllers()]
+    controllers = options.controllers or [*geometric_controllers(), *robot_controllers()]
     rigid, bending = (_selection(options.robots, different_robots(bend=bend)) for bend in (False, True))
     flights, refusals = fly_all(rigid, controllers)
     own_gains = [name for name in controllers if name in geometric_controllers()]

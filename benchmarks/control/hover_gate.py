@@ -25,12 +25,12 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.stability import FAR, HEIGHT, ClosedLoop, Hover
+from aerial_gym.control.stability import FAR, HEIGHT, ClosedLoop, HoverResult
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
 from aerial_gym.physics import BodyState, build_model, vehicle_from_config
 from aerial_gym.physics.backend import PhysicsBackend
-from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EFFECTS, EffectParams
 from aerial_gym.physics.model import check_effects, robot_effects
 from aerial_gym.robots import ROBOTS
@@ -97,7 +97,7 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What the check and the flights say of a vehicle."""
+    """Verdicts of the check and of the flights on one vehicle."""
 
     robot: str
     controller: str
@@ -109,7 +109,7 @@ class Case:
     refused: bool
     """Whether a simulation of it is refused; else it is warned of unless it is accepted."""
 
-    hover: Hover
+    hover: HoverResult
     """What is said of it."""
 
     flown: float
@@ -117,7 +117,7 @@ class Case:
 
     @property
     def hovers(self) -> bool:
-        """Whether it does."""
+        """Whether the vehicle hovers in all its flights."""
         return self.flown <= HOVER_RANGE
 
 
@@ -130,8 +130,8 @@ def groups(seed: int) -> Iterator[Group]:
         robot, controller = draw.choice(robots), draw.choice(laws)
         dt, effect = draw.choice(DTS), draw.choice(DRAWN_EFFECTS)
         mass, lag = draw.uniform(*FACTORS), draw.uniform(*FACTORS)
-        cfg = _scaled(ROBOTS.get(robot), mass=mass, lag=lag)
-        drawn = tuple(_drawn_effects(draw, cfg, effect) for _ in range(EACH))
+        cfg = _scale_robot(ROBOTS.get(robot), mass=mass, lag=lag)
+        drawn = tuple(_draw_effects(draw, cfg, effect) for _ in range(EACH))
         yield Group(robot=robot, controller=controller, dt=dt, cfg=cfg, effects=drawn)
 
 
@@ -140,7 +140,7 @@ def _trim(controller: str) -> list[str]:
     return LAWS[law].trim.split() if law in LAWS else []
 
 
-def _scaled(robot: RobotCfg, *, mass: float, lag: float) -> RobotCfg:
+def _scale_robot(robot: RobotCfg, *, mass: float, lag: float) -> RobotCfg:
     """Return a robot with factors on mass and inertia, and on the rotor lag of robots with one rotor type."""
     inertia = tuple(tuple(mass * moment for moment in row) for row in robot.body.inertia)
     robot = replace(robot, body=replace(robot.body, mass=mass * robot.body.mass, inertia=inertia))  # type: ignore[arg-type]
@@ -150,10 +150,10 @@ def _scaled(robot: RobotCfg, *, mass: float, lag: float) -> RobotCfg:
     return replace(robot, rotor=replace(robot.rotor, time_constant_up=up, time_constant_down=down))
 
 
-def _drawn_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Effects:
-    found: dict[str, Mapping[str, float]] = {"actuation_delay": {"delay": draw.uniform(0.0, LONGEST)}}
+def _draw_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Effects:
+    result: dict[str, Mapping[str, float]] = {"actuation_delay": {"delay": draw.uniform(0.0, LONGEST)}}
     if name is None:
-        return found
+        return result
     effect, values = EFFECTS.get(name), {}
     for parameter, neutral, (low, high) in zip(
         effect.parameters, effect.neutral(robot), effect.bounds(robot), strict=True
@@ -162,10 +162,10 @@ def _drawn_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Ef
         values[parameter.name] = min(max(value, low), high)
         if parameter.kind == "rotor":
             values[parameter.name] = float(draw.randint(1, robot.num_rotors))
-    return found | {name: values}
+    return result | {name: values}
 
 
-def judged(group: Group) -> list[Case] | None:
+def judge(group: Group) -> list[Case] | None:
     """Return the verdicts of check and flights on the vehicles of a group; None for parts that do not fit together."""
     hovers = []
     try:
@@ -202,8 +202,8 @@ def flights(group: Group) -> list[float]:
     rows = EACH * len(SIZES)
     vehicle = vehicle_from_config(robot, num_envs=rows)
     law = make_controller(controller, vehicle, GRAVITY, dt=group.dt, control=robot.control)
-    backend = choose_backend("auto", needs=needs_of(robot, torch.device("cpu"), integrator="euler"))
-    model = build_model(vehicle, _params_of(robot, group), gravity=GRAVITY, ground_height=-FAR, ceiling_height=FAR)
+    backend = choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"), integrator="euler"))
+    model = build_model(vehicle, _effect_params(robot, group), gravity=GRAVITY, ground_height=-FAR, ceiling_height=FAR)
     backend.allocate(model, law, integrator="euler")
     backend.prepare(group.dt)
     state = _starts(Allocation(vehicle, GRAVITY), robot)
@@ -229,18 +229,18 @@ def _largest_distance(
     return torch.where(first, undisturbed, later).view(EACH, -1).amax(-1).tolist()
 
 
-def _params_of(robot: RobotCfg, group: Group) -> list[EffectParams]:
+def _effect_params(robot: RobotCfg, group: Group) -> list[EffectParams]:
     """Return the effects with the parameters of each vehicle in as many rows as it has flights."""
     rows = EACH * len(SIZES)
-    found = []
+    result = []
     for effect, params in robot_effects(
         robot, num_envs=rows, device=torch.device("cpu"), dtype=torch.float32, rigid=True
     ):
         if effect.name in group.effects[0]:
-            values = [effect.params_from(effects[effect.name]) for effects in group.effects]
+            values = [effect.parse_params(effects[effect.name]) for effects in group.effects]
             params = torch.tensor(values).repeat_interleave(len(SIZES), 0)
-        found.append((effect, params))
-    return found
+        result.append((effect, params))
+    return result
 
 
 def _starts(allocation: Allocation, robot: RobotCfg) -> BodyState:
@@ -250,26 +250,26 @@ def _starts(allocation: Allocation, robot: RobotCfg) -> BodyState:
     weight = torch.zeros(rows, 6)
     weight[:, 2] = robot.body.mass * GRAVITY
 
-    def drawn() -> Tensor:
+    def random_vectors() -> Tensor:
         return size * (2.0 * torch.rand(rows, 3, generator=generator) - 1.0)
 
     return BodyState(
-        position=drawn() + torch.tensor([0.0, 0.0, HEIGHT]),
-        attitude=quat_exp(drawn()),
-        lin_vel=drawn(),
-        ang_vel=drawn(),
+        position=random_vectors() + torch.tensor([0.0, 0.0, HEIGHT]),
+        attitude=quat_exp(random_vectors()),
+        lin_vel=random_vectors(),
+        ang_vel=random_vectors(),
         rotor_speed=allocation.speed_for_wrench(weight),
     )
 
 
 def cases(seed: int, count: int) -> Iterator[Case]:
     """Yield the cases of so many groups that fit together."""
-    found = 0
+    result = 0
     for group in groups(seed):
-        if found == count:
+        if result == count:
             return
-        if (of_group := judged(group)) is not None:
-            found += 1
+        if (of_group := judge(group)) is not None:
+            result += 1
             yield from of_group
 
 
@@ -288,18 +288,18 @@ class GateCmd:
 
     def run(self) -> None:
         """Print the agreement in both directions, and the cases that disagree."""
-        found = []
+        result = []
         for case in cases(self.seed, self.num_groups):
-            found.append(case)
+            result.append(case)
             if self.json is not None:
                 with self.json.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(asdict(case)) + "\n")
         for accepted in (True, False):
-            those = [case for case in found if case.accepted is accepted]
-            agree = sum(case.hovers is accepted for case in those)
+            subset = [case for case in result if case.accepted is accepted]
+            agree = sum(case.hovers is accepted for case in subset)
             words = ("accepted", "hover") if accepted else ("not accepted", "do not hover")
-            print(f"{len(those)} {words[0]}, of these {agree} {words[1]}: {100.0 * agree / max(len(those), 1):.1f} %")
-        for case in found:
+            print(f"{len(subset)} {words[0]}, of these {agree} {words[1]}: {100.0 * agree / max(len(subset), 1):.1f} %")
+        for case in result:
             if case.accepted is not case.hovers:
                 print(case)
 

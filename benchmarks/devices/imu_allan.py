@@ -1,4 +1,4 @@
-"""``python -m benchmarks.devices.imu_allan --out DIR``: what the simulated IMUs do, against what their files say.
+"""Allan deviation of the simulated IMUs against their files: ``python -m benchmarks.devices.imu_allan --out DIR``.
 
 Every preset lies still, many of them side by side, in two records: at ``FAST_DT``, where white noise rules, and with long
 steps, where the bias walks. From the Allan variance of each sensor the noise density N and the bias walk K are fitted; the
@@ -106,7 +106,7 @@ def interval(squares: Tensor) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
+class AllanRecord:
     """Allan deviation of one record."""
 
     dt: float
@@ -116,7 +116,7 @@ class Record:
     """(K, S, C)."""
 
     @classmethod
-    def of(cls, cfg: ImuCfg, *, dt: float, num_sensors: int, num_samples: int, seed: int) -> "Record":
+    def simulate(cls, cfg: ImuCfg, *, dt: float, num_sensors: int, num_samples: int, seed: int) -> "AllanRecord":
         """Return the deviation of IMUs at rest."""
         samples = record_at_rest(cfg, num_sensors=num_sensors, num_samples=num_samples, dt=dt, seed=seed)
         tau, deviation = allan_deviation(samples, dt)
@@ -129,20 +129,22 @@ def densities(cfg: ImuCfg) -> list[tuple[float, float]]:
     return list(zip(noise, (*cfg.accel_bias_walk, *cfg.gyro_bias_walk), strict=True))
 
 
-def records(cfg: ImuCfg, *, num_sensors: int, num_samples: int, seed: int) -> tuple[Record, Record]:
+def records(cfg: ImuCfg, *, num_sensors: int, num_samples: int, seed: int) -> tuple[AllanRecord, AllanRecord]:
     """Return the fast and the slow record of an IMU."""
     slow = SLOW_SHARE * max(crossing_s(noise, walk) for noise, walk in densities(cfg))
     size = {"num_sensors": num_sensors, "num_samples": num_samples}
-    return Record.of(cfg, dt=FAST_DT, seed=seed, **size), Record.of(cfg, dt=slow, seed=seed + 1, **size)
+    return AllanRecord.simulate(cfg, dt=FAST_DT, seed=seed, **size), AllanRecord.simulate(
+        cfg, dt=slow, seed=seed + 1, **size
+    )
 
 
-def compare(name: str, cfg: ImuCfg, fast: Record, slow: Record) -> list[AllanRow]:
-    """Return what the records say of every channel: N from the fast one, K and the lowest deviation from both."""
+def compare(name: str, cfg: ImuCfg, fast: AllanRecord, slow: AllanRecord) -> list[AllanRow]:
+    """Return the densities of every channel: N from the fast record, K from the slow one, the lowest deviation from either."""
     rows = []
     for channel, ((noise, walk), (sensor, axis)) in enumerate(zip(densities(cfg), CHANNELS, strict=True)):
         truth = torch.tensor([noise, walk], dtype=torch.float64).square()
-        found = [fit_densities(r.tau, r.deviation[:, :, channel], r.dt, truth) for r in (fast, slow)]
-        (n, n_low, n_high), (k, k_low, k_high) = interval(found[0][:, 0]), interval(found[1][:, 1])
+        results = [fit_densities(r.tau, r.deviation[:, :, channel], r.dt, truth) for r in (fast, slow)]
+        (n, n_low, n_high), (k, k_low, k_high) = interval(results[0][:, 0]), interval(results[1][:, 1])
         record, at = lowest_point(crossing_s(noise, walk), fast, slow)
         expected = float((shares(record.tau[at : at + 1], record.dt) * truth).sum().sqrt())
         low, low_low, low_high = interval(record.deviation[at, :, channel].square())
@@ -170,7 +172,7 @@ def compare(name: str, cfg: ImuCfg, fast: Record, slow: Record) -> list[AllanRow
     return rows
 
 
-def lowest_point(at_s: float, *both: Record) -> tuple[Record, int]:
+def lowest_point(at_s: float, *both: AllanRecord) -> tuple[AllanRecord, int]:
     """Return the record, and the place in it, whose averaging time is nearest to a time [s], of those averaged often."""
     points = [
         (abs(log(float(tau) / at_s)), record, place)
@@ -204,15 +206,15 @@ class ImuAllanCmd:
 
     def run(self) -> int:
         """Measure, draw and print; return the exit status."""
-        found: dict[str, tuple[ImuCfg, Record, Record]] = {}
+        results: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]] = {}
         rows = []
         for number, name in enumerate(self.imu):
             cfg, seed = IMUS.get(name), self.seed + 2 * number
             both = records(cfg, num_sensors=self.num_sensors, num_samples=self.num_samples, seed=seed)
-            found[name] = (cfg, *both)
+            results[name] = (cfg, *both)
             rows += compare(name, cfg, *both)
         self.out.mkdir(parents=True, exist_ok=True)
-        draw(found, self.out / "imu_allan.png")
+        draw(results, self.out / "imu_allan.png")
         if self.json:
             for row in rows:
                 print(json.dumps(asdict(row)))
@@ -249,14 +251,14 @@ def print_rows(rows: list[AllanRow]) -> None:
     Console(markup=False, width=180).print(table)
 
 
-def draw(found: dict[str, tuple[ImuCfg, Record, Record]], path: Path) -> None:
+def draw(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path) -> None:
     """Draw the deviation of every IMU, its scatter and its two lines, into an image file."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, first in zip(figure.subplots(1, 2), (0, 3), strict=True):
         kind = CHANNELS[first][0]
-        for color, (name, (cfg, fast, slow)) in zip(("C0", "C1", "C2"), found.items(), strict=False):
+        for color, (name, (cfg, fast, slow)) in zip(("C0", "C1", "C2"), result.items(), strict=False):
             _draw_channel(axes, name, color, densities(cfg)[first], (fast, slow), first)
         axes.plot([], [], "k--", linewidth=0.8, label="configured N / sqrt(tau)")
         axes.plot([], [], "k:", linewidth=0.8, label="configured K sqrt(tau / 3)")
@@ -272,7 +274,7 @@ def _draw_channel(
     name: str,
     color: str,
     density: tuple[float, float],
-    both: tuple[Record, Record],
+    both: tuple[AllanRecord, AllanRecord],
     channel: int,
 ) -> None:
     for record, label in zip(both, (f"{name}, simulated", None), strict=True):

@@ -1,1 +1,1 @@
-"""Vehicles that bend."""
+"""Benchmarks of vehicles with joints."""

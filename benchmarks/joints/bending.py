@@ -1,4 +1,4 @@
-"""Vehicles that bend beside MuJoCo and MuJoCo Warp, on one tree, in one run: ``python -m benchmarks.joints.bending --help``.
+"""Speed of vehicles with joints against MuJoCo and MuJoCo Warp: ``python -m benchmarks.joints.bending --help``.
 
 All take steps of 2 ms with joints that resist by a spring and a damper, implicitly, and a force on every link that carries a
 rotor. Ours also run the rotors, their lag and the law of the joints (for Morphy a quadratic one, where MuJoCo has a linear
@@ -15,7 +15,7 @@ import torch
 import tyro
 
 from aerial_gym.interop import resolve_device
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.tree import Links
 from aerial_gym.physics.mujoco.mjcf import write_mjcf
 from aerial_gym.physics.vehicle import vehicle_from_config
@@ -32,7 +32,7 @@ LINEAR, DAMPING = 0.3, 0.018
 
 @dataclass(frozen=True, kw_only=True)
 class Bending:
-    """What is measured."""
+    """Measure the speed of vehicles with joints."""
 
     robots: tuple[str, ...] = ("morphy",)
     """Registered robots with joints."""
@@ -64,13 +64,13 @@ class Bending:
     def _one(self, robot: str, engine: str, num_envs: int, substeps: int) -> None:
         device = resolve_device(self.device)
         where, steps, run = _MAKERS[engine](robot, num_envs, substeps, device)
-        found = {"engine": engine, "robot": robot, "device": where, "num_envs": num_envs, "substeps": substeps}
+        result = {"engine": engine, "robot": robot, "device": where, "num_envs": num_envs, "substeps": substeps}
         figures = _measure(run, steps * num_envs, self.seconds, cuda=device.type == "cuda" and engine != "mujoco")
-        print(json.dumps(found | figures), flush=True)
+        print(json.dumps(result | figures), flush=True)
 
 
 def _measure(run: Callable[[], object], steps: int, seconds: float, *, cuda: bool) -> dict[str, float]:
-    def timed(times: int) -> float:
+    def measure(times: int) -> float:
         start = time.perf_counter()
         for _ in range(times):
             run()
@@ -78,13 +78,15 @@ def _measure(run: Callable[[], object], steps: int, seconds: float, *, cuda: boo
             torch.cuda.synchronize()
         return time.perf_counter() - start
 
-    timed(2)
-    times = max(1, round(seconds / max(timed(3) / 3, 1e-6)))
-    rates = [times * steps / timed(times) for _ in range(5)]
+    measure(2)
+    times = max(1, round(seconds / max(measure(3) / 3, 1e-6)))
+    rates = [times * steps / measure(times) for _ in range(5)]
     return {"steps_per_s": statistics.median(rates), "steps_per_s_min": min(rates), "steps_per_s_max": max(rates)}
 
 
-def _ours(robot: str, num_envs: int, substeps: int, device: torch.device) -> tuple[str, int, Callable[[], object]]:
+def _package_case(
+    robot: str, num_envs: int, substeps: int, device: torch.device
+) -> tuple[str, int, Callable[[], object]]:
     flight = make_flight(
         backend="warp",
         robot=robot,
@@ -108,7 +110,7 @@ def _mujoco_model(robot: str):
 
     cfg = ROBOTS.get(robot)
     vehicle = vehicle_from_config(cfg, num_envs=1, dtype=torch.float64)
-    articulation = articulation_of(cfg, like=vehicle.mass)
+    articulation = build_articulation(cfg, like=vehicle.mass)
     assert articulation is not None
     links = articulation.links(vehicle)
     heavy = Links(
@@ -166,7 +168,7 @@ def _mujoco_warp(
     return _name(device), steps, run
 
 
-_MAKERS = {"ours": _ours, "mujoco": _mujoco, "mujoco_warp": _mujoco_warp}
+_MAKERS = {"ours": _package_case, "mujoco": _mujoco, "mujoco_warp": _mujoco_warp}
 
 if __name__ == "__main__":
     tyro.cli(Bending).run()

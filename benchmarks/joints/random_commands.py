@@ -1,4 +1,4 @@
-"""How many snakes end in numbers that are not finite under commands that nobody would give, and how fast the others turn.
+"""Number of snakes with non-finite states under extreme random commands, and angular velocities of the others.
 
     python -m benchmarks.joints.random_commands [--robots snakey snakey6 ...] [--dt-ms 2 4 10] [--seeds 0 1] [--backend warp]
 

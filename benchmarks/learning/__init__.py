@@ -1,1 +1,1 @@
-"""How trainings go, and what policies do."""
+"""Learning curves of trainings, and flights of policies."""

@@ -1,4 +1,4 @@
-"""Draw what policies do: ``python -m benchmarks.learning.flights OUT.png "LANDING=runs/landing" "LOST ROTOR=runs/failure"``.
+"""Draw flights of policies: ``python -m benchmarks.learning.flights OUT.png "LANDING=runs/landing" "LOST ROTOR=runs/failure"``.
 
 A row for each run folder. Left: ways of a few fresh flights from above, about the target of each instant, the brighter the
 faster, with a cross where one crashed. Right: the distance to the target over the time, of all flights that still fly: median,
@@ -29,7 +29,7 @@ FASTEST = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flights:
+class FirstEpisodes:
     """First episodes of some environments, NaN after their ends. Letters: E environments, T steps."""
 
     offset: Tensor  # Robot minus target [m], world, (E, T, 3)
@@ -39,7 +39,7 @@ class Flights:
 
 
 @torch.no_grad()
-def flown(run: str, count: int, *, level: int | None = None) -> Flights:
+def fly(run: str, count: int, *, level: int | None = None) -> FirstEpisodes:
     """Return fresh flights of the policy in a run folder."""
     policy, cfg = load_policy(run)
     curriculum = task_registry.get(cfg.task).curriculum
@@ -69,12 +69,12 @@ def flown(run: str, count: int, *, level: int | None = None) -> Flights:
             over |= terminated | truncated
             if over.all():
                 break
-        return Flights(
+        return FirstEpisodes(
             offset=torch.stack(offsets, dim=1), speed=torch.stack(speeds, dim=1), crashed=crashed, dt=task.env.dt
         )
 
 
-def draw_ways(axis: Axes, flights: Flights) -> None:
+def draw_ways(axis: Axes, flights: FirstEpisodes) -> None:
     """Draw the first flights from above, about their targets."""
     top = float(flights.speed[~flights.speed.isnan()].quantile(FASTEST))
     for way, speed, crashed in zip(flights.offset[:SHOWN], flights.speed[:SHOWN], flights.crashed[:SHOWN], strict=True):
@@ -84,7 +84,7 @@ def draw_ways(axis: Axes, flights: Flights) -> None:
     axis.set(xlabel="x from the target [m]", ylabel="y [m]", aspect="equal")
 
 
-def draw_distances(axis: Axes, flights: Flights) -> None:
+def draw_distances(axis: Axes, flights: FirstEpisodes) -> None:
     """Draw the distance to the target over the time."""
     distance = flights.offset.norm(dim=-1)
     time = flights.dt * torch.arange(distance.shape[1])
@@ -108,7 +108,7 @@ def main(argv: Sequence[str]) -> None:
     for (left, right), entry in zip(axes, asked.runs, strict=True):
         name, _, run = entry.partition("=")
         print(f"flying {name}", file=sys.stderr, flush=True)
-        flights = flown(run, asked.flights, level=asked.level)
+        flights = fly(run, asked.flights, level=asked.level)
         draw_ways(left, flights)
         draw_distances(right, flights)
         left.set_title(name, fontsize=9)

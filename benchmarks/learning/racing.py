@@ -63,8 +63,8 @@ class BenchRacing:
             for runs in (RUNS, self.num_envs):
                 with task_registry.make_task(level, num_envs=runs, device=self.device, seed=self.seed) as task:
                     check_fits(policy, task, trained)
-                    found = evaluate(policy, task)
-                complete = round(found.success_rate * runs)
+                    result = evaluate(policy, task)
+                complete = round(result.success_rate * runs)
                 interval = binomtest(complete, runs).proportion_ci()  # Clopper and Pearson, 95 %
                 yield {
                     "level": Path(level).stem,
@@ -72,9 +72,9 @@ class BenchRacing:
                     "complete": complete,
                     "complete_low": float(interval.low),
                     "complete_high": float(interval.high),
-                    "gates_passed_mean": found.gates_passed_mean,
-                    "crash_rate": found.crash_rate,
-                    "lap_time_mean_s": found.success_time_mean_s,
+                    "gates_passed_mean": result.gates_passed_mean,
+                    "crash_rate": result.crash_rate,
+                    "lap_time_mean_s": result.success_time_mean_s,
                 }
 
 

@@ -1,4 +1,4 @@
-"""Draw how trainings went: ``python -m benchmarks.learning.run_curves OUT.png "RACING=runs/a runs/b" "LANDING=runs/c"``.
+"""Draw learning curves: ``python -m benchmarks.learning.run_curves OUT.png "RACING=runs/a runs/b" "LANDING=runs/c"``.
 
 A panel for each name, a line for each run folder: the mean return of the episodes that ended, with exploration, over the steps.
 A single return that lies far from all others of its panel leaves the picture.

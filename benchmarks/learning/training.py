@@ -1,4 +1,4 @@
-"""How fast a policy learns: ``python -m benchmarks.learning.training --device cuda --json``.
+"""Training time to a good policy: ``python -m benchmarks.learning.training --device cuda --json``.
 
 Trains with a learner of this package, stops the clock from time to time, and flies the policy from fresh starts. ``training_s``
 counts iterations: the first few, in which kernels are compiled and the graph is recorded (``recording_s``), as long as those
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.learning.ppo import Ppo
     from aerial_gym.rl_training.run.progress import Report
     from aerial_gym.rl_training.settings import TrainingCfg
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
 
 STARTED = time.perf_counter()
 
@@ -193,7 +193,7 @@ class BenchTraining:
                     fresh = stack.enter_context(
                         make(cfg.task, num_envs=self.num_starts, device=cfg.device, seed=seed, level=level)
                     )
-                found = evaluate(training.learner.network.actor, fresh)
+                result = evaluate(training.learner.network.actor, fresh)
                 wait()
                 evaluated_s += time.perf_counter() - begun
                 self._print(
@@ -201,10 +201,10 @@ class BenchTraining:
                         "training_s": trained_s,
                         "since_process_start_s": since,
                         "env_steps": training.env_steps,
-                        "final_error_mean_m": found.final_error_mean_m,
-                        "final_error_p95_m": found.final_error_p95_m,
-                        "success_rate": found.success_rate,
-                        "crash_rate": found.crash_rate,
+                        "final_error_mean_m": result.final_error_mean_m,
+                        "final_error_p95_m": result.final_error_p95_m,
+                        "success_rate": result.success_rate,
+                        "crash_rate": result.crash_rate,
                         **training.gauges(),
                     }
                 )
@@ -246,9 +246,9 @@ class BenchTraining:
 
 
 def keep(
-    out: Path, cfg: "TrainingCfg", training: "OwnTraining[Ppo] | OwnTraining[Apg]", reports: Sequence["Report"]
+    out: Path, cfg: "TrainingCfg", training: "NativeTraining[Ppo] | NativeTraining[Apg]", reports: Sequence["Report"]
 ) -> None:
-    """Write what flies and the learning curve as a run folder; there is nothing to resume in it."""
+    """Write the policy and the learning curve as a run folder, which cannot be resumed."""
     from aerial_gym.rl_training.run.run_folder import RunFolder, note_session
 
     folder, state = RunFolder(out), training.state()

@@ -1,4 +1,4 @@
-"""Draw what ``benchmarks.learning.training`` printed.
+"""Draw the learning curves that ``benchmarks.learning.training`` printed.
 
 python -m benchmarks.learning.training_curves OUT.png H200=h200.jsonl CPU=cpu.jsonl
 """
@@ -12,15 +12,15 @@ import matplotlib.pyplot as plt
 
 def curves(file: Path) -> list[tuple[list[float], list[float]]]:
     """Return training times [s] and errors [m] of each training in a file."""
-    found: list[tuple[list[float], list[float]]] = [([], [])]
+    result: list[tuple[list[float], list[float]]] = [([], [])]
     for line in file.read_text(encoding="utf-8").splitlines():
         row = json.loads(line)
         if "steps_per_s" in row:  # the last line of a training
-            found.append(([], []))
+            result.append(([], []))
         elif "env_steps" in row and row["final_error_mean_m"] is not None:
-            found[-1][0].append(row["training_s"])
-            found[-1][1].append(row["final_error_mean_m"])
-    return [curve for curve in found if curve[0]]
+            result[-1][0].append(row["training_s"])
+            result[-1][1].append(row["final_error_mean_m"])
+    return [curve for curve in result if curve[0]]
 
 
 def main(out: str, *named: str) -> None:

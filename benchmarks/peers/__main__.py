@@ -12,9 +12,9 @@ from rich.table import Table
 
 from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
-from aerial_gym.workloads.output import device_name, provenance, readable
+from aerial_gym.workloads.output import device_name, format_value, provenance
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import Conditions, RunFailedError, ours, peers, schedule, why_skipped
+from benchmarks.peers.runs import Conditions, RunFailedError, measure_package, peers, schedule, skip_reason
 from benchmarks.peers.table import Measurement, Ratio, ratios
 
 
@@ -59,11 +59,11 @@ class PeersCmd:
             if case not in CASES:
                 raise ConfigError(f"no case {case!r}. Known: {', '.join(CASES)}")
         device, beside = device_name(resolve_device(self.device)), provenance()
-        skipped = {name: why_skipped(name, pythons[name], self.device) for name in PEERS}
+        skipped = {name: skip_reason(name, pythons[name], self.device) for name in PEERS}
         for sentence in filter(None, skipped.values()):
             print(sentence, file=sys.stderr)
-        found, failed = self._measure({name: pythons[name] for name, why in skipped.items() if why is None})
-        rows = ratios(found)
+        result, failed = self._measure({name: pythons[name] for name, why in skipped.items() if why is None})
+        rows = ratios(result)
         if self.json:
             shared = {"num_envs": self.num_envs, "threads": self.threads, "device": device, **beside}
             for row in rows:
@@ -73,7 +73,7 @@ class PeersCmd:
         return 1 if failed else 0
 
     def _measure(self, pythons: dict[str, str]) -> tuple[list[Measurement], bool]:
-        """Return the measurements of all rounds, and whether one failed; says on stderr what it does."""
+        """Return the measurements of all rounds, and whether one failed; report progress on stderr."""
         conditions = Conditions(
             num_envs=self.num_envs,
             threads=self.threads,
@@ -81,39 +81,39 @@ class PeersCmd:
             repeats=self.repeats,
             repeat_time_s=self.repeat_time_s,
         )
-        broken, found = set(), []
+        broken, result = set(), []
         for turn in range(self.rounds):
-            for case, who in self._turn(list(pythons)):
-                if (who, case) in broken:
+            for case, owner in self._turn(list(pythons)):
+                if (owner, case) in broken:
                     continue
                 try:
                     new = (
-                        ours(case, who, conditions)
-                        if isinstance(who, int)
-                        else peers(who, pythons[who], case, conditions)
+                        measure_package(case, owner, conditions)
+                        if isinstance(owner, int)
+                        else peers(owner, pythons[owner], case, conditions)
                     )
                 except RunFailedError as error:
-                    broken.add((who, case))
-                    print(f"{who} failed in case {case}: {error}", file=sys.stderr)
+                    broken.add((owner, case))
+                    print(f"{owner} failed in case {case}: {error}", file=sys.stderr)
                     continue
-                found.append(new)
+                result.append(new)
                 done = f"round {turn + 1}/{self.rounds}  {case:<9}{new.name:<11}"
-                print(f"{done}{new.call} a call: {readable(new.steps_per_s)} steps/s", file=sys.stderr)
-        return found, bool(broken)
+                print(f"{done}{new.call} a call: {format_value(new.steps_per_s)} steps/s", file=sys.stderr)
+        return result, bool(broken)
 
     def _turn(self, names: list[str]) -> Iterator[tuple[str, str | int]]:
         """Give case and who, a peer or our number of substeps, in the order of one round."""
         for case in self.cases:
-            for who in schedule(case, names, self.substeps):
-                yield case, who
+            for owner in schedule(case, names, self.substeps):
+                yield case, owner
 
 
 def print_ratios(rows: list[Ratio], title: str) -> None:
     """Print the table for people: a line per peer and case, two columns per number of substeps of ours."""
     lines: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        line = lines.setdefault((row.case, row.peer), [row.peer_call, readable(row.peer_steps_per_s)])
-        line += [readable(row.ours_steps_per_s), f"{row.ratio:.2f}"]
+        line = lines.setdefault((row.case, row.peer), [row.peer_call, format_value(row.peer_steps_per_s)])
+        line += [format_value(row.ours_steps_per_s), f"{row.ratio:.2f}"]
     table = Table(box=None, pad_edge=False, title=title, title_justify="left")
     for head in ("case", "peer", "steps a call", "steps/s"):
         table.add_column(head)

@@ -1,4 +1,4 @@
-"""The peers, the cases, and what we run in each case."""
+"""The peers, the cases, and our command in each case."""
 
 import os
 from dataclasses import dataclass
@@ -43,11 +43,11 @@ def interpreters(entries: tuple[str, ...], default: str) -> dict[str, str]:
         UnknownNameError: If a name is no peer.
         ConfigError: If an entry has no ``=``.
     """
-    found = dict.fromkeys(PEERS, default)
+    result = dict.fromkeys(PEERS, default)
     for entry in entries:
         name, equals, python = entry.partition("=")
         if not equals or not python:
             raise ConfigError(f"--peer {entry!r}: must be NAME=PYTHON, the interpreter that has the peer")
         PEERS.get(name)
-        found[name] = os.path.abspath(python) if os.sep in python else python
-    return found
+        result[name] = os.path.abspath(python) if os.sep in python else python
+    return result

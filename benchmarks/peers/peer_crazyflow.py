@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from crazyflow.sim import Sim
 
-from benchmarks.peers.timing import Batch, measure, parse, report
+from benchmarks.peers.timing import StepBlock, measure, parse, report
 
 FREQ_HZ = 500
 FUSED_STEPS = 100
@@ -53,7 +53,7 @@ def main() -> None:
         stage(command)
         sim.step(FUSED_STEPS)
 
-    batch = Batch(
+    batch = StepBlock(
         steps=FUSED_STEPS,
         dt=1.0 / FREQ_HZ,
         run=run,

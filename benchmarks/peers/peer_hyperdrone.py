@@ -12,7 +12,7 @@ from importlib.metadata import version
 import numpy as np
 from hyperdrone import dynamics
 
-from benchmarks.peers.timing import Batch, measure, parse, report
+from benchmarks.peers.timing import StepBlock, measure, parse, report
 
 STEPS = 20
 HOVER = 0.58
@@ -33,7 +33,7 @@ def main() -> None:
         for _ in range(STEPS):
             sim.step(action)
 
-    batch = Batch(
+    batch = StepBlock(
         steps=STEPS,
         dt=float(sim.dt),
         run=run,

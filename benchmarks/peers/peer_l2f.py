@@ -11,7 +11,7 @@ from importlib.metadata import version
 import l2f
 import numpy as np
 
-from benchmarks.peers.timing import Batch, measure, parse, report
+from benchmarks.peers.timing import StepBlock, measure, parse, report
 
 STEPS = 20
 HOVER = 0.58
@@ -41,7 +41,7 @@ def main() -> None:
 
     restart()
     dt = float(np.ravel(vector.step(device, env, parameters, states[0], action, states[1], rng))[0])
-    batch = Batch(
+    batch = StepBlock(
         steps=STEPS,
         dt=dt,
         run=run,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from benchmarks.peers.timing import Batch, measure, parse, report
+from benchmarks.peers.timing import StepBlock, measure, parse, report
 
 STEPS = 50
 DT_S = 0.002
@@ -38,7 +38,7 @@ def main() -> None:
         def restart() -> None:
             states[:, -1] = initial
 
-        batch = Batch(
+        batch = StepBlock(
             steps=STEPS,
             dt=DT_S,
             run=run,

@@ -12,7 +12,7 @@ import torch
 from rotorpy.vehicles.crazyflie_params import quad_params
 from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
 
-from benchmarks.peers.timing import Batch, measure, parse, report
+from benchmarks.peers.timing import StepBlock, measure, parse, report
 
 STEPS = 5
 DT_S = 0.01
@@ -47,7 +47,7 @@ def main() -> None:
         for _ in range(STEPS):
             state.update(sim.step(state, command, DT_S, rows))
 
-    batch = Batch(
+    batch = StepBlock(
         steps=STEPS,
         dt=DT_S,
         run=run,

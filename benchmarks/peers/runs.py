@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What all measurements share."""
+    """Conditions common to all measurements."""
 
     num_envs: int
     threads: int
@@ -25,7 +25,7 @@ class Conditions:
     repeat_time_s: float
 
     @property
-    def pinned(self) -> int | None:
+    def core_count(self) -> int | None:
         """Cores to which a process is pinned; on a GPU the host's threads are left alone."""
         return self.threads if self.device == "cpu" else None
 
@@ -40,7 +40,7 @@ def _run(python: str, arguments: list[str], *, threads: int | None = None) -> st
     return run(python, arguments, threads=threads, variables={"PYTHONPATH": path})
 
 
-def why_skipped(name: str, python: str, device: str) -> str | None:
+def skip_reason(name: str, python: str, device: str) -> str | None:
     """Return a sentence that says why a peer cannot be measured, or None if it can."""
     peer = PEERS.get(name)
     if device not in peer.devices:
@@ -52,11 +52,11 @@ def why_skipped(name: str, python: str, device: str) -> str | None:
     return None
 
 
-def ours(case: str, substeps: int, conditions: Conditions) -> Measurement:
+def measure_package(case: str, substeps: int, conditions: Conditions) -> Measurement:
     """Measure our physics in a process of its own."""
     command = ["-m", "aerial_gym.cli.main", "bench", "physics", "--json", f"--substeps={substeps}"]
     arguments = [*command, *conditions.flags(), *CASES[case]]
-    figures = json.loads(_run(sys.executable, arguments, threads=conditions.pinned))
+    figures = json.loads(_run(sys.executable, arguments, threads=conditions.core_count))
     version = f"{figures['versions']['aerial_gym']}, {figures['commit']}, warp {figures['versions']['warp']}"
     return Measurement(
         name="aerial_gym",
@@ -72,7 +72,7 @@ def ours(case: str, substeps: int, conditions: Conditions) -> Measurement:
 def peers(name: str, python: str, case: str, conditions: Conditions) -> Measurement:
     """Measure a peer in a process of its own."""
     arguments = ["-m", PEERS.get(name).script, f"--case={case}", *conditions.flags()]
-    figures = json.loads(_run(python, arguments, threads=conditions.pinned))
+    figures = json.loads(_run(python, arguments, threads=conditions.core_count))
     return Measurement(
         name=name,
         case=case,

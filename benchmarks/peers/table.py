@@ -25,11 +25,11 @@ class Measurement:
 
 def gather(measurements: Iterable[Measurement]) -> list[Measurement]:
     """Return one measurement per simulator, case and substeps, with the figures of all rounds."""
-    found: dict[tuple[str, str, int | None], Measurement] = {}
+    result: dict[tuple[str, str, int | None], Measurement] = {}
     for new in measurements:
         key = (new.name, new.case, new.substeps)
-        found[key] = replace(new, rates=found[key].rates + new.rates) if key in found else new
-    return list(found.values())
+        result[key] = replace(new, rates=result[key].rates + new.rates) if key in result else new
+    return list(result.values())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +54,10 @@ class Ratio:
 def ratios(measurements: Sequence[Measurement]) -> list[Ratio]:
     """Return a row for every peer's case and every number of substeps of ours in that case, in order of the cases."""
     gathered = gather(measurements)
-    found = []
+    result = []
     for peer in (m for m in gathered if m.substeps is None):
         for own in (m for m in gathered if m.substeps is not None and m.case == peer.case):
-            found.append(
+            result.append(
                 Ratio(
                     case=peer.case,
                     peer=peer.name,
@@ -74,4 +74,4 @@ def ratios(measurements: Sequence[Measurement]) -> list[Ratio]:
                     ratio=own.steps_per_s / peer.steps_per_s,
                 )
             )
-    return found
+    return result

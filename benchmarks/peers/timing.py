@@ -19,7 +19,7 @@ MAX_DISTANCE = 1000.0
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """What the runner asks of a peer."""
+    """Request of the runner to a peer."""
 
     case: str  # plant, rk4 or attitude
     num_envs: int  # Vehicles side by side
@@ -30,8 +30,8 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch:
-    """What is timed: a block of steps of all vehicles."""
+class StepBlock:
+    """Unit of timing: a block of steps of all vehicles."""
 
     steps: int  # Steps of each vehicle in a block
     dt: float  # Length of a step [s]
@@ -42,7 +42,7 @@ class Batch:
 
 
 def parse(doc: str | None) -> Request:
-    """Return what the command line asks for."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--case", required=True)
     parser.add_argument("--num-envs", type=int, required=True)
@@ -53,7 +53,7 @@ def parse(doc: str | None) -> Request:
     return Request(**vars(parser.parse_args()))
 
 
-def measure(request: Request, batch: Batch) -> list[float]:
+def measure(request: Request, batch: StepBlock) -> list[float]:
     """Return steps per second of each repeat, all vehicles together; the flight is checked after each."""
     batch.restart()
     batch.wait()
@@ -69,7 +69,7 @@ def measure(request: Request, batch: Batch) -> list[float]:
     return rates
 
 
-def _time_blocks(batch: Batch, blocks: int) -> float:
+def _time_blocks(batch: StepBlock, blocks: int) -> float:
     """Return the time of ``blocks`` [s], restarts not counted."""
     longest, elapsed = max(1, int(STRETCH_S / (batch.dt * batch.steps))), 0.0
     while blocks > 0:

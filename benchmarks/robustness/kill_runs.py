@@ -33,7 +33,7 @@ LONGEST_END_S = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class KillRuns:
-    """How many, and when."""
+    """Kill trainings at random moments and resume them."""
 
     count: int = 50
     """Trainings killed."""
@@ -52,11 +52,11 @@ class KillRuns:
                 trainer, number = TRAINERS[index % len(TRAINERS)], SIGNALS[index // len(TRAINERS) % len(SIGNALS)]
                 early = draw.random() < 1 / 3
                 moment = draw.uniform(0.2, self.longest_s) if early else draw.uniform(0.0, 0.5 * self.longest_s)
-                found, told = kill_and_resume(Path(folder), index, trainer, number, moment, early=early)
-                seen[found] += 1
+                results, told = kill_and_resume(Path(folder), index, trainer, number, moment, early=early)
+                seen[results] += 1
                 bad += told != "resumed"
                 when = f"{moment:.1f} s after its {'start' if early else 'first checkpoint'}"
-                print(f"{index + 1}/{self.count} {trainer} {number.name} {when}: {found}; {told}", flush=True)
+                print(f"{index + 1}/{self.count} {trainer} {number.name} {when}: {results}; {told}", flush=True)
         print(f"{self.count - bad} of {self.count} resumed; found {seen}")
         return 1 if bad else 0
 
@@ -64,7 +64,7 @@ class KillRuns:
 def kill_and_resume(
     folder: Path, index: int, trainer: str, number: signal.Signals, moment: float, *, early: bool
 ) -> tuple[str, str]:
-    """Return what the kill left behind, and ``resumed`` or what went wrong."""
+    """Return the state of the run folder after the kill, and ``resumed`` or the error of the resumed run."""
     out, settings = folder / f"run{index}", folder / f"{trainer}.yaml"
     cfg = load_settings(settings_for(trainer, "position_setpoint_task"))
     ppo = replace(cfg.ppo, hidden_layers=(16,), horizon=HORIZON, num_minibatches=1)
@@ -76,11 +76,11 @@ def kill_and_resume(
     time.sleep(moment)
     process.send_signal(number)
     left = "checkpoint" if RunFolder(out).checkpoints() else "no checkpoint"
-    if not ended(process):
+    if not await_exit(process):
         return left, f"had not ended {LONGEST_END_S:g} s later"
     if not (out / "config.yaml").exists():
         return "no settings", verdict(command(*start, "--max-env-steps", "1"), out, 0)
-    newest = RunFolder(out).newest_whole()
+    newest = RunFolder(out).newest_readable()
     steps = 0 if newest is None else int(newest[1]["run"]["env_steps"])
     resume = command("train", "--out", str(out), "--resume", "--max-env-steps", "1", "--max-time-s", "120")
     return "no checkpoint" if newest is None else "checkpoint", verdict(resume, out, steps)
@@ -92,7 +92,7 @@ def begin(line: list[str]) -> subprocess.Popen[bytes]:
     return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def ended(process: subprocess.Popen[bytes], longest_s: float = LONGEST_END_S) -> bool:
+def await_exit(process: subprocess.Popen[bytes], longest_s: float = LONGEST_END_S) -> bool:
     """Wait for the end of a process and return whether it came; one that goes on is killed."""
     try:
         process.wait(timeout=longest_s)

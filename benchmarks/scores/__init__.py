@@ -1,1 +1,1 @@
-"""What the loop with measured data finds, of hidden truths and of real flights."""
+"""Scores of the closed loop on cases with hidden effects and on real flights."""

@@ -22,10 +22,10 @@ from aerial_gym.interop import one_thread
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.failures.flight_event import Failure as Found
 from aerial_gym.sim2real.failures.flight_event import FailureFinder
-from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, Watch
+from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, FlightWatch
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.wording import render_findings
-from benchmarks.undeclared import EFFECTS, CaseFiles, Failure, make_case
+from benchmarks.undeclared import EFFECTS, CaseFiles, PlantFailure, make_case
 from benchmarks.undeclared.failures import KINDS
 
 SIZES = {"motor_failure": (0.0, 0.95), "weak_motor": (0.3, 0.95), "brown_out": (0.6, 0.95), "stuck_rotor": (1.0, 1.0)}
@@ -39,9 +39,9 @@ FLIGHT_S = 14.0
 QUIET_S = 60.0
 
 
-def drawn(kind: str, rng: np.random.Generator) -> Failure:
+def draw_failure(kind: str, rng: np.random.Generator) -> PlantFailure:
     """Return a failure of a kind, 4 to 8 s into the flight; a brown-out lasts 0.3 to 1 s."""
-    return Failure(
+    return PlantFailure(
         kind=kind,
         motor=int(rng.integers(1, 5)),
         scale=float(rng.uniform(*SIZES[kind])),
@@ -50,78 +50,82 @@ def drawn(kind: str, rng: np.random.Generator) -> Failure:
     )
 
 
-def failing(seed: int, folder: Path) -> Iterator[dict[str, object]]:
-    """Yield what became of flights of one vehicle that fail, each kind twice."""
+def score_vehicle(seed: int, folder: Path) -> Iterator[dict[str, object]]:
+    """Yield the scores of one vehicle's flights with failures, two of each kind."""
     rng = np.random.default_rng([seed, 60])
-    hidden = {f"train_{k + 1}": drawn(kind, rng) for k, kind in enumerate(KINDS * 2)}
+    hidden = {f"train_{k + 1}": draw_failure(kind, rng) for k, kind in enumerate(KINDS * 2)}
     files = make_case(
         folder, effects={}, seed=seed, nuisance=True, num_train=len(hidden), num_test=0, duration_s=FLIGHT_S,
         rate_hz=RATE_HZ, failures=hidden,
     )  # fmt: skip
     truths = json.loads(files.truth.read_text())["failures"]
-    for name, alarms, whole, log_s in watched(files):
+    for name, alarms, whole, log_s in watch_logs(files):
         truth, speed = hidden[name], truths[name].get("speed")
         yield {
             "seed": seed,
             "flight": name,
             "truth": truths[name],
             "log_s": log_s,
-            "watch": {alarm.stage: judged(alarm.failure, truth, told=alarm.told_s, speed=speed) for alarm in alarms},
-            "close_loop": None if whole is None else judged(whole, truth, speed=speed),
+            "watch": {
+                alarm.stage: score_finding(alarm.failure, truth, told=alarm.told_s, speed=speed) for alarm in alarms
+            },
+            "close_loop": None if whole is None else score_finding(whole, truth, speed=speed),
         }
 
 
-def judged(found: Found, truth: Failure, *, told: float | None = None, speed: float | None = None) -> dict[str, object]:
-    """Return a finding beside the truth; ``speed`` is that at which a stuck rotor stands [rad/s]."""
-    right = found.name == truth.kind and found.params.get("motor", truth.motor) == truth.motor
-    row: dict[str, object] = {"name": found.name, "right": right, "log_odds": found.log_odds}
+def score_finding(
+    result: Found, truth: PlantFailure, *, told: float | None = None, speed: float | None = None
+) -> dict[str, object]:
+    """Return the comparison of a finding with the truth; ``speed`` is that of a stuck rotor [rad/s]."""
+    right = result.name == truth.kind and result.params.get("motor", truth.motor) == truth.motor
+    row: dict[str, object] = {"name": result.name, "right": right, "log_odds": result.log_odds}
     if told is not None:
         row["delay_s"] = told - truth.time
     if right:
         sizes = {"scale": truth.scale, "speed": speed}
         numbers = {"time": truth.time} | {
-            key: size for key, size in sizes.items() if key in found.params and size is not None
+            key: size for key, size in sizes.items() if key in result.params and size is not None
         }
-        row["error"] = {key: found.params[key] - value for key, value in numbers.items()}
-        row["inside"] = {key: inside(found.interval[key], value) for key, value in numbers.items()}
-        if "duration" in found.params:
-            row["error"]["duration"] = found.params["duration"] - truth.duration  # pyright: ignore[reportIndexIssue]
+        row["error"] = {key: result.params[key] - value for key, value in numbers.items()}
+        row["inside"] = {key: in_interval(result.interval[key], value) for key, value in numbers.items()}
+        if "duration" in result.params:
+            row["error"]["duration"] = result.params["duration"] - truth.duration  # pyright: ignore[reportIndexIssue]
     return row
 
 
-def inside(ends: tuple[float, float], value: float) -> bool:
+def in_interval(ends: tuple[float, float], value: float) -> bool:
     """Return whether a value lies between two ends."""
     return bool(ends[0] <= value <= ends[1])
 
 
-def watched(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | None, float]]:
-    """Yield of each log what a watch tells, what the loop finds, and how long the log is [s]."""
+def watch_logs(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | None, float]]:
+    """Yield the name of each log, its alarms, the failure that the loop finds, and its duration [s]."""
     robot = robot_by_name(files.robot)
     finder = FailureFinder(robot)
     for path in files.train:
         header = path.read_text().splitlines()[0].split(",")
-        watch, told = Watch(robot, header, name=path.stem), []
+        watch, told = FlightWatch(robot, header, name=path.stem), []
         for row in np.loadtxt(path, delimiter=",", skiprows=1):
             told += watch.add(row)
-        alarms = [*told, *watch.ended()]
+        alarms = [*told, *watch.finish()]
         (flight,) = load_flights([path], robot, mapping=None, bandwidth=10.0)
         yield path.stem, alarms, finder.find_first(flight), watch.watched_s
 
 
 def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s: float) -> dict[str, object]:
-    """Return what is told of flights of one vehicle in which nothing fails."""
+    """Return the false alarms of the watch and the closed loop in flights of one vehicle without failures."""
     effects = {effect: "large"} if effect else {}
     files = make_case(
         folder, effects=effects, seed=seed, nuisance=True, num_train=flights, num_test=0, duration_s=duration_s,
         rate_hz=RATE_HZ,
     )  # fmt: skip
-    rows = list(watched(files))
+    rows = list(watch_logs(files))
     return {
         "seed": seed,
         "hidden": effect or "nothing",
         "hours": sum(log_s for *_, log_s in rows) / 3600.0,
         "watch": [render_findings(alarm.as_mapping()) for _, alarms, _, _ in rows for alarm in alarms],
-        "close_loop": [render_findings(found.as_mapping()) for _, _, found, _ in rows if found is not None],
+        "close_loop": [render_findings(results.as_mapping()) for _, _, results, _ in rows if results is not None],
     }
 
 
@@ -202,17 +206,21 @@ def main() -> int:
     fails, silent = list[dict](), list[dict]()
     with tempfile.TemporaryDirectory() as temporary, one_thread():
         for seed in args.seeds:
-            fails += _kept(args.out, f"fails_{seed}", lambda s=seed: list(failing(s, Path(temporary) / f"f{s}")))
+            fails += _load_or_make(
+                args.out, f"fails_{seed}", lambda s=seed: list(score_vehicle(s, Path(temporary) / f"f{s}"))
+            )
         for seed in args.quiet_seeds:
             folder = Path(temporary) / f"q{seed}"
-            silent += _kept(
+            silent += _load_or_make(
                 args.out,
                 f"quiet_{seed}",
                 lambda s=seed, f=folder: [quiet(s, f, None, args.quiet_flights, QUIET_S)],
             )
         for place, name in enumerate(names):
             folder, seed = Path(temporary) / name, 2000 + place
-            silent += _kept(args.out, f"quiet_{name}", lambda s=seed, f=folder, n=name: [quiet(s, f, n, 4, FLIGHT_S)])
+            silent += _load_or_make(
+                args.out, f"quiet_{name}", lambda s=seed, f=folder, n=name: [quiet(s, f, n, 4, FLIGHT_S)]
+            )
     page = tables(fails, silent)
     print(page)
     if args.write:
@@ -221,7 +229,7 @@ def main() -> int:
     return 0
 
 
-def _kept(out: Path | None, key: str, make: Callable[[], list[dict]]) -> list[dict]:
+def _load_or_make(out: Path | None, key: str, make: Callable[[], list[dict]]) -> list[dict]:
     """Return rows that were kept, or make and keep them."""
     path = out / f"{key}.json" if out else None
     if path is not None and path.is_file():

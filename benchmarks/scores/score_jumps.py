@@ -18,12 +18,12 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS
-from aerial_gym.sim2real.logs.flights import even_log
-from aerial_gym.sim2real.logs.position_jumps import LEAST, LIMIT, integral, mend_position_jumps, scaled_differences
+from aerial_gym.sim2real.logs.flights import resample_log
+from aerial_gym.sim2real.logs.position_jumps import LEAST, LIMIT, integral, jump_statistics, mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.repeated_samples import SENSORS
+from aerial_gym.sim2real.logs.sample_repeats import SENSORS
 from aerial_gym.sim2real.wording import text
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
@@ -37,42 +37,42 @@ def logs(data: Path) -> Iterator[FlightLog]:
     for name in COLLECTIONS:
         for path in sorted((data / name).glob("*.csv")):
             try:
-                log = even_log(read_flight_log(path, mapping=find_mapping(name)))
+                log = resample_log(read_flight_log(path, mapping=find_mapping(name)))
             except DataError:
                 continue
             if log.position is not None and log.lin_vel is not None:
                 yield log
 
 
-def told(log: FlightLog) -> list[tuple[np.ndarray, float]]:
-    """Return size [m] and time [s] of each jump that is told of a log."""
+def jump_notes(log: FlightLog) -> list[tuple[np.ndarray, float]]:
+    """Return size [m] and time [s] of each jump reported in a log."""
     notes = (note for note in mend_position_jumps(replace(log, notes=())).notes if note.code == "position_jump")
     return [(np.array(note.values["size_m"]), note.values["start_s"]) for note in notes]
 
 
 def largest_share(log: FlightLog) -> float:
-    """Return the largest difference of a log, of those that count as jumps, in parts of what tells one."""
+    """Return the largest position difference of a log that may be a jump, as a share of the detection limit."""
     assert log.position is not None
     assert log.lin_vel is not None
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    sizes, scale = scaled_differences(log.position - integral(log.lin_vel, step), step)
+    sizes, scale = jump_statistics(log.position - integral(log.lin_vel, step), step)
     return float(np.where(np.abs(sizes) > LEAST, np.abs(sizes) / scale, 0.0).max()) / LIMIT
 
 
-def streamed(log: FlightLog) -> list[tuple[SensorFault, float]]:
-    """Return each fault that is told of a log as it grows, and when [s]."""
-    watch, found, start = SensorWatch("flight"), [], log.time[0]
+def stream_faults(log: FlightLog) -> list[tuple[SensorFault, float]]:
+    """Return each fault reported while a log grows, and the time of its report [s]."""
+    watch, result, start = SensorWatch("flight"), [], log.time[0]
     for end in np.arange(start + LOOK_S, log.time[-1] + LOOK_S, LOOK_S):
         rows = (log.time <= end) & (log.time > end - WINDOW_S)
         seen = {name: values[rows] for name, values in vars(log).items() if isinstance(values, np.ndarray)}
-        found += [(fault, float(end)) for fault in watch.look(replace(log, **seen))]
-    return found
+        result += [(fault, float(end)) for fault in watch.look(replace(log, **seen))]
+    return result
 
 
 def with_step(
     log: FlightLog, size: float, rng: np.random.Generator, *, returns: bool = True
 ) -> tuple[FlightLog, np.ndarray, float, float]:
-    """Return a log whose position is off for some time, or for good, by how much [m], and from when to when [s]."""
+    """Return a log with a position jump, the jump [m], its start and its end [s]; the end counts if it ``returns``."""
     assert log.position is not None
     direction = rng.standard_normal(3)
     step = size * direction / np.linalg.norm(direction)
@@ -82,7 +82,7 @@ def with_step(
 
 
 def span(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
-    """Return 0.5 to 4 s of a flight."""
+    """Return the start and end [s] of a random interval of 0.5 to 4 s within a flight."""
     first, last = log.time[0] + 1.0, log.time[-1] - 1.0
     begin = rng.uniform(first, last - 1.0)
     return begin, min(begin + rng.uniform(0.5, 4.0), last)
@@ -90,10 +90,10 @@ def span(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
 
 @dataclass
 class Score:
-    """What a watch tells of flights with one kind of fault."""
+    """Detection score of a watch over flights with one kind of fault."""
 
     flights: int = 0
-    found: int = 0
+    result: int = 0
     """Flights in which all that was put in is told."""
 
     soon: int = 0
@@ -105,29 +105,29 @@ class Score:
     off: list[float] = field(default_factory=list)
     """Distance of a told size from the true one [m]; none of sensors that stand still."""
 
-    others: int = 0
+    rest: int = 0
     """Told and not put in."""
 
     def add(self, hits: list[tuple[float, float | None]], *, put_in: int, told: int) -> None:
-        """Take one flight: delay and error of each fault that was told rightly, of so many put in and told."""
+        """Add one flight: delay and error of each correct report, and the numbers of inserted and reported faults."""
         whole = len(hits) == put_in
         self.flights += 1
-        self.found += whole
+        self.result += whole
         self.soon += whole and all(delay <= SOON_S for delay, _ in hits)
         self.after += [delay for delay, _ in hits]
         self.off += [error for _, error in hits if error is not None]
-        self.others += told - len(hits)
+        self.rest += told - len(hits)
 
     def row(self, name: str) -> str:
         """Return a line of the table."""
         errors = f"{np.median(self.off):.3f}, {max(self.off):.3f}" if self.off else "-"
-        cells = (name, self.flights, self.found, self.soon, _times(self.after), errors, self.others)
+        cells = (name, self.flights, self.result, self.soon, _times(self.after), errors, self.rest)
         return f"| {' | '.join(map(str, cells))} |"
 
 
 def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
     """Print the reports of ``Watch`` for the logs as they are, with jumps, and with frozen sensors."""
-    plain = [text(fault.finding) for log in flights for fault, _ in streamed(log)]
+    plain = [text(fault.finding) for log in flights for fault, _ in stream_faults(log)]
     print(f"reported as logged: {len(plain)} {plain}")
     print(
         f"| fault | flights | found | of these within {SOON_S:g} s | reported after: median, largest [s] | error of the size: "
@@ -143,11 +143,11 @@ def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Ge
 
 
 def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generator, *, returns: bool = True) -> Score:
-    """Return what is told of a fix that moves by a size [m] and returns, or stays."""
+    """Return the detection score of a position fix that jumps by ``size`` [m], and jumps back if it ``returns``."""
     score = Score()
     for log in flights:
         moved, step, begin, end = with_step(log, size, rng, returns=returns)
-        told, hits = streamed(moved), list[tuple[float, float | None]]()
+        told, hits = stream_faults(moved), list[tuple[float, float | None]]()
         for when, true in ((begin, step), (end, -step))[: 1 + returns]:
             near = [(f, at) for f, at in told if abs(f.time - when) < 0.1 and _size(f) @ true > 0.0]
             hits += [(at - when, float(np.linalg.norm(_size(fault) - true))) for fault, at in near[:1]]
@@ -156,7 +156,7 @@ def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generat
 
 
 def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generator) -> Score:
-    """Return what is told of a sensor that stands still, in flights that have it."""
+    """Return the detection score of a sensor that freezes, over the flights that have it."""
     score = Score()
     for log in flights:
         values = getattr(log, sensor)
@@ -165,7 +165,7 @@ def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generat
         begin, end = span(log, rng)
         still, there = values.copy(), (log.time >= begin) & (log.time < end)
         still[there] = values[int(np.argmax(there)) - 1]
-        told = streamed(replace(log, **{sensor: still}))
+        told = stream_faults(replace(log, **{sensor: still}))
         near = [at for f, at in told if f.sensor == sensor and abs(f.time - begin) < 0.1]
         score.add([(at - begin, None) for at in near[:1]], put_in=1, told=len(told))
     return score
@@ -192,24 +192,26 @@ def main() -> None:
         print(f"{len(flights)} flights, {seconds:.0f} s")
         score_stream(flights, args.sizes, rng)
         return
-    print(f"{len(flights)} flights, {seconds:.0f} s: {sum(len(told(log)) for log in flights)} jumps reported as logged")
+    print(
+        f"{len(flights)} flights, {seconds:.0f} s: {sum(len(jump_notes(log)) for log in flights)} jumps reported as logged"
+    )
     print(f"largest difference as logged: {max(map(largest_share, flights)):.2f} of the limit of a jump")
     print("| size [m] | flights | found | error of the size: median, largest [m] | other jumps reported |")
     print("| --- | --- | --- | --- | --- |")
     for size in args.sizes:
-        right, others, off = 0, 0, []
+        right, rest, off = 0, 0, []
         for log in flights:
             moved, step, begin, end = with_step(log, size, rng)
-            found = told(moved)
+            result = jump_notes(moved)
             near = [
-                [(jump, at) for jump, at in found if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]
+                [(jump, at) for jump, at in result if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]
                 for when, sign in ((begin, 1.0), (end, -1.0))
             ]
             right += all(len(part) == 1 for part in near)
-            others += len(found) - sum(len(part) for part in near)
+            rest += len(result) - sum(len(part) for part in near)
             off += [float(np.linalg.norm(np.abs(part[0][0]) - np.abs(step))) for part in near if part]
         errors = f"{np.median(off):.3f}, {max(off):.3f}" if off else "-"
-        print(f"| {size:g} | {len(flights)} | {right} | {errors} | {others} |")
+        print(f"| {size:g} | {len(flights)} | {right} | {errors} | {rest} |")
 
 
 if __name__ == "__main__":

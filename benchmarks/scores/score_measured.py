@@ -25,7 +25,7 @@ from benchmarks.scores.score_undeclared import THREADS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class FlightSplit:
     """Flights to train and to judge on."""
 
     robot: str
@@ -54,94 +54,94 @@ def halves(number: int, *more: str) -> Callable[[Path, Path], list[Path]]:
     ]
 
 
-def named(collection: str, *names: str) -> Callable[[Path, Path], list[Path]]:
+def log_finder(collection: str, *names: str) -> Callable[[Path, Path], list[Path]]:
     """Return logs of a collection by name; patterns give all that fit, in order."""
     return lambda data, _folder: [path for name in names for path in sorted((data / collection).glob(f"{name}.csv"))]
 
 
 def every_other(collection: str, *patterns: str) -> Callable[[Path, Path], list[Path]]:
     """Return every other one of the logs that fit some patterns."""
-    everything = named(collection, *patterns)
-    return lambda data, folder: sorted(everything(data, folder))[::2]
+    complete = log_finder(collection, *patterns)
+    return lambda data, folder: sorted(complete(data, folder))[::2]
 
 
-def both_ways(name: str, **fields) -> dict[str, Measured]:
+def both_ways(name: str, **fields) -> dict[str, FlightSplit]:
     """Return a set, and the same with test and training flights exchanged."""
     back = fields | {"train": fields["test"], "test": fields["train"]}
-    return {name: Measured(**fields), f"{name}_back": Measured(**back)}
+    return {name: FlightSplit(**fields), f"{name}_back": FlightSplit(**back)}
 
 
-SETS: dict[str, Measured] = {
-    "arpl": Measured(
+SETS: dict[str, FlightSplit] = {
+    "arpl": FlightSplit(
         robot="crazyflie_2x_arpl", mapping="arpl_crazyflie_imu", bandwidth=10.0, train=halves(0), test=halves(1)
     ),
-    "arpl_yaw": Measured(
+    "arpl_yaw": FlightSplit(
         robot="crazyflie_2x_arpl",
         mapping="arpl_crazyflie_imu",
         bandwidth=10.0,
         train=halves(0, "log16_a"),
         test=halves(1),
     ),
-    "idsia": Measured(
+    "idsia": FlightSplit(
         robot="crazyflie_21_brushless",
         mapping="idsia_nanodrone",
         bandwidth=10.0,
-        train=named("idsia_nanodrone", "square_*", "random*", "multisine_*"),
-        test=named("idsia_nanodrone", "melon_*"),
+        train=log_finder("idsia_nanodrone", "square_*", "random*", "multisine_*"),
+        test=log_finder("idsia_nanodrone", "melon_*"),
     ),
-    "idsia_half": Measured(
+    "idsia_half": FlightSplit(
         robot="crazyflie_21_brushless",
         mapping="idsia_nanodrone",
         bandwidth=10.0,
         train=every_other("idsia_nanodrone", "square_*", "random*", "multisine_*"),
-        test=named("idsia_nanodrone", "melon_*"),
+        test=log_finder("idsia_nanodrone", "melon_*"),
     ),
     **both_ways(
         "neural_swarm",
         robot="crazyflie_21",
         mapping="neural_swarm",
         bandwidth=8.0,
-        train=named("neural_swarm", "groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot"),
-        test=named("neural_swarm", "takeoff_cf50"),
+        train=log_finder("neural_swarm", "groundflight_cf50_a", "takeoff_cf52", "groundflight_cf101_parrot"),
+        test=log_finder("neural_swarm", "takeoff_cf50"),
     ),
     **both_ways(
         "nanobench",
         robot="crazyflie_21",
         mapping="nanobench_cf21",
         bandwidth=4.0,
-        train=named(
+        train=log_finder(
             "nanobench_cf21", "B2_circle_fast_rep1", "B3_figure8_fast_rep1", "B7_oval_fast_rep1", "B8_star_medium_rep1"
         ),
-        test=named("nanobench_cf21", "B9_trefoil_fast_rep1", "B5_helix_fast_rep1"),
+        test=log_finder("nanobench_cf21", "B9_trefoil_fast_rep1", "B5_helix_fast_rep1"),
     ),
     **both_ways(
         "neural_fly",
         robot="neural_fly_quad",
         mapping="neural_fly",
         bandwidth=5.0,
-        train=named("neural_fly", "NF_nowind", "baseline_35wind", "indi_35wind", "baseline_100wind", "NF_100wind"),
-        test=named("neural_fly", "NF_70wind", "baseline_70wind", "indi_70wind"),
+        train=log_finder("neural_fly", "NF_nowind", "baseline_35wind", "indi_35wind", "baseline_100wind", "NF_100wind"),
+        test=log_finder("neural_fly", "NF_70wind", "baseline_70wind", "indi_70wind"),
     ),
 }
 
 
 def score(name: str, data: Path) -> dict[str, object]:
-    """Return what the loop makes of a set; what it raised stands under ``error``."""
+    """Return the closed loop's result for a data set; an exception goes to ``error``."""
     from aerial_gym.interop import one_thread
     from aerial_gym.robots.catalog import robot_by_name
-    from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
+    from aerial_gym.sim2real.memory_loop import judge_flights
     from aerial_gym.sim2real.report.verdict_json import verdict_json
     from aerial_gym.sim2real.wording import render_findings
 
-    found = SETS[name]
+    result = SETS[name]
     with tempfile.TemporaryDirectory() as folder, one_thread():
         try:
-            train, test = (files(data, Path(folder)) for files in (found.train, found.test))
-            robot = robot_by_name(found.robot)
-            flights = load_train_and_test(robot, train, test, found.mapping, found.bandwidth)
+            train, test = (files(data, Path(folder)) for files in (result.train, result.test))
+            robot = robot_by_name(result.robot)
+            flights = load_train_and_test(robot, train, test, result.mapping, result.bandwidth)
             start = time.process_time()
-            judged = judge_flights(robot, *flights, bandwidth=found.bandwidth)
+            judged = judge_flights(robot, *flights, bandwidth=result.bandwidth)
         except Exception as error:  # one bad set must not end the others; it is counted
             return {"set": name, "error": f"{type(error).__name__}: {error}"}
     verdict = verdict_json(judged.verdict)
@@ -155,11 +155,11 @@ def score(name: str, data: Path) -> dict[str, object]:
     }
 
 
-def lines_of(row: dict) -> list[str]:
-    """Return a row for people: what is named and what became of the residuals."""
+def row_text(row: dict) -> list[str]:
+    """Return a readable row: the named effects and the change of the residuals."""
     if "error" in row:
         return [f"{row['set']}: {row['error']}"]
-    found = [
+    result = [
         f"{row['set']}: {row['verdict']} ({row['processor_s']} s of processor time, {row['most_memory_gb']} GB at most)"
     ]
     for effect in row["effects"]:
@@ -168,7 +168,7 @@ def lines_of(row: dict) -> list[str]:
             for key, value in effect["params"].items()
         ]
         ties = f", may as well be {' or '.join(effect['ties'])}" if effect["ties"] else ""
-        found.append(f"  {effect['name']}: {', '.join(values)}; confidence {effect['confidence']:.4g}{ties}")
+        result.append(f"  {effect['name']}: {', '.join(values)}; confidence {effect['confidence']:.4g}{ties}")
     for kind, axes in row["before"].items():
         if kind in ("specific_force", "angular_acceleration"):
             parts = [
@@ -176,9 +176,9 @@ def lines_of(row: dict) -> list[str]:
                 for axis, one in axes.items()
                 if isinstance(one, dict)
             ]
-            found.append(f"  {kind.replace('_', ' ')}: {', '.join(parts)}")
+            result.append(f"  {kind.replace('_', ' ')}: {', '.join(parts)}")
     worse = [f"{name} {one['rises']:+.0%}" for name, one in row["test_flights"].items() if one["state"] == "worse"]
-    return [*found, f"  worse: {', '.join(worse) or 'nothing'}"]
+    return [*result, f"  worse: {', '.join(worse) or 'nothing'}"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -198,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for future in as_completed([pool.submit(score, name, args.data) for name in args.sets]):
             row = future.result()
             failed |= "error" in row
-            print(json.dumps(row) if args.json else "\n".join(lines_of(row)), flush=True)
+            print(json.dumps(row) if args.json else "\n".join(row_text(row)), flush=True)
     return int(failed)
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from benchmarks.scores.undeclared_table import markdown, right_line
+from benchmarks.scores.score_table import markdown, right_line
 from benchmarks.undeclared import EFFECTS, LOGGED, SIZES, TRACKED, UNKNOWN, make_case
 
 CLASSIC = tuple(EFFECTS)[:6]
@@ -77,18 +77,18 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Name of its result file: what it is, and a digest of all its fields and of the code that is judged."""
-        what = "-".join(("+".join(self.hidden) or "nothing", *self.features))
+        """Name of the result file: the case, and a digest of all its fields and of the judged code."""
+        label = "-".join(("+".join(self.hidden) or "nothing", *self.features))
         digest = sha256((json.dumps(asdict(self), sort_keys=True) + code_digest()).encode()).hexdigest()[:8]
-        return f"{what}_{self.size if self.hidden else 'none'}_{self.seed}_{digest}"
+        return f"{label}_{self.size if self.hidden else 'none'}_{self.seed}_{digest}"
 
 
 def score(job: Job) -> dict[str, object]:
-    """Return what the loop made of one case; what it raised stands under ``error``."""
+    """Return the closed loop's result for one case; an exception goes to ``error``."""
     from aerial_gym.interop import one_thread
     from aerial_gym.robots.catalog import robot_by_name
-    from aerial_gym.sim2real.in_memory import judge_flights
     from aerial_gym.sim2real.logs.inputs import load_train_and_test
+    from aerial_gym.sim2real.memory_loop import judge_flights
     from aerial_gym.sim2real.report.verdict_json import verdict_json
 
     row: dict[str, object] = {**asdict(job), "hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden)}
@@ -120,15 +120,15 @@ def score(job: Job) -> dict[str, object]:
 def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
     """Return the judgement of a verdict against the hidden effects and their parameters."""
     named = {e["name"]: e for e in verdict["effects"]}
-    found = []
+    result = []
     for effect in (name for name in named if name in truth):
-        params, stds = _at_height_of(truth[effect], named[effect]["params"], named[effect]["std"])
+        params, stds = _shift_wind_height(truth[effect], named[effect]["params"], named[effect]["std"])
         for key, true in truth[effect].items():
             std = stds.get(key)
             if std:
                 value = params[key]
-                found.append({"effect": effect, "name": key, "true": true, "value": value, "std": std})
-    distances = [abs(p["value"] - p["true"]) / p["std"] for p in found]
+                result.append({"effect": effect, "name": key, "true": true, "value": value, "std": std})
+    distances = [abs(p["value"] - p["true"]) / p["std"] for p in result]
     return {
         "verdict": verdict["verdict"],
         "named": list(named),
@@ -141,13 +141,13 @@ def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object
         "worst_z": max(distances, default=0.0),
         "inside": sum(z < 1.96 for z in distances),
         "intervals": len(distances),
-        "parameters": found,
+        "parameters": result,
         "before_over_floor": _over_floor(verdict["before"]),
         "after_over_floor": _over_floor(verdict["after"]),
     }
 
 
-def _at_height_of(
+def _shift_wind_height(
     truth: dict[str, float], params: dict[str, float], std: dict[str, float]
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return parameters and their spread with a sheared wind at the reference height of the truth; others as they are."""
@@ -179,11 +179,11 @@ def _judgement(named: list[str], hidden: list[str], verdict: dict) -> str:
         return "near"
     if not library:
         return "missed"
-    return "near" if set(library) <= {*hidden, *(c for name in hidden for c in _confused_with(name))} else "wrong"
+    return "near" if set(library) <= {*hidden, *(c for name in hidden for c in _confusions(name))} else "wrong"
 
 
-def _confused_with(name: str) -> tuple[str, ...]:
-    """Return what the package says an effect can be taken for; nothing for an effect that it does not have."""
+def _confusions(name: str) -> tuple[str, ...]:
+    """Return the effects that the package declares as confusable with one; empty for an unknown effect."""
     from aerial_gym.errors import UnknownNameError
     from aerial_gym.physics.effects import EFFECTS as LIBRARY
 

@@ -1,1 +1,1 @@
-"""What a start, a layout in memory, an option costs."""
+"""Cost of starts, memory layouts and options."""

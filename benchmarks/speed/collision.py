@@ -13,7 +13,7 @@ from statistics import median
 import torch
 
 from aerial_gym import EnvManager, SimBuilder
-from aerial_gym.interop.streams import recorded
+from aerial_gym.interop.streams import record_graph
 
 STEPS, REPEATS, WARM_UP = 10, 60, 5
 NUM_OBSTACLES = 35
@@ -36,7 +36,7 @@ def build(robot: str, num_envs: int, device: str) -> EnvManager:
     return env
 
 
-def repeated(call: Callable[[], None], device: torch.device) -> Callable[[], float]:
+def step_timer(call: Callable[[], None], device: torch.device) -> Callable[[], float]:
     """Return a function that makes ``STEPS`` calls and returns the time of one [s]."""
     for _ in range(WARM_UP):
         call()
@@ -50,7 +50,7 @@ def repeated(call: Callable[[], None], device: torch.device) -> Callable[[], flo
 
         return on_cpu
     graph = torch.cuda.CUDAGraph()
-    with recorded(graph, device):
+    with record_graph(graph, device):
         for _ in range(STEPS):
             call()
 
@@ -79,15 +79,15 @@ def main() -> None:
     env.reset()
     for _ in range(WARM_UP):
         env.step(actions)
-    state, found = env.save_state(), {}
+    state, result = env.save_state(), {}
     for name, call in (("physics", env.fly), ("collision", env.collide), ("step", lambda: env.step(actions))):
-        run, times = repeated(call, env.device), []
+        run, times = step_timer(call, env.device), []
         for _ in range(REPEATS):
             env.load_state(state)
             times.append(run())
-        found[f"{name}_us"] = round(1e6 * median(times), 1)
+        result[f"{name}_us"] = round(1e6 * median(times), 1)
     crashed = float(env.gtd["crashes"].float().mean())
-    row = {"robot": asked.robot, "num_envs": asked.num_envs, "device": str(env.device), **found}
+    row = {"robot": asked.robot, "num_envs": asked.num_envs, "device": str(env.device), **result}
     print(json.dumps(row | {"crashed_share": round(crashed, 3)}))
 
 

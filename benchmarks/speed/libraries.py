@@ -24,7 +24,7 @@ ADAPTERS = {"rl_games": "TaskVecEnv", "sample_factory": "TaskBatchedEnv"}
 WARM_UP_STEPS = 64
 
 
-class TimedStep:
+class StepTimer:
     """Replaces the step of an adapter and adds up its time [s]."""
 
     def __init__(self, step: Callable[..., Any]) -> None:
@@ -59,7 +59,7 @@ def main() -> None:
     asked = parser.parse_args()
     task_registry.get(asked.task)
     adapter = getattr(import_module(f"aerial_gym.rl_training.trainers.{asked.trainer}"), ADAPTERS[asked.trainer])
-    timed = TimedStep(adapter.step)
+    timed = StepTimer(adapter.step)
     adapter.step = lambda env, actions: timed(env, actions)
     cfg = replace(
         load_settings(settings_for(asked.trainer, asked.task, device=asked.device)),

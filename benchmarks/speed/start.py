@@ -24,10 +24,10 @@ README = Path(__file__).parents[2] / "README.md"
 
 def readme_example(text: str, *, device: str) -> list[ast.stmt]:
     """Return the statements of the first Python block of a page, on another device than ``auto``."""
-    found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
-    if found is None:
+    result = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    if result is None:
         raise ValueError("the page has no block of Python")
-    return ast.parse(found[1].replace('device="auto"', f'device="{device}"')).body
+    return ast.parse(result[1].replace('device="auto"', f'device="{device}"')).body
 
 
 def _run_readme(device: str, note: Callable[[str], None]) -> dict[str, object]:
@@ -36,14 +36,14 @@ def _run_readme(device: str, note: Callable[[str], None]) -> dict[str, object]:
         with redirect_stdout(StringIO()):
             exec(compile(ast.Module([statement], []), str(README), "exec"), names)
         said = ast.unparse(statement)
-        for start, what in (
+        for start, label in (
             ("from aerial_gym", "imports"),
             ("env.step", "env_step_1"),
             ("env.render", "render"),
             ("obs, reward", "task_step_1"),
         ):
             if said.startswith(start):
-                note(what)
+                note(label)
     return {"example": README.name, "device": device}
 
 
@@ -67,17 +67,17 @@ def _run_task(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[st
         if step in (1, 10):
             float(task.episode_return[0])  # waits for the device
             note(f"step_{step}")
-    return {"task": asked.task, "device": str(task.device), "captured": task.captured}
+    return {"task": asked.task, "device": str(task.device), "captured": task.is_captured}
 
 
 def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dict[str, object]:
     """Train for ``--train-s`` after the first iteration; the evaluation is not timed."""
-    from aerial_gym.interop.preload import import_beside, preload
-    from aerial_gym.lazy import no_garbage
+    from aerial_gym.interop.preload import import_without_torch, preload
+    from aerial_gym.lazy import pause_garbage_collection
 
     preload(asked.device)
-    with no_garbage():
-        import_beside()
+    with pause_garbage_collection():
+        import_without_torch()
         note("warp")
         import torch
 
@@ -104,10 +104,10 @@ def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dic
         training.advance()
     float(training.learner.sums[0])
     note("trained")
-    found = evaluate(training.learner.network.actor, task_registry.make_task(
+    result = evaluate(training.learner.network.actor, task_registry.make_task(
         cfg.task, num_envs=1000, device=asked.device, seed=asked.seed + 1
     ))  # fmt: skip
-    return {"training": cfg.task, "device": asked.device, "final_error_mean_m": found.final_error_mean_m}
+    return {"training": cfg.task, "device": asked.device, "final_error_mean_m": result.final_error_mean_m}
 
 
 def main() -> None:
@@ -125,19 +125,19 @@ def main() -> None:
     asked = parser.parse_args()
     since: dict[str, object] = {}
 
-    def note(what: str) -> None:
-        since[f"{what}_s"] = round(time.perf_counter() - _BEGIN, 2)
+    def note(kind: str) -> None:
+        since[f"{kind}_s"] = round(time.perf_counter() - _BEGIN, 2)
 
     if asked.cold:
         os.environ.update({name: tempfile.mkdtemp() for name in ("WARP_CACHE_PATH", "TRITON_CACHE_DIR")})
-    what = (
+    label = (
         _run_readme(asked.device, note)
         if asked.readme
         else _run_training(asked, note)
         if asked.train
         else _run_task(asked, note)
     )
-    print(json.dumps({**what, **since, "processor_s": round(time.process_time(), 2)}))
+    print(json.dumps({**label, **since, "processor_s": round(time.process_time(), 2)}))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Train, fly, find what the vehicle's file does not say, train again: ``python -m benchmarks.story --out DIR --device cuda``.
+"""Train, fly, identify the undeclared effects, train again: ``python -m benchmarks.story --out DIR --device cuda``.
 
 For each seed: a policy of the task of motor commands is trained on the vehicle as declared, flown through setpoints on that
 vehicle and on the true one, logs six flights of the true one, of which ``close-loop`` fits on four and judges on two; and is
@@ -18,18 +18,18 @@ from pathlib import Path
 import torch
 import yaml
 
-from aerial_gym.config import files_of
+from aerial_gym.config import family_files
 from aerial_gym.rl_training import load_policy, load_settings, settings_for, train
 from benchmarks.story.figure import draw_story
-from benchmarks.story.flying import CONTROL_RATE, distances, fly_setpoints, setpoints, tracking
-from benchmarks.story.vehicle import HIDDEN, declared_vehicle, true_vehicle
+from benchmarks.story.setpoint_flight import CONTROL_RATE, distances, fly_setpoints, setpoints, tracking
+from benchmarks.story.vehicle import HIDDEN, nominal_vehicle, true_vehicle
 from benchmarks.undeclared.logs import write_log
 from benchmarks.undeclared.nuisance import NO_BIAS
-from benchmarks.undeclared.simulate import Record
+from benchmarks.undeclared.simulate import PlantRecord
 from benchmarks.undeclared.vehicle import Array
 
 TASK = "position_setpoint_task_sim2real_end_to_end"
-ROBOT = files_of("robots")["tinyprop"]
+ROBOT = family_files("robots")["tinyprop"]
 FITTED, JUDGED, SCORED = 4, 2, 1000
 """Flights that are logged to fit on and to judge on, and flights that a policy is scored on."""
 
@@ -71,9 +71,9 @@ class Story:
                 for case in CASES[:2]:
                     scores[seed, case] = pool.submit(self._score, first[seed], as_declared=case == CASES[0])
             for seed in self.seeds:
-                found = self._end_loop(seed, loops[seed])
+                results = self._end_loop(seed, loops[seed])
                 for case, robot in zip(CASES[2:], ("robot", "ranges"), strict=True):
-                    folder = self._train(seed, "found" if robot == "robot" else robot, found[robot])
+                    folder = self._train(seed, "found" if robot == "robot" else robot, results[robot])
                     scores[seed, case] = pool.submit(self._score, folder, as_declared=False)
             rows = []
             for seed in self.seeds:
@@ -105,7 +105,7 @@ class Story:
         return folder
 
     def _score(self, folder: Path, *, as_declared: bool) -> dict[str, object]:
-        """Return how a policy tracks setpoints it has not met, and as ``trace`` the distance over time of the median flight."""
+        """Return the tracking errors of a policy at new setpoints; ``trace`` is the distance over time of the median flight."""
         kept = folder / ("score_as_declared.json" if as_declared else "score.json")
         if kept.exists():
             return json.loads(kept.read_text())
@@ -120,10 +120,10 @@ class Story:
         kept.write_text(json.dumps(score))
         return score
 
-    def _fly(self, folder: Path, points: Array, *, seed: int, as_declared: bool = False) -> Record:
+    def _fly(self, folder: Path, points: Array, *, seed: int, as_declared: bool = False) -> PlantRecord:
         """Return the flights of a policy through points (P, F, 3)."""
         policy, _ = load_policy(folder, device="cpu")
-        declared = declared_vehicle(ROBOT)
+        declared = nominal_vehicle(ROBOT)
         true, bias = (declared, NO_BIAS) if as_declared else true_vehicle(declared, seed=self.vehicle_seed)
         return fly_setpoints(policy, declared=declared, true=true, bias=bias, points=points, seed=seed)
 
@@ -146,13 +146,13 @@ class Story:
         return subprocess.Popen([*command, *(str(part) for part in parts)], stdout=told, stderr=told)
 
     def _end_loop(self, seed: int, loop: "subprocess.Popen[bytes] | None") -> dict[str, Path]:
-        """Return the robot file that the loop wrote, and the same without what an episode draws."""
+        """Return the robot file that the loop wrote, and the same without domain randomisation."""
         result = self.out / f"seed_{seed}" / "close_loop"
         if loop is not None and loop.wait():
             raise RuntimeError((result.parent / "flights" / "close_loop.log").read_text())
         verdict = json.loads((result / "verdict.json").read_text())
-        found = [{key: effect[key] for key in ("name", "params", "interval")} for effect in verdict["effects"]]
-        print(json.dumps({"seed": seed, "verdict": verdict["verdict"], "effects": found}), flush=True)
+        results = [{key: effect[key] for key in ("name", "params", "interval")} for effect in verdict["effects"]]
+        print(json.dumps({"seed": seed, "verdict": verdict["verdict"], "effects": results}), flush=True)
         document = yaml.safe_load((result / "robot.yaml").read_text())
         document.pop("randomize", None)
         plain = result.with_name("robot.yaml")

@@ -1,4 +1,4 @@
-"""The vehicle as its robot file declares it, for the independent plant, and what that file does not say of the true one."""
+"""The declared vehicle for the independent plant, and the undeclared effects of the true one."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,21 +7,21 @@ import numpy as np
 import yaml
 
 from benchmarks.undeclared import effects as hidden_effects
-from benchmarks.undeclared.nuisance import Bias, Nuisance, disturb
-from benchmarks.undeclared.vehicle import Vehicle
+from benchmarks.undeclared.nuisance import Bias, PlantNuisance, disturb
+from benchmarks.undeclared.vehicle import PlantVehicle
 
 HIDDEN = {"com_offset": {"x": 0.012, "y": -0.008}, "weak_motor": {"motor": 4.0, "scale": 0.92}}
 """What the file does not say: the centre of mass 14 mm beside the middle [m], and a rotor of 8 % less thrust."""
 
 
-def declared_vehicle(robot: Path) -> Vehicle:
+def nominal_vehicle(robot: Path) -> PlantVehicle:
     """Return the plant's numbers of a robot file with a square thrust map, one lag and no drag."""
     document = yaml.safe_load(robot.read_text(encoding="utf-8"))
     body, rotor, layout = document["body"], document["rotor"], document["mounts"]["layout"]
     *lower, coeff = rotor["thrust_map"]
     if any(lower) or document.get("effects"):
         raise ValueError(f"{robot}: has effects or a thrust map that is no square: {rotor['thrust_map']}")
-    return Vehicle(
+    return PlantVehicle(
         mass=body["mass"],
         inertia=np.array(body["inertia"]),
         com=np.zeros(3),
@@ -39,8 +39,8 @@ def declared_vehicle(robot: Path) -> Vehicle:
     )
 
 
-def true_vehicle(declared: Vehicle, *, seed: int) -> tuple[Vehicle, Bias]:
-    """Return the vehicle that is flown, with what is hidden and the small errors of a careful declaration, and its sensors'."""
+def true_vehicle(declared: PlantVehicle, *, seed: int) -> tuple[PlantVehicle, Bias]:
+    """Return the true vehicle, with hidden effects and the small errors of a careful declaration, and its sensors' biases."""
     params = hidden_effects.resolve(HIDDEN, declared=declared, seed=seed)
     _, true = hidden_effects.split(declared, params)
-    return disturb(replace(true), Nuisance(), seed=seed, hidden=params)
+    return disturb(replace(true), PlantNuisance(), seed=seed, hidden=params)

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.undeclared import EFFECTS, FEATURES, LOGGED, SIZES, TRACKED, UNKNOWN, Failure, make_case
+from benchmarks.undeclared import EFFECTS, FEATURES, LOGGED, SIZES, TRACKED, UNKNOWN, PlantFailure, make_case
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -46,7 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _requested(sized: list[str], size: str, params: list[str]) -> dict[str, str | dict[str, float]]:
+def _flag_effects(sized: list[str], size: str, params: list[str]) -> dict[str, str | dict[str, float]]:
     """Return the effects of the flags; an explicit value replaces the size of its effect."""
     effects: dict[str, str | dict[str, float]] = dict.fromkeys(sized, size)
     for text in params:
@@ -59,9 +59,9 @@ def _requested(sized: list[str], size: str, params: list[str]) -> dict[str, str 
     return effects
 
 
-def _failing(flags: list[str]) -> dict[str, Failure]:
+def _flag_failures(flags: list[str]) -> dict[str, PlantFailure]:
     """Return the failures of the flags by flight."""
-    found = {}
+    result = {}
     for text in flags:
         parts = text.split(":")
         if len(parts) != 3 or "time=" not in parts[2]:
@@ -70,10 +70,10 @@ def _failing(flags: list[str]) -> dict[str, Failure]:
         if unknown := set(values) - {"time", "motor", "scale", "duration"}:
             raise ValueError(f"--failure {text}: no {sorted(unknown)}. Known: time, motor, scale, duration")
         motor, rest = int(values.pop("motor", 1)), {"scale": 1.0, "duration": float("inf")} | values
-        found[parts[0]] = Failure(
+        result[parts[0]] = PlantFailure(
             kind=parts[1], motor=motor, time=rest["time"], scale=rest["scale"], duration=rest["duration"]
         )
-    return found
+    return result
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -82,7 +82,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         files = make_case(
             args.out,
-            effects=_requested([*args.effect, *args.pair], args.size, args.param),
+            effects=_flag_effects([*args.effect, *args.pair], args.size, args.param),
             seed=args.seed,
             num_train=args.num_train,
             num_test=args.num_test,
@@ -90,7 +90,7 @@ def main(argv: list[str] | None = None) -> int:
             nuisance=LOGGED if args.logged else TRACKED if args.tracked else args.nuisance,
             rate_hz=args.rate_hz,
             features=args.feature,
-            failures=_failing(args.failure),
+            failures=_flag_failures(args.failure),
         )
     except ValueError as error:
         print(error, file=sys.stderr)

@@ -14,11 +14,11 @@ import numpy as np
 from benchmarks.undeclared.dynamics import hat, wrench_map
 from benchmarks.undeclared.sensors import Sample
 from benchmarks.undeclared.trajectories import Reference
-from benchmarks.undeclared.vehicle import GRAVITY, Array, Vehicle
+from benchmarks.undeclared.vehicle import GRAVITY, Array, PlantVehicle
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gains:
+class PlantGains:
     """Loops from slow to fast; stable for a rotor lag up to 0.1 s, checked by flying."""
 
     position: float = 1.8
@@ -65,8 +65,8 @@ def cross(a: Array, b: Array) -> Array:
 class Autopilot:
     """Turns samples into rotor speed commands for F flights; keeps the integrals of each."""
 
-    def __init__(self, declared: Vehicle, num_flights: int, dt: float, gains: Gains | None = None) -> None:
-        self._vehicle, self._dt, self._gains = declared, dt, gains or Gains()
+    def __init__(self, declared: PlantVehicle, num_flights: int, dt: float, gains: PlantGains | None = None) -> None:
+        self._vehicle, self._dt, self._gains = declared, dt, gains or PlantGains()
         self._coeff = declared.thrust_coeff
         effect = (wrench_map(declared) / self._coeff[:, None])[:, 2:]  # thrust of each rotor to lift and torque, (4, 4)
         self._mix = np.linalg.inv(effect)

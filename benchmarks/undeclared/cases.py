@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
-from benchmarks.undeclared.failures import Failure, Failures
+from benchmarks.undeclared.failures import Failures, PlantFailure
 from benchmarks.undeclared.logs import late, vehicle_document, write_log, write_robot
-from benchmarks.undeclared.nuisance import NO_BIAS, Bias, Nuisance, disturb
-from benchmarks.undeclared.sensors import Noise, Sensors
-from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, Record, fly, summarise
+from benchmarks.undeclared.nuisance import NO_BIAS, Bias, PlantNuisance, disturb
+from benchmarks.undeclared.sensors import PlantNoise, PlantSensors
+from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, PlantRecord, fly, summarise
 from benchmarks.undeclared.surroundings import (
     CEILING_HEIGHT,
     NOMINAL_VOLTAGE,
     VOLTAGE_NOISE,
     Battery,
-    Surroundings,
+    PlantSurroundings,
     companion,
     gusts,
 )
@@ -30,7 +30,7 @@ from benchmarks.undeclared.trajectories import (
     plan,
     stack,
 )
-from benchmarks.undeclared.vehicle import DECLARED, Vehicle
+from benchmarks.undeclared.vehicle import DECLARED, PlantVehicle
 
 SETTLE_S = 2.0
 """Hover before a log starts [s], in which the integrals of the autopilot find their values."""
@@ -38,7 +38,7 @@ SETTLE_S = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class CaseFiles:
-    """Where a case lies."""
+    """Files of a case."""
 
     train: tuple[Path, ...]  # Logs to fit on
     test: tuple[Path, ...]  # Logs to judge on; other families of trajectories than train
@@ -47,7 +47,7 @@ class CaseFiles:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class PlantFlight:
     """One flight that a case asks for."""
 
     name: str
@@ -71,17 +71,17 @@ HEIGHTS = {"train": (0.8, 12.0, 3.0, 25.0), "test": (1.5, 8.0, 20.0)}
 """Lowest heights of flights that tell a wind that grows with height [m]."""
 
 
-def flights_of(num_train: int, num_test: int, features: Sequence[str] = ()) -> list[Flight]:
+def list_flights(num_train: int, num_test: int, features: Sequence[str] = ()) -> list[PlantFlight]:
     """Return the flights of a case; families repeat in turn when there are more flights than families."""
     flights = []
     for part, count, families, key in (("train", num_train, TRAIN_FAMILIES, 3), ("test", num_test, TEST_FAMILIES, 4)):
         for i in range(count):
-            flight = Flight(name=f"{part}_{i + 1}", family=families[i % len(families)], stream=(key, i))
-            flights.append(_placed(flight, part, i, features))
+            flight = PlantFlight(name=f"{part}_{i + 1}", family=families[i % len(families)], stream=(key, i))
+            flights.append(_place_flight(flight, part, i, features))
     return flights
 
 
-def _placed(flight: Flight, part: str, i: int, features: Sequence[str]) -> Flight:
+def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str]) -> PlantFlight:
     """Return the flight where and as the features want it; with ground and ceiling they take turns."""
     if "hover" in features and part == "train":
         flight = replace(flight, family="hover")
@@ -95,7 +95,7 @@ def _placed(flight: Flight, part: str, i: int, features: Sequence[str]) -> Fligh
     return flight
 
 
-def plan_all(flights: list[Flight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
+def plan_all(flights: list[PlantFlight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
     """Return the references of all flights, stacked (T, F, ...)."""
     streams = [np.random.default_rng([seed, *flight.stream]) for flight in flights]
     plans = [
@@ -115,15 +115,15 @@ def plan_all(flights: list[Flight], *, seed: int, duration_s: float, settle_s: f
 
 
 def surround(
-    true: Vehicle,
-    flights: list[Flight],
+    true: PlantVehicle,
+    flights: list[PlantFlight],
     reference: Reference,
     *,
     seed: int,
     features: Sequence[str],
-    failures: Mapping[str, Failure] | None = None,
-) -> tuple[Surroundings, Battery | None]:
-    """Return what is around the flights, and the battery: each partly used, by 0 to 1500 C, when its flight begins."""
+    failures: Mapping[str, PlantFailure] | None = None,
+) -> tuple[PlantSurroundings, Battery | None]:
+    """Return the surroundings of the flights, and the battery with a charge of 0 to 1500 C already used in each flight."""
     fails = Failures([failures.get(f.name) for f in flights], SETTLE_S) if failures else None
     gust = other = battery = None
     if true.extra.gust[0] > 0.0:
@@ -135,33 +135,33 @@ def surround(
     if "battery" in features:
         battery = Battery(true, np.array([_stream(seed, 40, f).uniform(0.0, 1500.0) for f in flights]))
     ceiling = CEILING_HEIGHT if "ceiling" in features else None
-    surroundings = Surroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE, failures=fails)
+    surroundings = PlantSurroundings(gust=gust, other=other, ceiling=ceiling, rate=CONTROL_RATE, failures=fails)
     return surroundings, battery
 
 
-def _stream(seed: int, kind: int, flight: Flight) -> np.random.Generator:
+def _stream(seed: int, kind: int, flight: PlantFlight) -> np.random.Generator:
     return np.random.default_rng([seed, kind + flight.stream[0], flight.stream[1]])
 
 
-def _read_voltage(record: Record, flights: list[Flight], seed: int) -> Record:
+def _read_voltage(record: PlantRecord, flights: list[PlantFlight], seed: int) -> PlantRecord:
     """Return the record with noise on the voltage."""
     noise = [_stream(seed, 50, f).standard_normal(len(record.voltage)) for f in flights]
     return replace(record, voltage=record.voltage + VOLTAGE_NOISE * np.stack(noise, axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlownCase:
+class CaseRecord:
     """A case in memory; flights include the hover before the logs."""
 
     params: dict[str, dict[str, float]]  # Hidden effects and their parameters
-    declared: Vehicle
-    true: Vehicle
+    declared: PlantVehicle
+    true: PlantVehicle
     bias: Bias  # Of the IMU, by nuisance
     features: tuple[str, ...]
-    failures: dict[str, Failure]  # By the name of the flight
-    flights: list[Flight]
+    failures: dict[str, PlantFailure]  # By the name of the flight
+    flights: list[PlantFlight]
     reference: Reference
-    record: Record
+    record: PlantRecord
 
 
 def fly_case(
@@ -171,25 +171,25 @@ def fly_case(
     num_train: int = 4,
     num_test: int = 3,
     duration_s: float = 16.0,
-    nuisance: bool | Nuisance = False,
-    noise: Noise | None = None,
+    nuisance: bool | PlantNuisance = False,
+    noise: PlantNoise | None = None,
     features: Sequence[str] = (),
-    failures: Mapping[str, Failure] | None = None,
-) -> FlownCase:
+    failures: Mapping[str, PlantFailure] | None = None,
+) -> CaseRecord:
     """Return the flights of a case; arguments and errors as in ``make_case``."""
     params = hidden_effects.resolve(effects, declared=DECLARED, seed=seed)
     declared, true = hidden_effects.split(DECLARED, params)
     bias = NO_BIAS
     if nuisance:
-        sizes = nuisance if isinstance(nuisance, Nuisance) else Nuisance()
+        sizes = nuisance if isinstance(nuisance, PlantNuisance) else PlantNuisance()
         true, bias = disturb(true, sizes, seed=seed, hidden=params, num_flights=num_train + num_test)
-    features = hidden_effects.features_of(effects, features)
-    flights, failures = flights_of(num_train, num_test, features), failures or {}
+    features = hidden_effects.flight_features(effects, features)
+    flights, failures = list_flights(num_train, num_test, features), failures or {}
     if unknown := set(failures) - {flight.name for flight in flights}:
         raise ValueError(f"no flight {sorted(unknown)}. Flown: {', '.join(flight.name for flight in flights)}")
     reference = plan_all(flights, seed=seed, duration_s=duration_s)
     streams = [_stream(seed, 10, flight) for flight in flights]
-    sensors = Sensors(noise or Noise(), bias, streams, len(reference.yaw), extra=true.extra)
+    sensors = PlantSensors(noise or PlantNoise(), bias, streams, len(reference.yaw), extra=true.extra)
     surroundings, battery = surround(true, flights, reference, seed=seed, features=features, failures=failures)
     record = fly(
         true=true, declared=declared, reference=reference, sensors=sensors, surroundings=surroundings, battery=battery
@@ -199,7 +199,7 @@ def fly_case(
     _require_air(record, flights, failures)
     if battery is not None:
         record = _read_voltage(record, flights, seed)
-    return FlownCase(
+    return CaseRecord(
         params=params,
         declared=declared,
         true=true,
@@ -220,11 +220,11 @@ def make_case(
     num_train: int = 4,
     num_test: int = 3,
     duration_s: float = 16.0,
-    nuisance: bool | Nuisance = False,
+    nuisance: bool | PlantNuisance = False,
     rate_hz: int = CONTROL_RATE,
-    noise: Noise | None = None,
+    noise: PlantNoise | None = None,
     features: Sequence[str] = (),
-    failures: Mapping[str, Failure] | None = None,
+    failures: Mapping[str, PlantFailure] | None = None,
 ) -> CaseFiles:
     """Simulate a case and write its logs, the declared robot and the truth.
 
@@ -251,7 +251,7 @@ def make_case(
         raise ValueError(f"rate_hz = {rate_hz!r}: must divide {CONTROL_RATE}")
     if num_train < 0 or num_test < 0 or num_train + num_test == 0 or not duration_s >= 1.0:
         raise ValueError(f"{num_train=}, {num_test=}, {duration_s=}: needs a flight, of at least 1 s")
-    noise = noise or Noise()
+    noise = noise or PlantNoise()
     case = fly_case(
         effects=effects,
         seed=seed,
@@ -280,13 +280,13 @@ def make_case(
 
 
 def _truth(
-    case: FlownCase,
+    case: CaseRecord,
     *,
     first: int,
     sizes: dict[str, str],
     seed: int,
-    noise: Noise,
-    nuisance: bool | Nuisance,
+    noise: PlantNoise,
+    nuisance: bool | PlantNuisance,
     rate_hz: int,
 ) -> dict[str, object]:
     """Return all that is hidden as plain data."""
@@ -299,7 +299,7 @@ def _truth(
         "sizes": sizes,
         "seed": seed,
         "noise": asdict(noise),
-        "nuisance": asdict(nuisance if isinstance(nuisance, Nuisance) else Nuisance()) if nuisance else None,
+        "nuisance": asdict(nuisance if isinstance(nuisance, PlantNuisance) else PlantNuisance()) if nuisance else None,
         "bias": {name: numbers.tolist() for name, numbers in vars(case.bias).items()},
         "true_vehicle": vehicle_document(case.true),
         "declared_vehicle": vehicle_document(case.declared),
@@ -310,8 +310,8 @@ def _truth(
     }
 
 
-def _failures(case: FlownCase) -> dict[str, dict[str, object]]:
-    """Return what failed in which flight."""
+def _failures(case: CaseRecord) -> dict[str, dict[str, object]]:
+    """Return the failure of each flight that has one, by flight name."""
     flown = case.record.surroundings.failures
     assert flown is not None
     return {f.name: flown.document(row) for row, f in enumerate(case.flights) if f.name in case.failures}
@@ -321,15 +321,15 @@ LOWEST_ROOM = 0.05
 """Neither ground nor ceiling has contact: no log comes nearer [m]."""
 
 
-def _in_air(record: Record, flight: int) -> int:
-    """Return how many samples a flight has before it comes too near to the ground or the ceiling."""
+def _in_air(record: PlantRecord, flight: int) -> int:
+    """Return the number of samples before a flight comes too near to the ground or the ceiling."""
     height = record.position[:, flight, 2]
     ceiling = np.inf if record.surroundings.ceiling is None else record.surroundings.ceiling
     near = np.flatnonzero(~(np.minimum(height, ceiling - height) > LOWEST_ROOM))
     return int(near[0]) if near.size else len(height)
 
 
-def _require_air(record: Record, flights: list[Flight], failures: Container[str]) -> None:
+def _require_air(record: PlantRecord, flights: list[PlantFlight], failures: Container[str]) -> None:
     """Raise if a flight without a failure came within 5 cm of the ground or the ceiling: neither has contact."""
     height = record.position[:, :, 2]
     gap = height.min(axis=0)

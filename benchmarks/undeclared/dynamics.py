@@ -9,7 +9,7 @@ rotor speeds (4). Letters: F flights.
 
 import numpy as np
 
-from benchmarks.undeclared.vehicle import GRAVITY, Array, Vehicle
+from benchmarks.undeclared.vehicle import GRAVITY, Array, PlantVehicle
 
 POS, VEL, ROT, RATE, ROTOR = slice(0, 3), slice(3, 6), slice(6, 15), slice(15, 18), slice(18, 22)
 STATE_SIZE = 22
@@ -30,7 +30,7 @@ def rotation(state: Array) -> Array:
     return state[:, ROT].reshape(-1, 3, 3)
 
 
-def wrench_map(vehicle: Vehicle) -> Array:
+def wrench_map(vehicle: PlantVehicle) -> Array:
     """Return the matrix (4, 6) from squared rotor speeds to force and torque about the centre of mass, body frame.
 
     Rotor i gives the force ``f = c_i w^2 a`` at its hub and feels the drag torque ``k |f|`` against its spin, which the
@@ -45,7 +45,7 @@ def wrench_map(vehicle: Vehicle) -> Array:
 class Plant:
     """Equations of motion of one vehicle; states of several flights go in as rows."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: PlantVehicle) -> None:
         self.vehicle = vehicle
         self._wrench_map = wrench_map(vehicle)
         self._inertia = vehicle.inertia
@@ -121,7 +121,7 @@ class Plant:
         return state[:, VEL] - (rotation(state) @ lever[:, :, None])[:, :, 0]
 
     def specific_force(self, state: Array, place: Array | float = 0.0) -> Array:
-        """Return what an ideal accelerometer at a place [m] from the body origin reads [m/s²], body frame, (F, 3).
+        """Return the specific force [m/s²] at a place [m] from the body origin, body frame, (F, 3).
 
         Derived: ``R^T (a_P - g)`` with ``a_P = a_C - R (w' x l + w x (w x l))``, ``l = c - p`` and ``m (a_C - g) = R f``.
         """
@@ -141,7 +141,7 @@ def orthonormalise(state: Array) -> None:
     state[:, ROT] = (0.5 * rot @ (3.0 * np.eye(3) - gram)).reshape(-1, 9)
 
 
-def rest_state(vehicle: Vehicle, origin: Array, yaw: Array) -> Array:
+def rest_state(vehicle: PlantVehicle, origin: Array, yaw: Array) -> Array:
     """Return level states at rest with the rotors at hover speed, from origin positions (F, 3) and headings (F,)."""
     state = np.zeros((len(origin), STATE_SIZE))
     rot = rotation(state)

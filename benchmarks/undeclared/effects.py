@@ -9,15 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.undeclared.catalog import EFFECTS, FEATURES, SIZES, UNKNOWN, Effect, Params
-from benchmarks.undeclared.vehicle import Vehicle
+from benchmarks.undeclared.catalog import EFFECTS, FEATURES, SIZES, UNKNOWN, Params, PlantEffect
+from benchmarks.undeclared.vehicle import PlantVehicle
 
-__all__ = ["EFFECTS", "SIZES", "UNKNOWN", "Params", "features_of", "resolve", "split"]
+__all__ = ["EFFECTS", "SIZES", "UNKNOWN", "Params", "flight_features", "resolve", "split"]
 
-CAUSES: dict[str, Effect] = {**EFFECTS, **UNKNOWN}
+CAUSES: dict[str, PlantEffect] = {**EFFECTS, **UNKNOWN}
 
 
-def resolve(effects: Mapping[str, str | Mapping[str, float]], *, declared: Vehicle, seed: int) -> dict[str, Params]:
+def resolve(
+    effects: Mapping[str, str | Mapping[str, float]], *, declared: PlantVehicle, seed: int
+) -> dict[str, Params]:
     """Return the parameters of each effect: drawn where a size is given, else as given and completed.
 
     Each effect draws from its own stream, so that its values do not depend on which other effects a case has.
@@ -28,7 +30,7 @@ def resolve(effects: Mapping[str, str | Mapping[str, float]], *, declared: Vehic
     return {name: _resolve_one(name, value, declared, seed) for name, value in effects.items()}
 
 
-def _resolve_one(name: str, value: str | Mapping[str, float], declared: Vehicle, seed: int) -> Params:
+def _resolve_one(name: str, value: str | Mapping[str, float], declared: PlantVehicle, seed: int) -> Params:
     if name not in CAUSES:
         raise ValueError(f"no effect {name!r}. Known: {', '.join(CAUSES)}")
     effect = CAUSES[name]
@@ -48,7 +50,7 @@ def _resolve_one(name: str, value: str | Mapping[str, float], declared: Vehicle,
     return {key: float(number) for key, number in params.items()}
 
 
-def split(declared: Vehicle, params: Mapping[str, Params]) -> tuple[Vehicle, Vehicle]:
+def split(declared: PlantVehicle, params: Mapping[str, Params]) -> tuple[PlantVehicle, PlantVehicle]:
     """Return the vehicle as it will be declared and as it is, for resolved effects."""
     true = declared
     for name, values in params.items():
@@ -58,7 +60,7 @@ def split(declared: Vehicle, params: Mapping[str, Params]) -> tuple[Vehicle, Veh
     return declared, true
 
 
-def features_of(effects: Iterable[str], further: Iterable[str]) -> tuple[str, ...]:
+def flight_features(effects: Iterable[str], further: Iterable[str]) -> tuple[str, ...]:
     """Return the features of the flights of a case: those that its effects need, and further ones.
 
     Raises:

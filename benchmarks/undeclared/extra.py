@@ -1,4 +1,4 @@
-"""What a vehicle may have beyond mass, rotors and drag: parameters of hidden effects, neutral unless hidden."""
+"""Parameters of hidden effects beyond mass, rotors and drag; neutral unless hidden."""
 
 from dataclasses import asdict, dataclass
 

@@ -1,4 +1,4 @@
-"""Failures in flight: from a moment on one rotor, or for a while all of them, do something else than they are told.
+"""Failures in flight: one rotor from some time on, or all rotors for a while, deviate from their commands.
 
 A failure belongs to one flight. Letters: F flights.
 """
@@ -16,8 +16,8 @@ speed; all motors at a share of their commands for a while."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """What fails in one flight, and when."""
+class PlantFailure:
+    """Failure of one flight, with its time."""
 
     kind: str
     """One of ``KINDS``."""
@@ -43,53 +43,53 @@ class Failure:
             raise ValueError(f"{self}: needs time >= 0, duration > 0 and a finite scale >= 0")
 
     def document(self) -> dict[str, object]:
-        """Return it as plain data, without what its kind has not."""
-        found: dict[str, object] = {"kind": self.kind, "time": self.time}
+        """Return the failure as plain data, without the fields that do not apply to its kind."""
+        result: dict[str, object] = {"kind": self.kind, "time": self.time}
         if self.kind != "brown_out":
-            found["motor"] = self.motor
+            result["motor"] = self.motor
         if self.kind != "stuck_rotor":
-            found["scale"] = self.scale
-        return found if self.duration == np.inf else {**found, "duration": self.duration}
+            result["scale"] = self.scale
+        return result if self.duration == np.inf else {**result, "duration": self.duration}
 
 
 class Failures:
-    """What the failures of F flights do at an instant; ``start`` is the time of the first row of the logs [s]."""
+    """Effects of the failures of F flights at an instant; ``start`` is the time of the first row of the logs [s]."""
 
-    def __init__(self, failures: Sequence[Failure | None], start: float) -> None:
+    def __init__(self, failures: Sequence[PlantFailure | None], start: float) -> None:
         self._failures, self._start = tuple(failures), start
         self._kept = np.full((len(self._failures), 4), np.nan)
 
     def begin_step(self, time: float, rotor: Array) -> None:
         """Take note of the speeds (F, 4) [rad/s] at which rotors stick from the step at ``time`` [s] on."""
-        for row, failure in self._acting(time, "stuck_rotor"):
+        for row, failure in self._active_failures(time, "stuck_rotor"):
             place = row, failure.motor - 1
             if np.isnan(self._kept[place]):
                 self._kept[place] = rotor[place]
 
     def document(self, row: int) -> dict[str, object]:
-        """Return the failure of a flight as plain data, with the speed that a rotor kept [rad/s] from when it stuck on."""
+        """Return the failure of a flight as plain data, with the speed of a stuck rotor [rad/s]."""
         failure = self._failures[row]
         assert failure is not None
         kept = self._kept[row, failure.motor - 1]
         return failure.document() | ({} if np.isnan(kept) else {"speed": float(kept)})
 
-    def led_to(self, target: Array, time: float) -> Array:
-        """Return the speeds that rotors tend to [rad/s] in place of those that they would, both (F, 4)."""
+    def rotor_targets(self, target: Array, time: float) -> Array:
+        """Return the target speeds of the rotors under failures [rad/s], from those without, both (F, 4)."""
         led = np.where(np.isnan(self._kept), target, self._kept)
-        for row, failure in self._acting(time, "motor_failure"):
+        for row, failure in self._active_failures(time, "motor_failure"):
             led[row, failure.motor - 1] *= failure.scale
-        for row, failure in self._acting(time, "brown_out"):
+        for row, failure in self._active_failures(time, "brown_out"):
             led[row] *= failure.scale
         return led
 
     def of_blades(self, squared: Array, time: float) -> Array:
-        """Return squared speeds [rad²/s²] times what is left of the blades, (F, 4)."""
+        """Return squared speeds [rad²/s²] times the remaining share of the blades' thrust, (F, 4)."""
         left = squared.copy()
-        for row, failure in self._acting(time, "weak_motor"):
+        for row, failure in self._active_failures(time, "weak_motor"):
             left[row, failure.motor - 1] *= failure.scale
         return left
 
-    def _acting(self, time: float, kind: str) -> list[tuple[int, Failure]]:
+    def _active_failures(self, time: float, kind: str) -> list[tuple[int, PlantFailure]]:
         since = time - self._start
         return [
             (row, failure)

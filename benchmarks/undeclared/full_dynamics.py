@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.undeclared.dynamics import POS, RATE, ROT, ROTOR, VEL, Plant, hat, rotation
 from benchmarks.undeclared.extra import NEUTRAL
-from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, Surroundings
-from benchmarks.undeclared.vehicle import ROTOR_RADIUS, Array, Vehicle
+from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, PlantSurroundings
+from benchmarks.undeclared.vehicle import ROTOR_RADIUS, Array, PlantVehicle
 
 CABLE, CABLE_RATE = slice(22, 25), slice(25, 28)
 
@@ -33,10 +33,10 @@ def near_surface(strength: float, distance: Array) -> Array:
 class FullPlant(Plant):
     """``Plant`` with the numbers of ``vehicle.extra`` at work."""
 
-    def __init__(self, vehicle: Vehicle, surroundings: Surroundings | None = None) -> None:
+    def __init__(self, vehicle: PlantVehicle, surroundings: PlantSurroundings | None = None) -> None:
         super().__init__(vehicle)
         self._extra = extra = vehicle.extra
-        self._surroundings = surroundings or Surroundings()
+        self._surroundings = surroundings or PlantSurroundings()
         self._failures = self._surroundings.failures
         self._hub = vehicle.rotor_position - vehicle.com
         self._spin_axis = extra.rotor_inertia * vehicle.rotor_spin[:, None] * vehicle.rotor_axis
@@ -97,7 +97,7 @@ class FullPlant(Plant):
         rot, rate = rotation(state), state[:, RATE]
         turn = hat(rate)
         rotor_dot = self._rotor_dot(state, command)
-        squared = self._squared(state)
+        squared = self._square_speeds(state)
         if self._joints:
             wrench, slopes = self._arms(state, squared)
             for joint, slope in zip(self._joints, slopes, strict=True):
@@ -124,7 +124,7 @@ class FullPlant(Plant):
         return self.vehicle.mass * (acceleration[:, None, :] @ rotation(state))[:, 0]
 
     def specific_force(self, state: Array, place: Array | float = 0.0) -> Array:
-        """Return what an ideal accelerometer at a place [m] from the body origin reads [m/s²], (F, 3); see ``Plant``."""
+        """Return the specific force [m/s²] at a place [m] from the body origin, body frame, (F, 3); see ``Plant``."""
         command = state[:, ROTOR] if self._command is None else self._command
         slope, com, turn = self.derivative(state, command), self.vehicle.com - place, hat(state[:, RATE])
         force = ((slope[:, VEL] - self._gravity)[:, None, :] @ rotation(state))[:, 0]
@@ -176,11 +176,11 @@ class FullPlant(Plant):
         """Return ``(supply n_cmd - n) / tau`` [rad/s²], (F, 4); a failure changes what stands for the first term."""
         led = self._supply * command
         if self._failures is not None:
-            led = self._failures.led_to(led, self._since)
+            led = self._failures.rotor_targets(led, self._since)
         error = led - state[:, ROTOR]
         return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
 
-    def _squared(self, state: Array) -> Array:
+    def _square_speeds(self, state: Array) -> Array:
         """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading and failures take."""
         squared, (loss, time) = state[:, ROTOR] ** 2, self._extra.fading
         if self._failures is not None:
@@ -207,16 +207,16 @@ class FullPlant(Plant):
         leaning = cos * self._axis_out - sin * vehicle.rotor_axis[:, 2]  # outward part of the turned axis
         rising = sin * self._axis_out + cos * vehicle.rotor_axis[:, 2]
 
-        def summed(weight: Array | float) -> Array:
+        def sum_thrusts(weight: Array | float) -> Array:
             """Return the sum of all thrusts [N] with a weight, along their turned axes, (F, 3)."""
             along = (weight * thrust * leaning) @ self._out + (weight * thrust) @ self._aside
             along[:, 2] += (weight * thrust * rising).sum(axis=1)
             return along
 
-        force = summed(1.0)
+        force = sum_thrusts(1.0)
         torque = (thrust * (x * rising - height * leaning)) @ self._turning
         torque += (thrust * x) @ self._out_aside + (thrust * height) @ self._up_aside - force @ self._com_hat
-        torque -= summed(vehicle.rotor_spin * vehicle.torque_ratio)
+        torque -= sum_thrusts(vehicle.rotor_spin * vehicle.torque_ratio)
         slopes = {
             angles.start: (compliance * thrust * ((x - at) * rising - (z - height) * leaning) - state[:, angles]) / tau
             for compliance, tau, angles, at, height in joints
@@ -236,7 +236,7 @@ class FullPlant(Plant):
         if extra.rotor_inertia:
             spin = rotor @ self._spin_axis
             torque = torque - rotor_dot @ self._spin_axis - (turn @ spin[:, :, None])[:, :, 0]
-        return force + self._outside(state) if self._has_outside else force, torque
+        return force + self._external_force(state) if self._has_outside else force, torque
 
     def _rotor_changes(self, state: Array, squared: Array) -> tuple[Array, Array]:
         """Return force and torque that inflow, flapping and surfaces add to ``c n²`` of each rotor, (F, 3) each."""
@@ -258,7 +258,7 @@ class FullPlant(Plant):
         wrench = wrench + (thrust - plain) @ self._thrust_map
         return wrench[:, :3], wrench[:, 3:]
 
-    def _outside(self, state: Array) -> Array:
+    def _external_force(self, state: Array) -> Array:
         """Return the forces on the centre of mass that are neither of rotors nor of drag [N], body frame, (F, 3)."""
         extra, force, rot = self._extra, np.zeros((len(state), 3)), rotation(state)
         if extra.downwash[0] and self._surroundings.other is not None:
@@ -292,7 +292,7 @@ class FullPlant(Plant):
         return force + tension * q + damping * length * q_dot, swing
 
 
-def make_plant(vehicle: Vehicle, surroundings: Surroundings | None = None) -> Plant:
+def make_plant(vehicle: PlantVehicle, surroundings: PlantSurroundings | None = None) -> Plant:
     """Return the plain plant if it is enough for the vehicle and its surroundings."""
     moved = surroundings is not None and (surroundings.gust is not None or surroundings.failures is not None)
     return FullPlant(vehicle, surroundings) if moved or vehicle.extra != NEUTRAL else Plant(vehicle)

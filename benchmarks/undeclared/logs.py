@@ -8,8 +8,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from benchmarks.undeclared.nuisance import LATE
-from benchmarks.undeclared.simulate import CONTROL_RATE, Record
-from benchmarks.undeclared.vehicle import ROTOR_RADIUS, SOURCE, Array, Vehicle
+from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord
+from benchmarks.undeclared.vehicle import ROTOR_RADIUS, SOURCE, Array, PlantVehicle
 
 COLUMNS = (
     *("t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w", "v_x", "v_y", "v_z"),
@@ -31,17 +31,17 @@ def quaternion(matrix: Array) -> Array:
     return quat * sign[:, None]
 
 
-def late(record: Record, delay: Array) -> Record:
+def late(record: PlantRecord, delay: Array) -> PlantRecord:
     """Return a record in which each of ``LATE`` comes so much later [s] than it was, between samples in a straight line."""
     measured = dict(record.measured)
     for name, seconds in zip(LATE, delay.tolist(), strict=True):
-        measured[name] = _moved(measured[name], seconds * CONTROL_RATE)
+        measured[name] = _delay_samples(measured[name], seconds * CONTROL_RATE)
         if name == "rotation":
-            measured["position"] = _moved(measured["position"], seconds * CONTROL_RATE)
+            measured["position"] = _delay_samples(measured["position"], seconds * CONTROL_RATE)
     return replace(record, measured=measured)
 
 
-def _moved(values: Array, samples: float) -> Array:
+def _delay_samples(values: Array, samples: float) -> Array:
     """Return values (T, ...) as they were so many samples before; those at the ends last."""
     place = np.clip(np.arange(len(values)) - samples, 0.0, len(values) - 1.0)
     before = place.astype(int)
@@ -49,7 +49,7 @@ def _moved(values: Array, samples: float) -> Array:
     return (1.0 - share) * values[before] + share * values[np.minimum(before + 1, len(values) - 1)]
 
 
-def write_log(path: Path, record: Record, flight: int, *, first: int, every: int, last: int | None = None) -> None:
+def write_log(path: Path, record: PlantRecord, flight: int, *, first: int, every: int, last: int | None = None) -> None:
     """Write one flight from sample ``first`` on, before ``last``, each ``every``-th sample; t starts at 0."""
     rows = slice(first, last, every)
     seen = {name: values[rows, flight] for name, values in record.measured.items()}
@@ -70,7 +70,7 @@ def write_log(path: Path, record: Record, flight: int, *, first: int, every: int
     np.savetxt(path, np.hstack(parts), fmt=digits, delimiter=",", header=",".join(columns), comments="")
 
 
-def robot_document(vehicle: Vehicle, *, radius: bool = False) -> dict[str, object]:
+def robot_document(vehicle: PlantVehicle, *, radius: bool = False) -> dict[str, object]:
     """Return the declared robot as plain data; the centre of mass is declared at the body origin."""
     hubs = zip(vehicle.rotor_position.tolist(), vehicle.rotor_axis.tolist(), vehicle.rotor_spin, strict=True)
     drag = {key: float(d) for key, d in zip(("dx", "dy", "dz"), vehicle.linear_drag, strict=True)}
@@ -95,13 +95,13 @@ def robot_document(vehicle: Vehicle, *, radius: bool = False) -> dict[str, objec
     }
 
 
-def write_robot(path: Path, vehicle: Vehicle, *, radius: bool = False) -> None:
+def write_robot(path: Path, vehicle: PlantVehicle, *, radius: bool = False) -> None:
     """Write the declared robot as YAML, with the radius of its propellers if asked."""
     document = robot_document(vehicle, radius=radius)
     path.write_text(yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
 
 
-def vehicle_document(vehicle: Vehicle) -> dict[str, object]:
+def vehicle_document(vehicle: PlantVehicle) -> dict[str, object]:
     """Return every number of a vehicle as plain data; of ``extra`` those that are not neutral."""
     plain = {
         key: v.tolist() if isinstance(v, np.ndarray) else v for key, v in asdict(vehicle).items() if key != "extra"

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.undeclared.vehicle import Array, Vehicle
+from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
 
 @dataclass(frozen=True, kw_only=True)
-class Nuisance:
+class PlantNuisance:
     """Standard deviations; draws are normal, cut at two of them."""
 
     mass: float = 0.003
@@ -49,7 +49,7 @@ class Nuisance:
     """Accelerometer from the origin of the body, each axis [m]."""
 
 
-TRACKED = Nuisance(attitude=0.01, acc_of_flight=0.05)
+TRACKED = PlantNuisance(attitude=0.01, acc_of_flight=0.05)
 """As logs of a motion-capture room have it beside: markers that are aligned by eye, an accelerometer that warms up."""
 
 LOGGED = replace(TRACKED, delay=0.003, acc_scale=0.005, imu_place=0.005)
@@ -90,9 +90,9 @@ STATED_LAG = ("motor_time_constant", "motor_asymmetry")
 
 
 def disturb(
-    true: Vehicle, cfg: Nuisance, *, seed: int, hidden: Container[str] = (), num_flights: int = 1
-) -> tuple[Vehicle, Bias]:
-    """Return the vehicle with small errors beside what is hidden, and the sensor biases.
+    true: PlantVehicle, cfg: PlantNuisance, *, seed: int, hidden: Container[str] = (), num_flights: int = 1
+) -> tuple[PlantVehicle, Bias]:
+    """Return the vehicle with small errors besides the hidden effects, and the sensor biases.
 
     What a case states of its hidden effects is without them, as a scale or a bench would find it on a perfectly declared
     vehicle; but a hidden lag is stated whole, in seconds, and is what it says (``STATED_LAG``). The inertia becomes ``S I S``

@@ -16,7 +16,7 @@ from benchmarks.undeclared.vehicle import Array
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class PlantNoise:
     """Standard deviation of the white noise of one sample, each axis."""
 
     acc: float = 0.07  # Accelerometer [m/s²]
@@ -27,12 +27,12 @@ class Noise:
     rotor: float = 0.003  # Rotor speed, relative
 
 
-NOISELESS = Noise(acc=0.0, gyro=0.0, attitude=0.0, position=0.0, velocity=0.0, rotor=0.0)
+NOISELESS = PlantNoise(acc=0.0, gyro=0.0, attitude=0.0, position=0.0, velocity=0.0, rotor=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """What the sensors say at one instant."""
+    """Readings of all sensors at one instant."""
 
     position: Array  # Body origin [m], world, (F, 3)
     velocity: Array  # Of the body origin [m/s], world, (F, 3)
@@ -42,12 +42,12 @@ class Sample:
     rotor: Array  # Rotor speeds [rad/s], (F, 4)
 
 
-class Sensors:
+class PlantSensors:
     """Draws the noise of all flights at construction, each flight from its own generator."""
 
     def __init__(
         self,
-        noise: Noise,
+        noise: PlantNoise,
         bias: Bias,
         generators: list[np.random.Generator],
         num_samples: int,

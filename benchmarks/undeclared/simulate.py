@@ -1,4 +1,4 @@
-"""Fly several references with one true vehicle in one batch, and record what the sensors say.
+"""Fly several references with one true vehicle in one batch, and record the sensor readings.
 
 Letters: F flights, T samples (one per autopilot tick).
 """
@@ -11,10 +11,10 @@ import numpy as np
 from benchmarks.undeclared.autopilot import Autopilot
 from benchmarks.undeclared.dynamics import ROTOR, STATE_SIZE, orthonormalise, rest_state
 from benchmarks.undeclared.full_dynamics import make_plant
-from benchmarks.undeclared.sensors import Sample, Sensors
-from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, Battery, Surroundings
+from benchmarks.undeclared.sensors import PlantSensors, Sample
+from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, Battery, PlantSurroundings
 from benchmarks.undeclared.trajectories import Reference
-from benchmarks.undeclared.vehicle import Array, Vehicle
+from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
 CONTROL_RATE = 400
 """Rate of the autopilot, and the highest rate of a log [Hz]."""
@@ -23,8 +23,8 @@ SUBSTEPS = 5
 """Runge-Kutta steps per autopilot tick: the plant runs at 2000 Hz."""
 
 
-class Pilot(Protocol):
-    """What flies."""
+class PlantPilot(Protocol):
+    """Interface of an autopilot or policy that flies the plant."""
 
     def command(self, sample: Sample, ref: Reference, index: int) -> Array:
         """Return the rotor speeds to hold until the next call [rad/s], (F, 4)."""
@@ -32,33 +32,33 @@ class Pilot(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Record:
-    """What happened, with time in the first axis."""
+class PlantRecord:
+    """Record of flights; the first axis is time."""
 
     measured: dict[str, Array]  # Fields of Sample by name, each (T, F, ...)
     command: Array  # Rotor speeds held from each instant on [rad/s], (T, F, 4)
     state: Array  # True states, as in dynamics.py, (T, F, 22), with more behind them as in full_dynamics.py
     position: Array  # True position of the body origin [m], world, (T, F, 3)
     voltage: Array  # True battery voltage [V], (T, F); the nominal one without a battery
-    surroundings: Surroundings  # As given to `fly`
+    surroundings: PlantSurroundings  # As given to `fly`
 
 
 def fly(
     *,
-    true: Vehicle,
-    declared: Vehicle,
+    true: PlantVehicle,
+    declared: PlantVehicle,
     reference: Reference,
-    sensors: Sensors,
-    surroundings: Surroundings | None = None,
+    sensors: PlantSensors,
+    surroundings: PlantSurroundings | None = None,
     battery: Battery | None = None,
-    pilot: Pilot | None = None,
-) -> Record:
+    pilot: PlantPilot | None = None,
+) -> PlantRecord:
     """Return the record of all flights of ``reference``; the autopilot, if no pilot is given, is built from ``declared`` alone.
 
     A delay of the true vehicle is rounded to whole steps of the plant; before the first command arrives it holds.
     """
     num_samples, num_flights = reference.yaw.shape
-    surroundings = surroundings or Surroundings()
+    surroundings = surroundings or PlantSurroundings()
     plant, dt = make_plant(true, surroundings), 1.0 / CONTROL_RATE
     late = round(true.extra.delay * CONTROL_RATE * SUBSTEPS)
     autopilot = pilot or Autopilot(declared, num_flights, dt)
@@ -81,7 +81,7 @@ def fly(
     measured = {f.name: np.stack([getattr(s, f.name) for s in samples]) for f in fields(Sample)}
     rows = states[:, :, :STATE_SIZE].reshape(-1, STATE_SIZE)
     position = plant.origin_position(rows).reshape(num_samples, num_flights, 3)
-    return Record(
+    return PlantRecord(
         measured=measured,
         command=command,
         state=states,
@@ -93,7 +93,7 @@ def fly(
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """How well one flight went, over the logged part."""
+    """Tracking quality of one flight over its logged part."""
 
     rms_position_error: float  # Root mean square of the distance to the reference [m]
     top_speed: float  # [m/s]
@@ -101,7 +101,7 @@ class Summary:
     saturated_share: float  # Share of rotor commands at a limit
 
 
-def summarise(record: Record, reference: Reference, *, declared: Vehicle, first: int) -> list[Summary]:
+def summarise(record: PlantRecord, reference: Reference, *, declared: PlantVehicle, first: int) -> list[Summary]:
     """Return one summary per flight, from sample ``first`` on."""
     low, high = declared.speed_range()
     error = np.linalg.norm(record.position - reference.position, axis=2)[first:]

@@ -1,4 +1,4 @@
-"""What is around the vehicle: gusts, a ceiling, another vehicle, and the battery on board; and what fails in each flight.
+"""Surroundings of the vehicle (gusts, a ceiling, another vehicle), the battery, and the failures of each flight.
 
 Letters: F flights, T samples.
 """
@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.undeclared.failures import Failures
 from benchmarks.undeclared.trajectories import Reference
-from benchmarks.undeclared.vehicle import Array, Vehicle
+from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
 CEILING_HEIGHT = 14.0
 """Height of the ceiling, where there is one [m]."""
@@ -26,7 +26,7 @@ FULL_VOLTAGE, VOLTAGE_PER_CHARGE, RESISTANCE, EFFICIENCY = 16.7, 2.0 / 3700.0, 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Surroundings:
+class PlantSurroundings:
     """Series over the samples of all flights; None: not there."""
 
     gust: Array | None = None  # Velocity of the air beside the steady wind [m/s], world, (T, F, 3)
@@ -80,7 +80,7 @@ class Battery:
     electric vehicles", VPPC 2007, on the linear part of the discharge.
     """
 
-    def __init__(self, vehicle: Vehicle, used: Array) -> None:
+    def __init__(self, vehicle: PlantVehicle, used: Array) -> None:
         """Start with a charge already used [C], (F,)."""
         self._open = FULL_VOLTAGE - VOLTAGE_PER_CHARGE * used
         self._power = vehicle.torque_ratio * vehicle.thrust_coeff / EFFICIENCY

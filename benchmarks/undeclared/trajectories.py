@@ -23,8 +23,8 @@ LOWEST_HEIGHT = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape:
-    """What a family draws."""
+class TrajectoryShape:
+    """Path, heading and excitation drawn by a trajectory family."""
 
     path: Array  # Position, world, (T, 3); scaled afterwards
     yaw: Array  # Heading [rad], (T,)
@@ -33,7 +33,7 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """What the autopilot follows; the first axis is time."""
+    """Setpoints of the autopilot over time; the first axis is time."""
 
     position: Array  # [m], world, (T, 3)
     velocity: Array  # [m/s], world, (T, 3)
@@ -75,23 +75,23 @@ def _moves(t: Array, rng: np.random.Generator, targets: Callable[[int], Array], 
     return path
 
 
-def _ramped_phase(t: Array, rate: float) -> Array:
+def _phase_ramp(t: Array, rate: float) -> Array:
     """Return a phase [rad] that starts at rest and runs at ``rate`` [rad/s] after 1.5 s."""
     speed = smooth_step(t / 1.5)
     step = np.diff(t, prepend=t[0])
     return rate * np.cumsum(0.5 * (speed + np.concatenate(([0.0], speed[:-1]))) * step)
 
 
-def multisine(t: Array, rng: np.random.Generator) -> Shape:
+def multisine(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Sines in all axes and in yaw, with excitation of the commands on top."""
     start = smooth_step(t / 1.5)[:, None]
     path = [_multisine(t, rng, low=0.12, high=0.7, count=7, slope=1.3) * size for size in (1.0, 1.0, 0.5)]
     yaw = 2.0 * start[:, 0] * _multisine(t, rng, low=0.06, high=0.5, count=6, slope=1.0)
     excite = _excitation(t, rng, rate=1.2, yaw_rate=0.8, acceleration=2.0)
-    return Shape(path=start * np.stack(path, axis=1), yaw=yaw, excite=excite)
+    return TrajectoryShape(path=start * np.stack(path, axis=1), yaw=yaw, excite=excite)
 
 
-def waypoints(t: Array, rng: np.random.Generator) -> Shape:
+def waypoints(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """A quintic spline through random points 1.7 s apart, with the heading going its own way."""
     knots = np.arange(0.0, t[-1] + 1.7 + 1e-9, 1.7)
     if len(knots) < 3:
@@ -100,76 +100,78 @@ def waypoints(t: Array, rng: np.random.Generator) -> Shape:
     points[0] = 0.0
     rest = [(1, np.zeros(4)), (2, np.zeros(4))]
     curve = make_interp_spline(knots, points, k=5, bc_type=(rest, rest))(t)
-    return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3], excite=np.zeros((len(t), 4)))
 
 
-def vertical(t: Array, rng: np.random.Generator) -> Shape:
+def vertical(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Climbs and descents of several lengths, drifting sideways, with the heading turning all round."""
     height = _moves(t, rng, lambda k: rng.uniform((1.5,), (3.5,)) * (1 - k % 2), move=1.5, hold=0.3)
     drift = [smooth_step(t / 1.5) * _multisine(t, rng, low=0.1, high=0.4, count=4, slope=1.0) for _ in range(2)]
-    yaw = _ramped_phase(t, rng.choice((-0.8, 0.8)))
+    yaw = _phase_ramp(t, rng.choice((-0.8, 0.8)))
     excite = _excitation(t, rng, rate=0.4, yaw_rate=0.4, acceleration=1.5)
-    return Shape(path=np.stack((*drift, height[:, 0]), axis=1), yaw=yaw, excite=excite)
+    return TrajectoryShape(path=np.stack((*drift, height[:, 0]), axis=1), yaw=yaw, excite=excite)
 
 
-def hover_steps(t: Array, rng: np.random.Generator) -> Shape:
+def hover_steps(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Hover with short moves and turns between rests, and excitation of the commands."""
     corner = (-1.3, -1.3, -0.8, -1.2)
     curve = _moves(t, rng, lambda _: rng.uniform(corner, np.negative(corner)), move=1.2, hold=0.8)
     excite = _excitation(t, rng, rate=0.8, yaw_rate=0.6, acceleration=1.0)
-    return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
+    return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
 
 
-def hover(t: Array, rng: np.random.Generator) -> Shape:
+def hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Hover, as still as a pilot holds it: a slow wander of a few centimetres, the heading as it is, no excitation."""
     path = [smooth_step(t / 1.5) * _multisine(t, rng, low=0.1, high=0.3, count=4, slope=1.0) for _ in range(3)]
-    return Shape(path=np.stack(path, axis=1), yaw=np.zeros(len(t)), excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=np.stack(path, axis=1), yaw=np.zeros(len(t)), excite=np.zeros((len(t), 4)))
 
 
-def low_hover(t: Array, rng: np.random.Generator) -> Shape:
+def low_hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Rests at several heights, half of them the lowest, with small moves and a little excitation."""
     low, high = np.array([-0.5, -0.5, 0.0, -0.8]), np.array([0.5, 0.5, 0.5, 0.8])
     curve = _moves(t, rng, lambda k: rng.uniform(low, high) * (1.0, 1.0, k % 2, 1.0), move=1.0, hold=1.2)
     excite = _excitation(t, rng, rate=0.4, yaw_rate=0.4, acceleration=0.3)
-    return Shape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
+    return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
 
 
-def low_passes(t: Array, rng: np.random.Generator) -> Shape:
+def low_passes(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Passes from side to side that touch the lowest height at every second end."""
     side, high = rng.uniform((1.5, -0.8), (2.0, 0.8)), rng.uniform(0.3, 0.8, 64)
     curve = _moves(
         t, rng, lambda k: np.array([*(side * (-1.0) ** k), high[k % 64] * (k // 2 % 2), 0.8 * k]), move=1.6, hold=0.3
     )
-    return Shape(
+    return TrajectoryShape(
         path=curve[:, :3], yaw=curve[:, 3], excite=_excitation(t, rng, rate=0.2, yaw_rate=0.2, acceleration=0.2)
     )
 
 
-def figure_eight(t: Array, rng: np.random.Generator) -> Shape:
+def figure_eight(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """A lying eight with changing height, in a random direction, the heading swinging to both sides."""
-    phase, turn = _ramped_phase(t, rng.uniform(1.1, 1.4)), rng.uniform(-np.pi, np.pi)
+    phase, turn = _phase_ramp(t, rng.uniform(1.1, 1.4)), rng.uniform(-np.pi, np.pi)
     along, across = np.sin(phase), 0.5 * np.sin(2.0 * phase)
     x, y = np.cos(turn) * along - np.sin(turn) * across, np.sin(turn) * along + np.cos(turn) * across
     yaw = rng.uniform(1.5, 2.5) * np.sin(0.6 * phase)
-    return Shape(path=np.stack((x, y, 0.25 * np.sin(1.5 * phase)), axis=1), yaw=yaw, excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(
+        path=np.stack((x, y, 0.25 * np.sin(1.5 * phase)), axis=1), yaw=yaw, excite=np.zeros((len(t), 4))
+    )
 
 
-def square(t: Array, rng: np.random.Generator) -> Shape:
+def square(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Fast legs from corner to corner at two heights; the heading turns by a quarter at each."""
     side, sense = 4.0 * np.array([[1, 0, 0.2], [1, 1, 0], [0, 1, 0.2], [0, 0, 0]]), rng.choice((-1.0, 1.0))
     corner = side * (1.0, sense, 1.0)
     path = _moves(t, rng, lambda k: np.array([*corner[k % 4], 0.5 * np.pi * sense * (k + 1)]), move=2.1, hold=0.25)
-    return Shape(path=path[:, :3], yaw=path[:, 3], excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=path[:, :3], yaw=path[:, 3], excite=np.zeros((len(t), 4)))
 
 
-def lissajous(t: Array, rng: np.random.Generator) -> Shape:
+def lissajous(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Three sines whose frequencies have no common multiple; the heading turns steadily."""
-    phase, ratio = _ramped_phase(t, rng.uniform(1.0, 1.3)), rng.uniform((1.15, 0.6), (1.35, 0.8))
+    phase, ratio = _phase_ramp(t, rng.uniform(1.0, 1.3)), rng.uniform((1.15, 0.6), (1.35, 0.8))
     path = np.stack((np.sin(phase), 1.0 - np.cos(ratio[0] * phase), 0.4 * np.sin(ratio[1] * phase)), axis=1)
-    return Shape(path=path, yaw=rng.choice((-0.6, 0.6)) * phase, excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=path, yaw=rng.choice((-0.6, 0.6)) * phase, excite=np.zeros((len(t), 4)))
 
 
-Family = Callable[[Array, np.random.Generator], Shape]
+Family = Callable[[Array, np.random.Generator], TrajectoryShape]
 TOP_SPEED: dict[str, tuple[float, float]] = {
     "multisine": (3.0, 4.0),
     "waypoints": (4.0, 5.0),

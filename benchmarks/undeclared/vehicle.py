@@ -1,4 +1,4 @@
-"""The numbers of one quadrotor: what is declared, and the same type for what is true.
+"""Parameters of one quadrotor, declared or true.
 
 Frames: body is x forward, y left, z up, with its origin at the geometric centre of the frame, where the IMU sits.
 Rotor order: 1 front right, 2 back right, 3 back left, 4 front left.
@@ -23,7 +23,7 @@ SOURCE = "invented for this benchmark: a 0.75 kg X quadrotor with 5 inch propell
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vehicle:
+class PlantVehicle:
     """Mass, rotors and surrounding air of one quadrotor; vectors are in body axes, except ``wind_world``."""
 
     mass: float  # Mass [kg], > 0
@@ -62,7 +62,7 @@ class Vehicle:
         return float(np.sqrt(self.mass * GRAVITY / self.thrust_coeff.sum()))
 
 
-DECLARED = Vehicle(
+DECLARED = PlantVehicle(
     mass=0.75,
     inertia=np.array([[2.30e-3, 2.0e-5, -3.0e-5], [2.0e-5, 2.60e-3, 1.0e-5], [-3.0e-5, 1.0e-5, 4.40e-3]]),
     com=np.zeros(3),

@@ -18,7 +18,7 @@ from aerial_gym.task import Task
 
 
 class BackwardsPilot:
-    """Chooses among the lidar's 16 x 20 cells; its gains were tried on seed 1, of which ``fly`` knows nothing."""
+    """Pilot that flies to one of the lidar's 16 x 20 cells; its gains were tuned on seed 1, which ``fly`` does not use."""
 
     def __init__(self, task: Task) -> None:
         """Take the task."""
@@ -29,7 +29,7 @@ class BackwardsPilot:
         self.looks = torch.stack((-torch.sin(elevation), across * azimuth.sin(), across * azimuth.cos()), dim=-1)
 
     def reset(self, mask: Tensor | None = None) -> None:
-        """Do nothing: it remembers nothing."""
+        """Do nothing: the pilot has no memory."""
 
     def __call__(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return actions (E, 4)."""

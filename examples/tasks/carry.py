@@ -14,27 +14,29 @@ from aerial_gym import task_registry
 from aerial_gym.rl_training import evaluate
 
 
-class CarryingPilot(LeePilot):
-    """Carries the weight of the load, and flies after the load as it swings: that takes energy from the swing."""
+class LoadPilot(LeePilot):
+    """Pilot that carries the load's weight and follows the swinging load, which damps the swing."""
 
     after = 1.0
     """Acceleration per velocity of the load relative to the vehicle [1/s]."""
 
-    def wanted(self) -> Tensor:
-        """Return the acceleration to ask for [m/s²], world, (E, 3)."""
+    def target_acceleration(self) -> Tensor:
+        """Return the acceleration setpoint [m/s²], world frame, (E, 3)."""
         gtd = self.task.env.gtd
         swing = gtd["load_linvel"] - gtd["robot_linvel"]
-        wanted = super().wanted() + self.after * swing
+        wanted = super().target_acceleration() + self.after * swing
         wanted[:, 2] += self.law.gains.gravity * gtd["effect_slung_payload"][:, 0] / gtd["robot_mass"]
         return wanted
 
 
 def main(starts: int) -> None:
     """Fly, print a line for each pilot."""
-    for pilot in (LeePilot, CarryingPilot):
+    for pilot in (LeePilot, LoadPilot):
         with task_registry.make_task("payload_task", num_envs=starts, device="cpu", seed=1) as task:
-            found = evaluate(pilot(task, quicker=1.0), task)
-        print(f"{pilot.__name__}: {found.success_rate:.1%} hold it, {found.final_error_mean_m or 0.0:.3f} m beside it")
+            result = evaluate(pilot(task, quicker=1.0), task)
+        print(
+            f"{pilot.__name__}: {result.success_rate:.1%} hold it, {result.final_error_mean_m or 0.0:.3f} m beside it"
+        )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What each controller takes, to accelerate as one wants: ``command``. Frames: world z up. Letters: E environments."""
+"""Commands of each controller for a requested acceleration: ``command``. Frames: world z up. Letters: E environments."""
 
 import torch
 from torch import Tensor
@@ -10,7 +10,7 @@ from aerial_gym.physics.state import BodyState
 
 
 def command(controller: str, law: LeeController, state: BodyState, wanted: Tensor) -> Tensor:
-    """Return commands (E, 4) with which a vehicle accelerates by ``wanted`` and turns to look along world x.
+    """Return the commands (E, 4) that accelerate a vehicle by ``wanted`` and turn its nose to world x.
 
     Args:
         controller: Registered name of what takes the command.

@@ -17,8 +17,8 @@ from aerial_gym import task_registry
 from aerial_gym.rl_training import Evaluation, evaluate
 
 
-def flown(name: str, starts: int, *, lead: bool) -> tuple[Evaluation, Tensor, Tensor]:
-    """Return figures of all flights, and where the first robot and its target were in each step [m], (steps, 3) each."""
+def fly(name: str, starts: int, *, lead: bool) -> tuple[Evaluation, Tensor, Tensor]:
+    """Return the figures of all flights, and the paths of the first robot and its target [m], (steps, 3) each."""
     robot, target = [], []
     with task_registry.make_task(name, num_envs=starts, device="cpu", seed=1) as task:
 
@@ -27,8 +27,8 @@ def flown(name: str, starts: int, *, lead: bool) -> tuple[Evaluation, Tensor, Te
                 robot.append(task.env.gtd["robot_position"][0].clone())
                 target.append(task.target_position[0].clone())
 
-        found = evaluate(LeePilot(task, lead=lead), task, on_step=keep)
-    return found, torch.stack(robot), torch.stack(target)
+        result = evaluate(LeePilot(task, lead=lead), task, on_step=keep)
+    return result, torch.stack(robot), torch.stack(target)
 
 
 def main(out: str, starts: int, names: Sequence[str]) -> None:
@@ -37,9 +37,9 @@ def main(out: str, starts: int, names: Sequence[str]) -> None:
     panels = figure.subplots(1, len(names), sharex=True, sharey=True, squeeze=False)
     for name, axes in zip(names, panels[0], strict=True):
         for lead, label in ((False, "by its place and velocity"), (True, "and by its acceleration")):
-            found, robot, target = flown(name, starts, lead=lead)
-            error = "nowhere" if found.final_error_mean_m is None else f"{found.final_error_mean_m:.2f} m away"
-            print(f"{name}, {label}: {found.crash_rate:.1%} lost, the others end {error}")
+            result, robot, target = fly(name, starts, lead=lead)
+            error = "nowhere" if result.final_error_mean_m is None else f"{result.final_error_mean_m:.2f} m away"
+            print(f"{name}, {label}: {result.crash_rate:.1%} lost, the others end {error}")
             late = len(robot) // 3
             axes.plot(*robot[late:, :2].T.numpy(), label=f"{label}: {error}")
         axes.plot(*target[late:, :2].T.numpy(), "k:", label="target")

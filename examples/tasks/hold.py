@@ -1,4 +1,4 @@
-"""What a law reaches without learning where a point is to be held: ``python examples/tasks/hold.py [STARTS [TASK ...]]``.
+"""Accuracy of a control law without learning in position tasks: ``python examples/tasks/hold.py [STARTS [TASK ...]]``.
 
 Flies each task from fresh starts by ``LeePilot``, with gains as they are derived and twice as quick, whatever the task takes:
 attitude, velocities, accelerations, body rates, or the thrust of each rotor. ``position_setpoint_task_morphy_paper`` flies
@@ -33,10 +33,10 @@ def main(starts: int, tasks: Sequence[str]) -> None:
     for name in tasks:
         for quicker in (1.0, 2.0):
             with task_registry.make_task(name, num_envs=starts, device="cpu", seed=1) as task:
-                found = evaluate(LeePilot(task, quicker=quicker), task)
-            error = "nowhere" if found.final_error_mean_m is None else f"{found.final_error_mean_m:.3f} m beside it"
-            told = f"{found.crash_rate:.1%} lost, the others end {error}, {found.settled_rate:.1%} stay within"
-            print(f"{name}, {quicker:.0f} times as quick: {told} {found.success_radius_m} m")
+                result = evaluate(LeePilot(task, quicker=quicker), task)
+            error = "nowhere" if result.final_error_mean_m is None else f"{result.final_error_mean_m:.3f} m beside it"
+            told = f"{result.crash_rate:.1%} lost, the others end {error}, {result.settled_rate:.1%} stay within"
+            print(f"{name}, {quicker:.0f} times as quick: {told} {result.success_radius_m} m")
 
 
 if __name__ == "__main__":

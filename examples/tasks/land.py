@@ -15,12 +15,12 @@ from aerial_gym.rl_training import evaluate
 
 
 class LandingPilot(LeePilot):
-    """Waits above the target until it is there and follows it; then it goes down."""
+    """Pilot that flies to a point above the target, follows it, and then descends."""
 
     over, down, near, slow = 0.3, 0.4, 0.25, 0.4  # [m], [m/s], [m], [m/s]
 
     def goal(self) -> tuple[Tensor, Tensor]:
-        """Return where to be [m], world, and at which velocity [m/s], each (E, 3)."""
+        """Return the setpoints of position [m] and velocity [m/s], world frame, each (E, 3)."""
         target, velocity = (each.clone() for each in super().goal())
         away, haste = self.state.position - target, self.state.lin_vel - velocity
         beside = (away[:, :2].norm(dim=-1) > self.near) | (haste[:, :2].norm(dim=-1) > self.slow)
@@ -33,9 +33,9 @@ def main(starts: int) -> None:
     """Fly, print a line for each way."""
     for pilot in (LeePilot, LandingPilot):
         with task_registry.make_task("platform_landing_task", num_envs=starts, device="cpu", seed=1) as task:
-            found = evaluate(pilot(task, quicker=1.5), task)
-        told = f"{found.success_rate:.1%} touch down, {found.crash_rate:.1%} crash"
-        print(f"{pilot.__name__}: {told}, after {found.success_time_mean_s or 0.0:.2f} s")
+            result = evaluate(pilot(task, quicker=1.5), task)
+        told = f"{result.success_rate:.1%} touch down, {result.crash_rate:.1%} crash"
+        print(f"{pilot.__name__}: {told}, after {result.success_time_mean_s or 0.0:.2f} s")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What no law beside this flies, learned: ``python examples/tasks/learn.py OUT [SECONDS [ENVIRONMENTS [TASK ...]]]``.
+"""Learn the tasks that no law in this folder flies: ``python examples/tasks/learn.py OUT [SECONDS [ENVIRONMENTS [TASK ...]]]``.
 
 Trains each task from scratch for so long (start-up included, 150 s if not given) by the settings that come with it, in
 OUT/TASK, and flies it from fresh starts.
@@ -15,6 +15,7 @@ from aerial_gym.rl_training import evaluate, load_policy, load_settings, setting
 
 TASKS = (
     "any_quadrotor_task",
+    "motor_failure_task",
     "position_setpoint_task_reconfigurable",
     "dce_navigation_task",
     "radar_navigation_task",
@@ -34,9 +35,9 @@ def main(out: Path, seconds: float, num_envs: int | None, names: Sequence[str]) 
         rooms = task_registry.get(name).curriculum
         level = None if rooms is None else rooms.max_level
         with task_registry.make_task(name, num_envs=num_envs or 256, device="cpu", seed=1_000_003, level=level) as task:
-            found = evaluate(policy, task)
-        told = f"{found.success_rate:.1%} as they should, {found.crash_rate:.1%} crash"
-        print(f"{name}: {told}, of {found.num_starts} flights after {result.env_steps:,} steps")
+            results = evaluate(policy, task)
+        told = f"{results.success_rate:.1%} as they should, {results.crash_rate:.1%} crash"
+        print(f"{name}: {told}, of {results.num_starts} flights after {result.env_steps:,} steps")
 
 
 if __name__ == "__main__":

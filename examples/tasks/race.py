@@ -15,12 +15,12 @@ from aerial_gym.rl_training import evaluate
 
 
 class RacingPilot(LeePilot):
-    """Asks for a place at hand and a speed by the way that is left: the position loop is for errors of a metre."""
+    """Pilot with a near position setpoint and a speed by the remaining distance: the position loop suits errors of a metre."""
 
     before, reach, near, slowest, fastest = 1.5, 1.0, 0.6, 2.0, 8.0  # [m], [m], [m], [m/s], [m/s]
 
     def goal(self) -> tuple[Tensor, Tensor]:
-        """Return where to be [m], world, and at which velocity [m/s], each (E, 3)."""
+        """Return the setpoints of position [m] and velocity [m/s], world frame, each (E, 3)."""
         gate, direction = self.task.target_position, self.task.values.own["target_direction"]
         axis = torch.cat((direction, torch.zeros_like(direction[:, :1])), dim=-1)
         away = self.state.position - gate
@@ -36,9 +36,9 @@ class RacingPilot(LeePilot):
 def main(starts: int) -> None:
     """Fly, print a line."""
     with task_registry.make_task("racing_split_s_task", num_envs=starts, device="cpu", seed=1) as task:
-        found = evaluate(RacingPilot(task), task)
-    told = f"{found.success_rate:.1%} complete, {found.crash_rate:.1%} crash, {found.gates_passed_mean:.2f} gates"
-    print(f"racing_split_s_task: {told}, {found.success_time_mean_s or 0.0:.2f} s for a run")
+        result = evaluate(RacingPilot(task), task)
+    told = f"{result.success_rate:.1%} complete, {result.crash_rate:.1%} crash, {result.gates_passed_mean:.2f} gates"
+    print(f"racing_split_s_task: {told}, {result.success_time_mean_s or 0.0:.2f} s for a run")
 
 
 if __name__ == "__main__":

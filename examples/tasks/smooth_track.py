@@ -19,7 +19,7 @@ assert CFG.command is not None
 QUICK = replace(CFG.command, params={**CFG.command.params, "max_speed": 5.0, "max_acceleration": 16.0})
 
 
-def built(cfg: TaskCfg, starts: int) -> Task:
+def make_task(cfg: TaskCfg, starts: int) -> Task:
     """Return the task of a configuration, on a CPU."""
     env = SimBuilder().build_env(
         sim_name=cfg.sim,
@@ -33,9 +33,9 @@ def built(cfg: TaskCfg, starts: int) -> Task:
     return Task(cfg, env)
 
 
-def flown(cfg: TaskCfg, starts: int, *, lead: bool) -> tuple[float, float]:
+def fly(cfg: TaskCfg, starts: int, *, lead: bool) -> tuple[float, float]:
     """Return the mean distance to the target after the first second [m], and the largest speed of a target [m/s]."""
-    with built(cfg, starts) as task, torch.no_grad():
+    with make_task(cfg, starts) as task, torch.no_grad():
         pilot, distances, fastest = LeePilot(task, lead=lead), [], 0.0
         observation, _ = task.reset()
         for step in range(cfg.episode_len_steps - 1):
@@ -50,5 +50,5 @@ if __name__ == "__main__":
     starts = int(sys.argv[1]) if len(sys.argv) > 1 else 64
     for name, cfg in (("as registered", CFG), ("twice as quick", replace(CFG, command=QUICK))):
         for lead, label in ((False, "by place and velocity"), (True, "and by acceleration")):
-            distance, fastest = flown(cfg, starts, lead=lead)
+            distance, fastest = fly(cfg, starts, lead=lead)
             print(f"{name}, {label}: {distance:.2f} m off at up to {fastest:.1f} m/s")

@@ -1,4 +1,4 @@
-"""Where to fly between obstacles: ``choose`` among the cells of an image. Letters: E environments, R x C cells, N = R C."""
+"""Choice of a direction between obstacles from the cells of an image. Letters: E environments, R x C cells, N = R C."""
 
 from collections.abc import Callable
 
@@ -18,7 +18,7 @@ PRICE, NEAR = (
 
 
 def choose(looks: Tensor, nearest: Tensor, goal: Tensor, *, turns: bool) -> tuple[Tensor, Tensor]:
-    """Return the cell to fly to, (E,), and how far the way to it is free [m], (E,).
+    """Return the chosen cell, (E,), and the free distance in its direction [m], (E,).
 
     It is the one nearest to the direction of the goal, less ``PRICE exp(-d / NEAR)``, d the least distance in it and around it.
 
@@ -42,6 +42,6 @@ def fly(name: str, pilot: Callable[[Task], Pilot], *, starts: int, robot: str | 
     assert limits is not None
     for level in (limits.min_level, limits.max_level):
         with task_registry.make_task(name, num_envs=starts, robot=robot, device="cpu", seed=2, level=level) as task:
-            found = evaluate(pilot(task), task)
-        told = f"{found.success_rate:.1%} arrive, {found.crash_rate:.1%} crash"
-        print(f"{name}, {level} obstacles: {told}, of {starts} flights of {found.episode_s:.0f} s")
+            result = evaluate(pilot(task), task)
+        told = f"{result.success_rate:.1%} arrive, {result.crash_rate:.1%} crash"
+        print(f"{name}, {level} obstacles: {told}, of {starts} flights of {result.episode_s:.0f} s")

@@ -18,7 +18,7 @@ from aerial_gym.task import Task
 
 
 class ForwardPilot:
-    """Chooses among 8 x 8 cells of the camera; its gains were tried on seed 1, of which ``fly`` knows nothing."""
+    """Pilot that flies to one of the camera's 8 x 8 cells; its gains were tuned on seed 1, which ``fly`` does not use."""
 
     def __init__(self, task: Task) -> None:
         """Take the task."""
@@ -28,7 +28,7 @@ class ForwardPilot:
         self.terms, self.largest = [entry.term for entry in task.cfg.observations["policy"]], task.cfg.action.params
 
     def reset(self, mask: Tensor | None = None) -> None:
-        """Do nothing: it remembers nothing."""
+        """Do nothing: the pilot has no memory."""
 
     def __call__(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return actions (E, 4)."""
@@ -46,7 +46,7 @@ class ForwardPilot:
         speed = torch.minimum(0.8 * (ahead - 0.3).clamp_min(0.0), distance) * turn.cos()
         speed = torch.where(distance < 0.5, 0.0, speed)
         wanted = torch.stack((speed, climb, 2.0 * turn), dim=-1)
-        limits = [self.largest[f"max_{what}"] for what in ("speed", "inclination", "yaw_rate")]
+        limits = [self.largest[f"max_{label}"] for label in ("speed", "inclination", "yaw_rate")]
         share = wanted / wanted.new_tensor(limits)
         return torch.stack((2.0 * share[:, 0] - 1.0, share[:, 1], share[:, 2], 0.0 * speed), dim=-1).clamp(-1.0, 1.0)
 

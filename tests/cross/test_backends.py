@@ -24,8 +24,8 @@ from aerial_gym.physics.effects import EffectsByKind, WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import CEILING, ON_RIGID, lopsided_robot, random_state
-from tests.repetitions import seldom, thinned
+from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_state
+from tests.repetitions import rare_values, thin_values
 
 FACTOR = 4.0
 ROUND_OFF = 2e-6
@@ -60,7 +60,7 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
     return build_model(vehicle, rows, **ceiling), make_controller(controller, declared, 9.81, dt=DT)
 
 
-def actions_for(controller, model: Model, num_envs: int) -> Tensor:
+def random_actions(controller, model: Model, num_envs: int) -> Tensor:
     """Return commands that a vehicle near hover could be given."""
     g = torch.Generator().manual_seed(3)
     draw = torch.rand(num_envs, len(controller.action_names), dtype=torch.float64, generator=g)
@@ -73,7 +73,7 @@ def actions_for(controller, model: Model, num_envs: int) -> Tensor:
     return draw - 0.5
 
 
-def start_of(model: Model, num_envs: int) -> BodyState:
+def start_state(model: Model, num_envs: int) -> BodyState:
     hover = model.vehicle.speed_high[0, 0].item() * 0.5
     state = random_state(num_envs, seed=5, rotor_speed=hover)
     if model.vehicle.num_rotors != 4:
@@ -107,17 +107,17 @@ def fly(
     random = Randomness(copies * num_envs)
     random.environment.copy_(torch.arange(num_envs, dtype=torch.int32).repeat(copies))
     backend.allocate(model, law, integrator=integrator, random=random)
-    actions = (size * actions_for(law, model, num_envs).to(dtype)).repeat(copies, 1)
-    state, found = nudged(as_type(start_of(model, num_envs), dtype), nudges), []
+    actions = (size * random_actions(law, model, num_envs).to(dtype)).repeat(copies, 1)
+    state, result = perturb(as_type(start_state(model, num_envs), dtype), nudges), []
     for step in range(steps):
         if follow is not None and step > 0:
-            state.copy_(nudged(as_type(follow[step - 1], dtype), nudges))
+            state.copy_(perturb(as_type(follow[step - 1], dtype), nudges))
         backend.step(state, actions, DT, SUBSTEPS)
-        found.append(as_type(state, dtype))
-    return found
+        result.append(as_type(state, dtype))
+    return result
 
 
-def nudged(state: BodyState, nudges: Sequence[int]) -> BodyState:
+def perturb(state: BodyState, nudges: Sequence[int]) -> BodyState:
     """Return the states moved by each nudge, one below the other."""
     parts: dict[str, list[Tensor]] = {name: [] for name in vars(state)}
     for nudge in nudges:
@@ -133,7 +133,7 @@ def as_type(state: BodyState, dtype: torch.dtype) -> BodyState:
     return BodyState(**{name: tensor.to(dtype, copy=True) for name, tensor in vars(state).items()})
 
 
-def assert_near(exact: BodyState, singles: BodyState, fused: BodyState) -> None:
+def assert_agreement(exact: BodyState, singles: BodyState, fused: BodyState) -> None:
     """Compare with flights in float32, which stand one below the other."""
     for name, truth in vars(exact).items():
         size = 1.0 + truth.abs().max()
@@ -152,7 +152,7 @@ def assert_same_flight(robot, controller, integrator, *, steps_alone: bool = Fal
     singles = fly(TorchBackend(), robot, controller, integrator, torch.float32, nudges=range(NUDGES), **options)
     fused = fly(WarpBackend(), robot, controller, integrator, torch.float32, **options)
     for step in range(STEPS) if steps_alone else (-1,):
-        assert_near(exact[step], singles[step], fused[step])
+        assert_agreement(exact[step], singles[step], fused[step])
 
 
 SEEN_ELSEWHERE = (
@@ -167,7 +167,7 @@ ONE_OF_EACH_KIND = ("no_control", "lee_position_control", "pid_velocity_control"
 
 @pytest.mark.parametrize(
     ("controller", "integrator"),
-    seldom(
+    rare_values(
         [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None],
         [(name, "euler") for name in CONTROLLERS.names() if CONTROLLERS.get(name).autopilot or name in SEEN_ELSEWHERE],
     )
@@ -183,12 +183,12 @@ def test_every_controller_and_stepper_flies_like_torch(
 ) -> None:
     """Those of autopilots fly so with all that they have in ``unit/control/test_cascade.py``."""
     if controller in ONE_OF_EACH_KIND:
-        request.getfixturevalue("optimised")
+        request.getfixturevalue("optimise_kernels")
     robot = "base_octarotor" if CONTROLLERS.get(controller).law == "pose" else "tinyprop"
     assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get(controller), integrator)
 
 
-@pytest.mark.parametrize("robot", thinned(ROBOTS.names(), 6))
+@pytest.mark.parametrize("robot", thin_values(ROBOTS.names(), 6))
 def test_every_robot_flies_like_torch(robot: str) -> None:
     assert_same_flight(ROBOTS.get(robot), CONTROLLERS.get("no_control"), "euler")
 
@@ -208,7 +208,7 @@ def test_turns_of_any_size_in_one_step_are_like_torch(rate: float) -> None:
     for backend, dtype in ((TorchBackend(), torch.float64), (WarpBackend(), torch.float32)):
         model, law = build(robot, controller, 16, dtype)
         backend.allocate(model, law, integrator="euler")
-        state = start_of(model, 16)
+        state = start_state(model, 16)
         state = as_type(replace(state, ang_vel=rate * torch.nn.functional.normalize(state.ang_vel, dim=-1)), dtype)
         backend.step(state, torch.zeros(16, 4, dtype=dtype), DT, 1)
         ends.append(state.attitude.double())
@@ -217,12 +217,12 @@ def test_turns_of_any_size_in_one_step_are_like_torch(rate: float) -> None:
 
 def test_a_load_hangs_the_same_where_the_stages_of_a_step_are_no_unit_quaternions() -> None:
     """At 60 rad/s the middle of a step of 20 ms has ``|q|² = 1.09``: formulas that agree for unit quaternions do not there."""
-    robot, controller, dt = lopsided_robot(), CONTROLLERS.get("rotor_speed_control"), 0.02
+    robot, controller, dt = asymmetric_robot(), CONTROLLERS.get("rotor_speed_control"), 0.02
     ends = []
     for backend, dtype in ((TorchBackend(), torch.float64), (WarpBackend(), torch.float32)):
         model, law = build(robot, controller, 16, dtype, ("slung_payload",))
         backend.allocate(model, law, integrator="rk4")
-        state = start_of(model, 16)
+        state = start_state(model, 16)
         state = as_type(replace(state, ang_vel=60.0 * torch.nn.functional.normalize(state.ang_vel, dim=-1)), dtype)
         backend.step(state, torch.full((16, 4), 800.0, dtype=dtype), dt, 1)
         ends.append(state)
@@ -235,12 +235,12 @@ def test_a_load_hangs_the_same_where_the_stages_of_a_step_are_no_unit_quaternion
 def test_rotors_stand_still_as_near_to_their_command_as_a_step_of_float32_allows(integrator: str) -> None:
     """Where ``(1 - exp(-dt / tau)) d`` is below half a unit in the last place of the speed, d cannot shrink."""
     tau = 0.05
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     robot = replace(robot, rotor=replace(robot.rotor, time_constant_up=tau, time_constant_down=tau))
     model, law = build(robot, CONTROLLERS.get("rotor_speed_control"), 16, torch.float32)
     backend = WarpBackend()
     backend.allocate(model, law, integrator=integrator)
-    state, command = as_type(start_of(model, 16), torch.float32), torch.full((16, 4), 900.0)
+    state, command = as_type(start_state(model, 16), torch.float32), torch.full((16, 4), 900.0)
     backend.step(state, command, DT, 500)  # 2 s
     unit = 512.0 * torch.finfo(torch.float32).eps
     stall = 0.5 * unit / (1.0 - exp(-DT / tau))
@@ -249,7 +249,7 @@ def test_rotors_stand_still_as_near_to_their_command_as_a_step_of_float32_allows
 
 def test_a_thrust_map_with_an_offset_is_inverted_like_torch() -> None:
     """Thrust at rest differs from zero: the vertex of the map is not at the origin."""
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     offset = replace(robot, rotor=replace(robot.rotor, thrust_map=(0.05, 1e-4, 3e-6), thrust_range=(0.1, 8.0)))
     assert_same_flight(offset, CONTROLLERS.get("no_control"), "euler")
 
@@ -282,22 +282,22 @@ sensors or logs have (``imu_*``, ``rotor_speed_scale``) moves no state."""
 )
 def test_every_effect_flies_like_torch(effects: tuple[str, ...]) -> None:
     """With drag, which shows wind."""
-    robot, steps = lopsided_robot(), LONG if "joint_creep" in effects else STEPS
+    robot, steps = asymmetric_robot(), LONG if "joint_creep" in effects else STEPS
     together = tuple(dict.fromkeys((*effects, "rotor_drag")))
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=together, steps=steps)
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 def test_all_effects_at_once_fly_like_torch() -> None:
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=ON_RIGID)
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 def test_rotors_that_all_thrust_along_body_z_fly_like_torch() -> None:
     """The kernel leaves out what is zero then; levers differ in all directions, and rotors in spin."""
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     upright = tuple(replace(mount, axis=(0.0, 0.0, 1.0)) for mount in robot.mounts.layout)
     robot = replace(robot, mounts=replace(robot.mounts, layout=upright))
     effects = (
@@ -309,25 +309,25 @@ def test_rotors_that_all_thrust_along_body_z_fly_like_torch() -> None:
         "ceiling_effect",
     )
     assert vehicle_from_config(robot, num_envs=2).upright
-    assert not vehicle_from_config(lopsided_robot(), num_envs=2).upright
+    assert not vehicle_from_config(asymmetric_robot(), num_envs=2).upright
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=effects)
 
 
 def scale_by_env(vehicle: Vehicle) -> Vehicle:
     """Return a vehicle of which every parameter differs between environments."""
 
-    def scaled(rows: Tensor, by: float) -> Tensor:
+    def scale_rows(rows: Tensor, by: float) -> Tensor:
         steps = torch.linspace(0.9, 1.1, rows.shape[0], dtype=rows.dtype)
         return rows * (1.0 + by * (steps - 1.0)).view(-1, *([1] * (rows.dim() - 1)))
 
-    changes = {k: scaled(v, 1.0) for k, v in vehicle.rows().items() if k not in ("rotor_axis", "rotor_spin")}
+    changes = {k: scale_rows(v, 1.0) for k, v in vehicle.rows().items() if k not in ("rotor_axis", "rotor_spin")}
     changes["com"] = changes["com"] + 0.01
     return replace(vehicle, **changes, rotor_axis=vehicle.rotor_axis.clone(), rotor_spin=vehicle.rotor_spin.clone())
 
 
 @pytest.mark.parametrize("controller", ["rotor_speed_control", "lee_velocity_control"])
 def test_parameters_of_each_environment_are_read(controller: str) -> None:
-    assert_same_flight(lopsided_robot(), CONTROLLERS.get(controller), "euler", adjust=scale_by_env)
+    assert_same_flight(asymmetric_robot(), CONTROLLERS.get(controller), "euler", adjust=scale_by_env)
 
 
 def test_gains_of_each_environment_are_read() -> None:
@@ -338,7 +338,7 @@ def test_gains_of_each_environment_are_read() -> None:
         model, law = build(robot, cfg, 8, dtype)
         law.own_gains()
         backend.allocate(model, law, integrator="euler")
-        state = BodyState(**{k: v.to(dtype) for k, v in vars(start_of(model, 8)).items()})
+        state = BodyState(**{k: v.to(dtype) for k, v in vars(start_state(model, 8)).items()})
         actions = torch.zeros(8, 4)
         backend.step(state, actions, DT, 1)  # with the middle gains
         mask = torch.ones(8, dtype=torch.bool)
@@ -350,10 +350,10 @@ def test_gains_of_each_environment_are_read() -> None:
     torch.testing.assert_close(ends[1].ang_vel, ends[0].ang_vel, rtol=2e-5, atol=2e-5)
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 def test_an_environment_does_not_depend_on_its_batch() -> None:
     """Row i of a batch is bit for bit what it is alone, and what it is when the batch is split over threads."""
-    robot, controller = lopsided_robot(), CONTROLLERS.get("rotor_speed_control")
+    robot, controller = asymmetric_robot(), CONTROLLERS.get("rotor_speed_control")
     threads = torch.get_num_threads()
     ends = {}
     try:
@@ -367,9 +367,9 @@ def test_an_environment_does_not_depend_on_its_batch() -> None:
     row = 700
     backend = WarpBackend()
     backend.allocate(model, law, integrator="rk4")
-    first = vars(start_of(batch_model, 4096)).items()
+    first = vars(start_state(batch_model, 4096)).items()
     alone = BodyState(**{k: v[row : row + 1].float().contiguous() for k, v in first})
-    actions = actions_for(law, batch_model, 4096)[row : row + 1].float().contiguous()
+    actions = random_actions(law, batch_model, 4096)[row : row + 1].float().contiguous()
     for _ in range(STEPS):
         backend.step(alone, actions, DT, SUBSTEPS)
     for name, tensor in vars(alone).items():
@@ -392,8 +392,8 @@ def test_changed_parameters_are_taken(change: str) -> None:
             "effect in place": {},
         }[change]
         backend.allocate(model, law, integrator="euler")
-        state = as_type(start_of(model, 4), torch.float32)
-        actions = actions_for(law, model, 4).float()
+        state = as_type(start_state(model, 4), torch.float32)
+        actions = random_actions(law, model, 4).float()
         backend.step(state, actions, DT, 1)
         if change == "effect in place":
             params.mul_(3.0)
@@ -410,7 +410,7 @@ def vehicle_with_mass(model: Model, factor: float) -> Tensor:
     return (factor * mass[:1]).as_strided(mass.shape, (0,))
 
 
-class Unfused:
+class TorchLaw:
     """A control law without Warp code."""
 
     action_names = ("nothing",)
@@ -427,20 +427,20 @@ def test_what_it_cannot_run_is_refused_by_name() -> None:
     model, law = build(robot, CONTROLLERS.get("no_control"), 2, torch.float32)
     with pytest.raises(CapabilityError, match=r"no integrator 'rk5'. Known: euler, rk4"):
         WarpBackend().allocate(model, law, integrator="rk5")
-    with pytest.raises(CapabilityError, match="Unfused has no Warp law"):
-        WarpBackend().allocate(model, Unfused(), integrator="euler")
+    with pytest.raises(CapabilityError, match="TorchLaw has no Warp law"):
+        WarpBackend().allocate(model, TorchLaw(), integrator="euler")
     doubles, law64 = build(robot, CONTROLLERS.get("no_control"), 2, torch.float64)
     with pytest.raises(CapabilityError, match=r"float32 only, not torch.float64"):
         WarpBackend().allocate(doubles, law64, integrator="euler")
 
-    class Untwinned(WrenchEffect):
+    class TorchEffect(WrenchEffect):
         name = "untwinned"
         parameters = EFFECTS.get("rotor_drag").parameters
 
         def wrench(self, condition, params):
             raise NotImplementedError
 
-    strange = replace(model, effects=EffectsByKind(((Untwinned(), torch.zeros(2, 3)),)))
+    strange = replace(model, effects=EffectsByKind(((TorchEffect(), torch.zeros(2, 3)),)))
     with pytest.raises(CapabilityError, match="cannot run effect 'untwinned'"):
         WarpBackend().allocate(strange, law, integrator="euler")
 
@@ -449,6 +449,6 @@ def test_tensors_that_do_not_fit_are_refused() -> None:
     model, law = build(ROBOTS.get("tinyprop"), CONTROLLERS.get("no_control"), 2, torch.float32)
     backend = WarpBackend()
     backend.allocate(model, law, integrator="euler")
-    state = BodyState(**{k: v.float() for k, v in vars(start_of(model, 2)).items()})
+    state = BodyState(**{k: v.float() for k, v in vars(start_state(model, 2)).items()})
     with pytest.raises(ShapeError, match=r"command is \(2, 3\).*expected \(2, 4\)"):
         backend.step(state, torch.zeros(2, 3), DT, 1)

@@ -10,15 +10,15 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BodyState, TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.condition import sum_of_crosses, velocity_of_turning
 from aerial_gym.physics.model import robot_effects
-from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.robots import ROBOTS
-from tests.cross.test_backends import DT, actions_for, build, scale_by_env, start_of
-from tests.physics.vehicles import ON_RIGID, lopsided_robot, random_network
-from tests.repetitions import thinned
+from tests.cross.test_backends import DT, build, random_actions, scale_by_env, start_state
+from tests.physics.vehicles import ON_RIGID, asymmetric_robot, random_network
+from tests.repetitions import thin_values
 
 COUNTS = (1, 3, 4, 5, 63, 65, 130)
 MANY = 2048
@@ -48,7 +48,7 @@ def assert_rows_alike(
     """Fly the rows from ``first`` on as batches of every size in ``COUNTS``, and as part of ``many``."""
     cfg, ends = CONTROLLERS.get(controller), {}
     whole, law = build(robot, cfg, many, dtype, effects, adjust)
-    start, actions = start_of(whole, many), 2.0 * actions_for(law, whole, many)
+    start, actions = start_state(whole, many), 2.0 * random_actions(law, whole, many)
     for count in (many, *COUNTS):
         rows = slice(None) if count == many else slice(first, first + count)
         model, law = build(robot, cfg, count, dtype, effects)
@@ -68,23 +68,23 @@ def assert_rows_alike(
             backend.step(state, actions[rows].to(dtype), DT, 2)
         ends[count] = state
     for count in COUNTS:
-        for name, found in vars(ends[count]).items():
+        for name, result in vars(ends[count]).items():
             expected = getattr(ends[many], name)[first : first + count]
-            assert found.isfinite().all()
-            assert torch.equal(found, expected), f"{name} among {count}"
+            assert result.isfinite().all()
+            assert torch.equal(result, expected), f"{name} among {count}"
 
 
 @pytest.mark.parametrize(
-    "controller", thinned([name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None], 2)
+    "controller", thin_values([name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None], 2)
 )
 def test_under_every_controller(controller: str) -> None:
     pose = CONTROLLERS.get(controller).law == "pose"
-    assert_rows_alike(ROBOTS.get("base_octarotor") if pose else lopsided_robot(), controller, torch.float32)
+    assert_rows_alike(ROBOTS.get("base_octarotor") if pose else asymmetric_robot(), controller, torch.float32)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, pytest.param(torch.float64, marks=pytest.mark.slow)])
 def test_with_all_effects_at_once_on_any_number_of_threads(threads: int, dtype: torch.dtype) -> None:
-    assert_rows_alike(lopsided_robot(), "lee_velocity_control", dtype, effects=ON_RIGID, first=8001, many=8192)
+    assert_rows_alike(asymmetric_robot(), "lee_velocity_control", dtype, effects=ON_RIGID, first=8001, many=8192)
 
 
 def test_with_a_learned_residual() -> None:
@@ -95,7 +95,7 @@ def test_with_a_learned_residual() -> None:
 def test_with_added_mass_under_euler() -> None:
     """That step has code of its own."""
     effects = ("added_mass", "added_inertia", "slung_payload")
-    assert_rows_alike(lopsided_robot(), "no_control", torch.float32, effects=effects, integrator="euler")
+    assert_rows_alike(asymmetric_robot(), "no_control", torch.float32, effects=effects, integrator="euler")
 
 
 @pytest.mark.parametrize("robot", ["tinyprop", "omnidirectional_octarotor"])
@@ -118,7 +118,7 @@ def test_of_vehicles_that_bend(robot: str) -> None:
     drawn = torch.rand(BENDING, 60, generator=gen) - 0.5
     for count in (BENDING, 1, 3, 65):
         vehicle = vehicle_from_config(cfg, num_envs=count)
-        bends = articulation_of(cfg, like=vehicle.mass)
+        bends = build_articulation(cfg, like=vehicle.mass)
         assert bends is not None
         effects = robot_effects(cfg, num_envs=count, device=torch.device("cpu"), dtype=torch.float32)
         law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT)
@@ -128,7 +128,7 @@ def test_of_vehicles_that_bend(robot: str) -> None:
         still = state_at_rest(count, vehicle.num_rotors, device=torch.device("cpu"), dtype=torch.float32)
         rows, number = drawn[:count], bends.num_joints
         moving = replace(still, lin_vel=rows[:, :3].clone(), ang_vel=4.0 * rows[:, 3:6])
-        state = JointedState(
+        state = ArticulatedState(
             **vars(moving),
             joint_pos=bends.reference + 0.2 * rows[:, 6 : 6 + number],
             joint_vel=2.0 * rows[:, 20 : 20 + number],
@@ -137,9 +137,9 @@ def test_of_vehicles_that_bend(robot: str) -> None:
             backend.step(state, rows[:, 40 : 40 + len(law.action_names) + bends.num_driven] + 0.5, DT, 2)
         ends[count] = state
     for count in (1, 3, 65):
-        for name, found in vars(ends[count]).items():
-            assert found.isfinite().all()
-            assert torch.equal(found, getattr(ends[BENDING], name)[:count]), f"{name} among {count}"
+        for name, result in vars(ends[count]).items():
+            assert result.isfinite().all()
+            assert torch.equal(result, getattr(ends[BENDING], name)[:count]), f"{name} among {count}"
 
 
 @pytest.mark.parametrize("cross", [sum_of_crosses, lambda ang_vel, lever: velocity_of_turning(ang_vel[:, 0], lever)])

@@ -110,9 +110,9 @@ def test_a_snake_is_a_polygon_of_its_rods(robot: str, rods: int) -> None:
 
 
 def test_the_simulator_that_counts_motors_twice_doubles_the_inertia() -> None:
-    right, theirs = (ROBOTS.get(f"base_quadrotor{end}").body for end in ("", "_doubled_inertia"))
-    assert theirs.mass == right.mass
-    np.testing.assert_allclose(theirs.inertia, 2.0 * np.array(right.inertia), rtol=1e-12)
+    right, reference = (ROBOTS.get(f"base_quadrotor{end}").body for end in ("", "_doubled_inertia"))
+    assert reference.mass == right.mass
+    np.testing.assert_allclose(reference.inertia, 2.0 * np.array(right.inertia), rtol=1e-12)
 
 
 def test_base_random_is_the_sum_of_its_motors_about_its_origin() -> None:

@@ -8,8 +8,8 @@ from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import BodyState, TorchBackend, WarpBackend
-from tests.physics.contact_rig import BALL, FEET, GRAVITY, INERTIA, MASS, InScene, OnGround, obstacle, start
-from tests.physics.vehicles import F64, lopsided_robot
+from tests.physics.contact_rig import BALL, FEET, GRAVITY, INERTIA, MASS, GroundRig, ObstacleRig, obstacle, start
+from tests.physics.vehicles import F64, asymmetric_robot
 
 ROUGH = ContactCfg(friction=0.5)
 
@@ -27,22 +27,23 @@ def low_starts(count: int, dtype: torch.dtype) -> BodyState:
 def test_one_step_on_the_ground_is_that_of_torch(integrator: str, request: pytest.FixtureRequest) -> None:
     """Fused kernel and scene (a plane) against float64 torch: 64 vehicles with an offset centre of mass, one step of 10 ms.
 
-    Float32 with the penalty R loses about ``PENALTY`` of 1e-7; a branch on the very edge may fall to the other side.
+    Float32 with the penalty R loses about ``PENALTY`` of 1e-7; a branch on the very edge may fall to the other side. The ground
+    is tested at the poses, a scene also along the step: it flags touches that both poses miss, here of two vehicles.
     """
     if integrator == "rk4":
-        request.getfixturevalue("optimised")
-    count, robot = 64, lopsided_robot()
+        request.getfixturevalue("optimise_kernels")
+    count, robot = 64, asymmetric_robot()
     with one_thread():
-        truth = OnGround(
+        truth = GroundRig(
             TorchBackend(), ROUGH, low_starts(count, F64), spheres=FEET, robot=robot, integrator=integrator
         )
         truth.run(0.01, 0.01)
-    fused = OnGround(
+    fused = GroundRig(
         WarpBackend(), ROUGH, low_starts(count, torch.float32), spheres=FEET, robot=robot, integrator=integrator
     )
     fused.run(0.01, 0.01)
     scenes = [
-        InScene(
+        ObstacleRig(
             [ShapeCfg(kind="plane")], obstacle(count), ROUGH, low_starts(count, torch.float32), spheres=FEET,
             robot=robot, integrator=integrator, backend=backend,
         )
@@ -53,7 +54,8 @@ def test_one_step_on_the_ground_is_that_of_torch(integrator: str, request: pytes
     touched = truth.impulse[:, 2] > 0.0
     assert 16 < touched.sum() < 64
     for rig in (fused, *scenes):
-        assert rig.crashes.tolist() == truth.crashes.tolist()
+        assert bool((rig.crashes | ~truth.crashes).all())
+        assert int((rig.crashes & ~truth.crashes).sum()) <= (0 if rig is fused else 2)
         error = (torch.cat(rig.state.tensors(), -1) - torch.cat(truth.state.tensors(), -1)).abs().amax(dim=1)
         assert error.sort().values[:-1].max() < 2e-4  # all but one on an edge
         assert (rig.impulse - truth.impulse).abs().amax(dim=1).sort().values[:-1].max() < 1e-4
@@ -79,12 +81,12 @@ def test_landing_and_sliding_agree_with_mujoco() -> None:
         data.qvel[:3] = (1.0, 0.4, 0.0)
         for _ in range(2500):
             mujoco.mj_step(model, data)
-        rig = OnGround(
+        rig = GroundRig(
             WarpBackend(), ROUGH, start(height=height, dtype=torch.float32, lin_vel=(1.0, 0.4, 0.0)), spheres=spheres
         )
         rig.run(0.5, 0.002)
-        place, theirs = rig.state.position[0].double(), torch.tensor(data.qpos[:3])
-        assert (place - theirs)[:2].norm() < 0.01 * theirs[:2].norm()
-        assert abs(place[2] - theirs[2]) < 2e-3
+        place, reference = rig.state.position[0].double(), torch.tensor(data.qpos[:3])
+        assert (place - reference)[:2].norm() < 0.01 * reference[:2].norm()
+        assert abs(place[2] - reference[2]) < 2e-3
         torch.testing.assert_close(rig.state.lin_vel[0].double(), torch.tensor(data.qvel[:3]), rtol=0.0, atol=0.03)
         torch.testing.assert_close(rig.state.ang_vel[0].double(), torch.tensor(data.qvel[3:]), rtol=0.03, atol=0.03)

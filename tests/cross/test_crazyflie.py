@@ -26,10 +26,10 @@ def vectors() -> dict[str, Tensor]:
 
 def test_lee_is_the_firmwares_wherever_thrust_is_along_the_body(vectors: dict[str, Tensor]) -> None:
     """Thrust everywhere, torque where thrust is positive: where it is not the firmware levels off, ours turns to the force."""
-    ours, theirs = lee_pair(vectors)
-    lifts = theirs[:, 0] > 1e-3
-    torch.testing.assert_close(ours[:, 0], theirs[:, 0], atol=1e-6, rtol=0)
-    torch.testing.assert_close(ours[lifts, 1:], theirs[lifts, 1:], atol=3e-8, rtol=1e-5)
+    actual, reference = lee_pair(vectors)
+    lifts = reference[:, 0] > 1e-3
+    torch.testing.assert_close(actual[:, 0], reference[:, 0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(actual[lifts, 1:], reference[lifts, 1:], atol=3e-8, rtol=1e-5)
     assert int(lifts.sum()) > 10_000
 
 
@@ -38,60 +38,60 @@ def test_lee_with_integrals_is_the_firmwares(vectors: dict[str, Tensor]) -> None
 
     Without either integral they do not agree.
     """
-    ours, theirs = lee_integral_pair(vectors)
-    lifts = (theirs[..., 0] > 1e-2).all(0)
-    torch.testing.assert_close(ours[:, lifts, 0], theirs[:, lifts, 0], atol=1e-6, rtol=0)
-    torch.testing.assert_close(ours[:, lifts, 1:], theirs[:, lifts, 1:], atol=5e-8, rtol=1e-5)
+    actual, reference = lee_integral_pair(vectors)
+    lifts = (reference[..., 0] > 1e-2).all(0)
+    torch.testing.assert_close(actual[:, lifts, 0], reference[:, lifts, 0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(actual[:, lifts, 1:], reference[:, lifts, 1:], atol=5e-8, rtol=1e-5)
     assert int(lifts.sum()) > 950
     none, _ = lee_integral_pair(vectors, integrals=False)
-    assert float((none[-1] - theirs[-1])[lifts, 0].abs().median()) > 1e-3
-    assert float((none[-1] - theirs[-1])[lifts, 1:].abs().median()) > 1e-5
+    assert float((none[-1] - reference[-1])[lifts, 0].abs().median()) > 1e-3
+    assert float((none[-1] - reference[-1])[lifts, 1:].abs().median()) > 1e-5
 
 
 @pytest.mark.parametrize("pair", [mellinger_pair, pid_pair])
 def test_counts_are_the_firmwares(vectors: dict[str, Tensor], pair) -> None:
     """Moments are whole counts, cut off towards zero: equal, but for one count where rounding meets the cut."""
-    ours, theirs = pair(vectors)
-    assert ours.shape == (10, 1000, 4)
-    torch.testing.assert_close(ours[..., 0], theirs[..., 0], atol=0.05, rtol=1e-6)
-    off = (ours[..., 1:] - theirs[..., 1:]).abs()
+    actual, reference = pair(vectors)
+    assert actual.shape == (10, 1000, 4)
+    torch.testing.assert_close(actual[..., 0], reference[..., 0], atol=0.05, rtol=1e-6)
+    off = (actual[..., 1:] - reference[..., 1:]).abs()
     assert float(off.max()) <= 1.0
     assert float((off > 0.0).double().mean()) < 2e-3
-    moments = theirs[..., 1:].abs()
+    moments = reference[..., 1:].abs()
     assert int((moments < 32000.0).sum()) > 20_000  # most are not at their limit, or the test would not see much
 
 
 def test_mellinger_without_thrust_has_no_moment(vectors: dict[str, Tensor]) -> None:
-    ours, theirs = mellinger_pair(vectors)
-    falls = theirs[..., 0] <= 0.0
+    actual, reference = mellinger_pair(vectors)
+    falls = reference[..., 0] <= 0.0
     assert int(falls.sum()) > 50
-    assert not ours[falls][:, 1:].any()
-    assert not theirs[falls][:, 1:].any()
+    assert not actual[falls][:, 1:].any()
+    assert not reference[falls][:, 1:].any()
 
 
 def test_brescianini_is_the_firmwares(vectors: dict[str, Tensor]) -> None:
     """Torques reach 0.05 N m, those of ``w x J w``, which neither has, 1e-4 N m: rounding is far below."""
-    ours, theirs = brescianini_pair(vectors)
-    assert ours.shape == (10, 1000, 4)
-    torch.testing.assert_close(ours[..., 0], theirs[..., 0], atol=3e-7, rtol=0)
-    torch.testing.assert_close(ours[..., 1:], theirs[..., 1:], atol=1e-7, rtol=0)
+    actual, reference = brescianini_pair(vectors)
+    assert actual.shape == (10, 1000, 4)
+    torch.testing.assert_close(actual[..., 0], reference[..., 0], atol=3e-7, rtol=0)
+    torch.testing.assert_close(actual[..., 1:], reference[..., 1:], atol=1e-7, rtol=0)
     assert (
-        500 < int((theirs[..., 0] > 0.52199).sum()) < 2000
+        500 < int((reference[..., 0] > 0.52199).sum()) < 2000
     )  # most are not at the largest thrust, 0.029 kg times 18 m/s²
 
 
 def test_rates_of_the_tilt_alone_are_the_firmwares_in_the_world(vectors: dict[str, Tensor]) -> None:
-    ours, theirs = brescianini_reduced_pair(vectors)
-    assert ours.shape == (1000, 3)
-    torch.testing.assert_close(ours, theirs, atol=2e-5, rtol=0)
-    assert float(ours.abs().max()) > 2.0
+    actual, reference = brescianini_reduced_pair(vectors)
+    assert actual.shape == (1000, 3)
+    torch.testing.assert_close(actual, reference, atol=2e-5, rtol=0)
+    assert float(actual.abs().max()) > 2.0
 
 
 def test_power_distribution_is_the_firmwares(vectors: dict[str, Tensor]) -> None:
     """Halves of moments are whole counts there, so that rotors differ by one at most, and by two where one is cut off."""
-    ours, theirs = power_pair(vectors)
-    cut = ((theirs == 0.0) | (theirs == 65535.0)).any(-1)
-    off = (ours - theirs).abs().amax(-1)
+    actual, reference = power_pair(vectors)
+    cut = ((reference == 0.0) | (reference == 65535.0)).any(-1)
+    off = (actual - reference).abs().amax(-1)
     assert float(off[~cut].max()) <= 1.0
     assert float(off[cut].max()) <= 2.0
     assert 1000 < int(cut.sum()) < 9000

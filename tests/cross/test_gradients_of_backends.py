@@ -11,7 +11,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import EFFECTS, BodyState, Ground, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import CEILING, ON_RIGID, lopsided_robot, random_network, random_state
+from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_network, random_state
 
 NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
 RELATIVE = 2e-5
@@ -24,7 +24,7 @@ OVERRULED = "motor_time_constant"
 
 def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> dict[str, Tensor]:
     """Return the gradients of a generic function of the state after a rollout, by what they are taken for."""
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=DT)
     mass = vehicle.mass.clone().requires_grad_()
@@ -53,10 +53,10 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     weights = [torch.rand(t.shape, dtype=torch.float64, generator=g).to(dtype) for t in end.tensors()]
     scales = (1.0, 1.0, 1.0, 1.0, 1e-3)
     loss = sum((s * w * t).sum() for s, w, t in zip(scales, weights, end.tensors(), strict=True))
-    found = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())), strict=True))
-    unit, slope = start["attitude"].detach(), found["attitude"]
-    found["attitude"] = slope - (slope * unit).sum(-1, keepdim=True) * unit  # off the unit sphere there is no physics
-    return found
+    result = dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())), strict=True))
+    unit, slope = start["attitude"].detach(), result["attitude"]
+    result["attitude"] = slope - (slope * unit).sum(-1, keepdim=True) * unit  # off the unit sphere there is no physics
+    return result
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_capabilities_say_which_backend_is_differentiable() -> None:
 
 
 def test_without_gradients_the_rollout_is_that_of_step() -> None:
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     vehicle = vehicle_from_config(robot, num_envs=2)
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
     start = BodyState(**{k: v.float() for k, v in vars(random_state(2)).items()})
@@ -114,7 +114,7 @@ def test_without_gradients_the_rollout_is_that_of_step() -> None:
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS.names() if EFFECTS.get(name).remembers])
 def test_a_differentiable_rollout_refuses_effects_with_memory(name: str) -> None:
-    robot, effect = lopsided_robot(), EFFECTS.get(name)
+    robot, effect = asymmetric_robot(), EFFECTS.get(name)
     vehicle = vehicle_from_config(robot, num_envs=2)
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
     model = build_model(vehicle, [(effect, torch.tensor(effect.neutral(robot)).expand(2, -1))])
@@ -125,7 +125,7 @@ def test_a_differentiable_rollout_refuses_effects_with_memory(name: str) -> None
 
 
 def test_a_differentiable_rollout_refuses_a_ground() -> None:
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=2)
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=2)
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
     ground = Ground(height=0.0, spheres=torch.zeros(1, 4), contact=torch.zeros(2, dtype=torch.bool))
     with pytest.raises(CapabilityError, match="a differentiable rollout knows no ground. Use backend 'torch'"):

@@ -17,14 +17,14 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.articulated.articulation import build_articulation
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.vehicles import CEILING, random_state
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 FACTOR, ROUND_OFF = 4.0, 4e-6
 
@@ -45,45 +45,45 @@ def odd_tree() -> RobotCfg:
     ends = EndsCfg(low=-0.2, high=0.3, stiffness=3.0, damping=0.02)
 
     def joint(
-        name: str, parent: str, axis: tuple[float, float, float], at: tuple[float, float, float], **others: object
+        name: str, parent: str, axis: tuple[float, float, float], at: tuple[float, float, float], **remaining: object
     ):
-        return JointCfg(name=name, parent=parent, axis=axis, position=at, initial=(-0.1, 0.1), **others)  # type: ignore[arg-type]
+        return JointCfg(name=name, parent=parent, axis=axis, position=at, initial=(-0.1, 0.1), **remaining)  # type: ignore[arg-type]
 
-    def lump_at(*com: float) -> LinkCfg:
+    def lump_link(*com: float) -> LinkCfg:
         return LinkCfg(mass=0.02, com=(com[0], com[1], com[2]), inertia=lump)
 
     layout = (
         joint(
             "slide", "base", (0.6, 0.0, 0.8), (0.1, 0.0, 0.02), kind="prismatic", reference=0.01,
-            link=lump_at(0.12, 0.01, 0.0), spring=SpringCfg(
+            link=lump_link(0.12, 0.01, 0.0), spring=SpringCfg(
                 stiffness=8.0, damping=0.05, rest=0.02, friction=0.05, creep=(CreepCfg(stiffness=5.0, time=0.02),)
             ), ends=ends,
         ),
         joint(
-            "arm", "slide", (0.0, 1.0, 0.0), (0.13, 0.0, 0.0), reference=0.2, link=lump_at(0.15, 0.0, 0.02),
+            "arm", "slide", (0.0, 1.0, 0.0), (0.13, 0.0, 0.0), reference=0.2, link=lump_link(0.15, 0.0, 0.02),
             drive=DriveCfg(mode="position", stiffness=0.3, damping=0.01, limit=0.05, command_range=(-0.5, 0.5)),
         ),
         joint("hinge", "base", (0.0, 0.0, 1.0), (-0.1, 0.05, 0.0)),
         joint(
-            "left", "hinge", (1.0, 0.0, 0.0), (-0.12, 0.05, 0.01), link=lump_at(-0.13, 0.1, 0.0),
+            "left", "hinge", (1.0, 0.0, 0.0), (-0.12, 0.05, 0.01), link=lump_link(-0.13, 0.1, 0.0),
             drive=DriveCfg(mode="velocity", damping=0.02, limit=0.03, command_range=(-2.0, 2.0)),
         ),
         joint(
-            "right", "hinge", (0.0, 0.8, 0.6), (-0.12, 0.02, -0.01), link=lump_at(-0.15, -0.04, 0.0),
+            "right", "hinge", (0.0, 0.8, 0.6), (-0.12, 0.02, -0.01), link=lump_link(-0.15, -0.04, 0.0),
             drive=DriveCfg(mode="effort", limit=0.01, command_range=(-0.01, 0.01)),
             spring=SpringCfg(quadratic=0.3, damping=0.002, preload=0.003, creep=(
                 CreepCfg(stiffness=0.05, time=0.01), CreepCfg(stiffness=0.02, time=0.3)
             )),
         ),
     )  # fmt: skip
-    first, *others = robot.mounts.layout
-    mounts = replace(robot.mounts, layout=(replace(first, link="arm"), *others))
+    first, *further = robot.mounts.layout
+    mounts = replace(robot.mounts, layout=(replace(first, link="arm"), *further))
     inertia = ((0.004, 0.0, 0.0), (0.0, 0.005, 0.0), (0.0, 0.0, 0.006))
     body = replace(robot.body, mass=0.33, com=(0.004, -0.003, 0.002), inertia=inertia)
     return replace(robot, body=body, mounts=mounts, joints=JointsCfg(layout=layout, source="test"))
 
 
-def blown_tree(radius: float = 0.4) -> RobotCfg:
+def ground_effect_tree(radius: float = 0.4) -> RobotCfg:
     """That robot with propellers that feel ground and ceiling from afar, one on a link, two on another, one of them tilted."""
     robot = odd_tree()
     first, second, third, fourth = robot.mounts.layout
@@ -116,7 +116,7 @@ def fly(
     copies = len(nudges)
     vehicle = vehicle_from_config(robot, num_envs=copies * NUM_ENVS, dtype=dtype)
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=DT)
-    articulation = articulation_of(robot, like=vehicle.mass)
+    articulation = build_articulation(robot, like=vehicle.mass)
     rows = []
     for name in effects:
         effect = EFFECTS.get(name).bind_robot(robot)
@@ -133,7 +133,7 @@ def fly(
 
     joints = articulation.reference.double() + 0.3 * draw(NUM_ENVS, articulation.num_joints)
     speeds = torch.full((NUM_ENVS, vehicle.num_rotors), hover, dtype=torch.float64)
-    state = JointedState(
+    state = ArticulatedState(
         **{**vars(start), "rotor_speed": speeds}, joint_pos=joints, joint_vel=draw(NUM_ENVS, articulation.num_joints)
     )
     signs = torch.where(draw(NUM_ENVS, 1) > 0.0, 1.0, -1.0) * 2.0**-24
@@ -154,7 +154,7 @@ def fly(
     return tuple(tensor.double() for tensor in state.tensors())
 
 
-MADE_HERE = {"odd": odd_tree, "blown": blown_tree, "blown by little": lambda: blown_tree(0.0381)}
+MADE_HERE = {"odd": odd_tree, "blown": ground_effect_tree, "blown by little": lambda: ground_effect_tree(0.0381)}
 
 AT_HUBS = tuple(
     name for name in EFFECTS if EFFECTS.get(name).at_hubs and EFFECTS.get(name).on_joints and name != "blade_element"
@@ -184,22 +184,22 @@ OFTEN = ("everything, late", "effects at hubs")
 """The parts of the other cases are theirs, but for some effects."""
 
 
-@pytest.mark.parametrize("case", often(CASES, OFTEN))
+@pytest.mark.parametrize("case", frequent_values(CASES, OFTEN))
 def test_the_fused_step_is_that_of_the_reference(case: str, request: pytest.FixtureRequest) -> None:
     if case == AS_USERS_HAVE_IT:
-        request.getfixturevalue("optimised")
+        request.getfixturevalue("optimise_kernels")
     name, controller, effects, adjust = CASES[case]
     robot = MADE_HERE[name]() if name in MADE_HERE else ROBOTS.get(name)
     same = adjust or (lambda vehicle: vehicle)
     exact = fly(TorchBackend(), robot, controller, torch.float64, effects, same)
     singles = fly(TorchBackend(), robot, controller, torch.float32, effects, same, nudges=NUDGES)
     fused = fly(WarpBackend(), robot, controller, torch.float32, effects, same)
-    for right, mine, roughs in zip(exact, fused, singles, strict=True):
+    for right, own, roughs in zip(exact, fused, singles, strict=True):
         size = right.abs().max().clamp_min(1.0)
         away = (roughs.view(-1, *right.shape) - right).abs().max()
         allowed = (SLENDER if case == "snake of six, effort" else FACTOR) * away + ROUND_OFF * size
         assert bool(right.isfinite().all())
-        assert float((mine - right).abs().max()) <= float(allowed)
+        assert float((own - right).abs().max()) <= float(allowed)
 
 
 def test_a_differentiable_fused_rollout_moves_no_joints() -> None:

@@ -14,20 +14,20 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import Equations, equations
-from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.articulated.joint_laws import Effort
-from aerial_gym.physics.articulated.motion import moving, turning
+from aerial_gym.physics.articulated.motion import angular_jacobian, point_jacobian
 from aerial_gym.physics.articulated.steppers import _implicit, with_drive
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import state_for_thrust
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import random_state
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 UNIT = 2.0**-24
 """Of round-off in float32."""
@@ -51,12 +51,12 @@ class Start:
 
     model: Model
     backend: TorchBackend | WarpBackend
-    state: JointedState
+    state: ArticulatedState
     action: Tensor
     """Thrusts of hover, then commands of drives, (E, R + C)."""
 
 
-def start_of(
+def make_start(
     name: str, dtype: torch.dtype, *, spread: float, moves: float, backend: TorchBackend | None = None
 ) -> Start:
     """Return a vehicle off its reference pose.
@@ -70,7 +70,7 @@ def start_of(
     """
     robot = ROBOTS.get(name)
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
-    bends = articulation_of(robot, like=vehicle.mass)
+    bends = build_articulation(robot, like=vehicle.mass)
     assert bends is not None
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, G, dt=DT)
     backend = backend or (WarpBackend() if dtype == torch.float32 else TorchBackend())
@@ -86,7 +86,7 @@ def start_of(
     thrust = torch.full((NUM_ENVS, vehicle.num_rotors), robot.body.mass * G / vehicle.num_rotors, dtype=torch.float64)
     body = random_state(NUM_ENVS, seed=5, rotor_speed=1.0)
     still = robot.joints is not None and not robot.joints.floating
-    state = JointedState(
+    state = ArticulatedState(
         position=body.position,
         attitude=body.attitude,
         lin_vel=(0.0 if still else moves) * body.lin_vel,
@@ -98,10 +98,10 @@ def start_of(
     stay = [bends.reference[k] * (mode == "position") for k, mode in zip(bends.driven, bends.modes, strict=True)]
     held = torch.stack(stay).double().expand(NUM_ENVS, -1) if stay else thrust[:, :0]
     rows = {field: tensor.float().to(dtype) for field, tensor in vars(state).items()}
-    return Start(model, backend, JointedState(**rows), torch.cat((thrust, held), dim=1).float().to(dtype))
+    return Start(model, backend, ArticulatedState(**rows), torch.cat((thrust, held), dim=1).float().to(dtype))
 
 
-def coordinates(state: JointedState | TreeState) -> Tensor:
+def coordinates(state: ArticulatedState | TreeState) -> Tensor:
     """Return the coordinates of motion, (E, 6 + D): velocity and angular velocity in axes of the base, rates of joints."""
     lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
     return torch.cat((lin_vel, state.ang_vel, state.joint_vel), dim=1)
@@ -121,7 +121,7 @@ class Bound:
     """``sqrt(kg) m/s``, (E,)."""
 
 
-def bound_of(start: Start, first: int) -> Bound:
+def step_bound(start: Start, first: int) -> Bound:
     """Return the bound, from the float64 equations of the step, with the numbers of ``test_one_step_...``.
 
     Args:
@@ -140,21 +140,21 @@ def bound_of(start: Start, first: int) -> Bound:
             return _implicit(tree, before, used[-1][1], acts, dt)
 
         after = with_drive(step, laws, drive, friction, before)
-        acts, found = used[-1]
-        places = found.places
-        mass = found.mass + torch.diag_embed(
+        acts, result = used[-1]
+        places = result.places
+        mass = result.mass + torch.diag_embed(
             torch.nn.functional.pad(dt * (acts.damping + dt * acts.stiffness), (6, 0)).expand(NUM_ENVS, -1)
         )
         mass = mass[:, first:, first:]
         weight = links.mass.expand(NUM_ENVS, -1).unsqueeze(-1)
-        push = weight * (gravity + found.motion.com_acc.norm(dim=-1, keepdim=True)) + wrench[..., :3].norm(
+        push = weight * (gravity + result.motion.com_acc.norm(dim=-1, keepdim=True)) + wrench[..., :3].norm(
             dim=-1, keepdim=True
         )
-        turn_rate = found.motion.ang_vel.norm(dim=-1, keepdim=True)
+        turn_rate = result.motion.ang_vel.norm(dim=-1, keepdim=True)
         size = places.inertia.norm(dim=(-2, -1)).unsqueeze(-1)
         twist = wrench[..., 3:].norm(dim=-1, keepdim=True)
-        twist = twist + size * (found.motion.ang_acc.norm(dim=-1, keepdim=True) + turn_rate.square())
-        moves, turns = moving(tree, places, places.com).norm(dim=2), turning(tree, places).norm(dim=2)
+        twist = twist + size * (result.motion.ang_acc.norm(dim=-1, keepdim=True) + turn_rate.square())
+        moves, turns = point_jacobian(tree, places, places.com).norm(dim=2), angular_jacobian(tree, places).norm(dim=2)
         terms = (moves * push).sum(1) + (turns * twist).sum(1)
         joints = acts.value.abs() + 2.0 * acts.stiffness * before.joint_pos.abs()
         terms = terms + torch.nn.functional.pad(joints + 2.0 * acts.damping * before.joint_vel.abs(), (6, 0))
@@ -174,11 +174,11 @@ def bound_of(start: Start, first: int) -> Bound:
     assert bends is not None
     crept = bends.initialise_creep(bends.fresh_creep(NUM_ENVS), start.state.joint_pos) if bends.num_creep else None
     speeds = state_for_thrust(model.vehicle, start.action[:, :num_rotors])
-    jointed_step(model, start.state, speeds, start.action[:, num_rotors:], DT, crept=crept, stepper=stepper)
+    articulated_step(model, start.state, speeds, start.action[:, num_rotors:], DT, crept=crept, stepper=stepper)
     return seen[0]
 
 
-@pytest.mark.parametrize("name", often(WITH_JOINTS, OFTEN))
+@pytest.mark.parametrize("name", frequent_values(WITH_JOINTS, OFTEN))
 def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows(name: str) -> None:
     """Rates x after a step of dt, each times the root d of its own entry on the diagonal of M, D = diag(d), H = D⁻¹ M D⁻¹:
 
@@ -189,9 +189,9 @@ def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows
     Source: Higham (2002), Accuracy and Stability of Numerical Algorithms, theorem 10.6 (Demmel), for a factor of M; terms of
     the forces, off by as many units, go through ``M⁻¹ = D⁻¹ H⁻¹ D⁻¹``.
     """
-    exact = start_of(name, torch.float64, spread=0.3, moves=1.0)
-    single = start_of(name, torch.float32, spread=0.3, moves=1.0)
-    bound = bound_of(exact, 0 if exact.model.articulation.tree.floating else 6)  # type: ignore[union-attr]
+    exact = make_start(name, torch.float64, spread=0.3, moves=1.0)
+    single = make_start(name, torch.float32, spread=0.3, moves=1.0)
+    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)  # type: ignore[union-attr]
     for start in (exact, single):
         start.backend.step(start.state, start.action, DT, 1)
     width = bound.scale.shape[1]
@@ -207,7 +207,7 @@ def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows
     assert bool((away <= bound.largest).all())
 
 
-def nudged(start: Start, bound: Bound) -> Start:
+def perturb(start: Start, bound: Bound) -> Start:
     """Return the same with rates that are off by the bound of a step, in a direction drawn at random; float64."""
     gen = torch.Generator().manual_seed(12)
     aside = torch.randn(bound.scale.shape, dtype=torch.float64, generator=gen)
@@ -227,18 +227,21 @@ def nudged(start: Start, bound: Bound) -> Start:
 @pytest.mark.parametrize("name", WITH_JOINTS)
 def test_a_second_is_off_by_no_more_than_its_steps_together(name: str) -> None:
     """500 steps of 2 ms: the bound of a step each, grown as a start that is off by it grows in float64 until then."""
-    exact, single = (start_of(name, dtype, spread=0.05, moves=0.1) for dtype in (torch.float64, torch.float32))
-    other = start_of(name, torch.float64, spread=0.05, moves=0.1)
+    exact, single = (make_start(name, dtype, spread=0.05, moves=0.1) for dtype in (torch.float64, torch.float32))
+    other = make_start(name, torch.float64, spread=0.05, moves=0.1)
     assert exact.model.articulation is not None
-    bound = bound_of(exact, 0 if exact.model.articulation.tree.floating else 6)
-    other = nudged(other, bound)
+    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
+    other = perturb(other, bound)
     for start in (exact, single, other):
         for _ in range(100):
             start.backend.step(start.state, start.action, DT, 5)
     width, right = bound.scale.shape[1], exact.state
     away, grown = (
         (bound.scale * (coordinates(each) - coordinates(right))[:, -width:]).norm(dim=1)
-        for each in (JointedState(**{field: rows.double() for field, rows in vars(single.state).items()}), other.state)
+        for each in (
+            ArticulatedState(**{field: rows.double() for field, rows in vars(single.state).items()}),
+            other.state,
+        )
     )
     growth = (grown / bound.largest).clamp_min(1.0)
     off = [

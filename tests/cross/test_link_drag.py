@@ -17,14 +17,14 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import EFFECTS, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import EffectParams
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_joints import FACTOR, ROUND_OFF, odd_tree
 from tests.physics.vehicles import random_state
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 NUM_ENVS, DT, SUBSTEPS, STEPS = 16, 0.002, 3, 3
 
@@ -45,13 +45,13 @@ def with_drag(name: str, drag: dict[str, float]) -> RobotCfg:
     return replace(robot, effects={"link_drag": drag}, effects_source="test")
 
 
-def rows_of(robot: RobotCfg, others: tuple[str, ...], dtype: torch.dtype) -> list[EffectParams]:
+def effect_rows(robot: RobotCfg, rest: tuple[str, ...], dtype: torch.dtype) -> list[EffectParams]:
     """Return effects of the robot and others, each environment with numbers of its own."""
     each, rows = torch.linspace(0.5, 1.5, NUM_ENVS, dtype=dtype).unsqueeze(1), []
     for name, values in robot.effects.items():
         law = EFFECTS.get(name).bind_robot(robot)
-        rows.append((law, each * torch.tensor(law.params_from(values), dtype=dtype)))
-    for name in others:
+        rows.append((law, each * torch.tensor(law.parse_params(values), dtype=dtype)))
+    for name in rest:
         effect = EFFECTS.get(name)
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype) * each.flip(0)))
@@ -61,7 +61,7 @@ def rows_of(robot: RobotCfg, others: tuple[str, ...], dtype: torch.dtype) -> lis
 def fly(
     backend: PhysicsBackend,
     robot: RobotCfg,
-    others: tuple[str, ...],
+    rest: tuple[str, ...],
     dtype: torch.dtype,
     *,
     nudge: float = 0.0,
@@ -71,10 +71,10 @@ def fly(
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     law, articulation = (
         make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=dt),
-        articulation_of(robot, like=vehicle.mass),
+        build_articulation(robot, like=vehicle.mass),
     )
     assert articulation is not None
-    model = build_model(vehicle, rows_of(robot, others, dtype), articulation=articulation)
+    model = build_model(vehicle, effect_rows(robot, rest, dtype), articulation=articulation)
     gen = torch.Generator().manual_seed(7)
 
     def draw(*shape: int) -> Tensor:
@@ -84,7 +84,7 @@ def fly(
     start = vars(random_state(NUM_ENVS, seed=5, rotor_speed=hover))
     start["rotor_speed"] = torch.full((NUM_ENVS, vehicle.num_rotors), hover, dtype=torch.float64)
     joints = articulation.reference.double() + 0.3 * draw(NUM_ENVS, articulation.num_joints)
-    state = JointedState(**start, joint_pos=joints, joint_vel=2.0 * draw(NUM_ENVS, articulation.num_joints))
+    state = ArticulatedState(**start, joint_pos=joints, joint_vel=2.0 * draw(NUM_ENVS, articulation.num_joints))
     signs = torch.where(draw(NUM_ENVS, 1) > 0.0, 1.0, -1.0) * nudge
     state = replace(state, **{name: (rows * (1.0 + signs)).to(dtype) for name, rows in vars(state).items()})
     backend.allocate(model, law, integrator="euler", random=Randomness(NUM_ENVS))
@@ -96,45 +96,45 @@ def fly(
     return tuple(tensor.double() for tensor in state.tensors())
 
 
-@pytest.mark.parametrize("case", often(CASES, ("on a stand",)))
+@pytest.mark.parametrize("case", frequent_values(CASES, ("on a stand",)))
 def test_the_fused_step_with_drag_is_that_of_the_reference(case: str) -> None:
     """A star of universal joints, a chain, a stand, and a tree that has everything; drag is seen in all that moves.
 
     A tree flies with it always among the effects at hubs of ``test_joints``.
     """
-    name, drag, others = CASES[case]
+    name, drag, remaining = CASES[case]
     robot = with_drag(name, drag)
-    exact = fly(TorchBackend(), robot, others, torch.float64)
-    singles = [fly(TorchBackend(), robot, others, torch.float32, nudge=nudge * 2.0**-24) for nudge in (0, 1)]
-    fused = fly(WarpBackend(), robot, others, torch.float32)
-    without = fly(TorchBackend(), with_drag(name, dict.fromkeys(drag, 0.0)), others, torch.float64)
-    for place, (right, mine, *roughs) in enumerate(zip(exact, fused, *singles, strict=True)):
+    exact = fly(TorchBackend(), robot, remaining, torch.float64)
+    singles = [fly(TorchBackend(), robot, remaining, torch.float32, nudge=nudge * 2.0**-24) for nudge in (0, 1)]
+    fused = fly(WarpBackend(), robot, remaining, torch.float32)
+    without = fly(TorchBackend(), with_drag(name, dict.fromkeys(drag, 0.0)), remaining, torch.float64)
+    for place, (right, own, *roughs) in enumerate(zip(exact, fused, *singles, strict=True)):
         away = max(float((rough - right).abs().max()) for rough in roughs)
         allowed = FACTOR * away + ROUND_OFF * float(right.abs().max().clamp_min(1.0))
         assert bool(right.isfinite().all())
-        assert float((mine - right).abs().max()) <= allowed
+        assert float((own - right).abs().max()) <= allowed
         if place in (3, 6) and not (place == 3 and name == "morphy_fixed_base"):  # angular velocity, rates of joints
             assert float((without[place] - right).abs().max()) > 100.0 * allowed
 
 
 def test_each_environment_flies_as_it_does_alone() -> None:
     """Of a batch of 8 and the first two of it, bit for bit, with numbers of their own."""
-    name, drag, others = CASES["on a stand"]
+    name, drag, remaining = CASES["on a stand"]
     robot, ends = with_drag(name, drag), []
     for count in (8, 2):
         vehicle = vehicle_from_config(robot, num_envs=count)
         law, articulation = (
             make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT),
-            articulation_of(robot, like=vehicle.mass),
+            build_articulation(robot, like=vehicle.mass),
         )
         assert articulation is not None
-        rows = [(effect, params[:count]) for effect, params in rows_of(robot, others, torch.float32)]
+        rows = [(effect, params[:count]) for effect, params in effect_rows(robot, remaining, torch.float32)]
         backend = WarpBackend()
         model = build_model(vehicle, rows, articulation=articulation)
         backend.allocate(model, law, integrator="euler", random=Randomness(count))
         start = {name: rows[:count].float() for name, rows in vars(random_state(8, seed=1, rotor_speed=0.5)).items()}
         joints = articulation.reference.repeat(count, 1)
-        state = JointedState(**start, joint_pos=joints, joint_vel=torch.zeros_like(joints))
+        state = ArticulatedState(**start, joint_pos=joints, joint_vel=torch.zeros_like(joints))
         for _ in range(4):
             backend.step(state, torch.full((count, 4), 0.5), DT, SUBSTEPS)
         ends.append(state)
@@ -142,10 +142,10 @@ def test_each_environment_flies_as_it_does_alone() -> None:
         assert torch.equal(one[:2], other)
 
 
-def env_of(robot: RobotCfg, randomize: dict[str, RandomizeCfg], **others: object) -> EnvManager:
+def make_env(robot: RobotCfg, randomize: dict[str, RandomizeCfg], **rest: object) -> EnvManager:
     defaults = {"sim_name": "base_sim_2ms", "env_name": "empty_env", "controller_name": "no_control", "num_envs": 32}
     robot = replace(robot, randomize=randomize)
-    return SimBuilder().build_env(**(defaults | others), robot_name=robot, device="cpu", seed=1)  # type: ignore[arg-type]
+    return SimBuilder().build_env(**(defaults | rest), robot_name=robot, device="cpu", seed=1)  # type: ignore[arg-type]
 
 
 def test_a_reset_draws_the_drag_of_a_link_and_the_arms_feel_it() -> None:
@@ -158,7 +158,7 @@ def test_a_reset_draws_the_drag_of_a_link_and_the_arms_feel_it() -> None:
     )
     drawn = RandomizeCfg(how="value", distribution="uniform", low=0.001, high=0.02)
     assert robot.joints is not None
-    env = env_of(robot, {"effects.link_drag.azimuth_1.lx": drawn})
+    env = make_env(robot, {"effects.link_drag.azimuth_1.lx": drawn})
     env.reset()
     env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
     env.gtd["dof_position"].zero_()
@@ -180,6 +180,6 @@ def test_a_differentiable_rollout_and_names_that_are_not_there_are_refused() -> 
         fly(WarpBackend(differentiable=True), robot, (), torch.float32)
     drawn = RandomizeCfg(how="value", distribution="uniform", low=0.001, high=0.02)
     with pytest.raises(ConfigError, match="no quantity 'effects.link_drag.azimuth_9.lx'. Did you mean"):
-        env_of(robot, {"effects.link_drag.azimuth_9.lx": drawn})
+        make_env(robot, {"effects.link_drag.azimuth_9.lx": drawn})
     with pytest.raises(ConfigError, match="effect link_drag: is of the links"):
-        env_of(ROBOTS.get("tinyprop"), {"effects.link_drag.lx": drawn})
+        make_env(ROBOTS.get("tinyprop"), {"effects.link_drag.lx": drawn})

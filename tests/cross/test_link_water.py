@@ -14,8 +14,8 @@ from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.cross.test_joints import FACTOR, ROUND_OFF, odd_tree
 from tests.cross.test_link_drag import OF_ALL, fly
-from tests.physics.articulated.test_link_buoyancy import crooked, under_water
-from tests.repetitions import often
+from tests.physics.articulated.test_link_buoyancy import make_joints, under_water
+from tests.repetitions import frequent_values
 
 BUOYANCY = {"force": 0.5, "x": 0.01, "slide.force": 2.0, "slide.z": 0.05, "base.y": -0.03}
 
@@ -26,27 +26,27 @@ ALL = {"link_buoyancy": BUOYANCY, "link_added_mass": ADDED, "link_drag": OF_ALL}
 ON_A_STAND = {"link_buoyancy": {"left.force": 2.0, "left.z": 0.1}}
 
 CASES = {
-    "a slide on a hinge": (under_water(crooked(), {"link_buoyancy": BUOYANCY}), ()),
-    "added mass": (under_water(crooked(), {"link_added_mass": ADDED}), ()),
-    "all in a current": (under_water(crooked(), ALL), ("constant_wind",)),
-    "on a stand": (under_water(crooked(), ON_A_STAND, floating=False), ()),
-    "all on a stand": (under_water(crooked(), ALL, floating=False), ("constant_wind",)),
+    "a slide on a hinge": (under_water(make_joints(), {"link_buoyancy": BUOYANCY}), ()),
+    "added mass": (under_water(make_joints(), {"link_added_mass": ADDED}), ()),
+    "all in a current": (under_water(make_joints(), ALL), ("constant_wind",)),
+    "on a stand": (under_water(make_joints(), ON_A_STAND, floating=False), ()),
+    "all on a stand": (under_water(make_joints(), ALL, floating=False), ("constant_wind",)),
     "with drives": (replace(odd_tree(), effects=ALL, effects_source="test"), ("gusts", "rotor_drag", "buoyancy")),
 }
 
 
-@pytest.mark.parametrize("case", often(CASES, ("all in a current",)))
+@pytest.mark.parametrize("case", frequent_values(CASES, ("all in a current",)))
 def test_the_fused_step_in_water_is_that_of_the_reference(case: str) -> None:
-    robot, others = CASES[case]
-    exact = fly(TorchBackend(), robot, others, torch.float64)
-    singles = [fly(TorchBackend(), robot, others, torch.float32, nudge=nudge * 2.0**-24) for nudge in (0, 1)]
-    fused = fly(WarpBackend(), robot, others, torch.float32)
-    without = fly(TorchBackend(), replace(robot, effects={}), others, torch.float64)
-    for place, (right, mine, *roughs) in enumerate(zip(exact, fused, *singles, strict=True)):
+    robot, rest = CASES[case]
+    exact = fly(TorchBackend(), robot, rest, torch.float64)
+    singles = [fly(TorchBackend(), robot, rest, torch.float32, nudge=nudge * 2.0**-24) for nudge in (0, 1)]
+    fused = fly(WarpBackend(), robot, rest, torch.float32)
+    without = fly(TorchBackend(), replace(robot, effects={}), rest, torch.float64)
+    for place, (right, own, *roughs) in enumerate(zip(exact, fused, *singles, strict=True)):
         away = max(float((rough - right).abs().max()) for rough in roughs)
         allowed = FACTOR * away + ROUND_OFF * float(right.abs().max().clamp_min(1.0))
         assert bool(right.isfinite().all())
-        assert float((mine - right).abs().max()) <= allowed
+        assert float((own - right).abs().max()) <= allowed
         if place in (3, 6) and (place == 6 or "stand" not in case):  # angular velocity, rates of joints
             assert float((without[place] - right).abs().max()) > 100.0 * allowed
 
@@ -55,8 +55,8 @@ def test_mujoco_carries_links_as_torch_does() -> None:
     """On a free base and on a stand; both hold the force through a step, and round."""
     pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
     for case in ("a slide on a hinge", "on a stand"):
-        robot, others = CASES[case]
-        ends = [fly(backend, robot, others, torch.float64) for backend in (TorchBackend(), BACKENDS.get("mujoco")())]
+        robot, rest = CASES[case]
+        ends = [fly(backend, robot, rest, torch.float64) for backend in (TorchBackend(), BACKENDS.get("mujoco")())]
         for one, other in zip(*ends, strict=True):
             torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
     with pytest.raises(CapabilityError, match="backend mujoco: bodies of MuJoCo have one mass along all axes"):

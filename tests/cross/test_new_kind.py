@@ -12,12 +12,12 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import Condition, EffectsByKind, Moment, Parameter, RotorEffect, WrenchEffect
-from aerial_gym.physics.effects.track import Track, relax
+from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import Batch
+from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.cross.test_backends import assert_same_flight
 from tests.unit.sim2real.flat_flights import ROBOT
@@ -67,7 +67,7 @@ class DuctEffect(RotorEffect, WrenchEffect):
 
         return duct_lag
 
-    def replay(self, track: Track, params: Tensor) -> Tensor:
+    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
         rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()
         return torch.from_numpy(relax(rest, rest[0], tau=TAU, step=track.step))
 
@@ -99,7 +99,7 @@ def test_both_hooks_share_parameters_and_memory() -> None:
     effects = EffectsByKind([(EFFECTS.get("constant_wind"), torch.zeros(2, 3)), (Duct(), torch.ones(2, 2))])
     assert effects[RotorEffect] == effects[WrenchEffect]
     assert [place.memory for place in effects.places(4)] == [slice(0, 0), slice(0, 1)]
-    assert effects.remembering == (Duct.name,)
+    assert effects.names_with_memory == (Duct.name,)
 
 
 def test_two_of_a_kind_that_is_single_are_refused() -> None:
@@ -127,7 +127,7 @@ def test_predictor_and_rollout_follow_a_new_kind() -> None:
     steady = np.abs(time - 2.0) > 0.5
     np.testing.assert_allclose((ducted - bare)[steady, 2], 0.2 * bare[steady, 2], rtol=1e-3)
     vehicle, rows = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), np.array([100, 180, 260])
-    run = Batch(vehicle, effects_at(params, 3), [flight], np.zeros(3, dtype=int), rows)
-    ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
+    run = WindowBatch(vehicle, expand_effects(params, 3), [flight], np.zeros(3, dtype=int), rows)
+    ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05), rtol=5e-3)
     np.testing.assert_allclose(state.lin_vel[:, 2], 0.1 * G * np.array([0.2, 0.2, 1.2 * 1.21 - 1.0]), rtol=1e-6)

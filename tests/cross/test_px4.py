@@ -28,9 +28,9 @@ def vectors() -> dict[str, Tensor]:
 
 def test_rate_control_is_px4s(vectors: dict[str, Tensor]) -> None:
     """Runs of four steps, with integral, feed-forward, limits and saturated rotors."""
-    ours, theirs, size = rate_pair(vectors)
-    assert ours.shape == (4, 2500, 3)
-    assert ((ours - theirs).abs() <= 8 * EPS * size).all()
+    actual, reference, size = rate_pair(vectors)
+    assert actual.shape == (4, 2500, 3)
+    assert ((actual - reference).abs() <= 8 * EPS * size).all()
 
 
 def test_the_mixer_is_px4s() -> None:
@@ -38,9 +38,9 @@ def test_the_mixer_is_px4s() -> None:
 
     A step along a column is a quotient by a part of at least 0.2, and there are at most six: 8 roundings of numbers up to 5.
     """
-    ours, theirs = mixer_pair()
-    assert ours.shape == (10_000, 6)
-    assert float((ours - theirs).abs().max()) <= 8 * EPS * 5.0
+    actual, reference = mixer_pair()
+    assert actual.shape == (10_000, 6)
+    assert float((actual - reference).abs().max()) <= 8 * EPS * 5.0
 
 
 def test_attitude_control_is_px4s(vectors: dict[str, Tensor]) -> None:
@@ -50,14 +50,14 @@ def test_attitude_control_is_px4s(vectors: dict[str, Tensor]) -> None:
     where the heading error w, z nears 0 or 180 degrees, as PX4 takes arc cosine and arc sine, which lose digits there.
     """
     attitude, wanted, _, gain, weight, _ = attitude_cases()
-    ours, theirs = attitude_pair(vectors)
+    actual, reference = attitude_pair(vectors)
     up, goal = (quat_rotate(q, q.new_tensor((0.0, 0.0, 1.0)).expand(len(q), 3)) for q in (attitude, wanted))
     turn, _ = shortest_turn(up, goal)
     heading = canonical(quat_multiply(quat_conjugate(quat_multiply(turn, attitude)), wanted)).abs()
     n = (2.0 + 2.0 * (up * goal).sum(-1)).sqrt()
     growth = 1.0 / n + 1.0 / heading[:, 3] + 1.0 / heading[:, 2]
     bound = 8 * EPS * gain.amax(-1) / weight[:, 0] * growth
-    error = (ours - theirs).abs().amax(-1)
+    error = (actual - reference).abs().amax(-1)
     assert len(error) == 10_000
     assert (error <= bound).all()
     assert float(error.median()) < 2e-6
@@ -66,8 +66,8 @@ def test_attitude_control_is_px4s(vectors: dict[str, Tensor]) -> None:
 def test_position_control_is_px4s(vectors: dict[str, Tensor]) -> None:
     """Runs of four steps, to positions or velocities, against all limits: acceleration, thrust and attitude."""
     pairs = position_pairs(vectors)
-    for name, (ours, theirs, size) in pairs.items():
-        assert ours.shape[:2] == (4, 2500)
-        assert ((ours - theirs).abs() <= 64 * EPS * size).all(), name
+    for name, (actual, reference, size) in pairs.items():
+        assert actual.shape[:2] == (4, 2500)
+        assert ((actual - reference).abs() <= 64 * EPS * size).all(), name
     thrust = pairs["normalised thrust"][1].norm(dim=-1)
     assert int((thrust >= 0.6).sum()) > 1000  # so many are near the limits, 0.6 to 1, or the test would not see them

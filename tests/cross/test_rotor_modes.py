@@ -9,8 +9,8 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import EFFECTS, BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
-from tests.cross.test_backends import as_type, assert_near
-from tests.physics.mixed_rotors import mixed_robot
+from tests.cross.test_backends import as_type, assert_agreement
+from tests.physics.rotor_types import three_type_robot
 from tests.physics.vehicles import ON_RIGID, random_state
 
 NUM_ENVS, DT, SUBSTEPS, STEPS = 12, 0.004, 5, 8
@@ -29,7 +29,7 @@ def by_env(rows: Tensor) -> Tensor:
     return rows * steps.view(-1, *[1] * (rows.dim() - 1))
 
 
-def model_of(robot: RobotCfg, dtype: torch.dtype, *, vary: bool, effects: tuple[str, ...]):
+def make_model(robot: RobotCfg, dtype: torch.dtype, *, vary: bool, effects: tuple[str, ...]):
     vehicle = declared = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     if vary:
         kept = {name: rows for name, rows in vehicle.rows().items() if name in ("rotor_axis", "rotor_spin")}
@@ -44,13 +44,13 @@ def model_of(robot: RobotCfg, dtype: torch.dtype, *, vary: bool, effects: tuple[
 
 def flights(robot, controller, integrator, *, vary=False, effects=(), actions=thrusts) -> list[list[BodyState]]:
     """Return the states after each step of torch in float64 and float32, and of Warp, each from the exact one before."""
-    found, exact = [], None
+    result, exact = [], None
     for backend, dtype in (
         (TorchBackend(), torch.float64),
         (TorchBackend(), torch.float32),
         (WarpBackend(), torch.float32),
     ):
-        model, declared = model_of(robot, dtype, vary=vary, effects=effects)
+        model, declared = make_model(robot, dtype, vary=vary, effects=effects)
         backend.allocate(model, make_controller(CONTROLLERS.get(controller), declared, 9.81), integrator=integrator)
         state, states = as_type(random_state(NUM_ENVS, seed=5, rotor_speed=300.0), dtype), []
         state.rotor_speed[:, 2] = torch.linspace(-3.0, 5.0, NUM_ENVS)
@@ -61,23 +61,23 @@ def flights(robot, controller, integrator, *, vary=False, effects=(), actions=th
             backend.step(state, actions(step).to(dtype), DT, SUBSTEPS)
             states.append(as_type(state, dtype))
         exact = states if exact is None else exact
-        found.append(states)
-    return found
+        result.append(states)
+    return result
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 @pytest.mark.parametrize(("integrator", "vary"), [("euler", True), pytest.param("rk4", False, marks=pytest.mark.slow)])
 def test_mixed_rotors_fly_like_torch(integrator: str, vary: bool) -> None:
     """Signs change on the way, slew rates and dead bands act; with every number of its own per environment too."""
-    exact, single, fused = flights(mixed_robot(), "no_control", integrator, vary=vary)
+    exact, single, fused = flights(three_type_robot(), "no_control", integrator, vary=vary)
     assert min(state.rotor_speed.min() for state in exact) < -3.0
     for step in range(STEPS):
-        assert_near(exact[step], single[step], fused[step])
+        assert_agreement(exact[step], single[step], fused[step])
 
 
 def test_effects_on_reversible_rotors_fly_like_torch() -> None:
     names = tuple(n for n in ON_RIGID if {"reversible", "slew"} <= set(EFFECTS.get(n).rotors))
-    robot = mixed_robot()
+    robot = three_type_robot()
     layout = tuple(replace(m, rotor="reversible" if m.rotor == "force" else m.rotor) for m in robot.mounts.layout)
     robot = replace(
         robot,
@@ -87,14 +87,14 @@ def test_effects_on_reversible_rotors_fly_like_torch() -> None:
     names = tuple(n for n in names if n != "gusts")
     exact, single, fused = flights(robot, "no_control", "euler", effects=names)
     for step in range(STEPS):
-        assert_near(exact[step], single[step], fused[step])
+        assert_agreement(exact[step], single[step], fused[step])
 
 
 def test_gradients_of_mixed_rotors_are_those_of_torch() -> None:
     """Of a generic function after some substeps, with respect to action, start and slew rates."""
     grads = []
     for backend, dtype in ((TorchBackend(), torch.float64), (WarpBackend(differentiable=True), torch.float32)):
-        model, declared = model_of(mixed_robot(), dtype, vary=False, effects=())
+        model, declared = make_model(three_type_robot(), dtype, vary=False, effects=())
         lag = declared.time_constant_up.clone().requires_grad_()
         model = replace(model, vehicle=replace(model.vehicle, time_constant_up=lag))
         backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), declared, 9.81), integrator="euler")

@@ -12,10 +12,10 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import as_type, assert_same_flight
-from tests.physics.test_effects import effects_of
-from tests.physics.test_kirchhoff import energy_of_bluerov, tumbling, without_drag
-from tests.physics.vehicles import lopsided_robot
-from tests.repetitions import often
+from tests.physics.test_effects import make_effects
+from tests.physics.test_kirchhoff import energy_of_bluerov, tumble_state, without_drag
+from tests.physics.vehicles import asymmetric_robot
+from tests.repetitions import frequent_values
 
 WATER = ("buoyancy", "hull_drag", "added_mass", "added_inertia", "constant_wind")
 LOADED = ("added_mass", "slung_payload")
@@ -23,13 +23,13 @@ LOADED = ("added_mass", "slung_payload")
 
 @pytest.mark.parametrize(
     ("integrator", "effects"),
-    often(
+    frequent_values(
         product(("euler", "rk4"), (("added_mass",), WATER, LOADED)),
         [("euler", ("added_mass",)), ("rk4", WATER), ("euler", LOADED)],
     ),
 )
 def test_a_hull_moves_like_torch(integrator: str, effects: tuple[str, ...]) -> None:
-    assert_same_flight(lopsided_robot(), CONTROLLERS.get("no_control"), integrator, effects=effects)
+    assert_same_flight(asymmetric_robot(), CONTROLLERS.get("no_control"), integrator, effects=effects)
 
 
 def test_a_vehicle_in_water_moves_like_torch() -> None:
@@ -50,9 +50,9 @@ def test_the_bluerov_without_drag_keeps_its_energy(name: str) -> None:
     backend, dtype = engine(name)
     robot = without_drag("bluerov2_heavy")
     vehicle = vehicle_from_config(robot, num_envs=8, dtype=dtype)
-    model = build_model(vehicle, [(effect, rows.to(dtype)) for effect, rows in effects_of(robot.effects, 8)])
+    model = build_model(vehicle, [(effect, rows.to(dtype)) for effect, rows in make_effects(robot.effects, 8)])
     backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81), integrator="euler")
-    state = as_type(tumbling(8, seed=0, speed=0.6, rate=0.6, envs=8), dtype)
+    state = as_type(tumble_state(8, seed=0, speed=0.6, rate=0.6, envs=8), dtype)
     kinetic, before = energy_of_bluerov(as_type(state, torch.float64))
     for _ in range(500):
         backend.step(state, torch.zeros(8, 8, dtype=dtype), 0.01, 1)
@@ -67,7 +67,7 @@ def test_a_hull_rests_on_the_ground(name: str) -> None:
     robot = without_drag("bluerov2_heavy")
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=dtype)
     effects = {**robot.effects, "buoyancy": {"force": 100.0, "x": 0.0, "y": 0.0, "z": 0.01}}
-    model = build_model(vehicle, [(effect, rows.to(dtype)) for effect, rows in effects_of(effects, 1)])
+    model = build_model(vehicle, [(effect, rows.to(dtype)) for effect, rows in make_effects(effects, 1)])
     corners = [[x, y, -0.19, 0.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     ground = Ground(
         height=0.0,
@@ -78,7 +78,7 @@ def test_a_hull_rests_on_the_ground(name: str) -> None:
     )
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
     backend.allocate(model, law, integrator="euler", ground=ground)
-    state = as_type(tumbling(8, seed=0, speed=0.0, rate=0.0, envs=1), dtype)
+    state = as_type(tumble_state(8, seed=0, speed=0.0, rate=0.0, envs=1), dtype)
     state.position.copy_(torch.tensor([[0.0, 0.0, 0.191]]))
     state.attitude.copy_(torch.tensor([[0.0, 0.0, 0.0, 1.0]]))
     heights = []

@@ -10,7 +10,7 @@ import numpy as np
 
 from aerial_gym.config import read_yaml
 from aerial_gym.sim2real import close_loop
-from benchmarks.undeclared import Failure, make_case, simulate
+from benchmarks.undeclared import PlantFailure, make_case, simulate
 
 HAS_PROSE = True
 
@@ -32,13 +32,13 @@ CASES: dict[str, dict[str, Any]] = {
     "unknown_position": {"effects": {"unknown_position": "large"}},
     "failure_beside_effect": {
         "effects": {"com_offset": "moderate"},
-        "failures": {"train_2": Failure(kind="motor_failure", motor=3, scale=0.85, time=3.0)},
+        "failures": {"train_2": PlantFailure(kind="motor_failure", motor=3, scale=0.85, time=3.0)},
     },
     "two_failures": {
         "effects": {},
         "failures": {
-            "train_1": Failure(kind="brown_out", scale=0.85, time=3.0, duration=0.8),
-            "test_1": Failure(kind="stuck_rotor", motor=2, time=3.5),
+            "train_1": PlantFailure(kind="brown_out", scale=0.85, time=3.0, duration=0.8),
+            "test_1": PlantFailure(kind="stuck_rotor", motor=2, time=3.5),
         },
     },
 }
@@ -73,7 +73,7 @@ def measure(item: str) -> dict[str, Any]:
         }
 
 
-def corrected_robot(item: str) -> str:
+def robot_text(item: str) -> str:
     """Return the text of robot.yaml of one case."""
     with tempfile.TemporaryDirectory() as folder:
         return (_close_loop(item, Path(folder)) / "robot.yaml").read_text(encoding="utf-8")

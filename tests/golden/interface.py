@@ -17,7 +17,7 @@ from typing import Any, get_args, get_type_hints
 import aerial_gym
 from aerial_gym.cli.list_names import KINDS, PARTS_OF_TASKS
 from aerial_gym.cli.main import COMMANDS, main
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 from aerial_gym.physics import EFFECTS
 from aerial_gym.registry import Registry
 
@@ -62,8 +62,8 @@ def measure(item: str) -> dict[str, Any]:
     return {"names": _names, "commands": _commands, "configuration": _configuration, "python": _python}[item]()
 
 
-def _printed(*argv: str) -> str:
-    """Return what a command prints on a wide terminal."""
+def _command_output(*argv: str) -> str:
+    """Return the output of a command on a wide terminal."""
     os.environ["COLUMNS"] = "1000"
     with contextlib.redirect_stdout(io.StringIO()) as out:
         status = main(argv)
@@ -72,26 +72,26 @@ def _printed(*argv: str) -> str:
 
 def _names() -> dict[str, Any]:
     """Return the names of each kind, whose summaries must not be empty, and the parameters of each effect."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for kind in (*KINDS, *PARTS_OF_TASKS):
-        told = json.loads(_printed("list", kind, "--json"))
+        told = json.loads(_command_output("list", kind, "--json"))
         for name, lines in told.items():
-            found[name] = list(lines)
-            found |= {f"{name}/{entry}/summary": "empty" for entry, line in lines.items() if not line.strip()}
-    found["kinds"] = list(json.loads(_printed("list", "--json")))
-    return found | {f"effects/{name}": [p.name for p in EFFECTS.get(name).parameters] for name in EFFECTS.names()}
+            result[name] = list(lines)
+            result |= {f"{name}/{entry}/summary": "empty" for entry, line in lines.items() if not line.strip()}
+    result["kinds"] = list(json.loads(_command_output("list", "--json")))
+    return result | {f"effects/{name}": [p.name for p in EFFECTS.get(name).parameters] for name in EFFECTS.names()}
 
 
 def _commands() -> dict[str, Any]:
     """Return the flags of each command and of what stands below it, with type and default."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     waiting = [(name,) for name in COMMANDS]
     while waiting:
         command = waiting.pop(0)
-        text = _printed(*command, "--help")
-        found[" ".join(command)] = list(_flags(text))
+        text = _command_output(*command, "--help")
+        result[" ".join(command)] = list(_flags(text))
         waiting += [(*command, name) for name in re.findall(r"• (\S+)", text)]
-    return found
+    return result
 
 
 def _flags(text: str) -> Iterator[str]:
@@ -105,9 +105,9 @@ def _flags(text: str) -> Iterator[str]:
 
 def _configuration() -> dict[str, Any]:
     """Return every key of the configurations, with its default; a class that several keys hold is listed once."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     known: set[type] = set()
-    waiting = [(root, Home(place).load()) for root, place in CONFIGURATIONS.items()]
+    waiting = [(root, ImportPath(place).load()) for root, place in CONFIGURATIONS.items()]
     while waiting:
         path, cls = waiting.pop(0)
         if cls in known:
@@ -116,9 +116,9 @@ def _configuration() -> dict[str, Any]:
         hints = get_type_hints(cls)
         for field in (each for each in fields(cls) if each.init):
             key = f"{path}.{field.name}"
-            found[key] = _default(field)
+            result[key] = _default(field)
             waiting += [(key, each) for each in _classes(hints[field.name])]
-    return found
+    return result
 
 
 def _classes(hint: Any) -> Iterator[type]:
@@ -144,33 +144,35 @@ def _plain(value: Any) -> str:
 
 def _python() -> dict[str, Any]:
     """Return the names in the public packages with their signatures; of classes, those of public methods as well."""
-    found: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for module in MODULES:
         package = import_module(f"aerial_gym.{module}".rstrip("."))
         for name in package.__all__:
-            found[f"{package.__name__}.{name}"] = _described(getattr(package, name))
+            result[f"{package.__name__}.{name}"] = _describe(getattr(package, name))
     errors = import_module("aerial_gym.errors")
-    found["aerial_gym.errors"] = {
+    result["aerial_gym.errors"] = {
         name: [base.__name__ for base in cls.__mro__[1:-1]]
         for name, cls in vars(errors).items()
         if isinstance(cls, type) and cls.__module__ == errors.__name__
     }
     for path in sorted((Path(aerial_gym.__file__).parent / "rl_training" / "adapters").glob("[!_]*.py")):
         classes = [n for n in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(n, ast.ClassDef)]
-        found[f"aerial_gym.rl_training.adapters.{path.stem}"] = [c.name for c in classes if not c.name.startswith("_")]
-    return found
+        result[f"aerial_gym.rl_training.adapters.{path.stem}"] = [c.name for c in classes if not c.name.startswith("_")]
+    return result
 
 
-def _described(value: Any) -> Any:
+def _describe(value: Any) -> Any:
     if inspect.isclass(value):
-        methods = {n: _signature(m) for n, m in inspect.getmembers(value) if not n.startswith("_") and _is_ours(m)}
+        methods = {
+            n: _signature(m) for n, m in inspect.getmembers(value) if not n.startswith("_") and _is_package_member(m)
+        }
         return {"()": _signature(value), **methods}
     if callable(value) and not isinstance(value, Registry):
         return _signature(value)
     return "registry" if isinstance(value, Registry) else "value"
 
 
-def _is_ours(member: Any) -> bool:
+def _is_package_member(member: Any) -> bool:
     """Return whether a member of a class is a property, or a function of this package."""
     if isinstance(member, property | cached_property):
         return True

@@ -44,7 +44,7 @@ def items() -> dict[str, bool]:
 
 
 def measure(item: str) -> dict[str, Any]:
-    """Return what one group of files gives."""
+    """Return the results of one group of files, named ``kind`` or ``kind/name``."""
     kind, _, name = item.partition("/")
     return {"run": _run, "export": _export, "robot": _robot, "resume": _resume}[kind](name)
 
@@ -64,11 +64,11 @@ def _run(trainer: str) -> dict[str, Any]:
 
 def _export(_: str) -> dict[str, Any]:
     """Return the actions of each exported file."""
-    found = {}
+    results = {}
     for kind in EXPORTS:
         pilot = load_exported(FILES / "export" / f"hover{SUFFIX[kind]}")
-        found[kind] = pilot(_observations(pilot.shapes["observations"][0])).tolist()
-    return found
+        results[kind] = pilot(_observations(pilot.shapes["observations"][0])).tolist()
+    return results
 
 
 def _robot(_: str) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def _resume(_: str) -> dict[str, Any]:
 
 def write_files(folder: Path) -> None:
     """Train a small policy with each trainer, export one, correct a robot, and keep the files that must load later."""
-    from tests.golden.cases import corrected_robot
+    from tests.golden.cases import robot_text
 
     for trainer in TRAINERS:
         cfg = load_settings(settings_for(trainer, "position_setpoint_task", device="cpu"))
@@ -125,7 +125,7 @@ def write_files(folder: Path) -> None:
         ]
     )
     _forget_places(folder / "export" / "hover.onnx")
-    (folder / "robot.yaml").write_text(corrected_robot("com_offset"), encoding="utf-8")
+    (folder / "robot.yaml").write_text(robot_text("com_offset"), encoding="utf-8")
 
 
 def _forget_places(file: Path) -> None:

@@ -37,10 +37,10 @@ def measure(item: str) -> dict[str, Any]:
     """Return hashes, early numbers and keys of one task on one backend."""
     name, backend = item.split("/")
     with task_registry.make_task(name, num_envs=NUM_ENVS, device="cpu", seed=SEED, backend=backend) as task:
-        return _flown(task)
+        return _fly(task)
 
 
-def _flown(task: Task) -> dict[str, Any]:
+def _fly(task: Task) -> dict[str, Any]:
     generator = torch.Generator().manual_seed(SEED)
     low, high = (torch.as_tensor(bound) for bound in (task.action_space.low, task.action_space.high))
     observation, _ = task.reset(seed=SEED)

@@ -48,7 +48,7 @@ def measure(topic: str, item: str) -> tuple[dict[str, Any], float]:
 
 
 def machine() -> str:
-    """Return what exact results may depend on: processor and versions."""
+    """Return the processor and the library versions, on which exact results may depend."""
     info = Path("/proc/cpuinfo")
     text = info.read_text(encoding="utf-8") if info.exists() else ""
     cpu = " ".join(re.findall(r"^(?:vendor_id|cpu family|model)\s*: (.*)", text, re.MULTILINE)[:3])

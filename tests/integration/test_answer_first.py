@@ -14,7 +14,7 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, str]]:
+def verdict_texts(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, str]]:
     """Return the verdict of a loop and, by where they stand, its texts.
 
     All flights have weak rotors, of which the torque tells beside the force. The air holds the training flights back and pushes
@@ -34,7 +34,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict
     return json.loads(pages["verdict.json"]), {**pages, "console": " ".join(printed.getvalue().split())}
 
 
-def parts_of(verdict: dict) -> dict[str, list[dict]]:
+def group_findings(verdict: dict) -> dict[str, list[dict]]:
     """Return the findings of the answer by part."""
     parts = {
         "found": {"effect_found"},
@@ -45,9 +45,9 @@ def parts_of(verdict: dict) -> dict[str, list[dict]]:
     return {part: [one for one in verdict["findings"] if one["code"] in codes] for part, codes in parts.items()}
 
 
-def test_the_findings_state_what_gets_worse_with_its_numbers(told: tuple[dict, dict]) -> None:
+def test_the_findings_state_what_gets_worse_with_its_numbers(verdict_texts: tuple[dict, dict]) -> None:
     """The largest rise is named with its interval, and the others are counted."""
-    verdict, _ = told
+    verdict, _ = verdict_texts
     became = verdict["test_flights"]
     assert {became[f"specific_force.{axis}"]["state"] for axis in "xy"} == {"worse"}
     assert became["angular_acceleration.y"]["state"] == "better"
@@ -60,24 +60,24 @@ def test_the_findings_state_what_gets_worse_with_its_numbers(told: tuple[dict, d
     assert [rises["values"]["rise_low"], rises["values"]["rise_high"]] == became[rises["subject"]]["interval"]
     quantities = {".".join(name.split(".")[:2]) for name in worse}
     assert rises["values"]["more"] == len(quantities) - 1
-    (harm,) = (one["values"]["errors"] for one in meaning_of(verdict) if one["code"] == "correction_harms")
+    (harm,) = (one["values"]["errors"] for one in meaning_findings(verdict) if one["code"] == "correction_harms")
     assert {"specific_force.x", "specific_force.y"} <= set(harm)
 
 
-def meaning_of(verdict: dict) -> list[dict]:
+def meaning_findings(verdict: dict) -> list[dict]:
     return [one for one in verdict["findings"] if one["code"].startswith(("correction_", "trust_"))]
 
 
 @pytest.mark.parametrize("where", ["verdict.json", "report.html", "report.md", "console"])
-def test_the_answer_comes_first_and_in_order(told: tuple[dict, dict], where: str) -> None:
+def test_the_answer_comes_first_and_in_order(verdict_texts: tuple[dict, dict], where: str) -> None:
     """The finding, the gain, what got worse, the next step: nothing of it is folded away, and all details follow."""
-    verdict, texts = told
+    verdict, texts = verdict_texts
     text = " ".join(texts[where].split())
     if where == "report.html":
         text = text.partition("</style>")[2].replace("&#39;", "'")
-    places = [text.index(one["text"]) for part in ("found", "gain", "open") for one in parts_of(verdict)[part]]
+    places = [text.index(one["text"]) for part in ("found", "gain", "open") for one in group_findings(verdict)[part]]
     assert places == sorted(places)
-    step = parts_of(verdict)["next"][0]["text"]
+    step = group_findings(verdict)["next"][0]["text"]
     assert places[-1] < text.index(step[1:])
     details = {"verdict.json": '"findings"', "console": "rotor_drag: dx"}.get(where, "<details>")
     assert text.index(step[1:]) < text.index(details)

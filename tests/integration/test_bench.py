@@ -11,10 +11,10 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest
 from aerial_gym.workloads.episodes import check_crashes, check_step
-from aerial_gym.workloads.flight import Flight, check_flying, check_moved, make_flight
-from aerial_gym.workloads.measure import WorkloadError, spread, time_launches, torch_threads
+from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
+from aerial_gym.workloads.measure import WorkloadError, rate_range, time_launches, torch_threads
 from tests.physics.vehicles import ON_RIGID
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.02", "--threads", "1")
 CPU = torch.device("cpu")
@@ -27,7 +27,7 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
     return status, captured.out, captured.err
 
 
-def small_flight(**changes: object) -> Flight:
+def small_flight(**changes: object) -> HoverFlight:
     options = {
         "backend": "warp",
         "robot": "base_quadrotor",
@@ -42,7 +42,7 @@ def small_flight(**changes: object) -> Flight:
     return make_flight(**{**options, **changes})  # pyright: ignore[reportArgumentType]
 
 
-def hovering(num_envs: int = 3) -> BodyState:
+def hover_state(num_envs: int = 3) -> BodyState:
     return state_at_rest(num_envs, 4, device=CPU, dtype=torch.float32)
 
 
@@ -51,41 +51,41 @@ def test_physics_gives_one_object_with_every_key(backend: str, capsys: pytest.Ca
     status, out, _ = run(capsys, "bench", "physics", "--backend", backend, "--num-envs", "8", "--json", *QUICK)
     assert status == 0
     (line,) = out.splitlines()
-    found = json.loads(line)
+    result = json.loads(line)
     own = {"backend", "substeps", "integrator", "controller", "robot", "effects", "dt_s"}
-    assert set(found) == SHARED_KEYS | own | {"steps_per_s", "steps_per_s_min", "steps_per_s_max", "launch_us"}
-    assert found["backend"] == backend
-    assert found["threads"] == 1
-    assert set(found["versions"]) == {"torch", "warp", "python", "aerial_gym"}
-    assert 0.0 < found["steps_per_s_min"] <= found["steps_per_s"] <= found["steps_per_s_max"]
+    assert set(result) == SHARED_KEYS | own | {"steps_per_s", "steps_per_s_min", "steps_per_s_max", "launch_us"}
+    assert result["backend"] == backend
+    assert result["threads"] == 1
+    assert set(result["versions"]) == {"torch", "warp", "python", "aerial_gym"}
+    assert 0.0 < result["steps_per_s_min"] <= result["steps_per_s"] <= result["steps_per_s_max"]
 
 
 def test_the_rate_is_that_of_the_launches(capsys: pytest.CaptureFixture[str]) -> None:
     """Steps per second times the time of a launch are the steps in a launch, E K."""
     argv = ("bench", "physics", "--num-envs", "8", "--substeps", "5", "--json", *QUICK)
-    found = json.loads(run(capsys, *argv)[1])
-    assert found["steps_per_s"] * found["launch_us"] * 1e-6 == pytest.approx(40.0)
-    assert spread([0.5, 0.25, 1.0], 2.0) == (4.0, 2.0, 8.0)
+    result = json.loads(run(capsys, *argv)[1])
+    assert result["steps_per_s"] * result["launch_us"] * 1e-6 == pytest.approx(40.0)
+    assert rate_range([0.5, 0.25, 1.0], 2.0) == (4.0, 2.0, 8.0)
 
 
 def test_task_gives_one_object_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--json", *QUICK)
     assert status == 0
-    found = json.loads(out)
+    result = json.loads(out)
     rates = {"env_steps_per_s", "env_steps_per_s_min", "env_steps_per_s_max", "step_us"}
-    assert set(found) == SHARED_KEYS | rates | {"task", "captured", "backend"}
-    assert isinstance(found["captured"], bool)
+    assert set(result) == SHARED_KEYS | rates | {"task", "captured", "backend"}
+    assert isinstance(result["captured"], bool)
 
 
 def test_task_tells_its_parts_apart(capsys: pytest.CaptureFixture[str]) -> None:
     """The parts of a step without a sensor, none longer than ten steps of this short run, all of them positive."""
     status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--parts", "--json", *QUICK)
     assert status == 0
-    found = json.loads(out)
+    result = json.loads(out)
     parts = {"physics_us", "collision_us", "reset_us"}
-    assert parts <= set(found)
-    assert "rendering_us" not in found
-    assert all(0.0 < found[part] < 10.0 * found["step_us"] for part in parts)
+    assert parts <= set(result)
+    assert "rendering_us" not in result
+    assert all(0.0 < result[part] < 10.0 * result["step_us"] for part in parts)
 
 
 def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,7 +128,7 @@ OFTEN = ("crazyflie_pid_control", "lee_position_control", "pid_attitude_control"
 
 
 @pytest.mark.parametrize(
-    "controller", often((n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"), OFTEN)
+    "controller", frequent_values((n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law != "pose"), OFTEN)
 )
 def test_every_controller_keeps_flying_for_a_stretch(controller: str) -> None:
     """After 20 s with its hover action the batch still passes the checks; without effects, by kernels that others fly too."""
@@ -174,7 +174,7 @@ def test_a_stretch_begins_where_it_was_put_back() -> None:
     ],
 )
 def test_a_broken_state_gives_no_figure(name: str, value: float, message: str) -> None:
-    state = hovering()
+    state = hover_state()
     check_flying(state)
     getattr(state, name)[1] = value
     with pytest.raises(WorkloadError, match=message):
@@ -182,7 +182,7 @@ def test_a_broken_state_gives_no_figure(name: str, value: float, message: str) -
 
 
 def test_a_state_that_stays_gives_no_figure() -> None:
-    before, after = hovering(), hovering()
+    before, after = hover_state(), hover_state()
     after.position[:2, 2] = 1.0
     with pytest.raises(WorkloadError, match="1 of 3 environments did not move"):
         check_moved(before, after)
@@ -232,25 +232,25 @@ def test_the_number_of_threads_is_put_back() -> None:
 
 
 @pytest.mark.parametrize(
-    "scene", often(["boxes", "boxes_100", "clutter", "env_with_obstacles"], ["boxes", "env_with_obstacles"])
+    "scene", frequent_values(["boxes", "boxes_100", "clutter", "env_with_obstacles"], ["boxes", "env_with_obstacles"])
 )
 def test_rendering_gives_frames_rays_and_the_time_of_a_move(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("--scene", scene, "--num-envs", "4", "--width", "32", "--height", "24", "--segmentation", "--json")
     status, out, _ = run(capsys, "bench", "render", *argv, *QUICK)
     assert status == 0
-    found = json.loads(out)
-    assert found["rays_per_s"] == pytest.approx(found["frames_per_s"] * 32 * 24)
-    assert found["image_s"] == pytest.approx(4 / found["frames_per_s"], rel=1e-6)
-    assert found["move_s"] > 0.0
+    result = json.loads(out)
+    assert result["rays_per_s"] == pytest.approx(result["frames_per_s"] * 32 * 24)
+    assert result["image_s"] == pytest.approx(4 / result["frames_per_s"], rel=1e-6)
+    assert result["move_s"] > 0.0
 
 
 def test_rendering_measures_a_lidar_whose_columns_share_poses(capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("--scene", "clutter", "--num-envs", "2", "--width", "64", "--height", "16", "--lidar", "--json")
     status, out, _ = run(capsys, "bench", "render", *argv, "--scan-columns", "16", *QUICK)
     assert status == 0
-    found = json.loads(out)
-    assert (found["lidar"], found["scan_columns"]) == (True, 16)
-    assert found["frames_per_s"] > 0.0
+    result = json.loads(out)
+    assert (result["lidar"], result["scan_columns"]) == (True, 16)
+    assert result["frames_per_s"] > 0.0
     status, _, err = run(capsys, "bench", "render", "--scan-columns", "16", *QUICK)
     assert status == 2
     assert "--scan-columns 16: needs --lidar" in err
@@ -260,7 +260,7 @@ def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) 
     """The baseline sees what we see: boxes to round-off; the median leaves out pixels along edges."""
     from aerial_gym.config.sensor import CameraCfg
     from aerial_gym.sensors import RayCaster, SensorImages
-    from aerial_gym.workloads.merged import MergedMeshes
+    from aerial_gym.workloads.scene_meshes import SceneMeshes
     from aerial_gym.workloads.scenes import make_scene
 
     scene = make_scene("boxes", 3, device=CPU)
@@ -272,7 +272,7 @@ def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) 
     images = SensorImages(distance=depth)
     caster = RayCaster(camera, scene.build(), images, position=scene.position, attitude=scene.attitude)
     caster.cast()
-    merged = MergedMeshes(scene, caster.direction)
+    merged = SceneMeshes(scene, caster.direction)
     merged.cast()
     error = (depth.flatten(1) - merged.depth).abs()
     assert error.median() < 1e-5

@@ -7,7 +7,7 @@ import torch
 import warp as wp
 
 from aerial_gym.cli.main import main
-from aerial_gym.workloads.memory import arrays_of
+from aerial_gym.workloads.memory import array_bytes
 
 CPU = torch.device("cpu")
 
@@ -22,9 +22,9 @@ def test_memory_is_counted_once_however_many_views_there_are() -> None:
     """100 and 40 floats, of which views, slices and Warp arrays take no more; functions and launches are looked into."""
     wide, own = torch.zeros(10, 10), wp.zeros(40, dtype=float, device="cpu")
     held = {"a": wide, "part": wide[2:, 1:], "as_warp": wp.from_torch(wide[:, 3:6], dtype=wp.vec3), "again": [own, own]}
-    assert arrays_of(held, CPU) == {"a": 400, "again.0": 160}
-    assert sum(arrays_of(lambda: held, CPU).values()) == 560
-    assert arrays_of(held, torch.device("cuda")) == {}
+    assert array_bytes(held, CPU) == {"a": 400, "again.0": 160}
+    assert sum(array_bytes(lambda: held, CPU).values()) == 560
+    assert array_bytes(held, torch.device("cuda")) == {}
 
 
 def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys: pytest.CaptureFixture[str]) -> None:

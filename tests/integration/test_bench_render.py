@@ -12,11 +12,11 @@ import torch
 from aerial_gym.cli.main import main
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
-from aerial_gym.workloads.beside import names_of
 from aerial_gym.workloads.measure import WorkloadError
+from aerial_gym.workloads.peers import renderer_names
 from aerial_gym.workloads.renderers import runs
 from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
-from aerial_gym.workloads.renderers.runs import run_peer, scene_arrays, share_that_differs, why_missing
+from aerial_gym.workloads.renderers.runs import absence_reason, mismatch_share, run_peer, scene_arrays
 from aerial_gym.workloads.scenes import RenderScene, make_scene
 
 CPU = torch.device("cpu")
@@ -36,16 +36,16 @@ def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) 
     argv = ("--scene", "boxes_aligned", "--num-envs", "2", "--json", "--against", *names)
     status, out, err = run(capsys, "render", *QUICK, *argv)
     assert status == 0, err
-    ours, *others = map(json.loads, out.splitlines())
-    assert ours["name"] == "aerial_gym"
-    assert ours["threads"] == 1
-    assert tuple(row["name"] for row in others) == names
-    for row in others:
-        assert row["ratio"] == pytest.approx(ours["frames_per_s"] / row["frames_per_s"])
+    actual, *rest = map(json.loads, out.splitlines())
+    assert actual["name"] == "aerial_gym"
+    assert actual["threads"] == 1
+    assert tuple(row["name"] for row in rest) == names
+    for row in rest:
+        assert row["ratio"] == pytest.approx(actual["frames_per_s"] / row["frames_per_s"])
         assert row["image_s"] == pytest.approx(2 / row["frames_per_s"])
         assert 0.0 <= row["differing_pixels_share"] <= 0.002
-    assert others[0]["triangles"] == others[1]["triangles"] == 252
-    assert set(others[2]["versions"]) == {"mujoco"}
+    assert rest[0]["triangles"] == rest[1]["triangles"] == 252
+    assert set(rest[2]["versions"]) == {"mujoco"}
 
 
 @pytest.mark.parametrize("scene", [pytest.param("boxes", marks=pytest.mark.slow), "clutter"])
@@ -65,10 +65,10 @@ def test_what_cannot_be_measured_is_skipped_with_the_way_out(capsys: pytest.Capt
     assert "shared_mesh is skipped: the environments of this scene differ. Use --scene boxes_aligned." in err
     assert "newton is skipped: /bin/false does not have it." in err
     assert "VENV/bin/pip install newton, then --peer-python newton=VENV/bin/python" in err
-    why = why_missing("mujoco", sys.executable, "cuda")
+    why = absence_reason("mujoco", sys.executable, "cuda")
     assert why == "mujoco is skipped: it runs on cpu only."
-    assert "does not start" in str(why_missing("mujoco", "/nowhere/python", "cpu"))
-    assert why_missing("mujoco", sys.executable, "cpu") is None
+    assert "does not start" in str(absence_reason("mujoco", "/nowhere/python", "cpu"))
+    assert absence_reason("mujoco", sys.executable, "cpu") is None
     status, _, err = run(
         capsys, "render", *QUICK, "--scene", "env_with_obstacles", "--num-envs", "2", "--against", "mujoco"
     )
@@ -86,10 +86,10 @@ def test_wrong_requests_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
         interpreters(("newton=",), "python")
     with pytest.raises(UnknownNameError, match="no render peer 'newtn'. Did you mean 'newton'"):
         interpreters(("newtn=python",), "python")
-    assert names_of(("all",)) == ["merged", "shared_mesh", *RENDER_PEERS]
-    found = interpreters(("venv/bin/python", "newton=python3"), "python")
-    assert found["newton"] == "python3"
-    assert found["mujoco"] == str(Path.cwd() / "venv/bin/python")
+    assert renderer_names(("all",)) == ["merged", "shared_mesh", *RENDER_PEERS]
+    result = interpreters(("venv/bin/python", "newton=python3"), "python")
+    assert result["newton"] == "python3"
+    assert result["mujoco"] == str(Path.cwd() / "venv/bin/python")
 
 
 def test_other_images_give_no_figure() -> None:
@@ -99,14 +99,14 @@ def test_other_images_give_no_figure() -> None:
     other = depth.clone()
     other[500:] = -7.0
     other[:2] += 0.01
-    assert share_that_differs("peer", depth, other, identity=ids, other_identity=ids) == pytest.approx(0.002)
+    assert mismatch_share("peer", depth, other, identity=ids, other_identity=ids) == pytest.approx(0.002)
     seen = ids.clone()
     seen[3] = 1
     with pytest.raises(WorkloadError, match=r"peer shows something else in 0.30% of the pixels"):
-        share_that_differs("peer", depth, other, identity=ids, other_identity=seen)
+        mismatch_share("peer", depth, other, identity=ids, other_identity=seen)
     other[3] = float("nan")
     with pytest.raises(WorkloadError, match=r"peer shows something else in 0.30% of the pixels"):
-        share_that_differs("peer", depth, other)
+        mismatch_share("peer", depth, other)
 
 
 def test_a_run_with_other_images_ends_with_status_1(
@@ -141,11 +141,11 @@ def test_only_a_level_box_below_every_camera_is_a_floor() -> None:
             attitude=scene.attitude,
             max_range=50.0,
         )
-        found = scene_arrays(changed, direction, vfov_deg=87.0, segmentation=False)
-        height = 0.0 if found["kind"][20] == "floor" else -0.1
-        assert found["position"][:, 20, 2] == pytest.approx(height)
-        assert set(found["kind"][:20]) == {"box"}
-        return found["kind"][20]
+        result = scene_arrays(changed, direction, vfov_deg=87.0, segmentation=False)
+        height = 0.0 if result["kind"][20] == "floor" else -0.1
+        assert result["position"][:, 20, 2] == pytest.approx(height)
+        assert set(result["kind"][:20]) == {"box"}
+        return result["kind"][20]
 
     assert kinds((0.0, 0.0, 0.5)) == "floor"
     assert kinds((0.0, 0.0, -0.05)) == "box"

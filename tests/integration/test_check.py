@@ -29,12 +29,12 @@ def test_the_time_step_that_is_named_has_the_gain_margin(monkeypatch: pytest.Mon
     """Whatever flights say: the gain margin of 6 dB is gone beyond 5.5 ms."""
     robot, controller = ROBOTS.get("crazyflie_2x_arpl"), CONTROLLERS.get("crazyflie_mellinger_control")
     monkeypatch.setattr(flights, "_comes_to_rest", lambda *_: True)
-    found = flights.largest_stable_step(robot, controller, name="mellinger")
+    result = flights.largest_stable_step(robot, controller, name="mellinger")
     loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("it", "mellinger"))
-    assert found.largest_s is not None
-    assert not found.little_margin
-    assert loop.is_firm(found.largest_s)
-    assert not loop.is_firm(1.02 * found.largest_s)
+    assert result.largest_s is not None
+    assert not result.little_margin
+    assert loop.is_firm(result.largest_s)
+    assert not loop.is_firm(1.02 * result.largest_s)
 
 
 def test_a_file_with_a_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def test_every_command_explains_its_options(name: str, capsys: pytest.CaptureFix
 def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "list", "--json")
     assert status == 0
-    found = json.loads(out)
+    result = json.loads(out)
     assert {
         "sims",
         "environments",
@@ -57,24 +57,24 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
         "backends",
         "tasks",
         "trainers",
-    } == set(found)
-    assert set(found["imus"]) == {"base_imu", "bmi088", "vn100"} < set(found["sensors"])
-    assert found["controllers"]["no_control"] == "thrust of each rotor [N]"
-    assert "base_sim_headless" in found["sims"]
-    assert {*EFFECTS.names(), "learned_residual"} == set(found["effects"])
+    } == set(result)
+    assert set(result["imus"]) == {"base_imu", "bmi088", "vn100"} < set(result["sensors"])
+    assert result["controllers"]["no_control"] == "thrust of each rotor [N]"
+    assert "base_sim_headless" in result["sims"]
+    assert {*EFFECTS.names(), "learned_residual"} == set(result["effects"])
 
 
 def test_every_configuration_of_the_package_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    found = json.loads(run(capsys, "list", "--json")[1])
+    result = json.loads(run(capsys, "list", "--json")[1])
     for kind in ("sims", "environments", "robots", "sensors", "imus", "tasks"):
-        assert {path.stem for path in (CONFIG_DIR / kind).rglob("*.yaml")} <= set(found[kind]), kind
+        assert {path.stem for path in (CONFIG_DIR / kind).rglob("*.yaml")} <= set(result[kind]), kind
     for module in (Path(effects.__file__).parent).glob("*.py"):
         classes = [n for n in ast.parse(module.read_text(encoding="utf-8")).body if isinstance(n, ast.ClassDef)]
-        names = {ast.literal_eval(v) for c in classes if (v := _value_of(c, "name")) is not None}
-        assert names <= set(found["effects"]), module
+        names = {ast.literal_eval(v) for c in classes if (v := _class_value(c, "name")) is not None}
+        assert names <= set(result["effects"]), module
 
 
-def _value_of(body: ast.ClassDef, name: str) -> ast.expr | None:
+def _class_value(body: ast.ClassDef, name: str) -> ast.expr | None:
     """Return the value that a class body gives to a name."""
     given = (n for n in body.body if isinstance(n, ast.Assign) and ast.unparse(n.targets[0]) == name)
     return next((n.value for n in given), None)
@@ -84,7 +84,7 @@ def test_sims_for_scripts_of_the_other_simulator_are_built() -> None:
     assert SIMS.get("base_sim_headless").dt == SIMS.get("base_sim").dt
 
 
-def test_nothing_is_said_where_nobody_reads_on() -> None:
+def test_nothing_is_said_where_nobody_listens() -> None:
     """As with ``aerial-gym list --json | head -1``."""
     command = [sys.executable, "-c", "from aerial_gym.cli.main import entry; entry()", "list", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -115,9 +115,9 @@ def test_list_of_one_kind_is_a_table_with_units_intact(capsys: pytest.CaptureFix
 def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "list", kind, "--json")
     assert status == 0
-    found = json.loads(out)[kind]
-    assert name in found
-    assert all(len(line) > 10 and "`" not in line for line in found.values())
+    result = json.loads(out)[kind]
+    assert name in result
+    assert all(len(line) > 10 and "`" not in line for line in result.values())
 
 
 @pytest.mark.parametrize(
@@ -164,14 +164,14 @@ def test_a_noun_lists_its_verbs(argv: tuple[str, ...], expected: int, capsys: py
     assert all(f"robot {verb}" in (err if expected else out) for verb in ("import", "check", "tune"))
 
 
-def test_what_is_material_is_handed_on(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_material_reaches_the_loop(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     given = []
 
-    def looked_at(*_: object, criteria: Criteria, **__: object) -> None:
+    def record_criteria(*_: object, criteria: Criteria, **__: object) -> None:
         given.append(criteria)
         raise ConfigError("seen")
 
-    monkeypatch.setattr("aerial_gym.sim2real.close_loop", looked_at)
+    monkeypatch.setattr("aerial_gym.sim2real.close_loop", record_criteria)
     call = ("close-loop", "--robot", "tinyprop", "--train", "a.csv", "--test", "b.csv", "--out", "never")
     for more, material in ((("--material", "0.2"), 0.2), ((), Criteria().material)):
         assert run(capsys, *call, *more)[0] == 2

@@ -37,9 +37,9 @@ def run(monkeypatch: pytest.MonkeyPatch, encoding: str, *arguments: str) -> Outp
 def test_help_of_every_command(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(monkeypatch, encoding, "--help").status == 0
     for name in COMMANDS:
-        found = run(monkeypatch, encoding, name, "--help")
-        assert (found.status, name) == (0, name)
-        assert found.out.decode(encoding)
+        result = run(monkeypatch, encoding, name, "--help")
+        assert (result.status, name) == (0, name)
+        assert result.out.decode(encoding)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -48,10 +48,10 @@ def test_lists_errors_and_tables(encoding: str, monkeypatch: pytest.MonkeyPatch,
     robot.write_text(dump_yaml(ROBOT), encoding="utf-8")
     assert run(monkeypatch, encoding, "list").status == 0
     assert run(monkeypatch, encoding, "list", "effects").status == 0
-    found = run(monkeypatch, encoding, "robot", "check", "quad→²ü")
-    assert found.status == 2
-    assert b"quad" in found.err
-    assert b"Traceback" not in found.err
+    result = run(monkeypatch, encoding, "robot", "check", "quad→²ü")
+    assert result.status == 2
+    assert b"quad" in result.err
+    assert b"Traceback" not in result.err
     assert run(monkeypatch, encoding, "watch", str(robot), str(tmp_path / "日本.csv")).status == 2
     listed = json.loads(run(monkeypatch, encoding, "list", "--json").out.decode(encoding))
     monkeypatch.undo()
@@ -68,9 +68,9 @@ def test_a_replay_with_progress_tables_and_a_report(
     folder.mkdir()
     robot, log = folder / "robot ü.yaml", write(flight(0, seconds=3.0, rate=100.0, noise=1.0), folder / "flug ä.csv")
     robot.write_text(dump_yaml(ROBOT), encoding="utf-8")
-    found = run(monkeypatch, encoding, "replay", str(robot), str(log), "--out", str(folder / "aus ß"))
-    assert found.status == 0, found.err
-    assert b"m/s" in found.out
+    result = run(monkeypatch, encoding, "replay", str(robot), str(log), "--out", str(folder / "aus ß"))
+    assert result.status == 0, result.err
+    assert b"m/s" in result.out
     assert "flug ä" in (folder / "aus ß" / "replay.json").read_text(encoding="utf-8")
-    found = run(monkeypatch, encoding, "replay", str(robot), str(log), "--json")
-    assert json.loads(found.out.decode(encoding))["flights"] == [str(log)]
+    result = run(monkeypatch, encoding, "replay", str(robot), str(log), "--json")
+    assert json.loads(result.out.decode(encoding))["flights"] == [str(log)]

@@ -20,9 +20,9 @@ from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
 from tests.builders import simulation
 from tests.unit.interop.rows.test_transport import check_transport
-from tests.unit.robots.test_derived import check_derived, derived, motions
-from tests.unit.task.hover import rich, seeing
-from tests.unit.task.navigation import changed
+from tests.unit.robots.test_secondary_states import check_derived, compute_states, motions
+from tests.unit.task.hover import camera_task, rich
+from tests.unit.task.navigation import make_cfg
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 
@@ -60,7 +60,7 @@ def make_task(num_envs: int = 256, **options) -> Task:
 
 def test_a_captured_step_is_the_eager_step() -> None:
     """Both begin with the same seed; actions differ from step to step; an episode ends on the way in some environments."""
-    found = []
+    result = []
     for capture in (False, True):
         task = make_task(capture=capture)
         task.reset(seed=3)
@@ -68,11 +68,11 @@ def test_a_captured_step_is_the_eager_step() -> None:
         g = torch.Generator(device="cuda:0").manual_seed(1)
         for _ in range(20):
             obs, reward, *_ = task.step(torch.rand(256, 4, device="cuda:0", generator=g) - 0.5)
-        found.append((obs["observations"].clone(), reward.clone(), task.env.gtd["sim_steps"].clone()))
-        assert task.captured == capture
-    torch.testing.assert_close(found[1][0], found[0][0], rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(found[1][1], found[0][1], rtol=1e-3, atol=1e-3)
-    assert torch.equal(found[1][2], found[0][2])
+        result.append((obs["observations"].clone(), reward.clone(), task.env.gtd["sim_steps"].clone()))
+        assert task.is_captured == capture
+    torch.testing.assert_close(result[1][0], result[0][0], rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(result[1][1], result[0][1], rtol=1e-3, atol=1e-3)
+    assert torch.equal(result[1][2], result[0][2])
 
 
 def test_randomness_advances_at_every_replay() -> None:
@@ -99,18 +99,18 @@ def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     eager = make_task(capture=False)
     eager.reset()
     eager.step(torch.zeros(256, 4, device="cuda:0"))
-    assert not eager.captured
+    assert not eager.is_captured
 
 
 def test_a_captured_navigation_step_is_the_eager_step() -> None:
     """With images, goals, room around them and a curriculum that goes up and down on the way."""
-    found = []
+    result = []
     for capture in (False, True):
         cfg = task_registry.get("navigation_task")
         limits = replace(cfg.curriculum, check_after=100, raise_above=0.0, lower_below=0.0)
         env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=64, device="cuda:0")
         noiseless = tuple(replace(entry, noise_std=0.0) for entry in cfg.observations["policy"])
-        cfg = changed(
+        cfg = make_cfg(
             cfg, curriculum=limits, episode_len_steps=10, success_radius=11.0, observations={"policy": noiseless}
         )
         task = Task(cfg, env, capture=capture)
@@ -120,20 +120,20 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
         for _ in range(25):
             obs, reward, *_ = task.step(2.0 * torch.rand(64, 4, device="cuda:0", generator=g) - 1.0)
             levels.append(int(env.gtd["curriculum_level"]))
-        found.append((obs["observations"].clone(), reward.clone(), levels, task.target_position.clone()))
-        assert task.captured == capture
-    torch.testing.assert_close(found[1][3], found[0][3])
-    torch.testing.assert_close(found[1][1], found[0][1], rtol=1e-3, atol=1e-2)
-    close = (found[1][0] - found[0][0]).abs() < 1e-3
+        result.append((obs["observations"].clone(), reward.clone(), levels, task.target_position.clone()))
+        assert task.is_captured == capture
+    torch.testing.assert_close(result[1][3], result[0][3])
+    torch.testing.assert_close(result[1][1], result[0][1], rtol=1e-3, atol=1e-2)
+    close = (result[1][0] - result[0][0]).abs() < 1e-3
     assert close.float().mean() > 0.999  # a pixel at an edge may see the one or the other side
-    assert found[1][2] == found[0][2]
-    assert found[0][2][-1] > found[0][2][0]
+    assert result[1][2] == result[0][2]
+    assert result[0][2][-1] > result[0][2][0]
 
 
-@pytest.mark.parametrize("maker", [rich, seeing])
+@pytest.mark.parametrize("maker", [rich, camera_task])
 def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker: Callable[..., Task]) -> None:
     """Delays, histories, filters, a moving target, a second group and raw images; episodes end on the way."""
-    found = []
+    result = []
     for capture in (False, True):
         task = maker(64, seed=3, device="cuda:0", capture=capture)
         task.reset(seed=3)
@@ -142,12 +142,12 @@ def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker:
             task.env.gtd["sim_steps"].masked_fill_((number + step) % 4 == 0, task.cfg.episode_len_steps)
             actions = 0.3 * torch.sin(number.float().unsqueeze(-1) + step + torch.arange(4.0, device="cuda:0"))
             obs, reward, terminated, _, info = task.step(actions)
-        assert task.captured == capture
+        assert task.is_captured == capture
         row = {"reward": reward, "ended": terminated} | info | obs
         row |= {key: torch.tensor(value) for key, value in task.episode_means().items()}
-        found.append({key: value.clone().float() for key, value in row.items()})
-    for key, value in found[0].items():
-        close = (found[1][key] - value).abs() <= 1e-2 + 1e-3 * value.abs()
+        result.append({key: value.clone().float() for key, value in row.items()})
+    for key, value in result[0].items():
+        close = (result[1][key] - value).abs() <= 1e-2 + 1e-3 * value.abs()
         assert close.float().mean() > 0.995, key  # a pixel at an edge may see the one or the other side
 
 
@@ -165,7 +165,7 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
     battery = BatteryCfg(
         nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=3600.0, source="test"
     )  # fmt: skip
-    found = []
+    result = []
     for capture in (False, True):
         env = simulation(
             replace(robot, effects=effects, effects_source="test", battery=battery),
@@ -194,8 +194,8 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
         env.reset()
         for _ in range(20):
             replay()
-        found.append(env.gtd["robot_linvel"].clone())
-    torch.testing.assert_close(found[1], found[0], rtol=1e-4, atol=1e-4)
+        result.append(env.gtd["robot_linvel"].clone())
+    torch.testing.assert_close(result[1], result[0], rtol=1e-4, atol=1e-4)
 
 
 RANDOMIZE = {
@@ -211,7 +211,7 @@ RANDOMIZE = {
 }
 
 
-def randomised_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
+def make_random_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
     cfg = replace(task_registry.get("position_setpoint_task"), num_envs=num_envs, randomize=RANDOMIZE)
     env = simulation(
         "base_quadrotor_with_imu",
@@ -228,11 +228,11 @@ def randomised_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
 
 
 def roll_out(task: Task, first: int = 0, steps: int = 12) -> list[dict[str, torch.Tensor]]:
-    """Return what the task gives and what was drawn, step by step; episodes of some environments end on the way."""
+    """Return the task's outputs and random draws of each step; episodes of some environments end on the way."""
     task.reset(seed=3)
     number = torch.arange(first, first + task.num_envs, device="cuda:0")
     actions = torch.sin(number.float().unsqueeze(-1) + torch.arange(4.0, device="cuda:0")).clamp(-0.5, 0.5)
-    found = []
+    result = []
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
         obs, reward, *_ = task.step(actions)
@@ -246,12 +246,12 @@ def roll_out(task: Task, first: int = 0, steps: int = 12) -> list[dict[str, torc
             "robot_imu_errors",
         )
         row = {"observations": obs["observations"], "reward": reward} | {key: task.env.gtd[key] for key in keys}
-        found.append({key: value.clone() for key, value in row.items()})
-    return found
+        result.append({key: value.clone() for key, value in row.items()})
+    return result
 
 
 def test_a_captured_step_of_a_randomised_robot_is_the_eager_step() -> None:
-    eager, captured = (roll_out(randomised_task(64, capture=capture)) for capture in (False, True))
+    eager, captured = (roll_out(make_random_task(64, capture=capture)) for capture in (False, True))
     for a, b in zip(eager, captured, strict=True):
         assert torch.equal(a["drawn_parameters"], b["drawn_parameters"])
         assert torch.equal(a["episodes"], b["episodes"])
@@ -262,8 +262,8 @@ def test_a_captured_step_of_a_randomised_robot_is_the_eager_step() -> None:
 
 @pytest.mark.parametrize("capture", [False, True])
 def test_an_environment_is_the_same_among_few_many_and_alone_on_a_gpu(capture: bool) -> None:
-    few, many = (roll_out(randomised_task(n, capture=capture)) for n in (4, 8192))
-    alone = roll_out(randomised_task(1, capture=capture, first_env=2), 2)
+    few, many = (roll_out(make_random_task(n, capture=capture)) for n in (4, 8192))
+    alone = roll_out(make_random_task(1, capture=capture, first_env=2), 2)
     for a, b, c in zip(few, many, alone, strict=True):
         for key in a:
             assert torch.equal(a[key], b[key][:4]), key
@@ -271,7 +271,7 @@ def test_an_environment_is_the_same_among_few_many_and_alone_on_a_gpu(capture: b
 
 
 def test_a_masked_reset_of_a_randomised_robot_waits_for_nothing() -> None:
-    env = randomised_task(64, capture=False).env
+    env = make_random_task(64, capture=False).env
     env.reset()
     actions, mask = torch.zeros(64, 4, device="cuda:0"), torch.arange(64, device="cuda:0") % 3 == 0
     env.step(actions)
@@ -294,9 +294,9 @@ def test_rows_arrive_as_they_are_on_a_gpu(num_rows: int) -> None:
 
 def test_derived_states_are_the_same_among_few_and_many_on_a_gpu() -> None:
     """Bit for bit: how a row comes to memory changes none of its numbers."""
-    many = derived(motions(65_536, "cuda:0"), beside=1)
+    many = compute_states(motions(65_536, "cuda:0"), beside=1)
     for num_envs in (3, 33, FEW):
-        few = derived(motions(num_envs, "cuda:0"), beside=1)
+        few = compute_states(motions(num_envs, "cuda:0"), beside=1)
         assert all(torch.equal(few[name], many[name][:num_envs]) for name in many)
 
 
@@ -346,7 +346,7 @@ def test_a_written_payload_acts_in_the_next_step_of_a_task(capture: bool) -> Non
     env.gtd["effect_payload_mass"][1] = 0.2 * float(mass[0])
     for _ in range(5):
         task.step(actions)
-    assert task.captured is capture
+    assert task.is_captured is capture
     torch.testing.assert_close(env.gtd["robot_mass"], mass * torch.tensor([1.0, 1.2], device="cuda:0"))
     sinks = env.gtd["robot_linvel"][:, 2] - speed
     assert float(sinks[1]) < float(sinks[0]) - 0.02

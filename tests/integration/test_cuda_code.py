@@ -8,8 +8,8 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.assets import clearance, motion, placement, track
-from aerial_gym.assets.collision import make_walk
+from aerial_gym.assets import clearance, obstacle_motion, placement, track
+from aerial_gym.assets.collision import make_collision_kernel
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.images import IMAGES
@@ -19,18 +19,18 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.interop import start_warp
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.physics import EFFECTS, Ground, WarpBackend, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import robot_effects
-from aerial_gym.robots import ROBOTS, derived, initial_state
-from aerial_gym.sensors import flow, imu, places, view
+from aerial_gym.robots import ROBOTS, initial_state, secondary_states
+from aerial_gym.sensors import flow, imu, sensor_poses, sensor_view
 from aerial_gym.sensors.cells import LANES, ROWS, make_pool
-from aerial_gym.sensors.pixels import Outputs
+from aerial_gym.sensors.pixels import PixelOutputs
 from aerial_gym.sensors.ray_kernels import make_warp_kernel
 from aerial_gym.task.kernels import goals, noise, practice
 from tests.builders import simulation
-from tests.physics.contact_rig import InScene, obstacle, start
-from tests.physics.mixed_rotors import mixed_robot
+from tests.physics.contact_rig import ObstacleRig, obstacle, start
+from tests.physics.rotor_types import three_type_robot
 from tests.physics.vehicles import ON_RIGID, random_network
 
 ARCHITECTURE = 90
@@ -52,7 +52,7 @@ def compile_for_gpu(module, *, assemble: bool = False) -> None:
 
 @pytest.mark.parametrize("rich", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ray_kernels_compile(rich: bool) -> None:
-    outputs = Outputs(
+    outputs = PixelOutputs(
         images=tuple(IMAGES) if rich else ("distance",),
         in_world=("points", "normals") if rich else (),
         noise=rich,
@@ -99,7 +99,7 @@ def test_the_physics_kernel_of_links_with_effects_compiles() -> None:
     robot = replace(ROBOTS.get("morphy_fixed_base"), effects=values, effects_source="test")
     vehicle = vehicle_from_config(robot, num_envs=2)
     effects = robot_effects(robot, num_envs=2, device=torch.device("cpu"), dtype=torch.float32)
-    model = build_model(vehicle, effects, articulation=articulation_of(robot, like=vehicle.mass))
+    model = build_model(vehicle, effects, articulation=build_articulation(robot, like=vehicle.mass))
     backend = WarpBackend()
     backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81), integrator="euler")
     compile_for_gpu(backend.kernel.module)
@@ -108,7 +108,7 @@ def test_the_physics_kernel_of_links_with_effects_compiles() -> None:
 @pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_the_physics_kernel_of_mixed_rotors_compiles(integrator: str) -> None:
     """With ``euler`` it is assembled too: the smallest kernel in which both instructions of inline assembly stand."""
-    vehicle = vehicle_from_config(mixed_robot(), num_envs=2)
+    vehicle = vehicle_from_config(three_type_robot(), num_envs=2)
     backend = WarpBackend()
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
     backend.allocate(build_model(vehicle), law, integrator=integrator)
@@ -175,7 +175,7 @@ def test_row_kernels_compile() -> None:
 @pytest.mark.slow
 def test_the_physics_kernel_with_obstacles_that_push_compiles() -> None:
     state = start(2, height=1.0, dtype=torch.float32)
-    rig = InScene([ShapeCfg(kind="plane")], obstacle(2), ContactCfg(friction=0.5), state)
+    rig = ObstacleRig([ShapeCfg(kind="plane")], obstacle(2), ContactCfg(friction=0.5), state)
     compile_for_gpu(rig.backend.kernel.module)
 
 
@@ -185,7 +185,7 @@ def test_the_physics_kernel_with_obstacles_that_push_compiles() -> None:
     ids=["largest", "smallest"],
 )
 def test_the_collision_kernel_compiles(moves: bool, cores: bool, meshes: bool) -> None:
-    compile_for_gpu(make_walk(moves=moves, shared=True, cores=cores, meshes=meshes).module)
+    compile_for_gpu(make_collision_kernel(moves=moves, shared=True, cores=cores, meshes=meshes).module)
 
 
 @pytest.mark.parametrize(("lanes", "rows"), [(LANES, ROWS), (1, 3)])
@@ -195,7 +195,21 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
 
 @pytest.mark.parametrize(
     "module",
-    [derived, initial_state, imu, goals, noise, places, placement, practice, track, motion, clearance, view, flow],
+    [
+        secondary_states,
+        initial_state,
+        imu,
+        goals,
+        noise,
+        sensor_poses,
+        placement,
+        practice,
+        track,
+        obstacle_motion,
+        clearance,
+        sensor_view,
+        flow,
+    ],
 )
 def test_kernels_of_modules_compile(module) -> None:
     compile_for_gpu(wp.get_module(module.__name__))

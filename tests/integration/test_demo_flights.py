@@ -13,7 +13,7 @@ def test_flights_lie_in_a_folder_named_from_where_the_demo_was_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    found = find_flights(None, Path("demo"), 0)
-    assert len(found.train) == 4
-    assert len(found.test) >= 1
-    assert Path(found.robot) == tmp_path / "demo" / "flights" / "robot.yaml"
+    result = find_flights(None, Path("demo"), 0)
+    assert len(result.train) == 4
+    assert len(result.test) >= 1
+    assert Path(result.robot) == tmp_path / "demo" / "flights" / "robot.yaml"

@@ -27,8 +27,8 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 MARKS = ("slow", "compare", "file: ", "not run: ")
-NAMES_TO_COME = {"SelectionResult", "desaturation_gain", "make golden", "saturated", "surrogate_flight"}
-"""Of the glossary: names that the renaming introduces, and a command."""
+COMMANDS = {"make golden"}
+"""Of the glossary: names that are commands."""
 
 REGISTRIES = (BACKENDS, EFFECTS, OBSERVATIONS, REWARDS, TERMINATIONS, TRAINERS)
 
@@ -50,18 +50,18 @@ class Block:
         return self.language in ("python", "sh") or self.mark.startswith("file: ")
 
 
-def blocks_of(page: Path) -> list[Block]:
+def page_blocks(page: Path) -> list[Block]:
     fences = r"(?:^ *<!-- ([^\n]*?) -->\n+)?^ *```(\w*)[^\n]*\n(.*?)^ *```"
     fields = re.findall(fences, page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     return [Block(page, mark if mark.startswith(MARKS) else "", language, text) for mark, language, text in fields]
 
 
-def name_of(page: Path) -> str:
+def page_name(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-def pages_with(mark: str) -> list[Path]:
-    return [page for page in PAGES if any(block.mark == mark for block in blocks_of(page))]
+def find_pages(mark: str) -> list[Path]:
+    return [page for page in PAGES if any(block.mark == mark for block in page_blocks(page))]
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def run_commands(text: str) -> None:
 
 def run_page(page: Path, *, slow: bool) -> None:
     names: dict = {"__name__": "__main__"}
-    for block in filter(lambda block: block.runs, blocks_of(page)):
+    for block in filter(lambda block: block.runs, page_blocks(page)):
         if block.mark.startswith("file: "):
             path = Path(block.mark.removeprefix("file: "))
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,43 +98,43 @@ def run_page(page: Path, *, slow: bool) -> None:
         elif block.mark == "slow" and not slow:
             continue
         elif block.language == "python":
-            exec(compile(block.text, name_of(page), "exec"), names)
+            exec(compile(block.text, page_name(page), "exec"), names)
         else:
             run_commands(block.text)
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if any(b.runs for b in blocks_of(page))], ids=name_of)
+@pytest.mark.parametrize("page", [page for page in PAGES if any(b.runs for b in page_blocks(page))], ids=page_name)
 @pytest.mark.usefixtures("folder")
 def test_blocks_of_a_page_run(page: Path) -> None:
     run_page(page, slow=False)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", pages_with("slow"), ids=name_of)
+@pytest.mark.parametrize("page", find_pages("slow"), ids=page_name)
 @pytest.mark.usefixtures("folder")
 def test_all_blocks_of_a_page_run(page: Path) -> None:
     run_page(page, slow=True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", pages_with("compare"), ids=name_of)
+@pytest.mark.parametrize("page", find_pages("compare"), ids=page_name)
 @pytest.mark.usefixtures("folder")
 def test_figures_of_a_page_are_those_of_its_command(page: Path) -> None:
     """Every number that the command prints stands on the page, in the same order."""
     numbers = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
     text = re.findall(numbers, page.read_text(encoding="utf-8"))
-    for block in blocks_of(page):
+    for block in page_blocks(page):
         if block.mark == "compare":
             command = shlex.split(block.text.replace("\\\n", " "))
             done = subprocess.run([sys.executable, *command[1:]], check=True, capture_output=True, text=True)
             rest = iter(text)
             missing = [number for number in re.findall(numbers, done.stdout) if number not in rest]
-            assert not missing, f"{name_of(page)}: printed by {block.text}, but not on the page: {missing[:5]}"
+            assert not missing, f"{page_name(page)}: printed by {block.text}, but not on the page: {missing[:5]}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
 def test_every_block_names_its_language(page: Path) -> None:
-    assert all(block.language for block in blocks_of(page))
+    assert all(block.language for block in page_blocks(page))
 
 
 def test_names_of_the_glossary_are_in_the_code() -> None:
@@ -142,7 +142,7 @@ def test_names_of_the_glossary_are_in_the_code() -> None:
     words = set(re.findall(r"\w+", " ".join(path.read_text(encoding="utf-8") for path in files)))
     definitions = re.findall(r"Code:(.*?)(?:\n\n|\Z)", (DOCS / "glossary.md").read_text(encoding="utf-8"), re.DOTALL)
     names = {name for text in definitions for name in re.findall(r"`([^`]+)`", text)}
-    parts = {name: re.findall(r"\w+", name) for name in names - NAMES_TO_COME}
+    parts = {name: re.findall(r"\w+", name) for name in names - COMMANDS}
     assert not [name for name, pieces in parts.items() if not words.issuperset(pieces)]
 
 
@@ -158,7 +158,7 @@ def test_pages_are_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 70
     for page in (page for page in PAGES if DOCS / "results" not in page.parents):
         text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-        assert len(text.split()) <= 1_650, name_of(page)
+        assert len(text.split()) <= 1_650, page_name(page)
 
 
 class External(HTMLParser):

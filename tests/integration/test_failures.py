@@ -14,7 +14,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder
 from aerial_gym.sim2real.logs.flights import load_flights
-from benchmarks.undeclared import Failure as Hidden
+from benchmarks.undeclared import PlantFailure as Hidden
 from benchmarks.undeclared import make_case
 
 HIDDEN = {
@@ -28,8 +28,8 @@ HIDDEN = {
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failure | None]:
-    """Return what is found in each flight of one case."""
+def flight_failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failure | None]:
+    """Return the first failure found in each flight of one case, by flight name."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)  # as the fixture coarser_plant
         folder = tmp_path_factory.mktemp("failing")
@@ -43,9 +43,11 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failure | None]
 
 
 @pytest.mark.parametrize("flight", HIDDEN)
-def test_each_failure_is_named_with_rotor_size_and_time(flight: str, found: dict[str, Failure | None]) -> None:
+def test_each_failure_is_named_with_rotor_size_and_time(
+    flight: str, flight_failures: dict[str, Failure | None]
+) -> None:
     """Within four standard deviations; a stuck rotor has the speed that it had."""
-    failure, hidden = found[flight], HIDDEN[flight].document()
+    failure, hidden = flight_failures[flight], HIDDEN[flight].document()
     assert failure is not None
     assert failure.name == hidden["kind"]
     assert failure.probability > 0.99
@@ -56,8 +58,8 @@ def test_each_failure_is_named_with_rotor_size_and_time(flight: str, found: dict
         assert failure.params["duration"] == pytest.approx(hidden["duration"], abs=0.02)
 
 
-def test_a_flight_without_a_failure_has_none(found: dict[str, Failure | None]) -> None:
-    assert found["train_4"] is None
+def test_a_flight_without_a_failure_has_none(flight_failures: dict[str, Failure | None]) -> None:
+    assert flight_failures["train_4"] is None
 
 
 def run_case(folder: Path, **case: Any) -> dict:

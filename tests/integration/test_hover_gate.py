@@ -12,11 +12,11 @@ LEAST_AGREEMENT = 0.95
 @pytest.mark.parametrize("seed", [0])
 def test_the_check_agrees_with_flights_in_both_directions(seed: int) -> None:
     """25 groups of a robot, a law, a time step and an effect, of eight dead times of 0 to 50 ms and parameters each."""
-    found = list(cases(seed, 25))
-    assert len(found) == 25 * EACH
+    result = list(cases(seed, 25))
+    assert len(result) == 25 * EACH
     for accepted in (True, False):
-        those = [case for case in found if case.accepted is accepted]
-        assert len(those) > 0.2 * len(found)
-        assert sum(case.hovers is accepted for case in those) >= LEAST_AGREEMENT * len(those)
-    refused = [case for case in found if case.refused]
+        subset = [case for case in result if case.accepted is accepted]
+        assert len(subset) > 0.2 * len(result)
+        assert sum(case.hovers is accepted for case in subset) >= LEAST_AGREEMENT * len(subset)
+    refused = [case for case in result if case.refused]
     assert sum(not case.hovers for case in refused) >= LEAST_AGREEMENT * len(refused)

@@ -10,7 +10,7 @@ import torch
 
 from aerial_gym.cli.main import main
 from aerial_gym.rl_training.encoder import training
-from aerial_gym.rl_training.encoder.fit import Fit
+from aerial_gym.rl_training.encoder.fit import EncoderFit
 from aerial_gym.sensors.encoder.file import load_encoder
 
 SMALL = [
@@ -31,41 +31,41 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_folder_and_figures(whole: tuple[Path, str], capsys: pytest.CaptureFixture[str]) -> None:
     out, printed = whole
-    found = json.loads(printed)
+    result = json.loads(printed)
     assert {path.name for path in out.iterdir()} == FILES
-    assert found == json.loads((out / "result.json").read_text())
-    assert set(found["errors"]) == {"encoder", "pca_64", "mean_image"}
-    assert found["errors"]["pca_64"]["rms_m"] < found["errors"]["mean_image"]["rms_m"]
-    assert found["errors_by_env"]["env_with_obstacles"] == found["errors"]["encoder"]
+    assert result == json.loads((out / "result.json").read_text())
+    assert set(result["errors"]) == {"encoder", "pca_64", "mean_image"}
+    assert result["errors"]["pca_64"]["rms_m"] < result["errors"]["mean_image"]["rms_m"]
+    assert result["errors_by_env"]["env_with_obstacles"] == result["errors"]["encoder"]
     assert len((out / "curve.csv").read_text().splitlines()) == 4
     assert load_encoder(out / "encoder.pt").num_latents == 64
     assert main([*SMALL, "--out", str(out)]) == 2
     assert "holds a training already" in capsys.readouterr().err
 
 
-def test_interrupted_training_goes_on(
+def test_interrupted_training_continues(
     whole: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As if it had never ended, bit for bit; settings other than its own are refused."""
     monkeypatch.setattr(training, "SAVE_EVERY_S", 0.0)
-    whole_epoch = Fit.epoch
+    whole_epoch = EncoderFit.epoch
 
-    def interrupted(fit: Fit) -> float:
+    def interrupt(fit: EncoderFit) -> float:
         if fit.epochs == 2:
             raise KeyboardInterrupt
         return whole_epoch(fit)
 
-    monkeypatch.setattr(Fit, "epoch", interrupted)
+    monkeypatch.setattr(EncoderFit, "epoch", interrupt)
     assert main([*SMALL, "--out", str(tmp_path / "cut")]) == 1
     assert "--resume" in capsys.readouterr().out
-    monkeypatch.setattr(Fit, "epoch", whole_epoch)
+    monkeypatch.setattr(EncoderFit, "epoch", whole_epoch)
     again = ["train-encoder", "--out", str(tmp_path / "cut"), "--resume", "--device", "cpu"]
     assert main([*again, "--seed", "5"]) == 2
     assert "--seed: a resumed training keeps its own" in capsys.readouterr().err
     assert main(again) == 0
-    ours, theirs = (load_encoder(folder / "encoder.pt").state_dict() for folder in (whole[0], tmp_path / "cut"))
-    for name, value in ours.items():
-        torch.testing.assert_close(value, theirs[name], atol=0.0, rtol=0.0)
+    actual, reference = (load_encoder(folder / "encoder.pt").state_dict() for folder in (whole[0], tmp_path / "cut"))
+    for name, value in actual.items():
+        torch.testing.assert_close(value, reference[name], atol=0.0, rtol=0.0)
 
 
 def test_resume_needs_a_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.cli.main import main
 from benchmarks.undeclared import CaseFiles, make_case
-from benchmarks.undeclared import Failure as Hidden
+from benchmarks.undeclared import PlantFailure as Hidden
 
 HIDDEN = {
     "train_1": Hidden(kind="motor_failure", motor=2, scale=0.85, time=4.4),

@@ -14,7 +14,7 @@ REFERENCE = re.compile(r"^\[[^\]]+\]:\s*(\S+)", re.MULTILINE)
 ITEM = re.compile(r"\s*(?:[-*+]|\d+\.)\s+")
 
 
-class Line(NamedTuple):
+class PageLine(NamedTuple):
     """A line outside of code blocks: heading, table row, item of a list, blank line or text."""
 
     kind: str
@@ -51,19 +51,19 @@ def prose_lines(text: str) -> Iterator[str]:
             yield line
 
 
-def lines(text: str) -> Iterator[Line]:
+def lines(text: str) -> Iterator[PageLine]:
     """Yield the lines of a page outside of code blocks."""
     for line in prose_lines(text):
         if not line.strip():
-            yield Line("blank", "")
+            yield PageLine("blank", "")
         elif re.match(r"#+ ", line):
-            yield Line("heading", line.lstrip("# "))
+            yield PageLine("heading", line.lstrip("# "))
         elif line.lstrip().startswith("|"):
-            yield Line("table", line)
+            yield PageLine("table", line)
         elif ITEM.match(line):
-            yield Line("item", ITEM.sub("", line, count=1))
+            yield PageLine("item", ITEM.sub("", line, count=1))
         else:
-            yield Line("text", line)
+            yield PageLine("text", line)
 
 
 def plain(text: str) -> str:
@@ -74,7 +74,7 @@ def plain(text: str) -> str:
 def paragraphs(text: str) -> Iterator[str]:
     """Yield the paragraphs and items of lists of a page; neither headings nor tables."""
     block: list[str] = []
-    for line in [*lines(text), Line("blank", "")]:
+    for line in [*lines(text), PageLine("blank", "")]:
         if line.kind != "text" and block:
             yield plain("\n".join(block))
             block = []

@@ -21,6 +21,10 @@ TABLE_SHARE = 0.3
 IMPOSED_CLASSES = {
     "AssetManager": "`compat` has the class names of Aerial Gym Simulator",
     "EnvManager": "`compat` has the class names of Aerial Gym Simulator",
+    "RobotManager": "`compat` has the class names of Aerial Gym Simulator",
+    "SimBuilder": "`compat` has the class names of Aerial Gym Simulator",
+    "TaskRegistry": "`compat` has the class names of Aerial Gym Simulator",
+    "sensor_config": "examples define it as scripts of Aerial Gym Simulator do",
 }
 """Public class names that may stand twice, each with its reason."""
 
@@ -57,7 +61,7 @@ def table_shares() -> Offences:
     return {path: ["a percent above the share"] * number for path, number in excess.items() if number > 0}
 
 
-def docstring_openings() -> Offences:
+def clause_docstrings() -> Offences:
     """Return the docstrings that open with a clause in place of a noun."""
     offences = defaultdict(list)
     for row in names.definitions():
@@ -66,7 +70,7 @@ def docstring_openings() -> Offences:
     return offences
 
 
-def _names_with(*faults: str) -> Offences:
+def _faulty_names(*faults: str) -> Offences:
     """Return the names with one of the faults."""
     offences = defaultdict(list)
     for definition in names.definitions():
@@ -77,20 +81,20 @@ def _names_with(*faults: str) -> Offences:
 
 def participles() -> Offences:
     """Return the names that begin with a participle or an adverb."""
-    return _names_with("begins with a participle", "begins with an adverb")
+    return _faulty_names("begins with a participle", "begins with an adverb")
 
 
 def prepositions() -> Offences:
     """Return the names that end in a preposition."""
-    return _names_with("ends in a preposition")
+    return _faulty_names("ends in a preposition")
 
 
 def pronouns() -> Offences:
     """Return the names that are or contain a pronoun."""
-    return _names_with("is a pronoun", "contains a pronoun")
+    return _faulty_names("is a pronoun", "contains a pronoun")
 
 
-def repeated_classes() -> Offences:
+def duplicate_classes() -> Offences:
     """Return the public classes of the package, the benchmarks and the examples that share a name."""
     rows = [row for row in names.definitions() if row.kind == "class" and not row.path.startswith("tests/")]
     public = sorted(
@@ -111,7 +115,7 @@ def dead_links() -> Offences:
     return {path: links for path, links in wrong.items() if links}
 
 
-def spelling() -> Offences:
+def misspellings() -> Offences:
     """Return the words that codespell takes for errors."""
     command = [sys.executable, "-m", "codespell_lib", *SPELLED]
     output = subprocess.run(command, cwd=names.ROOT, capture_output=True, text=True, check=False)
@@ -126,12 +130,12 @@ RULES: dict[str, Callable[[], Offences]] = {
     "words of a sentence on average": mean_lengths,
     "words of a sentence": long_sentences,
     "words in tables": table_shares,
-    "openings of docstrings": docstring_openings,
+    "openings of docstrings": clause_docstrings,
     "names that begin with a participle": participles,
     "names that end in a preposition": prepositions,
     "names that are pronouns": pronouns,
-    "class names used twice": repeated_classes,
+    "class names used twice": duplicate_classes,
     "pages without a link": unreachable_pages,
     "links without a target": dead_links,
-    "spelling": spelling,
+    "spelling": misspellings,
 }

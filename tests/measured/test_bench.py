@@ -47,10 +47,12 @@ def test_steps_of_the_aerial_gym_motor(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_many_motors_and_propellers(capsys: pytest.CaptureFixture[str]) -> None:
-    found = identify(capsys, "motor", BENCH / "strawson_static_tests.csv")
-    assert found["all_tests"]["tests"] == 136
-    assert len(found["left_out"]) == 2  # two propellers were mounted the other way round
-    assert found["all_tests"]["median_relative_error_after"] < 0.5 * found["all_tests"]["median_relative_error_before"]
+    result = identify(capsys, "motor", BENCH / "strawson_static_tests.csv")
+    assert result["all_tests"]["tests"] == 136
+    assert len(result["left_out"]) == 2  # two propellers were mounted the other way round
+    assert (
+        result["all_tests"]["median_relative_error_after"] < 0.5 * result["all_tests"]["median_relative_error_before"]
+    )
 
 
 def test_propellers_at_rest_have_one_coefficient_of_thrust_as_blade_elements_say() -> None:
@@ -84,15 +86,15 @@ def test_four_motors_of_a_crazyflie(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.slow
 def test_creep_of_the_morphy_joint_with_its_first_second(capsys: pytest.CaptureFixture[str]) -> None:
     """Published law: 0.51 deg (first second 1.9); creep fitted to all rows in parity.md 8.4: 0.092 deg (0.112)."""
-    found = identify(capsys, "joint", BENCH / "morphy_joint_step.csv")
+    result = identify(capsys, "joint", BENCH / "morphy_joint_step.csv")
     degree = 3.141592653589793 / 180.0
-    before, after = found["before"], found["after"]
+    before, after = result["before"], result["after"]
     assert before["rms"] == pytest.approx(0.51 * degree, rel=0.02)
     assert before["rms_first_second"] == pytest.approx(1.9 * degree, rel=0.03)
-    assert "creep" in found["chosen"]
+    assert "creep" in result["chosen"]
     assert after["rms"] < 0.07 * degree
     assert after["rms_first_second"] < 0.2 * degree
-    best = next(law for law in found["candidates"] if law["name"] == found["chosen"])
+    best = next(law for law in result["candidates"] if law["name"] == result["chosen"])
     assert best["fit"]["rms"] < 0.092 * degree
     assert best["fit"]["rms_first_second"] < 0.112 * degree
     assert best["forecast"]["rms"] < 0.05 * degree
@@ -103,8 +105,8 @@ def test_hover_of_the_nano_drone_agrees_with_its_authors(capsys: pytest.CaptureF
     """The authors' own fit is 3.72e-8 N s²; the factor on the independent map of other people lies at 0.961 to 0.978."""
     flights = sorted((DATA / "idsia_nanodrone").glob("m*.csv"))
     argv = ("--robot", "crazyflie_21_brushless", "--mapping", "idsia_nanodrone", "--mass-std-kg", "0.0005")
-    found = identify(capsys, "hover", *flights, *argv)
-    low, high = found["c_t"]["interval"]
+    result = identify(capsys, "hover", *flights, *argv)
+    low, high = result["c_t"]["interval"]
     assert low < 3.72e-8 < high
-    assert 0.961 < found["scale"]["value"] < 0.978
-    assert found["after"]["held_out"]["rms"] < 0.3 * found["before"]["held_out"]["rms"]
+    assert 0.961 < result["scale"]["value"] < 0.978
+    assert result["after"]["held_out"]["rms"] < 0.3 * result["before"]["held_out"]["rms"]

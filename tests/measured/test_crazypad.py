@@ -15,7 +15,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, hover_effort, judge_balance, repeats_of
+from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "crazypad"
 
@@ -38,10 +38,10 @@ STUDY = {
 def pairs() -> dict[str, list[HoverEffort]]:
     layout = find_mapping("crazypad")
     logs = [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in sorted(DATA.glob("*.csv"))]
-    return {name.removesuffix("_log"): pair for name, pair in repeats_of(logs).items()}
+    return {name.removesuffix("_log"): pair for name, pair in group_repeats(logs).items()}
 
 
-def judged(
+def judge(
     pairs: dict[str, list[HoverEffort]],
     condition: str,
     *,
@@ -51,16 +51,16 @@ def judged(
 ) -> Balance:
     """The verdict on a condition; ``first`` is the log that decides, ``aside`` another condition that is not used."""
     normal = f"normal_flight_{condition[-2:]}"
-    others = [hover for name, pair in pairs.items() if name not in (condition, normal, aside) for hover in pair]
+    rest = [hover for name, pair in pairs.items() if name not in (condition, normal, aside) for hover in pair]
     flight, test = pairs[condition][first], pairs[condition][1 - first]
     usual = [pairs[normal][log] for log in baseline]
-    return judge_balance(usual, [flight], robot=ROBOTS.get("crazyflie_21"), test=[test], repeats=others)
+    return judge_balance(usual, [flight], robot=ROBOTS.get("crazyflie_21"), test=[test], repeats=rest)
 
 
-def right(condition: str, found: Balance) -> bool:
+def right(condition: str, result: Balance) -> bool:
     """Whether nothing is named, or the cause is among what is: a weight off the centre, or motor 3 with or without its drag."""
     cause = "weak_motor 3" if condition.startswith("cut") else "payload_mass + com_offset"
-    return found.candidates == () or any(name.startswith(cause) for name in found.candidates)
+    return result.candidates == () or any(name.startswith(cause) for name in result.candidates)
 
 
 def test_shares_are_those_of_the_study(pairs: dict[str, list[HoverEffort]]) -> None:
@@ -75,31 +75,31 @@ def test_shares_are_those_of_the_study(pairs: dict[str, list[HoverEffort]]) -> N
 def test_a_weight_between_two_motors_is_named_in_its_place(pairs: dict[str, list[HoverEffort]]) -> None:
     """W1 near M3 and M4, on the left side: the mass is only in photographs; whichever log decides, the other agrees."""
     for first in (0, 1):
-        found = judged(pairs, "add_weight_W1_near_M3_M4_E8", first=first)
-        assert (found.verdict, found.candidates) == ("explained", ("payload_mass + com_offset",))
-        (fit,) = (fit for fit in found.fits if fit.cause.name == found.candidates[0])
+        results = judge(pairs, "add_weight_W1_near_M3_M4_E8", first=first)
+        assert (results.verdict, results.candidates) == ("explained", ("payload_mass + com_offset",))
+        (fit,) = (fit for fit in results.fits if fit.cause.name == results.candidates[0])
         assert fit.params["dm"].low > 0.0
         assert fit.params["y"].low > 0.0
         assert abs(fit.params["x"].value) < 0.4 * fit.params["y"].value
         assert fit.held_out is not None
-        assert fit.held_out < 0.3 * (found.fits[0].held_out or 0.0)
+        assert fit.held_out < 0.3 * (results.fits[0].held_out or 0.0)
 
 
 def test_a_propeller_cut_by_3_mm_is_named(pairs: dict[str, list[HoverEffort]]) -> None:
     """Motor 3 of E8, whichever log decides; of E9, half as far from the baseline, it is the most probable candidate."""
     for first in (0, 1):
-        found = judged(pairs, "cut_propeller_M3_3mm_E8", first=first)
-        assert (found.verdict, found.candidates) == ("explained", ("weak_motor 3",))
-    found = judged(pairs, "cut_propeller_M3_3mm_E9")
-    assert (found.verdict, found.candidates) == ("unexplained", ())
-    assert max(found.fits[:-1], key=lambda fit: fit.probability).cause.name == "weak_motor 3 + torque_ratio"
+        results = judge(pairs, "cut_propeller_M3_3mm_E8", first=first)
+        assert (results.verdict, results.candidates) == ("explained", ("weak_motor 3",))
+    results = judge(pairs, "cut_propeller_M3_3mm_E9")
+    assert (results.verdict, results.candidates) == ("unexplained", ())
+    assert max(results.fits[:-1], key=lambda fit: fit.probability).cause.name == "weak_motor 3 + torque_ratio"
 
 
 def test_small_changes_are_not_told_from_scatter(pairs: dict[str, list[HoverEffort]]) -> None:
     for condition in ("add_weight_W1_near_M3_E9", "add_weight_W1_near_M4_E8"):
-        assert judged(pairs, condition).verdict == "none"
+        assert judge(pairs, condition).verdict == "none"
     for condition in ("cut_propeller_M3_1mm_E8", "cut_propeller_M3_1mm_E9", "cut_propeller_M3_2mm_E8"):
-        assert judged(pairs, condition).verdict == "none"
+        assert judge(pairs, condition).verdict == "none"
 
 
 @pytest.mark.parametrize("baseline", [(0, 1), *(pytest.param(one, marks=pytest.mark.slow) for one in ((0,), (1,)))])
@@ -108,10 +108,10 @@ def test_no_name_is_wrong_with_logs_kept_aside(pairs: dict[str, list[HoverEffort
     conditions = [name for name in pairs if not name.startswith("normal")]
     for condition in conditions:
         for first in (0, 1):
-            assert right(condition, judged(pairs, condition, first=first, baseline=baseline))
+            assert right(condition, judge(pairs, condition, first=first, baseline=baseline))
         for aside in pairs:
             if aside not in (condition, f"normal_flight_{condition[-2:]}"):
-                assert right(condition, judged(pairs, condition, baseline=baseline, aside=aside))
+                assert right(condition, judge(pairs, condition, baseline=baseline, aside=aside))
 
 
 @pytest.mark.slow
@@ -120,11 +120,11 @@ def test_names_with_few_repeats_are_wrong_no_more_often_than_promised(pairs: dic
     rng, wrong, verdicts = random.Random(0), list[str](), 0
     for condition in (name for name in pairs if not name.startswith("normal")):
         normal = f"normal_flight_{condition[-2:]}"
-        others = [name for name in pairs if name not in (condition, normal)]
+        rest = [name for name in pairs if name not in (condition, normal)]
         for count, first, baseline in product(range(3, 8), (0, 1), ((0, 1), (0,), (1,))):
             for _ in range(2):
-                kept = rng.sample(others, count)
-                found = judge_balance(
+                kept = rng.sample(rest, count)
+                results = judge_balance(
                     [pairs[normal][log] for log in baseline],
                     [pairs[condition][first]],
                     robot=ROBOTS.get("crazyflie_21"),
@@ -132,18 +132,18 @@ def test_names_with_few_repeats_are_wrong_no_more_often_than_promised(pairs: dic
                     repeats=[hover for name in kept for hover in pairs[name]],
                 )
                 verdicts += 1
-                if found.fits and not right(condition, found):
-                    wrong.append(f"{condition} {found.freedom} {found.candidates}")
+                if results.fits and not right(condition, results):
+                    wrong.append(f"{condition} {results.freedom} {results.candidates}")
     print(f"{len(wrong)} of {verdicts} verdicts hold a wrong name and not the right one: {wrong}")
     assert len(wrong) < 0.01 * verdicts
 
 
 def test_the_heavy_weight_is_no_balance_of_weights(pairs: dict[str, list[HoverEffort]]) -> None:
     """W3 near M3: motors 2 and 4 lose what balances yaw, which no weight does. It is a payload, and it is not named."""
-    found = judged(pairs, "add_weight_W3_near_M3_E9")
-    assert (found.verdict, found.candidates) == ("unexplained", ())
-    assert found.shares[2].change.low > 0.06
-    assert max(found.shares[1].change.high, found.shares[3].change.high) < 0.0
+    results = judge(pairs, "add_weight_W3_near_M3_E9")
+    assert (results.verdict, results.candidates) == ("unexplained", ())
+    assert results.shares[2].change.low > 0.06
+    assert max(results.shares[1].change.high, results.shares[3].change.high) < 0.0
 
 
 def test_the_command_reads_the_logs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -154,6 +154,6 @@ def test_the_command_reads_the_logs(capsys: pytest.CaptureFixture[str]) -> None:
     argv = ("identify", "hover", flight, "--test", test, "--baseline", *paths("normal_flight_E8_*"))
     common = ("--repeats", *paths("*.csv"), "--robot", "crazyflie_21", "--mapping", "crazypad", "--json")
     assert main([*argv, *common]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["verdict"], found["candidates"]) == ("explained", ["weak_motor 3"])
-    assert found["scatter"]["freedom"] == 10
+    results = json.loads(capsys.readouterr().out)
+    assert (results["verdict"], results["candidates"]) == ("explained", ["weak_motor 3"])
+    assert results["scatter"]["freedom"] == 10

@@ -66,7 +66,7 @@ def with_elevations(spring: SpringCfg) -> RobotCfg:
     return replace(robot, joints=replace(robot.joints, layout=layout))
 
 
-def spring_of(law: dict[str, float]) -> SpringCfg:
+def law_spring(law: dict[str, float]) -> SpringCfg:
     """Return a law per unit of inertia as the spring of Morphy's elevations, which holds their weight at rest."""
     stiffness, times = creep_elements(law)
     return SpringCfg(
@@ -110,11 +110,11 @@ def test_a_law_found_in_half_of_a_record_holds_in_the_other(dt: float, law_held:
         for name in (ELEMENTS, POWER):
             law = fit_rows(name, record, ~left)
             since = np.maximum(record.time - law["release"], 0.0)
-            wrong = let_go(with_elevations(spring_of(law)), start, since, dt=dt) - record.angle
-            found = degrees_off(wrong, left)
+            wrong = let_go(with_elevations(law_spring(law)), start, since, dt=dt) - record.angle
+            result = degrees_off(wrong, left)
             first = degrees_off(wrong, left & early) if (left & early).any() else nan
-            print(f"{name}, fitted to {fitted}: held out {found:.3f}, first second of it {first:.3f}", end="")
+            print(f"{name}, fitted to {fitted}: held out {result:.3f}, first second of it {first:.3f}", end="")
             print(f"; fitted {degrees_off(wrong, ~left):.3f}, first second {degrees_off(wrong, ~left & early):.3f}")
             if name == law_held:
-                assert found < 0.1
+                assert result < 0.1
                 assert not first > early_bound

@@ -23,9 +23,9 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights
     ],
 )
 def test_one_flight_of_each_set_is_replayed(robot: str, flight: str, bandwidth: float, channels: int) -> None:
-    found = replay(robot, [DATA / flight], mapping=flight.split("/")[0], bandwidth=bandwidth)
-    assert len(found.evaluation.channels) == channels
-    assert all(rms.low <= rms.value <= rms.high for rms in found.evaluation.residual)
+    result = replay(robot, [DATA / flight], mapping=flight.split("/")[0], bandwidth=bandwidth)
+    assert len(result.evaluation.channels) == channels
+    assert all(rms.low <= rms.value <= rms.high for rms in result.evaluation.residual)
 
 
 def test_neural_fly_before_any_fit_is_the_residual_of_the_study() -> None:

@@ -25,8 +25,8 @@ from aerial_gym.physics import (
     state_at_rest,
     vehicle_from_config,
 )
-from aerial_gym.robots.scene_contact import PushedRobot, SceneContact
-from tests.physics.vehicles import lopsided_robot
+from aerial_gym.robots.scene_contact import ContactBody, SceneContact
+from tests.physics.vehicles import asymmetric_robot
 
 MASS, INERTIA, GRAVITY = 0.5, (2.0e-3, 3.0e-3, 4.0e-3), 9.81
 BALL = ((0.0, 0.0, 0.0, 0.1),)
@@ -36,14 +36,14 @@ FEET = tuple((x, y, 0.0, 0.02) for x in (0.1, -0.1) for y in (0.1, -0.1))
 CPU = torch.device("cpu")
 
 
-def robot_with(*, com: tuple[float, float, float] = (0.0, 0.0, 0.0), inertia: Sequence[float] = INERTIA):
+def make_robot(*, com: tuple[float, float, float] = (0.0, 0.0, 0.0), inertia: Sequence[float] = INERTIA):
     """Return a robot of ``MASS`` with principal moments [kg m²]; lift needs rotors that turn."""
     ix, iy, iz = inertia
     body = BodyCfg(mass=MASS, inertia=((ix, 0.0, 0.0), (0.0, iy, 0.0), (0.0, 0.0, iz)), com=com, source="test")
-    return replace(lopsided_robot(), body=body)
+    return replace(asymmetric_robot(), body=body)
 
 
-class OnGround:
+class GroundRig:
     """A batch over a ground at z = 0."""
 
     def __init__(
@@ -59,7 +59,7 @@ class OnGround:
     ) -> None:
         """Take the state that is advanced in place."""
         num_envs, dtype = state.num_envs, state.position.dtype
-        vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs, dtype=dtype)
+        vehicle = vehicle_from_config(robot or make_robot(), num_envs=num_envs, dtype=dtype)
         self.backend, self.state = backend, state
         self.crashes = torch.zeros(num_envs, dtype=torch.bool)
         self.impulse = torch.zeros(num_envs, 3, dtype=dtype)
@@ -75,7 +75,7 @@ class OnGround:
         self.backend.step(self.state, self._still, dt, round(span / dt))
 
 
-class InScene:
+class ObstacleRig:
     """A batch among obstacles; each environment has the same shapes at poses of its own."""
 
     def __init__(
@@ -99,12 +99,12 @@ class InScene:
         The robot has spheres, or the shapes of ``body``. Obstacles keep their twists, unless nothing ``moves``.
         """
         num_envs, rows = state.num_envs, torch.arange(len(shapes))
-        vehicle = vehicle_from_config(robot or robot_with(), num_envs=num_envs)
+        vehicle = vehicle_from_config(robot or make_robot(), num_envs=num_envs)
         self.state, self.dt, self.asset_state = state, dt, asset_state
         self.crashes, self.impulse = torch.zeros(num_envs, dtype=torch.bool), torch.zeros(num_envs, 3)
         self.backend = backend or WarpBackend()
         law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, GRAVITY)
-        pushed = PushedRobot(
+        pushed = ContactBody(
             mass=vehicle.mass.clone(),
             inertia=vehicle.inertia.clone(),
             com=vehicle.com.clone(),
@@ -120,7 +120,7 @@ class InScene:
             dt=dt,
             crashes_out=self.crashes,
             impulse_out=self.impulse,
-            moving=_moving(shapes, asset_state) if moves else None,
+            moving=_keep_twists(shapes, asset_state) if moves else None,
         )
         self.backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator, hook=contact)
         self._still = torch.zeros(num_envs, 4)
@@ -130,7 +130,7 @@ class InScene:
         self.backend.step(self.state, self._still, self.dt, round(span / self.dt))
 
 
-def _moving(shapes: Sequence[ShapeCfg], asset_state: Tensor) -> Obstacles:
+def _keep_twists(shapes: Sequence[ShapeCfg], asset_state: Tensor) -> Obstacles:
     """Return obstacles that keep their twists."""
     place, twist = (0.5, 0.5, 0.5), MotionCfg(kind="twist")
     asset = AssetCfg(

@@ -37,7 +37,7 @@ NOISY = replace(
 )
 
 
-class Rig:
+class ImuRig:
     """An IMU on a body that is moved by hand. Everything it writes is NaN beforehand."""
 
     def __init__(
@@ -87,17 +87,17 @@ class Rig:
         return [self.measurement, imu.bias, imu.mount_attitude, imu._point_vel, imu._sample, *kept, *imu._line]
 
 
-def spin_about_z(rig: Rig, samples: int, rate: float, growth: float) -> list[Tensor]:
+def spin_about_z(rig: ImuRig, samples: int, rate: float, growth: float) -> list[Tensor]:
     """Return the samples of a body whose origin rests and which turns about z with ``w = rate + growth t``."""
-    found = []
+    result = []
     rig.move(quat_from_euler(torch.zeros(1, 3)), torch.zeros(1, 3), torch.tensor([[0.0, 0.0, rate]]))
     rig.reset()
     for k in range(1, samples + 1):
         t = 0.01 * k
         turn = torch.tensor([[0.0, 0.0, rate * t + 0.5 * growth * t * t]])
         rate_now = torch.tensor([[0.0, 0.0, rate + growth * t]])
-        found.append(rig.sample(quat_from_euler(turn), torch.zeros(1, 3), rate_now).clone())
-    return found
+        result.append(rig.sample(quat_from_euler(turn), torch.zeros(1, 3), rate_now).clone())
+    return result
 
 
 def wobble(t: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -9,7 +9,7 @@ from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics import INTEGRATORS, BodyState
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.integrators import MassState, to_body_state, to_mass_state
-from aerial_gym.physics.memory import Memory, begin_substep, end_substep, load_of, make_memory
+from aerial_gym.physics.memory import Memory, begin_substep, end_substep, load_state, make_memory
 from aerial_gym.physics.model import Model
 
 MASS, LENGTH, DAMPING = 0, 1, 2
@@ -22,7 +22,7 @@ def fly_remembering(
     """Return state and memory after one substep of each rotor command (E, R)."""
     for command in commands:
         now, followed, memory = begin_substep(model, memory, state.rotor_speed, command, dt)
-        after = INTEGRATORS[integrator](now, to_mass_state(model, state, load_of(model, memory)), followed, dt)
+        after = INTEGRATORS[integrator](now, to_mass_state(model, state, load_state(model, memory)), followed, dt)
         state, memory = to_body_state(model, after), end_substep(memory, after.load)
     return state, memory
 
@@ -33,10 +33,10 @@ def fly_load(
     """Return state and load (E, 6) after a span [s] with the rotors at their speeds."""
     memory = replace(make_memory(model, span / steps), numbers=load)
     end, memory = fly_remembering(model, memory, state, [state.rotor_speed] * steps, span / steps, integrator)
-    return end, load_of(model, memory)
+    return end, load_state(model, memory)
 
 
-def conserved(model: Model, state: BodyState, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def momentum_energy(model: Model, state: BodyState, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return momentum (E, 3), angular momentum about the world origin (E, 3) and energy (E,) of vehicle and payload."""
     vehicle, params = model.vehicle, model.effects[LoadEffect][0][1]
     mass, hung, length = vehicle.mass[:, None], params[:, MASS, None], params[:, LENGTH, None]

@@ -21,10 +21,10 @@ def test_a_ramp_and_an_alternating_signal_are_exact() -> None:
     torch.testing.assert_close(deviation[:, 1], torch.tensor([2.0**0.5, 0, 0, 0, 0, 0]).double(), rtol=0, atol=1e-7)
 
 
-def assert_unbiased(found: Tensor, expected: Tensor) -> None:
+def assert_unbiased(result: Tensor, expected: Tensor) -> None:
     """The mean over S independent signals, (S, ...), is within 5 standard errors, and these are below a tenth of it."""
-    error = found.std(0) / len(found) ** 0.5
-    assert ((found.mean(0) - expected).abs() <= 5.0 * error).all()
+    error = result.std(0) / len(result) ** 0.5
+    assert ((result.mean(0) - expected).abs() <= 5.0 * error).all()
     assert (error < 0.1 * expected).all()
 
 

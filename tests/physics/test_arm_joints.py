@@ -18,8 +18,8 @@ from aerial_gym.physics.effects.arm_joint import LARGEST_ANGLE, ArmJoint
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.physics.rigid_body import condition_in
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effects import still
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.test_effects import rest_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def joint(name: str) -> ArmJoint:
 
 def cross_robot(count: int = 4, *, height: float = 0.0, distance: float = 0.2) -> RobotCfg:
     """Return a robot with upright rotors around the body axis, spins in turn, 1e-6 N per squared speed, com at the origin."""
-    robot = lopsided_robot(com=(0.0, 0.0, 0.0))
+    robot = asymmetric_robot(com=(0.0, 0.0, 0.0))
     turns = [2.0 * np.pi * k / count for k in range(count)]
     layout = tuple(
         MountCfg(position=(distance * cos(a), distance * sin(a), height), axis=UPRIGHT, spin=1 - 2 * (k % 2))
@@ -46,18 +46,18 @@ def cross_robot(count: int = 4, *, height: float = 0.0, distance: float = 0.2) -
     return replace(robot, rotor=rotor, mounts=MountsCfg(layout=layout, source="test"))
 
 
-def model_of(robot: RobotCfg, *elements: tuple[str, tuple[float, float, float]], num_envs: int = 1) -> Model:
+def make_model(robot: RobotCfg, *elements: tuple[str, tuple[float, float, float]], num_envs: int = 1) -> Model:
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     return build_model(vehicle, [(joint(n), torch.tensor([p] * num_envs, dtype=F64)) for n, p in elements])
 
 
-def condition_of(model: Model, thrust: Tensor) -> Condition:
+def make_condition(model: Model, thrust: Tensor) -> Condition:
     """Return a vehicle at rest whose rotors push so much [N], (R,)."""
     speed = (thrust / 1e-6).sqrt().unsqueeze(0)
-    return condition_in(model, replace(still(1), rotor_speed=speed), torch.zeros_like(speed))
+    return condition_in(model, replace(rest_state(1), rotor_speed=speed), torch.zeros_like(speed))
 
 
-def turned(robot: RobotCfg, angles: Array, hinge: float, thrust: Array, drag: Array) -> Array:
+def arm_wrench(robot: RobotCfg, angles: Array, hinge: float, thrust: Array, drag: Array) -> Array:
     """Return the wrench (6,) about the centre of mass of rotors whose arms have turned, each a rotation by scipy."""
     total, com = np.zeros(6), np.array(robot.body.com)
     for mount, angle, push, q in zip(robot.mounts.layout, angles, thrust, drag, strict=True):
@@ -74,56 +74,58 @@ def turned(robot: RobotCfg, angles: Array, hinge: float, thrust: Array, drag: Ar
 def test_an_element_approaches_the_load_exponentially(name: str) -> None:
     """``h = C f l (1 - exp(-t / tau))`` under a held thrust, however many substeps lead to t; l = 0.75 of 0.2 m."""
     compliance, tau, span = 0.3, 0.4, 0.3
-    model = model_of(cross_robot(), (name, (compliance, tau, 0.25)))
+    model = make_model(cross_robot(), (name, (compliance, tau, 0.25)))
     thrust = torch.tensor([1.0, 2.0, 3.0, 0.5], dtype=F64)
     speed = (thrust / 1e-6).sqrt().unsqueeze(0)
     for steps in (1, 7, 60):
         memory = make_memory(model, span / steps)
         assert memory.numbers.tolist() == [[0.0] * 4]
-        _, memory = fly_remembering(model, memory, replace(still(1), rotor_speed=speed), [speed] * steps, span / steps)
+        _, memory = fly_remembering(
+            model, memory, replace(rest_state(1), rotor_speed=speed), [speed] * steps, span / steps
+        )
         expected = compliance * thrust * 0.15 * (1.0 - exp(-span / tau))
         torch.testing.assert_close(memory.numbers[0], expected, atol=1e-12, rtol=1e-9)
 
 
 def test_without_a_lag_arms_rest_under_the_thrust_at_once() -> None:
     """tau -> 0: after any substep the angle is C f l."""
-    model = model_of(cross_robot(), ("joint_spring", (0.3, 1e-9, 0.0)))
+    model = make_model(cross_robot(), ("joint_spring", (0.3, 1e-9, 0.0)))
     speed = torch.full((1, 4), 1500.0, dtype=F64)
     now = Moment(rotor_speed=speed, since=torch.zeros(1), random=torch.zeros(1), dt=1e-3, vehicle=model.vehicle)
     values = torch.cat((model.effects[WrenchEffect][0][1], torch.full((1, 4), 0.4, dtype=F64)), dim=1)
-    found = joint("joint_spring").remember(now, values)
-    torch.testing.assert_close(found, torch.full((1, 4), 0.3 * 2.25 * 0.2, dtype=F64), atol=0.0, rtol=1e-12)
+    result = joint("joint_spring").remember(now, values)
+    torch.testing.assert_close(result, torch.full((1, 4), 0.3 * 2.25 * 0.2, dtype=F64), atol=0.0, rtol=1e-12)
 
 
-def test_one_bent_arm_lifts_its_hub_and_leans_its_thrust_in() -> None:
+def test_one_bent_arm_lifts_its_hub_and_leans_its_thrust_inward() -> None:
     """The hub at x = 0.2, 0.05 above the origin, bends by h at 0.1: it is then at (0.1 + 0.1 cos h, 0.05 + 0.1 sin h)."""
-    model, h, f = model_of(cross_robot(height=0.05), ("joint_spring", (0.3, 0.02, 0.5))), 0.3, 2.0
+    model, h, f = make_model(cross_robot(height=0.05), ("joint_spring", (0.3, 0.02, 0.5))), 0.3, 2.0
     values = torch.tensor([[0.3, 0.02, 0.5, h, 0.0, 0.0, 0.0]], dtype=F64)
-    found = joint("joint_spring").wrench(condition_of(model, torch.tensor([f, 0.0, 0.0, 0.0], dtype=F64)), values)[0]
+    result = joint("joint_spring").wrench(make_condition(model, torch.tensor([f, 0.0, 0.0, 0.0], dtype=F64)), values)[0]
     fx, fz, q = -f * sin(h), f * cos(h), 0.02 * f
     x, z = 0.1 + 0.1 * cos(h), 0.05 + 0.1 * sin(h)
     bent = [fx, 0.0, fz, q * sin(h), z * fx - x * fz, -q * cos(h)]  # spin 1: the drag torque is -q a
     rigid = [0.0, 0.0, f, 0.0, -0.2 * f, -q]
-    torch.testing.assert_close(found, torch.tensor(bent, dtype=F64) - torch.tensor(rigid, dtype=F64))
+    torch.testing.assert_close(result, torch.tensor(bent, dtype=F64) - torch.tensor(rigid, dtype=F64))
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_wrench_is_that_of_turned_arms(name: str) -> None:
     """Tilted rotors, centre of mass beside the origin, unequal thrusts: against one rotation by scipy for each arm."""
-    robot, hinge = lopsided_robot(), 0.35
-    model, state = model_of(robot, (name, (0.3, 0.5, hinge))), random_state(1)
+    robot, hinge = asymmetric_robot(), 0.35
+    model, state = make_model(robot, (name, (0.3, 0.5, hinge))), random_state(1)
     condition = condition_in(model, state, torch.zeros(1, 4, dtype=F64))
     speed, angles = state.rotor_speed[0].numpy(), np.array([0.1, -0.2, 0.3, 0.05])
     thrust, drag = 1e-4 * speed + 3e-6 * speed**2, 2e-6 * speed + 5e-8 * speed**2
-    expected = turned(robot, angles, hinge, thrust, drag) - turned(robot, 0.0 * angles, hinge, thrust, drag)
+    expected = arm_wrench(robot, angles, hinge, thrust, drag) - arm_wrench(robot, 0.0 * angles, hinge, thrust, drag)
     values = torch.cat((model.effects[WrenchEffect][0][1], torch.from_numpy(angles).unsqueeze(0)), dim=1)
-    found = joint(name).wrench(condition, values)[0].numpy()
-    np.testing.assert_allclose(found, expected, atol=1e-13, rtol=0.0)
+    result = joint(name).wrench(condition, values)[0].numpy()
+    np.testing.assert_allclose(result, expected, atol=1e-13, rtol=0.0)
 
 
 def test_the_moment_about_the_hinge_does_not_depend_on_the_angle() -> None:
     """Virtual work: the thrust of a bent arm, at its hub, turns it by ``f l a_z``, which is what ``deflection`` takes."""
-    robot, hinge, speed = lopsided_robot(), 0.35, torch.full((1, 4), 900.0, dtype=F64)
+    robot, hinge, speed = asymmetric_robot(), 0.35, torch.full((1, 4), 900.0, dtype=F64)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     params = torch.tensor([[0.2, 0.02, hinge]], dtype=F64)
     rest = joint("joint_spring").deflection(vehicle, speed, params)[0].numpy()
@@ -139,31 +141,31 @@ def test_the_moment_about_the_hinge_does_not_depend_on_the_angle() -> None:
 
 def test_equal_arms_of_a_symmetric_vehicle_only_lose_lift() -> None:
     """Six alike bend alike: the force is ``sum f cos h`` up, neither force sideways nor torque is left."""
-    model = model_of(cross_robot(6, height=0.03), ("joint_spring", (0.3, 0.02, 0.4)))
+    model = make_model(cross_robot(6, height=0.03), ("joint_spring", (0.3, 0.02, 0.4)))
     thrust, h = torch.full((6,), 2.0, dtype=F64), 0.25
     values = torch.tensor([[0.3, 0.02, 0.4, *[h] * 6]], dtype=F64)
-    found = joint("joint_spring").wrench(condition_of(model, thrust), values)[0]
+    result = joint("joint_spring").wrench(make_condition(model, thrust), values)[0]
     expected = torch.tensor([0.0, 0.0, 12.0 * (cos(h) - 1.0), 0.0, 0.0, 0.0], dtype=F64)
-    torch.testing.assert_close(found, expected, atol=1e-14, rtol=0.0)
+    torch.testing.assert_close(result, expected, atol=1e-14, rtol=0.0)
     assert make_memory(model, 0.01).numbers.shape == (1, 6)
 
 
 def test_elements_in_series_add_their_angles() -> None:
     """Spring and creep together: the wrench of the sum of both angles, up to their products in the lift, ``f h1 h2``."""
     robot, thrust = cross_robot(), torch.tensor([1.0, 2.0, 1.5, 2.5], dtype=F64)
-    model = model_of(robot, ("joint_spring", (0.1, 0.02, 0.4)), ("joint_creep", (0.15, 0.8, 0.4)))
-    state = replace(still(1), rotor_speed=(thrust / 1e-6).sqrt().unsqueeze(0))
+    model = make_model(robot, ("joint_spring", (0.1, 0.02, 0.4)), ("joint_creep", (0.15, 0.8, 0.4)))
+    state = replace(rest_state(1), rotor_speed=(thrust / 1e-6).sqrt().unsqueeze(0))
     _, memory = fly_remembering(model, make_memory(model, 0.01), state, [state.rotor_speed] * 50, 0.01)
     moment, (fast, slow) = 0.12 * thrust, memory.numbers[0].split(4)
     torch.testing.assert_close(fast, 0.1 * moment * (1.0 - exp(-25.0)))
     torch.testing.assert_close(slow, 0.15 * moment * (1.0 - exp(-0.5 / 0.8)))
-    condition, params = condition_of(model, thrust), [row for _, row in model.effects[WrenchEffect]]
+    condition, params = make_condition(model, thrust), [row for _, row in model.effects[WrenchEffect]]
     parts = [
         joint(name).wrench(condition, torch.cat((row, angle.unsqueeze(0)), dim=1))[0]
         for name, row, angle in zip(NAMES, params, (fast, slow), strict=True)
     ]
     drag = 0.02 * thrust.numpy()
-    at_once = turned(robot, (fast + slow).numpy(), 0.4, thrust.numpy(), drag) - turned(
+    at_once = arm_wrench(robot, (fast + slow).numpy(), 0.4, thrust.numpy(), drag) - arm_wrench(
         robot, np.zeros(4), 0.4, thrust.numpy(), drag
     )
     products = (thrust * fast * slow).sum().item()
@@ -175,7 +177,7 @@ def test_elements_in_series_add_their_angles() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_angles_end_at_a_stop(name: str) -> None:
     """One radian, however soft the joint, up or down."""
-    model = model_of(cross_robot(), (name, (20.0, 0.3, 0.0)))
+    model = make_model(cross_robot(), (name, (20.0, 0.3, 0.0)))
     speed = torch.full((1, 4), 2000.0, dtype=F64)
     rest = joint(name).deflection(model.vehicle, speed, model.effects[WrenchEffect][0][1])
     assert rest.tolist() == [[float(LARGEST_ANGLE)] * 4]
@@ -187,7 +189,7 @@ def test_angles_end_at_a_stop(name: str) -> None:
 def test_the_angle_of_a_substep_is_that_of_its_middle() -> None:
     """A thrust that rises by 1 N/s, after 20 tau: ``C l (t + dt / 2 - tau)`` but for ``C l dt² / 12 tau``, dt = tau / 10."""
     compliance, tau, dt = 0.3, 0.2, 0.02
-    model = model_of(cross_robot(), ("joint_spring", (compliance, tau, 0.0)))
+    model = make_model(cross_robot(), ("joint_spring", (compliance, tau, 0.0)))
     angles, start = torch.zeros(1, 4, dtype=F64), 0.0
     for step in range(200):
         start = step * dt
@@ -200,19 +202,23 @@ def test_the_angle_of_a_substep_is_that_of_its_middle() -> None:
 
 
 def test_a_single_state_tells_the_force_if_the_angles_are_given() -> None:
-    model, state = model_of(lopsided_robot(), ("joint_spring", (0.3, 0.02, 0.4))), random_state(1)
-    with pytest.raises(CapabilityError, match="effect joint_spring: has memory, so a single state does not tell"):
+    model, state = make_model(asymmetric_robot(), ("joint_spring", (0.3, 0.02, 0.4))), random_state(1)
+    with pytest.raises(
+        CapabilityError, match="effect joint_spring: has memory, so one state does not determine its force"
+    ):
         accelerations(model, state)
     angles = torch.tensor([[0.1, 0.2, 0.3, -0.1]], dtype=F64)
-    found = accelerations(model, state, remembered={"joint_spring": angles})
+    result = accelerations(model, state, remembered={"joint_spring": angles})
     memory = place_memory(model, make_memory(model, 1e-9), {"joint_spring": angles})
     slow = replace(model, effects=EffectsByKind(((joint("joint_spring"), torch.tensor([[0.3, 1e3, 0.4]], dtype=F64)),)))
     after, _ = fly_remembering(slow, memory, state, [state.rotor_speed], 1e-6, "euler")
-    torch.testing.assert_close((after.ang_vel - state.ang_vel) / 1e-6, found.ang_acc, atol=1e-3, rtol=1e-4)
+    torch.testing.assert_close((after.ang_vel - state.ang_vel) / 1e-6, result.ang_acc, atol=1e-3, rtol=1e-4)
 
 
 def test_memory_is_placed_by_name() -> None:
-    model = model_of(lopsided_robot(), ("joint_spring", (0.3, 0.02, 0.4)), ("joint_creep", (0.3, 2.0, 0.4)), num_envs=2)
+    model = make_model(
+        asymmetric_robot(), ("joint_spring", (0.3, 0.02, 0.4)), ("joint_creep", (0.3, 2.0, 0.4)), num_envs=2
+    )
     angles = torch.arange(8.0, dtype=F64).view(2, 4)
     placed = place_memory(model, make_memory(model, 0.01), {"joint_creep": angles}).numbers
     assert torch.equal(placed, torch.cat((torch.zeros(2, 4, dtype=F64), angles), dim=1))

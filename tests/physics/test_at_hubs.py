@@ -9,7 +9,7 @@ from torch import Tensor
 from aerial_gym.physics import EFFECTS, build_model, condition_in, effects_from_config, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Effect, RotorEffect, WrenchEffect
 from aerial_gym.physics.rigid_body import condition_at_origin
-from tests.physics.vehicles import CEILING, F64, lopsided_robot, random_state
+from tests.physics.vehicles import CEILING, F64, asymmetric_robot, random_state
 
 ROWS = 6
 KINDS = {name: EFFECTS.get(name) for name in EFFECTS if isinstance(EFFECTS.get(name), RotorEffect | WrenchEffect)}
@@ -17,7 +17,7 @@ AT_HUBS = [name for name, one in KINDS.items() if one.at_hubs]
 OF_CENTRE = ["rotor_drag", "quadratic_drag", "downwash"]
 
 
-def asked(effect: Effect, condition: Condition) -> Tensor:
+def evaluate_effect(effect: Effect, condition: Condition) -> Tensor:
     """Return thrusts (E, R) or wrench (E, 6) of an effect with generic parameters and memory."""
     generator = torch.Generator().manual_seed(3)
     scales = torch.tensor([parameter.scale for parameter in effect.parameters], dtype=F64)
@@ -31,7 +31,7 @@ def both_conditions() -> tuple[Condition, Condition]:
     """Return a condition about a centre of mass and about the origin, in a wind that depends on the height."""
     wind = {"wind_shear": {"x": 3.0, "y": -2.0, "z_ref": 2.0, "exponent": 0.3}}
     effects = effects_from_config(wind, num_envs=ROWS, device=torch.device("cpu"), dtype=F64)
-    vehicle = vehicle_from_config(lopsided_robot(com=(0.03, -0.04, 0.05)), num_envs=ROWS, dtype=F64)
+    vehicle = vehicle_from_config(asymmetric_robot(com=(0.03, -0.04, 0.05)), num_envs=ROWS, dtype=F64)
     other = torch.tensor([[0.1, 0.2, 8.0]], dtype=F64).expand(ROWS, -1)
     model = build_model(vehicle, effects, ceiling_height=CEILING, other_position=other)
     state = random_state(ROWS)
@@ -43,12 +43,12 @@ def both_conditions() -> tuple[Condition, Condition]:
 @pytest.mark.parametrize("name", AT_HUBS)
 def test_forces_at_hubs_are_the_same_for_every_centre_of_mass(name: str) -> None:
     of_centre, of_origin = both_conditions()
-    found, there = asked(EFFECTS.get(name), of_centre), asked(EFFECTS.get(name), of_origin)
-    if found.shape[1] == 6:
+    result, there = evaluate_effect(EFFECTS.get(name), of_centre), evaluate_effect(EFFECTS.get(name), of_origin)
+    if result.shape[1] == 6:
         com = of_centre.vehicle.com
         there = torch.cat((there[:, :3], there[:, 3:] - torch.linalg.cross(com, there[:, :3])), dim=1)
-    assert float(found.abs().max()) > 1e-6
-    torch.testing.assert_close(found, there, rtol=1e-12, atol=1e-14)
+    assert float(result.abs().max()) > 1e-6
+    torch.testing.assert_close(result, there, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", OF_CENTRE)
@@ -57,8 +57,8 @@ def test_forces_at_the_centre_of_mass_are_not(name: str) -> None:
     effect = EFFECTS.get(name)
     assert not effect.at_hubs
     of_centre, of_origin = both_conditions()
-    found, there = asked(effect, of_centre), asked(effect, of_origin)
-    assert float((found - there).abs().max()) > 1e-3 * float(found.abs().max())
+    result, there = evaluate_effect(effect, of_centre), evaluate_effect(effect, of_origin)
+    assert float((result - there).abs().max()) > 1e-3 * float(result.abs().max())
 
 
 def test_a_condition_at_the_origin_does_not_depend_on_the_centre_of_mass() -> None:
@@ -69,7 +69,7 @@ def test_a_condition_at_the_origin_does_not_depend_on_the_centre_of_mass() -> No
         effects = effects_from_config(wind, num_envs=ROWS, device=torch.device("cpu"), dtype=F64)
         first, second = (
             condition_at_origin(
-                build_model(vehicle_from_config(lopsided_robot(com=com), num_envs=ROWS, dtype=F64), effects),
+                build_model(vehicle_from_config(asymmetric_robot(com=com), num_envs=ROWS, dtype=F64), effects),
                 state,
                 still,
             )

@@ -19,7 +19,7 @@ from aerial_gym.physics.effects.blade_element import _inflow
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, DESCENT_FIT, WINDMILL, axial_induced, induced
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
-from tests.physics.test_effects import effects_of
+from tests.physics.test_effects import make_effects
 from tests.physics.vehicles import F64, random_state
 
 RADIUS, SPEED = 0.1, 800.0
@@ -67,7 +67,7 @@ def loads(
     """Return force and torque on the body, (6,), in units of the rotor, its own among them; ``velocity`` per tip speed."""
     robot = one_rotor(spin=spin, reversible=reversible, thrust=thrust, torque=TORQUE * (thrust / THRUST) ** 1.5)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
-    model = build_model(vehicle, effects_of({"blade_element": VALUES | changes}, 1))
+    model = build_model(vehicle, make_effects({"blade_element": VALUES | changes}, 1))
     state = random_state(1)
     for rows, row in (
         (state.position, [0.0, 0.0, 5.0]),
@@ -82,7 +82,7 @@ def loads(
     return torch.cat((force / UNIT, torque / (UNIT * RADIUS))).numpy()
 
 
-def inflow_of(thrust: float, mu: float) -> float:
+def solve_inflow(thrust: float, mu: float) -> float:
     """Return the inflow at which blades of these numbers give a thrust: their own equation, turned about."""
     lifted = THETA + mu**2 * (0.5 * ROOT + 0.25 * TWIST)
     return 2.0 * (lifted - 2.0 * thrust / LIFT)
@@ -107,13 +107,13 @@ def test_a_climb_is_that_of_blade_element_momentum_theory(climb: float) -> None:
 @pytest.mark.parametrize("descent", [0.35, 0.4, 0.6])
 def test_a_windmill_is_that_of_momentum_theory(descent: float) -> None:
     """``C_T = -2 lambda (lambda + descent)`` with the air going up through the disc; the air drives the rotor."""
-    found = loads([0.0, 0.0, -descent])
-    inflow = inflow_of(found[2], 0.0)
+    result = loads([0.0, 0.0, -descent])
+    inflow = solve_inflow(result[2], 0.0)
     assert -descent < inflow < -0.5 * descent
     # the search ends within 1e-4 of the inflow of hover, of which blades make s a / 4 in thrust
-    assert found[2] == pytest.approx(-2.0 * inflow * (inflow + descent), abs=0.25 * LIFT * 1e-4 * INFLOW)
-    assert found[5] == pytest.approx(-(inflow * found[2] + PROFILE), abs=1e-9)
-    assert found[5] > 0.0  # the air turns the rotor
+    assert result[2] == pytest.approx(-2.0 * inflow * (inflow + descent), abs=0.25 * LIFT * 1e-4 * INFLOW)
+    assert result[5] == pytest.approx(-(inflow * result[2] + PROFILE), abs=1e-9)
+    assert result[5] > 0.0  # the air turns the rotor
 
 
 @pytest.mark.parametrize("ratio", [-0.3, -0.9, -1.5, -1.9])
@@ -123,8 +123,8 @@ def test_in_the_vortex_ring_the_inflow_is_the_measured_one(ratio: float) -> None
     whole = ratio + 1.0 + k1 * ratio + k2 * ratio**2 + k3 * ratio**3 + k4 * ratio**4
     linear = 0.25 * LIFT * whole
     hover = 0.25 * (-linear + sqrt(linear**2 + 4.0 * LIFT * THETA))
-    found = loads([0.0, 0.0, ratio * hover])
-    assert found[2] == pytest.approx(2.0 * hover**2, rel=1e-4)
+    result = loads([0.0, 0.0, ratio * hover])
+    assert result[2] == pytest.approx(2.0 * hover**2, rel=1e-4)
 
 
 @pytest.mark.parametrize(("lift", "thrust"), [(0.2, 0.03), (0.57, 0.013), (1.2, 0.005)])
@@ -180,7 +180,7 @@ def test_sideways_flow_is_glauerts() -> None:
         assert ((f / exact - 1.0).abs() < 0.1).all()
 
 
-def integrated(inflow: float, mu: float, *, lock: float, stiffness: float, harmonics: int) -> np.ndarray:
+def integrate_blade(inflow: float, mu: float, *, lock: float, stiffness: float, harmonics: int) -> np.ndarray:
     """Return thrust, force against the motion and to the side of 90 degrees azimuth, torque, and the means of spring moments.
 
     Integrals of blade elements over radius (Gauss) and azimuth. Flapping, ``b'' + (1 + k) b = lock / 2 M``, is linear in b: it
@@ -229,20 +229,20 @@ def test_forces_are_those_of_an_integration_over_radius_and_azimuth(
     Flapping of one harmonic: exact. Coning and the other harmonics, which are left out, change no force of blades with the Lock
     number of a plastic propeller by more than 0.5 % of the thrust.
     """
-    found = loads([mu, 0.0, climb], flap_frequency=flap, lock=lock)
+    result = loads([mu, 0.0, climb], flap_frequency=flap, lock=lock)
     for harmonics in (1, 12) if lock < 1.0 else (1,):
         at = {"mu": mu, "lock": lock, "stiffness": (flap / SPEED) ** 2, "harmonics": harmonics}
 
-        def missing(inflow: float, at: dict[str, float] = at) -> float:
-            return integrated(inflow, **at)[0] - found[2]
+        def thrust_error(inflow: float, at: dict[str, float] = at) -> float:
+            return integrate_blade(inflow, **at)[0] - result[2]
 
-        inflow = brentq(missing, -0.2, 0.4, xtol=1e-14)
-        thrust, back, side, torque, spring_back, spring_side = integrated(inflow, **at)
+        inflow = brentq(thrust_error, -0.2, 0.4, xtol=1e-14)
+        thrust, back, side, torque, spring_back, spring_side = integrate_blade(inflow, **at)
         if climb == 0.0 and harmonics == 1:
             assert 2.0 * inflow * sqrt(mu**2 + inflow**2) == pytest.approx(thrust, rel=1e-3)
         expected = np.array([-back, -side, thrust, -spring_side, spring_back, -torque])
         rtol, atol = (1e-7, 1e-9) if harmonics == 1 else (1e-3, 0.005 * thrust)
-        np.testing.assert_allclose(found, expected, rtol=rtol, atol=atol)
+        np.testing.assert_allclose(result, expected, rtol=rtol, atol=atol)
 
 
 def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
@@ -250,7 +250,7 @@ def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
     the right side turns the body to the left, negatively about x, by ``s a / 2 m_s mu``."""
     mu = 0.1
     hinged, stiff = (loads([mu, 0.0, 0.0], flap_frequency=flap) for flap in (0.0, 1e5))
-    inflow = inflow_of(hinged[2], mu)
+    inflow = solve_inflow(hinged[2], mu)
     uneven = THETA - 0.25 * inflow
     blades = 0.25 * LIFT * inflow * (ROOT + 0.5 * TWIST) + 2.0 * PROFILE
     assert hinged[0] < -mu * (blades + 5.0 * uneven * hinged[2])
@@ -280,11 +280,11 @@ class Propeller:
         """Return predicted less measured loss of static thrust [percentage points] at each advance ratio."""
         static = static or self.static
         thrust = static * 4.0 / pi**3  # in the unit of the rotor
-        found = [
+        result = [
             loads([0.0, 0.0, ratio / pi], thrust=thrust, solidity=self.solidity, lift_slope=slope)[2] / thrust
             for ratio, _ in self.tunnel
         ]
-        return 100.0 * (np.array([c for _, c in self.tunnel]) / static - np.array(found))
+        return 100.0 * (np.array([c for _, c in self.tunnel]) / static - np.array(result))
 
 
 PROPELLERS = {
@@ -300,10 +300,10 @@ PROPELLERS = {
 )
 def test_a_lift_slope_of_two_propellers_predicts_the_climb_of_a_third(third: str, limit: float) -> None:
     """One number is fitted, the lift slope. The first case is within 10 points of the loss; the others say what is missing."""
-    others = [propeller for name, propeller in PROPELLERS.items() if name != third]
+    remaining = [propeller for name, propeller in PROPELLERS.items() if name != third]
 
     def misfit(slope: float) -> float:
-        return float(sum((one.errors(slope) ** 2).sum() for one in others))
+        return float(sum((one.errors(slope) ** 2).sum() for one in remaining))
 
     slope = minimize_scalar(misfit, bounds=(1.5, 6.5), method="bounded", options={"xatol": 0.01}).x
     assert 3.0 < slope < 3.6
@@ -332,10 +332,10 @@ def errors_at_speed(name: str, slope: float) -> np.ndarray:
 @pytest.mark.parametrize("third", PROPELLERS)
 def test_beside_static_thrust_at_the_same_speed_each_is_predicted_by_the_others(third: str) -> None:
     """Within 10 points of the loss, whichever is the third."""
-    others = [name for name in PROPELLERS if name != third]
+    remaining = [name for name in PROPELLERS if name != third]
 
     def misfit(slope: float) -> float:
-        return float(sum((errors_at_speed(name, slope) ** 2).sum() for name in others))
+        return float(sum((errors_at_speed(name, slope) ** 2).sum() for name in remaining))
 
     slope = minimize_scalar(misfit, bounds=(2.5, 6.0), method="bounded", options={"xatol": 0.01}).x
     assert 3.8 < slope < 4.4
@@ -380,7 +380,7 @@ def test_hubs_away_from_the_centre_turn_the_body() -> None:
     """With four rotors the torque beside hub moments is ``sum l x F``: here from thrusts that a roll rate makes uneven."""
     robot = ROBOTS.get("racing_quadrotor")
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
-    model, bare = (build_model(vehicle, effects_of(e, 1)) for e in ({"blade_element": VALUES}, {}))
+    model, bare = (build_model(vehicle, make_effects(e, 1)) for e in ({"blade_element": VALUES}, {}))
     state = random_state(1)
     state.lin_vel.zero_()
     state.attitude[:] = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=F64)

@@ -58,8 +58,8 @@ def nearest_pair(shape, obstacle: ShapeCfg, pose: np.ndarray) -> tuple[float, fl
     turn = Rotation.from_euler("ZYX", shape.euler[::-1]).as_matrix()
     matrix = np.hstack((turn, -Rotation.from_quat(pose[3:]).as_matrix()))
     offset, bound = np.array(shape.center) - pose[:3], np.concatenate((half, other_half)) + 1e-12
-    found = lsq_linear(matrix, -offset, (-bound, bound), tol=1e-14)
-    apart = float(np.linalg.norm(matrix @ found.x + offset))
+    result = lsq_linear(matrix, -offset, (-bound, bound), tol=1e-14)
+    apart = float(np.linalg.norm(matrix @ result.x + offset))
     return apart, apart - radius - other_radius
 
 
@@ -75,17 +75,17 @@ def nearest_pair(shape, obstacle: ShapeCfg, pose: np.ndarray) -> tuple[float, fl
 def test_the_distance_is_that_of_the_nearest_pair(shape: CollisionShape, obstacle: ShapeCfg) -> None:
     """300 poses: exact to float32 and 2^-15 of an edge where the cores are apart, never too large where they touch."""
     poses = random_poses(300, 1, 0.25)
-    found = clearance((shape,), [obstacle], poses[:, None])
+    result = clearance((shape,), [obstacle], poses[:, None])
     pairs = np.array([nearest_pair(shape, obstacle, pose) for pose in poses])
     apart = pairs[:, 0] > 1e-6
     assert apart.sum() > 100
-    np.testing.assert_allclose(found[apart & (pairs[:, 1] > 0.0)], pairs[apart & (pairs[:, 1] > 0.0), 1], atol=2e-6)
-    assert (found[pairs[:, 1] < -1e-6] < 0.0).all()
+    np.testing.assert_allclose(result[apart & (pairs[:, 1] > 0.0)], pairs[apart & (pairs[:, 1] > 0.0), 1], atol=2e-6)
+    assert (result[pairs[:, 1] < -1e-6] < 0.0).all()
     radii = CORES[type(shape)](shape)[1] + CORES[obstacle.kind](obstacle)[1]
-    assert (found[~apart] <= 1e-6 - radii).all()
+    assert (result[~apart] <= 1e-6 - radii).all()
 
 
-def grid_of(shape: BoxCfg, count: int) -> np.ndarray:
+def shape_grid(shape: BoxCfg, count: int) -> np.ndarray:
     half = 0.5 * np.array(shape.size)
     axes = np.meshgrid(*(np.linspace(-h, h, count) for h in half), indexing="ij")
     points = np.stack([axis.ravel() for axis in axes], axis=1)
@@ -102,15 +102,15 @@ def test_the_distance_to_other_obstacles_is_the_least_of_many_points(kind: str, 
         mesh = trimesh.creation.box((0.4, 0.3, 0.2)) if kind == "block" else ring
         mesh.export(tmp_path / "mesh.obj")
         obstacle = ShapeCfg(kind="mesh", path=str(tmp_path / "mesh.obj"))
-    found = clearance((PLATE,), [obstacle], poses[:, None])
-    probes = tuple(SphereCfg(center=tuple(point), radius=1e-9) for point in grid_of(PLATE, grid))
+    result = clearance((PLATE,), [obstacle], poses[:, None])
+    probes = tuple(SphereCfg(center=tuple(point), radius=1e-9) for point in shape_grid(PLATE, grid))
     reference = clearance(probes, [obstacle], poses[:, None])
     step = 0.5 * np.linalg.norm(np.array(PLATE.size) / (grid - 1))
     outside = reference > step
     assert outside.sum() > 15
-    assert (found <= reference + 1e-6)[outside].all()
-    assert (found >= reference - step - 1e-6)[outside].all()
-    assert (found[reference < 0.0] < 0.0).all()
+    assert (result <= reference + 1e-6)[outside].all()
+    assert (result >= reference - step - 1e-6)[outside].all()
+    assert (result[reference < 0.0] < 0.0).all()
     assert (reference < 0.0).sum() > 3
 
 
@@ -120,9 +120,9 @@ def test_a_sheet_that_an_edge_pierces_is_touched(tmp_path: Path) -> None:
     triangle.export(tmp_path / "sheet.obj")
     sheet, upright = ShapeCfg(kind="mesh", path=str(tmp_path / "sheet.obj")), Rotation.from_euler("y", 1.4).as_quat()
     poses = np.array([[[0.05, 0.0, 0.0, *upright]], [[3.0, 0.0, 0.0, *upright]]])
-    found = clearance((BoxCfg(size=(0.4, 0.4, 0.05)),), [sheet], poses)
-    assert found[0] < 0.0
-    assert found[1] == pytest.approx(3.0 * sin(1.4) - 0.2 * sin(1.4) - 0.025 * cos(1.4), abs=1e-5)
+    result = clearance((BoxCfg(size=(0.4, 0.4, 0.05)),), [sheet], poses)
+    assert result[0] < 0.0
+    assert result[1] == pytest.approx(3.0 * sin(1.4) - 0.2 * sin(1.4) - 0.025 * cos(1.4), abs=1e-5)
 
 
 def test_a_rod_through_the_middle_of_a_plate_is_touched() -> None:

@@ -63,7 +63,7 @@ def measure(
     return distance.cpu(), distance.cpu() < 0.0
 
 
-def fixed(shape: ShapeCfg, num_envs: int, device: torch.device) -> Scene:
+def single_shape_scene(shape: ShapeCfg, num_envs: int, device: torch.device) -> Scene:
     """Return one upright shape at the origin of each environment."""
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1, 1)
     return make_scene([shape], torch.zeros(num_envs, 1, 3), upright, device=device)
@@ -96,7 +96,7 @@ def test_signed_cases(
     shape: ShapeCfg, point: tuple[float, float, float], expected: float, device: torch.device
 ) -> None:
     """Distances done by hand, positive outside, negative inside; the probe's radius is subtracted."""
-    distance, crashes = measure(fixed(shape, 1, device), torch.tensor([point]))
+    distance, crashes = measure(single_shape_scene(shape, 1, device), torch.tensor([point]))
     assert distance.item() == pytest.approx(expected - RADIUS, abs=1e-6)
     assert crashes.item() == (expected < RADIUS)
 
@@ -128,7 +128,7 @@ def surface_distance(shape: ShapeCfg, p: Array) -> Array:
     return np.min([wall, *caps], axis=0)
 
 
-def is_inside(shape: ShapeCfg, p: Array) -> NDArray[np.bool_]:
+def contains(shape: ShapeCfg, p: Array) -> NDArray[np.bool_]:
     """Return whether points lie inside: the inequalities that define the solid."""
     if shape.kind == "box":
         return (np.abs(p) < np.asarray(shape.size) / 2).all(axis=1)
@@ -151,7 +151,7 @@ def test_random_points_around_a_turned_shape_match_the_closed_form(shape: ShapeC
     distance, _ = measure(make_scene([shape], place, attitude, device=device), points)
     offset = (points - place[:, 0]).double().numpy()
     local = np.stack([v @ rotation(q) for v, q in zip(offset, attitude[:, 0], strict=True)])
-    inside = is_inside(shape, local)
+    inside = contains(shape, local)
     assert 100 < inside.sum() < 900
     expected = np.where(inside, -1.0, 1.0) * surface_distance(shape, local)
     np.testing.assert_allclose(distance.numpy(), expected - RADIUS, rtol=0.0, atol=5e-6)
@@ -168,17 +168,17 @@ def test_mesh_distance_matches_trimesh(device: torch.device, tmp_path) -> None:
     ball.export(tmp_path / "ball.obj")
     shape = ShapeCfg(kind="mesh", path=str(tmp_path / "ball.obj"))
     points = torch.as_tensor(rng.normal(size=(200, 3)) * np.where(np.arange(200) % 2 == 0, 0.3, 1.0)[:, None])
-    distance, _ = measure(fixed(shape, 200, device), points)
+    distance, _ = measure(single_shape_scene(shape, 200, device), points)
     expected = -trimesh.proximity.signed_distance(right_side_out, points.float().double().numpy())
     assert 50 < (expected < 0.0).sum() < 150
     np.testing.assert_allclose(distance.numpy(), expected - RADIUS, rtol=0.0, atol=5e-5)
 
 
-def test_an_open_sheet_has_no_inside(device: torch.device, tmp_path) -> None:
+def test_an_open_sheet_has_no_interior(device: torch.device, tmp_path) -> None:
     """A single square of two triangles at z = 0: distance is |z| on both sides."""
     corners = np.array([[-5, -5, 0], [5, -5, 0], [5, 5, 0], [-5, 5, 0]], dtype=float)
     trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]).export(tmp_path / "sheet.obj")
-    scene = fixed(ShapeCfg(kind="mesh", path=str(tmp_path / "sheet.obj")), 4, device)
+    scene = single_shape_scene(ShapeCfg(kind="mesh", path=str(tmp_path / "sheet.obj")), 4, device)
     heights = torch.tensor([0.7, -0.7, 0.02, -0.02])
     points = torch.stack((torch.full((4,), 0.3), torch.full((4,), -0.2), heights), dim=1)
     distance, crashes = measure(scene, points)
@@ -186,7 +186,7 @@ def test_an_open_sheet_has_no_inside(device: torch.device, tmp_path) -> None:
     assert crashes.tolist() == [False, False, True, True]
 
 
-def cluttered(num_envs: int, device: torch.device) -> Scene:
+def make_clutter(num_envs: int, device: torch.device) -> Scene:
     generator = torch.Generator().manual_seed(3)
     shapes = [BOX, SPHERE, CYLINDER, CAPSULE] * 5
     place = 2.5 * torch.randn(num_envs, 20, 3, generator=generator)
@@ -195,7 +195,7 @@ def cluttered(num_envs: int, device: torch.device) -> Scene:
 
 def test_the_nearest_pair_of_sphere_and_instance_counts(device: torch.device) -> None:
     """Three spheres against twenty solids: the smallest of all sixty distances taken one by one."""
-    scene = cluttered(50, device)
+    scene = make_clutter(50, device)
     generator = torch.Generator().manual_seed(4)
     position, attitude = torch.randn(50, 3, generator=generator), random_unit_quaternions(50, generator=generator)
     spheres = tuple(
@@ -218,13 +218,13 @@ def test_sphere_centres_turn_with_the_body(device: torch.device) -> None:
     """A sphere 1 m ahead of a body that is yawed by 90 degrees is 1 m to its left (+y) in the world."""
     spheres = (SphereCfg(center=(1.0, 0.0, 0.0), radius=0.1),)
     yawed = torch.tensor([[0.0, 0.0, 0.5**0.5, 0.5**0.5]])
-    distance, _ = measure(fixed(SPHERE, 1, device), torch.tensor([[0.0, 2.0, 0.0]]), yawed, spheres)
+    distance, _ = measure(single_shape_scene(SPHERE, 1, device), torch.tensor([[0.0, 2.0, 0.0]]), yawed, spheres)
     assert distance.item() == pytest.approx(3.0 - 0.7 - 0.1, abs=1e-6)
 
 
 def test_moved_and_parked_obstacles_count_at_once(device: torch.device) -> None:
     """One call after the write: 2 m away, then overlapping, then parked."""
-    scene = fixed(SPHERE, 1, device)
+    scene = single_shape_scene(SPHERE, 1, device)
     distance = torch.full((1,), float("nan"), device=device)
     position = torch.tensor([[2.7, 0.0, 0.0]], device=device)
     attitude = torch.tensor([[0.0, 0.0, 0.0, 1.0]], device=device)
@@ -245,11 +245,11 @@ def test_where_there_is_nothing_to_touch_the_distance_is_infinite(device: torch.
     distance, crashes = measure(empty, torch.zeros(2, 3))
     assert distance.tolist() == [float("inf")] * 2
     assert not crashes.any()
-    assert measure(fixed(SPHERE, 1, device), torch.zeros(1, 3), spheres=())[0].item() == float("inf")
+    assert measure(single_shape_scene(SPHERE, 1, device), torch.zeros(1, 3), spheres=())[0].item() == float("inf")
 
 
 def test_wrong_outputs_are_refused(device: torch.device) -> None:
-    scene = fixed(SPHERE, 2, device)
+    scene = single_shape_scene(SPHERE, 2, device)
     position, attitude = torch.zeros(2, 3, device=device), torch.zeros(2, 4, device=device)
     distance = torch.zeros(2, device=device)
     with pytest.raises(ShapeError, match=r"distance_out is \(3,\) torch.float32.*expected \(2,\) torch.float32"):

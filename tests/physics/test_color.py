@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.looks import DEFAULT_COLORS
+from aerial_gym.assets.appearance import DEFAULT_COLORS
 from aerial_gym.config.environment import CheckerCfg, LampCfg, PartCfg, ShapeCfg
 from aerial_gym.config.sensor import CameraCfg, LightCfg
 from aerial_gym.errors import ConfigError
@@ -132,7 +132,7 @@ def test_each_face_may_have_a_color_of_its_own(device, tmp_path: Path) -> None:
     torch.testing.assert_close(color[sure], expected[sure], rtol=0.0, atol=1e-6)
 
 
-def textured_square(
+def write_square(
     folder: Path, kind: str, image: NDArray[np.uint8], *, factor: tuple[float, float, float], tiles: float
 ):
     """Write a square of 2 m about the origin whose image is repeated ``tiles`` times across it; return its path."""
@@ -162,7 +162,7 @@ def test_textures_are_those_of_a_bilinear_interpolation_that_repeats(
     """Every pixel against scipy: linear between the middles of the texels, periodic; row 0 of the image is at v = 1."""
     image = np.random.default_rng(2).integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
     factor, tiles = (0.6, 1.0, 0.2), 2.5
-    shape = ShapeCfg(kind="mesh", path=textured_square(tmp_path, kind, image, factor=factor, tiles=tiles))
+    shape = ShapeCfg(kind="mesh", path=write_square(tmp_path, kind, image, factor=factor, tiles=tiles))
     place, turn = [0.2, 0.1, 0.0], [0.1, -0.2, 0.7]
     color, points, ids = look(CAMERA, make_scene([shape], [(place, turn)], device), [0.0, 0.0, 2.0], DOWN)
     uv = tiles * 0.5 * (own_points(points, place, turn)[ids == 0][:, :2].numpy() + 1.0)
@@ -178,7 +178,7 @@ def test_texels_between_texels_and_beyond_the_border(device, tmp_path: Path) -> 
     four meet because the image repeats."""
     red, green, blue, white = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
     image = np.array([[red, green], [blue, white]], dtype=np.uint8)
-    shape = ShapeCfg(kind="mesh", path=textured_square(tmp_path, "obj", image, factor=(1.0, 1.0, 1.0), tiles=1.0))
+    shape = ShapeCfg(kind="mesh", path=write_square(tmp_path, "obj", image, factor=(1.0, 1.0, 1.0), tiles=1.0))
     scene = make_scene([shape], [([0.0] * 3, [0.0] * 3)], device)
     pixel = replace(CAMERA, width=1, height=1, hfov_deg=1.0)
     expected = {
@@ -231,14 +231,14 @@ def test_colors_come_from_the_shape_its_compound_or_its_kind(device) -> None:
     scene = make_scene([box, ShapeCfg(kind="compound", parts=parts), painted], poses, device)
     color, points, ids = look(CAMERA, scene, [0.0] * 3, [0.0] * 3)
 
-    def at(y: float) -> list[float]:
+    def nearest_color(y: float) -> list[float]:
         nearest = ((points[..., 1] - y).abs() + points[..., 2].abs() + 10.0 * (ids < 0)).flatten().argmin()
         return color.reshape(-1, 3)[nearest].tolist()
 
     kinds = DEFAULT_COLORS
     expected = {-1.4: kinds["box"], 0.0: own.color, 0.6: kinds["sphere"], 1.0: own.color, 1.6: painted.color}
     for y, value in expected.items():
-        assert at(y) == pytest.approx(value, abs=1e-6), y
+        assert nearest_color(y) == pytest.approx(value, abs=1e-6), y
     assert len(set(kinds.values())) == len(kinds)
 
 
@@ -287,7 +287,7 @@ def test_fields_of_a_checkerboard_lie_where_its_cubes_are(kind: str, device, tmp
     cfg = replace(CAMERA, normals="world")
     scene = make_scene([shape], [(place, turn)], device)
     images = (1, 1, cfg.height, cfg.width)
-    found = SensorImages(
+    result = SensorImages(
         distance=torch.zeros(images, device=device),
         segmentation=torch.zeros(images, dtype=torch.int32, device=device),
         points=torch.zeros(*images, 3, device=device),
@@ -295,19 +295,19 @@ def test_fields_of_a_checkerboard_lie_where_its_cubes_are(kind: str, device, tmp
         color=torch.zeros(*images, 3, device=device),
     )
     position, attitude = torch.tensor([[-0.5, 0.4, 2.0]]), quat_from_euler(torch.tensor([[0.0, 1.2, -0.2]]))
-    RayCaster(cfg, scene, found, position=position.to(device), attitude=attitude.to(device)).cast()
-    assert found.points is not None
-    assert found.normals is not None
-    assert found.color is not None
-    assert found.segmentation is not None
-    hit = (found.segmentation[0, 0] == 0).cpu()
-    inside = found.points[0, 0].cpu().double() - 0.01 * size * found.normals[0, 0].cpu().double()
+    RayCaster(cfg, scene, result, position=position.to(device), attitude=attitude.to(device)).cast()
+    assert result.points is not None
+    assert result.normals is not None
+    assert result.color is not None
+    assert result.segmentation is not None
+    hit = (result.segmentation[0, 0] == 0).cpu()
+    inside = result.points[0, 0].cpu().double() - 0.01 * size * result.normals[0, 0].cpu().double()
     cell = own_points(inside, place, turn) / size
     sure = hit & ((cell - cell.round()).abs().amin(dim=-1) > 2e-3)
     assert sure.sum() > 150
     odd = (cell.floor().sum(dim=-1) % 2 == 1).unsqueeze(-1)
     expected = torch.where(odd, torch.tensor(second), torch.tensor(first))
-    torch.testing.assert_close(found.color[0, 0].cpu()[sure], expected[sure], rtol=0.0, atol=1e-6)
+    torch.testing.assert_close(result.color[0, 0].cpu()[sure], expected[sure], rtol=0.0, atol=1e-6)
 
 
 # ------------------------------------------------------------------------------------------------ lamps

@@ -19,8 +19,19 @@ from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.physics import Ground, TorchBackend, WarpBackend
 from aerial_gym.physics.rotors import speed_for_thrust
-from tests.physics.contact_rig import BALL, FEET, GRAVITY, INERTIA, MASS, InScene, OnGround, obstacle, robot_with, start
-from tests.physics.vehicles import F64, lopsided_robot
+from tests.physics.contact_rig import (
+    BALL,
+    FEET,
+    GRAVITY,
+    INERTIA,
+    MASS,
+    GroundRig,
+    ObstacleRig,
+    make_robot,
+    obstacle,
+    start,
+)
+from tests.physics.vehicles import F64, asymmetric_robot
 
 F32 = torch.float32
 BOTH = [(TorchBackend, F64), (WarpBackend, F32)]
@@ -31,7 +42,7 @@ CLEAR = 0.02
 
 
 @pytest.fixture(autouse=True)
-def alone() -> Iterator[None]:
+def single_thread() -> Iterator[None]:
     """Batches are small: threads would only wait for each other."""
     with one_thread():
         yield
@@ -42,7 +53,9 @@ def alone() -> Iterator[None]:
 def test_rests_at_the_depth_of_its_weight_for_ten_seconds(spheres, reach: float, integrator: str) -> None:
     """n springs k carry m g at the depth ``m g / (n k) = sinking / n``; the force is m g; nothing creeps or turns."""
     state = start(height=reach + 0.01, dtype=F32, attitude=quat_from_euler(torch.tensor([0.02, -0.03, 0.4])))
-    rig = OnGround(WarpBackend(), ContactCfg(friction=0.5, sinking=2e-3), state, spheres=spheres, integrator=integrator)
+    rig = GroundRig(
+        WarpBackend(), ContactCfg(friction=0.5, sinking=2e-3), state, spheres=spheres, integrator=integrator
+    )
     rig.run(1.0, 0.01)
     before = state.position.clone(), state.attitude.clone()
     rig.impulse.zero_()
@@ -60,9 +73,9 @@ def test_rests_at_the_depth_of_its_weight_for_ten_seconds(spheres, reach: float,
 def test_an_offset_centre_of_mass_tilts_a_vehicle_at_rest(backend, dtype: torch.dtype) -> None:
     """Feet at +-a carry ``m g (1 +- c/a) / 2`` a pair: depths ``sinking (1 +- c/a) / 4``, so it pitches down in front."""
     c, a, sinking = 0.04, 0.1, 2e-3
-    rig = OnGround(
+    rig = GroundRig(
         backend(), ContactCfg(friction=0.5, sinking=sinking), start(height=CLEAR, dtype=dtype),
-        spheres=FEET, robot=robot_with(com=(c, 0.0, 0.0)),
+        spheres=FEET, robot=make_robot(com=(c, 0.0, 0.0)),
     )  # fmt: skip
     rig.run(1.0, 0.01)
     pitch = 2.0 * rig.state.attitude[0, 1].item()
@@ -70,7 +83,7 @@ def test_an_offset_centre_of_mass_tilts_a_vehicle_at_rest(backend, dtype: torch.
     assert rig.state.position[0, 2].item() == pytest.approx(CLEAR - sinking / 4.0, abs=2e-6)
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 @pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_a_tumbling_vehicle_comes_to_rest_and_never_gains_energy(integrator: str) -> None:
     """Random attitudes, velocities and spins of a cage of eight feet: never more energy than at the start, then rest."""
@@ -79,7 +92,7 @@ def test_a_tumbling_vehicle_comes_to_rest_and_never_gains_energy(integrator: str
     v, w = (torch.randn(count, 3, dtype=F64, generator=g) for _ in range(2))
     state = start(count, height=0.4, dtype=F32, attitude=q, lin_vel=v, ang_vel=4.0 * w)
     cage = (*FEET, *((x, y, 0.08, 0.02) for x in (0.1, -0.1) for y in (0.1, -0.1)))
-    rig = OnGround(WarpBackend(), ROUGH, state, spheres=cage, integrator=integrator)
+    rig = GroundRig(WarpBackend(), ROUGH, state, spheres=cage, integrator=integrator)
 
     def energy() -> torch.Tensor:
         kinetic = 0.5 * MASS * state.lin_vel.square().sum(-1) + 0.5 * (torch.tensor(INERTIA) * state.ang_vel**2).sum(-1)
@@ -107,7 +120,7 @@ def test_sliding_ends_after_the_stopping_distance(integrator: str) -> None:
     v, mu, dt = 1.0, 0.5, 0.01
     level = tuple((x, y, r, r) for x, y, _, r in FEET)
     depth = ROUGH.sinking / 4.0
-    rig = OnGround(
+    rig = GroundRig(
         TorchBackend(), ROUGH, start(height=-depth, lin_vel=(v, 0.0, 0.0)), spheres=level, integrator=integrator
     )
     for k in range(1, 20):
@@ -126,7 +139,7 @@ def test_sliding_ends_after_the_stopping_distance(integrator: str) -> None:
 @pytest.mark.parametrize(("backend", "dtype"), BOTH)
 def test_a_ball_with_friction_ends_up_rolling(backend, dtype: torch.dtype) -> None:
     """Angular momentum about the contact point is kept, whatever mu: ``v = v0 / (1 + J / (m r²))``, ``w_y = v / r``."""
-    rig = OnGround(backend(), ROUGH, start(height=0.099, dtype=dtype, lin_vel=(2.0, 0.0, 0.0)))
+    rig = GroundRig(backend(), ROUGH, start(height=0.099, dtype=dtype, lin_vel=(2.0, 0.0, 0.0)))
     rig.run(1.0, 0.01)
     rolling = 2.0 / (1.0 + INERTIA[1] / (MASS * 0.1**2))
     assert rig.state.lin_vel[0, 0].item() == pytest.approx(rolling, rel=1e-5)
@@ -136,8 +149,8 @@ def test_a_ball_with_friction_ends_up_rolling(backend, dtype: torch.dtype) -> No
 def test_a_frictionless_bounce_keeps_tangential_velocity_and_spin() -> None:
     spin = (3.0, -2.0, 5.0)
     state = start(height=0.3, lin_vel=(1.5, -0.7, -2.0), ang_vel=spin)
-    ball = robot_with(inertia=(2e-3, 2e-3, 2e-3))
-    rig = OnGround(TorchBackend(), replace(SMOOTH, damping_ratio=0.1), state, robot=ball)
+    ball = make_robot(inertia=(2e-3, 2e-3, 2e-3))
+    rig = GroundRig(TorchBackend(), replace(SMOOTH, damping_ratio=0.1), state, robot=ball)
     rig.run(0.15, 0.002)
     assert rig.crashes.item()
     assert state.lin_vel[0, 2] > 0.5
@@ -155,7 +168,7 @@ def test_motion_in_the_contact_converges_to_the_damped_spring_with_order_one(int
     away = 2e-3 - 1e-2
     expected = 1e-2 + away * exp(-ratio * omega * span) * (cos(wd * span) + ratio * omega / wd * sin(wd * span))
     for dt in (4e-3, 2e-3, 1e-3):
-        rig = OnGround(TorchBackend(), rig_cfg, start(height=0.1 - 2e-3), integrator=integrator)
+        rig = GroundRig(TorchBackend(), rig_cfg, start(height=0.1 - 2e-3), integrator=integrator)
         rig.run(span, dt)
         errors.append(abs(0.1 - rig.state.position[0, 2].item() - expected))
     orders = [torch.log2(torch.tensor(a / b)).item() for a, b in itertools.pairwise(errors)]
@@ -183,7 +196,7 @@ def test_every_side_stops_what_comes_from_there(shape: ShapeCfg) -> None:
     face = 0.0 if shape.kind == "plane" else 0.25
     place = 0.3 * DIRECTIONS + face * DIRECTIONS
     state = start(count, dtype=F32, lin_vel=DIRECTIONS)
-    rig = InScene([shape], obstacle(count, position=place, attitude=q), ROUGH, state, gravity=0.0, dt=0.002)
+    rig = ObstacleRig([shape], obstacle(count, position=place, attitude=q), ROUGH, state, gravity=0.0, dt=0.002)
     rig.run(0.19)
     assert not rig.crashes.any()
     rig.run(0.06)
@@ -198,7 +211,7 @@ def test_every_side_stops_what_comes_from_there(shape: ShapeCfg) -> None:
 
 
 @pytest.mark.parametrize("angle_deg", [20.0, 35.0])
-def test_sticks_on_a_slope_below_atan_mu_and_slides_above(angle_deg: float) -> None:
+def test_sticks_on_a_slope_below_atan_mu_and_slides_on_steeper_ones(angle_deg: float) -> None:
     """mu = 0.5 holds up to 26.6 deg; above it ``a = g (sin - mu cos)``. Displacement over 1 s; Euler: ``a t dt / 2`` more."""
     a, mu, dt, span = radians(angle_deg), 0.5, 0.01, 1.0
     q = quat_from_euler(torch.tensor([[0.0, a, 0.0]]))  # x axis points down the slope
@@ -206,7 +219,7 @@ def test_sticks_on_a_slope_below_atan_mu_and_slides_above(angle_deg: float) -> N
     feet = tuple((x, y, r, r) for x, y, _, r in FEET)
     state = start(dtype=F32, attitude=q, position=-ROUGH.sinking / 4.0 * cos(a) * up)
     before = state.position.clone()
-    rig = InScene([PLANE], obstacle(1, attitude=q), ROUGH, state, spheres=feet, dt=dt)
+    rig = ObstacleRig([PLANE], obstacle(1, attitude=q), ROUGH, state, spheres=feet, dt=dt)
     rig.run(span)
     moved = quat_rotate(q * torch.tensor([-1.0, -1.0, -1.0, 1.0]), state.position - before)[0]
     acc = GRAVITY * (sin(a) - mu * cos(a)) if a > atan(mu) else 0.0
@@ -217,7 +230,7 @@ def test_sticks_on_a_slope_below_atan_mu_and_slides_above(angle_deg: float) -> N
 
 def test_friction_slows_a_vehicle_pressed_along_a_wall() -> None:
     """Rotors press with N against a wall at +x, without gravity: it slows down by ``mu N / m`` and the wall pushes with -N."""
-    robot, speed, mu, dt = robot_with(), 400.0, 0.3, 0.002
+    robot, speed, mu, dt = make_robot(), 400.0, 0.3, 0.002
     level = replace(robot, mounts=replace(robot.mounts, layout=tuple(
         replace(m, axis=(0.0, 0.0, 1.0), position=(0.1 * (-1) ** (i // 2), 0.1 * (-1) ** ((i + 1) // 2), 0.0))
         for i, m in enumerate(robot.mounts.layout)
@@ -230,7 +243,7 @@ def test_friction_slows_a_vehicle_pressed_along_a_wall() -> None:
     state = start(dtype=F32, attitude=q, lin_vel=(0.0, 1.2, 1.6), rotor_speed=speed)
     cfg = ContactCfg(friction=mu)
     state.position[:, 0] = thrust / MASS / cfg.stiffness / 4.0
-    rig = InScene([PLANE], wall, cfg, state, spheres=head, robot=level, gravity=0.0, dt=dt)
+    rig = ObstacleRig([PLANE], wall, cfg, state, spheres=head, robot=level, gravity=0.0, dt=dt)
     rig._still.fill_(speed)
     rig.run(0.1)
     expected = 2.0 - mu * thrust / MASS * 0.1
@@ -247,7 +260,7 @@ def test_a_vehicle_over_an_edge_topples_towards_it() -> None:
     """
     state = start(dtype=F32, height=CLEAR - 5e-4)
     box = ShapeCfg(kind="box", size=(1.0, 1.0, 0.4))
-    rig = InScene(
+    rig = ObstacleRig(
         [box], obstacle(1, position=(-0.55, 0.0, -0.2)), ContactCfg(friction=1.0), state, spheres=FEET, dt=0.002
     )
     rig.run(0.05)
@@ -263,11 +276,11 @@ def test_a_vehicle_over_an_edge_topples_towards_it() -> None:
     assert state.position[0, 2] < -0.02
 
 
-def test_a_moving_wall_takes_a_vehicle_along() -> None:
+def test_a_moving_wall_pushes_a_vehicle() -> None:
     """A wall that comes at 0.5 m/s leaves a vehicle at rest with that speed, no less and no more than the damper allows."""
     wall = obstacle(1, position=(-0.4, 0.0, 0.0), lin_vel=(0.5, 0.0, 0.0))
     state = start(dtype=F32)
-    rig = InScene([ShapeCfg(kind="box", size=(0.2, 1.0, 1.0))], wall, ROUGH, state, gravity=0.0)
+    rig = ObstacleRig([ShapeCfg(kind="box", size=(0.2, 1.0, 1.0))], wall, ROUGH, state, gravity=0.0)
     rig.run(0.3)
     assert not rig.crashes.any()
     rig.run(0.7)
@@ -281,7 +294,7 @@ def test_a_conveyor_and_a_turntable_drag_what_stands_on_them() -> None:
     still = (0.0,) * 3
     assets = torch.cat((obstacle(1, lin_vel=(0.3, -0.2, 0.0)), obstacle(1, ang_vel=(0.0, 0.0, 0.5))))
     state = start(2, height=CLEAR, dtype=F32)
-    rig = InScene([PLANE], assets, ROUGH, state, spheres=FEET)
+    rig = ObstacleRig([PLANE], assets, ROUGH, state, spheres=FEET)
     rig.run(1.0)
     expected = torch.tensor([[0.3, -0.2, 0.0], still])
     torch.testing.assert_close(state.lin_vel, expected, rtol=0.0, atol=2e-4)
@@ -292,7 +305,7 @@ def test_a_corner_holds_from_both_sides() -> None:
     """A ball in the edge between floor and wall, both of one scene, is carried by one and stopped by the other."""
     wall = obstacle(1, position=(0.1, 0.0, 0.0), attitude=quat_from_euler(torch.tensor([[0.0, -torch.pi / 2.0, 0.0]])))
     state = start(height=0.1, dtype=F32, lin_vel=(1.0, 0.0, 0.0))
-    rig = InScene([PLANE, PLANE], torch.cat((obstacle(1), wall), dim=1), ROUGH, state)
+    rig = ObstacleRig([PLANE, PLANE], torch.cat((obstacle(1), wall), dim=1), ROUGH, state)
     rig.run(3.0)
     assert -1.0 < state.position[0, 0] <= 1e-3
     assert state.position[0, 2].item() == pytest.approx(0.099, abs=1e-5)
@@ -303,9 +316,9 @@ def test_more_overlaps_than_there_is_room_for_leave_the_deepest() -> None:
     shapes = [PLANE] * 12
     heights = torch.linspace(-0.011, 0.0, 12)
     assets = torch.cat([obstacle(1, position=(0.0, 0.0, h)) for h in heights.tolist()], dim=1)
-    deep = InScene(shapes, assets, SMOOTH, start(height=0.09, dtype=F32), dt=0.002)
+    deep = ObstacleRig(shapes, assets, SMOOTH, start(height=0.09, dtype=F32), dt=0.002)
     deep.run(0.5)
-    one = InScene([PLANE], obstacle(1), SMOOTH, start(height=0.09, dtype=F32), dt=0.002)
+    one = ObstacleRig([PLANE], obstacle(1), SMOOTH, start(height=0.09, dtype=F32), dt=0.002)
     one.run(0.5)
     assert one.state.position[0, 2].item() == pytest.approx(0.099, abs=1e-6)
     assert deep.state.position[0, 2].item() == pytest.approx(0.099, abs=2e-6)
@@ -319,9 +332,9 @@ def test_what_touches_nothing_flies_as_without_contact_bit_for_bit(integrator: s
     for kind in ("none", "ground", "scene"):
         state = start(32, height=height, dtype=F32, lin_vel=(1.0, 0.2, -0.3), ang_vel=(1.0, -2.0, 3.0))
         if kind == "scene":
-            InScene([PLANE], obstacle(32), ROUGH, state, integrator=integrator).run(0.5)
+            ObstacleRig([PLANE], obstacle(32), ROUGH, state, integrator=integrator).run(0.5)
         else:
-            rig = OnGround(WarpBackend(), ROUGH, state, integrator=integrator)
+            rig = GroundRig(WarpBackend(), ROUGH, state, integrator=integrator)
             if kind == "none":
                 rig.backend.allocate(rig.backend._model, rig.backend._control, integrator=integrator)
             rig.run(0.5, 0.01)
@@ -343,10 +356,10 @@ def test_only_a_touch_at_the_crash_speed_is_a_crash(where: str) -> None:
         cfg = ContactCfg(friction=0.5, crash_speed=limit)
         state = start(3, height=0.1 + speeds**2 / (2.0 * GRAVITY), dtype=dtype)
         if where == "scene":
-            rig = InScene([PLANE], obstacle(3), cfg, state)
+            rig = ObstacleRig([PLANE], obstacle(3), cfg, state)
             rig.run(0.2)
         else:
-            rig = OnGround({"torch": TorchBackend, "warp": WarpBackend}[where](), cfg, state)
+            rig = GroundRig({"torch": TorchBackend, "warp": WarpBackend}[where](), cfg, state)
             rig.run(0.2, 0.01)
         assert rig.crashes.tolist() == expected
 
@@ -354,9 +367,9 @@ def test_only_a_touch_at_the_crash_speed_is_a_crash(where: str) -> None:
 @pytest.mark.slow
 def test_gradients_through_landing_and_sliding() -> None:
     """gradcheck of the state after a touchdown with friction, for initial motion and commands, away from its kinks."""
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     first = start(2, height=0.13, lin_vel=(1.0, 0.3, -1.0), ang_vel=(0.3, -0.2, 0.5), rotor_speed=300.0)
-    rig = OnGround(TorchBackend(), ROUGH, first, spheres=((0.05, 0.02, -0.05, 0.06),), robot=robot)
+    rig = GroundRig(TorchBackend(), ROUGH, first, spheres=((0.05, 0.02, -0.05, 0.06),), robot=robot)
     velocity, command = first.lin_vel.clone().requires_grad_(), torch.full((2, 4), 250.0, dtype=F64, requires_grad=True)
 
     def final(velocity: torch.Tensor, command: torch.Tensor) -> torch.Tensor:
@@ -369,7 +382,7 @@ def test_gradients_through_landing_and_sliding() -> None:
 
 def test_impossible_requests_are_refused_by_name() -> None:
     with pytest.raises(CapabilityError, match="a differentiable rollout knows no ground. Use backend 'torch'"):
-        OnGround(WarpBackend(differentiable=True), ROUGH, start(dtype=F32))
+        GroundRig(WarpBackend(differentiable=True), ROUGH, start(dtype=F32))
     for name, value in (("friction", -0.1), ("friction", float("nan")), ("damping_ratio", float("inf"))):
         with pytest.raises(ConfigError, match=rf"ContactCfg.{name} = .*: must be >= 0 and finite"):
             ContactCfg(**{"friction": 0.5, name: value})

@@ -9,11 +9,11 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.interop import start_warp
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.contact import POSITION_SHARE, Contacts, _velocity_change
-from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, make_velocity_change, rows_of
+from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, make_velocity_change, rows_type
 
 COUNT, TOUCHES, DT, MASS, MOMENTS = 3, 50_000, 0.01, 0.25, (4.0e-4, 4.0e-4, 8.0e-4)
 LAW = ContactCfg(friction=0.6)
-_gaps_type, _rows_type, _change = vector_type(COUNT), rows_of(COUNT), make_velocity_change(COUNT)
+_gaps_type, _rows_type, _change = vector_type(COUNT), rows_type(COUNT), make_velocity_change(COUNT)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -30,19 +30,21 @@ def _push(
     change_out[e, 1] = turned
 
 
-def drawn() -> tuple[Contacts, Tensor, Tensor]:
+def random_contacts() -> tuple[Contacts, Tensor, Tensor]:
     """Return contacts all round a small quadrotor, up to 6 cm deep, at up to 3 m/s and 10 rad/s; each is missing with 30 %."""
     g = torch.Generator().manual_seed(5)
 
-    def even(*shape: int) -> Tensor:
+    def draw_uniform(*shape: int) -> Tensor:
         return 2.0 * torch.rand(*shape, generator=g) - 1.0
 
     gap = -0.06 * torch.rand(TOUCHES, COUNT, generator=g) * (torch.rand(TOUCHES, COUNT, generator=g) > 0.3)
     normal = torch.randn(TOUCHES, COUNT, 3, generator=g)
     upright = torch.eye(3)[torch.randint(3, (TOUCHES, COUNT), generator=g)]
     normal = torch.where(torch.rand(TOUCHES, COUNT, 1, generator=g) > 0.5, normal, upright)
-    contacts = Contacts(gap=gap, lever=0.2 * even(TOUCHES, COUNT, 3), normal=normal / normal.norm(dim=-1, keepdim=True))
-    return contacts, 3.0 * even(TOUCHES, 3), 10.0 * even(TOUCHES, 3)
+    contacts = Contacts(
+        gap=gap, lever=0.2 * draw_uniform(TOUCHES, COUNT, 3), normal=normal / normal.norm(dim=-1, keepdim=True)
+    )
+    return contacts, 3.0 * draw_uniform(TOUCHES, 3), 10.0 * draw_uniform(TOUCHES, 3)
 
 
 def warp_change(contacts: Contacts, lin_vel: Tensor, turn: Tensor) -> Tensor:
@@ -73,7 +75,7 @@ def test_no_touch_adds_more_energy_than_its_springs_hold(change) -> None:
     whose branches alternate to the end, may gain more than round-off allows; none more than the energy of its motion. Where
     the direction of a slip that was nearly none was not tangential, 34 did, and the worst gained 49,000 times that energy.
     """
-    contacts, lin_vel, turn = drawn()
+    contacts, lin_vel, turn = random_contacts()
     delta = change(contacts, lin_vel, turn)
     moments = torch.tensor((MASS, MASS, MASS, *MOMENTS))
     before = torch.cat((lin_vel, turn), -1)

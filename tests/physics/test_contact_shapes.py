@@ -13,7 +13,7 @@ from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
 from aerial_gym.physics import TorchBackend, WarpBackend
-from tests.physics.contact_rig import CPU, GRAVITY, INERTIA, MASS, InScene, OnGround, obstacle, start
+from tests.physics.contact_rig import CPU, GRAVITY, INERTIA, MASS, GroundRig, ObstacleRig, obstacle, start
 from tests.physics.vehicles import F64
 
 F32 = torch.float32
@@ -28,13 +28,13 @@ LOG = CapsuleCfg(radius=0.04, height=0.3, euler=(0.0, 1.5707963267948966, 0.0))
 
 
 @pytest.fixture(autouse=True)
-def alone() -> Iterator[None]:
+def single_thread() -> Iterator[None]:
     """Batches are small: threads would only wait for each other."""
     with one_thread():
         yield
 
 
-def points_of(*shapes: CollisionShape) -> tuple[tuple[float, ...], ...]:
+def point_rows(*shapes: CollisionShape) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in contact_points(shapes, device=CPU).tolist())
 
 
@@ -42,7 +42,7 @@ def points_of(*shapes: CollisionShape) -> tuple[tuple[float, ...], ...]:
 def test_a_box_at_rest_keeps_place_and_attitude(backend, dtype: torch.dtype) -> None:
     """Set down turned by 0.7 rad, it sinks by ``sinking / 4`` on four corners, and neither creeps nor turns in 3 s."""
     attitude = quat_from_euler(torch.tensor([0.0, 0.0, 0.7], dtype=dtype))
-    rig = OnGround(backend(), ROUGH, start(height=0.12, dtype=dtype, attitude=attitude), spheres=points_of(CRATE))
+    rig = GroundRig(backend(), ROUGH, start(height=0.12, dtype=dtype, attitude=attitude), spheres=point_rows(CRATE))
     rig.run(0.5, 0.01)
     before = rig.state.position.clone(), rig.state.attitude.clone()
     rig.run(3.0, 0.01)
@@ -64,8 +64,8 @@ def test_a_box_tips_when_its_centre_of_mass_passes_the_edge(backend, dtype: torc
     corner = torch.tensor([0.05, 0.0, -0.12], dtype=dtype) * torch.stack((lean.sign(), lean * 0 + 1, lean * 0 + 1), -1)
     height = -quat_rotate(attitude, corner)[:, 2]
     friction = ContactCfg(friction=5.0)
-    rig = OnGround(
-        backend(), friction, start(4, height=height, dtype=dtype, attitude=attitude), spheres=points_of(CRATE)
+    rig = GroundRig(
+        backend(), friction, start(4, height=height, dtype=dtype, attitude=attitude), spheres=point_rows(CRATE)
     )
     rig.run(2.0, 0.002)
     up = quat_rotate(rig.state.attitude, torch.tensor([0.0, 0.0, 1.0], dtype=dtype).expand(4, 3))
@@ -80,7 +80,7 @@ def test_a_capsule_rolls_about_its_long_axis_and_slides_along_it(backend, dtype:
     """Pushed across, it ends up rolling at ``v / (1 + I / (m r²))``; pushed along, it stops after ``v² / (2 mu g)``."""
     v, r = 0.8, LOG.radius
     push = torch.tensor([[0.0, v, 0.0], [v, 0.0, 0.0]], dtype=dtype)
-    rig = OnGround(backend(), ROUGH, start(2, height=r - 0.5e-3, dtype=dtype, lin_vel=push), spheres=points_of(LOG))
+    rig = GroundRig(backend(), ROUGH, start(2, height=r - 0.5e-3, dtype=dtype, lin_vel=push), spheres=point_rows(LOG))
     rig.run(2.0, 0.002)
     rolling = v / (1.0 + INERTIA[0] / (MASS * r * r))
     assert rig.state.lin_vel[0, 1].item() == pytest.approx(rolling, rel=5e-3)
@@ -92,9 +92,9 @@ def test_a_capsule_rolls_about_its_long_axis_and_slides_along_it(backend, dtype:
 
 def test_a_box_slides_down_to_rest_in_the_stopping_distance() -> None:
     """A low plate at 1.2 m/s stops after ``v² / (2 mu g)`` with its attitude kept: it neither rolls nor turns."""
-    plate = points_of(BoxCfg(size=(0.4, 0.4, 0.04)))
+    plate = point_rows(BoxCfg(size=(0.4, 0.4, 0.04)))
     state = start(height=0.02 - 0.25e-3, dtype=F32, lin_vel=(1.2, 0.0, 0.0))
-    rig = OnGround(WarpBackend(), ROUGH, state, spheres=plate)
+    rig = GroundRig(WarpBackend(), ROUGH, state, spheres=plate)
     rig.run(2.0, 0.002)
     assert rig.state.position[0, 0].item() == pytest.approx(1.2**2 / (2.0 * 0.5 * GRAVITY), rel=2e-2)
     assert rig.state.ang_vel.abs().max() < 1e-4
@@ -110,7 +110,7 @@ def test_a_flat_landing_takes_its_friction_of_the_impact(speed: float) -> None:
     """
     h, mu = 0.03, 0.5
     state = start(height=0.02 + h, dtype=F32, lin_vel=(speed, 0.0, 0.0))
-    rig = OnGround(WarpBackend(), ROUGH, state, spheres=points_of(BoxCfg(size=(0.4, 0.4, 0.04))))
+    rig = GroundRig(WarpBackend(), ROUGH, state, spheres=point_rows(BoxCfg(size=(0.4, 0.4, 0.04))))
     rig.run(1.5, 0.001)
     impact = (2.0 * GRAVITY * h) ** 0.5
     expected = speed * (2.0 * h / GRAVITY) ** 0.5 + (speed - mu * impact) ** 2 / (2.0 * mu * GRAVITY)
@@ -127,13 +127,13 @@ def test_one_step_of_a_box_is_that_of_torch() -> None:
     euler = 0.3 * torch.randn(64, 3, dtype=F64, generator=g)
     v, w = (0.4 * torch.randn(64, 3, dtype=F64, generator=g) for _ in range(2))
     height = 0.13 + 0.02 * torch.randn(64, dtype=F64, generator=g)
-    found = []
+    result = []
     for backend, dtype in BOTH:
         state = start(64, height=height, dtype=dtype, attitude=quat_from_euler(euler), lin_vel=v, ang_vel=w)
-        rig = OnGround(backend(), ROUGH, state, spheres=points_of(CRATE))
+        rig = GroundRig(backend(), ROUGH, state, spheres=point_rows(CRATE))
         rig.run(0.01, 0.01)
-        found.append((torch.cat(rig.state.tensors(), -1).double(), rig.impulse.double(), rig.crashes))
-    truth, fused = found
+        result.append((torch.cat(rig.state.tensors(), -1).double(), rig.impulse.double(), rig.crashes))
+    truth, fused = result
     assert 16 < truth[2].sum() < 64
     assert fused[2].tolist() == truth[2].tolist()
     assert (fused[0] - truth[0]).abs().amax(dim=1).sort().values[:-1].max() < 2e-4
@@ -172,11 +172,11 @@ def test_sliding_rolling_and_landing_agree_with_mujoco(case: str) -> None:
     for _ in range(3000):
         mujoco.mj_step(model, data)
     state = start(height=height, dtype=F32, lin_vel=velocity)
-    rig = OnGround(WarpBackend(), ROUGH, state, spheres=points_of(shape))
+    rig = GroundRig(WarpBackend(), ROUGH, state, spheres=point_rows(shape))
     rig.run(0.6, 0.002)
-    theirs = torch.tensor(data.qpos[:3])
-    assert (rig.state.position[0].double() - theirs)[:2].norm() < 0.02 * theirs[:2].norm()
-    assert abs(rig.state.position[0, 2].item() - theirs[2].item()) < 2e-3
+    reference = torch.tensor(data.qpos[:3])
+    assert (rig.state.position[0].double() - reference)[:2].norm() < 0.02 * reference[:2].norm()
+    assert abs(rig.state.position[0, 2].item() - reference[2].item()) < 2e-3
     torch.testing.assert_close(rig.state.lin_vel[0].double(), torch.tensor(data.qvel[:3]), rtol=0.0, atol=0.03)
     torch.testing.assert_close(rig.state.ang_vel[0].double(), torch.tensor(data.qvel[3:]), rtol=0.05, atol=0.05)
 
@@ -187,7 +187,9 @@ def test_the_tilted_fall_of_a_plate_begins_as_the_closed_form() -> None:
         attitude = quat_from_euler(torch.tensor([0.2, 0.0, yaw]))
         lowest = 0.2 * sin(0.2) + 0.02 * cos(0.2)
         state = start(height=lowest + 0.001, dtype=F32, attitude=attitude, lin_vel=(0.0, 0.0, -0.5))
-        rig = OnGround(WarpBackend(), ContactCfg(friction=0.0), state, spheres=points_of(BoxCfg(size=(0.4, 0.4, 0.04))))
+        rig = GroundRig(
+            WarpBackend(), ContactCfg(friction=0.0), state, spheres=point_rows(BoxCfg(size=(0.4, 0.4, 0.04)))
+        )
         rig.run(0.02, 0.001)
         assert rig.state.ang_vel[0, 0] < -0.5
         assert rig.state.ang_vel[0, 1:].abs().max() < 1e-3
@@ -202,7 +204,7 @@ def test_a_plate_rests_on_a_block_that_no_corner_of_it_touches() -> None:
     for backend in (WarpBackend(), TorchBackend()):
         state = start(height=0.1 + 0.02 + 0.005, dtype=F32, attitude=quat_from_euler(torch.tensor([0.0, 0.0, 0.3])))
         block = ShapeCfg(kind="box", size=(0.2, 0.2, 0.2))
-        rig = InScene([block], obstacle(1), ROUGH, state, body=(PLATE,), backend=backend)
+        rig = ObstacleRig([block], obstacle(1), ROUGH, state, body=(PLATE,), backend=backend)
         rig.run(2.0)
         assert state.position[0, 2].item() == pytest.approx(0.12 - 0.25e-3, abs=5e-6)
         torch.testing.assert_close(euler_from_quat(state.attitude)[:, :2], torch.zeros(1, 2), rtol=0.0, atol=1e-5)
@@ -220,7 +222,7 @@ def test_a_pole_stops_the_middle_of_an_edge() -> None:
     for dt in (2e-4, 1e-4):
         for shape in ({"body": (PLATE,)}, {"spheres": ((0.0, 0.0, 0.0, 0.2),)}):
             state = start(height=0.0, dtype=F32, lin_vel=(v, 0.0, 0.0))
-            rig = InScene([pole], obstacle(1, position=(0.25, 0.0, 0.0)), ROUGH, state, gravity=0.0, dt=dt, **shape)
+            rig = ObstacleRig([pole], obstacle(1, position=(0.25, 0.0, 0.0)), ROUGH, state, gravity=0.0, dt=dt, **shape)
             rig.run(0.2)
             speeds.append(state.lin_vel[0, 0].item())
             turn = MASS * v * (1.0 + exp(-2.0)) * 0.4 * 2.0**-15 / INERTIA[2]
@@ -237,7 +239,7 @@ def test_a_pole_beside_the_middle_turns_a_plate_the_right_way(side: float) -> No
     """Hit at y = 0.1 m ahead the plate is held back on its left and turns left; hit on its right it turns right."""
     pole = ShapeCfg(kind="cylinder", radius=0.01, height=2.0)
     state = start(height=0.0, dtype=F32, lin_vel=(0.5, 0.0, 0.0))
-    rig = InScene(
+    rig = ObstacleRig(
         [pole], obstacle(1, position=(0.25, 0.1 * side, 0.0)), ContactCfg(friction=0.0), state, body=(PLATE,),
         gravity=0.0, dt=0.002,
     )  # fmt: skip
@@ -252,7 +254,7 @@ def test_two_crossed_rods_hold_each_other() -> None:
     lying = ShapeCfg(kind="capsule", radius=0.05, height=2.0)
     place = obstacle(1, attitude=quat_from_euler(torch.tensor([0.0, 1.5707963267948966, 0.0])))  # along x
     state = start(height=0.08, dtype=F32)
-    rig = InScene([lying], place, ContactCfg(friction=0.5), state, body=(rod,), dt=0.005)
+    rig = ObstacleRig([lying], place, ContactCfg(friction=0.5), state, body=(rod,), dt=0.005)
     rig.run(0.5)
     assert state.position[0, 2].item() == pytest.approx(0.07 - 1e-3, abs=1e-4)  # one contact: the whole sinking
     assert state.lin_vel.abs().max() < 1e-2

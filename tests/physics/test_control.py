@@ -28,7 +28,7 @@ from aerial_gym.physics import (
     vehicle_from_config,
 )
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 
 def test_allocation_matrix_of_base_quadrotor_is_the_published_one() -> None:
@@ -41,7 +41,7 @@ def test_allocation_matrix_of_base_quadrotor_is_the_published_one() -> None:
 
 def test_allocation_reproduces_the_wrench_that_the_physics_makes_of_it() -> None:
     """Thrusts of an attainable wrench, turned into speeds, accelerate the lopsided vehicle by exactly that wrench."""
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     robot = replace(robot, rotor=replace(robot.rotor, torque_map=None, torque_ratio=0.015))
     vehicle = vehicle_from_config(robot, num_envs=32, dtype=F64)
     thrust = 1.0 + 2.0 * torch.rand(32, 4, dtype=F64, generator=torch.Generator().manual_seed(0))
@@ -49,10 +49,10 @@ def test_allocation_reproduces_the_wrench_that_the_physics_makes_of_it() -> None
     allocation = Allocation(vehicle, 9.81)
     torch.testing.assert_close(allocation.thrust(wrench), thrust, atol=1e-9, rtol=0)
     state = replace(random_state(32), rotor_speed=allocation.speed(thrust), ang_vel=torch.zeros(32, 3, dtype=F64))
-    found = accelerations(build_model(vehicle), state)
-    torque = (vehicle.inertia @ found.ang_acc.unsqueeze(-1)).squeeze(-1)
+    result = accelerations(build_model(vehicle), state)
+    torque = (vehicle.inertia @ result.ang_acc.unsqueeze(-1)).squeeze(-1)
     torch.testing.assert_close(torque, wrench[:, 3:], atol=1e-9, rtol=0)
-    force = 0.8 * (found.specific_force + torch.linalg.cross(found.ang_acc, vehicle.com))
+    force = 0.8 * (result.specific_force + torch.linalg.cross(result.ang_acc, vehicle.com))
     torch.testing.assert_close(force, wrench[:, :3], atol=1e-9, rtol=0)
 
 
@@ -60,7 +60,7 @@ def test_allocation_clamps_to_the_thrust_limits() -> None:
     robot = ROBOTS.get("tinyprop")
     allocation = Allocation(vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81)
     speed = allocation.speed(torch.tensor([[-3.0, 0.5, 0.2, 9.0]], dtype=F64))
-    limits = torch.tensor([[robot.rotor.speed_at(t) for t in (0.2, 0.5, 0.2, 1.2)]], dtype=F64)
+    limits = torch.tensor([[robot.rotor.speed_for_thrust(t) for t in (0.2, 0.5, 0.2, 1.2)]], dtype=F64)
     torch.testing.assert_close(speed, limits)
 
 
@@ -125,18 +125,18 @@ def fly(
     state.attitude[:] = quat_from_euler(0.3 * torch.randn(num_envs, 3, dtype=F64, generator=g))
     state.lin_vel[:] = 0.2 * torch.randn(num_envs, 3, dtype=F64, generator=g)
     state.ang_vel[:] = 0.5 * torch.randn(num_envs, 3, dtype=F64, generator=g)
-    state.rotor_speed[:] = robot.rotor.speed_at(robot.body.mass * 9.81 / 4)
+    state.rotor_speed[:] = robot.rotor.speed_for_thrust(robot.body.mass * 9.81 / 4)
     command = torch.tensor(action, dtype=F64).expand(num_envs, -1)
     return advance(model, INTEGRATORS["euler"], controller, state, command, dt, round(span / dt))
 
 
-def controller_for(name: str, robot_name: str, num_envs: int) -> Controller:
+def vehicle_controller(name: str, robot_name: str, num_envs: int) -> Controller:
     vehicle = vehicle_from_config(ROBOTS.get(robot_name), num_envs=num_envs, dtype=F64)
     return make_controller(CONTROLLERS.get(name), vehicle, 9.81, dt=0.01)
 
 
 def test_thrust_command_zero_is_weight_and_one_is_twice_the_weight() -> None:
-    controller = controller_for("lee_attitude_control", "base_quadrotor", 2)
+    controller = vehicle_controller("lee_attitude_control", "base_quadrotor", 2)
     state = state_at_rest(2, 4, device=torch.device("cpu"), dtype=F64)
     speed = controller.rotor_command(state, torch.tensor([[0.0, 0, 0, 0], [1.0, 0, 0, 0]], dtype=F64))
     thrust = ROBOTS.get("base_quadrotor").rotor.thrust_map[2] * (speed**2).sum(-1)
@@ -148,7 +148,7 @@ def test_thrust_command_zero_is_weight_and_one_is_twice_the_weight() -> None:
 )
 def test_positive_roll_command_speeds_up_the_left_rotors(name: str, action: list[float]) -> None:
     """Positive roll lowers the right (-y) side: rotors 3 and 4 at +y must pull harder than 1 and 2 at -y."""
-    controller = controller_for(name, "base_quadrotor", 1)
+    controller = vehicle_controller(name, "base_quadrotor", 1)
     speed = controller.rotor_command(
         state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64), torch.tensor([action], dtype=F64)
     )[0]
@@ -157,7 +157,7 @@ def test_positive_roll_command_speeds_up_the_left_rotors(name: str, action: list
 
 def test_a_dive_keeps_a_tenth_of_the_weight_as_thrust() -> None:
     """Below that the direction of the thrust, and so the attitude, would be undefined."""
-    controller = controller_for("lee_acceleration_control", "base_quadrotor", 1)
+    controller = vehicle_controller("lee_acceleration_control", "base_quadrotor", 1)
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     speed = controller.rotor_command(state, torch.tensor([[0.0, 0.0, -30.0, 0.0]], dtype=F64))
     thrust = ROBOTS.get("base_quadrotor").rotor.thrust_map[2] * (speed**2).sum()
@@ -165,7 +165,7 @@ def test_a_dive_keeps_a_tenth_of_the_weight_as_thrust() -> None:
 
 
 def test_yaw_rate_command_is_clamped_and_left_alone() -> None:
-    controller = controller_for("lee_velocity_control", "base_quadrotor", 1)
+    controller = vehicle_controller("lee_velocity_control", "base_quadrotor", 1)
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     action = torch.tensor([[0.0, 0.0, 0.0, 50.0]], dtype=F64)
     limit = torch.tensor([[0.0, 0.0, 0.0, 1.0471976]], dtype=F64)
@@ -174,11 +174,11 @@ def test_yaw_rate_command_is_clamped_and_left_alone() -> None:
 
 
 @pytest.mark.parametrize(("name", "unit"), [("no_control", "thrust"), ("rotor_speed_control", "speed")])
-def test_direct_control_passes_the_action_through(name: str, unit: str) -> None:
-    controller = controller_for(name, "tinyprop", 1)
+def test_direct_control_passes_the_action_unchanged(name: str, unit: str) -> None:
+    controller = vehicle_controller(name, "tinyprop", 1)
     rotor = ROBOTS.get("tinyprop").rotor
     thrusts = [0.3, 0.5, 0.7, 0.9]
-    speeds = torch.tensor([[rotor.speed_at(t) for t in thrusts]], dtype=F64)
+    speeds = torch.tensor([[rotor.speed_for_thrust(t) for t in thrusts]], dtype=F64)
     action = torch.tensor([thrusts], dtype=F64) if unit == "thrust" else speeds
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     torch.testing.assert_close(controller.rotor_command(state, action), speeds)

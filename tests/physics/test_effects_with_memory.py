@@ -28,32 +28,32 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
 from aerial_gym.physics.fused.law import FusedLaw
-from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_of, make_memory
+from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_state, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effects import effects_of, still
+from tests.physics.test_effects import make_effects, rest_state
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import BATTERY, CEILING, F64, lopsided_robot, random_state
-from tests.repetitions import seldom
+from tests.physics.vehicles import BATTERY, CEILING, F64, asymmetric_robot, random_state
+from tests.repetitions import rare_values
 
 TAU_UP, TAU_DOWN = 0.03, 0.05
-"""Of ``lopsided_robot`` [s]."""
+"""Of ``asymmetric_robot`` [s]."""
 
 REMEMBERING = [name for name in EFFECTS.names() if EFFECTS.get(name).remembers]
 
 
-def model_of(values: dict[str, dict[str, float]], num_envs: int = 1, robot: RobotCfg | None = None, **scene) -> Model:
-    vehicle = vehicle_from_config(robot or lopsided_robot(), num_envs=num_envs, dtype=F64)
-    return build_model(vehicle, effects_of(values, num_envs), **{"ceiling_height": CEILING, **scene})
+def make_model(values: dict[str, dict[str, float]], num_envs: int = 1, robot: RobotCfg | None = None, **scene) -> Model:
+    vehicle = vehicle_from_config(robot or asymmetric_robot(), num_envs=num_envs, dtype=F64)
+    return build_model(vehicle, make_effects(values, num_envs), **{"ceiling_height": CEILING, **scene})
 
 
 def single(state: BodyState) -> BodyState:
     return BodyState(**{name: tensor.float() for name, tensor in vars(state).items()})
 
 
-class Straight(SpeedControl):
+class DirectSpeed(SpeedControl):
     """Rotor speeds as actions, also in a kernel."""
 
     def fused(self):
@@ -64,7 +64,7 @@ class Straight(SpeedControl):
 # actuation delay
 
 
-def delayed_speed(time: float, delay: float, speed: float, commands: list[tuple[float, float]]) -> float:
+def speed_after_delay(time: float, delay: float, speed: float, commands: list[tuple[float, float]]) -> float:
     """Return the speed under commands (from when, what), each of which acts ``delay`` later; none acts before."""
     arrivals = [(start + delay, command) for start, command in commands] + [(time, 0.0)]
     for (start, command), (end, _) in pairwise(arrivals):
@@ -78,39 +78,39 @@ def delayed_speed(time: float, delay: float, speed: float, commands: list[tuple[
 @pytest.mark.parametrize("delay", [0.0, 0.012, 0.0092, 0.0999])
 def test_delayed_commands_act_exactly_that_much_later(delay: float, integrator: str) -> None:
     """Three substeps, a fraction, and near the bound: the speed at every end of a substep, rising and falling."""
-    dt, model = 0.004, model_of({"actuation_delay": {"delay": delay}})
-    memory, state, levels = make_memory(model, dt), still(rotor_speed=[500.0] * 4), [900.0, 300.0, 700.0, 650.0]
+    dt, model = 0.004, make_model({"actuation_delay": {"delay": delay}})
+    memory, state, levels = make_memory(model, dt), rest_state(rotor_speed=[500.0] * 4), [900.0, 300.0, 700.0, 650.0]
     commands = [(0.028 * k, level) for k, level in enumerate(levels)]
     for step in range(50):
         held = torch.full((1, 4), levels[min(step // 7, 3)], dtype=F64)
         state, memory = fly_remembering(model, memory, state, [held], dt, integrator)
-        expected = delayed_speed((step + 1) * dt, delay, 500.0, commands)
+        expected = speed_after_delay((step + 1) * dt, delay, 500.0, commands)
         assert abs(state.rotor_speed[0, 0].item() - expected) < 1e-9, step
 
 
-@pytest.mark.parametrize("integrator", seldom(INTEGRATORS, ["rk4"]))
+@pytest.mark.parametrize("integrator", rare_values(INTEGRATORS, ["rk4"]))
 def test_the_kernel_delays_each_environment_by_its_own_delay(integrator: str) -> None:
     delays, dt = torch.tensor([[0.0], [0.005], [0.0173], [0.1]]), 0.002
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=4)
-    backend, state = WarpBackend(), single(still(4, rotor_speed=[500.0] * 4))
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=4)
+    backend, state = WarpBackend(), single(rest_state(4, rotor_speed=[500.0] * 4))
     model = build_model(vehicle, [(EFFECTS.get("actuation_delay"), delays)])
-    backend.allocate(model, Straight(), integrator=integrator)
+    backend.allocate(model, DirectSpeed(), integrator=integrator)
     action, levels = torch.zeros(4, 4), [900.0, 300.0, 700.0, 650.0]
     commands = [(0.03 * k, level) for k, level in enumerate(levels)]
     for step in range(22):
         action.fill_(levels[min(step // 3, 3)])
         backend.step(state, action, dt, 5)
         for env, delay in enumerate(delays[:, 0].tolist()):
-            expected = delayed_speed((step + 1) * 5 * dt, delay, 500.0, commands)
+            expected = speed_after_delay((step + 1) * 5 * dt, delay, 500.0, commands)
             assert abs(state.rotor_speed[env, 1].item() - expected) < 0.02, (step, env)
 
 
 def test_rotors_without_lag_follow_the_delayed_command() -> None:
-    model = model_of({"actuation_delay": {"delay": 0.006}})
+    model = make_model({"actuation_delay": {"delay": 0.006}})
     none = torch.zeros_like(model.vehicle.time_constant_up)
     model = replace(model, vehicle=replace(model.vehicle, time_constant_up=none, time_constant_down=none))
     levels = [torch.full((1, 4), level, dtype=F64) for level in (700.0, 800.0, 900.0, 950.0)]
-    end, _ = fly_remembering(model, make_memory(model, 0.004), still(rotor_speed=[500.0] * 4), levels, 0.004)
+    end, _ = fly_remembering(model, make_memory(model, 0.004), rest_state(rotor_speed=[500.0] * 4), levels, 0.004)
     torch.testing.assert_close(end.rotor_speed, torch.full((1, 4), 900.0, dtype=F64))
 
 
@@ -129,10 +129,10 @@ def test_the_voltage_under_load_obeys_kirchhoff() -> None:
 
 
 def test_the_speed_factor_is_linear_in_the_voltage() -> None:
-    found = speed_factor(
+    result = speed_factor(
         *(torch.tensor(value, dtype=F64) for value in ([11.1, 10.0, 12.6, 1.0], [11.1] * 4, [0.5, 1.0, 1.0, 2.0]))
     )
-    torch.testing.assert_close(found, torch.tensor([1.0, 10.0 / 11.1, 12.6 / 11.1, 0.0], dtype=F64))
+    torch.testing.assert_close(result, torch.tensor([1.0, 10.0 / 11.1, 12.6 / 11.1, 0.0], dtype=F64))
 
 
 def test_a_drained_battery_slows_the_rotors() -> None:
@@ -141,16 +141,16 @@ def test_a_drained_battery_slows_the_rotors() -> None:
         nominal_voltage=11.0, full_voltage=12.0, empty_voltage=9.0, internal_resistance=0.0, capacity=60.0,
         efficiency=0.5, source="test",
     )  # fmt: skip
-    robot = replace(lopsided_robot(), battery=battery)
-    model, speed = model_of({"battery_sag": {"gain": 0.0}}, robot=robot), 800.0
+    robot = replace(asymmetric_robot(), battery=battery)
+    model, speed = make_model({"battery_sag": {"gain": 0.0}}, robot=robot), 800.0
     held, dt = torch.full((1, 4), speed, dtype=F64), 0.01
-    memory, state = make_memory(model, dt), still(rotor_speed=[speed] * 4)
+    memory, state = make_memory(model, dt), rest_state(rotor_speed=[speed] * 4)
     _, memory = fly_remembering(model, memory, state, [held] * 200, dt)
     power = 4 * (2e-6 * speed + 5e-8 * speed**2) * speed / 0.5
     charge = memory.numbers[0, 0].item()
     open_voltage = sqrt(12.0**2 - 2.0 * power * 3.0 / 60.0 * 2.0)
     assert abs(12.0 - 3.0 * charge / 60.0 - open_voltage) < dt * power / 9.0 * 3.0 / 60.0  # one Euler step
-    sagging = model_of({"battery_sag": {"gain": 0.7}}, robot=robot)
+    sagging = make_model({"battery_sag": {"gain": 0.7}}, robot=robot)
     _, followed, memory = begin_substep(sagging, memory, state.rotor_speed, held, dt)
     expected = speed * (1.0 - 0.7 * (1.0 - memory.numbers[0, 1].item() / 11.0))
     torch.testing.assert_close(followed, torch.full((1, 4), expected, dtype=F64), atol=1e-9, rtol=0)
@@ -159,7 +159,7 @@ def test_a_drained_battery_slows_the_rotors() -> None:
 
 def test_the_battery_current_is_that_of_power_and_voltage() -> None:
     """dq/dt = P / (efficiency V) with V under load, at the first substep."""
-    model = model_of({"battery_sag": {"gain": 0.2}})
+    model = make_model({"battery_sag": {"gain": 0.2}})
     memory, speed = make_memory(model, 0.01), torch.full((1, 4), 900.0, dtype=F64)
     _, _, memory = begin_substep(model, memory, speed, speed, 0.01)
     power = 4 * (2e-6 * 900.0 + 5e-8 * 900.0**2) * 900.0 / BATTERY.efficiency
@@ -170,7 +170,7 @@ def test_the_battery_current_is_that_of_power_and_voltage() -> None:
 def test_battery_files_are_checked() -> None:
     with pytest.raises(ConfigError, match=r"effect battery_sag: the robot file must give battery"):
         EFFECTS.get("battery_sag").check(ROBOTS.get("tinyprop"))
-    EFFECTS.get("battery_sag").check(lopsided_robot())
+    EFFECTS.get("battery_sag").check(asymmetric_robot())
     for name, value in (("empty_voltage", 13.0), ("internal_resistance", -0.1), ("efficiency", 1.1), ("capacity", 0.0)):
         with pytest.raises(ConfigError, match=f"BatteryCfg.{name}"):
             replace(BATTERY, **{name: value})
@@ -183,13 +183,13 @@ def test_battery_files_are_checked() -> None:
 def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> None:
     """Variance std² at once and later, exp(-t / T) after 0.4 s, axes independent; bounds: five standard deviations."""
     num, std, corr_time = 20000, 3.0, 0.5
-    model = model_of({"gusts": {"std": std, "corr_time": corr_time}}, num)
+    model = make_model({"gusts": {"std": std, "corr_time": corr_time}}, num)
     memory, rotors = make_memory(model, dt), torch.zeros(num, 4, dtype=F64)
     winds: list[Tensor] = []
     for _ in range(round(1.0 / dt) + 1):
         _, _, memory = begin_substep(model, memory, rotors, rotors, dt)
         winds.append(memory.numbers)
-        memory = end_substep(memory, load_of(model, memory))
+        memory = end_substep(memory, load_state(model, memory))
     back = round(0.4 / dt)
     for wind in (winds[0], winds[-1]):
         assert (wind.mean(0).abs() < 5.0 * std / sqrt(num)).all()
@@ -200,13 +200,16 @@ def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> N
 
 def gust_flight(backend, seed: int, num_envs: int = 4, steps: int = 5) -> Tensor:
     """Return the velocities after some steps in gusts from rest, (E, 3)."""
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=num_envs)
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=num_envs)
     rows = [(EFFECTS.get("gusts"), torch.tensor([3.0, 0.1]).expand(num_envs, -1))]
     rows.append((EFFECTS.get("rotor_drag"), torch.ones(num_envs, 3)))
     backend.allocate(
-        build_model(vehicle, rows, gravity=0.0), Straight(), integrator="euler", random=Randomness(num_envs, seed=seed)
+        build_model(vehicle, rows, gravity=0.0),
+        DirectSpeed(),
+        integrator="euler",
+        random=Randomness(num_envs, seed=seed),
     )
-    state = single(still(num_envs))
+    state = single(rest_state(num_envs))
     for _ in range(steps):
         backend.step(state, torch.zeros(num_envs, 4), 0.01, 3)
     return state.lin_vel
@@ -223,14 +226,14 @@ def test_both_backends_draw_the_same_gusts() -> None:
 def test_a_random_force_is_uniform_and_held_for_its_interval(dt: float, hold: float) -> None:
     """Variance f² / 3 on each axis, independent of the interval before; bounds: five standard deviations of 20,000 draws."""
     num, largest = 20000, torch.tensor([0.1, 0.2, 0.3], dtype=F64)
-    model = model_of({"random_force": {"x": 0.1, "y": 0.2, "z": 0.3, "hold": hold}}, num)
+    model = make_model({"random_force": {"x": 0.1, "y": 0.2, "z": 0.3, "hold": hold}}, num)
     memory, rotors = make_memory(model, dt), torch.zeros(num, 4, dtype=F64)
     forces: list[Tensor] = []
     substeps = max(round(hold / dt), 1)
     for _ in range(3 * substeps):
         _, _, memory = begin_substep(model, memory, rotors, rotors, dt)
         forces.append(memory.numbers / largest)
-        memory = end_substep(memory, load_of(model, memory))
+        memory = end_substep(memory, load_state(model, memory))
     for i, force in enumerate(forces):
         assert torch.equal(force, forces[i - i % substeps])
     for i in range(0, 3 * substeps, substeps):
@@ -245,15 +248,15 @@ def test_a_random_force_is_uniform_and_held_for_its_interval(dt: float, hold: fl
 def test_a_random_force_pushes_along_the_world_alike_on_both_backends(backend) -> None:
     """Along world z alone at any attitude; the velocity after n intervals has the deviation f sqrt(n / 3) T / m."""
     num, steps, hold, largest = 4000, 50, 0.002, 0.1
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=num)
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=num)
     rows = [(EFFECTS.get("random_force"), torch.tensor([0.0, 0.0, largest, hold]).expand(num, -1))]
     stepper = backend()
-    stepper.allocate(build_model(vehicle, rows, gravity=0.0), Straight(), integrator="euler", random=Randomness(num))
-    state = single(still(num, attitude=quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))[0].tolist()))
+    stepper.allocate(build_model(vehicle, rows, gravity=0.0), DirectSpeed(), integrator="euler", random=Randomness(num))
+    state = single(rest_state(num, attitude=quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))[0].tolist()))
     stepper.step(state, torch.zeros(num, 4), hold, steps)
     assert state.lin_vel[:, :2].abs().max() < 1e-6
     assert state.ang_vel.abs().max() < 1e-6
-    deviation = largest * sqrt(steps / 3.0) * hold / lopsided_robot().body.mass
+    deviation = largest * sqrt(steps / 3.0) * hold / asymmetric_robot().body.mass
     assert abs(state.lin_vel[:, 2].std().item() / deviation - 1.0) < 5.0 / sqrt(2.0 * num)
 
 
@@ -265,16 +268,16 @@ def test_a_ceiling_adds_thrust_by_the_distance_of_the_hub(room: float, felt: flo
     """T' = T / (1 - k (R / 4 h)²) with R = 0.1 m; not closer than R / 2, and the same above the ceiling."""
     robot = ROBOTS.get("tinyprop")
     robot = replace(robot, rotor=replace(robot.rotor, radius=0.1))
-    state = still(rotor_speed=[1500.0] * 4, position=[0.0, 0.0, 2.0])
-    near = model_of({"ceiling_effect": {"k": 1.5}}, robot=robot, ceiling_height=2.0 + room)
-    found = accelerations(near, state).specific_force[0, 2]
-    own = accelerations(model_of({}, robot=robot), state).specific_force[0, 2]
-    torch.testing.assert_close(found, own / (1.0 - 1.5 * (0.1 / 4.0 / felt) ** 2), atol=0, rtol=1e-12)
+    state = rest_state(rotor_speed=[1500.0] * 4, position=[0.0, 0.0, 2.0])
+    near = make_model({"ceiling_effect": {"k": 1.5}}, robot=robot, ceiling_height=2.0 + room)
+    result = accelerations(near, state).specific_force[0, 2]
+    own = accelerations(make_model({}, robot=robot), state).specific_force[0, 2]
+    torch.testing.assert_close(result, own / (1.0 - 1.5 * (0.1 / 4.0 / felt) ** 2), atol=0, rtol=1e-12)
 
 
 def test_a_ceiling_is_needed_by_name() -> None:
     with pytest.raises(ConfigError, match="effect ceiling_effect: there is no ceiling. Give ceiling_height"):
-        model_of({"ceiling_effect": {"k": 1.0}}, ceiling_height=None)
+        make_model({"ceiling_effect": {"k": 1.0}}, ceiling_height=None)
     with pytest.raises(ConfigError, match=r"effect ceiling_effect: the robot file must give rotor.radius"):
         EFFECTS.get("ceiling_effect").check(
             replace(ROBOTS.get("tinyprop"), rotor=replace(ROBOTS.get("tinyprop").rotor, radius=None))
@@ -300,34 +303,34 @@ def test_downwash_pushes_down_by_the_horizontal_distance(place: tuple[float, ...
     robot = ROBOTS.get("tinyprop")
     other = torch.tensor([[1.0, -2.0, 3.0]], dtype=F64)
     tilted = quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))
-    state = still(position=list(place), attitude=tilted[0].tolist())
-    model = model_of({"downwash": {"force": 2.0, "sigma": 0.3}}, robot=robot, other_position=other)
-    found = accelerations(model, state)
-    force = quat_rotate(tilted, found.specific_force) * 0.373
+    state = rest_state(position=list(place), attitude=tilted[0].tolist())
+    model = make_model({"downwash": {"force": 2.0, "sigma": 0.3}}, robot=robot, other_position=other)
+    result = accelerations(model, state)
+    force = quat_rotate(tilted, result.specific_force) * 0.373
     torch.testing.assert_close(force, torch.tensor([[0.0, 0.0, -2.0 * share]], dtype=F64), atol=1e-12, rtol=0)
-    torch.testing.assert_close(found.ang_acc, torch.zeros(1, 3, dtype=F64))
+    torch.testing.assert_close(result.ang_acc, torch.zeros(1, 3, dtype=F64))
 
 
 def test_the_wake_stands_over_the_origin_unless_it_is_moved() -> None:
-    high = still(position=[0.0, 0.0, 1000.0])
-    found = accelerations(model_of({"downwash": {"force": 2.0, "sigma": 0.3}}, robot=ROBOTS.get("tinyprop")), high)
-    torch.testing.assert_close(found.specific_force * 0.373, torch.tensor([[0.0, 0.0, -2.0]], dtype=F64))
+    high = rest_state(position=[0.0, 0.0, 1000.0])
+    result = accelerations(make_model({"downwash": {"force": 2.0, "sigma": 0.3}}, robot=ROBOTS.get("tinyprop")), high)
+    torch.testing.assert_close(result.specific_force * 0.373, torch.tensor([[0.0, 0.0, -2.0]], dtype=F64))
 
 
 # what is remembered and forgotten
 
 
-def everything(
+def run_all_effects(
     backend, num_envs: int = 4, dtype: torch.dtype = torch.float32, random: Randomness | None = None
 ) -> BodyState:
     """Give a backend all effects with memory; return a state."""
-    robot, rows = lopsided_robot(), []
+    robot, rows = asymmetric_robot(), []
     for name in (*REMEMBERING, "rotor_drag"):
         effect = EFFECTS.get(name)
         row = [a + 0.7 * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
-    backend.allocate(build_model(vehicle, rows), Straight(), integrator="euler", random=random)
+    backend.allocate(build_model(vehicle, rows), DirectSpeed(), integrator="euler", random=random)
     return BodyState(**{name: tensor.to(dtype) for name, tensor in vars(random_state(num_envs)).items()})
 
 
@@ -337,7 +340,7 @@ def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backe
     actions = torch.full((4, 4), 850.0)
     kept, reset = backend(), backend()
     chance = Randomness(4)
-    flown, begun = everything(kept), everything(reset, random=chance)
+    flown, begun = run_all_effects(kept), run_all_effects(reset, random=chance)
     start = [tensor.clone() for tensor in begun.tensors()]
     for _ in range(10):
         kept.step(flown, actions, 0.004, 5)
@@ -348,7 +351,7 @@ def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backe
     for tensor, first in zip(begun.tensors(), start, strict=True):
         tensor[mask] = first[mask]
     fresh = backend()
-    new = everything(fresh)
+    new = run_all_effects(fresh)
     for _ in range(2):
         kept.step(flown, actions, 0.004, 5)
         reset.step(begun, actions, 0.004, 5)
@@ -363,7 +366,7 @@ def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backe
 
 
 def test_forgetting_gives_the_memory_of_a_new_environment() -> None:
-    model = model_of(
+    model = make_model(
         {"slung_payload": {"mass": 0.1, "length": 1.0, "damping": 0.0}, "actuation_delay": {"delay": 0.05}}, 3
     )
     commands = [torch.full((3, 4), 900.0, dtype=F64)] * 5
@@ -381,7 +384,7 @@ def test_steps_go_on_with_what_is_remembered(backend) -> None:
     ends, actions = [], torch.full((4, 4), 850.0)
     for calls, substeps in ((10, 1), (1, 10)):
         stepper = backend()
-        state = everything(stepper)
+        state = run_all_effects(stepper)
         for _ in range(calls):
             stepper.step(state, actions, 0.004, substeps)
         ends.append(state)
@@ -393,7 +396,7 @@ def test_memory_survives_new_parameters() -> None:
     """A shared mass that changes composes the kernel anew: the payload swings on, commands are still on their way."""
     actions, ends = torch.full((4, 4), 850.0), []
     for stepper in (TorchBackend(), WarpBackend()):
-        state = everything(stepper)
+        state = run_all_effects(stepper)
         stepper.step(state, actions, 0.004, 5)
         model = stepper._model
         mass = (1.5 * model.vehicle.mass[:1]).as_strided((4,), (0,))
@@ -408,7 +411,7 @@ def test_gradients_flow_through_memory_from_call_to_call() -> None:
     grads = []
     for calls in ((2, 4), (6,)):
         backend = TorchBackend()
-        state, command = everything(backend, dtype=F64), torch.full((4, 4), 850.0, dtype=F64, requires_grad=True)
+        state, command = run_all_effects(backend, dtype=F64), torch.full((4, 4), 850.0, dtype=F64, requires_grad=True)
         for substeps in calls:
             state = backend.advance(state, command, 0.004, substeps)
         grads.append(torch.autograd.grad(state.lin_vel.sum(), command)[0])
@@ -419,7 +422,7 @@ def test_gradients_flow_through_memory_from_call_to_call() -> None:
 def test_gradients_end_at_a_reset() -> None:
     """Rollout after rollout, each with its own backward pass, as in training; the first and the one after a reset agree."""
     backend, grads = TorchBackend(), []
-    start = everything(backend, dtype=F64)
+    start = run_all_effects(backend, dtype=F64)
     for _ in range(2):
         command = torch.full((4, 4), 850.0, dtype=F64, requires_grad=True)
         end = backend.advance(start, command, 0.004, 6)
@@ -430,11 +433,11 @@ def test_gradients_end_at_a_reset() -> None:
 
 
 def test_a_vehicle_has_one_load_and_one_delay() -> None:
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=1, dtype=F64)
-    for name, what in (("slung_payload", "load"), ("actuation_delay", "delay")):
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=1, dtype=F64)
+    for name, label in (("slung_payload", "load"), ("actuation_delay", "delay")):
         effect = EFFECTS.get(name)
-        twice = [(effect, torch.tensor([effect.neutral(lopsided_robot())], dtype=F64))] * 2
-        with pytest.raises(ConfigError, match=f"effects {name} and {name}: a vehicle has one {what} at most"):
+        twice = [(effect, torch.tensor([effect.neutral(asymmetric_robot())], dtype=F64))] * 2
+        with pytest.raises(ConfigError, match=f"effects {name} and {name}: a vehicle has one {label} at most"):
             build_model(vehicle, twice)
 
 
@@ -446,8 +449,8 @@ def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
         rows = [(EFFECTS.get("rotor_drag"), torch.full((2, 3), drag)) for drag in drags]
         rows += [(EFFECTS.get("gusts"), torch.tensor([[std, 0.5]] * 2)) for std in gusts]
         stepper, state = backend(), single(random_state(2))
-        model = build_model(vehicle_from_config(lopsided_robot(), num_envs=2), rows)
-        stepper.allocate(model, Straight(), integrator="rk4")
+        model = build_model(vehicle_from_config(asymmetric_robot(), num_envs=2), rows)
+        stepper.allocate(model, DirectSpeed(), integrator="rk4")
         for _ in range(4):
             stepper.step(state, torch.full((2, 4), 800.0), 0.01, 3)
         ends.append(state.lin_vel)
@@ -456,7 +459,7 @@ def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
 
 def test_a_model_without_such_effects_remembers_nothing() -> None:
     backend, state = TorchBackend(), random_state(2)
-    backend.allocate(model_of({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), Straight(), integrator="rk4")
+    backend.allocate(make_model({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), DirectSpeed(), integrator="rk4")
     backend.step(state, torch.full((2, 4), 800.0, dtype=F64), 0.01, 2)
     assert backend._memory is None
 
@@ -466,7 +469,7 @@ def simulator(
 ) -> EnvManager:
     """Return a simulation of a vehicle that need not hover under all of its effects."""
     return simulation(
-        replace(lopsided_robot(), effects=effects),
+        replace(asymmetric_robot(), effects=effects),
         replace(CONTROLLERS.get("lee_velocity_control"), if_unstable="warn"),
         env=replace(ENVIRONMENTS.get("empty_env"), ceiling_height=ceiling),
         seed=seed,

@@ -10,9 +10,9 @@ from aerial_gym.physics import EFFECTS, INTEGRATORS, Model, TorchBackend, WarpBa
 from aerial_gym.physics.memory import make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effects import still
-from tests.physics.test_effects_with_memory import TAU_DOWN, TAU_UP, Straight, single
-from tests.physics.vehicles import F64, lopsided_robot
+from tests.physics.test_effects import rest_state
+from tests.physics.test_effects_with_memory import TAU_DOWN, TAU_UP, DirectSpeed, single
+from tests.physics.vehicles import F64, asymmetric_robot
 
 TOLD, START = 900.0, 500.0
 """Speeds [rad/s]."""
@@ -27,46 +27,46 @@ BROWN = [(0.5, 0.03, 0.05), (0.0, 0.1, 1.0), (0.8, 0.0, 0.07), (0.3, 1e4, 1.0)]
 """Factor, moment and duration [s] likewise."""
 
 
-def model_of(name: str, rows: list[tuple[float, ...]], dtype: torch.dtype = F64) -> Model:
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=len(rows), dtype=dtype)
+def make_model(name: str, rows: list[tuple[float, ...]], dtype: torch.dtype = F64) -> Model:
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=len(rows), dtype=dtype)
     return build_model(vehicle, [(EFFECTS.get(name), torch.tensor(rows, dtype=dtype))])
 
 
-def lagged(speed: float, rest: float, span: float) -> float:
+def lag_speed(speed: float, rest: float, span: float) -> float:
     """Return the speed a span [s] later of a rotor that tends to ``rest``."""
     return rest + (speed - rest) * exp(-max(span, 0.0) / (TAU_UP if rest > speed else TAU_DOWN))
 
 
-def failing_speeds(time: float) -> Tensor:
+def failure_speeds(time: float) -> Tensor:
     """Return those of all rotors, (E, R): the failing one tends to a part of the command from its moment on."""
-    found = torch.full((4, 4), lagged(START, TOLD, time), dtype=F64)
+    result = torch.full((4, 4), lag_speed(START, TOLD, time), dtype=F64)
     for env, (motor, scale, moment) in enumerate(FAILING):
-        before = lagged(START, TOLD, min(time, moment))
-        found[env, int(motor) - 1] = lagged(before, scale * TOLD, time - moment)
-    return found
+        before = lag_speed(START, TOLD, min(time, moment))
+        result[env, int(motor) - 1] = lag_speed(before, scale * TOLD, time - moment)
+    return result
 
 
-def stuck_speeds(time: float) -> Tensor:
+def jam_speeds(time: float) -> Tensor:
     """Return those of all rotors, (E, R): the stuck one has what it had at its moment."""
-    found = torch.full((4, 4), lagged(START, TOLD, time), dtype=F64)
+    result = torch.full((4, 4), lag_speed(START, TOLD, time), dtype=F64)
     for env, (motor, moment) in enumerate(STUCK):
-        found[env, int(motor) - 1] = lagged(START, TOLD, min(time, moment))
-    return found
+        result[env, int(motor) - 1] = lag_speed(START, TOLD, min(time, moment))
+    return result
 
 
 def brown_speeds(time: float) -> Tensor:
     """Return those of all rotors, (E, R): to the command, to a part of it, to the command again."""
     rows = []
     for scale, moment, duration in BROWN:
-        before = lagged(START, TOLD, min(time, moment))
-        during = lagged(before, scale * TOLD, min(time - moment, duration))
-        rows.append([lagged(during, TOLD, time - moment - duration)] * 4)
+        before = lag_speed(START, TOLD, min(time, moment))
+        during = lag_speed(before, scale * TOLD, min(time - moment, duration))
+        rows.append([lag_speed(during, TOLD, time - moment - duration)] * 4)
     return torch.tensor(rows, dtype=F64)
 
 
 CASES = {
-    "motor_failure": (FAILING, failing_speeds),
-    "stuck_rotor": (STUCK, stuck_speeds),
+    "motor_failure": (FAILING, failure_speeds),
+    "stuck_rotor": (STUCK, jam_speeds),
     "brown_out": (BROWN, brown_speeds),
 }
 
@@ -75,8 +75,8 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_speeds_are_those_of_the_lag_from_moment_to_moment(name: str, integrator: str) -> None:
     dt, (rows, expected) = 0.005, CASES[name]
-    model = model_of(name, rows)
-    memory, state = make_memory(model, dt), still(4, rotor_speed=[START] * 4)
+    model = make_model(name, rows)
+    memory, state = make_memory(model, dt), rest_state(4, rotor_speed=[START] * 4)
     told = torch.full((4, 4), TOLD, dtype=F64)
     for step in range(1, 41):
         state, memory = fly_remembering(model, memory, state, [told], dt, integrator)
@@ -86,8 +86,8 @@ def test_speeds_are_those_of_the_lag_from_moment_to_moment(name: str, integrator
 @pytest.mark.parametrize("name", CASES)
 def test_the_kernel_does_the_same(name: str) -> None:
     rows, expected = CASES[name]
-    backend, state, told = WarpBackend(), single(still(4, rotor_speed=[START] * 4)), torch.full((4, 4), TOLD)
-    backend.allocate(model_of(name, rows, torch.float32), Straight(), integrator="euler")
+    backend, state, told = WarpBackend(), single(rest_state(4, rotor_speed=[START] * 4)), torch.full((4, 4), TOLD)
+    backend.allocate(make_model(name, rows, torch.float32), DirectSpeed(), integrator="euler")
     for step in range(1, 9):
         backend.step(state, told, 0.005, 5)
         torch.testing.assert_close(state.rotor_speed.double(), expected(0.025 * step), atol=2e-3, rtol=0.0)
@@ -96,8 +96,8 @@ def test_the_kernel_does_the_same(name: str) -> None:
 @pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_a_stuck_rotor_keeps_its_speed_whatever_it_is_told(backend: type) -> None:
     """Also where it is told to stop, and bit for bit."""
-    used, state = backend(), single(still(4, rotor_speed=[START] * 4))
-    used.allocate(model_of("stuck_rotor", [(2.0, 0.05)] * 4, torch.float32), Straight(), integrator="euler")
+    used, state = backend(), single(rest_state(4, rotor_speed=[START] * 4))
+    used.allocate(make_model("stuck_rotor", [(2.0, 0.05)] * 4, torch.float32), DirectSpeed(), integrator="euler")
     used.step(state, torch.full((4, 4), TOLD), 0.005, 10)
     kept = state.rotor_speed[:, 1].clone()
     for told in (0.0, TOLD, 300.0):
@@ -109,16 +109,16 @@ def test_a_stuck_rotor_keeps_its_speed_whatever_it_is_told(backend: type) -> Non
 @pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_a_stuck_rotor_comes_back_to_its_speed_after_a_brown_out(backend: type) -> None:
     """It slows down with the others to half of its speed, and then to the speed at which it was stuck, not the one it has."""
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=1)
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=1)
     rows = {"stuck_rotor": (2.0, 0.05), "brown_out": (0.5, 0.1, 2.0)}
     effects = [(EFFECTS.get(name), torch.tensor([row])) for name, row in rows.items()]
-    used, state = backend(), single(still(rotor_speed=[START] * 4))
-    used.allocate(build_model(vehicle, effects), Straight(), integrator="euler")
-    found = []
+    used, state = backend(), single(rest_state(rotor_speed=[START] * 4))
+    used.allocate(build_model(vehicle, effects), DirectSpeed(), integrator="euler")
+    result = []
     for span in (0.05, 2.0, 2.0):
         used.step(state, torch.full((1, 4), TOLD), 0.005, round(span / 0.005))
-        found.append(float(state.rotor_speed[0, 1]))
-    stuck, slowed, back = found
+        result.append(float(state.rotor_speed[0, 1]))
+    stuck, slowed, back = result
     assert slowed == pytest.approx(0.5 * stuck, rel=1e-4)
     assert back == pytest.approx(stuck, rel=1e-4)
 
@@ -130,9 +130,9 @@ def test_a_reset_mends_the_masked_rows_until_their_moment(name: str, backend: ty
     rows, expected = CASES[name]
     told, mask = torch.full((4, 4), TOLD), torch.tensor([True, False, True, False])
     kept, reset = backend(), backend()
-    flown, begun = (single(still(4, rotor_speed=[START] * 4)) for _ in range(2))
+    flown, begun = (single(rest_state(4, rotor_speed=[START] * 4)) for _ in range(2))
     for each in (kept, reset):
-        each.allocate(model_of(name, rows, torch.float32), Straight(), integrator="euler")
+        each.allocate(make_model(name, rows, torch.float32), DirectSpeed(), integrator="euler")
     for _ in range(6):
         kept.step(flown, told, 0.005, 5)
         reset.step(begun, told, 0.005, 5)
@@ -147,13 +147,13 @@ def test_a_reset_mends_the_masked_rows_until_their_moment(name: str, backend: ty
 
 @pytest.mark.parametrize("name", CASES)
 def test_as_declared_nothing_fails(name: str) -> None:
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     effect = EFFECTS.get(name)
-    model = model_of(name, [effect.neutral(robot)])
-    assert effect.params_from(dict(zip((p.name for p in effect.parameters), effect.neutral(robot), strict=True)))
-    state, told = still(rotor_speed=[START] * 4), torch.full((1, 4), TOLD, dtype=F64)
+    model = make_model(name, [effect.neutral(robot)])
+    assert effect.parse_params(dict(zip((p.name for p in effect.parameters), effect.neutral(robot), strict=True)))
+    state, told = rest_state(rotor_speed=[START] * 4), torch.full((1, 4), TOLD, dtype=F64)
     end, _ = fly_remembering(model, make_memory(model, 0.005), state, [told] * 40, 0.005)
     torch.testing.assert_close(
-        end.rotor_speed, torch.full((1, 4), lagged(START, TOLD, 0.2), dtype=F64), atol=1e-9, rtol=0
+        end.rotor_speed, torch.full((1, 4), lag_speed(START, TOLD, 0.2), dtype=F64), atol=1e-9, rtol=0
     )
     assert not effect.is_selectable

@@ -16,11 +16,11 @@ from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import TorchBackend, WarpBackend
-from tests.physics.contact_rig import CPU, MASS, InScene, obstacle, robot_with, start
-from tests.physics.test_sweep import DT, HULLS, MESHES, PARTS, Motion, crossings, shape_of
+from tests.physics.contact_rig import CPU, MASS, ObstacleRig, make_robot, obstacle, start
+from tests.physics.test_sweep import DT, HULLS, MESHES, PARTS, SweepMotion, crossings, make_shape
 
 F32 = torch.float32
-ROUND = robot_with(inertia=(3e-3, 3e-3, 3e-3))
+ROUND = make_robot(inertia=(3e-3, 3e-3, 3e-3))
 """Its free rotation keeps its rate."""
 FIRM = ContactCfg(friction=0.5)
 BACKENDS = [TorchBackend, WarpBackend]
@@ -28,7 +28,7 @@ WALL = ShapeCfg(kind="box", size=(0.02, 50.0, 50.0))
 
 
 @pytest.fixture(autouse=True)
-def alone() -> Iterator[None]:
+def single_thread() -> Iterator[None]:
     """Batches are small: threads would only wait for each other."""
     with one_thread():
         yield
@@ -38,7 +38,9 @@ def tensor(values: np.ndarray) -> torch.Tensor:
     return torch.as_tensor(values, dtype=F32)
 
 
-def in_flight(hull: str, shape: ShapeCfg, robot: Motion, other: Motion, backend=WarpBackend, *, moves: bool) -> InScene:
+def in_flight(
+    hull: str, shape: ShapeCfg, robot: SweepMotion, other: SweepMotion, backend=WarpBackend, *, moves: bool
+) -> ObstacleRig:
     """Return vehicles and parts at the start of their motions, over one substep."""
     attitude = tensor(robot.attitude.as_quat())
     turn = tensor(robot.turns[0] / DT)
@@ -52,7 +54,7 @@ def in_flight(hull: str, shape: ShapeCfg, robot: Motion, other: Motion, backend=
     )
     columns = (other.start, other.attitude.as_quat(), other.shifts[0] / DT, other.turns[0] / DT)
     parts = tensor(np.concatenate(columns, axis=1)).unsqueeze(1)
-    return InScene(
+    return ObstacleRig(
         [shape],
         parts,
         FIRM,
@@ -72,7 +74,7 @@ def in_flight(hull: str, shape: ShapeCfg, robot: Motion, other: Motion, backend=
 @pytest.mark.parametrize("flights", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_crossing_is_missed(hull: str, name: str, moves: bool, flights: int, tmp_path: Path) -> None:
     """At 5 to 40 m/s, up to 30 rad/s, parts at up to 20 m/s and 20 rad/s, in one substep of 10 ms."""
-    shape, part = shape_of(name, tmp_path)
+    shape, part = make_shape(name, tmp_path)
     if flights < 100_000:  # boxes take longest, up to 3 ms each against many faces
         flights = 100 if name in MESHES else flights // 5 if hull == "box" else flights
     robot, other = crossings(HULLS[hull], part, flights, moves=moves, k=1)
@@ -103,7 +105,9 @@ def test_nothing_passes_through_a_thin_wall(hull: str, backend, flights: int) ->
     parts = obstacle(flights, lin_vel=tensor(coming))
     before = state.lin_vel.norm(dim=1)
     points = contact_points([HULLS[hull]], device=CPU)[:, :3]
-    rig = InScene([WALL], parts, FIRM, state, body=(HULLS[hull],), robot=ROUND, dt=DT, gravity=0.0, backend=backend())
+    rig = ObstacleRig(
+        [WALL], parts, FIRM, state, body=(HULLS[hull],), robot=ROUND, dt=DT, gravity=0.0, backend=backend()
+    )
     for _ in range(25):
         rig.run(2 * DT)
         ends = [state.position + quat_rotate(state.attitude, point.expand(flights, 3)) for point in points]
@@ -121,7 +125,7 @@ def test_a_pole_met_at_its_middle_stops_a_ball(backend) -> None:
     state = start(36, dtype=F32, position=(-0.73, 0.0, 0.0))
     state.lin_vel[:, 0] = speed
     pole = ShapeCfg(kind="cylinder", radius=0.01, height=2.0)
-    rig = InScene(
+    rig = ObstacleRig(
         [pole],
         obstacle(36),
         FIRM,
@@ -151,7 +155,7 @@ def test_a_room_of_thin_walls_holds_what_flies_in_it() -> None:
     state = start(200, dtype=F32, lin_vel=tensor(40.0 * velocity / np.linalg.norm(velocity, axis=1, keepdims=True)))
     walls = [flat[0], flat[0], flat[1], flat[1], flat[2], flat[2]]
     law = ContactCfg(friction=0.0, damping_ratio=0.0)
-    rig = InScene(
+    rig = ObstacleRig(
         walls, parts, law, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0, moves=False
     )
     for _ in range(100):
@@ -160,11 +164,13 @@ def test_a_room_of_thin_walls_holds_what_flies_in_it() -> None:
 
 
 @pytest.mark.parametrize(("crash_speed", "crashes"), [(0.0, True), (19.0, True), (21.0, False)])
-def test_a_crossing_is_a_crash_from_its_speed_of_approach_on(crash_speed: float, crashes: bool) -> None:
+def test_a_crossing_is_a_crash_by_its_speed_of_approach(crash_speed: float, crashes: bool) -> None:
     """20 m/s towards the wall, and 15 m/s along it."""
     state = start(1, dtype=F32, position=(-0.1, 0.0, 0.0), lin_vel=(20.0, 15.0, 0.0))
     law = ContactCfg(friction=0.5, crash_speed=crash_speed)
-    rig = InScene([WALL], obstacle(1), law, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0)
+    rig = ObstacleRig(
+        [WALL], obstacle(1), law, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0
+    )
     rig.run(DT)
     assert rig.crashes.tolist() == [crashes]
 
@@ -173,14 +179,14 @@ def test_a_crossing_is_a_crash_from_its_speed_of_approach_on(crash_speed: float,
 @pytest.mark.parametrize("name", ["slab", "sheet"])
 def test_no_ball_passes_through_a_thin_mesh(name: str, coming: float, tmp_path: Path) -> None:
     """A closed mesh of 2 cm, and an open sheet, met at 5 to 40 m/s; at rest or coming."""
-    shape, axis = shape_of(name, tmp_path)[0], 0 if name == "slab" else 2
+    shape, axis = make_shape(name, tmp_path)[0], 0 if name == "slab" else 2
     ahead = torch.eye(3)[axis]
     speed = torch.linspace(5.0, 40.0, 100)[:, None]
     place = -ahead * (0.1 + 0.03 * speed * (7.0 * speed % 1.0)) + 0.05 * (1.0 - ahead)
     state = start(100, dtype=F32, position=place, lin_vel=ahead * speed)
     parts = obstacle(100, lin_vel=coming * ahead)
     ball = ((0.0, 0.0, 0.0, 0.04),)
-    rig = InScene([shape], parts, FIRM, state, spheres=ball, robot=ROUND, dt=DT, gravity=0.0)
+    rig = ObstacleRig([shape], parts, FIRM, state, spheres=ball, robot=ROUND, dt=DT, gravity=0.0)
     for _ in range(12):
         rig.run(DT)
         assert ((state.position - parts[:, 0, :3])[:, axis] < 0.0).all()

@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import gains_for
+from aerial_gym.control.gains import make_gains
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate_inverse
 from aerial_gym.physics import vehicle_from_config
@@ -15,7 +15,7 @@ from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
 
-def flown(robot: str, controller: str, actions: torch.Tensor, steps: int) -> EnvManager:
+def fly(robot: str, controller: str, actions: torch.Tensor, steps: int) -> EnvManager:
     env = simulation(robot, controller, num_envs=len(actions))
     env.reset()
     for _ in range(steps):
@@ -35,23 +35,23 @@ def test_a_place_is_held_in_any_attitude(robot: str) -> None:
     euler = torch.tensor([[0.0, 0.0, 0.0], [pi / 2, 0.0, 0.0], [0.0, -1.2, 0.5], [2.7, 0.0, 0.0]])
     wanted = quat_from_euler(euler)
     place = torch.tensor([[0.3, -0.2, 0.1]]).expand(4, -1)
-    env = flown(robot, "fully_actuated_control", torch.cat((place, wanted), dim=-1), 1500)
+    env = fly(robot, "fully_actuated_control", torch.cat((place, wanted), dim=-1), 1500)
     attitude = env.gtd["robot_orientation"]
     assert (env.gtd["robot_position"] - place).norm(dim=-1).max() < 0.03
     half = torch.acos((attitude * wanted).sum(-1).abs().clamp(max=1.0))
-    torch.testing.assert_close(torch.sin(2.0 * half), leaning(robot, attitude), rtol=0.0, atol=ATTITUDE)
+    torch.testing.assert_close(torch.sin(2.0 * half), lean_angle(robot, attitude), rtol=0.0, atol=ATTITUDE)
 
 
 ATTITUDE = 1e-3
 """[rad]: a float32 cosine of half an angle that is one spacing (6e-8) below one belongs to an angle of 7e-4."""
 
 
-def leaning(name: str, attitude: torch.Tensor) -> torch.Tensor:
+def lean_angle(name: str, attitude: torch.Tensor) -> torch.Tensor:
     """Return the sine of the angle at which attitude gains hold a buoyancy's moment, (E,); 0 without buoyancy."""
     cfg = ROBOTS.get(name)
     buoyancy = cfg.effects.get("buoyancy", dict.fromkeys(("force", "x", "y", "z"), 0.0))
     vehicle = vehicle_from_config(cfg, num_envs=1, dtype=torch.float32)
-    gains = gains_for(
+    gains = make_gains(
         CONTROLLERS.get("fully_actuated_control"),
         cfg.control,
         vehicle,
@@ -66,7 +66,7 @@ def leaning(name: str, attitude: torch.Tensor) -> torch.Tensor:
 
 def test_a_heading_is_steered_while_a_velocity_is_held() -> None:
     """1 m/s along the vehicle's own x at a yaw of 0.8 rad: the world velocity has that direction."""
-    env = flown("lmf1", "lee_velocity_steering_angle_control", torch.tensor([[1.0, 0.0, 0.0, 0.8]]), 600)
+    env = fly("lmf1", "lee_velocity_steering_angle_control", torch.tensor([[1.0, 0.0, 0.0, 0.8]]), 600)
     assert env.gtd["robot_euler_angles"][0, 2].item() == pytest.approx(0.8, abs=1e-3)
     expected = torch.tensor([0.8]).cos().item(), torch.tensor([0.8]).sin().item()
     assert env.gtd["robot_linvel"][0, :2].tolist() == pytest.approx(expected, abs=1e-3)

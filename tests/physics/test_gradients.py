@@ -11,7 +11,7 @@ from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, build_model, veh
 from aerial_gym.physics.memory import make_memory
 from aerial_gym.physics.torch_backend import advance_remembering
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import CEILING, F64, ON_RIGID, lopsided_robot, random_state
+from tests.physics.vehicles import CEILING, F64, ON_RIGID, asymmetric_robot, random_state
 
 NUDGE, DT = 1e-6, 0.02
 
@@ -24,7 +24,7 @@ def test_gradients_of_a_rollout_with_every_effect(name: str) -> None:
 
     Two environments, of which neither depends on the other. Each number is nudged in a copy of its own, all in one batch.
     """
-    robot, state = lopsided_robot(), random_state(2)
+    robot, state = asymmetric_robot(), random_state(2)
     state = replace(state, position=state.position + 4.0)  # above the ground
     effects = [EFFECTS.get(effect) for effect in ON_RIGID]
     scales, params = [], []
@@ -51,7 +51,7 @@ def test_gradients_of_a_rollout_with_every_effect(name: str) -> None:
 
     numbers = torch.cat(inputs, dim=1).requires_grad_()
     end = final(numbers)
-    found = torch.stack([torch.autograd.grad(value, numbers, retain_graph=True)[0] for value in end.flatten()])
+    result = torch.stack([torch.autograd.grad(value, numbers, retain_graph=True)[0] for value in end.flatten()])
     with torch.no_grad():
         nudges = NUDGE * torch.eye(sum(widths), dtype=F64).unsqueeze(1)
         up, down = (final((numbers + sign * nudges).flatten(0, 1)) for sign in (1.0, -1.0))
@@ -59,4 +59,4 @@ def test_gradients_of_a_rollout_with_every_effect(name: str) -> None:
     expected = torch.zeros(*end.shape, *numbers.shape, dtype=F64)
     for env in range(2):
         expected[env, :, env] = slopes[:, env].T
-    torch.testing.assert_close(found, expected.flatten(0, 1), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(result, expected.flatten(0, 1), atol=1e-5, rtol=1e-4)

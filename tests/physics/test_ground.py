@@ -7,13 +7,13 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import BodyState, Ground, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.ground import touches_ground
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import lopsided_robot
+from tests.physics.vehicles import asymmetric_robot
 
 HEIGHTS = torch.tensor([1.0, 2.0, 5.0])
 
 
 def fall(backend, span: float, *, spheres, substeps: int = 100) -> torch.Tensor:
-    """Return which of three bodies touched the ground at z = 0 within a fall from rest."""
+    """Return the contact flags, (3,), of three bodies that fall from rest to the ground at z = 0."""
     vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=3)
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
     contact = torch.zeros(3, dtype=torch.bool)
@@ -44,7 +44,7 @@ def test_contact_comes_when_the_lowest_sphere_has_fallen_to_the_ground(backend) 
 
 def test_contact_within_a_step_is_kept_though_the_body_is_free_at_its_end() -> None:
     """A body that dips below the ground and is thrown up again by its rotors touched it: seen between the substeps."""
-    found = []
+    result = []
     for backend in (TorchBackend(), WarpBackend()):
         vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=1)
         law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
@@ -60,13 +60,13 @@ def test_contact_within_a_step_is_kept_though_the_body_is_free_at_its_end() -> N
         )
         backend.step(state, torch.full((1, 4), 2.0), 0.005, 100)
         assert not touches_ground(ground, state).any()
-        found.append(contact.item())
-    assert found == [True, True]
+        result.append(contact.item())
+    assert result == [True, True]
 
 
 def test_the_offset_of_the_centre_of_mass_does_not_move_the_ground() -> None:
     """Spheres are placed from the body origin, whatever the mass does."""
-    robot = lopsided_robot(com=(0.0, 0.0, 0.2))
+    robot = asymmetric_robot(com=(0.0, 0.0, 0.2))
     for backend in (TorchBackend(), WarpBackend()):
         vehicle = vehicle_from_config(robot, num_envs=2)
         contact = torch.zeros(2, dtype=torch.bool)

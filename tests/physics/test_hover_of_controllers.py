@@ -16,7 +16,7 @@ from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots import ROBOTS
 from benchmarks.control.control_flights import MEANT_FOR
-from tests.repetitions import thinned
+from tests.repetitions import thin_values
 
 F64 = torch.float64
 DT, STEPS = 0.01, 15
@@ -26,7 +26,7 @@ ROUND_OFF = 1e-12
 """Of a flight of 15 steps: matrix products of several rows round otherwise than those of one."""
 
 
-def robot_of(controller: str) -> RobotCfg:
+def pick_robot(controller: str) -> RobotCfg:
     """Return a robot that a controller fits."""
     if controller == "fully_actuated_control":
         return ROBOTS.get("omnidirectional_octarotor")
@@ -54,9 +54,9 @@ def start(speed: Tensor, first: int) -> BodyState:
     )
 
 
-def flown(controller: str, num_envs: int, first: int) -> BodyState:
-    """Return where environments from ``first`` on are after the flight, told to hover at the origin."""
-    robot = robot_of(controller)
+def fly(controller: str, num_envs: int, first: int) -> BodyState:
+    """Return the state of environments from ``first`` on after a flight with hover at the origin as the setpoint."""
+    robot = pick_robot(controller)
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     law = make_controller(CONTROLLERS.get(controller), vehicle, GRAVITY, dt=DT, control=robot.control)
     effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
@@ -69,14 +69,14 @@ def flown(controller: str, num_envs: int, first: int) -> BodyState:
     return state
 
 
-@pytest.mark.parametrize("controller", thinned(CONTROLLERS, 3))
+@pytest.mark.parametrize("controller", thin_values(CONTROLLERS, 3))
 def test_hover_is_the_same_alone_and_among_others(controller: str) -> None:
-    five, two = flown(controller, 5, 0), flown(controller, 2, 0)
-    alone = {first: flown(controller, 1, first) for first in (0, 1, 4)}
+    five, two = fly(controller, 5, 0), fly(controller, 2, 0)
+    alone = {first: fly(controller, 1, first) for first in (0, 1, 4)}
     rest = start(five.rotor_speed, 0)
-    for name, found in vars(five).items():
-        torch.testing.assert_close(getattr(two, name), found[:2], atol=ROUND_OFF, rtol=ROUND_OFF)
+    for name, result in vars(five).items():
+        torch.testing.assert_close(getattr(two, name), result[:2], atol=ROUND_OFF, rtol=ROUND_OFF)
         for first, one in alone.items():
-            torch.testing.assert_close(getattr(one, name)[0], found[first], atol=ROUND_OFF, rtol=ROUND_OFF)
-        torch.testing.assert_close(found[0], getattr(rest, name)[0], atol=1e-9, rtol=1e-9)
+            torch.testing.assert_close(getattr(one, name)[0], result[first], atol=ROUND_OFF, rtol=ROUND_OFF)
+        torch.testing.assert_close(result[0], getattr(rest, name)[0], atol=1e-9, rtol=1e-9)
     assert float((five.lin_vel[1] - rest.lin_vel[1]).norm()) > 1e-3

@@ -38,20 +38,20 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.derived import DerivedStates
 from aerial_gym.robots.initial_state import InitialState
+from aerial_gym.robots.secondary_states import SecondaryStates
 from aerial_gym.sensors import Pose
 from aerial_gym.sensors.allan import record_at_rest
 from aerial_gym.sensors.imu import Imu
-from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, Rig, spin_about_z, wobble
-from tests.physics.vehicles import lopsided_robot, random_state
+from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, ImuRig, spin_about_z, wobble
+from tests.physics.vehicles import asymmetric_robot, random_state
 
 QUADROTOR = ROBOTS.get("base_quadrotor")
 
 
-def close(found: Tensor, expected: object, atol: float) -> None:
+def close(result: Tensor, expected: object, atol: float) -> None:
     torch.testing.assert_close(
-        found.double(), torch.as_tensor(expected, dtype=torch.float64).expand_as(found), atol=atol, rtol=0.0
+        result.double(), torch.as_tensor(expected, dtype=torch.float64).expand_as(result), atol=atol, rtol=0.0
     )
 
 
@@ -59,7 +59,7 @@ def close(found: Tensor, expected: object, atol: float) -> None:
 def test_hover_is_gravity_upwards_in_the_axes_of_the_body(moment: str) -> None:
     """Level: +g on z. Rolled by a: R^T g z = g (0, sin a, cos a). Pitched by a (nose down): g (-sin a, 0, cos a)."""
     a = 0.3
-    rig = Rig(IDEAL, 3)
+    rig = ImuRig(IDEAL, 3)
     rig.attitude.copy_(quat_from_euler(torch.tensor([ZERO, (a, 0.0, 1.0), (0.0, a, -2.0)])))
     rig.reset()
     if moment == "step":
@@ -75,28 +75,28 @@ def test_specific_force_is_of_second_order_at_the_middle_of_the_step(position: t
     t, r = torch.linspace(0.5, 2.0, 200), torch.tensor(position)
     steps, errors = (0.08, 0.04, 0.02), []
     for dt in steps:
-        rig = Rig(replace(IDEAL, position=position), len(t), dt=dt)
+        rig = ImuRig(replace(IDEAL, position=position), len(t), dt=dt)
         rig.move(*wobble(t.double() - 2.0 * dt, r)[:3])
         rig.reset()
         rig.sample(*wobble(t.double() - dt, r)[:3])
-        found = rig.sample(*wobble(t, r)[:3])
-        errors.append((found[:, :3] - wobble(t.double() - 0.5 * dt, r)[3]).square().mean().sqrt())
-        close(found[:, 3:], wobble(t, r)[2], 1e-6)
+        results = rig.sample(*wobble(t, r)[:3])
+        errors.append((results[:, :3] - wobble(t.double() - 0.5 * dt, r)[3]).square().mean().sqrt())
+        close(results[:, 3:], wobble(t, r)[2], 1e-6)
     assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
 
 
 def test_the_mount_turns_the_axes() -> None:
     """An IMU yawed by +90 degrees has its x along body y: body (0, f, g) reads (f, 0, g), a roll rate p reads -p on y."""
     dt, f, p = 0.01, 2.0, 1e-3
-    rig = Rig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), dt=dt)
+    rig = ImuRig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), dt=dt)
     rig.reset()
-    found = rig.sample(rig.attitude, torch.tensor([[0.0, f * dt, 0.0]]), torch.tensor([[p, 0.0, 0.0]]))
-    close(found[0], [f, 0.0, G, 0.0, -p, 0.0], G * p * dt)
-    upside_down = Rig(replace(IDEAL, euler=(pi, 0.0, 0.0)))
+    results = rig.sample(rig.attitude, torch.tensor([[0.0, f * dt, 0.0]]), torch.tensor([[p, 0.0, 0.0]]))
+    close(results[0], [f, 0.0, G, 0.0, -p, 0.0], G * p * dt)
+    upside_down = ImuRig(replace(IDEAL, euler=(pi, 0.0, 0.0)))
     close(upside_down.reset()[0, :3], [0.0, 0.0, -G], 2e-6)
 
 
-def felt_at(model: Model, state: BodyState, r: Tensor) -> Tensor:
+def point_acceleration(model: Model, state: BodyState, r: Tensor) -> Tensor:
     """Return ``f_o + alpha x r + w x (w x r)``, (E, 3), from forces and torques: no velocity is differentiated."""
     felt, w = accelerations(model, state), state.ang_vel
     lever = r.to(w.dtype).expand_as(w)
@@ -113,15 +113,15 @@ def flight_error(backend: PhysicsBackend, robot: RobotCfg, dtype: torch.dtype, r
     motion = random_state(64, rotor_speed=hover)
     state = BodyState(**{name: tensor.to(dtype) for name, tensor in vars(motion).items()})
     command = torch.full((64, 4), 1.2 * hover, dtype=dtype)
-    rig = Rig(replace(IDEAL, position=tuple(r.tolist())), 64, dt=dt)
+    rig = ImuRig(replace(IDEAL, position=tuple(r.tolist())), 64, dt=dt)
     backend.step(state, command, 0.1 - 0.5 * dt, 1)
     rig.move(state.attitude, state.lin_vel, state.ang_vel)
     rig.reset()
     backend.step(state, command, 0.5 * dt, 1)
-    expected = felt_at(model, state, r)
+    expected = point_acceleration(model, state, r)
     backend.step(state, command, 0.5 * dt, 1)
-    found = rig.sample(state.attitude, state.lin_vel, state.ang_vel)
-    return (found[:, :3] - expected).square().mean().sqrt()
+    results = rig.sample(state.attitude, state.lin_vel, state.ang_vel)
+    return (results[:, :3] - expected).square().mean().sqrt()
 
 
 @pytest.mark.parametrize("position", [ZERO, (0.05, 0.1, -0.15)])
@@ -130,7 +130,7 @@ def test_specific_force_agrees_with_the_equations_of_motion(
     backend: type, position: tuple[float, float, float]
 ) -> None:
     """Force over mass in the middle of a step against the IMU: the error falls with dt², for both backends."""
-    robot, dtype = (lopsided_robot(), torch.float64) if backend is TorchBackend else (QUADROTOR, torch.float32)
+    robot, dtype = (asymmetric_robot(), torch.float64) if backend is TorchBackend else (QUADROTOR, torch.float32)
     errors = [flight_error(backend(), robot, dtype, torch.tensor(position), dt) for dt in (0.02, 0.01, 0.005)]
     assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
 
@@ -160,7 +160,9 @@ def test_white_noise_has_its_density_at_every_rate(dt: float) -> None:
 @pytest.mark.parametrize(("dt", "steps"), [pytest.param(0.01, 40, marks=pytest.mark.slow), (0.1, 4)])
 def test_a_bias_walks_by_its_density_at_every_rate(dt: float, steps: int) -> None:
     """Variance sigma_b² t after t = 0.4 s; the bias is added to what is measured."""
-    rig = Rig(replace(IDEAL, accel_bias_walk=NOISY.accel_bias_walk, gyro_bias_walk=NOISY.gyro_bias_walk), 20_000, dt=dt)
+    rig = ImuRig(
+        replace(IDEAL, accel_bias_walk=NOISY.accel_bias_walk, gyro_bias_walk=NOISY.gyro_bias_walk), 20_000, dt=dt
+    )
     rig.reset()
     for _ in range(steps):
         rig.imu.measure()
@@ -171,7 +173,7 @@ def test_a_bias_walks_by_its_density_at_every_rate(dt: float, steps: int) -> Non
 def test_noise_and_walk_are_independent() -> None:
     """No correlation among the 12 draws of a sample."""
     count = 20_000
-    rig = Rig(replace(NOISY, misalignment_deg=ZERO), count)
+    rig = ImuRig(replace(NOISY, misalignment_deg=ZERO), count)
     rig.reset()
     before = rig.imu.bias.clone()
     rig.imu.measure()
@@ -182,7 +184,7 @@ def test_noise_and_walk_are_independent() -> None:
 def test_a_reset_draws_bias_and_misalignment_uniformly() -> None:
     """Within +- their bounds, mean 0, standard deviation bound / sqrt(3), independent of each other and of initial states."""
     seed, count = 5, 20_000
-    rig = Rig(replace(NOISY, euler=(0.5, -0.4, 2.0)), count, seed=seed)
+    rig = ImuRig(replace(NOISY, euler=(0.5, -0.4, 2.0)), count, seed=seed)
     measured = rig.reset()
     nominal = quat_conjugate(quat_from_euler(torch.tensor([0.5, -0.4, 2.0]))).expand(count, 4)
     turn = euler_from_quat(quat_multiply(nominal, rig.imu.mount_attitude))
@@ -209,7 +211,7 @@ def initial_states(seed: int, count: int) -> Tensor:
     initial = InitialState(
         InitialStateCfg(**ranges),
         state,
-        DerivedStates(state, **derived),
+        SecondaryStates(state, **derived),
         bounds=(torch.zeros(count, 3), torch.ones(count, 3)),
         rest_speed=torch.zeros(4),
         actions=torch.zeros(count, 4),
@@ -223,18 +225,18 @@ def initial_states(seed: int, count: int) -> Tensor:
 
 def test_sensors_saturate() -> None:
     """Beyond the range a channel holds the range, with its sign."""
-    rig = Rig(replace(IDEAL, accel_range=5.0, gyro_range=2.0))
+    rig = ImuRig(replace(IDEAL, accel_range=5.0, gyro_range=2.0))
     rig.move(rig.attitude, rig.lin_vel, torch.tensor([[3.0, -3.0, 1.0]]))
     assert rig.reset().tolist() == [[0.0, 0.0, 5.0, 2.0, -2.0, 1.0]]
     falling = rig.lin_vel - torch.tensor([0.0, 0.0, 1.0])
-    found = rig.sample(rig.attitude, falling, torch.tensor([[1.0, 0.0, -9.0]]))
-    assert found[0, 2] == -5.0
-    assert found[0, 3:].tolist() == [1.0, 0.0, -2.0]
+    results = rig.sample(rig.attitude, falling, torch.tensor([[1.0, 0.0, -9.0]]))
+    assert results[0, 2] == -5.0
+    assert results[0, 3:].tolist() == [1.0, 0.0, -2.0]
 
 
 def test_a_first_sample_is_that_of_a_vehicle_without_acceleration() -> None:
     """However fast it moves and turns: R^T g z, and the angular velocity; the next sample differs from this state."""
-    rig = Rig(replace(IDEAL, position=(0.3, 0.2, 0.1)), dt=0.01)
+    rig = ImuRig(replace(IDEAL, position=(0.3, 0.2, 0.1)), dt=0.01)
     attitude, turn = quat_from_euler(torch.tensor([[0.3, -0.2, 1.0]])), torch.tensor([[1.0, -2.0, 3.0]])
     rig.move(attitude, torch.tensor([[5.0, -4.0, 3.0]]), turn)
     upwards = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, G]]))
@@ -252,7 +254,7 @@ PLACED = replace(SLOW, position_low=(-0.1, -0.2, -0.3), position_high=(0.3, 0.2,
 
 @pytest.mark.parametrize("cfg", [NOISY, SLOW, PLACED])
 def test_reset_leaves_other_rows_bit_for_bit(cfg: ImuCfg) -> None:
-    rig = Rig(cfg, 8)
+    rig = ImuRig(cfg, 8)
     rig.reset()
     for _ in range(4):
         rig.imu.measure()
@@ -269,7 +271,7 @@ def test_reset_leaves_other_rows_bit_for_bit(cfg: ImuCfg) -> None:
 
 def test_tensors_and_times_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"dt = 0.0: must be > 0 and finite"):
-        Rig(IDEAL, dt=0.0)
+        ImuRig(IDEAL, dt=0.0)
     good = {"attitude": torch.zeros(2, 4), "lin_vel": torch.zeros(2, 3), "ang_vel": torch.zeros(2, 3)}
     good |= {"measurement_out": torch.zeros(2, 6)}
     for name in good:
@@ -289,7 +291,7 @@ def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
         device=torch.device("cpu"),
         dtype=torch.float32,
     )
-    rig = Rig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), 2, errors=imu_errors(errors))
+    rig = ImuRig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), 2, errors=imu_errors(errors))
     sample = rig.reset()[1]
     in_body = (0.0, G * sin(0.1) + 0.2, G * cos(0.1))
     expected = torch.tensor([in_body[1], -in_body[0], in_body[2], 0.0, -0.03, 0.0])
@@ -306,17 +308,17 @@ def test_a_rolled_mount_feels_the_lever_arm_in_its_own_axes() -> None:
         attitude=quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64)),
     )
     w, dw = 2.0, 3.0
-    rig = Rig(replace(IDEAL, position=(9.0, 9.0, 9.0), euler=(1.0, 1.0, 1.0)), pose=pose)  # the mount replaces these
-    (found,) = spin_about_z(rig, 1, w, dw)
+    rig = ImuRig(replace(IDEAL, position=(9.0, 9.0, 9.0), euler=(1.0, 1.0, 1.0)), pose=pose)  # the mount replaces these
+    (results,) = spin_about_z(rig, 1, w, dw)
     middle = w + 0.5 * 0.01 * dw
-    close(found, [[-0.2 * middle**2, G, -0.2 * dw, 0.0, w + 0.01 * dw, 0.0]], 0.01**2 * w * dw)  # O(dt²)
+    close(results, [[-0.2 * middle**2, G, -0.2 * dw, 0.0, w + 0.01 * dw, 0.0]], 0.01**2 * w * dw)  # O(dt²)
 
 
 def test_a_slower_imu_gives_the_mean_of_its_period_and_holds_it() -> None:
     """With a third of the rate each sample is the mean force of three steps; the gyro stands at their end."""
     lever = replace(IDEAL, position=(0.2, 0.0, 0.0))
-    every = spin_about_z(Rig(lever), 9, 2.0, 3.0)
-    slow = spin_about_z(Rig(replace(lever, rate_hz=100.0 / 3.0)), 9, 2.0, 3.0)
+    every = spin_about_z(ImuRig(lever), 9, 2.0, 3.0)
+    slow = spin_about_z(ImuRig(replace(lever, rate_hz=100.0 / 3.0)), 9, 2.0, 3.0)
     for k in (3, 6):
         mean = torch.stack(every[k - 3 : k])[..., :3].mean(0)
         expected = torch.cat((mean, every[k - 1][..., 3:]), dim=-1)
@@ -327,7 +329,7 @@ def test_a_slower_imu_gives_the_mean_of_its_period_and_holds_it() -> None:
 
 def test_a_rate_between_those_of_the_steps_is_kept_on_average() -> None:
     """Every 2.5 steps: in 100 steps of 10 ms there are 40 samples, each two or three steps after the one before."""
-    rig = Rig(replace(NOISY, rate_hz=40.0))
+    rig = ImuRig(replace(NOISY, rate_hz=40.0))
     rig.reset()
     new, before = [], rig.measurement.clone()
     for _ in range(100):
@@ -341,7 +343,7 @@ def test_a_rate_between_those_of_the_steps_is_kept_on_average() -> None:
 
 def test_noise_and_walk_are_those_of_the_period() -> None:
     """The deviation is ``sigma sqrt(rate)`` and that of a step of the bias ``sigma_b / sqrt(rate)``, whatever dt is."""
-    rig = Rig(replace(NOISY, misalignment_deg=ZERO, rate_hz=20.0), 20_000)
+    rig = ImuRig(replace(NOISY, misalignment_deg=ZERO, rate_hz=20.0), 20_000)
     rig.reset()
     start = rig.imu.bias.clone()
     for _ in range(5):
@@ -354,8 +356,8 @@ def test_noise_and_walk_are_those_of_the_period() -> None:
 
 def test_a_measurement_appears_after_its_latency() -> None:
     """What is late by three steps is what is not late, three steps before; until then it is the sample of the reset."""
-    now = spin_about_z(Rig(replace(NOISY, rate_hz=50.0)), 12, 2.0, 3.0)
-    late = spin_about_z(Rig(replace(NOISY, rate_hz=50.0, latency_s=0.03)), 12, 2.0, 3.0)
+    now = spin_about_z(ImuRig(replace(NOISY, rate_hz=50.0)), 12, 2.0, 3.0)
+    late = spin_about_z(ImuRig(replace(NOISY, rate_hz=50.0, latency_s=0.03)), 12, 2.0, 3.0)
     for k in range(3, 12):
         assert torch.equal(late[k], now[k - 3])
     assert torch.equal(late[0], late[2])
@@ -364,4 +366,4 @@ def test_a_measurement_appears_after_its_latency() -> None:
 
 def test_a_rate_above_that_of_the_steps_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"rate_hz = 200.0: steps of 0.01 s give at most 100 measurements per second"):
-        Rig(replace(IDEAL, rate_hz=200.0))
+        ImuRig(replace(IDEAL, rate_hz=200.0))

@@ -57,16 +57,16 @@ def build(
 
 def fly(env: EnvManager, steps: int = 4) -> Tensor:
     """Fly with a reset of some environments, by their number, on the way; return what the IMU measured of every step."""
-    number, found = torch.arange(env.num_envs), [env.gtd["imu_measurement"].clone()]
+    number, results = torch.arange(env.num_envs), [env.gtd["imu_measurement"].clone()]
     for k in range(steps):
         env.step(torch.tensor([[0.3, -0.2, 0.1, 0.5]]).expand(env.num_envs, 4))
-        found.append(env.gtd["imu_measurement"].clone())
+        results.append(env.gtd["imu_measurement"].clone())
         env.reset(number % 3 == k)
-        found.append(env.gtd["imu_measurement"].clone())
-    return torch.stack(found)
+        results.append(env.gtd["imu_measurement"].clone())
+    return torch.stack(results)
 
 
-def drawn(env: EnvManager, effect: str, names: tuple[str, ...]) -> Tensor:
+def read_draws(env: EnvManager, effect: str, names: tuple[str, ...]) -> Tensor:
     return torch.stack([env.draws()[f"effects.{effect}.{name}"] for name in names], dim=-1).double()
 
 
@@ -83,13 +83,13 @@ def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
     return about_z @ about_y @ about_x
 
 
-def turned_in(turn: Tensor, vector: Tensor) -> Tensor:
+def rotate_inverse(turn: Tensor, vector: Tensor) -> Tensor:
     """Return ``R^T v``."""
     return (rotation(*turn.unbind(-1)).transpose(1, 2) @ vector.unsqueeze(-1)).squeeze(-1)
 
 
-def close(found: Tensor, expected: Tensor) -> None:
-    torch.testing.assert_close(found.double(), expected, rtol=0.0, atol=ROUND_OFF)
+def close(result: Tensor, expected: Tensor) -> None:
+    torch.testing.assert_close(result.double(), expected, rtol=0.0, atol=ROUND_OFF)
 
 
 @pytest.mark.parametrize("backend", ["warp", "torch"])
@@ -97,19 +97,19 @@ def test_each_imu_measures_what_its_environment_has_drawn(ideal: str, backend: s
     """``R^T (f + b)`` and ``R^T (w + b)``, at rest and in flight, in environments that were reset on the way or not."""
     env, plain = (build(ideal, 8, cfg, backend=backend) for cfg in (BIAS_THEN_TURN, {}))
     for steps in (0, 4):
-        true, found = fly(plain, steps)[-1].double(), fly(env, steps)[-1]
-        bias, turn = drawn(env, "imu_bias", AXES), drawn(env, "imu_misalignment", TURNS)
+        true, results = fly(plain, steps)[-1].double(), fly(env, steps)[-1]
+        bias, turn = read_draws(env, "imu_bias", AXES), read_draws(env, "imu_misalignment", TURNS)
         assert (bias.std(0) > 0.2).all()
-        close(found[:, :3], turned_in(turn, true[:, :3] + bias[:, :3]))
-        close(found[:, 3:], turned_in(turn, true[:, 3:] + bias[:, 3:]))
+        close(results[:, :3], rotate_inverse(turn, true[:, :3] + bias[:, :3]))
+        close(results[:, 3:], rotate_inverse(turn, true[:, 3:] + bias[:, 3:]))
 
 
 def test_effects_act_in_their_order(ideal: str) -> None:
     """Turned first, then biased: ``R^T f + b``."""
     env, plain = build(ideal, 4, TURN | BIAS), build(ideal, 4, {})
-    true, found = fly(plain)[-1].double(), fly(env)[-1]
-    bias, turn = drawn(env, "imu_bias", AXES), drawn(env, "imu_misalignment", TURNS)
-    close(found[:, :3], turned_in(turn, true[:, :3]) + bias[:, :3])
+    true, results = fly(plain)[-1].double(), fly(env)[-1]
+    bias, turn = read_draws(env, "imu_bias", AXES), read_draws(env, "imu_misalignment", TURNS)
+    close(results[:, :3], rotate_inverse(turn, true[:, :3]) + bias[:, :3])
 
 
 def test_a_drawn_offset_adds_to_the_declared_bias(ideal: str) -> None:

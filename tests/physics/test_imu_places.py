@@ -19,7 +19,7 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rota
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import Pose
 from tests.builders import simulation
-from tests.physics.imu_rig import IDEAL, NOISY, G, Rig, spin_about_z, wobble
+from tests.physics.imu_rig import IDEAL, NOISY, G, ImuRig, spin_about_z, wobble
 
 LOW, HIGH = (-0.2, -0.3, -0.1), (0.4, 0.1, 0.2)
 DRAWN = replace(IDEAL, position_low=LOW, position_high=HIGH)
@@ -29,7 +29,7 @@ def test_places_are_uniform_and_independent_of_the_errors() -> None:
     """Mean and standard deviation of a uniform draw, no correlation with bias, noise or each other: five standard errors."""
     count, low, high = 20_000, torch.tensor(LOW), torch.tensor(HIGH)
     turned = replace(NOISY, position_low=LOW, position_high=HIGH, euler_low=(-0.1,) * 3, euler_high=(0.1,) * 3)
-    rig = Rig(replace(turned, misalignment_deg=(0.0, 0.0, 0.0)), count, seed=3)
+    rig = ImuRig(replace(turned, misalignment_deg=(0.0, 0.0, 0.0)), count, seed=3)
     rig.reset()
     place, turn = rig.imu.mount_position, rig.imu.mount_attitude[:, :3]
     assert ((place >= low) & (place <= high)).all()
@@ -45,13 +45,13 @@ def test_places_are_uniform_and_independent_of_the_errors() -> None:
 def test_each_feels_its_own_lever_arm() -> None:
     """``f = dw x r + w x (w x r) + g``: about z that is (-dw y - w² x, dw x - w² y, g), with the r of each environment."""
     w, dw, dt = 2.0, 3.0, 0.01
-    rig = Rig(DRAWN, 32)
-    (found,) = spin_about_z(rig, 1, w, dw)
+    rig = ImuRig(DRAWN, 32)
+    (result,) = spin_about_z(rig, 1, w, dw)
     x, y, _ = rig.imu.mount_position.double().unbind(-1)
     assert x.std() > 0.1
     middle = w + 0.5 * dt * dw
     expected = torch.stack((-dw * y - middle**2 * x, dw * x - middle**2 * y, torch.full_like(x, G)), dim=-1)
-    torch.testing.assert_close(found[:, :3].double(), expected, rtol=0.0, atol=dt**2 * w * dw)  # O(dt²)
+    torch.testing.assert_close(result[:, :3].double(), expected, rtol=0.0, atol=dt**2 * w * dw)  # O(dt²)
 
 
 def test_force_is_the_second_derivative_of_the_place_of_each() -> None:
@@ -62,22 +62,22 @@ def test_force_is_the_second_derivative_of_the_place_of_each() -> None:
     cfg = replace(DRAWN, euler_low=(-0.5, -0.4, -0.3), euler_high=(0.5, 0.4, 0.3))
     t, steps, errors = torch.linspace(0.5, 2.0, 200).double(), (0.08, 0.04, 0.02), []
     for dt in steps:
-        rig = Rig(cfg, len(t), dt=dt)
+        rig = ImuRig(cfg, len(t), dt=dt)
         rig.move(*wobble(t - 2.0 * dt, torch.zeros(3))[:3])
         rig.reset()
         rig.sample(*wobble(t - dt, torch.zeros(3))[:3])
-        found = rig.sample(*wobble(t, torch.zeros(3))[:3])
+        result = rig.sample(*wobble(t, torch.zeros(3))[:3])
         lever, mount = rig.imu.mount_position.double(), rig.imu.mount_attitude.double()
         middle, h = t - 0.5 * dt, 1e-4
         before, now, after = (point(middle + shift, lever) for shift in (-h, 0.0, h))
         felt = (before - 2.0 * now + after) / h**2 + torch.tensor([0.0, 0.0, G], dtype=torch.float64)
         attitude = quat_multiply(wobble(middle, torch.zeros(3))[0], mount)
-        errors.append((found[:, :3] - quat_rotate_inverse(attitude, felt)).square().mean().sqrt())
+        errors.append((result[:, :3] - quat_rotate_inverse(attitude, felt)).square().mean().sqrt())
     assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
 
 
 def point(t: Tensor, lever: Tensor) -> Tensor:
-    """Return where a point of the body of ``wobble`` is at times t: ``x + R r`` with the integral x of its velocity."""
+    """Return the position of a body point of ``wobble`` at times t: ``x + R r`` with the integral x of its velocity."""
     origin = torch.stack((-torch.cos(5.0 * t) / 5.0, torch.sin(3.0 * t) / 3.0, t**3 / 3.0), dim=-1)
     return origin + quat_rotate(wobble(t, torch.zeros(3))[0], lever)
 
@@ -88,7 +88,7 @@ def test_what_is_drawn_deviates_from_the_mount_along_its_own_axes() -> None:
     turned = replace(cfg, euler=(0.0, 0.0, 0.1), euler_low=(0.0, 0.0, 0.1), euler_high=(0.0, 0.0, 0.1))
     at = torch.tensor([0.3, 0.2, 0.1], dtype=torch.float64)
     rolled = quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64))
-    rig = Rig(turned, 64, pose=Pose(position=at, attitude=rolled))
+    rig = ImuRig(turned, 64, pose=Pose(position=at, attitude=rolled))
     rig.reset()
     x, y, z = (rig.imu.mount_position - at.float()).unbind(-1)  # the nominal yaw turns a shift of d to (d sin, d cos)
     shift = torch.hypot(x, z)
@@ -121,7 +121,7 @@ PLACES = {
 }
 
 
-def flown(
+def fly(
     num_envs: int,
     backend: str = "warp",
     *,
@@ -147,7 +147,7 @@ def flown(
 
 @pytest.mark.parametrize("backend", ["warp", "torch"])
 def test_an_environment_of_four_is_that_of_sixty_four(backend: str) -> None:
-    few, many = flown(4, backend), flown(64, backend)
+    few, many = fly(4, backend), fly(64, backend)
     for name, rows in few.draws().items():
         assert torch.equal(rows, many.draws()[name][:4])
     for key in ("imu_measurement", "tail_imu_measurement"):
@@ -156,10 +156,10 @@ def test_an_environment_of_four_is_that_of_sixty_four(backend: str) -> None:
 
 def test_named_places_are_offsets_about_the_mount() -> None:
     """In the frame of the IMU's own file: the tail is turned by pi, so that its x is minus the body's."""
-    env = flown(64)
+    env = fly(64)
     draws = env.draws()
     assert set(draws) == {
-        f"sensors.{name}.{what}" for name in ("base_imu", "tail") for what in ("position", "attitude")
+        f"sensors.{name}.{label}" for name in ("base_imu", "tail") for label in ("position", "attitude")
     }
     assert (draws["sensors.base_imu.position"].abs() <= 0.1).all()
     assert (draws["sensors.base_imu.position"].std(0) > 0.04).all()
@@ -173,16 +173,16 @@ def test_named_places_are_offsets_about_the_mount() -> None:
         assert torch.equal(rows[~mask], before[name][~mask])
         changed = (rows[mask] != before[name][mask]).any(-1)
         assert changed.all() or name == "sensors.base_imu.attitude"
-    assert not flown(4, randomize={}).draws()
+    assert not fly(4, randomize={}).draws()
 
 
 def test_a_drawn_place_is_a_mount_at_that_place() -> None:
     """In flight an environment's IMU measures what one that is mounted where it was drawn does, and not what others do."""
-    drawn = flown(4)
-    found, places = drawn.gtd["imu_measurement"], drawn.draws()["sensors.base_imu.position"]
+    drawn = fly(4)
+    result, places = drawn.gtd["imu_measurement"], drawn.draws()["sensors.base_imu.position"]
     for i in range(4):
-        mounted = flown(4, randomize={}, first=SensorMountCfg(sensor="base_imu", position=tuple(places[i].tolist())))
+        mounted = fly(4, randomize={}, first=SensorMountCfg(sensor="base_imu", position=tuple(places[i].tolist())))
         expected = mounted.gtd["imu_measurement"]
-        torch.testing.assert_close(found[i], expected[i], rtol=0.0, atol=1e-4)
-        others = torch.arange(4) != i
-        assert (found - expected)[others, :3].norm(dim=-1).min() > 1e-2
+        torch.testing.assert_close(result[i], expected[i], rtol=0.0, atol=1e-4)
+        rest = torch.arange(4) != i
+        assert (result - expected)[rest, :3].norm(dim=-1).min() > 1e-2

@@ -33,10 +33,10 @@ def _induced(
 def run(kernel: wp.Kernel, *given: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return both results; they are not a number before."""
     start_warp()
-    found = (torch.full_like(given[0], torch.nan), torch.full_like(given[0], torch.nan))
-    arrays = [[wp.from_torch(each) for each in part] for part in (given, found)]
+    result = (torch.full_like(given[0], torch.nan), torch.full_like(given[0], torch.nan))
+    arrays = [[wp.from_torch(each) for each in part] for part in (given, result)]
     wp.launch(kernel, dim=len(given[0]), inputs=arrays[0], outputs=arrays[1], device="cpu")
-    return found
+    return result
 
 
 STATES = {"climb": (0.0, 4.0), "vortex ring": (WINDMILL + 1e-3, -1e-3), "windmill brake": (-8.0, WINDMILL - 1e-3)}
@@ -59,6 +59,6 @@ def test_in_sideways_flow(state: str) -> None:
     low, high = STATES[state]
     hover, mu = 0.02 + 0.1 * torch.rand(400, generator=g), torch.rand(400, generator=g) ** 3
     climb = (low + (high - low) * torch.rand(400, generator=g)) * hover
-    found = run(_induced, hover, climb, mu)
-    for single, truth in zip(found, induced(*(each.double() for each in (hover, climb, mu))), strict=True):
+    result = run(_induced, hover, climb, mu)
+    for single, truth in zip(result, induced(*(each.double() for each in (hover, climb, mu))), strict=True):
         torch.testing.assert_close(single.double(), truth, atol=1e-6, rtol=2e-4)

@@ -17,7 +17,7 @@ from aerial_gym.physics import INTEGRATORS, BodyState, advance, build_model, veh
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_load
-from tests.physics.test_effects import effects_of
+from tests.physics.test_effects import make_effects
 from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.test_slung_payload import random_load
 from tests.physics.vehicles import F64
@@ -35,10 +35,12 @@ def hull(effects: dict[str, dict[str, float]], *, seed: int, gravity: float = 0.
     robot = ROBOTS.get("lmf1")
     rows = tuple(map(tuple, (0.5 * (inertia + inertia.T)).tolist()))
     robot = replace(robot, body=replace(robot.body, mass=4.0, inertia=rows, com=(0.05, -0.03, 0.02)))
-    return build_model(vehicle_from_config(robot, num_envs=envs, dtype=F64), effects_of(effects, envs), gravity=gravity)
+    return build_model(
+        vehicle_from_config(robot, num_envs=envs, dtype=F64), make_effects(effects, envs), gravity=gravity
+    )
 
 
-def tumbling(rotors: int, *, seed: int, speed: float = 1.0, rate: float = 2.0, envs: int = ENVS) -> BodyState:
+def tumble_state(rotors: int, *, seed: int, speed: float = 1.0, rate: float = 2.0, envs: int = ENVS) -> BodyState:
     draw = torch.Generator().manual_seed(seed)
 
     def normal(columns: int) -> Tensor:
@@ -86,7 +88,7 @@ def energy_of_bluerov(state: BodyState) -> tuple[Tensor, Tensor]:
     vehicle = vehicle_from_config(robot, num_envs=state.num_envs, dtype=F64)
     still = torch.zeros(3, dtype=F64)
     kinetic = invariants(
-        build_model(vehicle, effects_of(robot.effects, state.num_envs)), state, robot.effects["added_mass"], still
+        build_model(vehicle, make_effects(robot.effects, state.num_envs)), state, robot.effects["added_mass"], still
     )[0]
     up = torch.zeros_like(state.position)
     up[:, 2] = height
@@ -97,8 +99,8 @@ def energy_of_bluerov(state: BodyState) -> tuple[Tensor, Tensor]:
 def test_the_bluerov_without_drag_keeps_its_energy() -> None:
     """Weight, buoyancy and its righting moment act. Within 0.1 % in 5 s of 10 ms steps."""
     robot = without_drag("bluerov2_heavy")
-    model = build_model(vehicle_from_config(robot, num_envs=ENVS, dtype=F64), effects_of(robot.effects, ENVS))
-    start = tumbling(8, seed=0, speed=0.6, rate=0.6)
+    model = build_model(vehicle_from_config(robot, num_envs=ENVS, dtype=F64), make_effects(robot.effects, ENVS))
+    start = tumble_state(8, seed=0, speed=0.6, rate=0.6)
     kinetic, before = energy_of_bluerov(start)
     after = energy_of_bluerov(fly(model, start, 5.0, 0.01))[1]
     assert float(((after - before).abs() / kinetic).max()) < 1e-3
@@ -112,7 +114,7 @@ def test_a_free_hull_in_a_current_keeps_energy_impulse_and_moment(
     """To rounding, at 10 rad/s and 20 ms too: explicit steps ended in NaN here."""
     current = (0.4, -0.3, 0.2)
     model = hull({"added_mass": added, "constant_wind": dict(zip("xyz", current, strict=True))}, seed=1)
-    start, flow = tumbling(4, seed=2, speed=hurry, rate=2.0 * hurry), torch.tensor(current, dtype=F64)
+    start, flow = tumble_state(4, seed=2, speed=hurry, rate=2.0 * hurry), torch.tensor(current, dtype=F64)
     end = fly(model, start, 1.0, dt)
     before, after = invariants(model, start, added, flow), invariants(model, end, added, flow, 1.0)
     assert float((end.ang_vel - start.ang_vel).norm(dim=-1).min()) > 0.1
@@ -123,7 +125,7 @@ def test_a_free_hull_in_a_current_keeps_energy_impulse_and_moment(
 def test_it_converges_to_the_motion_of_rk4_with_order_2() -> None:
     added = {"x": 0.3, "y": 6.0, "z": 9.0}
     model = hull({"added_mass": added, "buoyancy": {"force": 30.0, "x": 0.0, "y": 0.02, "z": 0.1}}, seed=3, gravity=G)
-    start = tumbling(4, seed=4)
+    start = tumble_state(4, seed=4)
     exact = fly(model, start, 0.5, 0.00125, "rk4")
     errors = [float((fly(model, start, 0.5, dt).ang_vel - exact.ang_vel).norm()) for dt in (0.02, 0.01, 0.005)]
     for coarse, fine in pairwise(errors):
@@ -133,7 +135,7 @@ def test_it_converges_to_the_motion_of_rk4_with_order_2() -> None:
 def test_a_weight_gives_its_impulse() -> None:
     """A weight on a tumbling hull changes the impulse of hull and water by ``m g t``, exactly in each step."""
     added = {"x": 0.3, "y": 6.0, "z": 9.0}
-    model, start = hull({"added_mass": added}, seed=5, gravity=G), tumbling(4, seed=6)
+    model, start = hull({"added_mass": added}, seed=5, gravity=G), tumble_state(4, seed=6)
     zero = torch.zeros(3, dtype=F64)
     gained = invariants(model, fly(model, start, 1.0, 0.01), added, zero)[1] - invariants(model, start, added, zero)[1]
     torch.testing.assert_close(gained, torch.tensor([0.0, 0.0, -4.0 * G], dtype=F64).expand(ENVS, 3), rtol=0, atol=1e-9)
@@ -146,16 +148,16 @@ def test_a_slung_payload_and_a_hull_exchange_impulse() -> None:
     """
     added, mass, length = {"x": 0.3, "y": 6.0, "z": 9.0}, 1.5, 0.7
     payload = {"mass": mass, "length": length, "damping": 0.0}
-    model, start = hull({"added_mass": added, "slung_payload": payload}, seed=7), tumbling(4, seed=8)
+    model, start = hull({"added_mass": added, "slung_payload": payload}, seed=7), tumble_state(4, seed=8)
     load, still = random_load(ENVS), torch.zeros(3, dtype=F64)
 
-    def lost(integrator: str, steps: int) -> Tensor:
+    def invariant_loss(integrator: str, steps: int) -> Tensor:
         end, swung = fly_load(model, start, load, 0.5, steps, integrator)
         hulls = [invariants(model, state, added, still)[1] for state in (start, end)]
         payloads = [mass * (s.lin_vel + length * link[:, 3:]) for s, link in ((start, load), (end, swung))]
         assert float((hulls[1] - hulls[0]).norm(dim=-1).mean()) > 0.5
         return (hulls[1] - hulls[0] + payloads[1] - payloads[0]).norm(dim=-1)
 
-    assert float(lost("rk4", 500).max()) < 1e-6
-    coarse, fine = lost("euler", 125), lost("euler", 250)
+    assert float(invariant_loss("rk4", 500).max()) < 1e-6
+    coarse, fine = invariant_loss("euler", 125), invariant_loss("euler", 250)
     assert log2(float(coarse.mean() / fine.mean())) == pytest.approx(1.0, abs=0.1)

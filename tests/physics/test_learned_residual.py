@@ -14,11 +14,11 @@ from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.capabilities import needs_of, require
+from aerial_gym.physics.capabilities import require, robot_needs
 from aerial_gym.physics.effects import LearnedResidual, WrenchEffect
 from aerial_gym.physics.model import Model, robot_effects
 from tests.builders import simulation
-from tests.physics.vehicles import F64, lopsided_robot, random_network, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_network, random_state
 
 NUM_ENVS = 24
 NETWORKS = [random_network(16), random_network(7, 12, seed=1)]
@@ -59,12 +59,12 @@ def one_unit() -> LearnedResidualCfg:
     )
 
 
-def model_of(robot: RobotCfg, dtype: torch.dtype, *, num_envs: int = NUM_ENVS) -> Model:
+def make_model(robot: RobotCfg, dtype: torch.dtype, *, num_envs: int = NUM_ENVS) -> Model:
     effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=dtype)
     return build_model(vehicle_from_config(robot, num_envs=num_envs, dtype=dtype), effects)
 
 
-def felt_in(model: Model, state: BodyState) -> np.ndarray:
+def network_inputs(model: Model, state: BodyState) -> np.ndarray:
     """Return the inputs (E, 7) in a state: body velocity of the centre of mass, rate, mean squared rotor speed."""
     x, y, z, w = state.attitude.double().unbind(-1)
     rotation = torch.stack((
@@ -100,10 +100,10 @@ def test_one_unit_has_its_closed_form(velocity: float, force: float) -> None:
 @pytest.mark.parametrize("cfg", NETWORKS)
 def test_force_and_torque_are_those_by_hand(cfg: LearnedResidualCfg) -> None:
     """``accelerations`` with the residual minus without are F / m and J^-1 tau, about the centre of mass."""
-    robot = replace(lopsided_robot(), learned_residual=cfg)
+    robot = replace(asymmetric_robot(), learned_residual=cfg)
     state = random_state(NUM_ENVS, seed=3)
-    model, bare = model_of(robot, F64), model_of(replace(robot, learned_residual=None), F64)
-    expected = np.stack([by_hand(cfg, row) for row in felt_in(model, state)])
+    model, bare = make_model(robot, F64), make_model(replace(robot, learned_residual=None), F64)
+    expected = np.stack([by_hand(cfg, row) for row in network_inputs(model, state)])
     assert np.abs(expected).min(axis=1).max() > 0.0
     more, less = accelerations(model, state), accelerations(bare, state)
     turning = more.ang_acc - less.ang_acc
@@ -120,11 +120,11 @@ def test_the_warp_twin_gives_the_force_by_hand(cfg: LearnedResidualCfg) -> None:
     Networks are constants of the kernel: one after the other in a process, each must come with its own.
     """
     dt, states = 0.05, []
-    robot = replace(lopsided_robot(com=(0.0, 0.0, 0.0)), learned_residual=cfg)
+    robot = replace(asymmetric_robot(com=(0.0, 0.0, 0.0)), learned_residual=cfg)
     start = random_state(NUM_ENVS, seed=3)
-    expected = np.stack([by_hand(cfg, row) for row in felt_in(model_of(robot, F64), start)])
+    expected = np.stack([by_hand(cfg, row) for row in network_inputs(make_model(robot, F64), start)])
     for vehicle in (robot, replace(robot, learned_residual=None)):
-        model = model_of(vehicle, torch.float32)
+        model = make_model(vehicle, torch.float32)
         law = make_controller(CONTROLLERS.get("rotor_speed_control"), model.vehicle, 9.81)
         state = BodyState(**{name: t.float().clone() for name, t in vars(start).items()})
         backend = WarpBackend()
@@ -141,11 +141,11 @@ def test_the_warp_twin_gives_the_force_by_hand(cfg: LearnedResidualCfg) -> None:
 @pytest.mark.parametrize("integrator", [pytest.param("euler", marks=pytest.mark.slow), "rk4"])
 def test_backends_agree_with_it_and_without_a_share_it_does_nothing(integrator: str) -> None:
     """The fused flight of 0.1 s is within round-off of float64; environments with the share 0 fly as if it were not there."""
-    robot = replace(lopsided_robot(), learned_residual=random_network(16))
+    robot = replace(asymmetric_robot(), learned_residual=random_network(16))
     ends = []
     for backend, dtype in ((TorchBackend(), F64), (WarpBackend(), torch.float32)):
         for vehicle in (robot, replace(robot, learned_residual=None)):
-            model = model_of(vehicle, dtype)
+            model = make_model(vehicle, dtype)
             for _, share in model.effects[WrenchEffect]:
                 share[:4] = 0.0
             law = make_controller(CONTROLLERS.get("rotor_speed_control"), model.vehicle, 9.81)
@@ -170,9 +170,9 @@ def test_gradients_are_those_of_finite_differences() -> None:
     far = learned.distance(felt)
     assert ((far > 1.0) & (far < 4.0)).any()
     assert (far < 1.0).any()
-    assert torch.autograd.gradcheck(learned.of, felt.requires_grad_())
+    assert torch.autograd.gradcheck(learned.evaluate, felt.requires_grad_())
 
-    model = model_of(replace(lopsided_robot(), learned_residual=learned.cfg), F64, num_envs=2)
+    model = make_model(replace(asymmetric_robot(), learned_residual=learned.cfg), F64, num_envs=2)
     backend = TorchBackend()
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), model.vehicle, 9.81)
     backend.allocate(model, law, integrator="rk4")
@@ -190,15 +190,15 @@ def test_gradients_are_those_of_finite_differences() -> None:
 def test_a_robot_file_with_it_flies(tmp_path: Path, backend: str) -> None:
     """The file gives the same numbers back; environment 1, whose share is 0, flies as the same robot without it."""
     path = tmp_path / "robot.yaml"
-    robot = replace(lopsided_robot(), learned_residual=random_network(16))
+    robot = replace(asymmetric_robot(), learned_residual=random_network(16))
     path.write_text(dump_yaml(robot), encoding="utf-8")
-    found = load_robot(path)
-    assert found == robot
+    result = load_robot(path)
+    assert result == robot
     ends = []
-    for flown in (found, replace(found, learned_residual=None)):
+    for flown in (result, replace(result, learned_residual=None)):
         env = simulation(flown, "rotor_speed_control", backend=backend)
         env.reset()
-        if flown is found:
+        if flown is result:
             env.gtd["effect_learned_residual"][1] = 0.0
             env.robot_manager.refresh_model()
         for _ in range(20):
@@ -209,22 +209,25 @@ def test_a_robot_file_with_it_flies(tmp_path: Path, backend: str) -> None:
     assert moved[1] == 0.0
 
 
-def _with(**changes: object) -> LearnedResidualCfg:
+def _replace_fields(**changes: object) -> LearnedResidualCfg:
     return replace(one_unit(), **changes)
 
 
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: _with(scale=(0.0,) * 7), r"LearnedResidualCfg.scale = .*: must be > 0"),
-        (lambda: _with(low=(3.0,) * 7), r"low = .* must not exceed high"),
-        (lambda: _with(high=(3.0,) * 6), r"LearnedResidualCfg.high has 6 entries: needs 7, one per input"),
-        (lambda: _with(centre=(float("nan"),) * 7), r"LearnedResidualCfg.centre = .*: must be finite"),
-        (lambda: _with(whitening=((1.0,),) * 7), r"whitening: needs 7 rows of 7 numbers"),
-        (lambda: _with(limit=(1.0,) * 5), r"6 outputs with 5 limits: needs 6 of each"),
-        (lambda: _with(limit=(-1.0,) * 6), r"LearnedResidualCfg.limit = .*: must be >= 0"),
-        (lambda: _with(hidden=()), r"LearnedResidualCfg.hidden: needs at least one layer"),
-        (lambda: _with(hidden=(random_network(7).hidden[0],)), r"layer 2 takes 1 numbers, the one before gives 7"),
+        (lambda: _replace_fields(scale=(0.0,) * 7), r"LearnedResidualCfg.scale = .*: must be > 0"),
+        (lambda: _replace_fields(low=(3.0,) * 7), r"low = .* must not exceed high"),
+        (lambda: _replace_fields(high=(3.0,) * 6), r"LearnedResidualCfg.high has 6 entries: needs 7, one per input"),
+        (lambda: _replace_fields(centre=(float("nan"),) * 7), r"LearnedResidualCfg.centre = .*: must be finite"),
+        (lambda: _replace_fields(whitening=((1.0,),) * 7), r"whitening: needs 7 rows of 7 numbers"),
+        (lambda: _replace_fields(limit=(1.0,) * 5), r"6 outputs with 5 limits: needs 6 of each"),
+        (lambda: _replace_fields(limit=(-1.0,) * 6), r"LearnedResidualCfg.limit = .*: must be >= 0"),
+        (lambda: _replace_fields(hidden=()), r"LearnedResidualCfg.hidden: needs at least one layer"),
+        (
+            lambda: _replace_fields(hidden=(random_network(7).hidden[0],)),
+            r"layer 2 takes 1 numbers, the one before gives 7",
+        ),
         (lambda: LayerCfg(weights=((1.0, 2.0), (1.0,)), bias=(0.0, 0.0)), r"needs rows of one length"),
         (lambda: LayerCfg(weights=((1.0,),), bias=(0.0, 0.0)), r"and a bias for each"),
         (lambda: LayerCfg(weights=((float("inf"),),), bias=(0.0,)), r"LayerCfg.weights = .*: must be finite"),
@@ -236,7 +239,7 @@ def test_bad_networks_are_refused(make, message: str) -> None:
 
 
 def test_a_backend_that_does_not_know_it_refuses() -> None:
-    robot = replace(lopsided_robot(), learned_residual=one_unit())
+    robot = replace(asymmetric_robot(), learned_residual=one_unit())
     backend = WarpBackend()
     assert "learned_residual" in (backend.capabilities.effects or ())
 
@@ -244,4 +247,4 @@ def test_a_backend_that_does_not_know_it_refuses() -> None:
         capabilities = replace(backend.capabilities, effects=())  # type: ignore[assignment]
 
     with pytest.raises(CapabilityError, match="cannot run effect 'learned_residual'"):
-        require(Older(), needs_of(robot, torch.device("cpu")))
+        require(Older(), robot_needs(robot, torch.device("cpu")))

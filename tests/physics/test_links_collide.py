@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from aerial_gym.assets import ENVIRONMENTS, CollisionTest, Scene
-from aerial_gym.assets.collision import LinkShapes
+from aerial_gym.assets.collision import LinkGeometry
 from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg, SphereCfg
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.joint import JointsCfg
@@ -73,23 +73,26 @@ def test_each_link_is_measured_with_its_own_pose(device) -> None:
     level = torch.tensor([[0.0, 0.0, 0.0, 1.0]], device=device)
     turned = torch.tensor([[0.0, 0.0, 0.5**0.5, 0.5**0.5]], device=device)  # x of the link along y of the world
 
-    def at(x: float, y: float) -> torch.Tensor:
+    def position_row(x: float, y: float) -> torch.Tensor:
         return torch.tensor([[x, y, 0.0]], device=device)
 
     box = BoxCfg(size=(0.2, 0.4, 0.2), center=(0.3, 0.0, 0.0))
     links = [
-        LinkShapes(shapes=(box,), number=1, position=at(0.0, 0.9), attitude=turned),  # near face at y = 1.1
-        LinkShapes(shapes=(SphereCfg(center=(0.1, 0.0, 0.0), radius=0.1),), number=2, position=at(-2.0, 0.0), attitude=level),
+        LinkGeometry(shapes=(box,), number=1, position=position_row(0.0, 0.9), attitude=turned),  # near face at y = 1.1
+        LinkGeometry(
+            shapes=(SphereCfg(center=(0.1, 0.0, 0.0), radius=0.1),),
+            number=2, position=position_row(-2.0, 0.0), attitude=level,
+        ),
     ]  # fmt: skip
-    found = []
+    result = []
     for own in (links[:1], links[1:], links):
         out = torch.full((1,), float("nan"), device=device)
-        body = {"position": at(3.0, 0.0), "attitude": level}
+        body = {"position": position_row(3.0, 0.0), "attitude": level}
         CollisionTest(
             scene, (SphereCfg(center=(0.0, 0.0, 0.0), radius=0.2),), distance_out=out, links=own, **body
         ).measure()
-        found.append(out.item())
-    assert found == pytest.approx([0.6, 1.3, 0.6], abs=1e-6)
+        result.append(out.item())
+    assert result == pytest.approx([0.6, 1.3, 0.6], abs=1e-6)
 
 
 def two_arms(angle: float, rate: float = 0.0) -> RobotCfg:
@@ -110,11 +113,11 @@ def test_links_are_told_how_far_they_are_from_each_other(device) -> None:
     for angle in (0.0, 0.3, -0.3, 0.6):
         manager = fly(two_arms(angle), device)
         apart = 0.2 - LENGTH * sin(angle) if angle > 0.0 else 0.2
-        found = manager.gtd["robot_link_clearance"].cpu()
+        result = manager.gtd["robot_link_clearance"].cpu()
         if angle == 0.6:
-            assert (found < 0.0).all()
+            assert (result < 0.0).all()
         else:
-            torch.testing.assert_close(found, torch.full((2,), apart - 2 * RADIUS), atol=2e-5, rtol=0.0)
+            torch.testing.assert_close(result, torch.full((2,), apart - 2 * RADIUS), atol=2e-5, rtol=0.0)
         manager.step(torch.zeros(2, 4, device=device))
         assert manager.gtd["crashes"].tolist() == [angle == 0.6] * 2
 

@@ -65,7 +65,7 @@ def build(robot: RobotCfg, device: torch.device, *, env: EnvironmentCfg | None =
     return manager
 
 
-def rays_of(cfg: CameraCfg) -> np.ndarray:
+def pixel_rays(cfg: CameraCfg) -> np.ndarray:
     """Return the unit directions of all pixels, (H * W, 3): x forward, y left, z up."""
     half = tan(radians(cfg.hfov_deg) / 2)
     column = half * (1.0 - (2.0 * np.arange(cfg.width) + 1.0) / cfg.width)
@@ -82,7 +82,7 @@ def ball_range(centre: Sequence[float], rays: np.ndarray) -> np.ndarray:
     return np.where(square >= 0.0, along - np.sqrt(np.maximum(square, 0.0)), np.inf)
 
 
-def taken(manager: EnvManager, cfg: RangeSensorCfg, link: int = 0) -> RayCaster:
+def take_image(manager: EnvManager, cfg: RangeSensorCfg, link: int = 0) -> RayCaster:
     """Return a sensor on a link that has taken one image."""
     gtd = manager.gtd
     state, rates = gtd["robot_link_state_tensor"][:, link], gtd["robot_link_body_angvel"][:, link]
@@ -101,8 +101,8 @@ def test_a_camera_on_the_body_sees_a_bent_arm_at_its_pixel_and_range(axis, angle
     manager = build(bending(arm(axis, angle), sensors=(SensorMountCfg(sensor="base_depth_camera"),)), device)
     out, aside = HINGE + (END - HINGE) * cos(angle), (END - HINGE) * sin(angle)
     centre = (out, 0.0, -aside) if axis == DOWN else (out, aside, 0.0)
-    caster = taken(manager, CAMERA)
-    exact = ball_range(centre, rays_of(CAMERA)).reshape(CAMERA.height, CAMERA.width)
+    caster = take_image(manager, CAMERA)
+    exact = ball_range(centre, pixel_rays(CAMERA)).reshape(CAMERA.height, CAMERA.width)
     seen = caster.images.segmentation
     assert seen is not None
     for env in range(2):
@@ -127,9 +127,9 @@ def test_links_move_in_each_step_and_come_back_by_mask(device) -> None:
             manager.gtd["dof_position"][:, 0].cpu(), torch.full((2,), angle), atol=1e-5, rtol=0.0
         )
         exact = ball_range(
-            (HINGE + (END - HINGE) * cos(angle), (END - HINGE) * sin(angle), 0.0), rays_of(CAMERA)
+            (HINGE + (END - HINGE) * cos(angle), (END - HINGE) * sin(angle), 0.0), pixel_rays(CAMERA)
         ).reshape(CAMERA.height, CAMERA.width)
-        distance = taken(manager, CAMERA).images.distance[0, 0].cpu().numpy()
+        distance = take_image(manager, CAMERA).images.distance[0, 0].cpu().numpy()
         inside = np.isfinite(exact) & (distance < 20.0)
         assert inside.sum() > 10
         np.testing.assert_allclose(distance[inside], exact[inside], atol=2e-4)  # edges: 1e-5 rad of angle
@@ -162,16 +162,16 @@ def test_the_frames_of_links_are_those_of_rotations_and_shifts_and_their_twists_
 
     def frames(time: float) -> list[tuple[np.ndarray, Rotation]]:
         """Return the frames of the links a time later, the body turning about its own axes at a constant rate."""
-        found = [(place + time * velocity, turn * Rotation.from_rotvec(time * rates))]
+        result = [(place + time * velocity, turn * Rotation.from_rotvec(time * rates))]
         for k in range(3):
-            at, way = found[-1]
+            at, way = result[-1]
             bend = angle[k] + time * speed[k] - reference[k]
             if k < 2:
                 own = Rotation.from_rotvec(bend * axes[k])
-                found.append((at + way.apply(points[k] - own.apply(points[k])), way * own))
+                result.append((at + way.apply(points[k] - own.apply(points[k])), way * own))
             else:
-                found.append((at + way.apply(bend * axes[k]), way))
-        return found
+                result.append((at + way.apply(bend * axes[k]), way))
+        return result
 
     for key, value in (
         ("robot_position", place), ("robot_orientation", turn.as_quat()), ("robot_linvel", velocity),
@@ -201,8 +201,8 @@ def test_a_camera_on_a_link_looks_where_its_arm_points(angle, device, tmp_path) 
     manager = build(bending(arm(DOWN, angle), sensors=(mount,)), device, env=env)
     manager.render()
     height = 2.0 - (END + 2 * RADIUS - HINGE) * sin(angle)
-    found = manager.gtd["depth_range_pixels"].flatten().cpu()
-    torch.testing.assert_close(found, torch.full((2,), height / sin(angle)), atol=1e-5, rtol=0.0)
+    result = manager.gtd["depth_range_pixels"].flatten().cpu()
+    torch.testing.assert_close(result, torch.full((2,), height / sin(angle)), atol=1e-5, rtol=0.0)
 
 
 @pytest.mark.parametrize("rate", [4.0, -4.0])
@@ -219,12 +219,12 @@ def test_an_imu_on_a_link_feels_the_turn_about_its_hinge(rate, device, tmp_path)
     lever = END - HINGE
     expected = torch.tensor([-(rate**2) * lever, 0.0, 9.81, 0.0, 0.0, rate])
     turn = rate * manager.dt  # a difference over a step is less by its square over 24
-    found = manager.gtd["imu_measurement"][0].cpu()
-    torch.testing.assert_close(found, expected, rtol=0.0, atol=rate**2 * lever * turn**2 / 20 + 1e-3)
+    result = manager.gtd["imu_measurement"][0].cpu()
+    torch.testing.assert_close(result, expected, rtol=0.0, atol=rate**2 * lever * turn**2 / 20 + 1e-3)
 
 
 def flow_of_ball(manager: EnvManager, cfg: CameraCfg, link: int) -> Tensor:
-    flow = taken(manager, cfg, link).images.optical_flow
+    flow = take_image(manager, cfg, link).images.optical_flow
     assert flow is not None
     return flow[0, 0, 0, 0].cpu()
 
@@ -250,16 +250,16 @@ def test_a_turning_lidar_sees_a_swinging_arm_where_it_was_at_each_column(device)
         elevation_high_deg=8.0, min_range=0.0, max_range=10.0, scan_s=0.5, source="chosen for the test",
     )  # fmt: skip
     rate, angle = 2.0, 0.1
-    image = taken(build(bending(arm(LEFT, angle, rate=rate)), device), lidar).images.distance[0, 0]
+    image = take_image(build(bending(arm(LEFT, angle, rate=rate)), device), lidar).images.distance[0, 0]
     seen = 0
     for column, age in enumerate(group_ages(lidar)):
         still = build(bending(arm(LEFT, angle - rate * age)), device, num_envs=1)
-        exact = taken(still, replace(lidar, scan_s=None)).images.distance[0, 0, :, column]
+        exact = take_image(still, replace(lidar, scan_s=None)).images.distance[0, 0, :, column]
         torch.testing.assert_close(image[:, column], exact, rtol=0.0, atol=1e-5)
         seen += int((exact < 10.0).sum())
     assert seen > 5
     on_arm = [
-        taken(build(bending(arm(LEFT, angle, rate=w)), device), cfg, link=1).images.distance[0]
+        take_image(build(bending(arm(LEFT, angle, rate=w)), device), cfg, link=1).images.distance[0]
         for w, cfg in ((rate, lidar), (0.0, replace(lidar, scan_s=None)))
     ]
     torch.testing.assert_close(*on_arm, rtol=0.0, atol=1e-6)

@@ -42,7 +42,9 @@ def test_a_longer_arm_tilts_only_an_autopilot_that_does_not_know_it(
     torque = further * weight / 4.0 / (1.0 + further / (4.0 * 0.13))
     stiffness = env.robot_manager.controller.gains.attitude[:, 1].double()
     pitch = torch.zeros(5, dtype=F64) if effectiveness == "actual" else torch.asin(-torque / stiffness)
-    found = env.traced["robot_euler_angles"] if backend == "torch" else env.gtd["robot_euler_angles"].double()
+    result = (
+        env.gradient_tensors["robot_euler_angles"] if backend == "torch" else env.gtd["robot_euler_angles"].double()
+    )
     assert further.abs().max() > 0.01
-    torch.testing.assert_close(found[:, 1], pitch, atol=tolerance, rtol=tolerance)
-    torch.testing.assert_close(found[:, 0], 0.0 * pitch, atol=tolerance, rtol=0)
+    torch.testing.assert_close(result[:, 1], pitch, atol=tolerance, rtol=tolerance)
+    torch.testing.assert_close(result[:, 0], 0.0 * pitch, atol=tolerance, rtol=0)

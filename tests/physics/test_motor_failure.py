@@ -8,22 +8,22 @@ from aerial_gym.physics.memory import make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effects import still
-from tests.physics.vehicles import F64, lopsided_robot
+from tests.physics.test_effects import rest_state
+from tests.physics.vehicles import F64, asymmetric_robot
 
 TOLD = 900.0
 """Commanded speed [rad/s]."""
 
 
-def model_of(rows: list[tuple[float, ...]], dtype: torch.dtype = F64) -> Model:
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=len(rows), dtype=dtype)
+def make_model(rows: list[tuple[float, ...]], dtype: torch.dtype = F64) -> Model:
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=len(rows), dtype=dtype)
     return build_model(vehicle, [(EFFECTS.get("motor_failure"), torch.tensor(rows, dtype=dtype))])
 
 
 @pytest.mark.parametrize(("moment", "last_whole"), [(0.0124, 2), (0.0126, 3)])
 def test_it_fails_at_the_boundary_between_substeps_that_is_nearest(moment: float, last_whole: int) -> None:
-    dt, model = 0.005, model_of([(1.0, 0.0, moment)])
-    memory, state, whole = make_memory(model, dt), still(rotor_speed=[TOLD] * 4), 0
+    dt, model = 0.005, make_model([(1.0, 0.0, moment)])
+    memory, state, whole = make_memory(model, dt), rest_state(rotor_speed=[TOLD] * 4), 0
     for _ in range(6):
         state, memory = fly_remembering(model, memory, state, [torch.full((1, 4), TOLD, dtype=F64)], dt)
         whole += int(state.rotor_speed[0, 0] == TOLD)
@@ -39,9 +39,9 @@ def test_a_lost_rotor_turns_the_vehicle_to_its_side() -> None:
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     model = build_model(vehicle, [(EFFECTS.get("motor_failure"), torch.tensor([(1.0, 0.5, 0.0)], dtype=F64))])
     told = torch.full((1, 4), 1000.0, dtype=F64)
-    start = still(rotor_speed=[1000.0] * 4)
+    start = rest_state(rotor_speed=[1000.0] * 4)
     end, _ = fly_remembering(model, make_memory(model, 0.01), start, [told] * 200, 0.01)
-    still_again = still(rotor_speed=end.rotor_speed[0].tolist())
+    still_again = rest_state(rotor_speed=end.rotor_speed[0].tolist())
     turn = accelerations(build_model(vehicle), still_again).ang_acc[0]
     lost = 0.75 * 3.485449e-7 * 1000.0**2
     expected = torch.tensor([0.13 * lost / 4.225e-4, 0.13 * lost / 4.225e-4], dtype=F64)

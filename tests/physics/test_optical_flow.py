@@ -32,13 +32,13 @@ LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 
 
-def wall_at(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:
+def make_wall(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:
     """Return a scene with a wall across the x axis, whose near side is at a depth, and which has a twist."""
     state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *twist]]], device=device)
     return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
 
-def flow_at(
+def sense_flow(
     cfg: RangeSensorCfg, scene: Scene, *, velocity: Sequence[float] = (0.0,) * 3, rates: Sequence[float] = (0.0,) * 3
 ) -> Tensor:
     """Return the flow that one level sensor at the origin sees, (H, W, 2)."""
@@ -52,17 +52,17 @@ def flow_at(
 
 
 def pixels(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
-    """Return how far right of and below the middle every pixel is, (H, W) each."""
+    """Return the offsets of every pixel right of and below the image centre, (H, W) each."""
     right = torch.arange(cfg.width) + 0.5 - 0.5 * cfg.width
     down = torch.arange(cfg.height) + 0.5 - 0.5 * cfg.height
     v, u = torch.meshgrid(down, right, indexing="ij")
     return u, v
 
 
-def close(found: Tensor, right: Tensor, down: Tensor) -> None:
+def close(result: Tensor, right: Tensor, down: Tensor) -> None:
     """Compare with the two parts of the flow; float32 keeps some 1e-6 of the largest of them."""
-    expected = torch.stack((right.expand_as(found[..., 0]), down.expand_as(found[..., 0])), dim=-1)
-    torch.testing.assert_close(found, expected, rtol=0.0, atol=4e-6 * float(expected.abs().max() + 1.0))
+    expected = torch.stack((right.expand_as(result[..., 0]), down.expand_as(result[..., 0])), dim=-1)
+    torch.testing.assert_close(result, expected, rtol=0.0, atol=4e-6 * float(expected.abs().max() + 1.0))
 
 
 # ------------------------------------------------------------------------------------------------ closed forms
@@ -80,7 +80,7 @@ def test_a_turning_pinhole_camera_has_the_flow_of_its_rates_whatever_it_sees(
     right = p * v + FOCAL * (r * (1.0 + a * a) - q * a * b)
     down = -p * u + FOCAL * (r * a * b - q * (1.0 + b * b))
     for depth in (0.5, 5.0, 50.0):
-        close(flow_at(cfg, wall_at(depth, device), rates=rates), right, down)
+        close(sense_flow(cfg, make_wall(depth, device), rates=rates), right, down)
 
 
 @pytest.mark.parametrize("depth", [0.5, 4.0])
@@ -90,13 +90,13 @@ def test_flying_at_a_wall_spreads_its_image_from_where_the_camera_goes(depth: fl
     u, v = pixels(PINHOLE)
     right = (u + FOCAL * velocity[1] / velocity[0]) * velocity[0] / depth
     down = (v + FOCAL * velocity[2] / velocity[0]) * velocity[0] / depth
-    close(flow_at(PINHOLE, wall_at(depth, device), velocity=velocity), right, down)
+    close(sense_flow(PINHOLE, make_wall(depth, device), velocity=velocity), right, down)
 
 
 def test_noise_and_limits_of_the_distance_leave_the_flow_alone(device: torch.device) -> None:
-    scene, velocity = wall_at(4.0, device), (1.0, 0.5, 0.0)
+    scene, velocity = make_wall(4.0, device), (1.0, 0.5, 0.0)
     noisy = replace(PINHOLE, noise=NoiseCfg(std_c=0.3, dropout=0.3), min_range=4.5)
-    assert torch.equal(flow_at(noisy, scene, velocity=velocity), flow_at(PINHOLE, scene, velocity=velocity))
+    assert torch.equal(sense_flow(noisy, scene, velocity=velocity), sense_flow(PINHOLE, scene, velocity=velocity))
 
 
 # ------------------------------------------------------------------------------------------------ finite differences
@@ -127,7 +127,7 @@ def crowd(device: torch.device) -> Scene:
 
 
 def project(cfg: RangeSensorCfg, point: Tensor) -> Tensor:
-    """Return where a point in the sensor's frame is in the image, right of and below the middle [pixel], (..., 2)."""
+    """Return the image coordinates of a point in the sensor's frame, right of and below the centre [pixel], (..., 2)."""
     x, y, z = point.unbind(-1)
     if isinstance(cfg, FisheyeCfg):
         off_axis = torch.arccos((x / point.norm(dim=-1)).clamp(-1.0, 1.0))
@@ -138,7 +138,7 @@ def project(cfg: RangeSensorCfg, point: Tensor) -> Tensor:
 
 
 def difference(cfg: RangeSensorCfg, setting: dict[str, Tensor], dt: float) -> Tensor:
-    """Return how fast the images of the material points go in a time dt, by projecting them before and after, in float64."""
+    """Return the optical flow of the material points [pixel/s]: the difference of two projections ``dt`` apart, in float64."""
 
     def image(t: float) -> Tensor:
         turned = quat_exp(setting["spin"] * t)
@@ -188,14 +188,14 @@ def test_flow_is_the_limit_of_the_differences_of_projected_points(cfg: RangeSens
         "ray": caster.direction.cpu().double().expand(*size, 3),
         "mount": quat_from_euler(torch.tensor(cfg.euler, dtype=torch.float64)).expand(*size, 4),
     }  # fmt: skip
-    found = images.optical_flow.cpu().double()
+    results = images.optical_flow.cpu().double()
     at_rest = torch.zeros_like(setting["rates"])
     shown = difference(
         cfg, {**setting, "rates": at_rest, "own_velocity": at_rest, "spin": at_rest, "velocity": at_rest}, 1
     )
     assert (shown == 0.0).all()
     near = (
-        found.norm(dim=-1) < 200.0
+        results.norm(dim=-1) < 200.0
     )  # what passes at a hand's breadth does not move evenly for a thousandth of a second
     if isinstance(cfg, StereoCfg):
         near &= images.distance.cpu() > 0.0  # a pixel that the second camera does not share has no point
@@ -203,11 +203,11 @@ def test_flow_is_the_limit_of_the_differences_of_projected_points(cfg: RangeSens
     assert near.float().mean() > 0.5
     steps = [2e-3, 1e-3, 5e-4]
     coarse = [difference(cfg, setting, dt)[near] for dt in steps]
-    errors = torch.stack([(one - found[near]).norm(dim=-1).mean() for one in coarse]).log2()
+    errors = torch.stack([(one - results[near]).norm(dim=-1).mean() for one in coarse]).log2()
     orders = errors[:-1] - errors[1:]
     assert ((orders - 1.0).abs() < 0.1).all(), orders
     extrapolated = 2.0 * coarse[2] - coarse[1]
-    error = (extrapolated - found[near]).norm(dim=-1) / (1.0 + found[near].norm(dim=-1))
+    error = (extrapolated - results[near]).norm(dim=-1) / (1.0 + results[near].norm(dim=-1))
     assert error.max() < 1e-3
     assert error.mean() < 1e-5
 
@@ -221,7 +221,7 @@ def test_flow_stands_in_the_gtd_for_every_sensor_and_environment(device: torch.d
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     twist = {"lin_vel": torch.zeros(1, 3, device=device), "ang_vel": torch.zeros(1, 3, device=device)}
     cameras = {"front": PINHOLE, "wide": FISHEYE, "late": replace(PINHOLE, latency_s=0.01)}
-    manager = SensorManager(cameras, gtd, wall_at(4.0, device), num_envs=1, device=device, dt=0.01, **pose, **twist)
+    manager = SensorManager(cameras, gtd, make_wall(4.0, device), num_envs=1, device=device, dt=0.01, **pose, **twist)
     manager.capture()
     assert gtd["optical_flow_pixels"].shape == (1, 1, 28, 36, 2)
     assert (gtd["optical_flow_pixels"] == 0.0).all()
@@ -242,7 +242,7 @@ def test_flow_is_refused_where_there_is_no_image_plane_or_no_velocity(device: to
         LidarCfg(**common, elevation_low_deg=-10.0, elevation_high_deg=10.0)
     with pytest.raises(ConfigError, match=r"RayTableCfg.optical_flow = True: a ray_table has no image plane"):
         RayTableCfg(**common, rays=((1.0, 0.0, 0.0), (1.0, 1.0, 0.0)))
-    scene, images = wall_at(4.0, device), make_images(PINHOLE, 1, device=device)
+    scene, images = make_wall(4.0, device), make_images(PINHOLE, 1, device=device)
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     with pytest.raises(ConfigError, match=r"CameraCfg.optical_flow needs lin_vel and ang_vel"):
         RayCaster(PINHOLE, scene, images, **pose)
@@ -270,9 +270,9 @@ def test_the_environment_gives_its_cameras_the_velocities_of_the_robot() -> None
     assert isinstance(cfg, CameraCfg)
     u, _ = pixels(cfg)
     focal = 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg))
-    depth, found = env.gtd["depth_range_pixels"][:, 0], env.gtd["optical_flow_pixels"][:, 0, ..., 0]
+    depth, results = env.gtd["depth_range_pixels"][:, 0], env.gtd["optical_flow_pixels"][:, 0, ..., 0]
     seen = depth > 0.0
     assert seen.float().mean() > 0.02
     near = torch.where(seen, (u * speed + focal * rate * 0.1) / depth, 0.0)
     expected = focal * rate * (1.0 + (u / focal) ** 2) + near
-    torch.testing.assert_close(found[seen], expected[seen], rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(results[seen], expected[seen], rtol=1e-4, atol=1e-3)

@@ -72,13 +72,13 @@ def test_euler_is_zyx_and_round_trips() -> None:
     angles = torch.tensor([[0.3, -0.4, 2.5], [-3.0, 1.2, -3.0]], dtype=F64)
     q = qm.quat_from_euler(angles)
 
-    def about(axis: int, angle: torch.Tensor) -> torch.Tensor:
+    def axis_rotation(axis: int, angle: torch.Tensor) -> torch.Tensor:
         vector = torch.zeros(len(angle), 3, dtype=F64)
         vector[:, axis] = angle
         return qm.quat_exp(vector)
 
     expected = qm.quat_multiply(
-        qm.quat_multiply(about(2, angles[:, 2]), about(1, angles[:, 1])), about(0, angles[:, 0])
+        qm.quat_multiply(axis_rotation(2, angles[:, 2]), axis_rotation(1, angles[:, 1])), axis_rotation(0, angles[:, 0])
     )
     torch.testing.assert_close(qm.quat_to_matrix(q), qm.quat_to_matrix(expected), atol=1e-14, rtol=0)
     torch.testing.assert_close(qm.euler_from_quat(q), angles, atol=1e-13, rtol=0)

@@ -120,11 +120,11 @@ def exact_distance(shape: ShapeCfg, o: Array, d: Array) -> Array:
 def _exact_box(half: Array, o: Array, d: Array) -> Array:
     candidates = []
     for axis in range(3):
-        others = [i for i in range(3) if i != axis]
+        rest = [i for i in range(3) if i != axis]
         for side in (-1.0, 1.0):
             t = (side * half[axis] - o[:, axis]) / d[:, axis]
             point = o + t[:, None] * d
-            candidates.append((t, (np.abs(point[:, others]) <= half[others]).all(axis=1)))
+            candidates.append((t, (np.abs(point[:, rest]) <= half[rest]).all(axis=1)))
     return nearest_on_boundary(candidates)
 
 
@@ -140,12 +140,12 @@ def _side_candidates(o: Array, d: Array, radius: float, half: float) -> list[tup
 
 
 def _disc_candidates(o: Array, d: Array, radius: float, half: float) -> list[tuple[Array, Array]]:
-    found = []
+    result = []
     for side in (-half, half):
         t = (side - o[:, 2]) / d[:, 2]
         point = o[:, :2] + t[:, None] * d[:, :2]
-        found.append((t, (point * point).sum(1) <= radius**2))
-    return found
+        result.append((t, (point * point).sum(1) <= radius**2))
+    return result
 
 
 def exact_image(cfg: CameraCfg, scene: Scene, body: tuple[Tensor, Tensor], env: int) -> tuple[Array, NDArray[np.int64]]:
@@ -310,7 +310,7 @@ def test_a_mount_turns_with_the_body(device: torch.device) -> None:
 # ---------------------------------------------------------------------------------------------- limits and ids
 
 
-def cluttered(num_envs: int, device: torch.device) -> Scene:
+def make_clutter(num_envs: int, device: torch.device) -> Scene:
     """Return eight instances of five shapes at random places around the origin."""
     generator = torch.Generator().manual_seed(8)
     shapes = [BOX, SPHERE, CYLINDER, CAPSULE, ShapeCfg(kind="box", size=(0.1, 2.0, 2.0)), BOX, SPHERE, CYLINDER]
@@ -322,7 +322,7 @@ def cluttered(num_envs: int, device: torch.device) -> Scene:
 
 def test_segmentation_names_the_nearest_instance_in_every_pixel(device: torch.device) -> None:
     """Of eight overlapping solids the id is that of the smallest closed-form distance; nothing is -2."""
-    scene = cluttered(3, device)
+    scene = make_clutter(3, device)
     body = level(3)
     measured, ids = shoot(CAMERA, scene, *body)
     for env in range(3):
@@ -383,7 +383,7 @@ def test_a_scene_without_instances_is_all_misses(device: torch.device) -> None:
 # ---------------------------------------------------------------------------------------------- instances
 
 
-def caster_for(scene: Scene, cfg: CameraCfg = CAMERA) -> tuple[RayCaster, Tensor, Tensor]:
+def make_caster(scene: Scene, cfg: CameraCfg = CAMERA) -> tuple[RayCaster, Tensor, Tensor]:
     """Return a caster of a level camera at the origin, and its images."""
     image = (scene.num_envs, 1, cfg.height, cfg.width)
     depth = torch.full(image, float("nan"), device=scene.device)
@@ -399,7 +399,7 @@ def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> Non
     root = torch.zeros(3, 2, 13, device=device)  # row 0 is the robot: the scene has a strided view of row 1
     root[:, 1, 0], root[:, 1, 6] = 3.1, 1.0
     scene = Scene([wall], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=root[:, 1:])
-    caster, depth, _ = caster_for(scene, replace(CAMERA, kind="depth"))
+    caster, depth, _ = make_caster(scene, replace(CAMERA, kind="depth"))
     caster.cast()
     torch.testing.assert_close(depth, torch.full_like(depth, 3.0), rtol=0.0, atol=1e-6)
     root[1, 1, 0] = 4.1
@@ -418,8 +418,8 @@ def test_a_parked_obstacle_is_absent_even_within_range(device: torch.device) -> 
 
 
 def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.device) -> None:
-    scene = cluttered(3, device)
-    caster, depth, _ = caster_for(scene)
+    scene = make_clutter(3, device)
+    caster, depth, _ = make_caster(scene)
     caster.cast()
     nominal = depth.clone()
     caster.mount_position.add_(torch.tensor([0.3, 0.2, -0.1], device=device))
@@ -436,7 +436,7 @@ def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.de
 
 
 def test_sensor_manager_declares_an_image_per_camera_and_writes_all(device: torch.device) -> None:
-    scene = cluttered(2, device)
+    scene = make_clutter(2, device)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 2})
     position, attitude = (t.to(device) for t in level(2))
     small = replace(CAMERA, width=8, height=6, segmentation=False, kind="depth")
@@ -457,7 +457,7 @@ def test_sensor_manager_declares_an_image_per_camera_and_writes_all(device: torc
 
 
 def test_wrong_tensors_are_refused_with_shape_and_expectation(device: torch.device) -> None:
-    scene = cluttered(2, device)
+    scene = make_clutter(2, device)
     position, attitude = (t.to(device) for t in level(2))
     image = torch.zeros(2, 1, CAMERA.height, CAMERA.width, device=device)
     ids = image.int()

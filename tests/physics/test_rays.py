@@ -93,8 +93,8 @@ def test_fisheye_directions_project_back_to_their_pixels() -> None:
     wanted = np.array([cos(theta), sin(theta) * cos(phi), sin(theta) * sin(phi)])
     radius = width / hfov * 60.0
     col, row = 50 - radius * cos(phi), 40 - radius * sin(phi)
-    found = np.unravel_index(np.argmax(rays @ wanted), (height, width))
-    assert found == (round(row), round(col))
+    result = np.unravel_index(np.argmax(rays @ wanted), (height, width))
+    assert result == (round(row), round(col))
 
 
 @pytest.mark.parametrize(
@@ -204,18 +204,18 @@ SIX = ((2.0, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0), (-3.0, 0.0, 0.0), (1.0
 SIX_UNIT = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0.5**0.5, 0.5**0.5, 0], [0, 0.6, -0.8]])
 
 
-def listed(**fields: object) -> RayTableCfg:
+def table_cfg(**fields: object) -> RayTableCfg:
     return RayTableCfg(**{**COMMON, "width": 3, "height": 2, **fields})  # type: ignore[arg-type]
 
 
 def test_listed_rays_are_made_unit_length_and_fill_the_image_row_by_row() -> None:
-    np.testing.assert_allclose(table(listed(rays=SIX)), SIX_UNIT.reshape(2, 3, 3), rtol=0.0, atol=TOLERANCE)
+    np.testing.assert_allclose(table(table_cfg(rays=SIX)), SIX_UNIT.reshape(2, 3, 3), rtol=0.0, atol=TOLERANCE)
 
 
 def test_a_csv_of_directions_is_the_same_table(tmp_path: Path) -> None:
     path = tmp_path / "rays.csv"
     path.write_text("x, y, z\n" + "".join(f"{x}, {y}, {z}\n" for x, y, z in SIX), encoding="utf-8")
-    np.testing.assert_array_equal(table(listed(path=str(path))), table(listed(rays=SIX)))
+    np.testing.assert_array_equal(table(table_cfg(path=str(path))), table(table_cfg(rays=SIX)))
 
 
 def test_a_csv_of_angles_gives_directions_with_those_angles(tmp_path: Path) -> None:
@@ -224,7 +224,7 @@ def test_a_csv_of_angles_gives_directions_with_those_angles(tmp_path: Path) -> N
     path.write_text("azimuth_deg,elevation_deg\n0,0\n90,0\n17,90\n180,0\n45,0\n-30,-60\n", encoding="utf-8")
     last = [cos(pi / 6) / 2, -0.25, -(0.75**0.5)]
     expected = np.concatenate((SIX_UNIT[:5], [last])).reshape(2, 3, 3)
-    np.testing.assert_allclose(table(listed(path=str(path))), expected, rtol=0.0, atol=TOLERANCE)
+    np.testing.assert_allclose(table(table_cfg(path=str(path))), expected, rtol=0.0, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize(
@@ -245,12 +245,12 @@ def test_a_csv_of_angles_gives_directions_with_those_angles(tmp_path: Path) -> N
 def test_a_csv_that_does_not_fit_is_refused_with_its_line(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "rays.csv").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
-        ray_table(listed(path=str(tmp_path / "rays.csv")), device=CPU)
+        ray_table(table_cfg(path=str(tmp_path / "rays.csv")), device=CPU)
 
 
 def test_a_missing_csv_is_named() -> None:
     with pytest.raises(ConfigError, match=r"/nowhere/rays.csv: cannot be read \(No such file or directory\)"):
-        ray_table(listed(path="/nowhere/rays.csv"), device=CPU)
+        ray_table(table_cfg(path="/nowhere/rays.csv"), device=CPU)
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_a_missing_csv_is_named() -> None:
             elevation_low_deg=-1.0,
             elevation_high_deg=1.0,
         ),
-        listed(rays=SIX, kind="depth"),
+        table_cfg(rays=SIX, kind="depth"),
     ],
     ids=["fisheye", "around", "sideways", "ray_table"],
 )

@@ -20,7 +20,7 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.integrators import to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 
 class SpeedControl:
@@ -30,8 +30,8 @@ class SpeedControl:
         return action
 
 
-def model_of(num_envs: int, *, com: tuple[float, float, float] = (0.01, -0.02, 0.03), gravity: float = 9.81) -> Model:
-    return build_model(vehicle_from_config(lopsided_robot(com=com), num_envs=num_envs, dtype=F64), gravity=gravity)
+def make_model(num_envs: int, *, com: tuple[float, float, float] = (0.01, -0.02, 0.03), gravity: float = 9.81) -> Model:
+    return build_model(vehicle_from_config(asymmetric_robot(com=com), num_envs=num_envs, dtype=F64), gravity=gravity)
 
 
 def no_thrust(state: BodyState) -> BodyState:
@@ -45,7 +45,7 @@ def run(model: Model, state: BodyState, command: torch.Tensor, name: str, dt: fl
 @pytest.mark.parametrize("name", list(INTEGRATORS))
 def test_free_fall_is_a_parabola_of_the_centre_of_mass(name: str) -> None:
     """p_c = p + v t - g t²/2 e_z: exact for RK4, off by exactly g t dt / 2 for semi-implicit Euler."""
-    model, state = model_of(8), no_thrust(random_state(8))
+    model, state = make_model(8), no_thrust(random_state(8))
     dt, steps = 0.01, 50
     start, span = to_mass_state(model, state), 0.5
     end = to_mass_state(model, run(model, state, state.rotor_speed, name, dt, steps))
@@ -54,9 +54,9 @@ def test_free_fall_is_a_parabola_of_the_centre_of_mass(name: str) -> None:
     torch.testing.assert_close(end.position, expected, atol=1e-11, rtol=0)
 
 
-def tumbling_errors(name: str, dt: float) -> tuple[float, float]:
+def tumble_errors(name: str, dt: float) -> tuple[float, float]:
     """Return the drift of angular momentum (world) and of rotational energy of free bodies over 1 s, relative."""
-    model, state = model_of(16, gravity=0.0), no_thrust(random_state(16, seed=3))
+    model, state = make_model(16, gravity=0.0), no_thrust(random_state(16, seed=3))
     end = run(model, state, state.rotor_speed, name, dt, round(1.0 / dt))
     inertia = model.vehicle.inertia
 
@@ -73,7 +73,7 @@ def tumbling_errors(name: str, dt: float) -> tuple[float, float]:
 @pytest.mark.parametrize(("name", "order"), [("euler", 1), ("rk4", 4)])
 def test_free_tumbling_conserves_momentum_and_energy_to_the_order_of_the_method(name: str, order: int) -> None:
     """Both errors fall by 2^order (within 15 %: RK4's energy error may fall by 2^5) when dt is halved."""
-    coarse, fine = tumbling_errors(name, 0.02), tumbling_errors(name, 0.01)
+    coarse, fine = tumble_errors(name, 0.02), tumble_errors(name, 0.01)
     for a, b in zip(coarse, fine, strict=True):
         assert b < a / 2 ** (order - 0.2)
         assert b < 0.2 * 0.01**order * 10.0**order  # C dt^order with the rates |w| ~ 5 rad/s
@@ -85,7 +85,7 @@ def test_order_of_convergence_in_powered_flight(name: str, order: int) -> None:
 
     The reference makes eight steps for each of the finest of rk4: its error is 1 / 8⁴ of that one's, 4e-4 of a slope.
     """
-    model, state = model_of(8), random_state(8, seed=1)
+    model, state = make_model(8), random_state(8, seed=1)
     command = state.rotor_speed * torch.tensor([1.2, 0.8, 0.9, 1.1], dtype=F64)
     reference = run(model, state, command, "rk4", 0.4 / 512, 512)
     steps = (64, 128, 256) if name == "euler" else (16, 32, 64)
@@ -99,7 +99,7 @@ def test_order_of_convergence_in_powered_flight(name: str, order: int) -> None:
 
 
 def test_rotor_speed_does_not_depend_on_the_stepper_or_step() -> None:
-    model, state = model_of(4), random_state(4)
+    model, state = make_model(4), random_state(4)
     command = state.rotor_speed * 1.1
     ends = [run(model, state, command, name, 0.2 / n, n).rotor_speed for name in INTEGRATORS for n in (1, 10)]
     for end in ends[1:]:
@@ -107,7 +107,7 @@ def test_rotor_speed_does_not_depend_on_the_stepper_or_step() -> None:
 
 
 def test_mass_state_and_body_state_are_inverse() -> None:
-    model, state = model_of(32), random_state(32)
+    model, state = make_model(32), random_state(32)
     back = to_body_state(model, to_mass_state(model, state))
     for a, b in zip(back.tensors(), state.tensors(), strict=True):
         torch.testing.assert_close(a, b, atol=1e-14, rtol=0)
@@ -116,36 +116,36 @@ def test_mass_state_and_body_state_are_inverse() -> None:
 def test_specific_force_is_the_measured_acceleration_of_the_origin() -> None:
     """f = R^T (dv/dt - g) and alpha = dw/dt, against central differences of an RK4 flight with drag, error O(h²)."""
     drag = (EFFECTS.get("rotor_drag"), torch.tensor([0.9, 0.7, 0.5], dtype=F64).expand(16, 3))
-    vehicle = vehicle_from_config(lopsided_robot(com=(0.1, -0.2, 0.3)), num_envs=16, dtype=F64)
+    vehicle = vehicle_from_config(asymmetric_robot(com=(0.1, -0.2, 0.3)), num_envs=16, dtype=F64)
     model, state = build_model(vehicle, [drag]), random_state(16, seed=2)
     h = 1e-5
     ahead = run(model, state, state.rotor_speed, "rk4", h, 1)
     behind = run(model, state, state.rotor_speed, "rk4", -h, 1)
     acc = (ahead.lin_vel - behind.lin_vel) / (2 * h)
     ang_acc = (ahead.ang_vel - behind.ang_vel) / (2 * h)
-    found = accelerations(model, state)
+    result = accelerations(model, state)
     gravity = torch.tensor([0.0, 0.0, -9.81], dtype=F64)
     torch.testing.assert_close(
-        found.specific_force, quat_rotate_inverse(state.attitude, acc - gravity), atol=1e-5, rtol=1e-6
+        result.specific_force, quat_rotate_inverse(state.attitude, acc - gravity), atol=1e-5, rtol=1e-6
     )
-    torch.testing.assert_close(found.ang_acc, ang_acc, atol=1e-5, rtol=1e-6)
+    torch.testing.assert_close(result.ang_acc, ang_acc, atol=1e-5, rtol=1e-6)
 
 
 def test_hover_feels_plus_g_on_z() -> None:
-    model = model_of(1, com=(0.0, 0.0, 0.0))
-    robot = lopsided_robot(com=(0.0, 0.0, 0.0))
+    model = make_model(1, com=(0.0, 0.0, 0.0))
+    robot = asymmetric_robot(com=(0.0, 0.0, 0.0))
     vehicle = model.vehicle
     vehicle.rotor_axis[:] = torch.tensor([0.0, 0.0, 1.0], dtype=F64)
     state = random_state(1)
     state.attitude[:] = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=F64)
     state.ang_vel[:] = 0.0
-    state.rotor_speed[:] = robot.rotor.speed_at(0.8 * 9.81 / 4)
+    state.rotor_speed[:] = robot.rotor.speed_for_thrust(0.8 * 9.81 / 4)
     torch.testing.assert_close(accelerations(model, state).specific_force, torch.tensor([[0.0, 0.0, 9.81]], dtype=F64))
 
 
 def test_specific_force_at_the_origin_of_a_spinning_free_body_points_to_the_centre_of_mass() -> None:
     """Free body spinning at w about z with c = +x: the origin circles the centre of mass, f = w² c (towards it)."""
-    model, state = model_of(1, com=(0.1, 0.0, 0.0), gravity=0.0), no_thrust(random_state(1))
+    model, state = make_model(1, com=(0.1, 0.0, 0.0), gravity=0.0), no_thrust(random_state(1))
     model.vehicle.inertia[:] = torch.diag(torch.tensor([1e-3, 2e-3, 2.5e-3], dtype=F64))
     model = build_model(model.vehicle, gravity=0.0)
     state.ang_vel[:] = torch.tensor([0.0, 0.0, 4.0], dtype=F64)
@@ -154,7 +154,7 @@ def test_specific_force_at_the_origin_of_a_spinning_free_body_points_to_the_cent
 
 def test_angular_acceleration_of_a_spinning_asymmetric_body_has_the_sign_of_euler() -> None:
     """J1 w1' = (J2 - J3) w2 w3 for principal axes."""
-    model, state = model_of(1, com=(0.0, 0.0, 0.0)), no_thrust(random_state(1))
+    model, state = make_model(1, com=(0.0, 0.0, 0.0)), no_thrust(random_state(1))
     model.vehicle.inertia[:] = torch.diag(torch.tensor([1e-3, 2e-3, 2.5e-3], dtype=F64))
     model = build_model(model.vehicle)
     state.ang_vel[:] = torch.tensor([0.0, 3.0, 2.0], dtype=F64)
@@ -165,18 +165,18 @@ def test_angular_acceleration_of_a_spinning_asymmetric_body_has_the_sign_of_eule
 
 @pytest.mark.parametrize("name", list(INTEGRATORS))
 def test_attitude_stays_unit_and_batch_rows_are_independent(name: str) -> None:
-    model, state = model_of(16), random_state(16)
+    model, state = make_model(16), random_state(16)
     end = run(model, state, state.rotor_speed * 1.1, name, 0.01, 100)
     torch.testing.assert_close(end.attitude.norm(dim=-1), torch.ones(16, dtype=F64), atol=1e-14, rtol=0)
     alone = BodyState(**{k: v[5:6] for k, v in vars(state).items()})
-    single = run(model_of(1), alone, alone.rotor_speed * 1.1, name, 0.01, 100)
+    single = run(make_model(1), alone, alone.rotor_speed * 1.1, name, 0.01, 100)
     for a, b in zip(single.tensors(), end.tensors(), strict=True):
         torch.testing.assert_close(a, b[5:6], atol=1e-12, rtol=1e-12)
 
 
 def test_body_and_world_attitude_conventions_agree() -> None:
     """A yaw rate about body z of a level body turns body x towards world y."""
-    model, state = model_of(1, com=(0.0, 0.0, 0.0), gravity=0.0), no_thrust(random_state(1))
+    model, state = make_model(1, com=(0.0, 0.0, 0.0), gravity=0.0), no_thrust(random_state(1))
     state.attitude[:] = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=F64)
     model.vehicle.inertia[:] = torch.diag(torch.tensor([1e-3, 2e-3, 2.5e-3], dtype=F64))
     model = build_model(model.vehicle, gravity=0.0)
@@ -190,18 +190,18 @@ def test_body_and_world_attitude_conventions_agree() -> None:
 
 def test_what_effects_see_in_a_state_serves_all_models_of_the_vehicle() -> None:
     """The condition of the bare vehicle gives the accelerations of one with drag and inflow, bit for bit."""
-    vehicle, state = vehicle_from_config(lopsided_robot(), num_envs=6, dtype=F64), random_state(6)
+    vehicle, state = vehicle_from_config(asymmetric_robot(), num_envs=6, dtype=F64), random_state(6)
     values = {"h_force_flapping": {"kh": 1e-5, "kf": 1e-6}, "axial_inflow": {"ka": 1e-4}}
     effects = effects_from_config(values, num_envs=6, device=torch.device("cpu"), dtype=F64)
     bare, model = build_model(vehicle), build_model(vehicle, effects)
     still = torch.zeros_like(state.rotor_speed)
-    found, known = accelerations(model, state), accelerations(model, state, condition=condition_in(bare, state, still))
-    assert torch.equal(found.specific_force, known.specific_force)
-    assert torch.equal(found.ang_acc, known.ang_acc)
+    result, known = accelerations(model, state), accelerations(model, state, condition=condition_in(bare, state, still))
+    assert torch.equal(result.specific_force, known.specific_force)
+    assert torch.equal(result.ang_acc, known.ang_acc)
 
 
 def test_a_condition_with_another_thrust_keeps_what_follows_from_the_motion() -> None:
-    model, state = build_model(vehicle_from_config(lopsided_robot(), num_envs=2, dtype=F64)), random_state(2)
+    model, state = build_model(vehicle_from_config(asymmetric_robot(), num_envs=2, dtype=F64)), random_state(2)
     condition = condition_in(model, state, torch.zeros_like(state.rotor_speed))
     hubs = condition.hub_velocity
     other = condition.with_thrust(2.0 * condition.rotor_thrust)

@@ -65,27 +65,29 @@ def test_one_prism_deflects_by_snells_law(face: str) -> None:
     wedge, index = radians(20.0), 1.5
     prism = PrismCfg(wedge_deg=20.0, turns_hz=2.0, refractive_index=index, inclined_face=face)
     time = torch.tensor([0.0, 0.125, 0.25], dtype=torch.float64)  # 0, 90 and 180 degrees
-    found = through_prisms([prism], time, AHEAD)
+    result = through_prisms([prism], time, AHEAD)
     deflection = (
         asin(index * sin(wedge - asin(sin(wedge) / index))) if face == "entry" else asin(index * sin(wedge)) - wedge
     )
-    torch.testing.assert_close(off_axis(found), torch.full((3,), deflection, dtype=torch.float64), rtol=1e-12, atol=0.0)
-    side = torch.sign(found[0, 1])
+    torch.testing.assert_close(
+        off_axis(result), torch.full((3,), deflection, dtype=torch.float64), rtol=1e-12, atol=0.0
+    )
+    side = torch.sign(result[0, 1])
     expected = torch.tensor([[side, 0.0], [0.0, side], [-side, 0.0]], dtype=torch.float64) * sin(deflection)
-    torch.testing.assert_close(found[:, 1:], expected, rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(result[:, 1:], expected, rtol=0.0, atol=1e-12)
 
 
 def test_thin_prisms_add_their_deflections_as_vectors() -> None:
     """Deflection (n - 1) a each, to second order in the wedge: the curve is that of two turning vectors."""
     prisms = (THIN, replace(THIN, wedge_deg=0.007, turns_hz=-4.0))
     time = torch.linspace(0.0, 1.0, 50, dtype=torch.float64)
-    found = through_prisms(prisms, time, AHEAD)
+    result = through_prisms(prisms, time, AHEAD)
     sizes = [0.5 * radians(prism.wedge_deg) for prism in prisms]
     angles = [2.0 * pi * prism.turns_hz * time for prism in prisms]
     sign = torch.sign(through_prisms([THIN], time[:1], AHEAD)[0, 1])
     y = sign * sum(size * torch.cos(angle) for size, angle in zip(sizes, angles, strict=True))
     z = sign * sum(size * torch.sin(angle) for size, angle in zip(sizes, angles, strict=True))
-    torch.testing.assert_close(found[:, 1:], torch.stack((y, z), dim=-1), rtol=0.0, atol=1e-10)
+    torch.testing.assert_close(result[:, 1:], torch.stack((y, z), dim=-1), rtol=0.0, atol=1e-10)
 
 
 def test_angles_from_the_axis_follow_the_law_of_cosines() -> None:
@@ -128,7 +130,7 @@ def test_avia_sees_what_its_data_sheet_says() -> None:
     assert float(up.max() - up.min()) == pytest.approx(77.2, abs=0.5)
 
 
-def covered(cfg: RosetteCfg, frames: int, cell_deg: float = 0.3) -> float:
+def coverage(cfg: RosetteCfg, frames: int, cell_deg: float = 0.3) -> float:
     """Return the share of cells of the field of view that hold a ray of the first frames."""
     rays = rosette_rays(replace(cfg, frames=frames), device=CPU).double()
     half = 0.5 * {"livox_mid40": 38.4, "livox_mid70": 70.4}[cfg_name(cfg)]
@@ -151,7 +153,7 @@ def test_coverage_grows_with_time(name: str) -> None:
     Mid-40: 22 % after 0.1 s, 76 % after 0.5 s, 93 % after 1 s; Mid-70: 11, 46 and 74 %.
     """
     cfg = rosette(name)
-    shares = [covered(cfg, frames) for frames in (1, 5, 10, 20)]
+    shares = [coverage(cfg, frames) for frames in (1, 5, 10, 20)]
     assert all(later > 1.15 * before for before, later in pairwise(shares[:3]))
     assert shares[0] < 0.5
     assert shares[3] > 0.9
@@ -231,13 +233,13 @@ def test_every_lidar_that_is_round_is_in_the_table_of_turning_ones() -> None:
 # ------------------------------------------------------------------------------------------------ in flight
 
 
-def wall_of(envs: int, depth: float, device: torch.device) -> Scene:
+def make_wall(envs: int, depth: float, device: torch.device) -> Scene:
     """Return a wall across the x axis with its near side at a depth, in each environment."""
     state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *(6 * [0.0])]]], device=device).repeat(envs, 1, 1)
     return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
 
-def caster_of(cfg: RosetteCfg, scene: Scene, **state: Tensor) -> RayCaster:
+def make_caster(cfg: RosetteCfg, scene: Scene, **state: Tensor) -> RayCaster:
     envs = scene.num_envs
     zero = torch.zeros(envs, 3)
     body = {"position": zero, "attitude": LEVEL.repeat(envs, 1), "lin_vel": zero, "ang_vel": zero, **state}
@@ -247,7 +249,7 @@ def caster_of(cfg: RosetteCfg, scene: Scene, **state: Tensor) -> RayCaster:
 
 def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None:
     """Before a wall at d, the range along a ray is d / x; after the last frame the scan begins anew."""
-    caster = caster_of(ROSETTE, wall_of(1, 6.0, device))
+    caster = make_caster(ROSETTE, make_wall(1, 6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     assert (frames[0] - frames[1]).abs().max() > 0.1
     for image in range(7):
@@ -258,7 +260,7 @@ def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None
 
 def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask(device: torch.device) -> None:
     """Environment 1 is reset after two images and takes none at the next call: the others do not notice."""
-    caster = caster_of(ROSETTE, wall_of(3, 6.0, device))
+    caster = make_caster(ROSETTE, make_wall(3, 6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     seen = [0, 0, 0]
     for call in range(6):
@@ -282,8 +284,8 @@ def test_a_batch_sees_what_one_environment_sees(device: torch.device) -> None:
     cfg = replace(ROSETTE, points="world")
     draw = torch.Generator().manual_seed(4)
     state = {name: 0.5 * torch.randn(4, 3, generator=draw) for name in ("position", "lin_vel", "ang_vel")}
-    batch = caster_of(cfg, wall_of(4, 6.0, device), **state)
-    alone = caster_of(cfg, wall_of(1, 6.0, device), **{name: value[2:3] for name, value in state.items()})
+    batch = make_caster(cfg, make_wall(4, 6.0, device), **state)
+    alone = make_caster(cfg, make_wall(1, 6.0, device), **{name: value[2:3] for name, value in state.items()})
     for _ in range(3):
         batch.cast()
         alone.cast()
@@ -291,7 +293,7 @@ def test_a_batch_sees_what_one_environment_sees(device: torch.device) -> None:
             assert torch.equal(batch.images[name][2:3], alone.images[name]), name
 
 
-def ages_of(cfg: RosetteCfg) -> Tensor:
+def column_ages(cfg: RosetteCfg) -> Tensor:
     """Return the age of each column at the capture [s], (W,): the last one is of that instant."""
     return (cfg.width - 1 - torch.arange(cfg.width, dtype=torch.float64)) / (cfg.width * (cfg.rate_hz or 0.0))
 
@@ -299,11 +301,11 @@ def ages_of(cfg: RosetteCfg) -> Tensor:
 def test_flying_at_a_wall_each_ray_has_the_range_of_its_own_time(device: torch.device) -> None:
     """The wall was v t further away at a ray of age t: r = (d + v t) / x."""
     speed = 8.0
-    caster = caster_of(ROSETTE, wall_of(1, 6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
+    caster = make_caster(ROSETTE, make_wall(1, 6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     for image in range(2):
         caster.cast()
-        expected = (6.0 + speed * ages_of(ROSETTE)) / frames[image, ..., 0]
+        expected = (6.0 + speed * column_ages(ROSETTE)) / frames[image, ..., 0]
         torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
@@ -311,34 +313,34 @@ def test_flying_at_a_wall_each_ray_has_the_range_of_its_own_time(device: torch.d
 def test_a_turning_rosette_sees_the_wall_along_the_rays_as_they_were_turned(columns: int, device: torch.device) -> None:
     """Yawing at w, a ray of age t was turned by -w t: r = d / (x cos(w t) + y sin(w t)); columns of a group share one age."""
     cfg, rate = replace(ROSETTE, scan_columns=columns), 3.0
-    caster = caster_of(cfg, wall_of(1, 6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
+    caster = make_caster(cfg, make_wall(1, 6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
     caster.cast()
     rays = rosette_rays(cfg, device=CPU).double()[0]
-    ages = torch.cat([group.mean().expand(len(group)) for group in ages_of(cfg).split(columns)])
+    ages = torch.cat([group.mean().expand(len(group)) for group in column_ages(cfg).split(columns)])
     expected = 6.0 / (rays[..., 0] * torch.cos(rate * ages) + rays[..., 1] * torch.sin(rate * ages))
     torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=2e-6, atol=0.0)
 
 
 def test_lasers_of_one_pulse_share_its_time(device: torch.device) -> None:
     cfg = replace(ROSETTE, height=2, lasers_deg=((0.0, 1.0), (0.0, -1.0)))
-    caster = caster_of(cfg, wall_of(1, 6.0, device), lin_vel=torch.tensor([[8.0, 0.0, 0.0]]))
+    caster = make_caster(cfg, make_wall(1, 6.0, device), lin_vel=torch.tensor([[8.0, 0.0, 0.0]]))
     caster.cast()
     rays = rosette_rays(cfg, device=CPU).double()[0]
     assert ((rays[0] - rays[1]).norm(dim=-1) > radians(1.0)).all()
-    expected = (6.0 + 8.0 * ages_of(cfg)) / rays[..., 0]
+    expected = (6.0 + 8.0 * column_ages(cfg)) / rays[..., 0]
     torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
 
 
-def manager_of(cfg: RosetteCfg, dt: float, device: torch.device) -> tuple[SensorManager, GlobalTensorDictionary]:
+def make_manager(cfg: RosetteCfg, dt: float, device: torch.device) -> tuple[SensorManager, GlobalTensorDictionary]:
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
     zero = torch.zeros(1, 3, device=device)
     state = {"position": zero, "attitude": LEVEL.repeat(1, 1).to(device), "lin_vel": zero, "ang_vel": zero}
-    return SensorManager({"top": cfg}, gtd, wall_of(1, 6.0, device), num_envs=1, device=device, dt=dt, **state), gtd
+    return SensorManager({"top": cfg}, gtd, make_wall(1, 6.0, device), num_envs=1, device=device, dt=dt, **state), gtd
 
 
 def test_the_scan_keeps_time_between_its_frames(device: torch.device) -> None:
     """10 Hz on steps of 20 ms: after n steps frame n // 5 of the table is seen."""
-    manager, gtd = manager_of(ROSETTE, 0.02, device)
+    manager, gtd = make_manager(ROSETTE, 0.02, device)
     manager.reset(torch.ones(1, dtype=torch.bool, device=device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     for step in range(25):
@@ -348,16 +350,16 @@ def test_the_scan_keeps_time_between_its_frames(device: torch.device) -> None:
 
 
 def test_frames_shorter_than_a_step_are_refused(device: torch.device) -> None:
-    manager_of(ROSETTE, 0.1, device)
+    make_manager(ROSETTE, 0.1, device)
     with pytest.raises(ConfigError):
-        manager_of(ROSETTE, 0.11, device)
+        make_manager(ROSETTE, 0.11, device)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="a graph needs a GPU")
 def test_a_captured_image_moves_on_at_every_replay() -> None:
     """The frame is a number on the device: replays of one graph see frame after frame."""
     device = torch.device("cuda:0")
-    caster = caster_of(ROSETTE, wall_of(1, 6.0, device))
+    caster = make_caster(ROSETTE, make_wall(1, 6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     caster.cast()
     graph = torch.cuda.CUDAGraph()

@@ -18,27 +18,27 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
 from aerial_gym.physics.effects import EffectParams
 from aerial_gym.physics.model import check_effects
-from aerial_gym.physics.rotor_lag import limited_lag, stop_in_dead_band
+from aerial_gym.physics.rotor_lag import slew_limited_lag, stop_in_dead_band
 from aerial_gym.physics.rotors import map_terms, rotor_thrust, rotor_torque, state_for_thrust
 from aerial_gym.robots import ROBOTS
-from tests.physics.mixed_rotors import FORCE, REVERSIBLE, mixed_robot, with_rotor
+from tests.physics.rotor_types import FORCE, REVERSIBLE, three_type_robot, with_rotor
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 UP, DOWN, SLEW = 0.03, 0.05, 2e3
 
 
-def lagged(
+def step_lag(
     state: float, command: float, span: float, *, slew: float = SLEW, down: float = SLEW, steps: int = 1
 ) -> float:
     """Return the state after a span that is divided into steps."""
     x, c, *limits = (torch.full((1, 1), v, dtype=F64) for v in (state, command, UP, DOWN, slew, down))
     for _ in range(steps):
-        x = limited_lag(x, c, *limits, span / steps)
+        x = slew_limited_lag(x, c, *limits, span / steps)
     return x.item()
 
 
-def integrated(state: float, command: float, span: float, *, slew: float, down: float) -> float:
+def integrate_lag(state: float, command: float, span: float, *, slew: float, down: float) -> float:
     """Return the same from the differential equation, by an adaptive method that stops where the law has a kink."""
 
     def rate(_: float, x: np.ndarray) -> np.ndarray:
@@ -46,16 +46,16 @@ def integrated(state: float, command: float, span: float, *, slew: float, down: 
         most = np.where(falls, down, slew)
         return np.clip((command - x) / np.where(falls, DOWN, UP), -most, most)
 
-    found = solve_ivp(rate, (0.0, span), [state], rtol=1e-10, atol=1e-9, max_step=span / 200.0)
-    return float(found.y[0, -1])
+    result = solve_ivp(rate, (0.0, span), [state], rtol=1e-10, atol=1e-9, max_step=span / 200.0)
+    return float(result.y[0, -1])
 
 
 def test_a_limited_lag_is_a_straight_line_and_then_an_exponential() -> None:
     """|c - x| = 500 falls by S until it is S tau = 60, after 0.22 s, then by exp(-t / tau)."""
     corner = (500.0 - SLEW * UP) / SLEW
-    assert lagged(0.0, 500.0, 0.5 * corner) == pytest.approx(SLEW * 0.5 * corner, rel=1e-12)
+    assert step_lag(0.0, 500.0, 0.5 * corner) == pytest.approx(SLEW * 0.5 * corner, rel=1e-12)
     expected = 500.0 - SLEW * UP * exp(-0.04 / UP)
-    assert lagged(0.0, 500.0, corner + 0.04) == pytest.approx(expected, rel=1e-12)
+    assert step_lag(0.0, 500.0, corner + 0.04) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(("slew", "down"), [(inf, inf), (4e3, 4e3), (300.0, 300.0), (inf, 2e3), (3e3, 900.0)])
@@ -64,17 +64,19 @@ def test_a_limited_lag_is_a_straight_line_and_then_an_exponential() -> None:
 )
 def test_the_lag_solves_its_differential_equation(state: float, command: float, slew: float, down: float) -> None:
     """The closed form is what an adaptive integrator finds, to its tolerance across the kinks, and odd."""
-    found = lagged(state, command, 0.12, slew=slew, down=down)
-    assert found == pytest.approx(
-        integrated(state, command, 0.12, slew=slew, down=down), abs=2e-4 * abs(command - state)
+    result = step_lag(state, command, 0.12, slew=slew, down=down)
+    assert result == pytest.approx(
+        integrate_lag(state, command, 0.12, slew=slew, down=down), abs=2e-4 * abs(command - state)
     )
-    assert lagged(-state, -command, 0.12, slew=slew, down=down) == pytest.approx(-found, rel=1e-12)
+    assert step_lag(-state, -command, 0.12, slew=slew, down=down) == pytest.approx(-result, rel=1e-12)
 
 
 @pytest.mark.parametrize("span", [0.2, 0.003])
 @pytest.mark.parametrize("command", [600.0, -250.0, 90.0, 300.0])
 def test_the_lag_does_not_depend_on_the_division_into_steps(command: float, span: float) -> None:
-    assert lagged(350.0, command, span, steps=73) == pytest.approx(lagged(350.0, command, span), rel=1e-12, abs=1e-10)
+    assert step_lag(350.0, command, span, steps=73) == pytest.approx(
+        step_lag(350.0, command, span), rel=1e-12, abs=1e-10
+    )
 
 
 def test_gradients_pass_the_kinks() -> None:
@@ -83,19 +85,19 @@ def test_gradients_pass_the_kinks() -> None:
     command = torch.tensor([[-300.0, 500.0, 80.0, 70.0]], dtype=F64, requires_grad=True)
     up, down = torch.full((1, 4), UP, dtype=F64), torch.full((1, 4), DOWN, dtype=F64)
     slew = torch.tensor([[4e3, inf, 1e3, 1e3]], dtype=F64)
-    limited_lag(state, command, up * 0.0, down * 0.0, slew, slew, 0.01).sum().backward()
+    slew_limited_lag(state, command, up * 0.0, down * 0.0, slew, slew, 0.01).sum().backward()
     assert state.grad is not None
     assert state.grad.isfinite().all()
     assert command.grad is not None
     assert command.grad.isfinite().all()
     inner = ((state[:, :3] + 5.0).detach().requires_grad_(), command[:, :3].detach().requires_grad_())
     limits = [rows[:, :3] for rows in (up, down, slew, 2.0 * slew)]
-    assert torch.autograd.gradcheck(lambda x, c: limited_lag(x, c, *limits, 0.013), inner)
+    assert torch.autograd.gradcheck(lambda x, c: slew_limited_lag(x, c, *limits, 0.013), inner)
 
 
 def test_a_reversed_rotor_pulls_and_turns_the_other_way() -> None:
     """T(-w) = -(c1 w + c2 w²) with the reverse map; drag torque -0.015 T; the power torque times speed stays positive."""
-    vehicle = vehicle_from_config(with_rotor(lopsided_robot(), REVERSIBLE), num_envs=1, dtype=F64)
+    vehicle = vehicle_from_config(with_rotor(asymmetric_robot(), REVERSIBLE), num_envs=1, dtype=F64)
     speed = torch.tensor([[500.0, -500.0, -1.0, 0.0]], dtype=F64)
     thrust = rotor_thrust(vehicle, speed)
     expected = torch.tensor([[0.75, -(1e-4 * 500.0 + 2e-6 * 500.0**2), -(1e-4 + 2e-6), 0.0]], dtype=F64)
@@ -108,7 +110,7 @@ def test_a_reversed_rotor_pulls_and_turns_the_other_way() -> None:
 def test_a_reversed_rotor_is_one_whose_axis_points_the_other_way() -> None:
     """With equal maps both ways, -w along +z accelerates the body as w along -z does, with every law that allows it."""
     rotor = replace(REVERSIBLE, reverse_thrust_map=None, dead_band=0.0, slew_rate=None)
-    robot = with_rotor(lopsided_robot(), rotor)
+    robot = with_rotor(asymmetric_robot(), rotor)
     flipped = tuple(replace(m, axis=tuple(-a for a in m.axis)) for m in robot.mounts.layout)
     turned = replace(robot, mounts=replace(robot.mounts, layout=flipped))
     names = [name for name in EFFECTS.names() if {"reversible"} <= set(EFFECTS.get(name).rotors)]
@@ -136,7 +138,7 @@ def test_a_reversed_rotor_is_one_whose_axis_points_the_other_way() -> None:
 
 def test_force_mode_follows_its_thrust_with_its_own_lag() -> None:
     """Thrust towards 2 N: at 60 N/s until 1.2 N are left, then exp(-t / 0.02 s); the body feels just that along its axes."""
-    robot = with_rotor(lopsided_robot(com=(0.0, 0.0, 0.0)), FORCE)
+    robot = with_rotor(asymmetric_robot(com=(0.0, 0.0, 0.0)), FORCE)
     model = build_model(vehicle_from_config(robot, num_envs=1, dtype=F64))
     state = replace(random_state(1), rotor_speed=torch.zeros(1, 4, dtype=F64))
     control = ThrustController(model.vehicle, 9.81, ControlCfg())
@@ -151,7 +153,7 @@ def test_force_mode_follows_its_thrust_with_its_own_lag() -> None:
 
 
 def test_commands_in_the_dead_band_stop_a_rotor() -> None:
-    vehicle = vehicle_from_config(mixed_robot(), num_envs=1, dtype=F64)
+    vehicle = vehicle_from_config(three_type_robot(), num_envs=1, dtype=F64)
     command = torch.tensor([[59.0, 59.0, 0.01, -59.9]], dtype=F64)
     assert stop_in_dead_band(vehicle, command).tolist() == [[0.0, 59.0, 0.01, 0.0]]
     assert stop_in_dead_band(vehicle, 1.1 * command)[0, 3].item() == pytest.approx(-65.89)
@@ -163,7 +165,7 @@ def test_commands_in_the_dead_band_stop_a_rotor() -> None:
 )
 def test_an_effect_refuses_rotors_by_name(name: str, rotor, words: str) -> None:
     """Where the robot is checked, and where a model is built of vehicle and effects."""
-    robot = with_rotor(lopsided_robot(), rotor)
+    robot = with_rotor(asymmetric_robot(), rotor)
     effect = EFFECTS.get(name)
     values = {p.name: max(p.low, 0.01) for p in effect.parameters}
     with pytest.raises(ConfigError, match=f"effect {name}: its law does not hold for .*{words}"):
@@ -175,7 +177,7 @@ def test_an_effect_refuses_rotors_by_name(name: str, rotor, words: str) -> None:
 
 def test_a_robot_file_names_a_rotor_type_for_each_mount(tmp_path) -> None:
     """Written and read again it is the same; rows of the vehicle are those of the mounts' types."""
-    robot = mixed_robot()
+    robot = three_type_robot()
     (tmp_path / "robot.yaml").write_text(dump_yaml(robot))
     assert load_robot(tmp_path / "robot.yaml") == robot
     vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
@@ -184,7 +186,7 @@ def test_a_robot_file_names_a_rotor_type_for_each_mount(tmp_path) -> None:
     assert vehicle.speed_low[0, 2].item() == -4.0
     assert vehicle.traits == {"reversible", "force", "slew", "dead_band"}
     assert not vehicle.plain
-    assert vehicle_from_config(lopsided_robot(), num_envs=1).plain
+    assert vehicle_from_config(asymmetric_robot(), num_envs=1).plain
 
 
 def test_the_octarotor_pushes_and_turns_alike_in_every_direction() -> None:
@@ -212,7 +214,7 @@ def test_the_octarotor_hovers_in_any_attitude(axis: str) -> None:
     torch.testing.assert_close(end.position, zero, atol=1e-4, rtol=0.0)  # axes are given to six digits
 
 
-@pytest.mark.parametrize("robot", [lopsided_robot(), mixed_robot(), with_rotor(lopsided_robot(), REVERSIBLE)])
+@pytest.mark.parametrize("robot", [asymmetric_robot(), three_type_robot(), with_rotor(asymmetric_robot(), REVERSIBLE)])
 def test_terms_times_coefficients_are_thrusts_and_drag_torques(robot: RobotCfg) -> None:
     vehicle = vehicle_from_config(robot, num_envs=7, dtype=F64)
     state = torch.linspace(-600.0, 800.0, 7 * vehicle.num_rotors, dtype=F64).view(7, -1)

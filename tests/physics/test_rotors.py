@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import evaluate_map, lag_speed, rotor_wrench, speed_for_thrust, state_for_thrust
-from tests.physics.vehicles import lopsided_robot
+from tests.physics.vehicles import asymmetric_robot
 
 F64 = torch.float64
 
@@ -50,7 +50,7 @@ def test_thrust_below_the_vertex_gives_the_vertex_and_no_nan() -> None:
 @pytest.mark.parametrize("traits", [frozenset(), frozenset({"reversible"})])
 def test_a_thrust_that_no_rotor_gives_has_no_slope_and_no_nan(traits: frozenset[str]) -> None:
     """The root of 0 has an infinite slope, times the 0 of a limit NaN: one such rotor takes the gradient of its whole row."""
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=1, dtype=F64)
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=1, dtype=F64)
     vehicle = replace(vehicle, traits=traits, thrust_map=torch.tensor([0.0, 0.0, 3e-6], dtype=F64).expand(1, 4, 3))
     thrust = torch.tensor([[0.0, -1.0, 0.5, 1.0]], dtype=F64, requires_grad=True)
     (slope,) = torch.autograd.grad(state_for_thrust(vehicle, thrust).sum(), thrust)
@@ -60,7 +60,7 @@ def test_a_thrust_that_no_rotor_gives_has_no_slope_and_no_nan(traits: frozenset[
 
 def test_front_right_rotor_alone_rolls_left_side_up_pitches_nose_up_and_yaws_against_its_spin() -> None:
     """Rotor at +x, -y with thrust up: r x F = (y F, -x F): Mx = -0.1 F (right side up), My = -0.2 F (nose up)."""
-    vehicle = vehicle_from_config(lopsided_robot(com=(0.0, 0.0, 0.0)), num_envs=1, dtype=F64)
+    vehicle = vehicle_from_config(asymmetric_robot(com=(0.0, 0.0, 0.0)), num_envs=1, dtype=F64)
     hub = torch.tensor([[0.2, -0.1, 0.0]], dtype=F64)
     axis = torch.tensor([[0.0, 0.0, 1.0]], dtype=F64)
     vehicle.rotor_position[0], vehicle.rotor_axis[0], vehicle.rotor_spin[0] = hub, axis, 1.0

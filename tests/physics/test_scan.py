@@ -86,7 +86,7 @@ def azimuths(cfg: LidarCfg) -> Tensor:
 
 
 def ages(cfg: LidarCfg) -> Tensor:
-    """Return how long before the capture every column was measured [s], (W,), from its azimuth."""
+    """Return the time from the measurement of each column to the capture [s], (W,), from its azimuth."""
     azimuth = azimuths(cfg)
     away = azimuth - azimuth[-1] if cfg.scan_clockwise else azimuth[0] - azimuth
     return SCAN_S * away / (2.0 * pi)
@@ -128,15 +128,15 @@ def test_flying_at_a_wall_each_column_has_the_range_of_its_own_time(
     or left, belongs to the capture."""
     cfg, speed, depth = replace(cfg, scan_clockwise=clockwise), 8.0, 6.0
     caster = shoot(cfg, wall(depth, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
-    found, ahead = caster.images.distance[0, 0].cpu().double(), caster.direction[..., 0].cpu().double()
+    result, ahead = caster.images.distance[0, 0].cpu().double(), caster.direction[..., 0].cpu().double()
     age = ages(cfg)
     assert age[-1 if clockwise else 0] == 0.0
     assert age.max() == pytest.approx(SCAN_S * (39 / 40 if cfg.full_turn else 100 / 360))
     expected = (depth + speed * age) / ahead
     seen = (ahead > 0.05) & (expected < 29.0)
     assert seen.float().mean() > 0.3
-    torch.testing.assert_close(found[seen], expected[seen], rtol=1e-6, atol=1e-6)
-    assert (found[ahead < 0.0] == -1.0).all()
+    torch.testing.assert_close(result[seen], expected[seen], rtol=1e-6, atol=1e-6)
+    assert (result[ahead < 0.0] == -1.0).all()
 
 
 @pytest.mark.parametrize("columns", [2, 3, 8, 16, 24, 40])
@@ -229,12 +229,12 @@ def test_any_twists_of_robot_and_obstacles_match_an_intersection_of_every_ray(
             assert same.float().mean() > 0.998  # rays along an edge may fall to either side
             assert all((ids == instance).any() for instance in (-2, 0, 1, 2, 3))
             hit = same & (ids >= 0)
-            found = images.distance[env, number].cpu().double()
-            error = (found - nearest)[hit].abs() / nearest[hit]
+            result = images.distance[env, number].cpu().double()
+            error = (result - nearest)[hit].abs() / nearest[hit]
             assert error.quantile(0.99) < 1e-5
             assert error.max() < 1e-3  # where a ray grazes a surface, round-off counts more
             assert images.points is not None
-            exact = hit & ((found - nearest).abs() < 1e-4)
+            exact = hit & ((result - nearest).abs() < 1e-4)
             point = origin + nearest.unsqueeze(-1) * heading
             torch.testing.assert_close(
                 images.points[env, number].cpu().double()[exact], point[exact], rtol=0.0, atol=2e-4

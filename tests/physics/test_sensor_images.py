@@ -107,16 +107,16 @@ def test_normals_are_those_of_the_surface(name: str, device: torch.device) -> No
     attitude = quat_from_euler(torch.tensor(turn))
     back = torch.cat((-attitude[:3], attitude[3:])).expand(int(hit.sum()), 4)
     local = quat_rotate(back, images.points[0, 0].cpu()[hit] - torch.tensor(place))
-    found = quat_rotate(back, images.normals[0, 0].cpu()[hit])
-    expected, sure = closed_normal(shape, local)
-    torch.testing.assert_close(found[sure], expected[sure], rtol=0.0, atol=2e-4)
+    result = quat_rotate(back, images.normals[0, 0].cpu()[hit])
+    expected, sure = surface_normal(shape, local)
+    torch.testing.assert_close(result[sure], expected[sure], rtol=0.0, atol=2e-4)
     assert sure.float().mean() > 0.9
     world = images.normals[0, 0].cpu()
     assert ((world * caster.direction.cpu()).sum(-1)[hit] < 0.0).all()
     assert (world[~hit] == 0.0).all()
 
 
-def closed_normal(shape: ShapeCfg, local: Tensor) -> tuple[Tensor, Tensor]:
+def surface_normal(shape: ShapeCfg, local: Tensor) -> tuple[Tensor, Tensor]:
     """Return the outward normal at points of a surface, and where no edge is nearer than a millimetre."""
     if shape.kind == "sphere":
         return local / local.norm(dim=-1, keepdim=True), torch.ones(len(local), dtype=torch.bool)
@@ -162,11 +162,11 @@ def test_a_plane_has_the_distance_of_its_equation_at_every_pixel(
     t = (normal @ torch.tensor(place, dtype=torch.float64)) / (world @ normal)
     assert images.segmentation is not None
     assert images.normals is not None
-    ids, found = images.segmentation[0, 0].cpu(), images.distance[0, 0].cpu().double()
+    ids, result = images.segmentation[0, 0].cpu(), images.distance[0, 0].cpu().double()
     ground = ids == 0
     assert ground.sum() > 200
     slope = (world @ normal).abs()[ground]  # t is a quotient by it: round-off of some 1e-7 counts the more, the flatter
-    assert ((found - t).abs()[ground] <= 1e-5 + t[ground] * 5e-7 / slope).all()
+    assert ((result - t).abs()[ground] <= 1e-5 + t[ground] * 5e-7 / slope).all()
     falls = (t > 0.0) & (t < 499.0)
     assert torch.equal(ground, falls & (ids != 1))
     expected = (-1.0 if height > 0.0 else 1.0) * normal.float().expand(int(ground.sum()), 3)
@@ -218,13 +218,13 @@ def test_normals_and_faces_of_a_mesh_match_trimesh(device: torch.device, tmp_pat
 def test_normals_in_the_sensor_frame_are_those_of_the_world_turned(device: torch.device) -> None:
     shape, place, turn = SOLIDS["capsule"]
     attitude = quat_from_euler(torch.tensor([[0.2, -0.1, 0.3]]))
-    found = {}
+    result = {}
     for frame in ("world", "sensor"):
         scene = make_scene([shape], [(place, turn)], device)
-        found[frame] = shoot(replace(CAMERA, normals=frame), scene, attitude=attitude).images.normals
-    sensor = found["sensor"][0, 0].cpu()
+        result[frame] = shoot(replace(CAMERA, normals=frame), scene, attitude=attitude).images.normals
+    sensor = result["sensor"][0, 0].cpu()
     torch.testing.assert_close(
-        found["world"][0, 0].cpu(), quat_rotate(attitude.expand(30, 40, 4), sensor), rtol=0.0, atol=1e-5
+        result["world"][0, 0].cpu(), quat_rotate(attitude.expand(30, 40, 4), sensor), rtol=0.0, atol=1e-5
     )
 
 
@@ -287,21 +287,21 @@ def noisy_wall(noise: NoiseCfg, device, *, distance: float = 4.0, images: int = 
     """Return the distances of a wall straight ahead, images x pixels."""
     scene = make_scene([WALL], [([distance + 0.1, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
     caster = shoot(replace(CAMERA, kind=kind, noise=noise), scene)
-    found = []
+    result = []
     for _ in range(images):
         caster.cast()
-        found.append(caster.images.distance.flatten().clone().cpu())
-    return torch.stack(found)
+        result.append(caster.images.distance.flatten().clone().cpu())
+    return torch.stack(result)
 
 
 @pytest.mark.parametrize("distance", [2.0, 8.0])
 def test_noise_has_the_mean_and_deviation_of_its_polynomial(distance: float, device: torch.device) -> None:
     """Of n draws the mean is off by less than 5 std/sqrt(n), the deviation by less than 5 std/sqrt(2 n)."""
     noise = NoiseCfg(std_a=1e-3, std_b=2e-3, std_c=5e-3, mean_offset=-0.05)
-    found = noisy_wall(noise, device, distance=distance).double()
-    std, n = noise.std(distance), found.numel()
-    assert abs(found.mean().item() - (distance + 0.05)) < 5.0 * std / n**0.5 + 1e-6
-    assert abs(found.std().item() - std) < 5.0 * std / (2 * n) ** 0.5
+    result = noisy_wall(noise, device, distance=distance).double()
+    std, n = noise.std(distance), result.numel()
+    assert abs(result.mean().item() - (distance + 0.05)) < 5.0 * std / n**0.5 + 1e-6
+    assert abs(result.std().item() - std) < 5.0 * std / (2 * n) ** 0.5
 
 
 def test_noise_differs_between_pixels_images_and_seeds_and_repeats_with_a_seed(device: torch.device) -> None:
@@ -325,10 +325,10 @@ def test_noise_differs_between_pixels_images_and_seeds_and_repeats_with_a_seed(d
 
 
 def test_dropped_pixels_hold_the_near_value_at_the_given_rate(device: torch.device) -> None:
-    found = noisy_wall(NoiseCfg(dropout=0.07), device)
-    dropped = found == -1.0
-    torch.testing.assert_close(found[~dropped], torch.full_like(found[~dropped], 4.0), rtol=0.0, atol=1e-5)
-    rate, n = dropped.double().mean().item(), found.numel()
+    result = noisy_wall(NoiseCfg(dropout=0.07), device)
+    dropped = result == -1.0
+    torch.testing.assert_close(result[~dropped], torch.full_like(result[~dropped], 4.0), rtol=0.0, atol=1e-5)
+    rate, n = dropped.double().mean().item(), result.numel()
     assert abs(rate - 0.07) < 5.0 * (0.07 * 0.93 / n) ** 0.5
 
 
@@ -430,7 +430,7 @@ def test_placements_are_drawn_within_their_ranges_for_masked_environments(device
     assert pitch.abs().max() > 0.15
 
 
-def test_a_sensor_with_a_rate_keeps_its_image_in_between(device: torch.device) -> None:
+def test_a_sensor_with_a_rate_keeps_its_image_between_captures(device: torch.device) -> None:
     """30 Hz on 10 ms steps: images at 0, 4, 7, 10, 14 ... steps after the reset of each environment."""
     scene = make_scene([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=2)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 2})
@@ -438,8 +438,8 @@ def test_a_sensor_with_a_rate_keeps_its_image_in_between(device: torch.device) -
     pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
     slow = replace(CAMERA, kind="depth", rate_hz=30.0)
     manager = SensorManager({"slow": slow}, gtd, scene, num_envs=2, device=device, dt=0.01, **pose)
-    everyone, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
-    manager.reset(everyone)
+    all_rows, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
+    manager.reset(all_rows)
     taken: list[list[int]] = [[], []]
     last = [-1.0, -1.0]
     for step in range(15):
@@ -465,8 +465,8 @@ def test_images_of_a_sensor_with_latency_appear_so_many_steps_later(steps: int, 
     pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
     late = replace(CAMERA, kind="depth", latency_s=0.02 * steps, points="sensor")
     manager = SensorManager({"late": late}, gtd, scene, num_envs=2, device=device, dt=0.02, **pose)
-    everyone, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
-    manager.reset(everyone)
+    all_rows, second = torch.tensor([True, True], device=device), torch.tensor([False, True], device=device)
+    manager.reset(all_rows)
     begin = [0, 0]
     for step in range(12):
         if step == 7:

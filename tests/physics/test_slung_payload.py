@@ -11,26 +11,26 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import EFFECTS, BodyState, Model, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.robots import ROBOTS
-from tests.physics.swing import conserved, fly_load
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.swing import fly_load, momentum_energy
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 G = 9.81
 
 
-def hung(robot, num_envs: int, params: list[float], *, gravity: float = G) -> Model:
+def make_model(robot, num_envs: int, params: list[float], *, gravity: float = G) -> Model:
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     rows = torch.tensor(params, dtype=F64).expand(num_envs, -1)
     return build_model(vehicle, [(EFFECTS.get("slung_payload"), rows)], gravity=gravity)
 
 
-def load_at(angle: float) -> Tensor:
+def rest_load(angle: float) -> Tensor:
     """Return a still payload at an angle from straight down, towards +x."""
     tilt = torch.tensor(angle, dtype=F64)
     zero = torch.zeros((), dtype=F64)
     return torch.stack((tilt.sin(), zero, -tilt.cos(), zero, zero, zero)).unsqueeze(0)
 
 
-def hovering(model: Model) -> BodyState:
+def hover_state(model: Model) -> BodyState:
     """Return a level vehicle at rest whose rotors carry it and its payload."""
     weight = (model.vehicle.mass[0] + model.effects[LoadEffect][0][1][0, 0]) * model.gravity
     speed = (weight / 4.0 / model.vehicle.thrust_map[0, 0, 2]).sqrt()
@@ -51,32 +51,36 @@ def random_load(num_envs: int) -> Tensor:
 @pytest.mark.parametrize(("mass", "length"), [pytest.param(0.1, 0.5, marks=pytest.mark.slow), (1.0, 2.0)])
 def test_small_swings_have_the_frequency_of_both_masses(mass: float, length: float) -> None:
     """Below a free vehicle that carries the weight: w² = g / l (1 + m / M); x = x_0 cos w t. Next term of x: x_0²/16."""
-    model = hung(ROBOTS.get("tinyprop"), 1, [mass, length, 0.0])
+    model = make_model(ROBOTS.get("tinyprop"), 1, [mass, length, 0.0])
     frequency = sqrt(G / length * (1.0 + mass / 0.373))
     for share in (0.25, 0.4, 1.0):
         span = share * 2.0 * pi / frequency
-        _, end = fly_load(model, hovering(model), load_at(1e-4), span, 100)
+        _, end = fly_load(model, hover_state(model), rest_load(1e-4), span, 100)
         assert abs(end[0, 0].item() / 1e-4 - cos(2.0 * pi * share)) < 1e-6
 
 
 def test_a_still_payload_weighs_on_the_vehicle_like_its_mass() -> None:
     """Straight below, at rest: carried by (M + m) g nothing moves; without the rotors' share of m both sink together."""
-    model = hung(ROBOTS.get("tinyprop"), 1, [0.2, 1.0, 0.0])
-    end, load = fly_load(model, hovering(model), load_at(0.0), 1.0, 50)
+    model = make_model(ROBOTS.get("tinyprop"), 1, [0.2, 1.0, 0.0])
+    end, load = fly_load(model, hover_state(model), rest_load(0.0), 1.0, 50)
     torch.testing.assert_close(end.position, torch.zeros(1, 3, dtype=F64), atol=1e-12, rtol=0)
-    torch.testing.assert_close(load, load_at(0.0), atol=1e-12, rtol=0)
-    start = hovering(model)
+    torch.testing.assert_close(load, rest_load(0.0), atol=1e-12, rtol=0)
+    start = hover_state(model)
     light = replace(start, rotor_speed=start.rotor_speed * sqrt(0.373 / 0.573))  # carries the vehicle alone
-    end, _ = fly_load(model, light, load_at(0.0), 1.0, 50)
+    end, _ = fly_load(model, light, rest_load(0.0), 1.0, 50)
     expected = torch.tensor([[0.0, 0.0, -0.2 / 0.573 * G]], dtype=F64)
     torch.testing.assert_close(end.lin_vel, expected, atol=1e-9, rtol=0)
 
 
 def test_a_payload_ahead_pulls_forward_and_turns_a_vehicle_with_a_high_centre_of_mass() -> None:
     """The link pulls towards the payload: +x; below the centre of mass that turns the nose up, about -y."""
-    model = hung(lopsided_robot(com=(0.0, 0.0, 0.05)), 1, [0.3, 1.0, 0.0])
-    end, _ = fly_load(model, replace(hovering(model), rotor_speed=torch.full((1, 4), 600.0)), load_at(0.5), 0.01, 10)
-    start, _ = fly_load(model, replace(hovering(model), rotor_speed=torch.full((1, 4), 600.0)), load_at(0.0), 0.01, 10)
+    model = make_model(asymmetric_robot(com=(0.0, 0.0, 0.05)), 1, [0.3, 1.0, 0.0])
+    end, _ = fly_load(
+        model, replace(hover_state(model), rotor_speed=torch.full((1, 4), 600.0)), rest_load(0.5), 0.01, 10
+    )
+    start, _ = fly_load(
+        model, replace(hover_state(model), rotor_speed=torch.full((1, 4), 600.0)), rest_load(0.0), 0.01, 10
+    )
     assert end.lin_vel[0, 0] > start.lin_vel[0, 0] + 1e-3
     assert end.ang_vel[0, 1] < start.ang_vel[0, 1] - 1e-2
 
@@ -87,10 +91,10 @@ def test_momentum_and_energy_are_conserved() -> None:
     Fourth order: below 1e-7 at 2 ms, for rates of some 5 rad/s over 0.6 s: C (w dt)^4 w t.
     """
     for gravity in (0.0, G):
-        model = hung(lopsided_robot(), 8, [0.3, 0.4, 0.0], gravity=gravity)
+        model = make_model(asymmetric_robot(), 8, [0.3, 0.4, 0.0], gravity=gravity)
         start, load = replace(random_state(8), rotor_speed=torch.zeros(8, 4, dtype=F64)), random_load(8)
         end, swung = fly_load(model, start, load, 0.6, 300)
-        before, after = conserved(model, start, load), conserved(model, end, swung)
+        before, after = momentum_energy(model, start, load), momentum_energy(model, end, swung)
         if gravity == 0.0:
             torch.testing.assert_close(after[0], before[0], atol=1e-7, rtol=0)
             torch.testing.assert_close(after[1], before[1], atol=1e-7, rtol=0)
@@ -100,7 +104,7 @@ def test_momentum_and_energy_are_conserved() -> None:
 
 @pytest.mark.parametrize(("integrator", "order"), [pytest.param("euler", 1.0, marks=pytest.mark.slow), ("rk4", 4.0)])
 def test_the_coupled_motion_converges_with_the_order_of_the_stepper(integrator: str, order: float) -> None:
-    model = hung(lopsided_robot(), 8, [0.3, 0.4, 0.02])
+    model = make_model(asymmetric_robot(), 8, [0.3, 0.4, 0.02])
     start, load = random_state(8), random_load(8)
     truth = torch.cat(fly_load(model, start, load, 0.2, 320)[0].tensors()[:4], dim=-1)
     errors = []
@@ -113,10 +117,10 @@ def test_the_coupled_motion_converges_with_the_order_of_the_stepper(integrator: 
 def test_damping_keeps_momentum_and_takes_the_energy_of_the_swing() -> None:
     """Without gravity and rotors: dp/dt = 0 and dE/dt = -d l² n'², over 1 ms to its share of a percent."""
     length, damping, span = 0.4, 0.5, 1e-3
-    model = hung(lopsided_robot(), 8, [0.3, length, damping], gravity=0.0)
+    model = make_model(asymmetric_robot(), 8, [0.3, length, damping], gravity=0.0)
     start, load = replace(random_state(8), rotor_speed=torch.zeros(8, 4, dtype=F64)), random_load(8)
     end, swung = fly_load(model, start, load, span, 4)
-    before, after = conserved(model, start, load), conserved(model, end, swung)
+    before, after = momentum_energy(model, start, load), momentum_energy(model, end, swung)
     torch.testing.assert_close(after[0], before[0], atol=1e-10, rtol=0)
     square = 0.5 * (load[:, 3:].square().sum(-1) + swung[:, 3:].square().sum(-1))
     torch.testing.assert_close((after[2] - before[2]) / span, -damping * length**2 * square, atol=0, rtol=1e-3)
@@ -124,13 +128,15 @@ def test_damping_keeps_momentum_and_takes_the_energy_of_the_swing() -> None:
 
 def test_a_payload_in_steady_flight_hangs_straight_down() -> None:
     """Both move at v through the air: nothing drags the payload back, and the vehicle is not slowed down."""
-    model = hung(ROBOTS.get("tinyprop"), 1, [0.2, 1.0, 0.1])
+    model = make_model(ROBOTS.get("tinyprop"), 1, [0.2, 1.0, 0.1])
     speed = torch.tensor([[5.0, 0.0, 0.0]], dtype=F64)
-    end, load = fly_load(model, replace(hovering(model), lin_vel=speed), load_at(0.0), 1.0, 50)
-    torch.testing.assert_close(load, load_at(0.0), atol=1e-12, rtol=0)
+    end, load = fly_load(model, replace(hover_state(model), lin_vel=speed), rest_load(0.0), 1.0, 50)
+    torch.testing.assert_close(load, rest_load(0.0), atol=1e-12, rtol=0)
     torch.testing.assert_close(end.lin_vel, speed, atol=1e-12, rtol=0)
 
 
 def test_a_single_state_does_not_tell_the_force() -> None:
-    with pytest.raises(CapabilityError, match="effect slung_payload: has memory, so a single state does not tell"):
-        accelerations(hung(lopsided_robot(), 2, [0.1, 1.0, 0.0]), random_state(2))
+    with pytest.raises(
+        CapabilityError, match="effect slung_payload: has memory, so one state does not determine its force"
+    ):
+        accelerations(make_model(asymmetric_robot(), 2, [0.1, 1.0, 0.0]), random_state(2))

@@ -188,7 +188,7 @@ def test_the_torch_backend_calls_the_obstacles_that_push() -> None:
     assert torch.equal(warp["env_asset_state_tensor"], torch_["env_asset_state_tensor"])
 
 
-class Flight:
+class SphereFlight:
     """Robots of one sphere of 0.1 m on given ways past one obstacle, without physics."""
 
     def __init__(self, shape: ShapeCfg, position: Tensor, *, instance: Tensor | None = None) -> None:
@@ -223,7 +223,7 @@ def test_a_touch_in_one_substep_alone_is_a_crash() -> None:
     for e in range(K):
         way[e + 1, e, 0] = 0.1
     way[1, 0, 0], way[2:, 0, 0] = 0.1, 5.125  # from the plate to far away
-    flight = Flight(PLATE, way)
+    flight = SphereFlight(PLATE, way)
     assert flight.crashes.tolist() == [True] * K + [False]
     expected = [5.0] + [0.875] * (K - 2) + [-0.025, 0.875]
     torch.testing.assert_close(flight.distance, torch.tensor(expected), rtol=0.0, atol=1e-6)
@@ -241,18 +241,18 @@ def test_a_still_part_is_passed_over_only_if_no_substep_can_touch_it(shape: Shap
     generator = torch.Generator().manual_seed(6)
     length = 10.0 ** (3.0 * torch.rand(1, 400, 1, generator=generator) - 2.0)
     way = torch.randn(1, 400, 3, generator=generator) + length * torch.randn(3, 400, 3, generator=generator)
-    flight = Flight(shape, way)
+    flight = SphereFlight(shape, way)
     share = torch.linspace(0.0, 1.0, 51)[:, None, None]
     distance = torch.stack(
-        [Flight(shape, place.expand(2, -1, -1)).distance for place in way[0] + share * (way[1] - way[0])]
+        [SphereFlight(shape, place.expand(2, -1, -1)).distance for place in way[0] + share * (way[1] - way[0])]
     )
-    later = [Flight(shape, place.expand(2, -1, -1)).distance for place in way[1] + share * (way[2] - way[1])]
+    later = [SphereFlight(shape, place.expand(2, -1, -1)).distance for place in way[1] + share * (way[2] - way[1])]
     distance = torch.cat((distance, torch.stack(later)))
     between = (way[1:] - way[:-1]).norm(dim=-1).amax(dim=0) / 50
     least = distance.amin(dim=0)
     assert flight.crashes[least < 0.0].all()
     assert not flight.crashes[least > 0.5 * between + 2.1e-4].any()
-    assert torch.equal(flight.distance, Flight(shape, way[-1:].expand(2, -1, -1)).distance)
+    assert torch.equal(flight.distance, SphereFlight(shape, way[-1:].expand(2, -1, -1)).distance)
     between_poses = (least < 0.0) & (distance[[0, 51, -1]] >= 0.0).all(dim=0)
     assert between_poses.any() or shape.kind == "plane"  # to which a straight way is nearest at an end
     assert (~flight.crashes).sum() > 20
@@ -261,7 +261,7 @@ def test_a_still_part_is_passed_over_only_if_no_substep_can_touch_it(shape: Shap
 def test_crashes_are_never_cleared_and_parked_obstacles_never_touch() -> None:
     way = torch.zeros(K + 1, 2, 3)
     way[..., 2] = PARKED_Z
-    flight = Flight(PLATE, way, instance=torch.tensor([0.0, 0.0, PARKED_Z]))
+    flight = SphereFlight(PLATE, way, instance=torch.tensor([0.0, 0.0, PARKED_Z]))
     assert flight.crashes.tolist() == [False, False]
     assert flight.distance.tolist() == [float("inf")] * 2
     flight.crashes[1] = True

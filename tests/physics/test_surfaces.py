@@ -9,9 +9,9 @@ from torch import Tensor
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import EFFECTS, BodyState, WarpBackend, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.model import Model
-from tests.physics.mixed_rotors import FORCE, REVERSIBLE, with_rotor
+from tests.physics.rotor_types import FORCE, REVERSIBLE, with_rotor
 from tests.physics.test_effects_with_memory import single
-from tests.physics.vehicles import F64, lopsided_robot
+from tests.physics.vehicles import F64, asymmetric_robot
 
 RADIUS, MASS = 0.1, 0.8
 K = {"ground_effect": 2.0, "ceiling_effect": 1.5}
@@ -20,19 +20,19 @@ UPRIGHT, OVER = [0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]
 
 def level_robot(rotor=FORCE):
     """Return a quadrotor with vertical axes, hubs and centre of mass in one plane."""
-    robot = with_rotor(lopsided_robot(com=(0.0, 0.0, 0.0)), rotor)
+    robot = with_rotor(asymmetric_robot(com=(0.0, 0.0, 0.0)), rotor)
     mounts = robot.mounts.layout
     layout = tuple(replace(m, position=(*m.position[:2], 0.0), axis=(0.0, 0.0, 1.0)) for m in mounts)
     return replace(robot, mounts=replace(robot.mounts, layout=layout))
 
 
-def model_of(*names: str, rotor=FORCE, **scene: float) -> Model:
+def make_model(*names: str, rotor=FORCE, **scene: float) -> Model:
     vehicle = vehicle_from_config(level_robot(rotor), num_envs=1, dtype=F64)
     rows = [(EFFECTS.get(name), torch.tensor([[K[name]]], dtype=F64)) for name in names]
     return build_model(vehicle, rows, **{"ground_height": 0.0, "ceiling_height": None, **scene})
 
 
-def at(height: float, state: float, attitude: list[float] = UPRIGHT) -> BodyState:
+def body_state(height: float, state: float, attitude: list[float] = UPRIGHT) -> BodyState:
     zero = torch.zeros(1, 3, dtype=F64)
     position = torch.tensor([[0.3, -0.2, height]], dtype=F64)
     turn, rotors = torch.tensor([attitude], dtype=F64), torch.full((1, 4), state, dtype=F64)
@@ -65,36 +65,36 @@ def test_each_surface_acts_on_the_rotors_on_its_side(name, blows, floor, roof, a
     The wake goes down where thrust along the axis and the axis have the same sign.
     """
     thrust = 1.5 if (blows == "down") == (attitude is UPRIGHT) else -1.5
-    found = push(model_of(name, ceiling_height=0.32), at(0.12, thrust, attitude))
+    result = push(make_model(name, ceiling_height=0.32), body_state(0.12, thrust, attitude))
     expected = 4.0 * thrust * gain(name, roof if floor is None else floor)
-    torch.testing.assert_close(found, torch.tensor([0.0, 0.0, expected], dtype=F64), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(result, torch.tensor([0.0, 0.0, expected], dtype=F64), rtol=1e-12, atol=1e-12)
     assert abs(expected) > 6.0
 
 
 @pytest.mark.parametrize("thrust", [1.5, -1.5])
 def test_a_room_turned_over_is_the_mirror_image(thrust: float) -> None:
     """Turned over half-way up in a room, with the same rotors, the body feels the same; air has no up."""
-    model = model_of("ground_effect", "ceiling_effect", ceiling_height=0.4)
-    here, there = push(model, at(0.15, thrust)), push(model, at(0.25, thrust, OVER))
+    model = make_model("ground_effect", "ceiling_effect", ceiling_height=0.4)
+    here, there = push(model, body_state(0.15, thrust)), push(model, body_state(0.25, thrust, OVER))
     torch.testing.assert_close(there, here, rtol=1e-12, atol=1e-12)
-    assert not torch.allclose(push(model, at(0.25, thrust)), here, rtol=1e-3)
+    assert not torch.allclose(push(model, body_state(0.25, thrust)), here, rtol=1e-3)
 
 
 @pytest.mark.parametrize("rotor", [FORCE, REVERSIBLE])
 def test_gains_vanish_where_thrust_passes_through_zero(rotor) -> None:
     """Continuous: what comes to the thrust on either side of zero is proportional to it."""
     more = (gain("ground_effect", 0.1) + gain("ceiling_effect", 0.1) - 2.0) * (1.0 + 1e-9)
-    model, bare = (model_of(*names, rotor=rotor, ceiling_height=0.2) for names in (K, ()))
+    model, bare = (make_model(*names, rotor=rotor, ceiling_height=0.2) for names in (K, ()))
     for state in (1e-6, -1e-6, 0.0):
-        own = push(bare, at(0.1, state))
-        assert (push(model, at(0.1, state)) - own).abs().max() <= more * own.abs().max()
+        own = push(bare, body_state(0.1, state))
+        assert (push(model, body_state(0.1, state)) - own).abs().max() <= more * own.abs().max()
 
 
 def test_surfaces_far_away_or_absent_do_nothing() -> None:
-    for names, state in ((("ground_effect",), at(0.1, -1.5)), (("ground_effect",), at(1e6, 1.5))):
-        torch.testing.assert_close(push(model_of(*names), state), push(model_of(), state), rtol=1e-12, atol=1e-12)
-    far = push(model_of("ceiling_effect", ceiling_height=1e9), at(1e6, -1.5))
-    torch.testing.assert_close(far, push(model_of(), at(1e6, -1.5)), rtol=1e-12, atol=1e-12)
+    for names, state in ((("ground_effect",), body_state(0.1, -1.5)), (("ground_effect",), body_state(1e6, 1.5))):
+        torch.testing.assert_close(push(make_model(*names), state), push(make_model(), state), rtol=1e-12, atol=1e-12)
+    far = push(make_model("ceiling_effect", ceiling_height=1e9), body_state(1e6, -1.5))
+    torch.testing.assert_close(far, push(make_model(), body_state(1e6, -1.5)), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -104,8 +104,8 @@ def test_surfaces_far_away_or_absent_do_nothing() -> None:
 def test_the_kernel_tells_the_surfaces_apart(names, ceiling) -> None:
     """One short step from rest: the velocity is the closed form's, for thrusts of both signs."""
     for thrust in (1.2, -1.2):
-        model = model_of(*names, ceiling_height=ceiling).to(torch.float32)
-        backend, state = WarpBackend(), single(at(0.1, thrust))
+        model = make_model(*names, ceiling_height=ceiling).to(torch.float32)
+        backend, state = WarpBackend(), single(body_state(0.1, thrust))
         backend.allocate(model, make_controller(CONTROLLERS.get("no_control"), model.vehicle, 9.81), integrator="euler")
         backend.step(state, torch.full((1, 4), thrust), 0.001, 1)
         felt = 4.0 * thrust * gain("ground_effect", 0.1) if thrust > 0.0 else 4.0 * thrust

@@ -47,7 +47,7 @@ MESHES = ("slab", "torus", "sheet")
 
 
 @dataclass(frozen=True)
-class Motion:
+class SweepMotion:
     """Poses of a body at times 0 to K: each substep shifts and turns it at constant rates; the turn is in the world."""
 
     start: Array  # (N, 3) [m]
@@ -55,7 +55,7 @@ class Motion:
     shifts: Array  # (K, N, 3) [m]
     turns: Array  # (K, N, 3) [rad]
 
-    def at(self, substep: int, s: Array | float) -> tuple[Array, Rotation]:
+    def pose(self, substep: int, s: Array | float) -> tuple[Array, Rotation]:
         """Return place and attitude at share s of a substep."""
         share = np.broadcast_to(s, len(self.start))[:, None]
         place = self.start + self.shifts[:substep].sum(axis=0) + share * self.shifts[substep]
@@ -64,8 +64,8 @@ class Motion:
             attitude = Rotation.from_rotvec(turn) * attitude
         return place, Rotation.from_rotvec(share * self.turns[substep]) * attitude
 
-    def moved(self, by: Array) -> "Motion":
-        return Motion(self.start + by, self.attitude, self.shifts, self.turns)
+    def translate(self, by: Array) -> "SweepMotion":
+        return SweepMotion(self.start + by, self.attitude, self.shifts, self.turns)
 
 
 def directions(rng: np.random.Generator, n: int) -> Array:
@@ -73,18 +73,18 @@ def directions(rng: np.random.Generator, n: int) -> Array:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def random_motion(rng: np.random.Generator, n: int, k: int, *, speed: tuple[float, float], spin: float) -> Motion:
+def random_motion(rng: np.random.Generator, n: int, k: int, *, speed: tuple[float, float], spin: float) -> SweepMotion:
     """Return motions of a speed [m/s] and a spin of up to so much [rad/s], each substep with its own spin."""
     shift = directions(rng, n) * rng.uniform(*speed, size=(n, 1)) * DT
     turns = directions(rng, k * n).reshape(k, n, 3) * rng.uniform(0.0, spin * DT, size=(k, n, 1))
     place = rng.uniform(-3.0, 3.0, size=(n, 3))
-    return Motion(place, Rotation.random(n, random_state=rng), np.repeat(shift[None], k, axis=0), turns)
+    return SweepMotion(place, Rotation.random(n, random_state=rng), np.repeat(shift[None], k, axis=0), turns)
 
 
-def still_or_moving(rng: np.random.Generator, n: int, k: int, *, moves: bool) -> Motion:
+def draw_motion(rng: np.random.Generator, n: int, k: int, *, moves: bool) -> SweepMotion:
     """Return the motion of the part: the same twist in all substeps."""
-    found = random_motion(rng, n, k, speed=(0.0, 20.0) if moves else (0.0, 0.0), spin=20.0 if moves else 0.0)
-    return Motion(found.start, found.attitude, found.shifts, np.repeat(found.turns[:1], k, axis=0))
+    result = random_motion(rng, n, k, speed=(0.0, 20.0) if moves else (0.0, 0.0), spin=20.0 if moves else 0.0)
+    return SweepMotion(result.start, result.attitude, result.shifts, np.repeat(result.turns[:1], k, axis=0))
 
 
 def points_in_hull(hull: CollisionShape, rng: np.random.Generator, n: int) -> Array:
@@ -146,67 +146,69 @@ def part_reach(part: ShapeCfg | trimesh.Trimesh, n: Array) -> Array:
 
 def crossings(
     hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, n: int, *, moves: bool, k: int = 2
-) -> tuple[Motion, Motion]:
+) -> tuple[SweepMotion, SweepMotion]:
     """Return motions of robot and part with a common point at a random time of a random substep."""
     rng = np.random.default_rng(1)
     robot = random_motion(rng, n, k, speed=(5.0, 40.0), spin=30.0)
-    other = still_or_moving(rng, n, k, moves=moves)
-    own, its = points_in_hull(hull, rng, n), points_in_part(part, rng, n)
+    other = draw_motion(rng, n, k, moves=moves)
+    own, partner = points_in_hull(hull, rng, n), points_in_part(part, rng, n)
     share = rng.uniform(size=n)
     gap = np.zeros((k, n, 3))
     for j in range(k):
-        (x, q), (y, p) = robot.at(j, share), other.at(j, share)
-        gap[j] = y + p.apply(its) - x - q.apply(own)
-    return robot.moved(gap[rng.integers(k, size=n), np.arange(n)]), other
+        (x, q), (y, p) = robot.pose(j, share), other.pose(j, share)
+        gap[j] = y + p.apply(partner) - x - q.apply(own)
+    return robot.translate(gap[rng.integers(k, size=n), np.arange(n)]), other
 
 
-def heights(hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, robot: Motion, other: Motion, n: Array) -> Array:
+def heights(
+    hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, robot: SweepMotion, other: SweepMotion, n: Array
+) -> Array:
     """Return the height of the robot above the plane that supports the part along n, at all times, (K TIMES, N)."""
-    found = []
+    result = []
     for j in range(len(robot.shifts)):
         for s in np.linspace(0.0, 1.0, TIMES):
-            (x, q), (y, p) = robot.at(j, s), other.at(j, s)
+            (x, q), (y, p) = robot.pose(j, s), other.pose(j, s)
             world = p.apply(n)
             low = -hull_reach(hull, -q.inv().apply(world))
-            found.append(np.einsum("nd,nd->n", world, x - y) + low - part_reach(part, n))
-    return np.asarray(found)
+            result.append(np.einsum("nd,nd->n", world, x - y) + low - part_reach(part, n))
+    return np.asarray(result)
 
 
 def clear_passes(
     hull: CollisionShape, part: ShapeCfg | trimesh.Trimesh, n: int, *, moves: bool, clearance: float, k: int = 1
-) -> tuple[Motion, Motion]:
+) -> tuple[SweepMotion, SweepMotion]:
     """Return motions whose shapes stay a clearance apart, and come nearly as close; half of them pass along a face."""
     rng = np.random.default_rng(2)
     robot = random_motion(rng, n, k, speed=(5.0, 40.0), spin=30.0)
-    other = still_or_moving(rng, n, k, moves=moves)
+    other = draw_motion(rng, n, k, moves=moves)
     normal = directions(rng, n)
     normal[::2] = np.eye(3)[rng.integers(3, size=len(normal[::2]))]
     if isinstance(part, ShapeCfg) and part.kind == "plane":
         normal[:] = (0.0, 0.0, 1.0)
     world = other.attitude.apply(normal)
     along = robot.shifts - other.shifts
-    robot = Motion(
+    robot = SweepMotion(
         robot.start,
         robot.attitude,
         robot.shifts - 0.95 * (along * world).sum(axis=-1, keepdims=True) * world,
         robot.turns,
     )
     target = other.start + other.attitude.apply(points_in_part(part, rng, n))
-    robot = robot.moved(target - robot.at(0, 0.5)[0])
+    robot = robot.translate(target - robot.pose(0, 0.5)[0])
     for _ in range(4):
         least = heights(hull, part, robot, other, normal).min(axis=0)
-        robot = robot.moved((clearance - least)[:, None] * world)
+        robot = robot.translate((clearance - least)[:, None] * world)
     least = heights(hull, part, robot, other, normal).min(axis=0)
     assert least.min() > clearance - ROUNDING
     assert np.median(least) < 1.5 * clearance
     return robot, other
 
 
-def reported(
+def crash_flags(
     hull: CollisionShape,
     shape: ShapeCfg,
-    robot: Motion,
-    other: Motion,
+    robot: SweepMotion,
+    other: SweepMotion,
     *,
     moves: bool,
     device: torch.device = torch.device("cpu"),  # noqa: B008
@@ -245,7 +247,7 @@ def reported(
         made._waypoints[..., 0] = torch.tensor(path)
     state = np.concatenate((other.start, other.attitude.as_quat(), other.shifts[0] / DT, other.turns[0] / DT), axis=1)
     gtd["env_asset_state_tensor"][:, 0] = torch.as_tensor(state)
-    poses = [robot.at(0, 0.0), *(robot.at(j, 1.0) for j in range(k))]
+    poses = [robot.pose(0, 0.0), *(robot.pose(j, 1.0) for j in range(k))]
     position = torch.as_tensor(np.asarray([x for x, _ in poses])).float().to(device)
     attitude = torch.as_tensor(np.asarray([q.as_quat() for _, q in poses])).float().to(device)
     distance, crashes = torch.full((n,), torch.nan, device=device), torch.zeros(n, dtype=torch.bool, device=device)
@@ -257,7 +259,7 @@ def reported(
     return crashes.cpu().numpy()
 
 
-def shape_of(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trimesh]:
+def make_shape(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trimesh]:
     """Return a part for the package and for the truth."""
     if name in PARTS:
         return PARTS[name], PARTS[name]
@@ -273,21 +275,21 @@ def shape_of(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trim
 def test_no_crossing_is_missed(
     hull: str, name: str, moves: bool, flights: int, device: torch.device, tmp_path: Path
 ) -> None:
-    shape, part = shape_of(name, tmp_path)
+    shape, part = make_shape(name, tmp_path)
     flights = (
         flights // 5 if name in ("slab", "torus") and flights < 1000 else flights
     )  # of many faces, 0.1 to 0.5 ms each
     robot, other = crossings(HULLS[hull], part, flights, moves=moves)
-    assert np.flatnonzero(~reported(HULLS[hull], shape, robot, other, moves=moves, device=device)).tolist() == []
+    assert np.flatnonzero(~crash_flags(HULLS[hull], shape, robot, other, moves=moves, device=device)).tolist() == []
 
 
 @pytest.mark.parametrize("moves", [False, True], ids=["still", "moving"])
 @pytest.mark.parametrize("name", [*PARTS, *MESHES])
 @pytest.mark.parametrize("hull", HULLS)
 def test_a_clear_pass_is_not_reported(hull: str, name: str, moves: bool, device: torch.device, tmp_path: Path) -> None:
-    shape, part = shape_of(name, tmp_path)
+    shape, part = make_shape(name, tmp_path)
     robot, other = clear_passes(HULLS[hull], part, 100, moves=moves, clearance=CLEAR)
-    assert np.flatnonzero(reported(HULLS[hull], shape, robot, other, moves=moves, device=device)).tolist() == []
+    assert np.flatnonzero(crash_flags(HULLS[hull], shape, robot, other, moves=moves, device=device)).tolist() == []
 
 
 BALL = PARTS["sphere"]  # of 0.05 m; the hull has 0.04 m
@@ -316,10 +318,10 @@ def test_a_ball_that_turns_or_is_wrapped_is_swept_along_its_own_way(at: float, m
     )
     rest, level = np.zeros((1, 1, 3)), Rotation.identity(1)
     center = np.asarray(HULLS["sphere"].center)
-    robot = Motion(np.array([[at, 0.0, 0.0]]) - center, level, rest, rest)
-    other = Motion(np.array([[8.9, 0.0, 0.0]]), level, rest + np.array([30.0 * DT, 0.0, 0.0]), rest)
-    found = reported(HULLS["sphere"], BALL, robot, other, moves=True, motion=cfg, end=9.0, path=(-9.0, 9.0))
-    assert found.tolist() == [crashes]
+    robot = SweepMotion(np.array([[at, 0.0, 0.0]]) - center, level, rest, rest)
+    other = SweepMotion(np.array([[8.9, 0.0, 0.0]]), level, rest + np.array([30.0 * DT, 0.0, 0.0]), rest)
+    result = crash_flags(HULLS["sphere"], BALL, robot, other, moves=True, motion=cfg, end=9.0, path=(-9.0, 9.0))
+    assert result.tolist() == [crashes]
 
 
 @pytest.mark.parametrize("hull", HULLS)
@@ -329,8 +331,8 @@ def test_a_hull_that_rests_on_a_plane_or_leaves_it_does_not_touch_it(hull: str) 
     shifts = np.array([[[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.2, 0.0, 0.0]]])
     turns = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.3]]])
     start = hull_reach(HULLS[hull], -up)[0] * up + 1e-5
-    found = reported(
-        HULLS[hull], PARTS["plane"], Motion(np.tile(start, (3, 1)), level, shifts, turns),
-        Motion(np.zeros((3, 3)), level, 0.0 * shifts, 0.0 * turns), moves=False,
+    result = crash_flags(
+        HULLS[hull], PARTS["plane"], SweepMotion(np.tile(start, (3, 1)), level, shifts, turns),
+        SweepMotion(np.zeros((3, 3)), level, 0.0 * shifts, 0.0 * turns), moves=False,
     )  # fmt: skip
-    assert found.tolist() == [False, False, False]
+    assert result.tolist() == [False, False, False]

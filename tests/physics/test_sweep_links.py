@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.assets import CollisionTest, Scene
-from aerial_gym.assets.between_links import BetweenLinks
+from aerial_gym.assets.self_collision import SelfCollisionTest
 from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
@@ -20,7 +20,7 @@ from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots.joints.link_tensors import declare_links
 from aerial_gym.robots.joints.links import LinkTrack
-from tests.physics.test_sweep import DT, Motion, directions, points_in_hull, points_in_part, random_motion
+from tests.physics.test_sweep import DT, SweepMotion, directions, points_in_hull, points_in_part, random_motion
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ ROD = CapsuleCfg(center=(0.55, 0.0, 0.0), radius=0.01, height=0.28, euler=(0.0, 
 POLE = ShapeCfg(kind="cylinder", radius=0.005, height=1.0)
 
 
-def turned(point: Array, joint: JointCfg, angle: Array) -> Array:
+def rotate_joint(point: Array, joint: JointCfg, angle: Array) -> Array:
     """Return points of a link in the frame of its parent, (N, 3)."""
     return np.asarray(joint.position) + Rotation.from_rotvec(angle[:, None] * joint.axis).apply(point - joint.position)
 
@@ -54,8 +54,8 @@ def test_a_chain_of_arms_touches_a_pole_between_two_poses(misses: bool, flights:
 
     def place(own: Array, s: Array) -> Array:
         angle = first + s[:, None] * rate * DT
-        x, q = base.at(0, s)
-        return x + q.apply(turned(turned(own, LOWER, angle[:, 1]), UPPER, angle[:, 0]))
+        x, q = base.pose(0, s)
+        return x + q.apply(rotate_joint(rotate_joint(own, LOWER, angle[:, 1]), UPPER, angle[:, 0]))
 
     pole_turn = Rotation.random(flights, random_state=rng)
     if misses:
@@ -73,10 +73,10 @@ def test_a_chain_of_arms_touches_a_pole_between_two_poses(misses: bool, flights:
     else:
         common = place(points_in_hull(ROD, rng, flights), rng.uniform(size=flights))
         pole = common - pole_turn.apply(points_in_part(POLE, rng, flights))
-    assert reported(base, first, rate, pole, pole_turn).tolist() == [not misses] * flights
+    assert crash_flags(base, first, rate, pole, pole_turn).tolist() == [not misses] * flights
 
 
-def reported(base: Motion, first: Array, rate: Array, pole: Array, pole_turn: Rotation) -> torch.Tensor:
+def crash_flags(base: SweepMotion, first: Array, rate: Array, pole: Array, pole_turn: Rotation) -> torch.Tensor:
     """Return the flags of flights that the collision test calls crashes, (N,)."""
     n = len(first)
     state = np.concatenate((pole, pole_turn.as_quat(), np.zeros((n, 6))), axis=1)
@@ -85,7 +85,7 @@ def reported(base: Motion, first: Array, rate: Array, pole: Array, pole_turn: Ro
     record = Trajectory.zeros(1, n, device=torch.device("cpu"), num_joints=2)
     assert record.joint_pos is not None
     for row in range(2):
-        x, q = base.at(0, float(row))
+        x, q = base.pose(0, float(row))
         record.position[row], record.attitude[row] = tensor(x), tensor(q.as_quat())
         record.joint_pos[row] = tensor(first + row * rate * DT)
     track = LinkTrack(CHAIN, record)
@@ -95,7 +95,7 @@ def reported(base: Motion, first: Array, rate: Array, pole: Array, pole_turn: Ro
     distance, crashes = torch.zeros(n), torch.zeros(n, dtype=torch.bool)
     test = CollisionTest(
         scene, (), position=links.state[:, 0, :3], attitude=links.state[:, 0, 3:7], distance_out=distance,
-        links=links.shapes_of(CollisionCfg(capsules=(ROD,), source="invented")),
+        links=links.link_shapes(CollisionCfg(capsules=(ROD,), source="invented")),
     )  # fmt: skip
     test.follow(track.position, track.attitude, dt=DT / track.pieces, crashes_out=crashes)
     test.step()
@@ -110,14 +110,14 @@ def test_links_that_cross_each_other_between_two_poses_crash(flights: int) -> No
     box = BoxCfg(size=(0.3, 0.2, 0.06), center=(0.0, 0.1, 0.0), link="one")
     capsule = CapsuleCfg(radius=0.02, height=0.4, center=(1.0, 0.0, 0.0), euler=(0.4, 1.2, 0.0), link="two")
     share = rng.uniform(size=flights)
-    (x, q), (y, p) = one.at(0, share), two.at(0, share)
+    (x, q), (y, p) = one.pose(0, share), two.pose(0, share)
     common = y + p.apply(points_in_hull(capsule, rng, flights))
-    one = one.moved(common - x - q.apply(points_in_hull(box, rng, flights)))
-    poses = [[motion.at(0, row) for motion in (one, one, two)] for row in (0.0, 1.0)]  # the base has no shape
+    one = one.translate(common - x - q.apply(points_in_hull(box, rng, flights)))
+    poses = [[motion.pose(0, row) for motion in (one, one, two)] for row in (0.0, 1.0)]  # the base has no shape
     position = tensor([[x for x, _ in row] for row in poses]).transpose(1, 2)
     attitude = tensor([[q.as_quat() for _, q in row] for row in poses]).transpose(1, 2)
     distance, crashes = torch.zeros(flights), torch.zeros(flights, dtype=torch.bool)
-    test = BetweenLinks(
+    test = SelfCollisionTest(
         CollisionCfg(boxes=(box,), capsules=(capsule,), between_links=True, source="invented"),
         names=("base", "one", "two"), parents=(0, 0), pivots=((0.0, 0.0, 0.0),) * 3,
         state=torch.cat((position[1], attitude[1], torch.zeros(flights, 3, 6)), dim=-1), distance_out=distance,

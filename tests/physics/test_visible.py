@@ -51,13 +51,13 @@ def exact_view(
 ) -> tuple[np.ndarray, ...]:
     """Return range (N,) and index of the part (N,), -1 for a miss, of parts on a body seen from an eye, in float64."""
     rays = pixel_rays(CAMERA) @ rotation(eye[1]).T
-    found = []
+    result = []
     for part in parts:
         turn = rotation(body[1]) @ rotation(quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)))
         place = body[0].double().numpy() + rotation(body[1]) @ np.array(part.position)
         origin = (eye[0].double().numpy() - place) @ turn
-        found.append(exact_distance(part.shape, np.tile(origin, (len(rays), 1)), rays @ turn))
-    stack = np.stack(found)
+        result.append(exact_distance(part.shape, np.tile(origin, (len(rays), 1)), rays @ turn))
+    stack = np.stack(result)
     return stack.min(axis=0), np.where(np.isfinite(stack.min(axis=0)), stack.argmin(axis=0), -1)
 
 
@@ -71,18 +71,18 @@ def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device
         shape_index=torch.zeros(0),
         semantic_id=torch.zeros(0),
         asset_state=torch.zeros(2, 0, 13, device=device),
-        robot=SEEN.seen_parts,
+        robot=SEEN.visible_parts,
         robot_state=(state := torch.zeros(2, 13, device=device)),
     )
     eye = torch.zeros(2, 3, device=device), quat_from_euler(torch.tensor([[0.1, 0.05, -0.1]] * 2)).to(device)
     generator = torch.Generator().manual_seed(4)
-    found = []
+    result = []
     for _ in range(2):
         place = torch.tensor([0.9, 0.0, 0.0]) + 0.3 * torch.rand(2, 3, generator=generator)
         angles = 2.0 * torch.rand(2, 3, generator=generator) - 1.0
         state[:, :3], state[:, 3:7] = place.to(device), quat_from_euler(angles).to(device)
         distance, ids = shoot(CAMERA, scene, *eye)
-        found.append(distance)
+        result.append(distance)
         for env in range(2):
             body = state[env, :3].cpu(), state[env, 3:7].cpu()
             exact, part = exact_view((ARM, POD), body, (eye[0][env].cpu(), eye[1][env].cpu()))
@@ -92,7 +92,7 @@ def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device
             same = (seen == expected) & (part >= 0)
             assert {ROBOT_ID, 5} <= set(seen[same].tolist())
             np.testing.assert_allclose(measured[same], exact[same], atol=1e-5)
-    assert not torch.equal(found[0], found[1])
+    assert not torch.equal(result[0], result[1])
 
 
 def test_a_camera_on_board_sees_its_arm_at_the_same_pixels_wherever_it_flies(device) -> None:
@@ -160,7 +160,7 @@ def test_meshes_of_a_robot_file_are_found_beside_it(tmp_path: Path) -> None:
     data = yaml.safe_load(dump_yaml(BASE))
     data |= {"visible": True, "visual": [{"shape": {"kind": "mesh", "path": "body.stl"}, "position": [0.0, 0.0, 0.1]}]}
     (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data))
-    (part,) = load_robot(tmp_path / "robot.yaml").seen_parts
+    (part,) = load_robot(tmp_path / "robot.yaml").visible_parts
     assert part.shape.path == str(tmp_path / "body.stl")
     assert part.semantic_id == ROBOT_ID
 
@@ -168,12 +168,12 @@ def test_meshes_of_a_robot_file_are_found_beside_it(tmp_path: Path) -> None:
 def test_what_cannot_be_seen_is_refused(device) -> None:
     with pytest.raises(ConfigError, match=r"RobotCfg.visible: there is nothing to see"):
         replace(BASE, visible=True, collision=CollisionCfg(source="none"))
-    nothing = {"shape_index": torch.zeros(0), "semantic_id": torch.zeros(0)}
+    empty = {"shape_index": torch.zeros(0), "semantic_id": torch.zeros(0)}
     state = torch.zeros(1, 0, 13, device=device)
     with pytest.raises(ConfigError, match=r"box outside the instances: needs a semantic_id"):
-        Scene([], **nothing, asset_state=state, fixed=(ARM,))
+        Scene([], **empty, asset_state=state, fixed=(ARM,))
     with pytest.raises(ShapeError, match=r"robot_state: \(E, L, 13\) is needed"):
-        Scene([], **nothing, asset_state=state, robot=(POD,))
+        Scene([], **empty, asset_state=state, robot=(POD,))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_color = \(2.0, 0.0, 0.0\)"):
         replace(OPEN_AIR, ground_color=(2.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_semantic_id = 100: must be 0 to 99"):
@@ -206,9 +206,9 @@ def test_every_pixel_below_the_horizon_of_dynamic_env_has_the_depth_of_its_groun
                 assert (on_ground == (exact < 20.0)).all()
                 assert on_ground.sum() > 500
             else:
-                others = (ids[e] >= 100).numpy()
-                assert others.sum() > 50
-                assert (depth[e].numpy()[others] <= exact[others] + 1e-4).all()
+                rest = (ids[e] >= 100).numpy()
+                assert rest.sum() > 50
+                assert (depth[e].numpy()[rest] <= exact[rest] + 1e-4).all()
 
 
 def test_the_clearance_counts_the_ground_and_obstacles_are_placed_as_without_it(device) -> None:

@@ -10,7 +10,7 @@ from aerial_gym.physics import BodyState, accelerations, build_model, vehicle_fr
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
-from tests.physics.test_effects import effects_of, still
+from tests.physics.test_effects import make_effects, rest_state
 from tests.physics.vehicles import F64
 
 ROBOT = ROBOTS.get("racing_quadrotor")
@@ -24,13 +24,13 @@ HOVER = sqrt(THRUST / (2.0 * AIR_DENSITY * pi * float(ROTOR.radius or 0.0) ** 2)
 def loss(state: BodyState, k: float = 0.2) -> float:
     """Return the loss of thrust of the vehicle per thrust."""
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=F64)
-    models = (build_model(vehicle, effects_of(e, 1)) for e in ({}, {"vortex_ring": {"k": k}}))
+    models = (build_model(vehicle, make_effects(e, 1)) for e in ({}, {"vortex_ring": {"k": k}}))
     without, with_ring = (accelerations(model, state).specific_force[0, 2] for model in models)
     return float((without - with_ring) * vehicle.mass[0] / (4.0 * THRUST))
 
 
-def sinking(ratio: float, across: float = 0.0) -> BodyState:
-    return still(lin_vel=[HOVER * across, 0.0, HOVER * ratio], rotor_speed=[SPEED] * 4)
+def descent_state(ratio: float, across: float = 0.0) -> BodyState:
+    return rest_state(lin_vel=[HOVER * across, 0.0, HOVER * ratio], rotor_speed=[SPEED] * 4)
 
 
 @pytest.mark.parametrize(("ratio", "excess"), [
@@ -40,31 +40,33 @@ def sinking(ratio: float, across: float = 0.0) -> BodyState:
 ])  # fmt: skip
 def test_the_loss_is_the_excess_of_the_measured_inflow(ratio: float, excess: float) -> None:
     """``k (p(x) - 1)``; with ``y = 0.6`` across it is ``(1 - 0.36)²`` of that."""
-    assert loss(sinking(ratio)) == pytest.approx(0.2 * excess, rel=1e-9)
-    assert loss(sinking(ratio, 0.6)) == pytest.approx(0.2 * excess * 0.64**2, rel=1e-9)
-    assert loss(sinking(ratio), k=0.4) == pytest.approx(0.4 * excess, rel=1e-9)
+    assert loss(descent_state(ratio)) == pytest.approx(0.2 * excess, rel=1e-9)
+    assert loss(descent_state(ratio, 0.6)) == pytest.approx(0.2 * excess * 0.64**2, rel=1e-9)
+    assert loss(descent_state(ratio), k=0.4) == pytest.approx(0.4 * excess, rel=1e-9)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.5, 3.0, -2.006, -3.0, -50.0])
 def test_there_is_none_in_hover_climb_and_windmill(ratio: float) -> None:
-    assert loss(sinking(ratio)) == pytest.approx(0.0, abs=1e-12)
+    assert loss(descent_state(ratio)) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_it_begins_and_ends_without_a_jump() -> None:
     """Slopes of p are -1.125 in hover and 4.8 where it ends."""
-    assert 0.0 < loss(sinking(-1e-6)) < 0.3e-6
-    assert 0.0 < loss(sinking(-2.0054)) < 0.2 * 5.0 * 1e-4
-    assert loss(sinking(-1.0, 1.0)) == pytest.approx(0.0, abs=1e-12)
-    assert loss(sinking(-1.0, 0.999)) < 2e-6
+    assert 0.0 < loss(descent_state(-1e-6)) < 0.3e-6
+    assert 0.0 < loss(descent_state(-2.0054)) < 0.2 * 5.0 * 1e-4
+    assert loss(descent_state(-1.0, 1.0)) == pytest.approx(0.0, abs=1e-12)
+    assert loss(descent_state(-1.0, 0.999)) < 2e-6
 
 
 def test_upside_down_it_is_the_climb_that_counts() -> None:
     """A vehicle turned over whose thrust points down meets its wake where it climbs."""
     over, speeds = [1.0, 0.0, 0.0, 0.0], [SPEED] * 4
-    assert loss(still(lin_vel=[0.0, 0.0, HOVER], attitude=over, rotor_speed=speeds)) == pytest.approx(
+    assert loss(rest_state(lin_vel=[0.0, 0.0, HOVER], attitude=over, rotor_speed=speeds)) == pytest.approx(
         0.2 * 0.816, rel=1e-9
     )
-    assert loss(still(lin_vel=[0.0, 0.0, -HOVER], attitude=over, rotor_speed=speeds)) == pytest.approx(0.0, abs=1e-12)
+    assert loss(rest_state(lin_vel=[0.0, 0.0, -HOVER], attitude=over, rotor_speed=speeds)) == pytest.approx(
+        0.0, abs=1e-12
+    )
 
 
 def test_of_a_reversed_rotor_it_is_the_climb_too() -> None:
@@ -72,9 +74,9 @@ def test_of_a_reversed_rotor_it_is_the_climb_too() -> None:
     square = (0.0, 0.0, THRUST / SPEED**2)
     rotor = replace(ROTOR, thrust_map=square, thrust_range=(-THRUST, THRUST), torque_map=None, torque_ratio=0.01)
     vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64)
-    models = [build_model(vehicle, effects_of(e, 1)) for e in ({}, {"vortex_ring": {"k": 0.2}})]
+    models = [build_model(vehicle, make_effects(e, 1)) for e in ({}, {"vortex_ring": {"k": 0.2}})]
     for ratio, expected in ((1.0, 0.2 * 0.816), (-1.0, 0.0)):
-        state = still(lin_vel=[0.0, 0.0, HOVER * ratio], rotor_speed=[-SPEED] * 4)
+        state = rest_state(lin_vel=[0.0, 0.0, HOVER * ratio], rotor_speed=[-SPEED] * 4)
         without, ring = (float(accelerations(m, state).specific_force[0, 2] * vehicle.mass[0]) for m in models)
         assert without == pytest.approx(-4.0 * THRUST)
         assert ring - without == pytest.approx(4.0 * THRUST * expected, rel=1e-9, abs=1e-12)

@@ -15,10 +15,10 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_rotate, quat_rotate
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance, build_model, vehicle_from_config
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
-from tests.physics.test_effects import effects_of
+from tests.physics.test_effects import make_effects
 from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.vehicles import F64
-from tests.repetitions import thinned
+from tests.repetitions import thin_values
 
 MASS, INERTIA, G = 2.0, (0.02, 0.03, 0.05), 9.81
 ADDED = {"x": 1.0, "y": 3.0, "z": 5.0}
@@ -32,10 +32,10 @@ def hull(
     robot = ROBOTS.get("lmf1")
     rows = tuple(tuple(INERTIA[i] if i == j else 0.0 for j in range(3)) for i in range(3))
     robot = replace(robot, body=replace(robot.body, mass=MASS, inertia=rows, com=com))
-    return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), effects_of(effects, 1), **options)
+    return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), make_effects(effects, 1), **options)
 
 
-def state_of(rotors: int = 4, **parts: tuple[float, ...]) -> BodyState:
+def make_state(rotors: int = 4, **parts: tuple[float, ...]) -> BodyState:
     """Return a state at rest at the origin but for what is given; ``euler`` is roll, pitch, yaw."""
     rows = {name: torch.tensor([values], dtype=F64) for name, values in parts.items()}
     euler = rows.pop("euler", torch.zeros(1, 3, dtype=F64))
@@ -43,7 +43,7 @@ def state_of(rotors: int = 4, **parts: tuple[float, ...]) -> BodyState:
     return BodyState(**(rest | rows), attitude=quat_from_euler(euler), rotor_speed=torch.zeros(1, rotors, dtype=F64))
 
 
-def after(model: Model, state: BodyState, span: float, *, steps: int = 200) -> BodyState:
+def propagate(model: Model, state: BodyState, span: float, *, steps: int = 200) -> BodyState:
     still = torch.zeros_like(state.rotor_speed)
     return advance(model, INTEGRATORS["rk4"], SpeedControl(), state, still, span / steps, steps)
 
@@ -55,19 +55,19 @@ def test_a_sinking_hull_reaches_its_terminal_speed() -> None:
     speed = sqrt(push / 8.0)
     for span in (0.4, 20.0):
         expected = -speed * tanh(8.0 * speed * span / (MASS + ADDED["z"]))
-        assert after(model, state_of(), span).lin_vel[0, 2].item() == pytest.approx(expected, rel=1e-9)
+        assert propagate(model, make_state(), span).lin_vel[0, 2].item() == pytest.approx(expected, rel=1e-9)
 
 
 def test_linear_and_quadratic_drag_balance_a_weight() -> None:
     """``l v + q v² = m g - B``: the positive root, along body x of a hull that hangs nose down."""
     drag = NO_DRAG | {"lx": 4.0, "qx": 9.0, "ly": 50.0}
     model = hull({"hull_drag": drag, "buoyancy": {"force": 10.0, "x": 0.0, "y": 0.0, "z": 0.0}})
-    end = after(model, state_of(euler=(0.0, pi / 2, 0.0)), 20.0, steps=400)
+    end = propagate(model, make_state(euler=(0.0, pi / 2, 0.0)), 20.0, steps=400)
     push = MASS * G - 10.0
     assert -end.lin_vel[0, 2].item() == pytest.approx((sqrt(16.0 + 36.0 * push) - 4.0) / 18.0, rel=1e-9)
 
 
-@pytest.mark.parametrize("axis", thinned([2, 0, 1], 3))
+@pytest.mark.parametrize("axis", thin_values([2, 0, 1], 3))
 def test_a_turning_hull_is_slowed_about_each_axis(axis: int) -> None:
     """Linear: ``w exp(-a t / J)``; quadratic: ``w / (1 + w b t / J)``; J with the water that turns along."""
     name, inertia, start = "xyz"[axis], INERTIA[axis] + TURNED["xyz"[axis]], 3.0
@@ -77,7 +77,7 @@ def test_a_turning_hull_is_slowed_about_each_axis(axis: int) -> None:
         ("b", start / (1.0 + start * 0.02 * 2.0 / inertia)),
     ):
         model = hull({"hull_drag": NO_DRAG | {f"{letter}{name}": 0.02}, "added_inertia": TURNED}, gravity=0.0)
-        end = after(model, state_of(ang_vel=turning), 2.0)
+        end = propagate(model, make_state(ang_vel=turning), 2.0)
         assert end.ang_vel[0, axis].item() == pytest.approx(expected, rel=1e-9)
 
 
@@ -85,7 +85,7 @@ def test_a_centre_of_buoyancy_above_that_of_mass_rights_a_hull() -> None:
     """Heeled by +30 degrees of roll, the torque is ``-B h sin 30°`` about x; below, it would be the opposite."""
     for height, sign in ((0.1, -1.0), (-0.1, 1.0)):
         model = hull({"buoyancy": {"force": MASS * G, "x": 0.0, "y": 0.0, "z": height}})
-        start = after(model, state_of(euler=(pi / 6, 0.0, 0.0)), 1e-6, steps=1)
+        start = propagate(model, make_state(euler=(pi / 6, 0.0, 0.0)), 1e-6, steps=1)
         acceleration = start.ang_vel[0, 0].item() / 1e-6
         assert acceleration == pytest.approx(sign * MASS * G * 0.1 * 0.5 / INERTIA[0], rel=1e-6)
 
@@ -94,13 +94,13 @@ def test_a_neutral_hull_swings_like_a_pendulum() -> None:
     """Small angles: ``cos(w t)`` with ``w² = B h / (J + J_A)``; h between the centres, wherever the origin is."""
     effects = {"buoyancy": {"force": MASS * G, "x": 0.0, "y": 0.0, "z": 0.05}, "added_inertia": TURNED}
     model, angle, span = hull(effects, com=(0.0, 0.0, -0.15)), 1e-4, 1.0
-    end = after(model, state_of(euler=(angle, 0.0, 0.0)), span, steps=500)
+    end = propagate(model, make_state(euler=(angle, 0.0, 0.0)), span, steps=500)
     frequency = sqrt(MASS * G * 0.2 / (INERTIA[0] + TURNED["x"]))
     roll = 2.0 * end.attitude[0, 0].item()
     assert roll == pytest.approx(angle * cos(frequency * span), abs=1e-6 * angle)
 
 
-def momentum_of(model: Model, state: BodyState) -> tuple[Tensor, Tensor, Tensor]:
+def total_momentum(model: Model, state: BodyState) -> tuple[Tensor, Tensor, Tensor]:
     """Return energy, impulse and its moment about the origin, of hull and water, world."""
     mass = MASS + torch.tensor(tuple(ADDED.values()), dtype=F64)
     v, w = quat_rotate_inverse(state.attitude, state.lin_vel), state.ang_vel
@@ -113,33 +113,33 @@ def momentum_of(model: Model, state: BodyState) -> tuple[Tensor, Tensor, Tensor]
 def test_a_tumbling_hull_in_still_water_keeps_energy_impulse_and_moment() -> None:
     """Kirchhoff's equations: neither is kept if a term or a sign is off. RK4 at 5e-4 s leaves 1e-9."""
     model = hull({"added_mass": ADDED, "added_inertia": TURNED}, gravity=0.0)
-    start = state_of(
+    start = make_state(
         position=(1.0, -2.0, 0.5), euler=(0.4, -0.7, 1.1), lin_vel=(1.0, 0.5, -0.8), ang_vel=(2.0, -1.0, 3.0)
     )
-    end = after(model, start, 0.25, steps=500)
+    end = propagate(model, start, 0.25, steps=500)
     assert (end.lin_vel - start.lin_vel).norm() > 0.1  # the hull itself does not keep its velocity
-    for before, now in zip(momentum_of(model, start), momentum_of(model, end), strict=True):
+    for before, now in zip(total_momentum(model, start), total_momentum(model, end), strict=True):
         torch.testing.assert_close(now, before, rtol=1e-9, atol=1e-9)
 
 
 def test_a_slender_hull_turns_across_its_motion() -> None:
     """Munk: moving along x and a little along y it is turned by ``-(v x M v)_z = v_x v_y (x - y)``: with y > x away from y."""
     model = hull({"added_mass": ADDED}, gravity=0.0)
-    end = after(model, state_of(lin_vel=(1.0, 0.1, 0.0)), 1e-6, steps=1)
+    end = propagate(model, make_state(lin_vel=(1.0, 0.1, 0.0)), 1e-6, steps=1)
     assert end.ang_vel[0, 2].item() / 1e-6 == pytest.approx(
         1.0 * 0.1 * (ADDED["x"] - ADDED["y"]) / INERTIA[2], rel=1e-4
     )
 
 
-def test_a_current_carries_everything_along() -> None:
+def test_a_current_carries_all_bodies() -> None:
     """In the frame of the water the same happens: Galileo."""
     effects = {"added_mass": ADDED, "added_inertia": TURNED, "hull_drag": dict.fromkeys(NO_DRAG, 0.3)}
     effects["buoyancy"] = {"force": 12.0, "x": 0.02, "y": 0.0, "z": 0.05}
     current = torch.tensor([[0.7, -0.4, 0.2]], dtype=F64)
     moving = {"constant_wind": {"x": 0.7, "y": -0.4, "z": 0.2}}
-    start = state_of(euler=(0.3, 0.2, -0.5), lin_vel=(0.5, 0.0, 0.1), ang_vel=(0.5, -1.0, 1.0))
-    still = after(hull(effects), start, 2.0)
-    carried = after(hull(effects | moving), replace(start, lin_vel=start.lin_vel + current), 2.0)
+    start = make_state(euler=(0.3, 0.2, -0.5), lin_vel=(0.5, 0.0, 0.1), ang_vel=(0.5, -1.0, 1.0))
+    still = propagate(hull(effects), start, 2.0)
+    carried = propagate(hull(effects | moving), replace(start, lin_vel=start.lin_vel + current), 2.0)
     torch.testing.assert_close(carried.lin_vel, still.lin_vel + current, rtol=0.0, atol=1e-10)
     torch.testing.assert_close(carried.position, still.position + 2.0 * current, rtol=0.0, atol=1e-10)
     torch.testing.assert_close(carried.attitude, still.attitude, rtol=0.0, atol=1e-10)
@@ -148,7 +148,7 @@ def test_a_current_carries_everything_along() -> None:
 def test_added_mass_slows_a_fall_and_not_the_weight() -> None:
     """At rest ``a = (m g - B) / (m + z)`` downwards; an accelerometer feels ``g - a``."""
     model = hull({"buoyancy": {"force": 5.0, "x": 0.0, "y": 0.0, "z": 0.0}, "added_mass": ADDED})
-    end = after(model, state_of(), 1e-6, steps=1)
+    end = propagate(model, make_state(), 1e-6, steps=1)
     assert -end.lin_vel[0, 2].item() / 1e-6 == pytest.approx((MASS * G - 5.0) / (MASS + ADDED["z"]), rel=1e-9)
 
 
@@ -157,7 +157,7 @@ def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
         "added_inertia", "added_mass", "buoyancy", "hull_drag", "link_added_mass", "link_buoyancy",
     }  # fmt: skip
     assert not any(EFFECTS.get(name).is_selectable for name in ("added_mass", "hull_drag", "gusts"))
-    twice = effects_of({"added_mass": ADDED}, 1) * 2
+    twice = make_effects({"added_mass": ADDED}, 1) * 2
     with pytest.raises(ConfigError, match="a vehicle has one fluid at most"):
         build_model(vehicle_from_config(ROBOTS.get("lmf1"), num_envs=1, dtype=F64), twice)
 
@@ -165,7 +165,7 @@ def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
 def rov(**changes: dict[str, float]) -> Model:
     """Return ``base_rov`` with the effects of its file, some of them changed or added."""
     robot = ROBOTS.get("base_rov")
-    return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), effects_of({**robot.effects, **changes}, 1))
+    return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), make_effects({**robot.effects, **changes}, 1))
 
 
 def test_the_water_of_base_rov_is_that_of_its_nine_spheres() -> None:
@@ -199,7 +199,7 @@ def test_base_rov_reaches_its_terminal_speed(push: float) -> None:
     for span, steps in ((0.3, 40), (20.0, 400)):
         grown = tanh(0.5 * root * span / mass)
         expected = 2.0 * abs(push) * grown / (root + linear * grown)
-        end = after(model, state_of(8), span, steps=steps)
+        end = propagate(model, make_state(8), span, steps=steps)
         assert end.lin_vel[0, 2].item() == pytest.approx(expected if push > 0.0 else -expected, rel=1e-8)
     assert linear * expected + quadratic * expected**2 == pytest.approx(abs(push), rel=1e-8)
 
@@ -208,7 +208,7 @@ def test_base_rov_reaches_its_terminal_speed(push: float) -> None:
 def test_base_rov_is_righted(axis: int, sign: float) -> None:
     """Heeled by 30 degrees about x or y: ``-B h sin 30° / (J + J_A)``, 10.791 N times 1 cm; neither sinks nor drifts."""
     euler = tuple(sign * pi / 6 if i == axis else 0.0 for i in range(3))
-    end = after(rov(), state_of(8, euler=euler), 1e-6, steps=1)
+    end = propagate(rov(), make_state(8, euler=euler), 1e-6, steps=1)
     expected = torch.zeros(1, 3, dtype=F64)
     expected[0, axis] = -sign * 10.791 * 0.01 * 0.5 / (0.048 + 0.024)
     torch.testing.assert_close(end.ang_vel / 1e-6, expected, rtol=1e-6, atol=1e-8)
@@ -218,7 +218,7 @@ def test_base_rov_is_righted(axis: int, sign: float) -> None:
 def test_base_rov_drifts_with_a_current() -> None:
     """From rest, its speed u through water falls as ``u = l / ((l / c + q) exp(l t / M) - q)`` from that of the current c."""
     current, span = (0.6, 0.0, -0.8), 3.0
-    end = after(rov(constant_wind=dict(zip("xyz", current, strict=True))), state_of(8), span, steps=200)
+    end = propagate(rov(constant_wind=dict(zip("xyz", current, strict=True))), make_state(8), span, steps=200)
     linear, quadratic = (ROBOTS.get("base_rov").effects["hull_drag"][name] for name in ("lx", "qx"))
     for axis, speed in enumerate(current):
         left = abs(speed) and linear / (

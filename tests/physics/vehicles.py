@@ -29,7 +29,7 @@ CEILING = 9.0
 """Height for effects near a ceiling [m]; above random states lifted by 4 m."""
 
 
-def lopsided_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> RobotCfg:
+def asymmetric_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> RobotCfg:
     """Return a quadrotor with products of inertia, tilted rotors and an offset centre of mass."""
     return RobotCfg(
         summary="test vehicle",

@@ -12,9 +12,9 @@ pytestmark = pytest.mark.slow
     ("env", "robot"), [("env_with_obstacles", "base_quadrotor_with_imu"), ("empty_env", "tinyprop")]
 )
 def test_an_environment_is_the_same_among_few_and_8192(env: str, robot: str, backend: str) -> None:
-    found = []
+    result = []
     for num_envs in (FEW, 8192):
         built = build(env, robot, num_envs, backend=backend, randomize=RANDOMIZE)
         fly(built)
-        found.append(snapshot(built.gtd, slice(FEW)))
-    assert_same(*found)
+        result.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(*result)

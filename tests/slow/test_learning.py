@@ -20,6 +20,6 @@ def test_minutes_lead_to_a_hover_within_ten_centimetres(
     assert main(["train", *argv, "--out", run]) == 0
     capsys.readouterr()
     assert main(["evaluate", "--policy", run, "--num-envs", "512", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["crash_rate"] == 0.0
-    assert found["final_error_mean_m"] < 0.10
+    result = json.loads(capsys.readouterr().out)
+    assert result["crash_rate"] == 0.0
+    assert result["final_error_mean_m"] < 0.10

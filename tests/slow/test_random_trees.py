@@ -16,9 +16,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.motion import place_links
-from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import random_links, random_tree
@@ -26,7 +26,7 @@ from tests.physics.articulated.trees import random_links, random_tree
 NUM_ENVS, DT, SECONDS = 64, 0.002, 10.0
 
 
-def drawn_robot(num_joints: int, seed: int, *, floating: bool, chain: bool, damping: float) -> RobotCfg:
+def random_robot(num_joints: int, seed: int, *, floating: bool, chain: bool, damping: float) -> RobotCfg:
     """Return a tree whose reference pose is that of zero coordinates, on the mounts of another robot, which do not push."""
     tree = random_tree(num_joints, seed, floating=floating, chain=chain)
     links = random_links(tree, 1, seed)
@@ -66,16 +66,16 @@ def drawn_robot(num_joints: int, seed: int, *, floating: bool, chain: bool, damp
 )
 def test_ten_seconds_without_divergence(num_joints: int, floating: bool, chain: bool, damping: float) -> None:
     """Finite in every environment at every tenth of a second, and rates below 1e3 rad/s (or m/s)."""
-    robot = drawn_robot(num_joints, num_joints, floating=floating, chain=chain, damping=damping)
+    robot = random_robot(num_joints, num_joints, floating=floating, chain=chain, damping=damping)
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS)
-    articulation = articulation_of(robot, like=vehicle.mass)
+    articulation = build_articulation(robot, like=vehicle.mass)
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT)
     backend = WarpBackend()
     model = build_model(vehicle, articulation=articulation)
     backend.allocate(model, law, integrator="euler", random=Randomness(NUM_ENVS))
     gen = torch.Generator().manual_seed(1)
     start = state_at_rest(NUM_ENVS, vehicle.num_rotors, device=torch.device("cpu"), dtype=torch.float32)
-    state = JointedState(
+    state = ArticulatedState(
         **vars(start),
         joint_pos=1.4 * torch.rand(NUM_ENVS, num_joints, generator=gen) - 0.7,
         joint_vel=4.0 * torch.rand(NUM_ENVS, num_joints, generator=gen) - 2.0,

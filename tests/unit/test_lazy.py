@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.lazy import Home, no_garbage
+from aerial_gym.lazy import ImportPath, pause_garbage_collection
 from aerial_gym.physics import BACKENDS, EFFECTS
 
 
@@ -42,10 +42,10 @@ def test_a_name_is_loaded_when_it_is_first_used(package: str) -> None:
 
 def test_a_summary_is_read_without_importing(package: str) -> None:
     sys.modules.pop("some_package.part", None)
-    assert Home(f"{package}.part:Thing").summary() == "Does it. And more."
-    assert Home(f"{package}.part:Other").summary() == "the other one"
+    assert ImportPath(f"{package}.part:Thing").summary() == "Does it. And more."
+    assert ImportPath(f"{package}.part:Other").summary() == "the other one"
     assert "some_package.part" not in sys.modules
-    assert type(Home(f"{package}.part:Other").make()).__name__ == "Other"
+    assert type(ImportPath(f"{package}.part:Other").make()).__name__ == "Other"
 
 
 def test_summaries_read_from_sources_are_those_of_the_objects() -> None:
@@ -58,14 +58,14 @@ def test_summaries_read_from_sources_are_those_of_the_objects() -> None:
 
 def test_garbage_is_looked_for_again_after_imports() -> None:
     """Not inside, as before afterwards, and where it was not looked for before it is not afterwards."""
-    with no_garbage():
+    with pause_garbage_collection():
         assert not gc.isenabled()
     assert gc.isenabled()
     assert gc.get_freeze_count() > 0  # of what was imported
     gc.unfreeze()
     gc.disable()
     try:
-        with no_garbage():
+        with pause_garbage_collection():
             pass
         assert not gc.isenabled()
     finally:

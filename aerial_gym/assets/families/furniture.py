@@ -29,7 +29,7 @@ def shelf_parts(length: float, depth: float, height: float, boards: int) -> tupl
     return (*sides, *(box((inner, depth, _BOARD), (0.0, 0.0, z)) for z in heights))
 
 
-def placed(parts: tuple[PartCfg, ...], at: tuple[float, float, float], yaw: float) -> tuple[PartCfg, ...]:
+def place_parts(parts: tuple[PartCfg, ...], at: tuple[float, float, float], yaw: float) -> tuple[PartCfg, ...]:
     """Return upright parts after a rotation about z by ``yaw`` [rad] and a displacement ``at`` [m]."""
     c, s = cos(yaw), sin(yaw)
     return tuple(

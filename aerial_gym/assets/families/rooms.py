@@ -4,7 +4,7 @@ from math import pi
 
 from aerial_gym.assets.families.corridors import shell
 from aerial_gym.assets.families.family import WALL_IDS, Draw, Family
-from aerial_gym.assets.families.furniture import placed, shelf_parts, table_parts
+from aerial_gym.assets.families.furniture import place_parts, shelf_parts, table_parts
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 
 
@@ -12,14 +12,14 @@ def _table(draw: Draw, room: tuple[float, float, float]) -> tuple[PartCfg, ...]:
     length, width = draw.uniform(1.0, 2.0), draw.uniform(0.6, 1.0)  # as the family of tables
     x, y = (max(0.5 * (edge - length), 0.0) for edge in room[:2])
     at = (draw.uniform(-x, x), draw.uniform(-y, y), -0.5 * room[2])
-    return placed(table_parts(length, width, draw.uniform(0.7, 0.8)), at, draw.uniform(-pi, pi))
+    return place_parts(table_parts(length, width, draw.uniform(0.7, 0.8)), at, draw.uniform(-pi, pi))
 
 
 def _shelf(draw: Draw, room: tuple[float, float, float], side: float) -> tuple[PartCfg, ...]:
     length, depth, height = draw.uniform(0.6, 1.2), draw.uniform(0.25, 0.4), draw.uniform(1.2, 2.0)
     x = max(0.5 * (room[0] - length), 0.0)
     at = (draw.uniform(-x, x), side * 0.5 * (room[1] - depth), -0.5 * room[2])
-    return placed(shelf_parts(length, depth, height, 4), at, 0.0)
+    return place_parts(shelf_parts(length, depth, height, 4), at, 0.0)
 
 
 def _make(draw: Draw) -> ShapeCfg:

@@ -35,22 +35,22 @@ class DemoCmd:
     def run(self) -> int:
         """Run the three parts and write the page; return the exit status."""
         from aerial_gym.cli.demo.page import write_page
-        from aerial_gym.cli.demo.parts import close_the_loop, find_flights, learn, look
+        from aerial_gym.cli.demo.parts import close_the_loop, find_flights, record_cameras, train_hover
         from aerial_gym.interop import one_thread
 
         console = Console(stderr=True)
         started = time.perf_counter()
         _make_room(self.out)
-        flights = find_flights(self.flights or _shared_flights(), self.out, self.seed)
+        flights = find_flights(self.flights or _idsia_folder(), self.out, self.seed)
         with one_thread():
-            console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_elapsed(started)})")
-            seen = look(self.seed, self.backend)
+            console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_duration_text(started)})")
+            seen = record_cameras(self.seed, self.backend)
             console.print(
-                f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_elapsed(started)})"
+                f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_duration_text(started)})"
             )
-            learned = learn(self.out, self.seed, self.train_time_s, self.backend)
+            learned = train_hover(self.out, self.seed, self.train_time_s, self.backend)
             console.print(
-                f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_elapsed(started)})"
+                f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_duration_text(started)})"
             )
             measured = close_the_loop(flights, self.out / "loop")
         page = write_page(
@@ -61,16 +61,16 @@ class DemoCmd:
             machine=f"{platform.platform()}, Python {platform.python_version()}, torch {metadata.version('torch')}",
             time_s=time.perf_counter() - started,
         )
-        console.print(f"done after {_elapsed(started)}")
+        console.print(f"done after {_duration_text(started)}")
         print(page)
         return 0
 
 
-def _elapsed(started: float) -> str:
+def _duration_text(started: float) -> str:
     return f"{time.perf_counter() - started:.0f} s"
 
 
-def _shared_flights() -> Path | None:
+def _idsia_folder() -> Path | None:
     folder = Path("../shared/data/idsia_nanodrone")
     return folder if folder.is_dir() else None
 

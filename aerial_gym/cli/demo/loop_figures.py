@@ -37,19 +37,19 @@ def residual_figure(verdict: dict[str, Any]) -> Figure:
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     figure = Figure(figsize=(3.6 * len(kinds), 3.4), layout="constrained")
     for axis, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
-        mine = [row for row in rows if row["kind"] == kind]
+        kind_rows = [row for row in rows if row["kind"] == kind]
         for shift, when, color in ((-0.2, "before", "#c44e52"), (0.2, "after", "#4c72b0")):
-            places = [i + shift for i in range(len(mine))]
-            values = [row[when] for row in mine]
+            places = [i + shift for i in range(len(kind_rows))]
+            values = [row[when] for row in kind_rows]
             axis.bar(places, [v["rms"] for v in values], 0.38, color=color, label=when)
             low, high = zip(*(v["interval"] for v in values), strict=True)
             axis.vlines(places, low, high, color="k", lw=1.2)
-        for i, row in enumerate(mine):
+        for i, row in enumerate(kind_rows):
             if "noise_floor" in row["after"]:
                 label = "noise floor" if i == 0 else None
                 axis.hlines(row["after"]["noise_floor"], i - 0.42, i + 0.42, color="k", ls=":", label=label)
-        axis.set_xticks(range(len(mine)), [row["name"].split()[-1] for row in mine])
-        axis.set_title(f"{LABELS[kind]} [{mine[0]['unit']}]", fontsize=10)
+        axis.set_xticks(range(len(kind_rows)), [row["name"].split()[-1] for row in kind_rows])
+        axis.set_title(f"{LABELS[kind]} [{kind_rows[0]['unit']}]", fontsize=10)
         axis.set_ylabel("residual, rms")
     figure.axes[0].legend(fontsize=8)
     return figure

@@ -34,7 +34,7 @@ TRAIN_EVERY = 4
 """Every so many of them is trained on: all take minutes."""
 
 
-def look(seed: int, backend: str | None = None) -> dict[str, str]:
+def record_cameras(seed: int, backend: str | None = None) -> dict[str, str]:
     """Simulate a few steps in the obstacle environment and return a picture of the camera images."""
     env = SimBuilder().build_env(
         sim_name="base_sim",
@@ -55,7 +55,7 @@ def look(seed: int, backend: str | None = None) -> dict[str, str]:
     return {"picture": as_data_url(figure), "tensors": str(env.gtd)}
 
 
-def learn(out: Path, seed: int, time_s: float, backend: str | None = None) -> dict[str, Any]:
+def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None) -> dict[str, Any]:
     """Train a policy from scratch, evaluate it on fresh starts, and return figures and numbers."""
     cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     result = train(replace(cfg, seed=seed, max_time_s=time_s, device="cpu", backend=backend), out / "training")
@@ -88,7 +88,7 @@ def _fly(policy: Any, task: Any) -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flights:
+class DemoFlights:
     """Flight logs for the loop, with their description."""
 
     robot: str
@@ -107,7 +107,7 @@ class Flights:
     """One paragraph for the page."""
 
 
-def find_flights(folder: Path | None, out: Path, seed: int) -> Flights:
+def find_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
     """Return the measured flights in ``folder``, or flights of the independent plant where there are none.
 
     Raises:
@@ -123,11 +123,13 @@ def find_flights(folder: Path | None, out: Path, seed: int) -> Flights:
             f"The loop learns from {len(trains)} flights along squares, random paths and multisines and is scored on "
             f"{len(tests)} flights along another trajectory. The declared vehicle has no drag."
         )
-        return Flights(robot="crazyflie_21_brushless", train=trains, test=tests, mapping="idsia_nanodrone", story=story)
+        return DemoFlights(
+            robot="crazyflie_21_brushless", train=trains, test=tests, mapping="idsia_nanodrone", story=story
+        )
     return _make_flights(out / "flights", seed)
 
 
-def _make_flights(folder: Path, seed: int) -> Flights:
+def _make_flights(folder: Path, seed: int) -> DemoFlights:
     root, folder = Path(__file__).parents[3], folder.resolve()  # the plant runs in another folder
     if not (root / "benchmarks" / "undeclared").is_dir():
         raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")
@@ -146,7 +148,7 @@ def _make_flights(folder: Path, seed: int) -> Flights:
         "Flights of an independent simulated plant (benchmarks/undeclared, no shared code) whose centre of mass is not "
         "where its robot file says, with sensor noise and small errors everywhere else. The loop is not told what is wrong."
     )
-    return Flights(
+    return DemoFlights(
         robot=str(folder / "robot.yaml"),
         train=tuple(sorted(folder.glob("train_*.csv"))),
         test=tuple(sorted(folder.glob("test_*.csv"))),
@@ -155,7 +157,7 @@ def _make_flights(folder: Path, seed: int) -> Flights:
     )
 
 
-def close_the_loop(flights: Flights, out: Path) -> dict[str, Any]:
+def close_the_loop(flights: DemoFlights, out: Path) -> dict[str, Any]:
     """Run the closed loop on the flights; return the content of ``verdict.json`` and two figures."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("closing the loop", total=1.0)
@@ -167,11 +169,11 @@ def close_the_loop(flights: Flights, out: Path) -> dict[str, Any]:
             mapping=flights.mapping,
             progress=lambda stage, share: bar.update(task, description=stage, completed=share),
         )
-    found = verdict_json(verdict)
+    data = verdict_json(verdict)
     return {
         "story": flights.story,
-        "verdict": found,
-        "rows": residual_rows(found),
-        "residuals": as_data_url(residual_figure(found)),
-        "rollouts": as_data_url(rollout_figure(found)),
+        "verdict": data,
+        "rows": residual_rows(data),
+        "residuals": as_data_url(residual_figure(data)),
+        "rollouts": as_data_url(rollout_figure(data)),
     }

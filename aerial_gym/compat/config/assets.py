@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, idle
+from aerial_gym.compat.config.fields import STANDS_FOR, Changes, ConfigTable, Values, direct_field, idle_field
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, MotionCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
@@ -23,7 +23,7 @@ def _state(position: Any, euler: Any) -> list[float]:
     return [*position, *euler, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
-def _placed(end: str) -> Any:
+def _write_position(end: str) -> Any:
     def write(values: Values) -> Changes:
         state = values["min_state_ratio" if end == "low" else "max_state_ratio"]
         return {f"position_ratio_{end}": tuple(state[0:3]), f"euler_{end}": tuple(state[3:6])}
@@ -49,38 +49,38 @@ def _shapes(values: Values) -> Changes:
     return {"shapes": tuple(shapes), "family": None}
 
 
-def _folder_of(cfg: AssetCfg) -> str:
+def _asset_folder(cfg: AssetCfg) -> str:
     return f"{AERIAL_GYM_DIRECTORY}/{_FOLDER}/{cfg.name}"
 
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="asset",
     fields=(
-        carried("num_assets", "count", lambda c: c.count),
-        carried("asset_folder", "shapes", _folder_of, _shapes,
+        direct_field("num_assets", "count", lambda c: c.count),
+        direct_field("asset_folder", "shapes", _asset_folder, _shapes,
                 "URDF files; folders of that simulator stand for the same shapes here"),
-        carried("file", "shapes", lambda _: None, _shapes, "one file of the folder; None takes all"),
-        carried("min_state_ratio", "position_ratio_low, euler_low",
-                lambda c: _state(c.position_ratio_low, c.euler_low), _placed("low"), "entries 0 to 5"),
-        carried("max_state_ratio", "position_ratio_high, euler_high",
-                lambda c: _state(c.position_ratio_high, c.euler_high), _placed("high"), "entries 0 to 5"),
-        carried("keep_in_env", "keep", lambda c: c.keep),
-        carried("semantic_id", "semantic_id", lambda c: c.semantic_id,
+        direct_field("file", "shapes", lambda _: None, _shapes, "one file of the folder; None takes all"),
+        direct_field("min_state_ratio", "position_ratio_low, euler_low",
+                lambda c: _state(c.position_ratio_low, c.euler_low), _write_position("low"), "entries 0 to 5"),
+        direct_field("max_state_ratio", "position_ratio_high, euler_high",
+                lambda c: _state(c.position_ratio_high, c.euler_high), _write_position("high"), "entries 0 to 5"),
+        direct_field("keep_in_env", "keep", lambda c: c.keep),
+        direct_field("semantic_id", "semantic_id", lambda c: c.semantic_id,
                 remark="-1: the instance's own id, counted in each environment"),
-        carried("per_link_semantic", "shapes: first_link_id", lambda _: False, _shapes, "URDF files only"),
-        carried("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shapes, "URDF files only"),
-        carried("fix_base_link", "motion", lambda c: c.motion.kind == "none",
+        direct_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shapes, "URDF files only"),
+        direct_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shapes, "URDF files only"),
+        direct_field("fix_base_link", "motion", lambda c: c.motion.kind == "none",
                 lambda v: {"motion": MotionCfg(kind="none" if v["fix_base_link"] else "twist")},
                 "not fixed: flies with env_actions"),
-        *(idle(name, value, "PhysX") for name, value in (
+        *(idle_field(name, value, "PhysX") for name, value in (
             ("collision_mask", 1), ("disable_gravity", True), ("replace_cylinder_with_capsule", False),
             ("flip_visual_attachments", False), ("density", 0.001), ("angular_damping", 0.1), ("linear_damping", 0.1),
             ("max_angular_velocity", 100.0), ("max_linear_velocity", 100.0), ("armature", 0.001),
             ("collapse_fixed_joints", True), ("place_force_sensor", False), ("force_sensor_parent_link", ""),
             ("force_sensor_transform", None), ("vhacd_enabled", False),
         )),
-        *(idle(name, None, "read nowhere there either") for name in ("min_position_ratio", "max_position_ratio")),
-        *(idle(name, value, "rays and contact share a shape; its colour is its `color:`") for name, value in (
+        *(idle_field(name, None, "read nowhere there either") for name in ("min_position_ratio", "max_position_ratio")),
+        *(idle_field(name, value, "rays and contact share a shape; its colour is its `color:`") for name, value in (
             ("use_collision_mesh_instead_of_visual", False), ("use_mesh_materials", False), ("color", None),
             ("body_semantic_label", 0), ("link_semantic_label", 0), ("specific_filepath", None), ("name", None),
         )),
@@ -116,14 +116,14 @@ def asset_class(cfg: AssetCfg) -> type:
         if known == cfg:
             return cls
     wall = cfg.name.endswith("_wall")
-    cls = TABLE.class_of(
+    cls = TABLE.make_class(
         cfg.name if wall else f"{cfg.name.removesuffix('s')}_asset_params", cfg, parent=BaseAssetParams
     )
     _made.append((cfg, cls))
     return cls
 
 
-def asset_of(name: str, cls: Any) -> AssetCfg | None:
+def translate_asset(name: str, cls: Any) -> AssetCfg | None:
     """Return the translated obstacle under its name in an environment class; None for a count of 0."""
     if not getattr(cls, "num_assets", 1):
         return None
@@ -135,7 +135,7 @@ def asset_of(name: str, cls: Any) -> AssetCfg | None:
     return replace(cfg, name=name)
 
 
-BaseAssetParams = TABLE.class_of("BaseAssetParams", _BOX)
+BaseAssetParams = TABLE.make_class("BaseAssetParams", _BOX)
 
 CLASSES: dict[str, type] = {
     asset.name: asset_class(asset)

@@ -10,11 +10,11 @@ import numpy as np
 
 from aerial_gym.assets.urdf import load_urdf
 from aerial_gym.assets.urdf_body import urdf_body
-from aerial_gym.compat.config.fields import Changes, Values, same
+from aerial_gym.compat.config.fields import Changes, Values, values_equal
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, Vec3
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.shapes import collision_of, shape_of
+from aerial_gym.robots.importers.shapes import make_collision, part_shape
 
 FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
 """URDF folder in a class generated from a robot of this package; it need not exist."""
@@ -77,7 +77,7 @@ def body(values: Values) -> Changes:
     """
     folder, file = str(values["robot_asset.asset_folder"]), str(values["robot_asset.file"])
     path = Path(folder) / file
-    if same(folder, FOLDER) and not path.is_file():
+    if values_equal(folder, FOLDER) and not path.is_file():
         return {}
     if not path.is_file():
         raise ConfigError(
@@ -92,7 +92,7 @@ def body(values: Values) -> Changes:
             com=_vec3(whole.com),
             source=f"URDF {path.name}, all links at zero joint angles",
         ),
-        "collision": collision_of([shape_of(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"),
+        "collision": make_collision([part_shape(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"),
         "summary": f"robot of {path.name}",
     }
 

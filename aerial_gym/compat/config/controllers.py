@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from aerial_gym.compat.config.fields import Changes, Table, Values, carried, kept
+from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, direct_field, lookup_field
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
@@ -53,17 +53,17 @@ _HALF_WIDTH: dict[str, Vec3] = {
 """Of the ranges around ``AERIAL_GYM_GAINS``. Source: Aerial Gym Simulator 2.0.1, lee_controller_config."""
 
 
-def _around(name: str) -> Ends:
+def _gain_range(name: str) -> Ends:
     pairs = list(zip(getattr(AERIAL_GYM_GAINS, name), _HALF_WIDTH[name], strict=True))
     low, high = (tuple(round(middle + sign * width, 9) for middle, width in pairs) for sign in (-1.0, 1.0))
     return low, high  # pyright: ignore[reportReturnType] - as many as in Vec3
 
 
 SHARED = GainRanges(
-    position=_around("position"),
-    velocity=_around("velocity"),
-    attitude=_around("attitude"),
-    rate=_around("rate"),
+    position=_gain_range("position"),
+    velocity=_gain_range("velocity"),
+    attitude=_gain_range("attitude"),
+    rate=_gain_range("rate"),
     max_yaw_rate=AERIAL_GYM_GAINS.max_yaw_rate,
     max_inclination=AERIAL_GYM_GAINS.max_inclination,
 )
@@ -77,37 +77,39 @@ _NAMES = (
 )
 
 
-def _gain(theirs: str, ours: str) -> Any:
+def _gain(script_name: str, native: str) -> Any:
     def write(values: Values) -> Changes:
         pairs = [
-            sorted(map(float, pair)) for pair in zip(values[f"{theirs}_min"], values[f"{theirs}_max"], strict=True)
+            sorted(map(float, pair))
+            for pair in zip(values[f"{script_name}_min"], values[f"{script_name}_max"], strict=True)
         ]
-        return {ours: tuple(zip(*pairs, strict=True))}
+        return {native: tuple(zip(*pairs, strict=True))}
 
     return write
 
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="controller",
     fields=(
         *(
-            carried(f"{theirs}_{there}", f"gains.{ours}", lambda c, name=ours, end=end: list(getattr(c, name)[end]),
-                    _gain(theirs, ours),
+            direct_field(f"{script_name}_{there}", f"gains.{native}",
+                         lambda c, name=native, end=end: list(getattr(c, name)[end]),
+                    _gain(script_name, native),
                     "the middle, or drawn; a minimum above its maximum, as some of theirs have it, is put in order")
-            for theirs, ours in _NAMES
+            for script_name, native in _NAMES
             for end, there in enumerate(("min", "max"))
         ),
-        carried("max_yaw_rate", "max_yaw_rate", lambda c: c.max_yaw_rate),
-        carried("max_inclination_angle_rad", "max_inclination", lambda c: c.max_inclination, remark="never used there"),
-        carried("randomize_params", "randomize", lambda c: c.randomize,
+        direct_field("max_yaw_rate", "max_yaw_rate", lambda c: c.max_yaw_rate),
+        direct_field("max_inclination_angle_rad", "max_inclination", lambda c: c.max_inclination, remark="never used there"),
+        direct_field("randomize_params", "randomize", lambda c: c.randomize,
                 remark="draws `gains.position`, `gains.velocity`, `gains.attitude` and `gains.rate` from minimum to maximum"),
-        kept("num_actions", "-", lambda _: 4, "follows from the law"),
+        lookup_field("num_actions", "-", lambda _: 4, "follows from the law"),
     ),
     idle_sections={},
 )  # fmt: skip
 """Translation of the attributes of a class of gains."""
 
-control = TABLE.class_of("control", SHARED)
+control = TABLE.make_class("control", SHARED)
 """Gains of that simulator's Lee controllers."""
 
 
@@ -131,7 +133,7 @@ LAWS: dict[str, type[_Law]] = {
 """Controller classes of that simulator that have the same law here, by class name."""
 
 
-def controller_of(law: Any, config: Any) -> ControllerCfg:
+def translate_controller(law: Any, config: Any) -> ControllerCfg:
     """Return the translated controller of a controller class and its configuration class.
 
     Raises:
@@ -142,20 +144,20 @@ def controller_of(law: Any, config: Any) -> ControllerCfg:
             f"controller class {getattr(law, '__name__', law)}: its own law cannot be run here. "
             f"Classes that can: {', '.join(LAWS)}; a law of your own is a torch function in aerial_gym.control.laws"
         )
-    ours = CONTROLLERS.get(law.name)
-    ranges = _ranges_of(law, config)
+    native = CONTROLLERS.get(law.name)
+    ranges = _gain_ranges(law, config)
     if ranges is None:
-        return ours
-    return replace(ours, gains=ranges.explicit(f"class {config.__name__}"), if_unstable="warn")  # as it flies there
+        return native
+    return replace(native, gains=ranges.explicit(f"class {config.__name__}"), if_unstable="warn")  # as it flies there
 
 
 def gain_randomization(law: Any, config: Any) -> Randomize:
     """Return the random gains of a controller class with its configuration class."""
-    ranges = _ranges_of(law, config)
+    ranges = _gain_ranges(law, config)
     return {} if ranges is None else ranges.randomization()
 
 
-def _ranges_of(law: Any, config: Any) -> GainRanges | None:
+def _gain_ranges(law: Any, config: Any) -> GainRanges | None:
     """Return the gain ranges of a class; None where the robot's own gains apply."""
     if law is LAWS["NoControl"] or (config is control and not control_is_changed()):
         return None

@@ -3,14 +3,23 @@
 from typing import Any
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.compat.config.assets import asset_class, asset_of
-from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, idle, kept, refused
+from aerial_gym.compat.config.assets import asset_class, translate_asset
+from aerial_gym.compat.config.fields import (
+    Changes,
+    ConfigTable,
+    Values,
+    constant_field,
+    direct_field,
+    idle_field,
+    lookup_field,
+    replace_entries,
+)
 from aerial_gym.config.environment import EnvironmentCfg
 
 
 def _assets(values: Values) -> Changes:
     included, classes = values["env_config.include_asset_type"], values["env_config.asset_type_to_dict_map"]
-    assets = (asset_of(name, cls) for name, cls in classes.items() if included.get(name, False))
+    assets = (translate_asset(name, cls) for name, cls in classes.items() if included.get(name, False))
     return {"assets": tuple(asset for asset in assets if asset is not None)}
 
 
@@ -20,32 +29,33 @@ def _ground(values: Values) -> Changes:
 
 _DEAD = "read nowhere there either"
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="environment",
     fields=(
-        kept("env.num_envs", "build_env(num_envs=...)", lambda _: 64, "the number where build_env is given none"),
-        carried("env.num_physics_steps_per_env_step_mean", "physics_steps_per_env_step",
+        lookup_field("env.num_envs", "build_env(num_envs=...)", lambda _: 64, "the number where build_env is given none"),
+        direct_field("env.num_physics_steps_per_env_step_mean", "physics_steps_per_env_step",
                 lambda c: c.physics_steps_per_env_step,
                 lambda v: {"physics_steps_per_env_step": int(v["env.num_physics_steps_per_env_step_mean"])}),
-        refused("env.num_physics_steps_per_env_step_std", 0,
+        constant_field("env.num_physics_steps_per_env_step_std", 0,
                 "must be 0 here: there one number was drawn for all environments, and could be none. A delay is the effect "
                 "actuation_delay of the robot"),
-        kept("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
-        carried("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground, "at z = 0"),
-        *(carried(f"env.{theirs}", ours, lambda c, ours=ours: list(getattr(c, ours))) for theirs, ours in (
+        lookup_field("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
+        direct_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground, "at z = 0"),
+        *(direct_field(f"env.{script_name}", native, lambda c, native=native: list(getattr(c, native)))
+          for script_name, native in (
             ("lower_bound_min", "bounds_lower_low"), ("lower_bound_max", "bounds_lower_high"),
             ("upper_bound_min", "bounds_upper_low"), ("upper_bound_max", "bounds_upper_high"),
         )),
-        carried("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _assets),
-        carried("env_config.asset_type_to_dict_map", "assets", lambda c: {a.name: asset_class(a) for a in c.assets}, _assets,
-                "classes of obstacles, see assets"),
-        idle("env.collision_force_threshold", 0.01,
+        direct_field("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _assets),
+        direct_field("env_config.asset_type_to_dict_map", "assets", lambda c: {a.name: asset_class(a) for a in c.assets},
+                _assets, "classes of obstacles, see assets"),
+        idle_field("env.collision_force_threshold", 0.01,
              "every touch is a crash; with `contact:` of an environment file, crash_speed says which"),
-        idle("env.num_env_actions", 4, "obstacles that move take (E, A, 6) twists"),
-        idle("env.write_to_sim_at_every_timestep", False, "states are written where they are"),
-        idle("env.render_viewer_every_n_steps", 1, "there is no viewer window"),
-        idle("env.use_warp", True, "sensors always are Warp's"),
-        *(idle(f"env.{name}", value, _DEAD) for name, value in (
+        idle_field("env.num_env_actions", 4, "obstacles that move take (E, A, 6) twists"),
+        idle_field("env.write_to_sim_at_every_timestep", False, "states are written where they are"),
+        idle_field("env.render_viewer_every_n_steps", 1, "there is no viewer window"),
+        idle_field("env.use_warp", True, "sensors always are Warp's"),
+        *(idle_field(f"env.{name}", value, _DEAD) for name, value in (
             ("env_spacing", 5.0), ("sample_timestep_for_latency", False), ("perturb_observations", False),
             ("keep_same_env_for_num_episodes", 1), ("manual_camera_trigger", False),
         )),
@@ -55,7 +65,7 @@ TABLE = Table(
 """Translation of the attributes of an environment class."""
 
 
-def environment_of(cls: Any) -> EnvironmentCfg:
+def translate_environment(cls: Any) -> EnvironmentCfg:
     """Return the translated environment of an environment class.
 
     Asset classes are changed in place by scripts, so they are read at every call.
@@ -65,19 +75,19 @@ def environment_of(cls: Any) -> EnvironmentCfg:
     classes = given.get("env_config.asset_type_to_dict_map")
     if classes is None:
         return cfg
-    return changed(cfg, _assets({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given))
+    return replace_entries(cfg, _assets({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given))
 
 
-def kept_values(cls: Any) -> tuple[int, bool]:
+def batch_settings(cls: Any) -> tuple[int, bool]:
     """Return the number of environments of an environment class, and whether a crash resets."""
     given = TABLE.values(cls)
     return int(given.get("env.num_envs", 64)), bool(given.get("env.reset_on_collision", True))
 
 
-EmptyEnvCfg = TABLE.class_of("EmptyEnvCfg", ENVIRONMENTS.get("empty_env"))
+EmptyEnvCfg = TABLE.make_class("EmptyEnvCfg", ENVIRONMENTS.get("empty_env"))
 
 CLASSES: dict[str, type] = {"empty_env": EmptyEnvCfg} | {
-    env: TABLE.class_of(name, ENVIRONMENTS.get(env))
+    env: TABLE.make_class(name, ENVIRONMENTS.get(env))
     for name, env in (
         ("EnvCfg2Ms", "empty_env_2ms"),
         ("EnvWithObstaclesCfg", "env_with_obstacles"),

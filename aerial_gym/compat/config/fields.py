@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from aerial_gym.errors import ConfigError, did_you_mean
+from aerial_gym.errors import ConfigError, suggest_name
 
 STANDS_FOR = "_aerial_gym"
 """Attribute of a generated class that holds its frozen configuration."""
@@ -30,13 +30,13 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Field:
+class ConfigField:
     """One attribute of a configuration class and its translation."""
 
-    theirs: str
+    script_name: str
     """Dotted path in the class."""
 
-    ours: str
+    native: str
     """Counterpart in this package, for the documentation; ``-`` for none."""
 
     remark: str = ""
@@ -52,46 +52,52 @@ class Field:
     """Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged."""
 
 
-def carried(
-    theirs: str,
-    ours: str,
+def direct_field(
+    script_name: str,
+    native: str,
     read: Callable[[Any], object],
     write: Callable[[Values], Changes] | None = None,
     remark: str = "",
-) -> Field:
+) -> ConfigField:
     """Return a field with the same meaning in both; ``write`` converts the value if it differs."""
-    return Field(theirs=theirs, ours=ours, remark=remark, read=read, write=write or (lambda v: {ours: v[theirs]}))
+    return ConfigField(
+        script_name=script_name,
+        native=native,
+        remark=remark,
+        read=read,
+        write=write or (lambda v: {native: v[script_name]}),
+    )
 
 
-def idle(theirs: str, value: object, remark: str) -> Field:
+def idle_field(script_name: str, value: object, remark: str) -> ConfigField:
     """Return a field without meaning in this package, which takes any value."""
-    return Field(theirs=theirs, ours="-", remark=remark, read=lambda _: value)
+    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value)
 
 
-def refused(theirs: str, value: object, remark: str) -> Field:
+def constant_field(script_name: str, value: object, remark: str) -> ConfigField:
     """Return a field with one allowed value; ``remark`` is the remedy for others."""
-    return Field(theirs=theirs, ours="-", remark=remark, read=lambda _: value, refused=True)
+    return ConfigField(script_name=script_name, native="-", remark=remark, read=lambda _: value, refused=True)
 
 
-def derived(theirs: str, read: Callable[[Any], object], remark: str) -> Field:
+def dependent_field(script_name: str, read: Callable[[Any], object], remark: str) -> ConfigField:
     """Return a field whose value must match the configuration; ``remark`` is the remedy for others."""
-    return Field(theirs=theirs, ours="-", remark=remark, read=read, refused=True)
+    return ConfigField(script_name=script_name, native="-", remark=remark, read=read, refused=True)
 
 
-def kept(theirs: str, ours: str, read: Callable[[Any], object], remark: str = "") -> Field:
+def lookup_field(script_name: str, native: str, read: Callable[[Any], object], remark: str = "") -> ConfigField:
     """Return a field that code reads from the class on demand, without a target in the configuration."""
-    return Field(theirs=theirs, ours=ours, remark=remark, read=read, write=lambda _: {})
+    return ConfigField(script_name=script_name, native=native, remark=remark, read=read, write=lambda _: {})
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class ConfigTable:
     """All attributes of one family of configuration classes."""
 
     kind: str  # Kind of the classes in messages
-    fields: tuple[Field, ...]  # Attributes that are known
+    fields: tuple[ConfigField, ...]  # Attributes that are known
     idle_sections: Mapping[str, str]  # Nested classes of which no attribute means anything here, and why
 
-    def class_of(self, name: str, cfg: object, *, parent: type | None = None) -> type:
+    def make_class(self, name: str, cfg: object, *, parent: type | None = None) -> type:
         """Return the configuration class generated from a configuration of this package.
 
         Args:
@@ -101,8 +107,8 @@ class Table:
         made = type(name, (base,), {STANDS_FOR: cfg, "__doc__": f"Class-style configuration of a {self.kind}."})
         for field in self.fields:
             value = field.read(cfg)
-            if parent is None or not same(value, _get(parent, field.theirs)):
-                _set(made, field.theirs, value)
+            if parent is None or not values_equal(value, _get(parent, field.script_name)):
+                _set(made, field.script_name, value)
         for section in self.idle_sections:
             if not _has(made, section):
                 _set(made, section, type(section.rpartition(".")[2], (), {}))
@@ -114,23 +120,23 @@ class Table:
         Raises:
             ConfigError: If it has an attribute that no table knows; the message names the nearest known one.
         """
-        known = {field.theirs for field in self.fields}
-        found: dict[str, Any] = {}
-        self._visit(cls, "", known, found, name=_name_of(cls))
-        return found
+        known = {field.script_name for field in self.fields}
+        entries: dict[str, Any] = {}
+        self._visit(cls, "", known, entries, name=_class_name(cls))
+        return entries
 
-    def _visit(self, node: Any, prefix: str, known: set[str], found: dict[str, Any], *, name: str) -> None:
+    def _visit(self, node: Any, prefix: str, known: set[str], entries: dict[str, Any], *, name: str) -> None:
         for key in dir(node):
             path, value = f"{prefix}{key}", getattr(node, key)
             if key.startswith("_") or path in self.idle_sections:
                 continue
             if path in known:
-                found[path] = value
+                entries[path] = value
             elif any(other.startswith(f"{path}.") for other in known):
-                self._visit(value, f"{path}.", known, found, name=name)
+                self._visit(value, f"{path}.", known, entries, name=name)
             elif isclass(value) or not callable(value):
                 raise ConfigError(
-                    f"{name}.{path} = {value!r}: no such field ({self.kind}).{did_you_mean(path, known)} "
+                    f"{name}.{path} = {value!r}: no such field ({self.kind}).{suggest_name(path, known)} "
                     f"Known: {', '.join(sorted(known))}. "
                     "Names that are the class's own begin with an underscore"
                 )
@@ -147,22 +153,22 @@ class Table:
         """
         cfg = getattr(cls, STANDS_FOR, stands_for)
         given = self.values(cls)
-        values = {field.theirs: field.read(cfg) for field in self.fields} | given
+        values = {field.script_name: field.read(cfg) for field in self.fields} | given
         changes: Changes = {}
         for field in self.fields:
-            if field.theirs not in given or same(given[field.theirs], field.read(cfg)):
+            if field.script_name not in given or values_equal(given[field.script_name], field.read(cfg)):
                 continue
-            told = f"{_name_of(cls)}.{field.theirs} = {given[field.theirs]!r}"
+            told = f"{_class_name(cls)}.{field.script_name} = {given[field.script_name]!r}"
             if field.refused:
                 raise ConfigError(f"{told}: {field.remark}")
             if field.write is None:
                 _logger.info(f"{told}: without effect here: {field.remark}")
             else:
                 changes |= field.write(values)
-        return changed(cfg, changes)
+        return replace_entries(cfg, changes)
 
 
-def changed(cfg: Any, changes: Changes) -> Any:
+def replace_entries(cfg: Any, changes: Changes) -> Any:
     """Return a frozen configuration or mapping with entries replaced at all levels in one pass."""
     if cfg is None and changes:
         raise ConfigError(f"{', '.join(changes)}: what this class stands for has none of these to change")
@@ -173,17 +179,17 @@ def changed(cfg: Any, changes: Changes) -> Any:
         if rest:
             nested.setdefault(head, {})[rest] = value
         else:
-            flat[head] = frozen(value)
+            flat[head] = freeze(value)
     for head, inner in nested.items():
         if isinstance(cfg, Mapping) and head not in cfg:
             raise ConfigError(f"{head}: what this class stands for has none of that name. Known: {', '.join(cfg)}")
-        flat[head] = changed(cfg[head] if isinstance(cfg, Mapping) else getattr(cfg, head), inner)
+        flat[head] = replace_entries(cfg[head] if isinstance(cfg, Mapping) else getattr(cfg, head), inner)
     if isinstance(cfg, Mapping):
         return {**cfg, **flat}
     return replace(cfg, **flat) if flat else cfg  # pyright: ignore[reportArgumentType]
 
 
-def fresh(config: Any) -> Any:
+def copy_class(config: Any) -> Any:
     """Return a writable subclass of a configuration class, with copies of lists, mappings and nested classes."""
     if not isclass(config):
         return deepcopy(config)
@@ -193,24 +199,24 @@ def fresh(config: Any) -> Any:
         if name.startswith("_"):
             continue
         if isclass(value) and value.__name__ == name:
-            inner[name] = fresh(value)
+            inner[name] = copy_class(value)
         elif isinstance(value, (list, dict, set)):
             inner[name] = deepcopy(value)
     return type(config.__name__, (config,), inner)
 
 
-def frozen(value: Any) -> Any:
+def freeze(value: Any) -> Any:
     """Return lists, arrays and tensors as tuples of Python numbers, other values unchanged."""
     if hasattr(value, "tolist"):
         value = value.tolist()
-    return tuple(frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
+    return tuple(freeze(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
-def same(a: Any, b: Any) -> bool:
+def values_equal(a: Any, b: Any) -> bool:
     """Return whether two values are equal; numbers to a millionth, because they may be written in other units."""
-    a, b = frozen(a), frozen(b)
+    a, b = freeze(a), freeze(b)
     if isinstance(a, tuple) or isinstance(b, tuple):
-        return _is_sequence(a) and _is_sequence(b) and len(a) == len(b) and all(map(same, a, b))
+        return _is_sequence(a) and _is_sequence(b) and len(a) == len(b) and all(map(values_equal, a, b))
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):
         return bool(np.isclose(a, b, rtol=1e-6, atol=1e-9, equal_nan=True))
     return bool(a == b)
@@ -220,7 +226,7 @@ def _is_sequence(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, str)
 
 
-def _name_of(cls: Any) -> str:
+def _class_name(cls: Any) -> str:
     return cls.__name__ if isclass(cls) else type(cls).__name__
 
 

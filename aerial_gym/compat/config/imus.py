@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from aerial_gym.compat.config.fields import Changes, Table, Values, carried, idle, refused
-from aerial_gym.compat.config.registered import registered_name
+from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, constant_field, direct_field, idle_field
+from aerial_gym.compat.config.registration import register_config
 from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import IMUS
@@ -30,7 +30,7 @@ _SIXES = {
 }
 
 
-def _switched(*names: str) -> Any:
+def _write_switches(*names: str) -> Any:
     return lambda values: {key: v for name in names for key, v in _six(name, _SIXES[name][1])(values).items()}
 
 
@@ -58,29 +58,29 @@ def _misalignment(values: Values) -> Changes:
     return {"misalignment_deg": tuple(high)}
 
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="IMU",
     fields=(
         *(
-            carried(theirs, f"accel_{ours}, gyro_{ours}",
-                    lambda c, ours=ours: [*getattr(c, f"accel_{ours}"), *getattr(c, f"gyro_{ours}")], _six(ours, switch),
-                    "six numbers")
-            for ours, (theirs, switch) in _SIXES.items()
+            direct_field(script_name, f"accel_{native}, gyro_{native}",
+                    lambda c, native=native: [*getattr(c, f"accel_{native}"), *getattr(c, f"gyro_{native}")],
+                    _six(native, switch), "six numbers")
+            for native, (script_name, switch) in _SIXES.items()
         ),
-        carried("enable_noise", "accel_noise_density, gyro_noise_density", lambda _: True, _switched("noise_density"),
+        direct_field("enable_noise", "accel_noise_density, gyro_noise_density", lambda _: True,
+                _write_switches("noise_density"), "False makes them 0"),
+        direct_field("enable_bias", "accel_bias_walk, ...", lambda _: True, _write_switches("bias_walk", "initial_bias"),
                 "False makes them 0"),
-        carried("enable_bias", "accel_bias_walk, ...", lambda _: True, _switched("bias_walk", "initial_bias"),
-                "False makes them 0"),
-        carried("max_measurement_value", "accel_range, gyro_range", _limits, _ranges),
-        carried("randomize_placement", "misalignment_deg", lambda c: any(c.misalignment_deg), _misalignment),
-        carried("min_euler_rotation_deg", "misalignment_deg", lambda c: [-n for n in c.misalignment_deg], _misalignment),
-        carried("max_euler_rotation_deg", "misalignment_deg", lambda c: list(c.misalignment_deg), _misalignment),
-        *(idle(name, None, "not used there; the place of an IMU is its mount in a robot file")
+        direct_field("max_measurement_value", "accel_range, gyro_range", _limits, _ranges),
+        direct_field("randomize_placement", "misalignment_deg", lambda c: any(c.misalignment_deg), _misalignment),
+        direct_field("min_euler_rotation_deg", "misalignment_deg", lambda c: [-n for n in c.misalignment_deg], _misalignment),
+        direct_field("max_euler_rotation_deg", "misalignment_deg", lambda c: list(c.misalignment_deg), _misalignment),
+        *(idle_field(name, None, "not used there; the place of an IMU is its mount in a robot file")
           for name in ("min_translation", "max_translation")),
-        refused("num_sensors", 1, "several IMUs are several mounts in a robot file"),
-        refused("sensor_type", "imu", "an IMU is an IMU"),
-        refused("world_frame", False, "rotate imu_measurement yourself; there a body rate was turned"),
-        refused("gravity_compensation", False, "accelerometers measure specific force; add gravity in the IMU's frame"),
+        constant_field("num_sensors", 1, "several IMUs are several mounts in a robot file"),
+        constant_field("sensor_type", "imu", "an IMU is an IMU"),
+        constant_field("world_frame", False, "rotate imu_measurement yourself; there a body rate was turned"),
+        constant_field("gravity_compensation", False, "accelerometers measure specific force; add gravity in the IMU's frame"),
     ),
     idle_sections={},
 )  # fmt: skip
@@ -92,18 +92,18 @@ _made: dict[str, type] = {}
 def imu_class(imu: str, name: str | None = None) -> type:
     """Return the configuration class of a registered IMU, the same one at every call."""
     if imu not in _made:
-        _made[imu] = TABLE.class_of(name or imu, IMUS.get(imu))
+        _made[imu] = TABLE.make_class(name or imu, IMUS.get(imu))
     return _made[imu]
 
 
-def imu_of(cls: Any) -> ImuCfg:
+def translate_imu(cls: Any) -> ImuCfg:
     """Return the translated IMU of an IMU class."""
     return TABLE.translate(cls, IMUS.get("base_imu"))
 
 
 def imu_name(cls: Any) -> str:
     """Return the registered name of an IMU class, after registration if needed."""
-    return registered_name(cls, imu_of(cls), IMUS)
+    return register_config(cls, translate_imu(cls), IMUS)
 
 
 CLASSES: dict[str, type] = {

@@ -9,7 +9,16 @@ from math import pi
 from typing import Any
 
 from aerial_gym.compat.config import bodies
-from aerial_gym.compat.config.fields import Changes, Table, Values, carried, changed, idle, kept, refused
+from aerial_gym.compat.config.fields import (
+    Changes,
+    ConfigTable,
+    Values,
+    constant_field,
+    direct_field,
+    idle_field,
+    lookup_field,
+    replace_entries,
+)
 from aerial_gym.compat.config.imus import imu_class, imu_name
 from aerial_gym.compat.config.sensors import sensor_class, sensor_name
 from aerial_gym.config.robot import RobotCfg
@@ -86,8 +95,8 @@ def _thrust_range(values: Values) -> Changes:
 def _drag(values: Values) -> Changes:
     """Return the drag effects of the damping coefficients; the same laws."""
     changes: Changes = {"effects_source": "damping of a robot class"}
-    for name, theirs in (("rotor_drag", "linear"), ("quadratic_drag", "quadratic")):
-        coefficients = values[f"damping.linvel_{theirs}_damping_coefficient"]
+    for name, order in (("rotor_drag", "linear"), ("quadratic_drag", "quadratic")):
+        coefficients = values[f"damping.linvel_{order}_damping_coefficient"]
         if any(coefficients):
             changes[f"effects.{name}"] = dict(zip(("dx", "dy", "dz"), map(float, coefficients), strict=True))
     return changes
@@ -103,8 +112,8 @@ def _sensor(values: Values) -> Changes:
 
 def _imu_class(cfg: RobotCfg, default: str | None) -> type | None:
     """Return the class of the first IMU that a robot has."""
-    found = next((mount.sensor for mount in cfg.sensor_mounts if mount.sensor in IMUS), default)
-    return None if found is None else imu_class(found)
+    imu = next((mount.sensor for mount in cfg.sensor_mounts if mount.sensor in IMUS), default)
+    return None if imu is None else imu_class(imu)
 
 
 def _sensor_class(cfg: RobotCfg, kind: str, default: str | None) -> type | None:
@@ -124,37 +133,38 @@ def _coefficients(cfg: RobotCfg, effect: str) -> list[float]:
     return [given.get(name, 0.0) for name in ("dx", "dy", "dz")]
 
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="robot",
     fields=(
-        carried("init_config.min_init_state", "initial_state.*_low", lambda c: _state(c, "low"), _initial("low"),
+        direct_field("init_config.min_init_state", "initial_state.*_low", lambda c: _state(c, "low"), _initial("low"),
                 "shares of the bounds, roll, pitch, yaw, a 1, velocity, angular velocity (body axes)"),
-        carried("init_config.max_init_state", "initial_state.*_high", lambda c: _state(c, "high"), _initial("high")),
-        carried("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None, _sensor,
+        direct_field("init_config.max_init_state", "initial_state.*_high", lambda c: _state(c, "high"), _initial("high")),
+        direct_field("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None, _sensor,
                 "a camera and a lidar together work here"),
-        carried("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"), _sensor),
-        carried("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None, _sensor),
-        carried("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"), _sensor),
-        carried("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor),
-        carried("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor),
-        refused("disturbance.enable_disturbance", False,
+        direct_field("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"),
+                     _sensor),
+        direct_field("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None, _sensor),
+        direct_field("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"), _sensor),
+        direct_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor),
+        direct_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor),
+        constant_field("disturbance.enable_disturbance", False,
                 "pushes per physics step would depend on dt: use the effect gusts in a robot file"),
-        idle("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
-        idle("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
-        carried("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
+        idle_field("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
+        idle_field("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
+        direct_field("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
                 lambda c: _coefficients(c, "rotor_drag"), _drag),
-        carried("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
+        direct_field("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
                 lambda c: _coefficients(c, "quadratic_drag"), _drag),
-        refused("damping.angular_linear_damping_coefficient", [0.0] * 3,
+        constant_field("damping.angular_linear_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        refused("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
+        constant_field("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        carried("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body,
+        direct_field("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body,
                 "a URDF: all links as one body about their centre of mass; its spheres and boxes, boxes around the rest"),
-        carried("robot_asset.file", "body, collision", _urdf, bodies.body),
-        refused("robot_asset.fix_base_link", False, "robots fly here"),
-        kept("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "only robots feel gravity, there too"),
-        *(idle(f"robot_asset.{name}", value, why) for name, value, why in (
+        direct_field("robot_asset.file", "body, collision", _urdf, bodies.body),
+        constant_field("robot_asset.fix_base_link", False, "robots fly here"),
+        lookup_field("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "only robots feel gravity there"),
+        *(idle_field(f"robot_asset.{name}", value, why) for name, value, why in (
             ("name", "base_quadrotor", "the registered name"), ("base_link_name", "base_link", "a robot is one body"),
             ("collision_mask", 0, "PhysX"), ("replace_cylinder_with_capsule", False, "PhysX"),
             ("flip_visual_attachments", True, "PhysX"), ("density", 0.000001, "PhysX"), ("angular_damping", 0.01, "PhysX"),
@@ -172,34 +182,34 @@ TABLE = Table(
             ("min_position_ratio", None, "init_config says where a robot starts"),
             ("max_position_ratio", None, "init_config says where a robot starts"),
         )),
-        *(idle(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
+        *(idle_field(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
           for name in ("min_state_ratio", "max_state_ratio")),
-        carried(bodies.MATRIX, "mounts", bodies.allocation_matrix, bodies.rotors,
+        direct_field(bodies.MATRIX, "mounts", bodies.allocation_matrix, bodies.rotors,
                 "the rotors stand where the matrix has them; it is derived from them again"),
-        carried("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, bodies.rotors),
-        carried(bodies.DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], bodies.rotors,
+        direct_field("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, bodies.rotors),
+        direct_field(bodies.DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], bodies.rotors,
                 "matrix and directions must say the same"),
-        idle("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
-        idle("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
-        carried(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _mode, "speed or force"),
-        *(carried(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
+        idle_field("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
+        idle_field("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
+        direct_field(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _mode, "speed or force"),
+        *(direct_field(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
                   lambda c: c.rotor_types[0].thrust_map[2] * _PER_TURN, _mode, f"N per (rev/s)²; {_RANGE}")
           for end in ("min", "max")),
-        *(carried(f"{_MOTOR}.motor_time_constant_increasing_{end}", "rotor.time_constant_up",
+        *(direct_field(f"{_MOTOR}.motor_time_constant_increasing_{end}", "rotor.time_constant_up",
                   lambda c: c.rotor_types[0].time_constant_up, lambda v: {"rotor.time_constant_up": _rise(v)},
                   f"{_RANGE}; there the lag was tau + dt")
           for end in ("min", "max")),
-        *(carried(f"{_MOTOR}.motor_time_constant_decreasing_{end}", "rotor.time_constant_down",
+        *(direct_field(f"{_MOTOR}.motor_time_constant_decreasing_{end}", "rotor.time_constant_down",
                   lambda c: c.rotor_types[0].time_constant_down, lambda v: {"rotor.time_constant_down": _fall(v)}, _RANGE)
           for end in ("min", "max")),
-        carried(f"{_MOTOR}.min_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[0], _thrust_range),
-        carried(f"{_MOTOR}.max_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[1], _thrust_range),
-        carried(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor_types[0].torque_ratio,
+        direct_field(f"{_MOTOR}.min_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[0], _thrust_range),
+        direct_field(f"{_MOTOR}.max_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[1], _thrust_range),
+        direct_field(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor_types[0].torque_ratio,
                 lambda v: {"rotor.torque_ratio": float(v[f"{_MOTOR}.thrust_to_torque_ratio"]), "rotor.torque_map": None}),
-        carried(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _largest_rate, _slew, "100000 is none"),
-        idle(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
-        idle(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
-        kept("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
+        direct_field(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _largest_rate, _slew, "100000 is none"),
+        idle_field(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
+        idle_field(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
+        lookup_field("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
     ),
     idle_sections={"reset_asset": "-"},
 )  # fmt: skip
@@ -211,20 +221,20 @@ def floats(cls: Any) -> bool:
     return bool(TABLE.values(cls).get("robot_asset.disable_gravity", False))
 
 
-def robot_of(cls: Any) -> RobotCfg:
+def translate_robot(cls: Any) -> RobotCfg:
     """Return our robot for a robot class; sensor classes are changed in place by scripts, so they are read at every call."""
     cfg = TABLE.translate(cls, ROBOTS.get("base_quadrotor"))
-    values = {field.theirs: field.read(cfg) for field in TABLE.fields} | TABLE.values(cls)
+    values = {field.script_name: field.read(cfg) for field in TABLE.fields} | TABLE.values(cls)
     changes = _sensor(values)
     mounts = cfg.sensor_mounts
     plain = mounts == as_mounts(tuple(mount.sensor for mount in mounts)) and len(mounts) == len(changes["sensors"])
-    return changed(cfg, changes) if plain else cfg
+    return replace_entries(cfg, changes) if plain else cfg
 
 
-BaseQuadCfg = TABLE.class_of("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
+BaseQuadCfg = TABLE.make_class("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
 
 CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
-    robot: TABLE.class_of(name, ROBOTS.get(robot), parent=BaseQuadCfg)
+    robot: TABLE.make_class(name, ROBOTS.get(robot), parent=BaseQuadCfg)
     for name, robot in (
         ("BaseQuadWithImuCfg", "base_quadrotor_with_imu"),
         ("BaseQuadWithCameraCfg", "base_quadrotor_with_camera"),

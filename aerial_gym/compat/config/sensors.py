@@ -8,8 +8,16 @@ from dataclasses import replace
 from math import degrees, radians
 from typing import Any
 
-from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, idle, refused
-from aerial_gym.compat.config.registered import registered_name
+from aerial_gym.compat.config.fields import (
+    STANDS_FOR,
+    Changes,
+    ConfigTable,
+    Values,
+    constant_field,
+    direct_field,
+    idle_field,
+)
+from aerial_gym.compat.config.registration import register_config
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import SENSORS
@@ -47,7 +55,7 @@ def _normalize(values: Values) -> Changes:
 def _placement(values: Values) -> Changes:
     """Return the placement fields of a sensor: the nominal pose, or limits of its draws."""
     changes: Changes = {}
-    for ours, nominal, low, high, unit in (
+    for native, nominal, low, high, unit in (
         ("position", "nominal_position", "min_translation", "max_translation", float),
         ("euler", "nominal_orientation_euler_deg", "min_euler_rotation_deg", "max_euler_rotation_deg", radians),
     ):
@@ -55,9 +63,9 @@ def _placement(values: Values) -> Changes:
         if values["randomize_placement"]:
             pairs = zip(lowest, middle, highest, strict=True)
             middle = tuple(min(max(entry, a), b) for a, entry, b in pairs)
-            changes |= {f"{ours}_low": lowest, f"{ours}_high": highest, ours: middle}
+            changes |= {f"{native}_low": lowest, f"{native}_high": highest, native: middle}
         else:
-            changes |= {f"{ours}_low": None, f"{ours}_high": None, ours: middle}
+            changes |= {f"{native}_low": None, f"{native}_high": None, native: middle}
     return changes
 
 
@@ -79,83 +87,83 @@ def _angles(entries: Any) -> list[float]:
 
 
 _COMMON = (
-    carried("num_sensors", "count", lambda c: c.count),
-    carried("sensor_type", "model", _type, _change_type, "which class of file: pinhole, stereo, lidar"),
-    carried("height", "height", lambda c: c.height),
-    carried("width", "width", lambda c: c.width),
-    carried("max_range", "max_range", lambda c: c.max_range),
-    carried("min_range", "min_range", lambda c: c.min_range),
-    carried("return_pointcloud", "points", lambda c: c.points is not None, _points, "the distances stay beside the points"),
-    carried("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _points),
-    carried("segmentation_camera", "segmentation", lambda c: c.segmentation),
-    carried("normalize_range", "normalize", lambda c: c.normalize, _normalize),
-    carried(
+    direct_field("num_sensors", "count", lambda c: c.count),
+    direct_field("sensor_type", "model", _type, _change_type, "which class of file: pinhole, stereo, lidar"),
+    direct_field("height", "height", lambda c: c.height),
+    direct_field("width", "width", lambda c: c.width),
+    direct_field("max_range", "max_range", lambda c: c.max_range),
+    direct_field("min_range", "min_range", lambda c: c.min_range),
+    direct_field("return_pointcloud", "points", lambda c: c.points is not None, _points, "distances stay beside the points"),
+    direct_field("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _points),
+    direct_field("segmentation_camera", "segmentation", lambda c: c.segmentation),
+    direct_field("normalize_range", "normalize", lambda c: c.normalize, _normalize),
+    direct_field(
         "far_out_of_range_value",
         "far_out_of_range_value",
         lambda c: c.far_pixel * (c.max_range if c.normalize else 1.0),
     ),
-    carried(
+    direct_field(
         "near_out_of_range_value",
         "near_out_of_range_value",
         lambda c: c.near_pixel * (c.max_range if c.normalize else 1.0),
     ),
-    carried("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement,
+    direct_field("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement,
             "without it the nominal pose holds; there the translation was then 0"),
-    carried("nominal_position", "position", lambda c: list(c.position), _placement),
-    carried("nominal_orientation_euler_deg", "euler", lambda c: _angles(c.euler), _placement),
-    carried("min_translation", "position_low", lambda c: list(c.position_low or c.position), _placement),
-    carried("max_translation", "position_high", lambda c: list(c.position_high or c.position), _placement),
-    carried("min_euler_rotation_deg", "euler_low", lambda c: _angles(c.euler_low or c.euler), _placement),
-    carried("max_euler_rotation_deg", "euler_high", lambda c: _angles(c.euler_high or c.euler), _placement),
-    refused("euler_frame_rot_deg", [-90.0, 0, -90.0],
+    direct_field("nominal_position", "position", lambda c: list(c.position), _placement),
+    direct_field("nominal_orientation_euler_deg", "euler", lambda c: _angles(c.euler), _placement),
+    direct_field("min_translation", "position_low", lambda c: list(c.position_low or c.position), _placement),
+    direct_field("max_translation", "position_high", lambda c: list(c.position_high or c.position), _placement),
+    direct_field("min_euler_rotation_deg", "euler_low", lambda c: _angles(c.euler_low or c.euler), _placement),
+    direct_field("max_euler_rotation_deg", "euler_high", lambda c: _angles(c.euler_high or c.euler), _placement),
+    constant_field("euler_frame_rot_deg", [-90.0, 0, -90.0],
             "sensors look along their own x axis here; turn nominal_orientation_euler_deg"),
-    idle("use_collision_geometry", False, "a shape is the same for rays and for contact"),
-    carried("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled, _noise,
+    idle_field("use_collision_geometry", False, "a shape is the same for rays and for contact"),
+    direct_field("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled, _noise,
             "there it failed for cameras, and spoiled point clouds"),
-    carried("sensor_noise.pixel_dropout_prob", "noise.dropout", lambda c: (c.noise or _NO_NOISE).dropout, _noise),
-    carried("sensor_noise.pixel_std_dev_multiplier", "noise.std_b", lambda c: (c.noise or _NO_NOISE).std_b, _noise),
-    carried("sensor_noise.std_a", "noise.std_a", lambda c: (c.noise or _NO_NOISE).std_a, _noise),
-    carried("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise, "added to pixel_std_dev_multiplier"),
-    carried("sensor_noise.std_c", "noise.std_c", lambda c: (c.noise or _NO_NOISE).std_c, _noise),
-    carried("sensor_noise.mean_offset", "noise.mean_offset", lambda c: (c.noise or _NO_NOISE).mean_offset, _noise),
+    direct_field("sensor_noise.pixel_dropout_prob", "noise.dropout", lambda c: (c.noise or _NO_NOISE).dropout, _noise),
+    direct_field("sensor_noise.pixel_std_dev_multiplier", "noise.std_b", lambda c: (c.noise or _NO_NOISE).std_b, _noise),
+    direct_field("sensor_noise.std_a", "noise.std_a", lambda c: (c.noise or _NO_NOISE).std_a, _noise),
+    direct_field("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise, "added to pixel_std_dev_multiplier"),
+    direct_field("sensor_noise.std_c", "noise.std_c", lambda c: (c.noise or _NO_NOISE).std_c, _noise),
+    direct_field("sensor_noise.mean_offset", "noise.mean_offset", lambda c: (c.noise or _NO_NOISE).mean_offset, _noise),
 )  # fmt: skip
 
 _NORMALS = (
-    carried("normal_in_world_frame", "normals", lambda c: c.normals != "sensor",
+    direct_field("normal_in_world_frame", "normals", lambda c: c.normals != "sensor",
             lambda v: {"normals": "world" if v["normal_in_world_frame"] else "sensor"},
             "there normals in the sensor frame were no rotation of those in the world"),
 )  # fmt: skip
 
-CAMERA = Table(
+CAMERA = ConfigTable(
     kind="camera",
     fields=(
         *_COMMON,
         *_NORMALS,
-        carried("horizontal_fov_deg", "hfov_deg", lambda c: c.hfov_deg),
-        carried("calculate_depth", "kind", lambda c: c.kind == "depth",
+        direct_field("horizontal_fov_deg", "hfov_deg", lambda c: c.hfov_deg),
+        direct_field("calculate_depth", "kind", lambda c: c.kind == "depth",
                 lambda v: {"kind": "depth" if v["calculate_depth"] else "range"}),
-        carried("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
+        direct_field("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
     ),
     idle_sections={},
 )  # fmt: skip
 """Translation of the attributes of a camera class."""
 
-LIDAR = Table(
+LIDAR = ConfigTable(
     kind="lidar",
     fields=(
         *_COMMON,
         *_NORMALS,
-        carried("horizontal_fov_deg_min", "azimuth_low_deg", lambda c: c.azimuth_low_deg),
-        carried("horizontal_fov_deg_max", "azimuth_high_deg", lambda c: c.azimuth_high_deg),
-        carried("vertical_fov_deg_min", "elevation_low_deg", lambda c: c.elevation_low_deg),
-        carried("vertical_fov_deg_max", "elevation_high_deg", lambda c: c.elevation_high_deg),
+        direct_field("horizontal_fov_deg_min", "azimuth_low_deg", lambda c: c.azimuth_low_deg),
+        direct_field("horizontal_fov_deg_max", "azimuth_high_deg", lambda c: c.azimuth_high_deg),
+        direct_field("vertical_fov_deg_min", "elevation_low_deg", lambda c: c.elevation_low_deg),
+        direct_field("vertical_fov_deg_max", "elevation_high_deg", lambda c: c.elevation_high_deg),
     ),
     idle_sections={},
 )
 """Translation of the attributes of a lidar class."""
 
 
-def sensor_of(cls: Any) -> RangeSensorCfg:
+def translate_sensor(cls: Any) -> RangeSensorCfg:
     """Return the translated sensor of a camera or lidar class."""
     base = getattr(cls, STANDS_FOR, None)
     if base is None:
@@ -165,7 +173,7 @@ def sensor_of(cls: Any) -> RangeSensorCfg:
 
 def sensor_name(cls: Any) -> str:
     """Return the registered name of a sensor class, after registration if needed."""
-    return registered_name(cls, sensor_of(cls), SENSORS)
+    return register_config(cls, translate_sensor(cls), SENSORS)
 
 
 _made: dict[str, type] = {}
@@ -177,7 +185,7 @@ def sensor_class(sensor: str, name: str | None = None) -> type:
         cfg = SENSORS.get(sensor)
         if isinstance(cfg, CameraCfg):
             cfg = replace(cfg, normalize=True)
-        _made[sensor] = (LIDAR if isinstance(cfg, LidarCfg) else CAMERA).class_of(name or sensor, cfg)
+        _made[sensor] = (LIDAR if isinstance(cfg, LidarCfg) else CAMERA).make_class(name or sensor, cfg)
     return _made[sensor]
 
 

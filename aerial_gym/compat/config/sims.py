@@ -1,6 +1,6 @@
 """Sims: ``class sim`` with time step and gravity; settings of PhysX and the viewer are ignored."""
 
-from aerial_gym.compat.config.fields import Changes, Table, Values, carried, idle, refused
+from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, constant_field, direct_field, idle_field
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
@@ -16,14 +16,18 @@ def _gravity(values: Values) -> Changes:
     return {"gravity": abs(float(z))}
 
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="sim",
     fields=(
-        carried("sim.dt", "dt", lambda cfg: cfg.dt),
-        carried("sim.gravity", "gravity", lambda cfg: [0.0, 0.0, -cfg.gravity], _gravity, "here the amount, downwards"),
-        refused("sim.substeps", 1, "must be 1 here; take a smaller dt and more physics steps per environment step"),
-        idle("sim.up_axis", 1, "z is up"),
-        idle("sim.use_gpu_pipeline", True, "the device says where everything runs"),
+        direct_field("sim.dt", "dt", lambda cfg: cfg.dt),
+        direct_field(
+            "sim.gravity", "gravity", lambda cfg: [0.0, 0.0, -cfg.gravity], _gravity, "here the amount, downwards"
+        ),
+        constant_field(
+            "sim.substeps", 1, "must be 1 here; take a smaller dt and more physics steps per environment step"
+        ),
+        idle_field("sim.up_axis", 1, "z is up"),
+        idle_field("sim.use_gpu_pipeline", True, "the device says where everything runs"),
     ),
     idle_sections={
         "sim.physx": "there is no PhysX: contacts are `contact:` of an environment file",
@@ -33,20 +37,20 @@ TABLE = Table(
 """Translation of the attributes of a sim class."""
 
 
-def sim_of(cls: object) -> SimCfg:
+def translate_sim(cls: object) -> SimCfg:
     """Return the translated sim of a sim class."""
     return TABLE.translate(cls, SIMS.get("base_sim"))
 
 
-BaseSimConfig = TABLE.class_of("BaseSimConfig", SIMS.get("base_sim"))
-BaseSimHeadlessConfig = TABLE.class_of("BaseSimHeadlessConfig", SIMS.get("base_sim_headless"), parent=BaseSimConfig)
+BaseSimConfig = TABLE.make_class("BaseSimConfig", SIMS.get("base_sim"))
+BaseSimHeadlessConfig = TABLE.make_class("BaseSimHeadlessConfig", SIMS.get("base_sim_headless"), parent=BaseSimConfig)
 BaseSimNoGravityConfig = type(
     "BaseSimNoGravityConfig",
     (BaseSimConfig,),
     {"sim": type("sim", (BaseSimConfig.sim,), {"gravity": [0.0, 0.0, 0.0]})},  # pyright: ignore
 )
-SimCfg2Ms = TABLE.class_of("SimCfg2Ms", SIMS.get("base_sim_2ms"), parent=BaseSimConfig)
-SimCfg4Ms = TABLE.class_of("SimCfg4Ms", SIMS.get("base_sim_4ms"), parent=BaseSimConfig)
+SimCfg2Ms = TABLE.make_class("SimCfg2Ms", SIMS.get("base_sim_2ms"), parent=BaseSimConfig)
+SimCfg4Ms = TABLE.make_class("SimCfg4Ms", SIMS.get("base_sim_4ms"), parent=BaseSimConfig)
 
 CLASSES: dict[str, type] = {
     "base_sim": BaseSimConfig,

@@ -5,7 +5,16 @@ Only for tasks of this package: a task class of a user's own reads its configura
 
 from typing import Any
 
-from aerial_gym.compat.config.fields import STANDS_FOR, Changes, Table, Values, carried, derived, idle, kept
+from aerial_gym.compat.config.fields import (
+    STANDS_FOR,
+    Changes,
+    ConfigTable,
+    Values,
+    dependent_field,
+    direct_field,
+    idle_field,
+    lookup_field,
+)
 from aerial_gym.config.task import POLICY, CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.control import CONTROLLERS
@@ -35,9 +44,9 @@ def _num_observations(cfg: TaskCfg) -> int | None:
     return total
 
 
-def _curriculum(name: str, theirs: str) -> Any:
-    return carried(
-        f"curriculum.{theirs}",
+def _curriculum(name: str, script_name: str) -> Any:
+    return direct_field(
+        f"curriculum.{script_name}",
         f"curriculum.{name}",
         lambda cfg: None if cfg.curriculum is None else getattr(cfg.curriculum, name),
     )
@@ -45,20 +54,20 @@ def _curriculum(name: str, theirs: str) -> Any:
 
 def _rewards(cfg: TaskCfg) -> dict[str, float]:
     """Return the parameters of all reward terms, ``term.number``, their weights, and the crash reward."""
-    found: dict[str, float] = {}
+    entries: dict[str, float] = {}
     for name, reward in cfg.rewards.items():
-        found |= {f"{name}.{key}": value for key, value in reward.params.items() if isinstance(value, (int, float))}
-        found[f"{name}.weight"] = reward.weight
-    return found | ({} if cfg.crash_reward is None else {"crash": cfg.crash_reward.value})
+        entries |= {f"{name}.{key}": value for key, value in reward.params.items() if isinstance(value, (int, float))}
+        entries[f"{name}.weight"] = reward.weight
+    return entries | ({} if cfg.crash_reward is None else {"crash": cfg.crash_reward.value})
 
 
-def _changed_rewards(values: Values) -> Changes:
-    found: Changes = {}
+def _reward_changes(values: Values) -> Changes:
+    entries: Changes = {}
     for key, value in values["reward_parameters"].items():
         name, _, number = key.partition(".")
         place = f"rewards.{name}.weight" if number == "weight" else f"rewards.{name}.params.{number}"
-        found["crash_reward.value" if key == "crash" else place] = float(value)
-    return found
+        entries["crash_reward.value" if key == "crash" else place] = float(value)
+    return entries
 
 
 def _target(name: str) -> Any:
@@ -66,7 +75,7 @@ def _target(name: str) -> Any:
     return lambda cfg: None if cfg.command is None else cfg.command.params.get(name)
 
 
-def _drawn(values: Values) -> Changes:
+def _write_target(values: Values) -> Changes:
     low, high = values["target_min_ratio"], values["target_max_ratio"]
     if low is None or high is None:
         raise ConfigError("target_min_ratio and target_max_ratio: give both, or neither")
@@ -86,30 +95,30 @@ _CURRICULUM = (
 )
 assert {name for name, _ in _CURRICULUM} | {"start_level"} == set(CurriculumCfg.__dataclass_fields__)
 
-TABLE = Table(
+TABLE = ConfigTable(
     kind="task",
     fields=(
-        carried("sim_name", "sim", lambda c: c.sim, remark=_NAMED),
-        carried("env_name", "env", lambda c: c.env, remark=_NAMED),
-        carried("robot_name", "robot", lambda c: c.robot, remark=_NAMED),
-        carried("controller_name", "controller", lambda c: c.controller, remark=_NAMED),
-        carried("num_envs", "num_envs", lambda c: c.num_envs),
-        carried("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
+        direct_field("sim_name", "sim", lambda c: c.sim, remark=_NAMED),
+        direct_field("env_name", "env", lambda c: c.env, remark=_NAMED),
+        direct_field("robot_name", "robot", lambda c: c.robot, remark=_NAMED),
+        direct_field("controller_name", "controller", lambda c: c.controller, remark=_NAMED),
+        direct_field("num_envs", "num_envs", lambda c: c.num_envs),
+        direct_field("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
                 remark="an episode has exactly as many steps; there one more"),
-        carried("reward_parameters", "rewards", _rewards, _changed_rewards,
+        direct_field("reward_parameters", "rewards", _rewards, _reward_changes,
                 "by the names of the task file, reward and number (near.height); four tasks there ignored theirs"),
-        carried("target_min_ratio", "command: low", _target("low"), _drawn, "of the generator drawn_point"),
-        carried("target_max_ratio", "command: high", _target("high"), _drawn, "likewise"),
-        *(_curriculum(ours, theirs) for ours, theirs in _CURRICULUM),
-        derived("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
-        derived("action_space_dim", _num_actions, "follows from the action and the controller"),
-        kept("device", "make_task(device=...)", lambda _: "auto"),
-        kept("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
-        kept("return_state_before_reset", 'info["final_observation"]', lambda _: False),
-        idle("privileged_observation_space_dim", 0, "a group of observations of its own name, such as `critic`"),
-        idle("args", {}, "the command line is the script's own"),
-        idle("use_warp", True, "sensors always are Warp's"),
-        idle("headless", True, "there is no viewer window"),
+        direct_field("target_min_ratio", "command: low", _target("low"), _write_target, "of the generator drawn_point"),
+        direct_field("target_max_ratio", "command: high", _target("high"), _write_target, "likewise"),
+        *(_curriculum(native, script_name) for native, script_name in _CURRICULUM),
+        dependent_field("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
+        dependent_field("action_space_dim", _num_actions, "follows from the action and the controller"),
+        lookup_field("device", "make_task(device=...)", lambda _: "auto"),
+        lookup_field("seed", "make_task(seed=...)", lambda _: 0, "of this task alone; nothing global is seeded"),
+        lookup_field("return_state_before_reset", 'info["final_observation"]', lambda _: False),
+        idle_field("privileged_observation_space_dim", 0, "a group of observations of its own name, such as `critic`"),
+        idle_field("args", {}, "the command line is the script's own"),
+        idle_field("use_warp", True, "sensors always are Warp's"),
+        idle_field("headless", True, "there is no viewer window"),
     ),
     idle_sections={},
 )  # fmt: skip
@@ -121,10 +130,10 @@ _made: dict[str, type] = {}
 def task_class_config(name: str) -> type:
     """Return the configuration class of a registered task, the same one at every call."""
     if name not in _made:
-        _made[name] = TABLE.class_of("task_config", task_registry.get(name))
+        _made[name] = TABLE.make_class("task_config", task_registry.get(name))
     return _made[name]
 
 
-def task_of(cls: Any, name: str) -> TaskCfg:
+def translate_task(cls: Any, name: str) -> TaskCfg:
     """Return the translated task of a configuration class; a class of no registered task modifies the task of a name."""
     return TABLE.translate(cls, getattr(cls, STANDS_FOR, task_registry.get(name)))

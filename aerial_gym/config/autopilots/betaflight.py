@@ -8,7 +8,7 @@ No code was copied. Gains that are left out are derived from the vehicle (``cont
 from dataclasses import dataclass
 from math import pi
 
-from aerial_gym.config.autopilots.tuned import Tuned
+from aerial_gym.config.autopilots.autopilot import AutopilotTuning
 from aerial_gym.errors import ConfigError
 
 PER_DEGREE = 180.0 / pi / 1000.0
@@ -28,7 +28,7 @@ YAW_INTEGRAL = 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class BetaflightCfg(Tuned):
+class BetaflightCfg(AutopilotTuning):
     """Rates, gains, filters and mixer of ``betaflight_rate_control``.
 
     Every number is >= 0 and finite; None has it derived. Cut-offs of 0 leave a filter out, which is the default: the simulated

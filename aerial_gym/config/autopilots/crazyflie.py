@@ -10,13 +10,13 @@ Source: Bitcraze's documentation, "Controllers in the Crazyflie" and "Mellinger 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from aerial_gym.config.autopilots.tuned import Tuned
+from aerial_gym.config.autopilots.autopilot import AutopilotTuning
 from aerial_gym.config.checks import Vec3
 from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class MellingerCfg(Tuned):
+class MellingerCfg(AutopilotTuning):
     """Parameters of ``crazyflie_mellinger_control``: group ``ctrlMel``. It runs at ``ControllerCfg.rate_hz``, there 500 Hz."""
 
     POSITIVE: ClassVar[frozenset[str]] = frozenset(("mass", "massThrust"))
@@ -69,7 +69,7 @@ class MellingerCfg(Tuned):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CrazyfliePidCfg(Tuned):
+class CrazyfliePidCfg(AutopilotTuning):
     """Parameters of ``crazyflie_pid_control``; attitude and rates run at ``rate_hz``, the rest at ``ControllerCfg.rate_hz``.
 
     Three numbers are of x, y, z, or of roll, pitch, yaw.
@@ -132,7 +132,7 @@ class CrazyfliePidCfg(Tuned):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CrazyflieLeeCfg(Tuned):
+class CrazyflieLeeCfg(AutopilotTuning):
     """Parameters of ``crazyflie_lee_control``: group ``ctrlLee``. It runs at ``ControllerCfg.rate_hz``, there 500 Hz.
 
     Three numbers are along world x, y, z, or about body x, y, z.
@@ -173,7 +173,7 @@ class CrazyflieLeeCfg(Tuned):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BrescianiniCfg(Tuned):
+class BrescianiniCfg(AutopilotTuning):
     """Parameters of ``crazyflie_brescianini_control``: group ``ctrlAtt``, and what a Crazyflie has compiled in.
 
     Body rates are controlled at ``rate_hz``; the rest runs at ``ControllerCfg.rate_hz``.

@@ -8,12 +8,12 @@ that changes rotor thrusts by about their full range (``control.px4.parameters.u
 from dataclasses import dataclass
 from math import inf
 
-from aerial_gym.config.autopilots.tuned import Tuned
+from aerial_gym.config.autopilots.autopilot import AutopilotTuning
 from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Px4Cfg(Tuned):
+class Px4Cfg(AutopilotTuning):
     """Gains, limits and filters of ``px4_rate_control``, ``px4_attitude_control`` and ``px4_position_control``.
 
     Every number is >= 0 and finite; None has it derived. Cut-offs of 0 leave a filter out, which is the default: the simulated

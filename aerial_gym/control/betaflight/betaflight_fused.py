@@ -10,18 +10,18 @@ import warp as wp
 
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.control.betaflight.loop import RATE_LIMIT, RELAXED_FROM, THROTTLE_STEP
-from aerial_gym.control.cascade_fused import make_remembering, make_two_levels
+from aerial_gym.control.cascade_fused import make_stateful_step, make_two_levels
 from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import read_vec3, write_vec3
 from aerial_gym.control.timing import Timing
-from aerial_gym.physics.fused.command import make_limited, make_speed_of
+from aerial_gym.physics.fused.command import make_clamp, make_speed_command
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
     from aerial_gym.control.betaflight.parameters import BetaflightFilters
-    from aerial_gym.control.remembering import Layout
+    from aerial_gym.control.stateful import MemoryLayout
 
 FILTERS, SLOW, EASED, BEFORE, USED = 3, 27, 30, 33, 36
 """Offsets of ``controller.PARTS``."""
@@ -44,7 +44,7 @@ class BetaflightRows:
     expo: wp.vec3  # [-]
 
 
-def make_wish(rates_type: str) -> wp.Function:
+def make_setpoint(rates_type: str) -> wp.Function:
     """Return the function from an action to thrust per weight and body rates [rad/s]."""
 
     @wp.func
@@ -79,7 +79,7 @@ def make_loop(
     gyro1, gyro2, slow1, slow2 = (
         make_filter(one, FILTERS + 6 * k) for k, one in enumerate((*filters.gyro, *filters.derivative))
     )
-    limited, speed_of = make_limited(num_rotors, general), make_speed_of(num_rotors, general)
+    limited, speed_of = make_clamp(num_rotors, general), make_speed_command(num_rotors, general)
     mix_motors = make_mixer(num_rotors, own.airmode)
     relax, relaxed = filters.relax, {"OFF": 0, "RP": 2, "RPY": 3}[own.iterm_relax]
     windup = own.iterm_windup / 100.0
@@ -171,13 +171,13 @@ def make_mixer(num_rotors: int, airmode: bool) -> wp.Function:
 
 
 def maker(
-    own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing, layout: "Layout"
+    own: BetaflightCfg, filters: "BetaflightFilters", timing: Timing, layout: "MemoryLayout"
 ) -> Callable[[FusedLaw, int, bool], wp.Function]:
     """Return ``FusedLaw.make_stateful_step`` of the loop."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
         run_loop = make_loop(law, num_rotors, general, own, filters, timing)
-        run = make_two_levels(law, num_rotors, general, timing, make_wish(own.rates_type), run_loop)
-        return make_remembering(law, num_rotors, general, timing, layout, run)
+        run = make_two_levels(law, num_rotors, general, timing, make_setpoint(own.rates_type), run_loop)
+        return make_stateful_step(law, num_rotors, general, timing, layout, run)
 
     return make

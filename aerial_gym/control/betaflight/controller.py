@@ -22,13 +22,19 @@ from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.betaflight import betaflight_fused
-from aerial_gym.control.betaflight.loop import THROTTLE_STEP, actual_rate, integral_share, mixed, weakening
-from aerial_gym.control.betaflight.parameters import filters_of, parameters_of, require_fit
-from aerial_gym.control.filters.biquad import filtered
-from aerial_gym.control.gains import autopilot_of
+from aerial_gym.control.betaflight.loop import (
+    THROTTLE_STEP,
+    actual_rate,
+    integral_share,
+    mix_signals,
+    throttle_attenuation,
+)
+from aerial_gym.control.betaflight.parameters import derive_parameters, make_filters, require_fit
+from aerial_gym.control.filters.biquad import apply_filter
+from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.remembering import RememberingController, layout_of
-from aerial_gym.control.timing import timing_of
+from aerial_gym.control.stateful import StatefulController, make_layout
+from aerial_gym.control.timing import make_timing
 from aerial_gym.physics.fused.law import FusedLaw, gain_rows
 from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
@@ -41,7 +47,7 @@ the derivative, low-pass of the setpoint, and setpoint of the previous run; rang
 STICKS = ("thrust (0 is hover) [-]", "roll stick, -1 to 1 [-]", "pitch stick [-]", "yaw stick [-]")
 
 
-class BetaflightController(RememberingController):
+class BetaflightController(StatefulController):
     """``betaflight_rate_control``."""
 
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
@@ -49,31 +55,31 @@ class BetaflightController(RememberingController):
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive gains and filters from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
-        own: BetaflightCfg = autopilot_of(cfg, control)
+        own: BetaflightCfg = select_autopilot(cfg, control)
         self._own = own
-        self.timing = timing = timing_of(replace(cfg, betaflight=own), dt)
+        self.timing = timing = make_timing(replace(cfg, betaflight=own), dt)
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         require_fit(cfg.law, vehicle, self.allocation)
         self.action_names = STICKS if own.rates_type == "ACTUAL" else LAWS[cfg.law].action
-        self.gains = parameters_of(cfg, own, control, vehicle, self.allocation, gravity=gravity, timing=timing)
-        self.filters = filters_of(own, timing)
+        self.gains = derive_parameters(cfg, own, control, vehicle, self.allocation, gravity=gravity, timing=timing)
+        self.filters = make_filters(own, timing)
         self._relaxed = vehicle.com.new_tensor(
             {"OFF": [0.0] * 3, "RP": [1.0, 1.0, 0.0], "RPY": [1.0] * 3}[own.iterm_relax]
         )
         self._low, self._span = vehicle.speed_low, vehicle.speed_high - vehicle.speed_low
-        self._layout = layout_of(
+        self._layout = make_layout(
             timing, own=sum(PARTS), num_rotors=vehicle.num_rotors, num_actions=len(self.action_names)
         )
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return torch.ones_like(self.gains.weight[0, 0])
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         wanted, gains = action[:, 1:], self.gains
         if self._own.rates_type == "ACTUAL":
             wanted = actual_rate(wanted.clamp(-1.0, 1.0), gains.center, gains.largest, gains.expo)
-        setpoint, sent = self._pass_on(torch.cat((action[:, :1] + 1.0, wanted), dim=-1), sent, memory.since)
+        setpoint, sent = self._delay_setpoint(torch.cat((action[:, :1] + 1.0, wanted), dim=-1), sent, memory.since)
         begins = (memory.since == 0).unsqueeze(-1)
         command, numbers = self._loop(state.ang_vel, setpoint, memory.numbers[:, : self._layout.held], begins)
         return command, numbers, sent
@@ -86,23 +92,23 @@ class BetaflightController(RememberingController):
         for number, (low_pass, part) in enumerate(zip(filters, inner, strict=True)):
             if number == 2:
                 seen = rate
-            rate, part = (rate, 0.0 * part) if low_pass is None else filtered(rate, part, begins, low_pass)
+            rate, part = (rate, 0.0 * part) if low_pass is None else apply_filter(rate, part, begins, low_pass)
             inners.append(part)
         ang_acc = torch.where(begins, 0.0, (rate - slow) / span)
         wanted, error = setpoint[:, 1:], setpoint[:, 1:] - seen
         eased = torch.where(begins, wanted, eased + self.filters.relax * (wanted - eased))
         change = torch.where(begins, 0.0, (wanted - before) / span)
         share = integral_share((wanted - eased) * self._relaxed, used, own.iterm_windup / 100.0)
-        integral = _held(integral + share * gains.integral * error * span, gains.integral_limit)
+        integral = _clamp(integral + share * gains.integral * error * span, gains.integral_limit)
         throttle = self._signal(self.allocation.speed(setpoint[:, :1] * gains.weight * self.allocation.inverse[..., 2]))
-        weaker = weakening(throttle, own.tpa_rate / 100.0, own.tpa_breakpoint / 1000.0 - 1.0)
+        weaker = throttle_attenuation(throttle, own.tpa_rate / 100.0, own.tpa_breakpoint / 1000.0 - 1.0)
         of_error = weaker if own.tpa_mode == "PD" else 1.0
         correction = (
             of_error * gains.rate * error + integral - weaker * gains.derivative * ang_acc + gains.forward * change
         )
-        correction = gains.mix * _held(correction, gains.limit)
+        correction = gains.mix * _clamp(correction, gains.limit)
         mix = (self.allocation.inverse[..., 3:] * correction.unsqueeze(1)).sum(-1)
-        signal, used = mixed(throttle, mix, airmode=own.airmode)
+        signal, used = mix_signals(throttle, mix, airmode=own.airmode)
         if not own.airmode:  # the firmware resets the integrals after each run at zero throttle
             integral = torch.where(throttle.mean(-1, keepdim=True) < THROTTLE_STEP, 0.0, integral)
         return self._low + self._span * signal, torch.cat((integral, *inners, rate, eased, wanted, used), dim=-1)
@@ -119,6 +125,6 @@ class BetaflightController(RememberingController):
         )
 
 
-def _held(values: Tensor, limit: Tensor) -> Tensor:
+def _clamp(values: Tensor, limit: Tensor) -> Tensor:
     """Clamp values (E, 3) to plus and minus a limit (E, 3)."""
     return torch.minimum(torch.maximum(values, -limit), limit)

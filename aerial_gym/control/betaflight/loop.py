@@ -54,7 +54,7 @@ def integral_share(change: Tensor, used: Tensor, windup: float) -> Tensor:
     return torch.cat((rest[:, :2], rest[:, 2:] * room), dim=-1)
 
 
-def mixed(throttle: Tensor, mix: Tensor, *, airmode: bool) -> tuple[Tensor, Tensor]:
+def mix_signals(throttle: Tensor, mix: Tensor, *, airmode: bool) -> tuple[Tensor, Tensor]:
     """Return motor signals, 0 to 1, (E, R), and the range of the corrections, (E, 1).
 
     Corrections that need more than the motors' range are scaled down to it. Without airmode they are scaled further:
@@ -78,7 +78,7 @@ def mixed(throttle: Tensor, mix: Tensor, *, airmode: bool) -> tuple[Tensor, Tens
     return signal.clamp(0.0, 1.0), used
 
 
-def weakening(throttle: Tensor, rate: float, breakpoint: float) -> Tensor:
+def throttle_attenuation(throttle: Tensor, rate: float, breakpoint: float) -> Tensor:
     """Return the factor of throttle PID attenuation, (E, 1), at signals without corrections, (E, R).
 
     Args:

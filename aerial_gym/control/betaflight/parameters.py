@@ -14,7 +14,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.filters.biquad import Biquad, butterworth
-from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.gains import loop_spacing, make_gains
 from aerial_gym.control.px4.rates import smoothing
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
@@ -65,7 +65,7 @@ def require_fit(law: str, vehicle: Vehicle, allocation: Allocation) -> None:
         )
 
 
-def parameters_of(
+def derive_parameters(
     cfg: ControllerCfg, own: BetaflightCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *,
     gravity: float, timing: Timing,
 ) -> BetaflightGains:  # fmt: skip
@@ -74,7 +74,7 @@ def parameters_of(
     Missing gains follow from ``control.gains``: the torque per rate error at hover, and an integral that is slower by a², with
     the a of that module.
     """
-    base = gains_for(
+    base = make_gains(
         cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
     )
     inverse = allocation.inverse[0].detach()
@@ -88,7 +88,7 @@ def parameters_of(
     rate, inertia = base.rate[0], vehicle.inertia[0].diagonal()
     turns = (rate > 0.0) & (unit > 0.0)
     some = torch.where(turns, unit, 1.0)
-    slow = spacing_of(control.phase_margin) ** 2
+    slow = loop_spacing(control.phase_margin) ** 2
     derived = {"p": torch.where(turns, rate / some, 0.0)}
     derived["i"] = torch.where(turns, rate.square() / inertia / slow / some, 0.0)
 
@@ -100,7 +100,7 @@ def parameters_of(
         unit[2] *= YAW_INTEGRAL if name == "i" else 1.0
         return row([derived[name][k] if g is None else unit[k] * g for k, g in enumerate(given)])
 
-    def of(name: str, unit: float = 1.0) -> Tensor:
+    def axis_row(name: str, unit: float = 1.0) -> Tensor:
         return row([unit * getattr(own, f"{axis}_{name}") for axis in AXES])
 
     yaw = own.pidsum_limit_yaw
@@ -113,9 +113,9 @@ def parameters_of(
         integral_limit=row(own.iterm_limit / 1000.0 * (unit > 0.0)),
         mix=row(mix),
         weight=row([weight]),
-        center=of("center_sensitivity", radians(1.0)),
-        largest=of("max_rate", radians(1.0)),
-        expo=of("expo"),
+        center=axis_row("center_sensitivity", radians(1.0)),
+        largest=axis_row("max_rate", radians(1.0)),
+        expo=axis_row("expo"),
     )
 
 
@@ -126,7 +126,7 @@ def thrust_per_signal(vehicle: Vehicle, thrust: Tensor) -> Tensor:
     return (c1 + 2.0 * c2 * speed) * (vehicle.speed_high[0] - vehicle.speed_low[0])
 
 
-def filters_of(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
+def make_filters(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
     """Make the filters for the rate of the loop.
 
     Raises:

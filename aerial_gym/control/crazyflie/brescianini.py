@@ -37,7 +37,7 @@ class BrescianiniGains:
     yaw_rate_limit: Tensor  # `omega_yaw_max` [rad/s], (E, 1)
 
 
-def lean(
+def outer_loop(
     state: BodyState,
     target: FlatTarget,
     gains: BrescianiniGains,
@@ -71,7 +71,7 @@ def lean(
     return torch.cat((gains.mass * collective, _within_limits(rates, gains)), dim=-1)
 
 
-def turn(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
+def inner_loop(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
     """Return the torque ``J (w_d - w) / tau`` [N m], body, (E, 3), for measured and wanted body rates [rad/s], (E, 3)."""
     return (gains.inertia * (gains.rate * (wanted - ang_vel)).unsqueeze(1)).sum(-1)
 

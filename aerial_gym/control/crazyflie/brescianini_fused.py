@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
+from aerial_gym.control.cascade_fused import make_allot, make_stateful_step, make_two_levels
 from aerial_gym.control.crazyflie.crazyflie_fused import Maker
 from aerial_gym.control.lee import LEAST_LIFT
 from aerial_gym.control.lee_fused import within_inclination
 from aerial_gym.control.reduced_attitude_fused import shortest_turn, tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.math.warp_functions import unit, world_up
-from aerial_gym.physics.fused.command import make_speed_of
+from aerial_gym.physics.fused.command import make_speed_command
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
-    from aerial_gym.control.remembering import Layout
+    from aerial_gym.control.stateful import MemoryLayout
 
 
 @wp.struct
@@ -41,12 +41,12 @@ class BrescianiniRows:
     yaw_rate_limit: float  # [rad/s]
 
 
-def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:
+def make_outer_loop(*, gravity: float, max_inclination: float) -> wp.Function:
     """Return the Warp version of ``brescianini.lean`` for a point at rest: thrust [N] and body rates [rad/s]."""
     slope = tan(max_inclination)
 
     @wp.func
-    def lean(
+    def outer_loop(
         gains: BrescianiniRows, position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3,
         action: wp.vec4, arrays: LawArrays, env: int, since: int, dt: float,
     ) -> wp.vec4:  # fmt: skip
@@ -67,14 +67,14 @@ def make_lean(*, gravity: float, max_inclination: float) -> wp.Function:
             wp.clamp(rates[2], -gains.yaw_rate_limit, gains.yaw_rate_limit),
         )
 
-    return lean
+    return outer_loop
 
 
-def make_turn(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
+def make_inner_loop(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     """Return the Warp version of ``brescianini.turn`` with the allocation."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
-    allot, speed_of = make_allot(law, num_rotors, general), make_speed_of(num_rotors, general)
+    allot, speed_of = make_allot(law, num_rotors, general), make_speed_command(num_rotors, general)
 
     @wp.func
     def run_loop(
@@ -89,12 +89,12 @@ def make_turn(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
     return run_loop
 
 
-def brescianini_maker(timing: Timing, layout: "Layout", *, gravity: float, max_inclination: float) -> Maker:
+def brescianini_maker(timing: Timing, layout: "MemoryLayout", *, gravity: float, max_inclination: float) -> Maker:
     """Return ``FusedLaw.make_stateful_step`` of the controller."""
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
-        wish = make_lean(gravity=gravity, max_inclination=max_inclination)
-        run = make_two_levels(law, num_rotors, general, timing, wish, make_turn(law, num_rotors, general))
-        return make_remembering(law, num_rotors, general, timing, layout, run)
+        wish = make_outer_loop(gravity=gravity, max_inclination=max_inclination)
+        run = make_two_levels(law, num_rotors, general, timing, wish, make_inner_loop(law, num_rotors, general))
+        return make_stateful_step(law, num_rotors, general, timing, layout, run)
 
     return make

@@ -32,27 +32,27 @@ from aerial_gym.control.crazyflie import (
     mellinger,
     pid,
 )
-from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, signs_of, told
+from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, require_position, rotor_counts, rotor_signs
 from aerial_gym.control.crazyflie.parameters import (
-    Derived,
-    DerivedCounts,
+    CountGains,
+    NominalGains,
     brescianini_gains,
     integral_gains,
     mellinger_gains,
     pid_gains,
 )
-from aerial_gym.control.gains import autopilot_of
+from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.lee import wrench_from
-from aerial_gym.control.remembering import RememberingController, layout_of
-from aerial_gym.control.timing import timing_of
+from aerial_gym.control.lee import thrust_wrench
+from aerial_gym.control.stateful import StatefulController, make_layout
+from aerial_gym.control.timing import make_timing
 from aerial_gym.physics.fused.law import FusedLaw, gain_rows
 from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
 
 
-class _Crazyflie(RememberingController):
+class _Crazyflie(StatefulController):
     """Common part of the controllers: parameters, and a target point."""
 
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
@@ -65,11 +65,11 @@ class _Crazyflie(RememberingController):
         """Derive timing and layout from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
         assert cfg.autopilot is not None
         require_position(cfg.law)
-        self._own = autopilot_of(cfg, control)
-        self.timing = timing = timing_of(replace(cfg, **{cfg.autopilot: self._own}), dt)
+        self._own = select_autopilot(cfg, control)
+        self.timing = timing = make_timing(replace(cfg, **{cfg.autopilot: self._own}), dt)
         self.action_names = LAWS[cfg.law].action
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        self._layout = layout_of(
+        self._layout = make_layout(
             timing, own=self.own_numbers, num_rotors=vehicle.num_rotors, num_actions=len(self.action_names)
         )
 
@@ -80,14 +80,14 @@ class _CrazyflieInCounts(_Crazyflie):
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
-        self._signs = signs_of(cfg.law, vehicle, self.allocation, gravity)
-        self._derived = DerivedCounts(
+        self._signs = rotor_signs(cfg.law, vehicle, self.allocation, gravity)
+        self._derived = CountGains(
             cfg, control, vehicle, self.allocation, self._signs, gravity=gravity, timing=self.timing
         )
 
     def _speeds(self, thrust: Tensor, moment: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), for a thrust (E, 1) and moments (E, 3) [counts]."""
-        return self.allocation.speed(self.allocation.high * told(thrust, moment, self._signs) / MOST_COUNTS)
+        return self.allocation.speed(self.allocation.high * rotor_counts(thrust, moment, self._signs) / MOST_COUNTS)
 
 
 def _point(action: Tensor) -> mellinger.FlatTarget:
@@ -109,7 +109,7 @@ class MellingerController(_CrazyflieInCounts):
         self.gains = mellinger_gains(self._own, self._derived)
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return torch.zeros_like(self.gains.mass[0, 0])  # nothing is on its way
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -153,18 +153,20 @@ class PidController(_CrazyflieInCounts):
         self.gains = pid_gains(self._own, self._derived)
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return self.gains.thrust_base[0, 0]
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         timing, gains = self.timing, self.gains
         own = memory.numbers[:, : self.own_numbers]
         inner, outer = own.split((pid.INNER_NUMBERS, pid.OUTER_NUMBERS), dim=-1)
-        inner = torch.where((memory.since == 0).unsqueeze(-1), pid.fresh(state), inner)
-        wish, after = pid.lean(state, action[:, :3], outer, gains, dt=timing.law * timing.dt)
+        inner = torch.where((memory.since == 0).unsqueeze(-1), pid.initial_memory(state), inner)
+        wish, after = pid.outer_loop(state, action[:, :3], outer, gains, dt=timing.law * timing.dt)
         outer = torch.where((memory.since % timing.law == 0).unsqueeze(-1), after, outer)
-        setpoint, sent = self._pass_on(torch.cat((wish, degrees(1.0) * action[:, 3:]), dim=-1), sent, memory.since)
-        moment, inner = pid.turn(state, setpoint[:, 1:], inner, gains, dt=timing.loop * timing.dt)
+        setpoint, sent = self._delay_setpoint(
+            torch.cat((wish, degrees(1.0) * action[:, 3:]), dim=-1), sent, memory.since
+        )
+        moment, inner = pid.inner_loop(state, setpoint[:, 1:], inner, gains, dt=timing.loop * timing.dt)
         return self._speeds(setpoint[:, :1], moment), torch.cat((inner, outer), dim=-1), sent
 
     def fused(self) -> FusedLaw:
@@ -185,18 +187,18 @@ class CrazyflieLeeController(_Crazyflie):
         """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
         self.gains = integral_gains(
-            self._own, Derived(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
+            self._own, NominalGains(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
         )
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return torch.zeros_like(self.gains.lee.mass[0])  # nothing is on its way
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         kept = memory.numbers[:, : self.own_numbers]
         span = self.timing.loop * self.timing.dt
         thrust, torque, kept = geometric.geometric_control(state, _point(action), kept, self.gains, dt=span)
-        return self.allocation.speed_for_wrench(wrench_from(thrust, torque)), kept, sent
+        return self.allocation.speed_for_wrench(thrust_wrench(thrust, torque)), kept, sent
 
     def fused(self) -> FusedLaw:
         """Return the Warp version of the law."""
@@ -215,19 +217,19 @@ class BrescianiniController(_Crazyflie):
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive the gains; arguments as for ``make_controller``."""
         super().__init__(cfg, vehicle, gravity, dt=dt, control=control)
-        self._derived = Derived(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
+        self._derived = NominalGains(cfg, control, vehicle, self.allocation, gravity=gravity, timing=self.timing)
         self.gains = brescianini_gains(self._own, self._derived)
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return self.gains.mass[0, 0] * self._derived.gravity
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         gravity, tilt = self._derived.gravity, self._derived.tilt
-        wish = brescianini.lean(state, _point(action), self.gains, gravity=gravity, max_inclination=tilt)
-        setpoint, sent = self._pass_on(wish, sent, memory.since)
-        torque = brescianini.turn(state.ang_vel, setpoint[:, 1:], self.gains)
-        speeds = self.allocation.speed_for_wrench(wrench_from(setpoint[:, 0], torque))
+        wish = brescianini.outer_loop(state, _point(action), self.gains, gravity=gravity, max_inclination=tilt)
+        setpoint, sent = self._delay_setpoint(wish, sent, memory.since)
+        torque = brescianini.inner_loop(state.ang_vel, setpoint[:, 1:], self.gains)
+        speeds = self.allocation.speed_for_wrench(thrust_wrench(setpoint[:, 0], torque))
         return speeds, memory.numbers[:, : self.own_numbers], sent
 
     def fused(self) -> FusedLaw:

@@ -29,7 +29,7 @@ def require_position(law: str) -> None:
         raise ConfigError(f"law {law!r}: the Crazyflie's controllers control position only. Take law: position")
 
 
-def signs_of(law: str, vehicle: Vehicle, allocation: Allocation, gravity: float) -> Tensor:
+def rotor_signs(law: str, vehicle: Vehicle, allocation: Allocation, gravity: float) -> Tensor:
     """Return the signs of each rotor's torque about x, y and z, 1 or -1, (R, 3).
 
     Raises:
@@ -53,7 +53,7 @@ def signs_of(law: str, vehicle: Vehicle, allocation: Allocation, gravity: float)
     return signs
 
 
-def told(thrust: Tensor, moment: Tensor, signs: Tensor) -> Tensor:
+def rotor_counts(thrust: Tensor, moment: Tensor, signs: Tensor) -> Tensor:
     """Return the counts of each rotor, (E, R), for a thrust (E, 1) and moments (E, 3), all in counts."""
     parts = moment * moment.new_tensor(SHARES)
     counts = thrust + parts @ signs.to(moment).T

@@ -54,17 +54,17 @@ def geometric_control(
     far, turned = kept.split(3, dim=-1)
     lee = gains.lee
     error, drift = target.position - state.position, target.velocity - state.lin_vel
-    far = _within(far + error * dt, gains.position_limit)
+    far = _clamp(far + error * dt, gains.position_limit)
     wanted = lee.position * error + lee.velocity * drift + gains.position_integral * far + target.acceleration
     force = lee.mass.unsqueeze(-1) * (wanted + wanted.new_tensor((0.0, 0.0, lee.gravity)))
     force = limit_inclination(force, LEAST_LIFT * lee.mass * lee.gravity, lee.max_inclination)
     rotation = quat_to_matrix(state.attitude)
     desired = attitude_from_force(force, target.yaw)
-    turned = _within(turned + attitude_error(rotation, desired) * dt, gains.attitude_limit)
+    turned = _clamp(turned + attitude_error(rotation, desired) * dt, gains.attitude_limit)
     torque = attitude_torque(lee, rotation, desired, state.ang_vel, torch.zeros_like(state.ang_vel))
     torque = torque - gains.attitude_integral * turned
     return (force * rotation[:, :, 2]).sum(-1), torque, torch.cat((far, turned), dim=-1)
 
 
-def _within(values: Tensor, limit: Tensor) -> Tensor:
+def _clamp(values: Tensor, limit: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(values, -limit), limit)

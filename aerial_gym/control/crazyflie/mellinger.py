@@ -74,7 +74,7 @@ def mellinger_control(
     """
     far, turned, before = kept.split((3, 3, 2), dim=-1)
     error, drift = target.position - state.position, target.velocity - state.lin_vel
-    far = _within(far + error * dt, gains.position_limit)
+    far = _clamp(far + error * dt, gains.position_limit)
     weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
     force = gains.position * error + gains.velocity * drift + gains.position_integral * far + gains.mass * weight
     if max_inclination is not None:
@@ -82,7 +82,7 @@ def mellinger_control(
     rotation = quat_to_matrix(state.attitude)
     thrust = (force * rotation[:, :, 2]).sum(-1, keepdim=True)
     turn = 2.0 * attitude_error(rotation, attitude_from_force(force, target.yaw))
-    turned = _within(turned - turn * dt, gains.attitude_limit)
+    turned = _clamp(turned - turn * dt, gains.attitude_limit)
     excess = state.ang_vel - target.rates
     moment = gains.attitude_integral * turned - gains.attitude * turn - gains.rate * excess
     change = -gains.rate_difference * (excess[:, :2] - before) / dt
@@ -93,5 +93,5 @@ def mellinger_control(
     return gains.mass_thrust * thrust, moment, torch.cat((integrals, excess[:, :2]), dim=-1)
 
 
-def _within(values: Tensor, limit: Tensor) -> Tensor:
+def _clamp(values: Tensor, limit: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(values, -limit), limit)

@@ -21,7 +21,7 @@ from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, torque_per_co
 from aerial_gym.control.crazyflie.geometric import IntegralGains
 from aerial_gym.control.crazyflie.mellinger import MellingerGains
 from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
-from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.gains import loop_spacing, make_gains
 from aerial_gym.control.lee import LEAST_LIFT, LeeGains
 from aerial_gym.control.timing import Timing
 from aerial_gym.physics.vehicle import Vehicle
@@ -33,17 +33,17 @@ LEAST_OF_HOVER = 5.0 / 9.0
 """Least thrust as a share of hover thrust: 20000 of 36000 counts of a Crazyflie."""
 
 
-class Derived:
+class NominalGains:
     """Derived gains of a declared vehicle, as rows for all environments."""
 
     def __init__(
         self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
         timing: Timing,
     ) -> None:  # fmt: skip
-        base: LeeGains = gains_for(
+        base: LeeGains = make_gains(
             cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
         )
-        self.base, self.vehicle, self.slow = base, vehicle, spacing_of(control.phase_margin) ** 2
+        self.base, self.vehicle, self.slow = base, vehicle, loop_spacing(control.phase_margin) ** 2
         self.row = vehicle.share
         self.authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity)  # [N m]
         self.mass, self.most_thrust = float(vehicle.mass[0]), allocation.largest_thrust()  # [kg], [N]
@@ -51,8 +51,8 @@ class Derived:
         self.position, self.velocity = base.position[0], base.velocity[0]
         self.attitude, self.rate = base.attitude[0], base.rate[0]  # [N m/rad], [N m s/rad]
         self.of_rate = base.rate[0] / vehicle.inertia[0].diagonal()  # 1/s
-        self.of_attitude = _over(base.attitude[0], base.rate[0])
-        self.of_position = _over(base.position[0], base.velocity[0])
+        self.of_attitude = _quotient(base.attitude[0], base.rate[0])
+        self.of_position = _quotient(base.position[0], base.velocity[0])
 
     def explicit_or_derived(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
         """Return the given numbers, or else the derived ones, as a row."""
@@ -63,7 +63,7 @@ class Derived:
         return self.row([float(d) if g is None else g for g, d in zip((xy, xy, z), derived, strict=True)])
 
 
-class DerivedCounts(Derived):
+class CountGains(NominalGains):
     """Derived gains with torques in counts."""
 
     def __init__(
@@ -76,21 +76,23 @@ class DerivedCounts(Derived):
         self.attitude, self.rate = self.attitude / unit, self.rate / unit  # counts per rad, per rad/s
 
 
-def _over(gains: Tensor, others: Tensor) -> Tensor:
+def _quotient(gains: Tensor, divisor: Tensor) -> Tensor:
     """Return quotients, 0 for uncontrolled axes."""
-    return torch.where(others > 0.0, gains / torch.where(others > 0.0, others, 1.0), 0.0)
+    return torch.where(divisor > 0.0, gains / torch.where(divisor > 0.0, divisor, 1.0), 0.0)
 
 
-def _used(limit: Tensor, integral: Tensor) -> Tensor:
+def _effective_limit(limit: Tensor, integral: Tensor) -> Tensor:
     """Return the limits of integrals (E, 3), 0 where the integral gain is 0."""
     return torch.where(integral > 0.0, limit, torch.zeros_like(limit))
 
 
 def _level(proportional: Tensor, integral: Tensor, derivative: Tensor, limit: Tensor) -> PidLevel:
-    return PidLevel(proportional=proportional, integral=integral, derivative=derivative, limit=_used(limit, integral))
+    return PidLevel(
+        proportional=proportional, integral=integral, derivative=derivative, limit=_effective_limit(limit, integral)
+    )
 
 
-def mellinger_gains(own: MellingerCfg, derived: DerivedCounts) -> MellingerGains:
+def mellinger_gains(own: MellingerCfg, derived: CountGains) -> MellingerGains:
     """Return the gains of ``crazyflie_mellinger_control``, the same in all environments."""
     axes, mass = derived.axes, derived.mass if own.mass is None else own.mass
     none = torch.zeros(3)
@@ -101,16 +103,16 @@ def mellinger_gains(own: MellingerCfg, derived: DerivedCounts) -> MellingerGains
         position=axes(own.kp_xy, own.kp_z, mass * derived.position),
         velocity=axes(own.kd_xy, own.kd_z, mass * derived.velocity),
         position_integral=far,
-        position_limit=_used(axes(own.i_range_xy, own.i_range_z, none), far),
+        position_limit=_effective_limit(axes(own.i_range_xy, own.i_range_z, none), far),
         attitude=axes(own.kR_xy, own.kR_z, 0.5 * derived.attitude),
         rate=axes(own.kw_xy, own.kw_z, derived.rate),
         attitude_integral=turned,
-        attitude_limit=_used(axes(own.i_range_m_xy, own.i_range_m_z, none), turned),
+        attitude_limit=_effective_limit(axes(own.i_range_m_xy, own.i_range_m_z, none), turned),
         rate_difference=derived.row([own.kd_omega_rp]),
     )
 
 
-def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
+def pid_gains(own: CrazyfliePidCfg, derived: CountGains) -> PidGains:
     """Return the gains of ``crazyflie_pid_control``, the same in all environments."""
     given, row = derived.explicit_or_derived, derived.row
     tilting = degrees(1.0) / derived.gravity * derived.velocity
@@ -138,7 +140,7 @@ def pid_gains(own: CrazyfliePidCfg, derived: DerivedCounts) -> PidGains:
     )
 
 
-def integral_gains(own: CrazyflieLeeCfg, derived: Derived) -> IntegralGains:
+def integral_gains(own: CrazyflieLeeCfg, derived: NominalGains) -> IntegralGains:
     """Return the gains of ``crazyflie_lee_control``, the same in all environments; integral gains only if given."""
     given, mass, base = derived.explicit_or_derived, derived.mass if own.mass is None else own.mass, derived.base
     position, attitude = given(own.Kpos_P, derived.position), given(own.KR, derived.attitude)
@@ -157,13 +159,15 @@ def integral_gains(own: CrazyflieLeeCfg, derived: Derived) -> IntegralGains:
     return IntegralGains(
         lee=lee,
         position_integral=far,
-        position_limit=_used(given(own.Kpos_I_limit, _over(most, far[0])), far),
+        position_limit=_effective_limit(given(own.Kpos_I_limit, _quotient(most, far[0])), far),
         attitude_integral=turned,
-        attitude_limit=_used(given(own.KI_limit, _over(INTEGRAL_SHARE * derived.authority, turned[0])), turned),
+        attitude_limit=_effective_limit(
+            given(own.KI_limit, _quotient(INTEGRAL_SHARE * derived.authority, turned[0])), turned
+        ),
     )
 
 
-def brescianini_gains(own: BrescianiniCfg, derived: Derived) -> BrescianiniGains:
+def brescianini_gains(own: BrescianiniCfg, derived: NominalGains) -> BrescianiniGains:
     """Return the gains of ``crazyflie_brescianini_control``, the same in all environments.
 
     Roll and pitch share the slower of their time constants. Heading has none: its share of the attitude error slows it down.
@@ -172,7 +176,7 @@ def brescianini_gains(own: BrescianiniCfg, derived: Derived) -> BrescianiniGains
     axes, row, mass = derived.axes, derived.row, derived.mass
     natural = derived.position.sqrt()
     frequency = axes(_inverse(own.tau_xy), _inverse(own.tau_z), natural)
-    damping = axes(own.zeta_xy, own.zeta_z, 0.5 * _over(derived.velocity, natural))
+    damping = axes(own.zeta_xy, own.zeta_z, 0.5 * _quotient(derived.velocity, natural))
     tilting = derived.of_attitude[:2]
     slower = float(tilting[tilting > 0.0].min()) if bool((tilting > 0.0).any()) else 0.0
     attitude = slower if own.tau_rp is None else 1.0 / own.tau_rp

@@ -65,7 +65,9 @@ class PidGains:
     least_thrust: Tensor  # [counts], (E, 1)
 
 
-def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
+def outer_loop(
+    state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, dt: float
+) -> tuple[Tensor, Tensor]:
     """Return thrust [counts], roll and pitch [deg] of position and velocity control, (E, 3), and the new memory, (E, 6).
 
     Args:
@@ -86,7 +88,7 @@ def lean(state: BodyState, position: Tensor, kept: Tensor, gains: PidGains, *, d
     return told, torch.cat((far, drift), dim=-1)
 
 
-def turn(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
+def inner_loop(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
     """Return the moment [counts], body, (E, 3), of attitude and rate control, and the new memory, (E, 12).
 
     Args:
@@ -95,20 +97,20 @@ def turn(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt:
         dt: Period of the runs [s].
     """
     leant, spun, angles_before, rates_before = kept.split(3, dim=-1)
-    angles, rates = _measured(state)
-    error, change = (_wrapped(x) for x in (wanted - angles, angles - angles_before))
+    angles, rates = _euler_and_rates(state)
+    error, change = (_wrap_yaw(x) for x in (wanted - angles, angles - angles_before))
     wanted_rates, leant = gains.attitude.run(error, change, leant, dt)
     moment, spun = gains.rates.run(wanted_rates - rates, rates - rates_before, spun, dt)
     return moment.clamp(-MOST_MOMENT, MOST_MOMENT), torch.cat((leant, spun, angles, rates), dim=-1)
 
 
-def fresh(state: BodyState) -> Tensor:
+def initial_memory(state: BodyState) -> Tensor:
     """Return the initial memory of ``turn`` at a state, (E, 12)."""
     zero = torch.zeros_like(state.position)
-    return torch.cat((zero, zero, *_measured(state)), dim=-1)
+    return torch.cat((zero, zero, *_euler_and_rates(state)), dim=-1)
 
 
-def _measured(state: BodyState) -> tuple[Tensor, Tensor]:
+def _euler_and_rates(state: BodyState) -> tuple[Tensor, Tensor]:
     """Return roll, pitch, yaw [deg] and body rates [deg/s], (E, 3) each."""
     return euler_from_quat(state.attitude) * degrees(1.0), state.ang_vel * degrees(1.0)
 
@@ -120,7 +122,7 @@ def _in_heading(vector: Tensor, heading: Tensor) -> Tensor:
     return torch.stack((cosine * x + sine * y, cosine * y - sine * x, z), dim=-1)
 
 
-def _wrapped(angles: Tensor) -> Tensor:
+def _wrap_yaw(angles: Tensor) -> Tensor:
     """Return roll, pitch, yaw [deg], (E, 3), with the yaw wrapped to -180 to 180."""
     yaw = torch.remainder(angles[:, 2:] + 180.0, 360.0) - 180.0
     return torch.cat((angles[:, :2], yaw), dim=-1)

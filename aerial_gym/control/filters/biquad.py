@@ -52,7 +52,7 @@ def notch(frequency_hz: float, bandwidth_hz: float, rate_hz: float) -> Biquad | 
     return Biquad(b0, turn * b0, b0, turn * b0, (1.0 - width) * b0)
 
 
-def filtered(sample: Tensor, kept: Tensor, begins: Tensor, filter: Biquad) -> tuple[Tensor, Tensor]:
+def apply_filter(sample: Tensor, kept: Tensor, begins: Tensor, filter: Biquad) -> tuple[Tensor, Tensor]:
     """Return the filtered sample (E, 3) and the new filter state, (E, 6); a new filter starts in steady state at its sample.
 
     Args:

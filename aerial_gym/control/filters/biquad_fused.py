@@ -11,15 +11,15 @@ def make_filter(filter: Biquad | None, first: int) -> wp.Function:
     """Return the Warp version of ``biquad.filtered``, the identity for None; its memory starts at number ``first``."""
 
     @wp.func
-    def as_it_is(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+    def identity(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
         return sample
 
     if filter is None:
-        return as_it_is
+        return identity
     a1, a2, b0, b1, b2 = filter.a1, filter.a2, filter.b0, filter.b1, filter.b2
 
     @wp.func
-    def filtered(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
+    def apply_filter(sample: wp.vec3, arrays: LawArrays, env: int, since: int) -> wp.vec3:
         newer = read_vec3(arrays.numbers, wp.static(first), env)
         older = read_vec3(arrays.numbers, wp.static(first + 3), env)
         if since == 0:
@@ -30,4 +30,4 @@ def make_filter(filter: Biquad | None, first: int) -> wp.Function:
         write_vec3(arrays.numbers, wp.static(first + 3), env, newer)
         return wp.static(b0) * inner + wp.static(b1) * newer + wp.static(b2) * older
 
-    return filtered
+    return apply_filter

@@ -13,7 +13,7 @@ from aerial_gym.control.reduced_attitude import tilt_first_error, up_axis
 from aerial_gym.math.quaternion import quat_rotate_inverse
 
 
-def wanted_rates(
+def rate_setpoint(
     attitude: Tensor, wanted: Tensor, yaw_rate: Tensor, *, gain: Tensor, yaw_weight: Tensor, limit: Tensor
 ) -> Tensor:
     """Return the body-rate setpoint [rad/s], (E, 3), for an attitude, with full weight of tilt and less of heading.

@@ -17,18 +17,18 @@ from torch import Tensor
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.filters.biquad import filtered
-from aerial_gym.control.gains import autopilot_of
+from aerial_gym.control.filters.biquad import apply_filter
+from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.lee import wrench_from
+from aerial_gym.control.lee import thrust_wrench
 from aerial_gym.control.px4 import px4_fused
-from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
+from aerial_gym.control.px4.attitude import attitude_from_thrust, rate_setpoint
 from aerial_gym.control.px4.mixer import mix
-from aerial_gym.control.px4.parameters import filters_of, parameters_of, thrust_curve
-from aerial_gym.control.px4.position import limited_velocity, velocity_control
-from aerial_gym.control.px4.rates import RATE_NUMBERS, grown_integral, rate_torque
-from aerial_gym.control.remembering import RememberingController, layout_of
-from aerial_gym.control.timing import timing_of
+from aerial_gym.control.px4.parameters import derive_parameters, make_filters, thrust_curve
+from aerial_gym.control.px4.position import limit_velocity, velocity_control
+from aerial_gym.control.px4.rates import RATE_NUMBERS, rate_torque, update_integral
+from aerial_gym.control.stateful import StatefulController, make_layout
+from aerial_gym.control.timing import make_timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_from_yaw, quat_rotate, yaw_from_quat
 from aerial_gym.physics.fused.law import FusedLaw, gain_rows
@@ -41,7 +41,7 @@ OUTER_NUMBERS = 9
 """Memory of the outer loops: integral of velocity (3), previous velocity (3), acceleration (3)."""
 
 
-class Px4Controller(RememberingController):
+class Px4Controller(StatefulController):
     """``px4_rate_control``, ``px4_attitude_control``, ``px4_velocity_control`` and ``px4_position_control``."""
 
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
@@ -49,23 +49,23 @@ class Px4Controller(RememberingController):
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive gains and filters from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
-        px4: Px4Cfg = autopilot_of(cfg, control)
+        px4: Px4Cfg = select_autopilot(cfg, control)
         _require_fit(px4, vehicle)
-        self.timing = timing = timing_of(replace(cfg, px4=px4), dt)
+        self.timing = timing = make_timing(replace(cfg, px4=px4), dt)
         law = LAWS[cfg.law]
         self.action_names, self._law = law.action, cfg.law
         self._factor, self._airmode = px4.THR_MDL_FAC, px4.MC_AIRMODE
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        self.gains = parameters_of(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
-        self.filters = filters_of(px4, timing)
+        self.gains = derive_parameters(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
+        self.filters = make_filters(px4, timing)
         self._full, self._low, self._span = _motors(vehicle)
         self._inner = RATE_NUMBERS + 6 * len(self.filters.notches)
-        self._layout = layout_of(
+        self._layout = make_layout(
             timing, own=self._inner + OUTER_NUMBERS, num_rotors=vehicle.num_rotors, num_actions=len(law.action)
         )
 
     @property
-    def _wish_at_rest(self) -> Tensor:
+    def _hover_setpoint(self) -> Tensor:
         return self.gains.position.hover[0]
 
     def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -73,7 +73,7 @@ class Px4Controller(RememberingController):
         inner, outer = own.split((self._inner, OUTER_NUMBERS), dim=-1)
         due = (memory.since % self.timing.law == 0).unsqueeze(-1)
         setpoint, after = self._outer(state, action, outer, (memory.since == 0).unsqueeze(-1))
-        setpoint, sent = self._pass_on(setpoint, sent, memory.since)
+        setpoint, sent = self._delay_setpoint(setpoint, sent, memory.since)
         command, inner = self._rates(state.ang_vel, setpoint, inner, (memory.since == 0).unsqueeze(-1))
         return command, torch.cat((inner, torch.where(due, after, outer)), dim=-1), sent
 
@@ -88,7 +88,7 @@ class Px4Controller(RememberingController):
             yaw = yaw_from_quat(state.attitude)
             wanted = quat_from_euler(torch.stack((action[:, 1], action[:, 2], yaw), dim=-1))
             thrust = (action[:, :1] + 1.0) * gains.position.hover
-            return torch.cat((thrust, self._rates_to(state, wanted, action[:, 3])), dim=-1), torch.zeros_like(kept)
+            return torch.cat((thrust, self._rate_setpoint(state, wanted, action[:, 3])), dim=-1), torch.zeros_like(kept)
         if self._law == "velocity":
             yaw, yaw_rate = yaw_from_quat(state.attitude), action[:, 3]
             velocity = quat_rotate(quat_from_yaw(yaw), action[:, :3])
@@ -96,7 +96,7 @@ class Px4Controller(RememberingController):
             yaw, yaw_rate = action[:, 3], still
             velocity = gains.position.position * (action[:, :3] - state.position)
         thrust, kept = self._thrust(state, velocity, kept, begins)
-        rates = self._rates_to(state, attitude_from_thrust(thrust, yaw), yaw_rate)
+        rates = self._rate_setpoint(state, attitude_from_thrust(thrust, yaw), yaw_rate)
         return torch.cat((thrust.norm(dim=-1, keepdim=True), rates), dim=-1), kept
 
     def _thrust(self, state: BodyState, velocity: Tensor, kept: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
@@ -105,13 +105,13 @@ class Px4Controller(RememberingController):
         span = self.timing.law * self.timing.dt
         measured = torch.where(begins, 0.0, (state.lin_vel - before) / span)
         smooth = smooth + self.filters.acceleration * (measured - smooth)
-        error = limited_velocity(velocity, self.gains.position) - state.lin_vel
+        error = limit_velocity(velocity, self.gains.position) - state.lin_vel
         _, thrust, integral = velocity_control(error, integral, smooth, self.gains.position, span)
         return thrust, torch.cat((integral, state.lin_vel, smooth), dim=-1)
 
-    def _rates_to(self, state: BodyState, wanted: Tensor, yaw_rate: Tensor) -> Tensor:
+    def _rate_setpoint(self, state: BodyState, wanted: Tensor, yaw_rate: Tensor) -> Tensor:
         gains = self.gains
-        return wanted_rates(
+        return rate_setpoint(
             state.attitude, wanted, yaw_rate, gain=gains.attitude, yaw_weight=gains.yaw_weight, limit=gains.rate_limit
         )
 
@@ -122,22 +122,22 @@ class Px4Controller(RememberingController):
         integral, ang_acc, before, inner, short, yaw, *notched = kept.split(sizes, dim=-1)
         rate = ang_vel
         for k, band in enumerate(filters.notches):
-            rate, notched[k] = filtered(rate, notched[k], begins, band)
+            rate, notched[k] = apply_filter(rate, notched[k], begins, band)
         if filters.gyro is None:
             inner = torch.zeros_like(inner)
         else:
-            rate, inner = filtered(rate, inner, begins, filters.gyro)
+            rate, inner = apply_filter(rate, inner, begins, filters.gyro)
         measured = torch.where(begins, 0.0, (rate - before) / span)
         ang_acc = ang_acc + filters.ang_acc * (measured - ang_acc)
         wanted, error = setpoint[:, 1:], setpoint[:, 1:] - rate
         torque = rate_torque(error, wanted, ang_acc, integral, (gains.rate, gains.rate_derivative, gains.rate_forward))
-        integral = grown_integral(integral, error, short, gains.rate_integral, gains.integral_limit, span)
+        integral = update_integral(integral, error, short, gains.rate_integral, gains.integral_limit, span)
         yaw = yaw + filters.yaw_torque * (torque[:, 2:] - yaw)
         torque = torch.cat((torque[:, :2], yaw), dim=-1)
-        thrust, short = self._mixed(torque, setpoint[:, :1])
+        thrust, short = self._mix(torque, setpoint[:, :1])
         return self._speeds(thrust), torch.cat((integral, ang_acc, rate, inner, short, yaw, *notched), dim=-1)
 
-    def _mixed(self, torque: Tensor, collective: Tensor) -> tuple[Tensor, Tensor]:
+    def _mix(self, torque: Tensor, collective: Tensor) -> tuple[Tensor, Tensor]:
         """Return thrusts [N], (E, R), for normalised torque and thrust, and the sign of unallocated torque, (E, 3)."""
         unit_torque, unit_thrust = self.gains.unit_torque, self.gains.unit_thrust
         if self._airmode is not None:
@@ -148,7 +148,7 @@ class Px4Controller(RememberingController):
             wanted = torch.cat((torque, collective), dim=-1)
             mixed = mix(columns, wanted, self.allocation.low / full, airmode=self._airmode)
             return mixed.signal * full, mixed.short
-        allotted = self.allocation.allot(wrench_from((collective * unit_thrust)[:, 0], torque * unit_torque))
+        allotted = self.allocation.allot(thrust_wrench((collective * unit_thrust)[:, 0], torque * unit_torque))
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
         return allotted.thrust, torch.where(given < 1.0, torch.sign(torque), 0.0)
 

@@ -28,14 +28,14 @@ YAW_MARGIN = 0.15
 """Excess over the upper limit, as a share of the motor's range, up to which yaw is kept and thrust reduced instead."""
 
 
-class Mixed(NamedTuple):
+class MixerOutput(NamedTuple):
     """Motor signals, and the signs of unallocated torque."""
 
     signal: Tensor  # Share of the full thrust, (E, R)
     short: Tensor  # Sign of the unallocated torque about each axis, (E, 3); 0 if all is allocated
 
 
-def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> Mixed:
+def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> MixerOutput:
     """Compute the motor signals of PX4's sequential desaturation.
 
     A motor that still exceeds a limit is clamped, and then no torque counts as allocated.
@@ -50,11 +50,11 @@ def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> Mixed:
 
     def make_room(signal: Tensor, axis: int, top: Tensor, *, only_less: bool = False) -> Tensor:
         column = columns[..., axis]
-        first = _room(signal, column, low, top)
+        first = _desaturation_gain(signal, column, low, top)
         if only_less:
             first = torch.where(first > 0.0, 0.0, first)
         moved = signal + first * column
-        second = 0.5 * _room(moved, column, low, top)
+        second = 0.5 * _desaturation_gain(moved, column, low, top)
         if only_less:
             second = torch.where(first == 0.0, 0.0, second)
         given[:, axis : axis + 1] += first + second
@@ -73,10 +73,10 @@ def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> Mixed:
     cut = torch.minimum(torch.maximum(signal, low), high)
     within = ((cut - signal).abs() <= NEGLIGIBLE).all(-1, keepdim=True)
     lost = torch.where(within, wanted - given, wanted)[:, :3]
-    return Mixed(cut, torch.where(lost.abs() > NEGLIGIBLE, lost.sign(), 0.0))
+    return MixerOutput(cut, torch.where(lost.abs() > NEGLIGIBLE, lost.sign(), 0.0))
 
 
-def _room(signal: Tensor, column: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def _desaturation_gain(signal: Tensor, column: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return PX4's desaturation gain (E, 1): the multiple of ``column`` that removes the limit violation, or balances two."""
     beyond = torch.minimum(torch.maximum(signal, low), high) - signal
     strong = column.abs() >= WEAK
@@ -95,7 +95,7 @@ def make_mixer(num_rotors: int, general: bool, airmode: int) -> wp.Function:
     columns_type = wp.types.matrix(shape=(4, num_rotors), dtype=wp.float32)
 
     @wp.func
-    def room(signal: vector, column: vector, low: vector, margin: float) -> float:
+    def desaturation_gain(signal: vector, column: vector, low: vector, margin: float) -> float:
         least = wp.float32(0.0)
         most = wp.float32(0.0)
         for i in range(wp.static(num_rotors)):
@@ -106,33 +106,33 @@ def make_mixer(num_rotors: int, general: bool, airmode: int) -> wp.Function:
         return least + most
 
     @wp.func
-    def way(signal: vector, column: vector, low: vector, margin: float, only_less: bool) -> float:
-        first = room(signal, column, low, margin)
+    def desaturation_step(signal: vector, column: vector, low: vector, margin: float, only_less: bool) -> float:
+        first = desaturation_gain(signal, column, low, margin)
         if only_less and first >= 0.0:
             return 0.0
-        return first + 0.5 * room(signal + first * column, column, low, margin)
+        return first + 0.5 * desaturation_gain(signal + first * column, column, low, margin)
 
     @wp.func
-    def spread(columns: columns_type, low: vector, wanted: wp.vec4):
+    def desaturate(columns: columns_type, low: vector, wanted: wp.vec4):
         signal = vector()
         moved = wp.vec4()
         for axis in range(4):
             if wp.static(airmode == 2) or axis != wp.static(YAW):
                 signal += wanted[axis] * columns[axis]
-        moved[THRUST] = way(signal, columns[THRUST], low, 0.0, wp.static(airmode == 0))
+        moved[THRUST] = desaturation_step(signal, columns[THRUST], low, 0.0, wp.static(airmode == 0))
         signal += moved[THRUST] * columns[THRUST]
         if wp.static(airmode == 0):
             for axis in range(2):
-                moved[axis] = way(signal, columns[axis], low, 0.0, False)
+                moved[axis] = desaturation_step(signal, columns[axis], low, 0.0, False)
                 signal += moved[axis] * columns[axis]
         margin = 0.0
         if wp.static(airmode != 2):
             signal += wanted[YAW] * columns[YAW]
             margin = wp.static(YAW_MARGIN)
-        moved[YAW] = way(signal, columns[YAW], low, margin, False)
+        moved[YAW] = desaturation_step(signal, columns[YAW], low, margin, False)
         signal += moved[YAW] * columns[YAW]
         if wp.static(airmode != 2):
-            signal += way(signal, columns[THRUST], low, 0.0, True) * columns[THRUST]
+            signal += desaturation_step(signal, columns[THRUST], low, 0.0, True) * columns[THRUST]
         return signal, moved
 
     @wp.func
@@ -155,7 +155,7 @@ def make_mixer(num_rotors: int, general: bool, airmode: int) -> wp.Function:
                 inside = False
         short = wp.vec3()
         if not inside:
-            signal, moved = spread(columns, low, wanted)
+            signal, moved = desaturate(columns, low, wanted)
             cut = bool(False)  # noqa: UP018
             for i in range(wp.static(num_rotors)):
                 if wp.abs(wp.clamp(signal[i], low[i], 1.0) - signal[i]) > NEGLIGIBLE:

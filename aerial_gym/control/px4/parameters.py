@@ -14,7 +14,7 @@ from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import Biquad, butterworth, notch
-from aerial_gym.control.gains import gains_for, spacing_of
+from aerial_gym.control.gains import loop_spacing, make_gains
 from aerial_gym.control.px4.position import PositionGains
 from aerial_gym.control.px4.rates import smoothing
 from aerial_gym.control.timing import Timing
@@ -106,7 +106,7 @@ def thrust_curve(share: Tensor, factor: float) -> Tensor:
     return (middle**2 + share.clamp_min(0.0) / factor).sqrt() - middle
 
 
-def parameters_of(
+def derive_parameters(
     cfg: ControllerCfg, px4: Px4Cfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
     timing: Timing,
 ) -> Px4Gains:  # fmt: skip
@@ -119,12 +119,12 @@ def parameters_of(
     Raises:
         ConfigError: If the limits exclude hover thrust.
     """
-    base = gains_for(
+    base = make_gains(
         cfg, control, vehicle, allocation, gravity=gravity, dt=timing.loop * timing.dt, extra_lag=timing.extra_lag
     )
     _require_lift(cfg.law, allocation)
     torque, thrust = unit_wrench(allocation)
-    inertia, slow = vehicle.inertia[0].diagonal(), spacing_of(control.phase_margin) ** 2
+    inertia, slow = vehicle.inertia[0].diagonal(), loop_spacing(control.phase_margin) ** 2
     rate = base.rate[0]
     turns = (rate > 0.0) & (torque > 0.0)
     some, unit = torch.where(turns, rate, 1.0), torch.where(turns, torque, 1.0)
@@ -140,7 +140,7 @@ def parameters_of(
 
     def of_rate(name: str, derived: Tensor | None = None) -> Tensor:
         named = [getattr(px4, f"MC_{axis}RATE_{name}") for axis in _AXES]
-        return row(_given(named, derived)) * row(scale) if name != "FF" else row(named)
+        return row(_explicit_or_derived(named, derived)) * row(scale) if name != "FF" else row(named)
 
     velocity, position = base.velocity[0], base.position[0] / base.velocity[0]
     return Px4Gains(
@@ -148,8 +148,8 @@ def parameters_of(
         rate_integral=of_rate("I", known["I"]),
         rate_derivative=of_rate("D"),
         rate_forward=of_rate("FF"),
-        integral_limit=row(_given([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
-        attitude=row(_given([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
+        integral_limit=row(_explicit_or_derived([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
+        attitude=row(_explicit_or_derived([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
         rate_limit=row([radians(getattr(px4, f"MC_{axis}RATE_MAX")) for axis in _AXES]),
         yaw_weight=row([px4.MC_YAW_WEIGHT]),
         unit_torque=row(torque),
@@ -171,11 +171,11 @@ def _position_gains(
     px4: Px4Cfg, row: Row, position: Tensor, velocity: Tensor, slow: float, *, hover: float, tilt: float,
     gravity: float,
 ) -> PositionGains:  # fmt: skip
-    def of(name: str, derived: Tensor | None = None) -> Tensor:
+    def axis_values(name: str, derived: Tensor | None = None) -> Tensor:
         flat, up = (getattr(px4, f"MPC_{axis}_{name}") for axis in ("XY", "Z"))
-        return _given([flat, flat, up], derived)
+        return _explicit_or_derived([flat, flat, up], derived)
 
-    speed, reach = of("VEL_P_ACC", velocity), of("P", position)
+    speed, reach = axis_values("VEL_P_ACC", velocity), axis_values("P", position)
     least = min(LEAST_THRUST, LEAST_SHARE * hover) if px4.MPC_THR_MIN is None else px4.MPC_THR_MIN
     if not least < hover < px4.MPC_THR_MAX:
         raise ConfigError(
@@ -185,8 +185,8 @@ def _position_gains(
     return PositionGains(
         position=row(reach),
         velocity=row(speed),
-        integral=row(of("VEL_I_ACC", speed.to(reach) * reach / slow)),
-        derivative=row(of("VEL_D_ACC")),
+        integral=row(axis_values("VEL_I_ACC", speed.to(reach) * reach / slow)),
+        derivative=row(axis_values("VEL_D_ACC")),
         speed=row([px4.MPC_XY_VEL_MAX]),
         up=row([px4.MPC_Z_VEL_MAX_UP]),
         down=row([px4.MPC_Z_VEL_MAX_DN]),
@@ -213,7 +213,7 @@ def _hover_thrust(px4: Px4Cfg, vehicle: Vehicle, allocation: Allocation, gravity
     return float((share * rotor_thrust(vehicle, vehicle.speed_high)[0]).sum()) / unit
 
 
-def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
+def make_filters(px4: Px4Cfg, timing: Timing) -> Px4Filters:
     """Make the filters for their rates.
 
     Raises:
@@ -238,7 +238,7 @@ def filters_of(px4: Px4Cfg, timing: Timing) -> Px4Filters:
     )
 
 
-def _given(named: list[float | None], derived: Tensor | None = None) -> Tensor:
+def _explicit_or_derived(named: list[float | None], derived: Tensor | None = None) -> Tensor:
     """Return the given numbers, with derived ones in place of None, (3,)."""
     if derived is None:
         return torch.tensor(named, dtype=torch.float64)

@@ -30,13 +30,13 @@ class PositionGains:
     gravity: Tensor  # Gravity at hover thrust [m/s²]
 
 
-def limited_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:
+def limit_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:
     """Limit a velocity setpoint [m/s], world, (E, 3), in horizontal speed, climb and descent."""
     rise = torch.minimum(torch.maximum(velocity[:, 2:], -gains.down), gains.up)
-    return torch.cat((_within(velocity[:, :2], gains.speed), rise), dim=-1)
+    return torch.cat((_limit_length(velocity[:, :2], gains.speed), rise), dim=-1)
 
 
-def _within(vector: Tensor, most: Tensor) -> Tensor:
+def _limit_length(vector: Tensor, most: Tensor) -> Tensor:
     """Limit a vector (E, 2) to a length."""
     length = vector.norm(dim=-1, keepdim=True)
     return torch.where(length > most, vector / torch.where(length > most, length, 1.0) * most, vector)
@@ -62,14 +62,14 @@ def velocity_control(
         for PID controllers.
     """
     wanted = error * gains.velocity + integral - acceleration * gains.derivative
-    asked = thrust_of(wanted, gains)
+    asked = thrust_setpoint(wanted, gains)
     low, high = asked[:, 2:] <= gains.least_thrust, asked[:, 2:] >= gains.most_thrust
     rise, drift = error[:, 2:], error[:, :2]
     rise = torch.where((low & (rise <= 0.0)) | (high & (rise >= 0.0)), 0.0, rise)
     kept = torch.minimum(asked[:, :2].norm(dim=-1, keepdim=True), gains.margin)
     up = torch.minimum(asked[:, 2:], (gains.most_thrust**2 - kept.square()).sqrt())
     left = (gains.most_thrust**2 - up.square()).clamp_min(0.0)
-    lateral = _within(asked[:, :2], torch.where(left > 0.0, left, 1.0).sqrt() * (left > 0.0))
+    lateral = _limit_length(asked[:, :2], torch.where(left > 0.0, left, 1.0).sqrt() * (left > 0.0))
     made, meant = lateral * (gains.gravity / gains.hover), wanted[:, :2]
     short = meant.square().sum(-1, keepdim=True) > made.square().sum(-1, keepdim=True)
     drift = drift - torch.where(short, 2.0 / gains.velocity[:, :1] * (meant - made), 0.0)
@@ -79,7 +79,7 @@ def velocity_control(
     return wanted, torch.cat((lateral, up), dim=-1), integral
 
 
-def thrust_of(acceleration: Tensor, gains: PositionGains) -> Tensor:
+def thrust_setpoint(acceleration: Tensor, gains: PositionGains) -> Tensor:
     """Return the thrust setpoint (E, 3), world, along ``(a_x, a_y, g)``, with the vertical part that carries the vehicle.
 
     Args:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from aerial_gym.control.cascade_fused import make_allot, make_remembering, make_two_levels
+from aerial_gym.control.cascade_fused import make_allot, make_stateful_step, make_two_levels
 from aerial_gym.control.filters.biquad_fused import make_filter
 from aerial_gym.control.lee_fused import from_vehicle_frame, inverse_cos_pitch, read_vec3, write_vec3
 from aerial_gym.control.px4.mixer import make_mixer
@@ -18,14 +18,14 @@ from aerial_gym.control.px4.rates import FADING_RATE, RATE_NUMBERS
 from aerial_gym.control.reduced_attitude_fused import tilt_first_error
 from aerial_gym.control.timing import Timing
 from aerial_gym.math.warp_functions import world_up
-from aerial_gym.physics.fused.command import make_speed_of
+from aerial_gym.physics.fused.command import make_speed_command
 from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.fused.memory import LawArrays
 from aerial_gym.physics.fused.types import rotor_types
 
 if TYPE_CHECKING:
     from aerial_gym.control.px4.parameters import Px4Filters
-    from aerial_gym.control.remembering import Layout
+    from aerial_gym.control.stateful import MemoryLayout
 
 
 @wp.struct
@@ -58,7 +58,7 @@ class Px4Rows:
 
 
 @wp.func
-def within(vector: wp.vec2, most: float) -> wp.vec2:
+def limit_length(vector: wp.vec2, most: float) -> wp.vec2:
     """Limit a vector to a length."""
     length = wp.length(vector)
     shortened = vector
@@ -68,8 +68,8 @@ def within(vector: wp.vec2, most: float) -> wp.vec2:
 
 
 @wp.func
-def wanted_rates(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: float) -> wp.vec3:
-    """Return the Warp version of ``attitude.wanted_rates`` [rad/s], body."""
+def rate_setpoint(gains: Px4Rows, attitude: wp.quat, wanted: wp.quat, yaw_rate: float) -> wp.vec3:
+    """Return the Warp version of ``attitude.rate_setpoint`` [rad/s], body."""
     error = tilt_first_error(attitude, wanted, gains.yaw_weight)
     gain = wp.vec3(gains.attitude[0], gains.attitude[1], gains.attitude[2] / gains.yaw_weight)
     rates = 2.0 * wp.cw_mul(gain, error) + yaw_rate * world_up(attitude)
@@ -85,8 +85,8 @@ def attitude_from_thrust(thrust: wp.vec3, cosine: float, sine: float) -> wp.quat
 
 
 @wp.func
-def thrust_of(acceleration: wp.vec3, gains: Px4Rows) -> wp.vec3:
-    """Return the Warp version of ``position.thrust_of`` [-], world."""
+def thrust_setpoint(acceleration: wp.vec3, gains: Px4Rows) -> wp.vec3:
+    """Return the Warp version of ``position.thrust_setpoint`` [-], world."""
     axis = wp.normalize(wp.vec3(acceleration[0], acceleration[1], gains.gravity))
     flat = wp.sqrt(axis[0] * axis[0] + axis[1] * axis[1])
     if flat > wp.sin(gains.tilt):
@@ -100,7 +100,7 @@ def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
     """Return the Warp version of ``controller.Px4Controller._thrust``; its memory starts at ``first``."""
 
     @wp.func
-    def thrust_for(
+    def velocity_thrust(
         gains: Px4Rows, wanted: wp.vec3, lin_vel: wp.vec3, arrays: LawArrays, env: int, since: int, dt: float
     ) -> wp.vec3:
         span = wp.static(float(span_steps)) * dt
@@ -110,10 +110,10 @@ def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
         if since > 0:
             measured = (lin_vel - read_vec3(arrays.numbers, wp.static(first + 3), env)) / span
         smooth += wp.static(alpha) * (measured - smooth)
-        flat = within(wp.vec2(wanted[0], wanted[1]), gains.speed)
+        flat = limit_length(wp.vec2(wanted[0], wanted[1]), gains.speed)
         error = wp.vec3(flat[0], flat[1], wp.clamp(wanted[2], -gains.down, gains.up)) - lin_vel
         acceleration = wp.cw_mul(error, gains.velocity) + integral - wp.cw_mul(smooth, gains.derivative)
-        asked = thrust_of(acceleration, gains)
+        asked = thrust_setpoint(acceleration, gains)
         rise = error[2]
         if (asked[2] <= gains.least_thrust and rise <= 0.0) or (asked[2] >= gains.most_thrust and rise >= 0.0):
             rise = 0.0
@@ -121,7 +121,7 @@ def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
         most = gains.most_thrust * gains.most_thrust
         kept = wp.min(wp.length(lateral), gains.margin)
         up = wp.min(asked[2], wp.sqrt(most - kept * kept))
-        lateral = within(lateral, wp.sqrt(wp.max(most - up * up, 0.0)))
+        lateral = limit_length(lateral, wp.sqrt(wp.max(most - up * up, 0.0)))
         made = lateral * (gains.gravity / gains.hover)
         meant = wp.vec2(acceleration[0], acceleration[1])
         drift = wp.vec2(error[0], error[1])
@@ -134,10 +134,10 @@ def make_thrust(alpha: float, span_steps: int, first: int) -> wp.Function:
         write_vec3(arrays.numbers, wp.static(first + 6), env, smooth)
         return wp.vec3(lateral[0], lateral[1], up)
 
-    return thrust_for
+    return velocity_thrust
 
 
-def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp.Function:
+def make_setpoint(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp.Function:
     """Return the Warp version of ``controller.Px4Controller._outer``: from an action to thrust [-] and body rates [rad/s]."""
     thrust_for = make_thrust(filters.acceleration, timing.law, first)
 
@@ -149,7 +149,7 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
         wanted = wp.cw_mul(gains.position, wp.vec3(action[0], action[1], action[2]) - position)
         thrust = thrust_for(gains, wanted, lin_vel, arrays, env, since, dt)
         goal = attitude_from_thrust(thrust, wp.cos(action[3]), wp.sin(action[3]))
-        rates = wanted_rates(gains, attitude, goal, 0.0)
+        rates = rate_setpoint(gains, attitude, goal, 0.0)
         return wp.vec4(wp.length(thrust), rates[0], rates[1], rates[2])
 
     @wp.func
@@ -162,7 +162,7 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
         forward = from_vehicle_frame(attitude, inverse, wp.vec3(1.0, 0.0, 0.0))
         wanted = from_vehicle_frame(attitude, inverse, wp.vec3(action[0], action[1], action[2]))
         thrust = thrust_for(gains, wanted, lin_vel, arrays, env, since, dt)
-        rates = wanted_rates(gains, attitude, attitude_from_thrust(thrust, forward[0], forward[1]), action[3])
+        rates = rate_setpoint(gains, attitude, attitude_from_thrust(thrust, forward[0], forward[1]), action[3])
         return wp.vec4(wp.length(thrust), rates[0], rates[1], rates[2])
 
     @wp.func
@@ -175,7 +175,7 @@ def make_wish(law: str, filters: "Px4Filters", timing: Timing, first: int) -> wp
         turn = wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), yaw)
         pitched = turn * wp.quat_from_axis_angle(wp.vec3(0.0, 1.0, 0.0), action[2])
         goal = pitched * wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), action[1])
-        rates = wanted_rates(gains, attitude, goal, action[3])
+        rates = rate_setpoint(gains, attitude, goal, action[3])
         return wp.vec4((action[0] + 1.0) * gains.hover, rates[0], rates[1], rates[2])
 
     @wp.func
@@ -208,7 +208,7 @@ def make_rates(
     """Return the Warp version of ``controller.Px4Controller._rates``."""
     types = rotor_types(num_rotors, general)
     command_type, vector, period = types.command, types.vector, float(timing.loop)
-    mixed, gyro = make_mixed(law, num_rotors, general, airmode), make_gyro(filters, RATE_NUMBERS)
+    mixed, gyro = make_mix(law, num_rotors, general, airmode), make_gyro(filters, RATE_NUMBERS)
     speed_of = make_motors(num_rotors, general, factor)
     ang_acc_share, yaw_share, fading = filters.ang_acc, filters.yaw_torque, FADING_RATE
 
@@ -248,14 +248,16 @@ def make_rates(
     return run_loop
 
 
-def make_mixed(law: FusedLaw, num_rotors: int, general: bool, airmode: int | None) -> wp.Function:
+def make_mix(law: FusedLaw, num_rotors: int, general: bool, airmode: int | None) -> wp.Function:
     """Return the Warp version of ``controller.Px4Controller._mixed``."""
     if airmode is not None:
         return make_mixer(num_rotors, general, airmode)
     command_type, allot = rotor_types(num_rotors, general).command, make_allot(law, num_rotors, general)
 
     @wp.func
-    def allotted(params: command_type, unit_torque: wp.vec3, unit_thrust: float, torque: wp.vec3, collective: float):
+    def allocate_wrench(
+        params: command_type, unit_torque: wp.vec3, unit_thrust: float, torque: wp.vec3, collective: float
+    ):
         turning = wp.cw_mul(torque, unit_torque)
         thrust, turn, rest = allot(
             params, wp.spatial_vector(0.0, 0.0, collective * unit_thrust, turning[0], turning[1], turning[2])
@@ -267,19 +269,19 @@ def make_mixed(law: FusedLaw, num_rotors: int, general: bool, airmode: int | Non
                 short[i] = wp.sign(torque[i])
         return thrust, short
 
-    return allotted
+    return allocate_wrench
 
 
 def make_motors(num_rotors: int, general: bool, factor: float | None) -> wp.Function:
     """Return the Warp version of ``controller.Px4Controller._speeds``."""
     types = rotor_types(num_rotors, general)
-    command_type, vector, known = types.command, types.vector, make_speed_of(num_rotors, general)
+    command_type, vector, known = types.command, types.vector, make_speed_command(num_rotors, general)
     if factor is None:
         return known
     linear, middle, part = factor == 0.0, (1.0 - factor) / (2.0 * max(factor, 1e-6)), 1.0 / max(factor, 1e-6)
 
     @wp.func
-    def believed(params: command_type, thrust: vector) -> vector:
+    def model_speed(params: command_type, thrust: vector) -> vector:
         low = known(params, params.low)
         high = known(params, params.high)
         speed = vector()
@@ -290,14 +292,14 @@ def make_motors(num_rotors: int, general: bool, factor: float | None) -> wp.Func
             speed[i] = low[i] + (high[i] - low[i]) * signal
         return speed
 
-    return believed
+    return model_speed
 
 
 def maker(
     law_name: str,
     filters: "Px4Filters",
     timing: Timing,
-    layout: "Layout",
+    layout: "MemoryLayout",
     *,
     first: int,
     factor: float | None,
@@ -312,9 +314,9 @@ def maker(
     """
 
     def make(law: FusedLaw, num_rotors: int, general: bool) -> wp.Function:
-        wish = make_wish(law_name, filters, timing, first)
+        wish = make_setpoint(law_name, filters, timing, first)
         run_loop = make_rates(law, num_rotors, general, filters, timing, factor, airmode)
         run = make_two_levels(law, num_rotors, general, timing, wish, run_loop)
-        return make_remembering(law, num_rotors, general, timing, layout, run)
+        return make_stateful_step(law, num_rotors, general, timing, layout, run)
 
     return make

@@ -33,7 +33,7 @@ def rate_torque(
     return proportional * error + integral - derivative * ang_acc + forward * wanted
 
 
-def grown_integral(integral: Tensor, error: Tensor, short: Tensor, gain: Tensor, limit: Tensor, dt: float) -> Tensor:
+def update_integral(integral: Tensor, error: Tensor, short: Tensor, gain: Tensor, limit: Tensor, dt: float) -> Tensor:
     """Return the integral [-], (E, 3), after a run: it slows with the error and stops for unallocated torque.
 
     Args:

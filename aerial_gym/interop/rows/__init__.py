@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.rows.function import Made, RowFunction, RowWork
+    from aerial_gym.interop.rows.function import KernelInput, RowFunction, RowWork
     from aerial_gym.interop.rows.gradient import DifferentiableRows
-    from aerial_gym.interop.rows.masked import MaskedRows
-    from aerial_gym.interop.rows.tracing import UntraceableError, trace
+    from aerial_gym.interop.rows.row_trace import UntraceableError, trace
+    from aerial_gym.interop.rows.row_update import RowUpdate
 
-__all__ = ["DifferentiableRows", "Made", "MaskedRows", "RowFunction", "RowWork", "UntraceableError", "trace"]
+__all__ = ["DifferentiableRows", "KernelInput", "RowFunction", "RowUpdate", "RowWork", "UntraceableError", "trace"]
 
 __getattr__, __dir__ = exports(__name__, __file__)

@@ -12,9 +12,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop.launches import compile_ahead, on_torch_stream, wait_for
+from aerial_gym.interop.launches import compile_ahead, on_torch_stream, wait_for_kernel
+from aerial_gym.interop.rows.row_trace import trace
 from aerial_gym.interop.rows.source import WARP_TYPES, write
-from aerial_gym.interop.rows.tracing import trace
 from aerial_gym.interop.streams import BLOCK_DIM, start_warp
 
 _kernels: dict[str, wp.Kernel] = {}
@@ -22,7 +22,7 @@ _kernels: dict[str, wp.Kernel] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Made:
+class KernelInput:
     """An input that the kernel computes in each row, by straight-line code."""
 
     lines: tuple[str, ...]  # Warp code that computes `made_0`, `made_1`, ... of `row` from `given`
@@ -49,7 +49,7 @@ class RowFunction:
         inputs: Sequence[Tensor],
         *,
         masked: bool = False,
-        made: Made | None = None,
+        made: KernelInput | None = None,
         beside: RowWork | None = None,
         lifts: bool = False,
         fresh: bool = False,
@@ -129,7 +129,7 @@ class RowFunction:
         """Wait for the kernel on a device, and return the Warp device."""
         target = wp.device_from_torch(device)
         if not self._ready:
-            wait_for(self.kernel, target, block_dim=self._block_dim)
+            wait_for_kernel(self.kernel, target, block_dim=self._block_dim)
             self._ready = True
         return target
 
@@ -167,7 +167,7 @@ def _as_rows(tensor: Tensor, *, shared: bool = False, passing: bool = False) -> 
     return wp.from_torch(view, dtype=kind, requires_grad=False, return_ctype=passing)
 
 
-def _kernel(code: str, names: dict[str, Any], made: Made | None, beside: RowWork | None) -> wp.Kernel:
+def _kernel(code: str, names: dict[str, Any], made: KernelInput | None, beside: RowWork | None) -> wp.Kernel:
     """Return the kernel of a source, with the same name in every process, so that Warp's cache finds it."""
     more: dict[str, Any] = {}
     if made is not None:

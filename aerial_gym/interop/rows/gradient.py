@@ -71,9 +71,9 @@ def _pullback(
                 if results[i].requires_grad
             ]
             ends, seeds = zip(*pairs, strict=True)
-            found = torch.autograd.grad(ends, [inputs[i] for i in wanted], seeds, allow_unused=True)
+            input_grads = torch.autograd.grad(ends, [inputs[i] for i in wanted], seeds, allow_unused=True)
         none = [torch.zeros_like(given[i]) for i in wanted]
-        return tuple(zero if grad is None else grad for grad, zero in zip(found, none, strict=True))
+        return tuple(zero if grad is None else grad for grad, zero in zip(input_grads, none, strict=True))
 
     return back
 
@@ -94,5 +94,5 @@ class _Rows(torch.autograd.Function):
         rows = ctx.rows
         inputs = ctx.saved_tensors[: rows._num_inputs]
         given = [tensor.contiguous() for tensor in (*inputs, *(grads[i] for i in rows._pulled))]
-        found = dict(zip(rows._wanted, rows._back(*given), strict=True))
-        return (None, *(found.get(i) for i in range(len(inputs))))
+        input_grads = dict(zip(rows._wanted, rows._back(*given), strict=True))
+        return (None, *(input_grads.get(i) for i in range(len(inputs))))

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 if TYPE_CHECKING:
-    from aerial_gym.interop.rows.tracing import Trace
+    from aerial_gym.interop.rows.row_trace import Trace
 
 MOVES = frozenset(
     [
@@ -156,7 +156,7 @@ def _plain(kind: str) -> Callable[["Trace", tuple[int, ...], torch.dtype], int]:
     return lambda into, row, dtype: into.number(_OF_TRUTHS.get(kind, kind) if dtype == torch.bool else kind, row, dtype)
 
 
-def _scaled(kind: str) -> Pointwise:
+def _alpha_operation(kind: str) -> Pointwise:
     """``add`` and ``sub`` with their factor ``alpha``."""
 
     def arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
@@ -172,7 +172,7 @@ def _scaled(kind: str) -> Pointwise:
     return Pointwise(make=make, arguments=arguments, known=frozenset({"alpha"}))
 
 
-def _reversed_sub() -> Pointwise:
+def _right_subtraction() -> Pointwise:
     return Pointwise(
         make=lambda into, row, dtype: into.number("sub", (row[1], row[0]), dtype),
         arguments=lambda args, kwargs: args[:2],
@@ -197,7 +197,7 @@ def _clamp(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
     return value, -inf if low is None else low, inf if high is None else high
 
 
-def _limited(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
+def _limit(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     value, low, high = row
     for kind, limit in (("maximum", low), ("minimum", high)):
         scalar = into.scalars[limit]
@@ -210,11 +210,11 @@ def _same(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     return row[0]
 
 
-def _filled(value: float) -> Arguments:
+def _fill(value: float) -> Arguments:
     return lambda args, kwargs: (value,)
 
 
-def _where(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
+def _select_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
     if len(args) < 3:
         raise ValueError("torch.where needs three arguments")
     return args
@@ -225,7 +225,7 @@ def _choice(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     return into.number("where", (condition, into.cast(yes, dtype), into.cast(no, dtype)), dtype)
 
 
-def _masked(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
+def _mask_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
     return args[1], args[2], args[0]
 
 
@@ -244,22 +244,22 @@ POINTWISE: dict[str, Pointwise] = {
     "bitwise_xor": Pointwise(make=_plain("ne"), inside=_BOOL),
     "isnan": Pointwise(make=_plain("isnan"), types=(None,)),
     "isfinite": Pointwise(make=_plain("isfinite"), types=(None,)),
-    "add": _scaled("add"),
-    "sub": _scaled("sub"),
-    "rsub": _reversed_sub(),
+    "add": _alpha_operation("add"),
+    "sub": _alpha_operation("sub"),
+    "rsub": _right_subtraction(),
     "pow": Pointwise(make=_power),
     "square": Pointwise(make=lambda into, row, dtype: into.number("mul", (row[0], row[0]), dtype)),
-    "clamp": Pointwise(make=_limited, arguments=_clamp, known=frozenset({"min", "max"})),
-    "clamp_min": Pointwise(make=_limited, arguments=lambda args, kwargs: (*args[:2], inf)),
-    "clamp_max": Pointwise(make=_limited, arguments=lambda args, kwargs: (args[0], -inf, args[1])),
+    "clamp": Pointwise(make=_limit, arguments=_clamp, known=frozenset({"min", "max"})),
+    "clamp_min": Pointwise(make=_limit, arguments=lambda args, kwargs: (*args[:2], inf)),
+    "clamp_max": Pointwise(make=_limit, arguments=lambda args, kwargs: (args[0], -inf, args[1])),
     "sgn": Pointwise(make=_plain("sign"), floats=True),
-    "relu": Pointwise(make=_limited, arguments=lambda args, kwargs: (args[0], 0.0, inf)),
-    "where": Pointwise(make=_choice, arguments=_where, types=(_BOOL, None, None)),
-    "masked_fill": Pointwise(make=_choice, arguments=_masked, types=(_BOOL, None, None)),
+    "relu": Pointwise(make=_limit, arguments=lambda args, kwargs: (args[0], 0.0, inf)),
+    "where": Pointwise(make=_choice, arguments=_select_arguments, types=(_BOOL, None, None)),
+    "masked_fill": Pointwise(make=_choice, arguments=_mask_arguments, types=(_BOOL, None, None)),
     "_to_copy": Pointwise(make=_same, arguments=lambda args, kwargs: args[:1], known=_LIKE),
     "full_like": Pointwise(make=_same, arguments=lambda args, kwargs: (args[1],), known=_LIKE),
     **{
-        name: Pointwise(make=_same, arguments=_filled(value), known=_LIKE)
+        name: Pointwise(make=_same, arguments=_fill(value), known=_LIKE)
         for name, value in (("zeros_like", 0.0), ("ones_like", 1.0), ("new_zeros", 0.0), ("new_ones", 1.0))
     },
 }

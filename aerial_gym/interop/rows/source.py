@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from aerial_gym.interop.rows.operations import CODE
-from aerial_gym.interop.rows.tracing import Scalar, Trace
+from aerial_gym.interop.rows.row_trace import Scalar, Trace
 from aerial_gym.interop.rows.transport import LARGEST, MOST_STAGED, load_row_4, store_row
 
 WARP_TYPES = {
@@ -41,7 +41,7 @@ def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), besid
         beside: Whether it runs with twice as many threads as rows; the second half calls ``beside(row, other)`` with
             ``other``: ``beside_type``. Only with a mask, whose length is the number of rows.
     """
-    needed = _needed(trace)
+    needed = _dependencies(trace)
     kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
     if made:
         kinds.pop(0, None)
@@ -85,18 +85,18 @@ _BESIDE = """\
 """
 
 
-def _needed(trace: Trace) -> list[int]:
+def _dependencies(trace: Trace) -> list[int]:
     """Return the indices of scalars on which outputs depend, in order."""
-    found: set[int] = set()
+    dependencies: set[int] = set()
     ahead = [n for numbers, _, _ in trace.outputs for n in numbers]
     while ahead:
         number = ahead.pop()
-        if number not in found:
-            found.add(number)
+        if number not in dependencies:
+            dependencies.add(number)
             scalar = trace.scalars[number]
             if scalar.kind not in ("input", "shared", "constant"):
                 ahead += [int(n) for n in scalar.args]
-    return sorted(found)
+    return sorted(dependencies)
 
 
 def _array(dtype: torch.dtype, rows: bool) -> str:

@@ -67,7 +67,7 @@ _LOAD_4 = """
 """
 
 
-def _filled(snippet: str, *, inner: str, plain: str, kind: str = "") -> str:
+def _fill_template(snippet: str, *, inner: str, plain: str, kind: str = "") -> str:
     """Fill in a snippet: ``inner`` is the stride within a row [bytes], ``plain`` the portable code."""
     return snippet.replace("INNER", inner).replace("PLAIN", plain).replace("{KIND}", kind)
 
@@ -76,19 +76,21 @@ _EACH = "for (int i = 0; i < {}; ++i) "
 
 
 @wp.func_native(
-    _filled(_STORE, inner="out.strides[1]", plain=_EACH.format("count") + "*wp::address(out, row, i) = value[i];")
+    _fill_template(
+        _STORE, inner="out.strides[1]", plain=_EACH.format("count") + "*wp::address(out, row, i) = value[i];"
+    )
 )
 def store_row(out: wp.array2d[wp.float32], row: int, value: Any):
     """Write a row; the vector has the width of a row."""
 
 
-@wp.func_native(_filled(_STORE, inner="4", plain="*wp::address(out, row) = value;"))
+@wp.func_native(_fill_template(_STORE, inner="4", plain="*wp::address(out, row) = value;"))
 def store_vector(out: wp.array[Any], row: int, value: Any):
     """Write a vector or quaternion."""
 
 
 @wp.func_native(
-    _filled(
+    _fill_template(
         _LOAD_4,
         inner="source.strides[1]",
         kind="wp::vec_t<4, float>",
@@ -99,6 +101,6 @@ def load_row_4(source: wp.array2d[wp.float32], row: int) -> wp.vec4:  # pyright:
     """Return a row of four numbers."""
 
 
-@wp.func_native(_filled(_LOAD_4, inner="4", kind="wp::quat_t<float>", plain="return *wp::address(source, row);"))
+@wp.func_native(_fill_template(_LOAD_4, inner="4", kind="wp::quat_t<float>", plain="return *wp::address(source, row);"))
 def load_quat(source: wp.array[wp.quat], row: int) -> wp.quat:  # pyright: ignore[reportReturnType]
     """Return a quaternion."""

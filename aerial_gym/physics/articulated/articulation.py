@@ -14,8 +14,8 @@ from aerial_gym.config.joint import DRIVE_MODES, JointCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp
-from aerial_gym.physics.articulated.free_motion import check_motions
-from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, Limits, Spring, dry_friction
+from aerial_gym.physics.articulated.joint_laws import Creep, Drive, JointLaw, JointLimits, Spring, dry_friction
+from aerial_gym.physics.articulated.motion_check import check_motions
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
@@ -37,7 +37,7 @@ class Articulation:
     spring: Spring  # Passive law of every joint, tensors (1, D)
     friction: Tensor  # Dry friction of every joint [N m], (1, D)
     rubs: bool  # Whether any joint has dry friction
-    ends: Limits  # Soft ends of every joint, tensors (1, D)
+    ends: JointLimits  # Soft ends of every joint, tensors (1, D)
     creep_stiffness: Tensor  # Stiffness of the creep elements, (N, D); zero for missing elements of a joint
     creep_time: Tensor  # Their time constants [s], (N, D)
     drive_gains: Tensor  # Stiffness, damping and largest effort of each drive, (C, 3)
@@ -57,12 +57,12 @@ class Articulation:
         """Number C of joints with a drive."""
         return len(self.driven)
 
-    def rotors_of(self, link: int) -> tuple[int, ...]:
+    def link_rotors(self, link: int) -> tuple[int, ...]:
         """Return the indices of the rotors on a link."""
         return tuple(rotor for rotor, place in enumerate(self.rotor_links) if place == link)
 
     @property
-    def looks_ahead(self) -> bool:
+    def solves_limits(self) -> bool:
         """Whether a step solves for drives within their limits or for dry friction."""
         return bool(self.driven) or self.rubs
 
@@ -74,14 +74,14 @@ class Articulation:
     def to(self, like: Tensor) -> "Articulation":
         """Return the articulation with float type and device of ``like``."""
 
-        def moved(value: object) -> object:
+        def move_tensor(value: object) -> object:
             if isinstance(value, Tensor):
                 return value.to(like)
-            if isinstance(value, (Spring, Limits)):
+            if isinstance(value, (Spring, JointLimits)):
                 return replace(value, **{name: rows.to(like) for name, rows in vars(value).items()})
             return value
 
-        return replace(self, **{name: moved(value) for name, value in vars(self).items() if name != "tree"})
+        return replace(self, **{name: move_tensor(value) for name, value in vars(self).items() if name != "tree"})
 
     def links(self, vehicle: Vehicle) -> Links:
         """Return the masses of links for a whole vehicle with those of ``vehicle`` in its reference pose, (E, L, ...).
@@ -93,8 +93,8 @@ class Articulation:
         carried = self.link_mass.sum()
         own = mass - carried
         first = (mass.unsqueeze(-1) * com - self.link_mass @ self.link_com) / own.unsqueeze(-1)
-        about = inertia - _shifted(self.link_inertia, self.link_mass, self.link_com - com.unsqueeze(1)).sum(1)
-        about = about - _shifted(torch.zeros_like(inertia), own, first - com)
+        about = inertia - _shift_inertia(self.link_inertia, self.link_mass, self.link_com - com.unsqueeze(1)).sum(1)
+        about = about - _shift_inertia(torch.zeros_like(inertia), own, first - com)
         num_envs = mass.shape[0]
         return Links(
             mass=torch.cat((own.unsqueeze(1), self.link_mass.expand(num_envs, -1)), dim=1),
@@ -109,10 +109,10 @@ class Articulation:
 
     def laws(self, crept: Tensor | None) -> tuple[JointLaw, ...]:
         """Return the laws of the joints without drives, for dashpots at ``crept``, (E, N, D)."""
-        found: list[JointLaw] = [self.spring, self.ends]
+        result: list[JointLaw] = [self.spring, self.ends]
         if crept is not None and self.num_creep:
-            found.append(Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept))
-        return tuple(found)
+            result.append(Creep(stiffness=self.creep_stiffness.unsqueeze(0), crept=crept))
+        return tuple(result)
 
     def fresh_creep(self, num_envs: int) -> Tensor:
         """Return unset dashpots (NaN), which start at the joints' positions, (E, N, D)."""
@@ -122,7 +122,7 @@ class Articulation:
         """Return dashpots at the start of a step, (E, N, D); unset ones take the joints' positions (E, D)."""
         return torch.where(crept.isnan(), joint_pos.unsqueeze(1), crept)
 
-    def creep_on(self, crept: Tensor, joint_pos: Tensor, dt: float) -> Tensor:
+    def advance_creep(self, crept: Tensor, joint_pos: Tensor, dt: float) -> Tensor:
         """Return dashpots (E, N, D) at the end of a step of ``dt`` [s] that ends with joints at (E, D)."""
         end = joint_pos.unsqueeze(1)
         return end + (crept - end) * torch.exp(-dt / self.creep_time)
@@ -149,13 +149,13 @@ class Articulation:
         return Drive(stiffness=stiffness, damping=damping, position=position, rate=rate, effort=effort, limit=limit)
 
 
-def _shifted(inertia: Tensor, mass: Tensor, lever: Tensor) -> Tensor:
+def _shift_inertia(inertia: Tensor, mass: Tensor, lever: Tensor) -> Tensor:
     """Return inertias about a point at ``-lever`` from the centres, by the parallel axis theorem: ``J + m (l² 1 - l l^T)``."""
     square = lever.square().sum(-1)[..., None, None] * torch.eye(3, dtype=lever.dtype, device=lever.device)
     return inertia + mass[..., None, None] * (square - lever.unsqueeze(-1) * lever.unsqueeze(-2))
 
 
-def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
+def build_articulation(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
     """Build the articulation of a robot, with float type and device of ``like``; None for a rigid one.
 
     Raises:
@@ -182,14 +182,14 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         return like.new_tensor(rows).reshape(most, len(elements))
 
     drives = [joint.drive for joint in cfg.layout if joint.drive is not None]
-    nothing = ((0.0, 0.0, 0.0),) * 3
+    zero_inertia = ((0.0, 0.0, 0.0),) * 3
     links = [joint.link for joint in cfg.layout]
-    found = Articulation(
+    result = Articulation(
         tree=Tree(joints=tuple(joints), floating=cfg.floating),
         origins=like.new_tensor(origins),
         link_mass=like.new_tensor([0.0 if link is None else link.mass for link in links]),
         link_com=like.new_tensor([j.position if j.link is None else j.link.com for j in cfg.layout]),
-        link_inertia=like.new_tensor([nothing if link is None else link.inertia for link in links]),
+        link_inertia=like.new_tensor([zero_inertia if link is None else link.inertia for link in links]),
         rotor_links=tuple(cfg.link_number(mount.link) for mount in robot.mounts.layout),
         reference=like.new_tensor([joint.reference for joint in cfg.layout]),
         spring=Spring(
@@ -197,7 +197,7 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         ),
         friction=column("spring", "friction", 0.0),
         rubs=any(joint.spring is not None and joint.spring.friction > 0.0 for joint in cfg.layout),
-        ends=Limits(
+        ends=JointLimits(
             low=column("ends", "low", -UNBOUNDED),
             high=column("ends", "high", UNBOUNDED),
             stiffness=column("ends", "stiffness", 0.0),
@@ -212,9 +212,9 @@ def articulation_of(robot: RobotCfg, *, like: Tensor) -> Articulation | None:
         command_high=like.new_tensor([drive.command_range[1] for drive in drives]),
         names=cfg.names,
     )
-    assert set(found.modes) <= set(DRIVE_MODES)
-    _check_bodies(robot, found)
-    return found
+    assert set(result.modes) <= set(DRIVE_MODES)
+    _check_bodies(robot, result)
+    return result
 
 
 def _joint(cfg: JointCfg, parent: int, parent_origin: tuple[float, float, float]) -> Joint:

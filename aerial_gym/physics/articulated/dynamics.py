@@ -15,7 +15,15 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.physics.articulated.motion import Motion, Places, cross, move_links, moving, place_links, turning
+from aerial_gym.physics.articulated.motion import (
+    LinkMotion,
+    LinkPoses,
+    angular_jacobian,
+    cross,
+    move_links,
+    place_links,
+    point_jacobian,
+)
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 
@@ -29,12 +37,12 @@ class Equations:
     force: Tensor
     """Applied forces minus velocity terms, (E, N): force [N] and torque [N m] on the base, efforts of joints."""
 
-    places: Places
-    motion: Motion
+    places: LinkPoses
+    motion: LinkMotion
 
 
 @dataclass(frozen=True, kw_only=True)
-class Accelerations:
+class TreeAccelerations:
     """Accelerations of a tree."""
 
     lin_acc: Tensor  # Acceleration of the base's origin [m/s²], world, (E, 3)
@@ -61,7 +69,7 @@ def equations(
     places = place_links(tree, links, state.joint_pos)
     lin_vel = quat_rotate_inverse(state.attitude, state.lin_vel)
     motion = move_links(tree, places, lin_vel, state.ang_vel, state.joint_vel)
-    turns, moves = turning(tree, places), moving(tree, places, places.com)
+    turns, moves = angular_jacobian(tree, places), point_jacobian(tree, places, places.com)
     mass = links.mass.expand(len(moves), -1).unsqueeze(-1)
     matrix = sum_of_products(moves, moves * mass.unsqueeze(-1))
     matrix = matrix + sum_of_products(turns, places.inertia @ turns)
@@ -74,7 +82,7 @@ def equations(
         push, twist = (
             (places.rotation @ part.unsqueeze(-1)).squeeze(-1) for part in (wrench[..., :3], wrench[..., 3:])
         )
-        force = force + along_coordinates(moving(tree, places, places.origin), push)
+        force = force + along_coordinates(point_jacobian(tree, places, places.origin), push)
         force = force + along_coordinates(turns, twist)
     if effort is not None:
         force = torch.cat((force[:, :6], force[:, 6:] + effort), dim=-1)
@@ -94,7 +102,7 @@ def sum_of_products(one: Tensor, other: Tensor) -> Tensor:
     return torch.bmm(one.flatten(1, 2).transpose(1, 2), other.flatten(1, 2))
 
 
-def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelerations:
+def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> TreeAccelerations:
     """Solve ``mass`` (E, N, N) times accelerations = ``force`` (E, N); a fixed base has none.
 
     A motion that is not finite gives accelerations that are not finite, without an exception or a wait.
@@ -103,7 +111,7 @@ def solve(tree: Tree, state: TreeState, mass: Tensor, force: Tensor) -> Accelera
     root = torch.linalg.cholesky_ex(mass[:, first:, first:]).L
     solution = torch.cholesky_solve(force[:, first:].unsqueeze(-1), root).squeeze(-1)
     solution = torch.cat((solution.new_zeros(len(solution), first), solution), dim=-1)
-    return Accelerations(
+    return TreeAccelerations(
         lin_acc=quat_rotate(state.attitude, solution[:, :3]), ang_acc=solution[:, 3:6], joint_acc=solution[:, 6:]
     )
 
@@ -116,7 +124,7 @@ def accelerations(
     gravity: float,
     wrench: Tensor | None = None,
     effort: Tensor | None = None,
-) -> Accelerations:
+) -> TreeAccelerations:
     """Return the accelerations of a tree; arguments as for ``equations``."""
     system = equations(tree, links, state, gravity=gravity, wrench=wrench, effort=effort)
     return solve(tree, state, system.mass, system.force)

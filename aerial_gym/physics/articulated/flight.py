@@ -25,23 +25,23 @@ from aerial_gym.physics.backend import Capabilities
 from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect, WrenchEffect
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.rigid_body import acting_in, air_velocity, condition_in
+from aerial_gym.physics.rigid_body import air_velocity, condition_in, force_breakdown
 from aerial_gym.physics.rotor_lag import RotorCommand, follow_command
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
-from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.vehicle import is_shared, share_row
 
 
-def jointed_step(
+def articulated_step(
     model: Model,
-    state: JointedState,
+    state: ArticulatedState,
     rotor_command: RotorCommand,
     joint_command: Tensor,
     dt: float,
     *,
     crept: Tensor | None = None,
     stepper: Callable[..., TreeState] = implicit_euler,
-) -> JointedState:
+) -> ArticulatedState:
     """Return the state after one step of ``steppers.implicit_euler``; the rotors follow their exact solution.
 
     Args:
@@ -79,7 +79,7 @@ def jointed_step(
         damping=link_damping(model, articulation, links, before),
         fluid=link_fluid(model, links, before),
     )
-    return JointedState(**vars(after), rotor_speed=rotor_speed)
+    return ArticulatedState(**vars(after), rotor_speed=rotor_speed)
 
 
 def link_wrenches(
@@ -96,7 +96,7 @@ def link_wrenches(
     at_hubs = model.effects.select(lambda effect: effect.at_hubs)
     if any(at_hubs):
         blown = replace(model, effects=at_hubs)
-        thrust, more = _at_hubs(blown, articulation, state, _wind(model, state), rotor_speed, rotor_acc)
+        thrust, more = _hub_wrenches(blown, articulation, state, _wind(model, state), rotor_speed, rotor_acc)
     force = thrust.unsqueeze(-1) * vehicle.rotor_axis
     drag = (vehicle.rotor_spin * rotor_torque(vehicle, rotor_speed)).unsqueeze(-1) * vehicle.rotor_axis
     hub = vehicle.rotor_position - articulation.origins[list(articulation.rotor_links)]
@@ -106,29 +106,29 @@ def link_wrenches(
     whole = replace(model, effects=model.effects.select(lambda effect: not effect.at_hubs))
     if whole.effects[WrenchEffect]:
         body = _body(state, rotor_speed)
-        for _, wrench in acting_in(whole, condition_in(whole, body, rotor_acc)).wrenches:
+        for _, wrench in force_breakdown(whole, condition_in(whole, body, rotor_acc)).wrenches:
             push, twist = wrench[:, :3], wrench[:, 3:] + torch.linalg.cross(vehicle.com, wrench[:, :3])
             on_base = torch.cat((push, twist), dim=-1).unsqueeze(1)
             on_links = on_links + torch.nn.functional.pad(on_base, (0, 0, 0, articulation.num_joints))
     if model.effects[LinkWrenchEffect]:
-        on_links = on_links + _of_links(model, articulation, state)
+        on_links = on_links + _link_effect_wrenches(model, articulation, state)
     return on_links
 
 
-def _of_links(model: Model, articulation: Articulation, state: TreeState) -> Tensor:
+def _link_effect_wrenches(model: Model, articulation: Articulation, state: TreeState) -> Tensor:
     """Return the wrenches of effects on links, (E, L, 6), with arguments and axes of ``link_wrenches``."""
     links = articulation.links(model.vehicle)
     places = place_links(articulation.tree, links, state.joint_pos)
     up = torch.zeros_like(state.position)
     up[:, 2] = 1.0
     own = (places.rotation.mT @ quat_rotate_inverse(state.attitude, up)[:, None, :, None]).squeeze(-1)
-    first, *others = (effect.wrench(own, params) for effect, params in model.effects[LinkWrenchEffect])
-    force, torque = sum(others, first).split(3, dim=-1)
+    first, *rest = (effect.wrench(own, params) for effect, params in model.effects[LinkWrenchEffect])
+    force, torque = sum(rest, first).split(3, dim=-1)
     wrench = torch.cat((force, torque + torch.linalg.cross(links.com.expand_as(force), force)), dim=-1)
     return torch.where(links.mass.unsqueeze(-1) > 0.0, wrench, 0.0)
 
 
-def _at_hubs(
+def _hub_wrenches(
     model: Model, articulation: Articulation, state: TreeState, wind: Tensor, rotor_speed: Tensor, rotor_acc: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Return all thrusts [N], (E, R), and further wrenches of effects at hubs on each link, as ``link_wrenches``, (E, L, 6).
@@ -144,7 +144,7 @@ def _at_hubs(
     attitudes = turn_links(tree, state.joint_pos)
     thrust, on_links = [turn.new_zeros(len(turn))] * len(articulation.rotor_links), []
     for link in range(tree.num_links):
-        rotors = list(articulation.rotors_of(link))
+        rotors = list(articulation.link_rotors(link))
         if not rotors:
             on_links.append(turn.new_zeros(len(turn), 6))
             continue
@@ -160,7 +160,7 @@ def _at_hubs(
             rotor_speed=rotor_speed[:, rotors],
         )
         own = replace(model, vehicle=vehicle)
-        acting = acting_in(own, condition_in(own, there, rotor_acc[:, rotors]))
+        acting = force_breakdown(own, condition_in(own, there, rotor_acc[:, rotors]))
         for rotor, column in zip(rotors, acting.whole_thrust.unbind(1), strict=True):
             thrust[rotor] = column
         on_links.append(sum((wrench for _, wrench in acting.wrenches), turn.new_zeros(len(turn), 6)))

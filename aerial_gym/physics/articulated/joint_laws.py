@@ -38,7 +38,7 @@ class Effort:
 class JointLaw(Protocol):
     """A law of the effort of joints by position and rate."""
 
-    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
+    def evaluate_effort(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort at positions and rates (E, D)."""
         ...
 
@@ -53,7 +53,7 @@ class Spring:
     rest: Tensor  # q0 [rad]
     preload: Tensor  # p, effort at rest [N m]
 
-    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
+    def evaluate_effort(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort of spring and damper."""
         away = position - self.rest
         return Effort(
@@ -76,7 +76,7 @@ class Creep:
     stiffness: Tensor  # k_i [N m/rad], (1, N, D); zero where a joint has fewer
     crept: Tensor  # z_i [rad], (E, N, D)
 
-    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
+    def evaluate_effort(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort of all elements."""
         return Effort(
             value=(self.stiffness * (self.crept - position.unsqueeze(1))).sum(1),
@@ -108,7 +108,7 @@ class Drive:
         """Return the sign of an effort beyond the limit, 1 or -1; else 0."""
         return torch.where(wanted.abs() > self.limit, torch.sign(wanted), 0.0)
 
-    def effort_at(self, position: Tensor, rate: Tensor, at_limit: Tensor) -> Effort:
+    def evaluate_effort(self, position: Tensor, rate: Tensor, at_limit: Tensor) -> Effort:
         """Return the effort; for ``at_limit`` 1 or -1 it is the constant limit on that side."""
         free = at_limit == 0.0
         return Effort(
@@ -129,7 +129,7 @@ def dry_friction(size: Tensor) -> Drive:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class JointLimits:
     """Soft ends of joints: beyond them a spring and damper push back and never pull; tensors (E, D) or (1, D)."""
 
     low: Tensor
@@ -138,7 +138,7 @@ class Limits:
     stiffness: Tensor  # [N m/rad]
     damping: Tensor  # [N m s/rad]
 
-    def effort_at(self, position: Tensor, rate: Tensor) -> Effort:
+    def evaluate_effort(self, position: Tensor, rate: Tensor) -> Effort:
         """Return the effort beyond the ends."""
         past = (position - self.high).clamp_min(0.0) - (self.low - position).clamp_min(0.0)
         side = torch.sign(past)
@@ -153,8 +153,8 @@ class Limits:
 
 def joint_effort(laws: Sequence[JointLaw], position: Tensor, rate: Tensor) -> Effort:
     """Return the total effort of all laws at positions and rates (E, D)."""
-    nothing = torch.zeros_like(rate)
-    found = Effort(value=nothing, stiffness=nothing, damping=nothing)
+    no_effort = torch.zeros_like(rate)
+    total = Effort(value=no_effort, stiffness=no_effort, damping=no_effort)
     for law in laws:
-        found = found + law.effort_at(position, rate)
-    return found
+        total = total + law.evaluate_effort(position, rate)
+    return total

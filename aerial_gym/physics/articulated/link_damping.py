@@ -15,7 +15,14 @@ import torch
 from torch import Tensor
 
 from aerial_gym.physics.articulated.dynamics import Equations, along_coordinates, sum_of_products
-from aerial_gym.physics.articulated.motion import Places, cross, move_links, moving, place_links, turning
+from aerial_gym.physics.articulated.motion import (
+    LinkPoses,
+    angular_jacobian,
+    cross,
+    move_links,
+    place_links,
+    point_jacobian,
+)
 from aerial_gym.physics.articulated.tree import Links, Tree
 
 
@@ -53,27 +60,27 @@ def motion_in_air(
     return torch.cat(own[:2], dim=-1), own[2]
 
 
-def damped(tree: Tree, found: Equations, acts: LinkDamping, dt: float) -> Equations:
+def add_damping(tree: Tree, system: Equations, acts: LinkDamping, dt: float) -> Equations:
     """Add damping at the end of a step of ``dt`` [s] to equations of motion.
 
     The velocity terms of ``u'`` use the rates of the equations.
     """
-    places, motion = found.places, found.motion
-    pushes, turns = moving(tree, places, places.com), turning(tree, places)
+    places, motion = system.places, system.motion
+    pushes, turns = point_jacobian(tree, places, places.com), angular_jacobian(tree, places)
     along, about = acts.damping.split(3, dim=-1)
     com_vel = motion.lin_vel + cross(motion.ang_vel, places.com - places.origin)
     swing = _to_link(places, motion.com_acc - cross(motion.ang_vel, com_vel)) + acts.turned_wind
     bend = _to_link(places, motion.ang_acc)
     through, turn = (acts.velocity + dt * torch.cat((swing, bend), dim=-1)).split(3, dim=-1)
-    mass, force = found.mass, found.force
+    mass, force = system.mass, system.force
     for jacobian, damping, value in ((pushes, along, through), (turns, about, turn)):
         own = places.rotation.mT @ jacobian  # (E, L, 3, N), axes of the link
         slowed = damping.unsqueeze(-1) * own
         mass = mass + dt * sum_of_products(own, slowed)
         force = force - along_coordinates(slowed, value)
-    return replace(found, mass=mass, force=force)
+    return replace(system, mass=mass, force=force)
 
 
-def _to_link(places: Places, vectors: Tensor) -> Tensor:
+def _to_link(places: LinkPoses, vectors: Tensor) -> Tensor:
     """Rotate vectors (E, L, 3) from axes of the base into those of their links."""
     return (places.rotation.mT @ vectors.unsqueeze(-1)).squeeze(-1)

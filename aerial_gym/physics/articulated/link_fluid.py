@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.dynamics import Equations, along_coordinates, sum_of_products
-from aerial_gym.physics.articulated.motion import cross, moving, turning
+from aerial_gym.physics.articulated.motion import angular_jacobian, cross, point_jacobian
 from aerial_gym.physics.articulated.tree import Tree
 
 
@@ -27,28 +27,28 @@ class LinkFluid:
     wind: Tensor  # Velocity of the fluid [m/s], world, (E, 3)
 
 
-def entrained(tree: Tree, found: Equations, attitude: Tensor, fluid: LinkFluid) -> Equations:
+def add_fluid(tree: Tree, system: Equations, attitude: Tensor, fluid: LinkFluid) -> Equations:
     """Add the fluid to equations of motion; its velocity terms use the motion of the equations.
 
     Args:
         attitude: Base to world, xyzw, (E, 4).
     """
-    places, motion, turn = found.places, found.motion, found.motion.ang_vel
+    places, motion, turn = system.places, system.motion, system.motion.ang_vel
     along, about = fluid.added.split(3, dim=-1)
     wind = quat_rotate_inverse(attitude, fluid.wind).unsqueeze(1)
     through = motion.lin_vel + cross(turn, places.com - places.origin) - wind
 
-    def weighed(diagonal: Tensor, vectors: Tensor) -> Tensor:
+    def apply_added_mass(diagonal: Tensor, vectors: Tensor) -> Tensor:
         own = places.rotation.mT @ vectors.unsqueeze(-1)
         return (places.rotation @ (diagonal.unsqueeze(-1) * own)).squeeze(-1)
 
-    momentum, spin = weighed(along, through), weighed(about, turn)
-    push = weighed(along, motion.com_acc - cross(turn, through)) + cross(turn, momentum)
-    twist = weighed(about, motion.ang_acc) + cross(turn, spin) + cross(through, momentum)
-    mass, force = found.mass, found.force
-    moves, turns = moving(tree, places, places.com), turning(tree, places)
+    momentum, spin = apply_added_mass(along, through), apply_added_mass(about, turn)
+    push = apply_added_mass(along, motion.com_acc - cross(turn, through)) + cross(turn, momentum)
+    twist = apply_added_mass(about, motion.ang_acc) + cross(turn, spin) + cross(through, momentum)
+    mass, force = system.mass, system.force
+    moves, turns = point_jacobian(tree, places, places.com), angular_jacobian(tree, places)
     for rates, diagonal, taken in ((moves, along, push), (turns, about, twist)):
         own = places.rotation.mT @ rates  # (E, L, 3, N), axes of the link
         mass = mass + sum_of_products(own, diagonal.unsqueeze(-1) * own)
         force = force - along_coordinates(rates, taken)
-    return replace(found, mass=mass, force=force)
+    return replace(system, mass=mass, force=force)

@@ -22,7 +22,7 @@ cross = torch.linalg.cross
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class LinkPoses:
     """Poses and mass properties of links."""
 
     rotation: Tensor  # Rotation from each link to the base, (E, L, 3, 3)
@@ -32,7 +32,7 @@ class Places:
     inertia: Tensor  # Inertia of each link about its centre of mass [kg m²], (E, L, 3, 3)
 
 
-def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
+def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> LinkPoses:
     """Return the poses of links for joint coordinates (E, D)."""
     num_envs, like = joint_pos.shape[0], joint_pos
     rotations = [torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, 3, 3)]
@@ -40,8 +40,8 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
     for k, joint in enumerate(tree.joints):
         parent, own = rotations[joint.parent], like.new_tensor(joint.axis)
         mounted = parent @ quat_to_matrix(like.new_tensor(joint.attitude)).expand_as(parent)
-        origin = origins[joint.parent] + _turned(parent, like.new_tensor(joint.position))
-        axis = _turned(mounted, own)
+        origin = origins[joint.parent] + _rotate(parent, like.new_tensor(joint.position))
+        axis = _rotate(mounted, own)
         if joint.kind == "revolute":
             rotations.append(mounted @ quat_to_matrix(quat_exp(joint_pos[:, k : k + 1] * own)))
             origins.append(origin)
@@ -50,7 +50,7 @@ def place_links(tree: Tree, links: Links, joint_pos: Tensor) -> Places:
             origins.append(origin + axis * joint_pos[:, k : k + 1])
         axes.append(axis)
     rotation, origin = torch.stack(rotations, dim=1), torch.stack(origins, dim=1)
-    return Places(
+    return LinkPoses(
         rotation=rotation,
         origin=origin,
         axis=torch.stack(axes, dim=1) if axes else like.new_zeros(num_envs, 0, 3),
@@ -71,13 +71,13 @@ def turn_links(tree: Tree, joint_pos: Tensor) -> Tensor:
     return torch.stack(attitudes, dim=1)
 
 
-def _turned(rotation: Tensor, vector: Tensor) -> Tensor:
+def _rotate(rotation: Tensor, vector: Tensor) -> Tensor:
     """Return ``rotation @ vector``, (E, 3), for a shared vector (3,), with an order of sums independent of E."""
     x, y, z = vector.unbind()
     return rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
 
 
-def turning(tree: Tree, places: Places) -> Tensor:
+def angular_jacobian(tree: Tree, places: LinkPoses) -> Tensor:
     """Return the angular Jacobian: angular velocity of each link per coordinate of motion, (E, L, 3, N)."""
     like, num_envs = places.axis, places.axis.shape[0]
     base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
@@ -85,7 +85,7 @@ def turning(tree: Tree, places: Places) -> Tensor:
     return torch.cat((torch.zeros_like(base), base, turns), dim=-1)
 
 
-def moving(tree: Tree, places: Places, points: Tensor) -> Tensor:
+def point_jacobian(tree: Tree, places: LinkPoses, points: Tensor) -> Tensor:
     """Return the Jacobian of points of links, (E, L, 3) from the base's origin: velocity per coordinate, (E, L, 3, N)."""
     like, num_envs = places.axis, places.axis.shape[0]
     base = torch.eye(3, dtype=like.dtype, device=like.device).expand(num_envs, tree.num_links, 3, 3)
@@ -98,7 +98,7 @@ def moving(tree: Tree, places: Places, points: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class LinkMotion:
     """Velocities of links, and their accelerations at zero acceleration of all coordinates."""
 
     ang_vel: Tensor  # [rad/s], (E, L, 3)
@@ -108,7 +108,7 @@ class Motion:
     com_acc: Tensor  # Of the centres of mass [m/s²], (E, L, 3)
 
 
-def move_links(tree: Tree, places: Places, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor) -> Motion:
+def move_links(tree: Tree, places: LinkPoses, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor) -> LinkMotion:
     """Return the motion for velocity [m/s] and angular velocity [rad/s] of the base, (E, 3), and rates of joints, (E, D)."""
     turns, moves = [ang_vel], [lin_vel]
     bends, pulls = [torch.zeros_like(ang_vel)], [torch.zeros_like(lin_vel)]
@@ -130,7 +130,7 @@ def move_links(tree: Tree, places: Places, lin_vel: Tensor, ang_vel: Tensor, joi
             pulls.append(pull + 2.0 * cross(turn, own))
     turn, bend, pull = (torch.stack(parts, dim=1) for parts in (turns, bends, pulls))
     lever = places.com - places.origin
-    return Motion(
+    return LinkMotion(
         ang_vel=turn,
         lin_vel=torch.stack(moves, dim=1),
         ang_acc=bend,

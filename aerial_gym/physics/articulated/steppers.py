@@ -21,11 +21,11 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_exp, quat_multiply, quat_normalize
-from aerial_gym.physics.articulated.bounded_efforts import ROUNDS, BoundedProblem
+from aerial_gym.physics.articulated.complementarity import ROUNDS, ComplementarityProblem
 from aerial_gym.physics.articulated.dynamics import Equations, equations, solve
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw, joint_effort
-from aerial_gym.physics.articulated.link_damping import LinkDamping, damped
-from aerial_gym.physics.articulated.link_fluid import LinkFluid, entrained
+from aerial_gym.physics.articulated.link_damping import LinkDamping, add_damping
+from aerial_gym.physics.articulated.link_fluid import LinkFluid, add_fluid
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 
 
@@ -63,15 +63,15 @@ def implicit_euler(
     traces = torch.is_grad_enabled()
 
     @cache  # by identity: all rounds of a solution share the equations of a motion
-    def equations_at(swings: TreeState) -> Equations:
+    def build_equations(swings: TreeState) -> Equations:
         with torch.set_grad_enabled(traces):  # the first of these rounds is without gradients
             system = equations(tree, links, swings, gravity=gravity, wrench=wrench, effort=effort)
             if fluid is not None:
-                system = entrained(tree, system, state.attitude, fluid)
-            return system if damping is None else damped(tree, system, damping, dt)
+                system = add_fluid(tree, system, state.attitude, fluid)
+            return system if damping is None else add_damping(tree, system, damping, dt)
 
     def step(acts: Effort, swings: TreeState) -> TreeState:
-        return _implicit(tree, state, equations_at(swings), acts, dt)
+        return _implicit(tree, state, build_equations(swings), acts, dt)
 
     return with_drive(step, laws, drive, friction, state)
 
@@ -98,14 +98,14 @@ def with_drive(
     if not bounded:
         return step(acts, state)
     own, rubs = zip(*bounded, strict=True)
-    problem = BoundedProblem(laws=own, friction=rubs, acts=acts, state=state, rounds=rounds)
+    problem = ComplementarityProblem(laws=own, friction=rubs, acts=acts, state=state, rounds=rounds)
 
-    def end_of(swings: TreeState, guess: TreeState) -> TreeState:
+    def solve_step(swings: TreeState, guess: TreeState) -> TreeState:
         solution = problem.solve(lambda effort: step(effort, swings), guess)
         return step(problem.total(solution), swings)
 
-    first = end_of(state, state)
-    return end_of(half_way(state, first), first)
+    first = solve_step(state, state)
+    return solve_step(half_way(state, first), first)
 
 
 def half_way(state: TreeState, end: TreeState) -> TreeState:
@@ -123,7 +123,7 @@ def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt:
     held = torch.nn.functional.pad(acts.value - soft * state.joint_vel, (6, 0))
     stiff = torch.nn.functional.pad(dt * (acts.damping + soft), (6, 0))
     now = solve(tree, state, system.mass + torch.diag_embed(stiff), system.force + held)
-    return moved_on(
+    return advance_state(
         state,
         state.lin_vel + dt * now.lin_acc,
         state.ang_vel + dt * now.ang_acc,
@@ -132,7 +132,7 @@ def _implicit(tree: Tree, state: TreeState, system: Equations, acts: Effort, dt:
     )
 
 
-def moved_on(state: TreeState, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor, dt: float) -> TreeState:
+def advance_state(state: TreeState, lin_vel: Tensor, ang_vel: Tensor, joint_vel: Tensor, dt: float) -> TreeState:
     """Return the state after a step with given final velocities, which also move the positions."""
     return TreeState(
         position=state.position + dt * lin_vel,
@@ -164,20 +164,20 @@ def rk4(
             tree, links, at, gravity=gravity, wrench=wrench, effort=acts if effort is None else acts + effort
         )
         if fluid is not None:
-            system = entrained(tree, system, at.attitude, fluid)
+            system = add_fluid(tree, system, at.attitude, fluid)
         now = solve(tree, at, system.mass, system.force)
         turning = 0.5 * quat_multiply(at.attitude, torch.nn.functional.pad(at.ang_vel, (0, 1)))
         return at.lin_vel, turning, now.lin_acc, now.ang_acc, at.joint_vel, now.joint_acc
 
     first = slope(state)
-    second = slope(_moved(state, first, 0.5 * dt))
-    third = slope(_moved(state, second, 0.5 * dt))
-    last = slope(_moved(state, third, dt))
+    second = slope(_advance(state, first, 0.5 * dt))
+    third = slope(_advance(state, second, 0.5 * dt))
+    last = slope(_advance(state, third, dt))
     mean = tuple((a + 2.0 * b + 2.0 * c + d) / 6.0 for a, b, c, d in zip(first, second, third, last, strict=True))
-    return _moved(state, mean, dt)
+    return _advance(state, mean, dt)
 
 
-def _moved(state: TreeState, slope: tuple[Tensor, ...], dt: float) -> TreeState:
+def _advance(state: TreeState, slope: tuple[Tensor, ...], dt: float) -> TreeState:
     position, attitude, lin_vel, ang_vel, joint_pos, joint_vel = slope
     return TreeState(
         position=state.position + dt * position,

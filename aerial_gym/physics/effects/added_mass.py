@@ -42,10 +42,10 @@ class AddedMass(FluidEffect):
         """Return the Warp version."""
 
         @wp.func
-        def mass_of(params: wp.vec3) -> wp.vec3:
+        def identity(params: wp.vec3) -> wp.vec3:
             return params
 
-        return mass_of
+        return identity
 
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
         """Return ``S (F + N) + (1 - S) m g up`` with ``S = m / (m + M_A)``, and ``tau - v x (M_A v)``."""

@@ -34,7 +34,7 @@ from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.effects.track import Track, relax
+from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.physics.rotor_maps import make_maps
 from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
 from aerial_gym.physics.vehicle import Vehicle, is_shared
@@ -73,7 +73,7 @@ def joint_parameters(*, fastest: float, slowest: float, tau_scale: float) -> tup
     )
 
 
-def outwards(vehicle: Vehicle) -> tuple[Tensor, Tensor]:
+def arm_directions(vehicle: Vehicle) -> tuple[Tensor, Tensor]:
     """Return unit vectors e from the vertical axis to the hubs, body, (E, R, 3), and distances [m], (E, R); E = 1 if shared."""
     hubs = vehicle.rotor_position
     hubs = hubs[:1] if is_shared(hubs) else hubs
@@ -100,7 +100,7 @@ class ArmJoint(WrenchEffect):
 
     def deflection(self, vehicle: Vehicle, rotor_speed: Tensor, params: Tensor) -> Tensor:
         """Return the steady angles [rad] of arms under the thrust of rotor speeds [rad/s], both (E, R)."""
-        length = (1.0 - params[:, PLACE, None]) * outwards(vehicle)[1]
+        length = (1.0 - params[:, PLACE, None]) * arm_directions(vehicle)[1]
         moment = rotor_thrust(vehicle, rotor_speed) * length * vehicle.rotor_axis[..., 2]
         limit = float(LARGEST_ANGLE)
         return (params[:, COMPLIANCE, None] * moment).clamp(-limit, limit)
@@ -111,7 +111,7 @@ class ArmJoint(WrenchEffect):
         rest = self.deflection(moment.vehicle, moment.rotor_speed, values)
         return rest + (values[:, ANGLES:] - rest) * decay
 
-    def replay(self, track: Track, params: Tensor) -> Tensor:
+    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
         """Return the angles in every row of a flight, (T, R).
 
         Between rows the steady angle is linear, with an exact solution of the element. Logs do not give the thrust before the
@@ -130,7 +130,7 @@ class ArmJoint(WrenchEffect):
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return the change of force and torque by bent arms, (E, 6); the angles follow the parameters."""
         vehicle, angle = condition.vehicle, params[:, ANGLES:].unsqueeze(-1)
-        out, distance = outwards(vehicle)
+        out, distance = arm_directions(vehicle)
         sine, fall = angle.sin(), 2.0 * (0.5 * angle).sin().square()  # fall: 1 - cos
         up = torch.zeros_like(out)
         up[..., 2] = 1.0
@@ -175,7 +175,7 @@ class ArmJoint(WrenchEffect):
         numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
 
         @wp.func
-        def bent_arms(at: condition, values: numbers) -> wp.spatial_vector:
+        def arm_wrench(at: condition, values: numbers) -> wp.spatial_vector:
             force = wp.vec3()
             torque = wp.vec3()
             up = wp.vec3(0.0, 0.0, 1.0)
@@ -200,4 +200,4 @@ class ArmJoint(WrenchEffect):
                 torque += at.rotor_drag[i] * wp.dot(reaction, axis) * leaning
             return wp.spatial_vector(force, torque)
 
-        return bent_arms
+        return arm_wrench

@@ -17,21 +17,21 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.effects.track import Track
+from aerial_gym.physics.effects.track import FlightTrack
 from aerial_gym.physics.vehicle import Vehicle
 
 RotorTrait = Literal["reversible", "force", "slew", "dead_band"]
 """One of ``config.rotor.ROTOR_TRAITS``."""
 
 ANY_ROTOR: tuple[RotorTrait, ...] = ("reversible", "force", "slew", "dead_band")
-"""For an effect that holds for every type of rotor state."""
+"""Rotor features of an effect whose law holds for every rotor."""
 
 ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sensor"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """The start of a substep, at which an effect updates its memory."""
+    """State at the start of a substep, from which an effect updates its memory."""
 
     rotor_speed: Tensor
     """Rotor speeds [rad/s], (E, R)."""
@@ -40,25 +40,25 @@ class Moment:
     """Substeps since the environment was reset, int, (E,)."""
 
     random: Tensor
-    """Random states of this substep, for ``math.random.counted_normal``, (E,)."""
+    """Random states of this substep, for ``math.random.normal_draws``, (E,)."""
 
     dt: float
     """Length of the substep [s]."""
 
     vehicle: Vehicle
-    """With the effects on its parameters applied."""
+    """Vehicle with the effects on its parameters applied."""
 
 
 class Effect(ABC):
     """A named physical effect.
 
     A direct subclass is a *hook*: one place in the step that calls effects, with its torch method and its Warp twin. A kind of
-    effect implements one hook or several. It states all that the rest of the code must know about it in the class variables
-    below, so no other module lists kinds. An effect of a step may keep M numbers of memory per environment. The backend stores
-    them and passes them behind the parameters, (E, P + M).
+    effect implements one hook or several. The class variables below describe it to the rest of the code, so no other module
+    lists kinds. An effect of a step may keep M numbers of memory per environment. The backend stores them and passes them
+    after the parameters, (E, P + M).
     """
 
-    # Stated by the kind.
+    # Set by the kind of effect.
     acts_on: ClassVar[ActsOn]
     twin: ClassVar[str | None] = None
     """Method of the hook that returns its Warp function; None for a hook that costs nothing in a step."""
@@ -79,7 +79,7 @@ class Effect(ABC):
     moves_with_body: ClassVar[bool] = False
     """Whether the steppers integrate its memory together with the vehicle. It then has the highest ``order``."""
 
-    # Stated by the effect.
+    # Set by the effect itself.
     name: ClassVar[str]
     summary: ClassVar[str]
     parameters: tuple[Parameter, ...]
@@ -107,39 +107,39 @@ class Effect(ABC):
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
     """Rotor features that its law allows beyond a plain speed; others are refused by name."""
     at_hubs: ClassVar[bool] = False
-    """Whether only hubs and rotors cause it. The centre of mass then changes its torque by the lever of its force alone. On
-    a vehicle with joints it acts on the links that carry rotors, by their motion."""
+    """Whether rotors and their hubs alone cause it. A shift of the centre of mass then changes its torque only by the lever
+    of its force. On a vehicle with joints it acts on the links that carry rotors, by their motion."""
     on_joints: ClassVar[bool] = True
-    """Whether a vehicle with joints can have it. Unless it is at hubs, it acts on the base in the reference pose."""
+    """Whether a vehicle with joints can have it. Unless ``at_hubs``, it acts on the base in the reference pose."""
     on_rigid: ClassVar[bool] = True
-    """Whether a vehicle without joints can have it, and all code that takes a vehicle as rigid."""
+    """Whether a vehicle without joints, or one that the code takes as rigid, can have it."""
     instead: ClassVar[tuple[str, ...]] = ()
-    """Alternatives for vehicles, with joints or without, that cannot have it."""
+    """Effects to use in its place on a vehicle that cannot have it."""
     medium: ClassVar[Literal["air", "water"]] = "air"
     """Fluid in which it matters; flights are in air."""
     random: ClassVar[bool] = False
     """Whether it is random, so that it predicts no row of a flight."""
     by_default: ClassVar[bool] = True
-    """Whether selection considers it by default; no if a combination of other effects does the same."""
+    """Whether selection considers it by default; False if other effects together have the same signature."""
 
     @property
     def is_selectable(self) -> bool:
-        """Whether selection can look for it in flights."""
+        """Whether selection can consider it: it predicts rows of a rigid vehicle in air."""
         return self.predicts and self.medium == "air"
 
     @property
     def predicts(self) -> bool:
-        """Whether it is part of the prediction of a rigid vehicle."""
+        """Whether the prediction for a rigid vehicle includes it."""
         return self.on_rigid and not self.random
 
     @property
     def has_twin(self) -> bool:
         """Whether the fused kernel can run it: each hook that it implements, and its memory, have Warp code."""
-        mine = type(self)
-        if mine.remember is not Effect.remember and mine.warp_remember is Effect.warp_remember:
+        own_type = type(self)
+        if own_type.remember is not Effect.remember and own_type.warp_remember is Effect.warp_remember:
             return False
-        hooks = [(hook, vars(hook)["twin"]) for hook in mine.__mro__ if vars(hook).get("twin")]
-        return all(getattr(mine, twin) is not getattr(hook, twin) for hook, twin in hooks)
+        hooks = [(hook, vars(hook)["twin"]) for hook in own_type.__mro__ if vars(hook).get("twin")]
+        return all(getattr(own_type, twin) is not getattr(hook, twin) for hook, twin in hooks)
 
     @property
     def remembers(self) -> bool:
@@ -151,14 +151,14 @@ class Effect(ABC):
         return self.memory + tuple(number for number in self.rotor_memory for _ in range(num_rotors))
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
-        """Return the memory (E, M) for the substep that begins, from parameters and memory (E, P + M).
+        """Return the memory (E, M) at the start of a substep, from parameters and memory (E, P + M).
 
-        Forces of the substep use this memory, held constant: a splitting of order 1.
+        The forces of the substep use this memory as a constant: an operator splitting of first order.
         """
         del moment
         return values[:, len(self.parameters) :]
 
-    def replay(self, track: Track, params: Tensor) -> Tensor:
+    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
         """Return the memory in every row of a measured flight, (T, M), from parameters (1, P).
 
         Identification needs it for a kind that is ``replayed`` and has memory.
@@ -217,7 +217,7 @@ class Effect(ABC):
         """Raise ``ConfigError`` if the robot file lacks a number that the effect needs."""
         del robot
 
-    def params_from(self, values: Mapping[str, float]) -> tuple[float, ...]:
+    def parse_params(self, values: Mapping[str, float]) -> tuple[float, ...]:
         """Return the parameters in order; raise ``ConfigError`` if one is unknown, missing or out of bounds."""
         known = [parameter.name for parameter in self.parameters]
         if set(values) != set(known):

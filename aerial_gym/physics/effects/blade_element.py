@@ -47,7 +47,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.short import dot, sum_slices
+from aerial_gym.math.small_vectors import dot, sum_slices
 from aerial_gym.math.warp_functions import reciprocal, root
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
@@ -141,7 +141,7 @@ class BladeElement(WrenchEffect):
                 raise ConfigError(
                     "effect blade_element: the robot file must give rotor.radius [m], of every rotor type"
                 )
-            speed = rotor.speed_at(share)
+            speed = rotor.speed_for_thrust(share)
             thrust, torque = (
                 c0 + speed * (c1 + speed * c2) for c0, c1, c2 in (rotor.thrust_coefficients, rotor.torque_coefficients)
             )
@@ -283,28 +283,28 @@ def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
         falls, bottom, top = climb < -float(FAST) * start, low, high
         for _ in range(HALVINGS):
             middle = 0.5 * (bottom + top)
-            above = _missing(middle, lift, lifted, climb, mu)[0] >= 0.0
+            above = _inflow_residual(middle, lift, lifted, climb, mu)[0] >= 0.0
             bottom, top = torch.where(above, bottom, middle), torch.where(above, middle, top)
-        found = torch.where(falls, 0.5 * (bottom + top), start)
+        hover_induced = torch.where(falls, 0.5 * (bottom + top), start)
         low, high = torch.where(falls, bottom, low), torch.where(falls, top, high)
-    value = found
+    value = hover_induced
     for _ in range(NEWTON):
-        missing, slope, value, growth = _missing(found, lift, lifted, climb, mu)
+        missing, slope, value, growth = _inflow_residual(hover_induced, lift, lifted, climb, mu)
         with torch.no_grad():
             above = missing >= 0.0
-            low, high = torch.where(above, low, found), torch.where(above, found, high)
-        after = (found - missing / slope).maximum(low).minimum(high).clamp_min(least)
-        value, found = value + growth * (after - found), after
+            low, high = torch.where(above, low, hover_induced), torch.where(above, hover_induced, high)
+        after = (hover_induced - missing / slope).maximum(low).minimum(high).clamp_min(least)
+        value, hover_induced = value + growth * (after - hover_induced), after
     return value
 
 
-def _missing(
-    found: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor
+def _inflow_residual(
+    hover_induced: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return the residual of momentum and blades, ``2 v² - C_T``, its slope in v, and the induced velocity f(v) and slope."""
-    value, slope = induced(found, climb, mu)
-    missing = 2.0 * found.square() - 0.5 * lift * (lifted - 0.5 * (climb + value))
-    return missing, 4.0 * found + 0.25 * lift * slope, value, slope
+    value, slope = induced(hover_induced, climb, mu)
+    missing = 2.0 * hover_induced.square() - 0.5 * lift * (lifted - 0.5 * (climb + value))
+    return missing, 4.0 * hover_induced + 0.25 * lift * slope, value, slope
 
 
 @wp.func
@@ -314,23 +314,23 @@ def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
     rising = wp.max(climb, 0.0)
     linear = 0.125 * lift - rising
     whole = 0.5 * (root(wp.max(linear * linear + lift * lifted, 0.0)) - linear)
-    found = wp.min(root(wp.max(whole * (whole - rising), LEAST * LEAST)), high)
-    if climb < -FAST * found:
+    hover_induced = wp.min(root(wp.max(whole * (whole - rising), LEAST * LEAST)), high)
+    if climb < -FAST * hover_induced:
         for _i in range(wp.static(HALVINGS)):
             middle = 0.5 * (low + high)
             value, _slope = induced_warp(middle, climb, mu)
             above = 2.0 * middle * middle - 0.5 * lift * (lifted - 0.5 * (climb + value)) >= 0.0
             low = wp.where(above, low, middle)
             high = wp.where(above, middle, high)
-        found = 0.5 * (low + high)
+        hover_induced = 0.5 * (low + high)
     induced_velocity = wp.float32(0.0)
     for _j in range(wp.static(NEWTON)):
-        value, slope = induced_warp(found, climb, mu)
-        missing = 2.0 * found * found - 0.5 * lift * (lifted - 0.5 * (climb + value))
-        low = wp.where(missing >= 0.0, low, found)
-        high = wp.where(missing >= 0.0, found, high)
-        newton = found - missing * reciprocal(4.0 * found + 0.25 * lift * slope)
+        value, slope = induced_warp(hover_induced, climb, mu)
+        missing = 2.0 * hover_induced * hover_induced - 0.5 * lift * (lifted - 0.5 * (climb + value))
+        low = wp.where(missing >= 0.0, low, hover_induced)
+        high = wp.where(missing >= 0.0, hover_induced, high)
+        newton = hover_induced - missing * reciprocal(4.0 * hover_induced + 0.25 * lift * slope)
         after = wp.max(wp.clamp(newton, low, high), LEAST)
-        induced_velocity = value + slope * (after - found)
-        found = after
+        induced_velocity = value + slope * (after - hover_induced)
+        hover_induced = after
     return induced_velocity

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
-from aerial_gym.physics.effects.failure import LATEST, TIME, middle_of
+from aerial_gym.physics.effects.failure import LATEST, TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
@@ -57,7 +57,7 @@ class BrownOut(CommandEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
-        since = middle_of(moment, values).unsqueeze(-1) - values[:, 1:2]
+        since = substep_middle(moment, values).unsqueeze(-1) - values[:, 1:2]
         return torch.where((since >= 0.0) & (since < values[:, 2:3]), values[:, :1], 1.0)
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:

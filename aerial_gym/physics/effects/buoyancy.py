@@ -42,19 +42,19 @@ class Buoyancy(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``F up`` and ``(b - c) x F up``."""
-        return buoyant(params[:, :1], params[:, 1:] - condition.vehicle.com, condition.up)
+        return buoyancy_wrench(params[:, :1], params[:, 1:] - condition.vehicle.com, condition.up)
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the Warp version."""
 
         @wp.func
         def buoyancy(at: condition, p: wp.vec4) -> wp.spatial_vector:
-            return warp_buoyant(p[0], wp.vec3(p[1], p[2], p[3]) - at.com, at.up)
+            return warp_buoyancy_wrench(p[0], wp.vec3(p[1], p[2], p[3]) - at.com, at.up)
 
         return buoyancy
 
 
-def buoyant(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
+def buoyancy_wrench(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
     """Return force [N] and torque [N m], (..., 6), of an upward force [N], (..., 1).
 
     It acts at a lever [m] from the centre of mass; that and world z are in axes of the body, (..., 3).
@@ -64,7 +64,7 @@ def buoyant(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
 
 
 @wp.func
-def warp_buoyant(force: float, lever: wp.vec3, up: wp.vec3) -> wp.spatial_vector:
+def warp_buoyancy_wrench(force: float, lever: wp.vec3, up: wp.vec3) -> wp.spatial_vector:
     """Return the Warp version."""
     push = force * up
     return wp.spatial_vector(push, wp.cross(lever, push))

@@ -66,7 +66,7 @@ class EffectsByKind:
         return places
 
     @property
-    def remembering(self) -> tuple[str, ...]:
+    def names_with_memory(self) -> tuple[str, ...]:
         """Names of the effects with memory of their own."""
         return tuple(effect.name for effect, _ in self.forces if effect.remembers)
 

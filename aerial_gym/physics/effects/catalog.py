@@ -5,7 +5,7 @@ The file has the name of the effect and is imported at its first use.
 
 from typing import TYPE_CHECKING
 
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
 
 if TYPE_CHECKING:
@@ -57,5 +57,5 @@ for _name, _class in (
     ("blade_element", "BladeElement"),
     ("vortex_ring", "VortexRing"),
 ):
-    _home = Home(f"aerial_gym.physics.effects.{_name}:{_class}")
+    _home = ImportPath(f"aerial_gym.physics.effects.{_name}:{_class}")
     EFFECTS.register_later(_name, _home.make, summary=_home.summary)

@@ -22,6 +22,6 @@ TIME = Parameter(
 )
 
 
-def middle_of(moment: Moment, like: Tensor) -> Tensor:
+def substep_middle(moment: Moment, like: Tensor) -> Tensor:
     """Return the middle of the coming substep [s], (E,), because failures begin at the boundary nearest to their time."""
     return (moment.since.to(like.dtype) + 0.5) * moment.dt

@@ -12,7 +12,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.random import counted_normal
+from aerial_gym.math.random import normal_draws
 from aerial_gym.physics.effects.base import Moment
 from aerial_gym.physics.effects.kinds.wind import WindEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -47,7 +47,7 @@ class Gusts(WindEffect):
         begins = (moment.since == 0).unsqueeze(-1)
         decay = torch.where(begins, 0.0, torch.exp(-share))
         spread = values[:, :1] * torch.where(begins, 1.0, (-torch.expm1(-2.0 * share)).sqrt())
-        return decay * values[:, 2:] + spread * counted_normal(moment.random, 0, 3, dtype=values.dtype)
+        return decay * values[:, 2:] + spread * normal_draws(moment.random, 0, 3, dtype=values.dtype)
 
     def wind(self, position: Tensor, params: Tensor) -> Tensor:
         """Return the wind in memory, (E, 3)."""

@@ -25,7 +25,7 @@ Layer = tuple[Tensor, Tensor]
 """Weights (out, in) and bias (out,)."""
 
 
-def felt_inputs(air_velocity: Tensor, ang_vel: Tensor, rotor_speed: Tensor) -> Tensor:
+def network_inputs(air_velocity: Tensor, ang_vel: Tensor, rotor_speed: Tensor) -> Tensor:
     """Return the inputs u, (E, 7), from velocities [m/s, rad/s], body, each (E, 3), and rotor speeds [rad/s], (E, R)."""
     return torch.cat((air_velocity, ang_vel, rotor_speed.square().mean(-1, keepdim=True)), dim=-1)
 
@@ -93,7 +93,7 @@ class LearnedResidual(WrenchEffect):
 
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque, (E, 6)."""
-        return params * self.evaluate(felt_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
+        return params * self.evaluate(network_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
 
     def warp_wrench(self, condition: type) -> wp.Function:
         """Return the Warp version."""
@@ -114,9 +114,9 @@ class LearnedResidual(WrenchEffect):
             beyond = whitening * wp.cw_div(felt - centre, scale)
             near = wp.clamp((4.0 - wp.dot(beyond, beyond)) / 3.0, 0.0, 1.0)
             held = wp.cw_div(wp.min(wp.max(felt, low), high) - centre, scale)
-            found = wp.max(wp.min(output * hidden(held) + bias, limit), -limit)
-            found = share[0] * near * near * (3.0 - 2.0 * near) * found
-            return wp.spatial_vector(found[0], found[1], found[2], found[3], found[4], found[5])
+            residual = wp.max(wp.min(output * hidden(held) + bias, limit), -limit)
+            residual = share[0] * near * near * (3.0 - 2.0 * near) * residual
+            return wp.spatial_vector(residual[0], residual[1], residual[2], residual[3], residual[4], residual[5])
 
         return learned_residual
 
@@ -153,7 +153,7 @@ def _hidden_layers(layers: tuple[LayerCfg, ...]) -> wp.Function:
     rest = _hidden_layers(tuple(before))
 
     @wp.func
-    def later(values: inputs) -> outputs:
+    def deep_layers(values: inputs) -> outputs:
         return squash(weights * rest(values) + bias)
 
-    return later
+    return deep_layers

@@ -11,8 +11,8 @@ The last term, Munk's moment, turns a slender link across its motion. The terms 
 the equations of motion, without weight, so an accelerometer senses them by the motion only. The energy of the water is
 ``1/2 v A v + 1/2 w B w`` for each link; interaction between links is neglected. This is the counterpart of ``added_mass`` and
 ``added_inertia`` for a rigid hull. Those scale the response of one body to a force; links also push each other, so here the
-water is part of the inertia. Parameters are of all links with mass, or of one (``on_links.ByLink``). The engine's side of
-it is ``articulated.link_fluid``.
+water is part of the inertia. Parameters are of all links with mass, or of one (``on_links.LinkParameters``).
+The engine's side of it is ``articulated.link_fluid``.
 Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations); Fossen (2021), Handbook of Marine Craft
 Hydrodynamics and Motion Control, section 6.3.
 Letters: E environments, L links, P parameters.
@@ -25,13 +25,13 @@ from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.kinds.link import LinkFluidEffect
-from aerial_gym.physics.effects.on_links import ByLink
+from aerial_gym.physics.effects.link_parameters import LinkParameters
 from aerial_gym.physics.effects.parameter import Parameter
 
 _MASSES, _INERTIAS = (tuple(f"{letter}{axis}" for axis in "xyz") for letter in "mj")
 
 
-class LinkAddedMass(ByLink, LinkFluidEffect):
+class LinkAddedMass(LinkParameters, LinkFluidEffect):
     """Mass and inertia of the water along and about each axis of each link."""
 
     name = "link_added_mass"

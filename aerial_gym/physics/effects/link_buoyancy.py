@@ -4,7 +4,7 @@
 reference pose) from its centre of mass: with the link in whatever way it is turned and joints bend. For each link what
 ``buoyancy`` is for a rigid hull, by the same formula; there the centre is told from the body origin, as that of a hull is
 drawn, and the whole is one body in flights and fits. A litre of fresh water is 9.81 N, and a link of mass m is neutral at m g.
-Parameters are of all links with mass, or of one (``on_links.ByLink``).
+Parameters are of all links with mass, or of one (``on_links.LinkParameters``).
 Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control, section 4.1 (submerged vehicles).
 Letters: E environments, L links, P parameters.
 """
@@ -15,13 +15,13 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.effects.buoyancy import buoyant, warp_buoyant
+from aerial_gym.physics.effects.buoyancy import buoyancy_wrench, warp_buoyancy_wrench
 from aerial_gym.physics.effects.kinds.link import LinkWrenchEffect
-from aerial_gym.physics.effects.on_links import ByLink
+from aerial_gym.physics.effects.link_parameters import LinkParameters
 from aerial_gym.physics.effects.parameter import Parameter
 
 
-class LinkBuoyancy(ByLink, LinkWrenchEffect):
+class LinkBuoyancy(LinkParameters, LinkWrenchEffect):
     """Upward force at a point of each link."""
 
     name = "link_buoyancy"
@@ -52,7 +52,7 @@ class LinkBuoyancy(ByLink, LinkWrenchEffect):
     def wrench(self, up: Tensor, params: Tensor) -> Tensor:
         """Return ``F up`` and ``b x F up``."""
         own = self.numbers(up.shape[1], params)
-        return buoyant(own[..., :1], own[..., 1:], up)
+        return buoyancy_wrench(own[..., :1], own[..., 1:], up)
 
     def warp_wrench(self, link: int) -> wp.Function | None:
         """Return the Warp version; a link without a force costs nothing."""
@@ -63,6 +63,6 @@ class LinkBuoyancy(ByLink, LinkWrenchEffect):
 
         @wp.func
         def link_buoyancy(up: wp.vec3, params: params_type) -> wp.spatial_vector:
-            return warp_buoyant(force(params)[0], lever(params), up)
+            return warp_buoyancy_wrench(force(params)[0], lever(params), up)
 
         return link_buoyancy

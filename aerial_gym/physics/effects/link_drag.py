@@ -16,7 +16,7 @@ from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.kinds.link import LinkEffect
-from aerial_gym.physics.effects.on_links import ByLink
+from aerial_gym.physics.effects.link_parameters import LinkParameters
 from aerial_gym.physics.effects.parameter import Parameter
 
 _LETTERS = {
@@ -29,7 +29,7 @@ _LETTERS = {
 _LINEAR, _QUADRATIC, _TURNING, _WHIRLING = (tuple(f"{letter}{axis}" for axis in "xyz") for letter in _LETTERS)
 
 
-class LinkDrag(ByLink, LinkEffect):
+class LinkDrag(LinkParameters, LinkEffect):
     """Twelve coefficients for all links or for one; an effect bound to a robot has those of its file."""
 
     name = "link_drag"

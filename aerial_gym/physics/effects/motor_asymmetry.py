@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
-from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.effects.one_rotor import nominal_lag
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -33,7 +33,7 @@ class MotorAsymmetry(VehicleEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return the declared lags, as means over the rotors."""
-        return declared_lag(robot)
+        return nominal_lag(robot)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with both time constants replaced."""

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
-from aerial_gym.physics.effects.failure import TIME, middle_of
+from aerial_gym.physics.effects.failure import TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
-from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -51,12 +51,12 @@ class MotorFailure(CommandEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return the factor of this substep, (E, 1)."""
-        middle = middle_of(moment, values)
+        middle = substep_middle(moment, values)
         return torch.where(middle.unsqueeze(-1) < values[:, 2:3], 1.0, values[:, 1:2])
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commands with that of one rotor times the factor."""
-        return command * (1.0 + chosen_rotor(vehicle, params[:, 0]) * (params[:, 3:] - 1.0))
+        return command * (1.0 + rotor_mask(vehicle, params[:, 0]) * (params[:, 3:] - 1.0))
 
     def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
-from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -40,7 +40,7 @@ class MotorTilt(VehicleEffect):
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with one axis rotated."""
-        chosen = chosen_rotor(vehicle, params[:, 0])
+        chosen = rotor_mask(vehicle, params[:, 0])
         roll, pitch = (chosen * params[:, k : k + 1] for k in (1, 2))
         x, y, z = vehicle.rotor_axis.unbind(-1)
         y, z = roll.cos() * y - roll.sin() * z, roll.sin() * y + roll.cos() * z

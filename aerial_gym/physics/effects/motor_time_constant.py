@@ -11,7 +11,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
-from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.effects.one_rotor import nominal_lag
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -31,7 +31,7 @@ class MotorTimeConstant(VehicleEffect):
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return the mean of the declared rise and fall."""
-        return (0.5 * sum(declared_lag(robot)),)
+        return (0.5 * sum(nominal_lag(robot)),)
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with both time constants replaced."""

@@ -16,13 +16,13 @@ ROTOR = Parameter(
 )
 
 
-def declared_lag(robot: RobotCfg) -> tuple[float, float]:
+def nominal_lag(robot: RobotCfg) -> tuple[float, float]:
     """Return the declared time constants of rise and fall [s], as means over the rotors."""
     rotors = robot.rotor_types
     return fmean(rotor.time_constant_up for rotor in rotors), fmean(rotor.time_constant_down for rotor in rotors)
 
 
-def chosen_rotor(vehicle: Vehicle, motor: Tensor) -> Tensor:
+def rotor_mask(vehicle: Vehicle, motor: Tensor) -> Tensor:
     """Return a mask (E, R) with 1 at the rotor of number ``motor`` (E,), counted from 1, and 0 elsewhere."""
     numbers = torch.arange(1, vehicle.num_rotors + 1, device=motor.device)
     return (numbers == motor.round().unsqueeze(1)).to(vehicle.rotor_spin.dtype)

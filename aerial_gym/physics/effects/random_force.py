@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.draws import draw_vec3
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.math.random import counted_uniforms
+from aerial_gym.math.random import uniform_draws
 from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
@@ -53,7 +53,7 @@ class RandomForce(WrenchEffect):
         share = moment.dt / values[:, 3]
         since = moment.since.to(values.dtype)
         begins = (moment.since == 0) | (((since + 0.5) * share).floor() > ((since - 0.5) * share).floor())
-        drawn = values[:, :3] * (2.0 * counted_uniforms(moment.random, 1, 3, dtype=values.dtype) - 1.0)
+        drawn = values[:, :3] * (2.0 * uniform_draws(moment.random, 1, 3, dtype=values.dtype) - 1.0)
         return torch.where(begins.unsqueeze(-1), drawn, values[:, 4:])
 
     def warp_remember(self, vehicle: type, moment: type) -> wp.Function:

@@ -12,9 +12,9 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
-from aerial_gym.physics.effects.failure import NEVER, TIME, middle_of
+from aerial_gym.physics.effects.failure import NEVER, TIME, substep_middle
 from aerial_gym.physics.effects.kinds.command import CommandEffect
-from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
 from aerial_gym.physics.vehicle import Vehicle
 
 
@@ -41,14 +41,14 @@ class StuckRotor(CommandEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         """Return the flag of a stuck rotor in this substep, and its speed, (E, 2)."""
-        stuck = middle_of(moment, values) >= values[:, 1]
-        now = (chosen_rotor(moment.vehicle, values[:, 0]) * moment.rotor_speed).sum(-1)
+        stuck = substep_middle(moment, values) >= values[:, 1]
+        now = (rotor_mask(moment.vehicle, values[:, 0]) * moment.rotor_speed).sum(-1)
         kept = torch.where(values[:, 2] > 0.0, values[:, 3], now)
         return torch.stack((stuck.to(values.dtype), torch.where(stuck, kept, 0.0)), dim=-1)
 
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
         """Return the commands with that of the stuck rotor replaced by its speed."""
-        kept = chosen_rotor(vehicle, params[:, 0]) * params[:, 2:3] > 0.0
+        kept = rotor_mask(vehicle, params[:, 0]) * params[:, 2:3] > 0.0
         return torch.where(kept, params[:, 3:], command)
 
     def replay_memory(self, voltage: Tensor) -> Tensor:
@@ -59,7 +59,7 @@ class StuckRotor(CommandEffect):
         """Return the Warp version."""
 
         @wp.func
-        def sticking(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
+        def hold_state(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
             after = wp.vec4(values[0], values[1], 0.0, 0.0)
             if (float(now.since) + 0.5) * now.dt >= values[1]:
                 after[2] = 1.0
@@ -70,17 +70,17 @@ class StuckRotor(CommandEffect):
                             after[3] = now.rotor_speed[i]
             return after
 
-        return sticking
+        return hold_state
 
     def warp_command(self, vehicle: type, vector: type) -> wp.Function:
         """Return the Warp version."""
 
         @wp.func
-        def stuck_rotor(command: vector, plant: vehicle, values: wp.vec4) -> vector:
+        def hold_speed(command: vector, plant: vehicle, values: wp.vec4) -> vector:
             followed = vector()
             for i in range(len(command)):
                 stuck = values[2] > 0.0 and i + 1 == int(wp.round(values[0]))
                 followed[i] = wp.where(stuck, values[3], command[i])
             return followed
 
-        return stuck_rotor
+        return hold_speed

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from aerial_gym.math.decay import decaying_sum
+from aerial_gym.math.decay import exponential_sum
 from aerial_gym.physics.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Track:
+class FlightTrack:
     """Rows of one flight at equal time steps."""
 
     vehicle: Vehicle
@@ -44,4 +44,4 @@ def relax(rest: Array, start: Array, *, tau: float, step: float) -> Array:
     share = step / tau
     decay, gained = np.exp(-share), -np.expm1(-share)
     later = 1.0 - gained / share
-    return decaying_sum(np.concatenate((start[None], (gained - later) * rest[:-1] + later * rest[1:])), float(decay))
+    return exponential_sum(np.concatenate((start[None], (gained - later) * rest[:-1] + later * rest[1:])), float(decay))

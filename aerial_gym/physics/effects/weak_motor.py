@@ -9,7 +9,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.kinds.vehicle import VehicleEffect
-from aerial_gym.physics.effects.one_rotor import ROTOR, chosen_rotor
+from aerial_gym.physics.effects.one_rotor import ROTOR, rotor_mask
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -35,5 +35,5 @@ class WeakMotor(VehicleEffect):
 
     def adjust(self, vehicle: Vehicle, params: Tensor) -> Vehicle:
         """Return the vehicle with the maps of one rotor scaled."""
-        factor = 1.0 + chosen_rotor(vehicle, params[:, 0]) * (params[:, 1:] - 1.0)
+        factor = 1.0 + rotor_mask(vehicle, params[:, 0]) * (params[:, 1:] - 1.0)
         return vehicle.with_scaled_maps(thrust=factor, torque=factor)

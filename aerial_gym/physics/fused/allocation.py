@@ -15,7 +15,7 @@ UNLIMITED = wp.constant(1.0e9)
 """Thrust limit along body z [N] of a rotor without part in it; finite, for finite gradients."""
 
 
-def make_prioritised_thrust(
+def make_allot_thrust(
     num_rotors: int, general: bool = False, *, idle: bool, lateral: bool, differentiable: bool = False
 ) -> wp.Function:
     """Return the Warp version of ``control.allocation.allot``, from parameters and wrench to thrusts [N] and two shares.
@@ -34,7 +34,7 @@ def make_prioritised_thrust(
     spread = _make_spread(num_rotors, general, idle=idle, lateral=lateral, differentiable=differentiable)
 
     @wp.func
-    def prioritised_thrust(params: command_type, wanted: wp.spatial_vector):
+    def allot_thrust(params: command_type, wanted: wp.spatial_vector):
         thrust = vector()
         for i in range(wp.static(num_rotors)):
             row = params.allocation[i]
@@ -49,7 +49,7 @@ def make_prioritised_thrust(
             thrust, turn, rest = spread(params, wanted)
         return thrust, turn, rest
 
-    return prioritised_thrust
+    return allot_thrust
 
 
 def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, differentiable: bool) -> wp.Function:
@@ -89,13 +89,15 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
                     row = params.allocation[i]
                     change = wp.where(stage == 0, turn_of(row, wanted), rest_of(row, wanted))
                     if row[2] == 0.0:
-                        share = fitting(share, room_of(params.low[i], params.high[i], thrust[i], change), change)
+                        share = limit_share(
+                            share, thrust_margin(params.low[i], params.high[i], thrust[i], change), change
+                        )
                 for j in range(0, wp.static(num_rotors), one):
                     upper = table[j, SLOPE + stage]
                     lower = table[i, SLOPE + stage]
                     need = upper - lower
                     if need > NEGLIGIBLE * (wp.abs(upper) + wp.abs(lower)):  # else equal rotors
-                        share = fitting(share, table[j, CEILING] - table[i, FLOOR], need)
+                        share = limit_share(share, table[j, CEILING] - table[i, FLOOR], need)
             shares[stage] = share
             if stage == 0:
                 for i in range(0, wp.static(num_rotors), one):
@@ -124,7 +126,7 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
             if row[2] != 0.0:
                 thrust[i] = shares[0] * turn_of(row, wanted) + collective * row[2]
             rest = rest_of(row, wanted)
-            rest_share = fitting(rest_share, room_of(params.low[i], params.high[i], thrust[i], rest), rest)
+            rest_share = limit_share(rest_share, thrust_margin(params.low[i], params.high[i], thrust[i], rest), rest)
         allowed = vector()
         for i in range(0, wp.static(num_rotors), one):
             given = thrust[i] + rest_share * rest_of(params.allocation[i], wanted)
@@ -143,21 +145,21 @@ def _make_parts(lateral: bool) -> tuple[wp.Function, wp.Function]:
     """Return the functions of a rotor's thrust for roll and pitch torque, and for yaw torque and lateral force."""
 
     @wp.func
-    def turn_of(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
+    def tilt_thrust(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
         return row[3] * wanted[3] + row[4] * wanted[4]
 
     @wp.func
-    def rest_of(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
+    def yaw_thrust(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
         rest = row[5] * wanted[5]
         if wp.static(lateral):
             rest += row[0] * wanted[0] + row[1] * wanted[1]
         return rest
 
-    return turn_of, rest_of
+    return tilt_thrust, yaw_thrust
 
 
 @wp.func
-def fitting(share: float, room: float, change: float) -> float:
+def limit_share(share: float, room: float, change: float) -> float:
     """Return the smaller of a share and ``room / change``."""
     if share * wp.abs(change) > wp.max(room, 0.0):
         share = wp.max(room, 0.0) / wp.abs(change)
@@ -165,6 +167,6 @@ def fitting(share: float, room: float, change: float) -> float:
 
 
 @wp.func
-def room_of(low: float, high: float, thrust: float, change: float) -> float:
+def thrust_margin(low: float, high: float, thrust: float, change: float) -> float:
     """Return the margin of a thrust to its limit in the direction of a change [N]."""
     return wp.where(change > 0.0, high - thrust, thrust - low)

@@ -6,7 +6,7 @@ Letters: R rotors, U entries of an action.
 import warp as wp
 
 from aerial_gym.math.warp_functions import root, vector_type
-from aerial_gym.physics.fused.allocation import make_prioritised_thrust
+from aerial_gym.physics.fused.allocation import make_allot_thrust
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import rotor_types
 
@@ -16,9 +16,9 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiabl
     types = rotor_types(num_rotors, general)
     command_type, vector, action_type = types.command, types.vector, vector_type(law.num_prepared)
     gains_type, law_wrench = law.gains_type or NoGains, law.wrench
-    limited = make_limited(num_rotors, general)
-    speed_of, prioritised = make_speed_of(num_rotors, general), law.saturation == "prioritised"
-    thrust_for = make_prioritised_thrust(
+    limited = make_clamp(num_rotors, general)
+    speed_of, prioritised = make_speed_command(num_rotors, general), law.saturation == "prioritised"
+    thrust_for = make_allot_thrust(
         num_rotors, general, idle=law.idle, lateral=law.lateral, differentiable=differentiable
     )
 
@@ -53,28 +53,28 @@ def make_command(law: FusedLaw, num_rotors: int, general: bool, *, differentiabl
     return {"speed": speed, "thrust": thrust, "wrench": wrench}[law.output]
 
 
-def make_limited(num_rotors: int, general: bool) -> wp.Function:
+def make_clamp(num_rotors: int, general: bool) -> wp.Function:
     """Return the function that clamps thrusts [N] to their limits."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
     @wp.func
-    def limited(params: command_type, thrust: vector) -> vector:
+    def clamp_thrusts(params: command_type, thrust: vector) -> vector:
         allowed = vector()
         for i in range(wp.static(num_rotors)):
             allowed[i] = wp.clamp(thrust[i], params.low[i], params.high[i])
         return allowed
 
-    return limited
+    return clamp_thrusts
 
 
-def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
+def make_speed_command(num_rotors: int, general: bool) -> wp.Function:
     """Return the function from thrusts [N] within the limits to rotor commands, speeds [rad/s] or in force mode thrusts."""
     types = rotor_types(num_rotors, general)
     command_type, vector = types.command, types.vector
 
     @wp.func
-    def speed_of(params: command_type, thrust: vector) -> vector:
+    def speed_command(params: command_type, thrust: vector) -> vector:
         speed = vector()
         for i in range(wp.static(num_rotors)):
             square = params.speed_map[i, 0] + params.speed_map[i, 1] * thrust[i]
@@ -82,7 +82,7 @@ def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
         return speed
 
     @wp.func
-    def state_of(params: command_type, thrust: vector) -> vector:
+    def state_command(params: command_type, thrust: vector) -> vector:
         state = vector()
         for i in range(wp.static(num_rotors)):
             allowed = thrust[i]
@@ -103,4 +103,4 @@ def make_speed_of(num_rotors: int, general: bool) -> wp.Function:
             state[i] = wp.where(reverse, -size, size)
         return state
 
-    return state_of if general else speed_of
+    return state_command if general else speed_command

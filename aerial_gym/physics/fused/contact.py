@@ -36,7 +36,7 @@ def contact_parameters(cfg: ContactCfg | None, share: float) -> ContactParameter
     return struct
 
 
-def rows_of(count: int) -> Any:
+def rows_type(count: int) -> Any:
     """Return the type of a vector of three numbers for each contact."""
     return wp.types.matrix(shape=(count, 3), dtype=wp.float32)
 
@@ -76,7 +76,7 @@ def _choose_branch(
 
 
 @wp.func
-def displaced(
+def displace(
     law: ContactParameters,
     dt: float,
     position: wp.vec3,
@@ -103,7 +103,7 @@ def make_velocity_change(count: int) -> wp.Function:
     Its inputs are mass and inertia [kg, kg m², body], attitude, velocity and angular velocity [world] after a step without
     contact, and of each contact gap [m; >= 0: none], lever [m], normal and surface velocity [m/s], world.
     """
-    vector, rows = vector_type(count), rows_of(count)
+    vector, rows = vector_type(count), rows_type(count)
 
     @wp.func
     def velocity_change(
@@ -201,7 +201,7 @@ def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp
     vehicle_type, vector, rows = (
         rotor_types(num_rotors, general).vehicle,
         vector_type(num_spheres),
-        rows_of(num_spheres),
+        rows_type(num_spheres),
     )
     velocity_change = make_velocity_change(num_spheres)
 
@@ -243,7 +243,7 @@ def make_push_off_ground(num_rotors: int, num_spheres: int, general: bool) -> wp
         delta, delta_turn = velocity_change(
             law, dt, mass, vehicle.inertia, attitude, lin_vel, turn, gaps, levers, normals, rows()
         )
-        x, q, v, w = displaced(law, dt, position, attitude, lin_vel, ang_vel, delta, delta_turn)
+        x, q, v, w = displace(law, dt, position, attitude, lin_vel, ang_vel, delta, delta_turn)
         return x, q, v, w, mass * delta, crashes
 
     return push_off_ground

@@ -13,7 +13,7 @@ from aerial_gym.physics.fused.kirchhoff import make_coast, make_inverse_mass
 from aerial_gym.physics.fused.loads import make_loads
 from aerial_gym.physics.fused.packing import value_access, values_type
 from aerial_gym.physics.fused.rotors import make_follow, make_stage_rates
-from aerial_gym.physics.fused.types import Suspension, rotor_types
+from aerial_gym.physics.fused.types import KernelSuspension, rotor_types
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}
@@ -91,7 +91,7 @@ def _make_hang(model: Model) -> wp.Function | None:
     if not model.effects[LoadEffect]:
         return None
     ((effect, access),) = value_access(model, LoadEffect)
-    pull, pick = effect.warp_pull(Suspension), access.get
+    pull, pick = effect.warp_pull(KernelSuspension), access.get
     types, params_type = rotor_types(model.vehicle.num_rotors, not model.vehicle.plain), values_type(model)
     vehicle_type, any_fluid = types.vehicle, bool(model.effects[FluidEffect])
     inverse_mass = make_inverse_mass(model) if any_fluid else None
@@ -113,7 +113,7 @@ def _make_hang(model: Model) -> wp.Function | None:
         mobility = vehicle.mass_inverse * wp.identity(n=3, dtype=float) - cross * vehicle.inertia_inverse * cross
         if wp.static(any_fluid):
             mobility = wp.diag(inverse_mass(vehicle, params)) - cross * vehicle.inertia_inverse * cross
-        at = Suspension()
+        at = KernelSuspension()
         at.acceleration = acc + rotate(attitude, wp.cross(ang_acc, lever) + wp.cross(ang_vel, wp.cross(ang_vel, lever)))
         at.mobility = rotation * mobility * wp.transpose(rotation)
         at.gravity = gravity
@@ -224,7 +224,7 @@ def _make_euler_in_fluid(
     """Return the Warp version of ``integrators.euler_in_fluid``."""
 
     @wp.func
-    def swing_on(load: wp.spatial_vector, dt: float) -> wp.spatial_vector:
+    def advance_load(load: wp.spatial_vector, dt: float) -> wp.spatial_vector:
         rate = wp.spatial_bottom(load)
         return settle(wp.spatial_vector(wp.spatial_top(load) + dt * rate, rate))
 
@@ -248,7 +248,7 @@ def _make_euler_in_fluid(
         x, q, v, w = coast(vehicle, params, position, attitude, lin_vel, ang_vel, half)
         hung = load
         if wp.static(any_load):
-            hung = swing_on(load, half)
+            hung = advance_load(load, half)
         acc, ang_acc, swing = accelerations(vehicle, params, gravity, x, q, v, w, rotors, spin_up, hung)
         free_acc, free_ang_acc = free_accelerations(vehicle, params, x, q, v, w)
         pushed = v + dt * (acc - free_acc)
@@ -257,7 +257,7 @@ def _make_euler_in_fluid(
         ends = hung
         if wp.static(any_load):
             rate = wp.spatial_bottom(hung) + dt * wp.spatial_bottom(swing)
-            ends = swing_on(wp.spatial_vector(wp.spatial_top(hung), rate), half)
+            ends = advance_load(wp.spatial_vector(wp.spatial_top(hung), rate), half)
         return end_x, end_q, end_v, end_w, rotors, ends
 
     return euler_in_fluid

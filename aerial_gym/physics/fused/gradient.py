@@ -48,7 +48,7 @@ class _Rollout(torch.autograd.Function):
 
         *state_kinds, action_kind = rollout.kinds
         now = [view(tensor, kind) for tensor, kind in zip(state, state_kinds, strict=True)]
-        nothing, no_hook = NoMemory(), NoHook()
+        no_memory, no_hook = NoMemory(), NoHook()
         action, params = view(command, action_kind), view(packed, wp.float32)
         ctx.inputs, ctx.tape = [params, action, *now], wp.Tape()
         with on_torch_stream(command), ctx.tape:
@@ -57,7 +57,7 @@ class _Rollout(torch.autograd.Function):
                 wp.launch(
                     rollout.kernel,
                     dim=command.shape[0],
-                    inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0, nothing, no_hook],
+                    inputs=[*now, action, *rollout.shared, params, *rollout.scalars, 1, 0, no_memory, no_hook],
                     outputs=[*after, rollout.contact, rollout.impulse],
                     device=now[0].device,
                 )
@@ -73,6 +73,6 @@ class _Rollout(torch.autograd.Function):
                 for array, grad in zip(ctx.outputs, grads, strict=True)
             }
             ctx.tape.backward(grads=seeds)
-            found = tuple(wp.to_torch(array.grad).clone() for array in ctx.inputs)
+            input_grads = tuple(wp.to_torch(array.grad).clone() for array in ctx.inputs)
             ctx.tape.zero()
-        return (None, *found)
+        return (None, *input_grads)

@@ -50,7 +50,7 @@ class Substep:
 class NoHook:
     """Small stand-in for absent hook data, because the cost of a launch grows with the size of its arguments."""
 
-    nothing: int
+    unused: int
 
 
 @wp.struct

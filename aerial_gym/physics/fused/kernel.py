@@ -16,7 +16,7 @@ from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
+from aerial_gym.physics.fused.packing import Packing, model_types, num_values, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band
 from aerial_gym.physics.model import Model
@@ -60,11 +60,11 @@ def make_kernel(
         differentiable: Whether Warp generates the adjoint.
     """
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    general, types = not model.vehicle.plain, types_of(model)
+    general, types = not model.vehicle.plain, model_types(model)
     stop = make_dead_band(num_rotors) if general else None
     vector, action_type, params_type = types.vector, vector_type(law.num_actions), values_type(model)
     prepare, prepared_type = preparation(law.prepare, law.num_actions), vector_type(law.num_prepared)
-    remembers, num_loads = bool(model.effects.remembering), 6 * len(model.effects[LoadEffect])
+    remembers, num_loads = bool(model.effects.names_with_memory), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
     begin = make_begin(model) if remembers else None
     law_remembers = law.make_stateful_step is not None

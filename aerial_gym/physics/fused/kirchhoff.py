@@ -7,13 +7,13 @@ import warp as wp
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, unit_quat
 from aerial_gym.physics.effects import FluidEffect
 from aerial_gym.physics.fused.loads import make_wind
-from aerial_gym.physics.fused.packing import types_of, value_access, values_type
+from aerial_gym.physics.fused.packing import model_types, value_access, values_type
 from aerial_gym.physics.kirchhoff import ITERATIONS
 from aerial_gym.physics.model import Model
 
 
 @wp.func
-def _turned_half(a: wp.vec3, vector: wp.vec3) -> wp.vec3:
+def _half_rotation(a: wp.vec3, vector: wp.vec3) -> wp.vec3:
     return (vector - wp.cross(a, vector) + wp.dot(a, vector) * a) / (1.0 + wp.dot(a, a))
 
 
@@ -22,7 +22,7 @@ def _slope(
     inverse_mass: wp.vec3, turn: wp.vec3, v: wp.vec3, w: wp.vec3, p: wp.vec3, spin: wp.vec3, axis: wp.vec3, half: float
 ) -> wp.vec3:
     """Return the derivative of Newton's residual along an axis; ``turn`` is J times the axis."""
-    more = half * _turned_half(half * w, wp.cross(p, axis))
+    more = half * _half_rotation(half * w, wp.cross(p, axis))
     gyroscopic = wp.cross(axis, spin) + wp.cross(w, turn)
     return turn + half * (gyroscopic + wp.cross(wp.cw_mul(inverse_mass, more), p) + wp.cross(v, more))
 
@@ -38,7 +38,7 @@ def _mean_ang_vel(inverse_mass: wp.vec3, inertia: wp.mat33, lin_vel: wp.vec3, an
     z = wp.vec3(0.0, 0.0, 1.0)
     w = ang_vel
     for _i in range(wp.static(ITERATIONS)):
-        p = _turned_half(half * w, impulse)
+        p = _half_rotation(half * w, impulse)
         now = inertia * w
         v = wp.cw_mul(inverse_mass, p)
         missing = now - spin + half * (wp.cross(w, now) + wp.cross(v, p))
@@ -46,8 +46,8 @@ def _mean_ang_vel(inverse_mass: wp.vec3, inertia: wp.mat33, lin_vel: wp.vec3, an
         b = _slope(inverse_mass, inertia * y, v, w, p, now, y, half)
         c = _slope(inverse_mass, inertia * z, v, w, p, now, z, half)
         beside = wp.cross(b, c)
-        found = wp.vec3(wp.dot(missing, beside), wp.dot(a, wp.cross(missing, c)), wp.dot(a, wp.cross(b, missing)))
-        w = w - found / wp.dot(a, beside)
+        numerators = wp.vec3(wp.dot(missing, beside), wp.dot(a, wp.cross(missing, c)), wp.dot(a, wp.cross(b, missing)))
+        w = w - numerators / wp.dot(a, beside)
     return w
 
 
@@ -55,7 +55,7 @@ def make_inverse_mass(model: Model) -> wp.Function:
     """Return the function of the inverse mass of hull and fluid along each body axis [1/kg]."""
     ((effect, pick),) = value_access(model, FluidEffect)
     added_mass, get = effect.warp_added_mass(), pick.get
-    vehicle_type: Any = types_of(model).vehicle
+    vehicle_type: Any = model_types(model).vehicle
     params_type: Any = values_type(model)
 
     @wp.func
@@ -74,7 +74,7 @@ def make_coast(model: Model) -> tuple[wp.Function, wp.Function]:
     """
     ((effect, pick),) = value_access(model, FluidEffect)
     wind, added_mass, get, inverse_mass = make_wind(model), effect.warp_added_mass(), pick.get, make_inverse_mass(model)
-    vehicle_type: Any = types_of(model).vehicle
+    vehicle_type: Any = model_types(model).vehicle
     params_type: Any = values_type(model)
 
     @wp.func
@@ -92,7 +92,7 @@ def make_coast(model: Model) -> tuple[wp.Function, wp.Function]:
         mean = _mean_ang_vel(inverse, vehicle.inertia, v, ang_vel, dt)
         a = 0.5 * dt * mean
         square = wp.dot(a, a)
-        more = -wp.cw_mul(inverse, wp.cross(a, _turned_half(a, wp.cw_div(v, inverse))))
+        more = -wp.cw_mul(inverse, wp.cross(a, _half_rotation(a, wp.cw_div(v, inverse))))
         end = v + 2.0 * more
         move = dt / (1.0 + square) * (more + wp.cross(a, v + more) - square * v)
         gain = 2.0 * more + 2.0 / (1.0 + square) * (wp.cross(a, end) + wp.cross(a, wp.cross(a, end)))

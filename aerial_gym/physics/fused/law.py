@@ -19,7 +19,7 @@ from aerial_gym.physics.vehicle import Vehicle
 class NoGains:
     """Stand-in for the gains of a law without gains."""
 
-    nothing: float
+    unused: float
 
 
 def gain_rows(struct: Any, gains: Any) -> dict[str, Tensor]:
@@ -107,7 +107,7 @@ def preparation(prepare: wp.Function | None, num_actions: int) -> wp.Function:
     action_type = vector_type(num_actions)
 
     @wp.func
-    def as_it_is(action: action_type, gains: Any) -> action_type:
+    def identity(action: action_type, gains: Any) -> action_type:
         return action
 
-    return as_it_is if prepare is None else prepare
+    return identity if prepare is None else prepare

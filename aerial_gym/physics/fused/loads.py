@@ -24,7 +24,7 @@ def _sum_of_rotors(terms: list[tuple[wp.Function, wp.Function]], condition: Any,
     """Return the sum of rotor effects as one function, (condition, hub, parameters of all effects) -> thrust."""
 
     @wp.func
-    def nothing(at: condition, hub: Hub, all_params: params) -> float:
+    def no_term(at: condition, hub: Hub, all_params: params) -> float:
         return 0.0
 
     def plus(rest: wp.Function, effect: wp.Function, pick: wp.Function) -> wp.Function:
@@ -34,13 +34,13 @@ def _sum_of_rotors(terms: list[tuple[wp.Function, wp.Function]], condition: Any,
 
         return term
 
-    total = nothing
+    total = no_term
     for effect, pick in terms:
         total = plus(total, effect, pick)
     return total
 
 
-def _sum_of(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params: Any, result: Any) -> wp.Function:
+def _sum_effects(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params: Any, result: Any) -> wp.Function:
     """Return the sum of effects as one function, (argument, parameters of all effects) -> result.
 
     Effects are chained through closures. A loop over ``wp.static(functions[i])`` would be shorter, but Warp 1.19 leaves
@@ -48,7 +48,7 @@ def _sum_of(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params:
     """
 
     @wp.func
-    def nothing(at: argument, all_params: params) -> result:
+    def no_term(at: argument, all_params: params) -> result:
         return result()
 
     def plus(rest: wp.Function, effect: wp.Function, pick: wp.Function) -> wp.Function:
@@ -58,19 +58,21 @@ def _sum_of(terms: list[tuple[wp.Function, wp.Function]], argument: Any, params:
 
         return term
 
-    total = nothing
+    total = no_term
     for effect, pick in terms:
         total = plus(total, effect, pick)
     return total
 
 
-def _make_hub_at(num_rotors: int, general: bool, upright: bool) -> wp.Function:
+def _make_hub(num_rotors: int, general: bool, upright: bool) -> wp.Function:
     """Return a function to the ``Hub`` of one rotor. (A struct assigned in a loop would have a wrong adjoint.)"""
     types = rotor_types(num_rotors, general)
     vehicle_type, condition_type = types.vehicle, types.condition
 
     @wp.func
-    def hub_at(vehicle: vehicle_type, at: condition_type, i: int, thrust: float, ground: float, ceiling: float) -> Hub:
+    def hub_state(
+        vehicle: vehicle_type, at: condition_type, i: int, thrust: float, ground: float, ceiling: float
+    ) -> Hub:
         lever = wp.vec3(vehicle.rotor_lever[i, 0], vehicle.rotor_lever[i, 1], vehicle.rotor_lever[i, 2])
         hub = Hub()
         hub.speed = at.rotor_speed[i]
@@ -93,26 +95,26 @@ def _make_hub_at(num_rotors: int, general: bool, upright: bool) -> wp.Function:
         hub.inlet_room = wp.where(wake_goes_up, altitude - ground, ceiling - altitude)
         return hub
 
-    return hub_at
+    return hub_state
 
 
 Acts = Callable[[Effect], bool] | None
 """Condition for an effect to act; None: all act."""
 
 
-def _chosen(model: Model, kind: type[Effect], acts: Acts) -> list[tuple[Any, wp.Function]]:
+def _select_effects(model: Model, kind: type[Effect], acts: Acts) -> list[tuple[Any, wp.Function]]:
     """Return the acting effects of a kind, each with the function to its values."""
     return [(effect, pick.get) for effect, pick in value_access(model, kind) if acts is None or acts(effect)]
 
 
 def make_wind(model: Model, acts: Acts = None) -> wp.Function:
     """Return the function (position [m], world, values of all effects) -> velocity of the air [m/s], world."""
-    winds = [(effect.warp_wind(), get) for effect, get in _chosen(model, WindEffect, acts)]
-    return _sum_of(winds, wp.vec3, values_type(model), wp.vec3)
+    winds = [(effect.warp_wind(), get) for effect, get in _select_effects(model, WindEffect, acts)]
+    return _sum_effects(winds, wp.vec3, values_type(model), wp.vec3)
 
 
 def make_loads(model: Model, *, upright: bool, num_rotors: int | None = None, acts: Acts = None) -> wp.Function:
-    """Return the Warp twin of ``rigid_body.acting_in`` for one environment.
+    """Return the Warp twin of ``rigid_body.force_breakdown`` for one environment.
 
     Results: thrusts [N] and drag torques [N m] of the rotors; force [N] and torque about the centre of mass [N m] of the
     effects, body; the condition of the effects.
@@ -127,13 +129,13 @@ def make_loads(model: Model, *, upright: bool, num_rotors: int | None = None, ac
     types = rotor_types(num_rotors, general)
     thrust_of, torque_of = make_maps(types.vehicle)
     params_type, wind = values_type(model), make_wind(model, acts)
-    rotors = [(one.warp_thrust(types.condition, Hub), get) for one, get in _chosen(model, RotorEffect, acts)]
-    wrenches = [(one.warp_wrench(types.condition), get) for one, get in _chosen(model, WrenchEffect, acts)]
-    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(_chosen(model, FluidEffect, acts))
+    rotors = [(one.warp_thrust(types.condition, Hub), get) for one, get in _select_effects(model, RotorEffect, acts)]
+    wrenches = [(one.warp_wrench(types.condition), get) for one, get in _select_effects(model, WrenchEffect, acts)]
+    any_rotor, any_wrench, any_fluid = bool(rotors), bool(wrenches), bool(_select_effects(model, FluidEffect, acts))
     gain = _sum_of_rotors(rotors, types.condition, params_type)
-    wrench = _sum_of(wrenches, types.condition, params_type, wp.spatial_vector)
+    wrench = _sum_effects(wrenches, types.condition, params_type, wp.spatial_vector)
     vehicle_type, vector, condition_type = types.vehicle, types.vector, types.condition
-    own_ground, hub_at = isinstance(model.ground_height, Tensor), _make_hub_at(num_rotors, general, upright)
+    own_ground, hub_at = isinstance(model.ground_height, Tensor), _make_hub(num_rotors, general, upright)
     ground_height = 0.0 if isinstance(model.ground_height, Tensor) else model.ground_height
     ceiling_height = NO_CEILING if model.ceiling_height is None else model.ceiling_height
 

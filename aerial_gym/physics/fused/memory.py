@@ -7,10 +7,10 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.draws import RandomArrays, stream_of, substream
+from aerial_gym.math.draws import RandomArrays, episode_stream, substream
 from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
-from aerial_gym.physics.fused.packing import types_of, value_access, values_type
+from aerial_gym.physics.fused.packing import model_types, value_access, values_type
 from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.model import Model
 
@@ -66,7 +66,7 @@ def memory_type(*, effects: bool, law: bool) -> Any:
 
 def make_begin(model: Model) -> wp.Function:
     """Return the function from values and command to those of a substep; with a delay, to two commands."""
-    types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
+    types, values, num_rotors = model_types(model), values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
     remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.effects[DelayEffect])
     delayed = _make_delayed(model, lead) if any_delay else None
@@ -85,7 +85,7 @@ def make_begin(model: Model) -> wp.Function:
         now = moment()
         now.rotor_speed = speed
         now.since = since
-        now.random = substream(stream_of(arrays.random, env, wp.static(int(Purpose.EFFECTS))), since)
+        now.random = substream(episode_stream(arrays.random, env, wp.static(int(Purpose.EFFECTS))), since)
         now.dt = dt
         remembered = remember(vehicle, now, all_values)
         if wp.static(any_delay):
@@ -100,15 +100,15 @@ def make_begin(model: Model) -> wp.Function:
 
 
 def _make_remember(model: Model) -> wp.Function:
-    """Return all ``Effect.remember`` as one function, chained like ``dynamics._sum_of``."""
-    types, values = types_of(model), values_type(model)
+    """Return all ``Effect.remember`` as one function, chained like ``dynamics._sum_effects``."""
+    types, values = model_types(model), values_type(model)
     moment, vehicle_type = types.moment, types.vehicle
 
     @wp.func
-    def nothing(vehicle: vehicle_type, now: moment, all_values: values) -> values:
+    def identity(vehicle: vehicle_type, now: moment, all_values: values) -> values:
         return all_values
 
-    def after(rest: wp.Function, effect: wp.Function, get: wp.Function, put: wp.Function) -> wp.Function:
+    def chain(rest: wp.Function, effect: wp.Function, get: wp.Function, put: wp.Function) -> wp.Function:
         @wp.func
         def remember(vehicle: vehicle_type, now: moment, all_values: values) -> values:
             before = rest(vehicle, now, all_values)
@@ -116,24 +116,24 @@ def _make_remember(model: Model) -> wp.Function:
 
         return remember
 
-    total = nothing
+    total = identity
     for effect, pick in value_access(model, Effect):
         twin = effect.warp_remember(vehicle_type, moment)
         if twin is not None:
-            total = after(total, twin, pick.get, pick.put)
+            total = chain(total, twin, pick.get, pick.put)
     return total
 
 
 def _make_lead(model: Model) -> wp.Function:
     """Return all ``CommandEffect.command`` as one function."""
-    types, values = types_of(model), values_type(model)
+    types, values = model_types(model), values_type(model)
     vehicle_type, vector = types.vehicle, types.vector
 
     @wp.func
     def straight(vehicle: vehicle_type, all_values: values, command: vector) -> vector:
         return command
 
-    def after(rest: wp.Function, effect: wp.Function, get: wp.Function) -> wp.Function:
+    def chain(rest: wp.Function, effect: wp.Function, get: wp.Function) -> wp.Function:
         @wp.func
         def lead(vehicle: vehicle_type, all_values: values, command: vector) -> vector:
             return effect(rest(vehicle, all_values, command), vehicle, get(all_values))
@@ -142,19 +142,21 @@ def _make_lead(model: Model) -> wp.Function:
 
     total = straight
     for effect, pick in value_access(model, CommandEffect):
-        total = after(total, effect.warp_command(vehicle_type, vector), pick.get)
+        total = chain(total, effect.warp_command(vehicle_type, vector), pick.get)
     return total
 
 
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     """Return the function to the delayed commands of the substep."""
-    types, values, num_rotors = types_of(model), values_type(model), model.vehicle.num_rotors
+    types, values, num_rotors = model_types(model), values_type(model), model.vehicle.num_rotors
     ((effect, access),) = value_access(model, DelayEffect)
     delay_of, pick, arrive = effect.warp_delay(), access.get, _make_arrive(types, num_rotors, lead, values)
     moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 
     @wp.func
-    def delayed(vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int) -> succession:
+    def delay_command(
+        vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int
+    ) -> succession:
         substeps = wp.clamp(delay_of(pick(all_values)) / now.dt, 0.0, float(arrays.slots - 2))
         whole = wp.floor(substeps)
         both = succession()
@@ -163,7 +165,7 @@ def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
         both.change = (substeps - whole) * now.dt
         return both
 
-    return delayed
+    return delay_command
 
 
 def _make_arrive(types: RotorTypes, num_rotors: int, lead: wp.Function, values: Any) -> wp.Function:

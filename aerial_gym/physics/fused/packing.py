@@ -28,7 +28,7 @@ AnyKind = TypeVar("AnyKind", bound=Effect)
 
 
 @dataclass(frozen=True)
-class Field:
+class StructField:
     """A field of a parameter struct, computed from tensors (E, ...)."""
 
     name: str
@@ -54,7 +54,7 @@ def _same(rows: Tensor) -> Tensor:
     return rows.unsqueeze(1) if rows.dim() == 1 else rows
 
 
-def _vehicle_fields(model: Model, stage: float) -> list[Field]:
+def _vehicle_fields(model: Model, stage: float) -> list[StructField]:
     """Return the fields of the vehicle; ``stage`` [s] is the time between two evaluations of the rotor lag."""
     v = model.vehicle
 
@@ -68,45 +68,48 @@ def _vehicle_fields(model: Model, stage: float) -> list[Field]:
         return torch.linalg.cross(position - com.unsqueeze(1), axis)
 
     fields = [
-        Field("mass_inverse", (v.mass,), lambda mass: 1.0 / mass.unsqueeze(1)),
-        Field("inertia", (v.inertia,), _same),
-        Field("inertia_inverse", (model.inertia_inverse,), _same),
-        Field("com", (v.com,), _same),
-        Field("thrust_map", (v.thrust_map,), _same),
-        Field("torque_map", (v.torque_map,), _same),
-        Field("rotor_axis", (v.rotor_axis,), _same),
-        Field("rotor_moment", (v.rotor_position, v.com, v.rotor_axis), moment),
-        Field("rotor_reaction", (v.rotor_spin, v.rotor_axis), lambda spin, axis: -spin.unsqueeze(-1) * axis),
+        StructField("mass_inverse", (v.mass,), lambda mass: 1.0 / mass.unsqueeze(1)),
+        StructField("inertia", (v.inertia,), _same),
+        StructField("inertia_inverse", (model.inertia_inverse,), _same),
+        StructField("com", (v.com,), _same),
+        StructField("thrust_map", (v.thrust_map,), _same),
+        StructField("torque_map", (v.torque_map,), _same),
+        StructField("rotor_axis", (v.rotor_axis,), _same),
+        StructField("rotor_moment", (v.rotor_position, v.com, v.rotor_axis), moment),
+        StructField("rotor_reaction", (v.rotor_spin, v.rotor_axis), lambda spin, axis: -spin.unsqueeze(-1) * axis),
     ]
     if v.plain:
-        fields += [Field("decay_up", (v.time_constant_up,), decay), Field("decay_down", (v.time_constant_down,), decay)]
+        fields += [
+            StructField("decay_up", (v.time_constant_up,), decay),
+            StructField("decay_down", (v.time_constant_down,), decay),
+        ]
     else:
         fields += [
-            Field("reverse_thrust_map", (v.reverse_thrust_map,), _same),
-            Field("reverse_torque_map", (v.reverse_torque_map,), _same),
-            Field("tau_up", (v.time_constant_up,), lag),
-            Field("tau_down", (v.time_constant_down,), lag),
-            Field("slew_up", (v.slew_rate,), lambda rate: rate.clamp_max(FASTEST)),
-            Field("slew_down", (v.slew_rate_down,), lambda rate: rate.clamp_max(FASTEST)),
-            Field("dead_band", (v.dead_band,), _same),
+            StructField("reverse_thrust_map", (v.reverse_thrust_map,), _same),
+            StructField("reverse_torque_map", (v.reverse_torque_map,), _same),
+            StructField("tau_up", (v.time_constant_up,), lag),
+            StructField("tau_down", (v.time_constant_down,), lag),
+            StructField("slew_up", (v.slew_rate,), lambda rate: rate.clamp_max(FASTEST)),
+            StructField("slew_down", (v.slew_rate_down,), lambda rate: rate.clamp_max(FASTEST)),
+            StructField("dead_band", (v.dead_band,), _same),
         ]
     read = model.effects.warp_fields
     if "battery" in read:
-        fields.append(Field("battery", (v.battery,), _same))
+        fields.append(StructField("battery", (v.battery,), _same))
     if isinstance(model.ground_height, Tensor):
-        fields.append(Field("ground_height", (model.ground_height,), _same))
+        fields.append(StructField("ground_height", (model.ground_height,), _same))
     if "other_position" in read:
-        fields.append(Field("other_position", (model.other_position,), _same))
+        fields.append(StructField("other_position", (model.other_position,), _same))
     if "rotor_lever" in read or model.articulation is not None:
         fields.append(
-            Field("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1))
+            StructField("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1))
         )
     if "rotor_radius" in read:
-        fields.append(Field("rotor_radius", (v.rotor_radius,), _same))
+        fields.append(StructField("rotor_radius", (v.rotor_radius,), _same))
     return fields
 
 
-def _command_fields(law: FusedLaw, plain: bool) -> list[Field]:
+def _command_fields(law: FusedLaw, plain: bool) -> list[StructField]:
     """Return the fields of the command."""
 
     def speed_map(thrust_map: Tensor) -> Tensor:
@@ -115,14 +118,17 @@ def _command_fields(law: FusedLaw, plain: bool) -> list[Field]:
         vertex = c1 / (2.0 * c2)
         return torch.stack((vertex * vertex - c0 / c2, 1.0 / c2, vertex), dim=-1)
 
-    fields = [Field("low", (law.low,), _same), Field("high", (law.high,), _same)]
+    fields = [StructField("low", (law.low,), _same), StructField("high", (law.high,), _same)]
     if law.thrust_map is not None and plain:
-        fields.append(Field("speed_map", (law.thrust_map,), speed_map))
+        fields.append(StructField("speed_map", (law.thrust_map,), speed_map))
     if law.thrust_map is not None and not plain:
         backwards = law.thrust_map if law.reverse_thrust_map is None else law.reverse_thrust_map
-        fields += [Field("thrust_map", (law.thrust_map,), _same), Field("reverse_thrust_map", (backwards,), _same)]
+        fields += [
+            StructField("thrust_map", (law.thrust_map,), _same),
+            StructField("reverse_thrust_map", (backwards,), _same),
+        ]
     if law.allocation is not None:
-        fields.append(Field("allocation", (law.allocation,), _same))
+        fields.append(StructField("allocation", (law.allocation,), _same))
     return fields
 
 
@@ -130,16 +136,16 @@ def _command_fields(law: FusedLaw, plain: bool) -> list[Field]:
 class Numbers:
     """All numbers of a model and a control law, by the struct that takes them."""
 
-    vehicle: list[Field]
-    command: list[Field]
-    gains: list[Field]  # All of them differ between environments, or none
+    vehicle: list[StructField]
+    command: list[StructField]
+    gains: list[StructField]  # All of them differ between environments, or none
     lateral: bool  # Whether the law commands lateral force
     effects: list[Tensor]  # Parameters (E, P) of the effects that act in a step, in the order of `forces`; packed
 
 
-def numbers_of(model: Model, law: FusedLaw, stage: float) -> Numbers:
+def collect_numbers(model: Model, law: FusedLaw, stage: float) -> Numbers:
     """Return all numbers; ``stage`` as for the fields of the vehicle."""
-    gains = [Field(name, (rows,), _same) for name, rows in law.gains.items()]
+    gains = [StructField(name, (rows,), _same) for name, rows in law.gains.items()]
     effects = [params for _, params in model.effects.forces]
     command = _command_fields(law, model.vehicle.plain)
     return Numbers(_vehicle_fields(model, stage), command, gains, law.lateral, effects)
@@ -166,31 +172,33 @@ class Packing:
     total: int  # N
 
     @property
-    def behind_vehicle(self) -> int:
+    def vehicle_end(self) -> int:
         """First row after those of the vehicle."""
-        return min([*self.command.values(), self.behind_command])
+        return min([*self.command.values(), self.command_end])
 
     @property
-    def behind_command(self) -> int:
+    def command_end(self) -> int:
         """First row after those of the vehicle and the command."""
         return self.effects if self.gains is None else self.gains
 
     def fits(self, numbers: Numbers) -> bool:
         """Return whether the packed entries of each field still determine it."""
         return (
-            self.entries.keys() <= entries_of(numbers.vehicle).keys()
-            and self.twins <= twins_of(numbers.vehicle).keys()
-            and self.command_entries.keys() <= command_entries_of(numbers).keys()
+            self.entries.keys() <= find_entries(numbers.vehicle).keys()
+            and self.twins <= find_twins(numbers.vehicle).keys()
+            and self.command_entries.keys() <= find_command_entries(numbers).keys()
         )
 
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return the rows of all numbers that differ between environments, or of all numbers with ``all_packed``."""
-    first, few = 0, {} if all_packed else entries_of(numbers.vehicle)
-    few_of_command = {} if all_packed else command_entries_of(numbers)
-    twins = {} if all_packed else twins_of(numbers.vehicle)
+    first, few = 0, {} if all_packed else find_entries(numbers.vehicle)
+    few_of_command = {} if all_packed else find_command_entries(numbers)
+    twins = {} if all_packed else find_twins(numbers.vehicle)
 
-    def place(fields: list[Field], few: Mapping[str, tuple[int, ...]], twins: Mapping[str, str]) -> dict[str, int]:
+    def place(
+        fields: list[StructField], few: Mapping[str, tuple[int, ...]], twins: Mapping[str, str]
+    ) -> dict[str, int]:
         nonlocal first
         rows: dict[str, int] = {}
         for field in fields:
@@ -212,45 +220,47 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     return Packing(vehicle, few, written, command, few_of_command, gains, first, last)
 
 
-def entries_of(vehicle: list[Field]) -> dict[str, tuple[int, ...]]:
+def find_entries(vehicle: list[StructField]) -> dict[str, tuple[int, ...]]:
     """Return the independent entries of fields: half of the inertia, and the squares of purely quadratic maps.
 
     Randomisation multiplies the map of a rotor by a factor, so zeros stay zero.
     """
-    found = {"inertia": SYMMETRIC, "inertia_inverse": SYMMETRIC}
+    result = {"inertia": SYMMETRIC, "inertia_inverse": SYMMETRIC}
     for field in vehicle:
-        if field.name in ("thrust_map", "torque_map") and only_squares(field):
-            found[field.name] = tuple(range(2, len(field.row()), 3))
-    return found
+        if field.name in ("thrust_map", "torque_map") and is_pure_square(field):
+            result[field.name] = tuple(range(2, len(field.row()), 3))
+    return result
 
 
-def twins_of(vehicle: list[Field]) -> dict[str, str]:
+def find_twins(vehicle: list[StructField]) -> dict[str, str]:
     """Return fields with the same sources and formula as an earlier field, each with the name of that field."""
     first: dict[tuple[object, ...], str] = {}
-    found = {field.name: first.setdefault((field.compute, *map(id, field.sources)), field.name) for field in vehicle}
-    return {name: other for name, other in found.items() if name != other}
+    result = {field.name: first.setdefault((field.compute, *map(id, field.sources)), field.name) for field in vehicle}
+    return {name: other for name, other in result.items() if name != other}
 
 
-def command_entries_of(numbers: Numbers) -> dict[str, tuple[int, ...]]:
+def find_command_entries(numbers: Numbers) -> dict[str, tuple[int, ...]]:
     """Return the necessary entries of the command.
 
     The allocation needs no columns of lateral force unless a law commands it. A speed map of purely quadratic thrust needs
     ``1 / c2`` alone.
     """
-    found = {}
+    result = {}
     for field in numbers.command:
-        if (field.name == "allocation" and not numbers.lateral) or (field.name == "speed_map" and only_squares(field)):
+        if (field.name == "allocation" and not numbers.lateral) or (
+            field.name == "speed_map" and is_pure_square(field)
+        ):
             columns, width = COMMAND_COLUMNS[field.name], len(field.row()) // field.sources[0].shape[1]
-            found[field.name] = tuple(i for i in range(len(field.row())) if i % width in columns)
-    return found
+            result[field.name] = tuple(i for i in range(len(field.row())) if i % width in columns)
+    return result
 
 
-def only_squares(field: Field) -> bool:
+def is_pure_square(field: StructField) -> bool:
     """Return whether a field of maps (E, R, 3) is purely quadratic in the speed."""
     return not bool(field.sources[0][..., :2].any())
 
 
-def packed_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
+def pack_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     """Return the packed numbers, each (E, n), in the order of their rows."""
     packed = vehicle_rows(packing, numbers) + command_rows(packing, numbers)
     if packing.gains is not None:
@@ -279,7 +289,7 @@ def parameter_rows(packing: Packing, numbers: Numbers, *, command: bool = False)
     return tuple(torch.cat(rows, dim=1) for rows in (drawn, numbers.effects) if rows)
 
 
-def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:
+def make_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:
     """Return the structs of vehicle, command and gains with their shared numbers; packed fields are zero."""
     gains = numbers.gains if packing.gains is None else []
     return [
@@ -289,7 +299,7 @@ def shared_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: Rot
     ]
 
 
-def _struct(struct_type: Any, fields: list[Field], packed: Mapping[str, int]) -> Any:
+def _struct(struct_type: Any, fields: list[StructField], packed: Mapping[str, int]) -> Any:
     struct = struct_type()
     for field in fields:
         if field.name not in packed:
@@ -300,7 +310,7 @@ def _struct(struct_type: Any, fields: list[Field], packed: Mapping[str, int]) ->
     return struct
 
 
-def types_of(model: Model) -> RotorTypes:
+def model_types(model: Model) -> RotorTypes:
     """Return the types for the rotors of a model."""
     return rotor_types(model.vehicle.num_rotors, not model.vehicle.plain)
 
@@ -327,14 +337,14 @@ def values_type(model: Model) -> Any:
 def value_access(model: Model, kind: type[AnyKind]) -> list[tuple[AnyKind, Pick]]:
     """Return the effects of a kind, each with access to its values; without memory that ``moves_with_body``."""
     values, (num_params, _) = values_type(model), num_values(model)
-    found = []
+    result = []
     for place in model.effects.places(model.vehicle.num_rotors):
         effect, params, memory = place.effect, place.params, place.memory
         if isinstance(effect, kind):
             shown = 0 if effect.moves_with_body else memory.stop - memory.start
             pick = _pick(values, params.start, params.stop - params.start, num_params + memory.start, shown)
-            found.append((effect, pick))
-    return found
+            result.append((effect, pick))
+    return result
 
 
 def _pick(values: Any, first: int, width: int, first_memory: int, memory: int) -> Pick:

@@ -93,13 +93,13 @@ def make_completion(struct: Any, packed: Mapping[str, int], few: Mapping[str, wp
         few: Readers of fields with only some packed entries.
     """
     kinds = {name: kind for name, kind in struct.cls.__annotations__.items() if name in packed}
-    names: dict[str, Any] = {f"read_{n}": few[n] if n in few else _reader_of(kind) for n, kind in kinds.items()}
+    names: dict[str, Any] = {f"read_{n}": few[n] if n in few else _make_reader(kind) for n, kind in kinds.items()}
     lines = [f"    value.{name} = read_{name}(source, {packed[name]}, env)" for name in kinds]
     head = "def complete(shared: struct, source: wp.array2d[float], env: int) -> struct:\n    value = shared\n"
-    return written("complete", head + "\n".join([*lines, "    return value"]), {**names, "struct": struct})
+    return compile_source("complete", head + "\n".join([*lines, "    return value"]), {**names, "struct": struct})
 
 
-def _reader_of(kind: Any) -> wp.Function:
+def _make_reader(kind: Any) -> wp.Function:
     if kind is float:
         return read_number
     height, *width = kind._shape_
@@ -131,10 +131,10 @@ def make_struct_reader(struct: Any) -> wp.Function:
         lines.append(f"    value.{name} = " + (numbers if kind is float else f"make_{name}({given})"))
         at += size
     head = "def read(source: wp.array2d[float], first: int, env: int) -> struct:\n    value = struct()\n"
-    return written("read", head + "\n".join([*lines, "    return value"]), names)
+    return compile_source("read", head + "\n".join([*lines, "    return value"]), names)
 
 
-def written(name: str, code: str, names: Mapping[str, Any]) -> wp.Function:
+def compile_source(name: str, code: str, names: Mapping[str, Any]) -> wp.Function:
     """Compile a source that may call ``names``, and return its ``wp.func``."""
     file = f"<{__name__} {next(_number)}>"
     linecache.cache[file] = (len(code), None, code.splitlines(keepends=True), file)  # Warp reads the source here
@@ -151,11 +151,11 @@ def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
     gains_type = law.gains_type or NoGains
 
     @wp.func
-    def shared_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
+    def common_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
         return shared
 
     if first is None:
-        return shared_gains
+        return common_gains
     load = make_struct_reader(gains_type)
 
     @wp.func

@@ -29,7 +29,7 @@ def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) 
 
 @cache
 def make_limited_lag(real: Any) -> wp.Function:
-    """Return the Warp version of ``rotor_lag.limited_lag`` for one rotor in a given precision."""
+    """Return the Warp version of ``rotor_lag.slew_limited_lag`` for one rotor in a given precision."""
 
     @wp.func
     def distance_left(distance: real, tau: real, slew: real, span: real) -> real:
@@ -44,7 +44,7 @@ def make_limited_lag(real: Any) -> wp.Function:
         return linear / slew + tau * wp.log((distance - linear) / less)
 
     @wp.func
-    def limited_lag(
+    def slew_limited_lag(
         state: real, command: real, tau_up: real, tau_down: real, slew_up: real, slew_down: real, span: real
     ) -> real:
         way = wp.where(command < state, real(-1.0), real(1.0))
@@ -55,14 +55,14 @@ def make_limited_lag(real: Any) -> wp.Function:
         left = distance_left(distance, tau_down, slew_down, falling)
         return command - way * distance_left(left, tau_up, slew_up, span - falling)
 
-    return limited_lag
+    return slew_limited_lag
 
 
 @wp.func
 def slew_limited_rate(
     speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
 ) -> float:
-    """Return the Warp version of ``rotor_lag.rate_towards`` for one rotor; without lag it is the slew rate."""
+    """Return the Warp version of ``rotor_lag.state_rate`` for one rotor; without lag it is the slew rate."""
     falls = speed * (command - speed) < 0.0
     slew = wp.where(falls, slew_down, slew_up)
     return wp.clamp((command - speed) / wp.where(falls, tau_down, tau_up), -slew, slew)
@@ -93,14 +93,14 @@ def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: i
         return n + (command - n) * (1.0 - wp.pow(decay, share * wp.static(float(stages))))
 
     @wp.func
-    def limited(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
+    def general_law(plant: vehicle_type, i: int, n: float, command: float, span: float) -> float:
         return limited_lag(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i], span)
 
     @wp.func
-    def limited_part(plant: vehicle_type, i: int, n: float, command: float, share: float, span: float) -> float:
-        return limited(plant, i, n, command, share * span)
+    def general_part(plant: vehicle_type, i: int, n: float, command: float, share: float, span: float) -> float:
+        return general_law(plant, i, n, command, share * span)
 
-    one, part = (limited, limited_part) if general else (plain, plain_part)
+    one, part = (general_law, general_part) if general else (plain, plain_part)
 
     @wp.func
     def follow(vehicle: vehicle_type, state: vector, command: vector, span: float) -> vector:
@@ -132,10 +132,10 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
         return lag_acceleration(n, command, plant.decay_up[i], plant.decay_down[i], jump, dt)
 
     @wp.func
-    def limited(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
+    def general_law(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
         return slew_limited_rate(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i])
 
-    one = limited if general else plain
+    one = general_law if general else plain
 
     @wp.func
     def rates(vehicle: vehicle_type, state: vector, command: vector, first: vector, dt: float) -> vector:
@@ -145,7 +145,7 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
         return rate
 
     @wp.func
-    def held(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: vector, dt: float):
+    def single_rates(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: vector, dt: float):
         return (
             rates(vehicle, start, command, start, dt),
             rates(vehicle, middle, command, start, dt),
@@ -153,7 +153,9 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
         )
 
     @wp.func
-    def at(vehicle: vehicle_type, state: vector, command: succession, time: float, jump: vector, dt: float) -> vector:
+    def switch_rate(
+        vehicle: vehicle_type, state: vector, command: succession, time: float, jump: vector, dt: float
+    ) -> vector:
         rate = vector()
         for i in range(wp.static(num_rotors)):
             now = wp.where(command.change > time, command.earlier[i], command.later[i])
@@ -163,13 +165,13 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
     @wp.func
     def both(vehicle: vehicle_type, start: vector, middle: vector, end: vector, command: succession, dt: float):
         jump = end - start
-        n1 = at(vehicle, start, command, 0.0, jump, dt)
-        n2 = at(vehicle, middle, command, 0.5 * dt, jump, dt)
-        n4 = at(vehicle, end, command, dt, jump, dt)
+        n1 = switch_rate(vehicle, start, command, 0.0, jump, dt)
+        n2 = switch_rate(vehicle, middle, command, 0.5 * dt, jump, dt)
+        n4 = switch_rate(vehicle, end, command, dt, jump, dt)
         missing = jump / dt - (n1 + 4.0 * n2 + n4) / 6.0
         return n1 + missing, n2 + missing, n4 + missing
 
-    return both if late else held
+    return both if late else single_rates
 
 
 @cache

@@ -42,7 +42,7 @@ class Hub:
 
 
 @wp.struct
-class Suspension:
+class KernelSuspension:
     """Motion of the body origin, the suspension of a load, without the load."""
 
     acceleration: wp.vec3  # gravity included [m/s²], world
@@ -106,7 +106,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         command |= {"speed_map": rows}  # a, b, c of the speed sqrt(a + b T) - c [rad/s] of a thrust T [N]
 
     @wp.struct
-    class Condition:
+    class KernelCondition:
         position: wp.vec3  # centre of mass [m], world
         attitude: wp.quat  # body to world
         up: wp.vec3  # world z, body
@@ -125,20 +125,22 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         other_position: wp.vec3  # another vehicle [m], world
 
     @wp.struct
-    class Succession:
+    class KernelCommandSwitch:
         earlier: vector  # [rad/s] or [N]
         later: vector
         change: float  # from the start of the step to the later ones [s]
 
     @wp.struct
-    class Moment:
+    class KernelMoment:
         rotor_speed: vector  # [rad/s]
         since: int  # substeps since the reset
         random: wp.uint32
         dt: float  # [s]
 
     vehicle_type, command_type = _struct("VehicleParameters", vehicle), _struct("CommandParameters", command)
-    return RotorTypes(vector, rows, matrix, vehicle_type, command_type, Condition, Succession, Moment)
+    return RotorTypes(
+        vector, rows, matrix, vehicle_type, command_type, KernelCondition, KernelCommandSwitch, KernelMoment
+    )
 
 
 def _struct(name: str, fields: dict[str, Any]) -> Any:

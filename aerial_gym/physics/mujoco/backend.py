@@ -18,18 +18,18 @@ from torch import Tensor
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.rotor import ROTOR_TRAITS
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.physics.articulated.touching import sphere_gaps
+from aerial_gym.physics.articulated.ground_gaps import sphere_gaps
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.backend import Capabilities
 from aerial_gym.physics.effects import FluidEffect, LoadEffect
-from aerial_gym.physics.ground import Ground, crash_at, ground_contacts, is_crash
+from aerial_gym.physics.ground import Ground, detect_crash, ground_contacts, is_crash
 from aerial_gym.physics.integrators import (
     MassState,
     Stepper,
+    advance_load,
     coast,
     free_wrench,
-    held_wrench,
-    swing_on,
+    step_wrench,
     to_body_state,
     to_mass_state,
 )
@@ -41,7 +41,7 @@ from aerial_gym.physics.mujoco.warp.warp_bodies import WarpBodies
 from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, hull_force, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
-from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.torch_backend import TorchBackend
 
 
@@ -80,7 +80,7 @@ class MujocoBackend(TorchBackend):
         """Allocate the memory of effects and control law, and MuJoCo's models."""
         super().prepare(dt)
         if self._model.articulation is None:
-            self._bodies_for(self._model, dt)
+            self._update_bodies(self._model, dt)
         else:
             self.tree_stepper(self._model, dt)
 
@@ -96,7 +96,7 @@ class MujocoBackend(TorchBackend):
         """Return MuJoCo's integrator of trees, with joint efforts at the end of a step as in ``implicit_euler``."""
         assert model.articulation is not None
         if self._trees is None or self._trees.dt != dt:
-            floor, cfg = _floor_of(self._ground)
+            floor, cfg = _make_floor(self._ground)
             tree, num_envs = model.articulation.tree, model.vehicle.num_envs
             self._trees = self._engine_of_trees(tree, num_envs, dt, floor=floor, cfg=cfg)
         return self._trees.move
@@ -115,7 +115,7 @@ class MujocoBackend(TorchBackend):
 
     def _push(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
         """Return the motion after MuJoCo's step; in a fluid only its velocities count, and a load is unchanged."""
-        rotor_speed, (force, torque) = held_wrench(model, state, rotor_command, dt)
+        rotor_speed, (force, torque) = step_wrench(model, state, rotor_command, dt)
         load, fluid = state.load, bool(model.effects[FluidEffect])
         if model.effects[LoadEffect]:
             acc = com_acceleration(model, state.attitude, force)
@@ -123,20 +123,22 @@ class MujocoBackend(TorchBackend):
             pull, turn, swing = pull_of_load(model, state.attitude, state.ang_vel, load, acc, ang_acc)
             pull = hull_force(model, state.attitude, pull)
             force, torque = force + quat_rotate_inverse(state.attitude, pull), torque + turn
-            load = torch.cat((load[:, :3], load[:, 3:] + dt * swing), dim=-1) if fluid else swing_on(load, swing, dt)
+            load = (
+                torch.cat((load[:, :3], load[:, 3:] + dt * swing), dim=-1) if fluid else advance_load(load, swing, dt)
+            )
         if fluid:
             free_force, free_torque = free_wrench(model, state)
             force, torque = force - free_force, torque - free_torque
         self._start, self._free_vel = state, state.lin_vel + dt * com_acceleration(model, state.attitude, force)
-        moved = self._bodies_for(model, dt).move(state, force, torque)
+        moved = self._update_bodies(model, dt).move(state, force, torque)
         self._end_vel = moved["lin_vel"]
         return MassState(**moved, rotor_speed=rotor_speed, load=load)
 
-    def _bodies_for(self, model: Model, dt: float) -> Bodies:
+    def _update_bodies(self, model: Model, dt: float) -> Bodies:
         """Return the bodies with the parameters of a model, for steps of ``dt`` [s]."""
         rows, bodies = body_rows(model), self._bodies
         if bodies is None or bodies.dt != dt or bodies.num_rows != len(rows):
-            floor, cfg = _floor_of(self._ground)
+            floor, cfg = _make_floor(self._ground)
             bodies = self._bodies = self._engine(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
         bodies.follow(rows)
         return bodies
@@ -149,23 +151,23 @@ class MujocoBackend(TorchBackend):
         The impulse is ``m`` times the change of velocity by contact in MuJoCo's step; exactly zero without contact.
         """
         if self._model.articulation is not None:
-            assert isinstance(state, JointedState)
-            return self._bend_on_ground(ground, cfg, state, command, dt)
+            assert isinstance(state, ArticulatedState)
+            return self._articulated_step_on_ground(ground, cfg, state, command, dt)
         before, after = self._free_substep(state, command, dt)
         mass = self._model.vehicle.mass.unsqueeze(-1)
         touches = (ground_contacts(ground, self._model, self._start).gap < 0.0).any(dim=1, keepdim=True)
         impulse = torch.where(touches, mass * (self._end_vel - self._free_vel), 0.0)
-        crashes = crash_at(ground_contacts(ground, self._model, after), cfg, before, after)
+        crashes = detect_crash(ground_contacts(ground, self._model, after), cfg, before, after)
         return before, to_body_state(self._model, after), impulse, crashes
 
-    def _bend_on_ground(
-        self, ground: Ground, cfg: ContactCfg, state: JointedState, command: Tensor, dt: float
+    def _articulated_step_on_ground(
+        self, ground: Ground, cfg: ContactCfg, state: ArticulatedState, command: Tensor, dt: float
     ) -> tuple[MassState, BodyState, Tensor, Tensor]:
         """Return the same for an articulated vehicle, with the impulse of obstacles.
 
         A contact with the ground is a crash by the prior speed of the sphere's lowest point.
         """
-        after = self._jointed_substep(state, command, dt)
+        after = self._articulated_substep(state, command, dt)
         assert self._trees is not None
         _, approach = sphere_gaps(ground, self._model, state)
         gap, _ = sphere_gaps(ground, self._model, after)
@@ -184,7 +186,7 @@ class MujocoWarpBackend(MujocoBackend):
     _engine, _engine_of_trees = WarpBodies, WarpTrees
 
 
-def _floor_of(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:
+def _make_floor(ground: Ground | None) -> tuple[Floor | None, ContactCfg | None]:
     """Return the ground for MuJoCo and its contact parameters; None and None for a ground without force."""
     if ground is None or ground.cfg is None:
         return None, None

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from aerial_gym.physics.articulated.tree import Links, Tree
-from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.mujoco.solid_bodies import ON_LINKS, TOLERANCE, add_solids, numbers
 from aerial_gym.physics.solids import Solids
 
@@ -39,7 +39,7 @@ class Floor:
     friction: float
     """Coulomb coefficient."""
 
-    on_links: LinkShapes | None = None
+    on_links: LinkContacts | None = None
     """Contacts of an articulated vehicle: links of the spheres, pairs of shapes, and obstacles."""
 
     @property

@@ -27,7 +27,7 @@ LEAST_IMPEDANCE = 1e-4
 """MuJoCo's smallest impedance, and 1 minus its largest."""
 
 
-def softening(cfg: ContactCfg, dt: float) -> float:
+def contact_softness(cfg: ContactCfg, dt: float) -> float:
     """Return the softness s in (0, 1) for steps of ``dt`` [s]: the share of the stiffness that moves the body."""
     beta = max(1.0, cfg.damping_ratio) * dt * sqrt(cfg.stiffness)
     soft = (sqrt(1.0 + beta * beta) - beta) ** 2
@@ -39,7 +39,7 @@ def solver_numbers(cfg: ContactCfg, dt: float) -> tuple[tuple[float, float], tup
 
     ``solref`` is minus stiffness and damping per mass [1/s², 1/s]; ``solimp`` is a constant impedance.
     """
-    soft = softening(cfg, dt)
+    soft = contact_softness(cfg, dt)
     stiffness = soft * cfg.stiffness
     impedance = 1.0 - soft
     return (-stiffness, -2.0 * cfg.damping_ratio * sqrt(stiffness)), (impedance, impedance, 1.0, 0.5, 1.0)

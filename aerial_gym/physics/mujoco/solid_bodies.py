@@ -54,8 +54,8 @@ def add_solids(root: Element, world: Element, solids: Solids, env: int) -> None:
             SubElement(body, "inertial", pos="0 0 0", mass=repr(HEAVY), diaginertia=numbers((HEAVY, HEAVY, HEAVY)))
         else:
             body.set("mocap", "true")
-        nothing = {"type": "sphere", "size": "1", "contype": "0", "conaffinity": "0"}
-        SubElement(body, "geom", _geom(solids.table[row], row) if row >= 0 else nothing)
+        placeholder = {"type": "sphere", "size": "1", "contype": "0", "conaffinity": "0"}
+        SubElement(body, "geom", _geom(solids.table[row], row) if row >= 0 else placeholder)
 
 
 def _geom(solid: Solid, row: int) -> dict[str, str]:

@@ -24,7 +24,7 @@ from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.physics.articulated.joint_laws import Drive, Effort, JointLaw
 from aerial_gym.physics.articulated.link_damping import LinkDamping
 from aerial_gym.physics.articulated.link_fluid import LinkFluid
-from aerial_gym.physics.articulated.steppers import moved_on, with_drive
+from aerial_gym.physics.articulated.steppers import advance_state, with_drive
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.bodies import LARGEST
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
@@ -42,7 +42,7 @@ def template(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0)
     return write_mjcf(tree, links, env=env, gravity=0.0, dt=dt, floor=floor, actuated=True)
 
 
-class Trees(ABC):
+class MujocoTrees(ABC):
     """Trees of all environments, with ``move`` in place of ``steppers.implicit_euler``."""
 
     backend: str
@@ -158,7 +158,7 @@ class Trees(ABC):
         step = partial(self._step, links, state, gravity, wrench)
         return with_drive(step, laws, drive, friction, state)
 
-    def _start_of(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
+    def _initial_state(self, state: TreeState, swings: TreeState) -> tuple[Tensor, Tensor]:
         """Return MuJoCo's initial state, (E, nq + nv), and M mocap bodies: positions, then attitudes wxyz, (E, 7 M)."""
         start = torch.zeros(len(state.position), len(self._rest[0]), dtype=torch.float64)
         start[:, self._joint_pos], start[:, self._joint_vel] = state.joint_pos.double(), swings.joint_vel.double()
@@ -170,7 +170,7 @@ class Trees(ABC):
             places.append(state.position.double())
             turns.append(_wxyz(state.attitude).double())
         if self._solids is not None:
-            place, attitude, lin_vel, ang_vel = self._solids.of_parts()
+            place, attitude, lin_vel, ang_vel = self._solids.part_motion()
             if self._solids.moves:
                 start[:, self._part_poses] = torch.cat((place, _wxyz(attitude)), dim=-1).flatten(1)
                 start[:, self._part_twists] = torch.cat((lin_vel, ang_vel), dim=-1).flatten(1)
@@ -192,7 +192,7 @@ class Trees(ABC):
         dt = self.dt
         armature = dt * (acts.damping + dt * acts.stiffness).double()
         held = acts.value - dt * acts.stiffness * state.joint_vel
-        start, places = self._start_of(state, swings)
+        start, places = self._initial_state(state, swings)
         control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)
         sane = (torch.cat((start, control, armature), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
         self._follow(links, gravity, torch.where(sane, armature, 0.0))
@@ -204,7 +204,7 @@ class Trees(ABC):
         if self._tree.floating:
             lin_vel, ang_vel = end[:, self._twist].split(3, dim=-1)
             ang_vel = state.ang_vel + ang_vel - swings.ang_vel
-        return moved_on(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
+        return advance_state(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
 
     def _check_held(self, links: Links, acts: LinkDamping) -> None:
         """Raise ``CapabilityError`` if constant damping over a step would reverse a link's motion.
@@ -215,7 +215,7 @@ class Trees(ABC):
         dt = self.dt
         along, about = (part.amax(-1) for part in acts.damping.split(3, dim=-1))
         moment = torch.linalg.eigvalsh(links.inertia)[..., 0]
-        for damping, size, what in (
+        for damping, size, quantity in (
             (along, links.mass, "mass [kg]"),
             (about, moment, "least moment of inertia [kg m²]"),
         ):
@@ -224,7 +224,7 @@ class Trees(ABC):
                 ratio = float((dt * damping / size)[size > 0.0].nan_to_num(0.0).max())
                 raise CapabilityError(
                     f"backend {self.backend}: holds drag of links through a step of {dt:g} s, which would take {ratio:.3g} "
-                    f"times the speed of one: drag per speed times the step must stay below its {what}. Use backend "
+                    f"times the speed of one: drag per speed times the step must stay below its {quantity}. Use backend "
                     "'torch' or 'warp', or shorter steps"
                 )
 

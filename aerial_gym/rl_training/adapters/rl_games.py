@@ -21,8 +21,8 @@ from torch import Tensor, distributed
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.ranks import ALONE, Ranks
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -65,7 +65,7 @@ class TaskVecEnv(IVecEnv):
 class KeeperAgent(A2CAgent):
     """PPO that saves and restores through a ``Keeper``; the names of files that the library chooses are not used."""
 
-    keeper: Keeper
+    keeper: CheckpointKeeper
     after_epoch: Callable[[], None]
 
     def __init__(self, base_name: str, params: dict[str, Any]) -> None:
@@ -110,9 +110,9 @@ class KeeperAgent(A2CAgent):
     def restore(self, fn: str, set_epoch: bool = True) -> None:
         """Resume from the checkpoint of the keeper, with its adapted learning rate."""
         del fn, set_epoch
-        self.keeper.restore(self._take_up)
+        self.keeper.restore(self._restore_library)
 
-    def _take_up(self, state: dict[str, Any]) -> None:
+    def _restore_library(self, state: dict[str, Any]) -> None:
         self.set_full_state_weights(state)
         self.last_lr = self.optimizer.param_groups[0]["lr"]
 
@@ -120,7 +120,9 @@ class KeeperAgent(A2CAgent):
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the agent to end."""
 
-    def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
+    def __init__(
+        self, cfg: TrainingCfg, progress: Progress, keeper: CheckpointKeeper, interruption: Interruption
+    ) -> None:
         self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
         self.algo: KeeperAgent | None = None
 
@@ -167,7 +169,7 @@ def run(
     folder: RunFolder,
     progress: Progress,
     *,
-    keeper: Keeper,
+    keeper: CheckpointKeeper,
     interruption: Interruption,
     ranks: Ranks = ALONE,
 ) -> bool:

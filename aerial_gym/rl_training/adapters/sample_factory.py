@@ -38,12 +38,12 @@ from torch import Tensor
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.ranks import ALONE, Ranks
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import GuardedEvents, guard
+from aerial_gym.rl_training.trainers.summaries import SafeEvents, guard
 from aerial_gym.task import Task
 
 OFF = 10**15
@@ -91,7 +91,7 @@ class TaskBatchedEnv(gymnasium.Env):
 class _KeeperLearner(Learner):
     """A learner that saves and restores through a ``Keeper``; the library takes the newest file by its name."""
 
-    keeper: Keeper
+    keeper: CheckpointKeeper
 
     def load_from_checkpoint(self, policy_id: int, load_progress: bool = True) -> None:
         """Resume from the checkpoint of the keeper, if any."""
@@ -117,10 +117,10 @@ class _KeeperLearner(Learner):
 class _Runner(SerialRunner):
     """The library's runner with a kept learner, and without a catch-all: an error keeps its own sentence."""
 
-    def __init__(self, cfg: Config, keeper: Keeper) -> None:
+    def __init__(self, cfg: Config, keeper: CheckpointKeeper) -> None:
         super().__init__(cfg)
         self._keeper = keeper
-        self.summaries: list[GuardedEvents] = [guard(writer) for writer in self.writers.values()]
+        self.summaries: list[SafeEvents] = [guard(writer) for writer in self.writers.values()]
 
     def _make_learner(self, event_loop: EventLoop, policy_id: int, batcher: Batcher) -> LearnerWorker:
         worker = super()._make_learner(event_loop, policy_id, batcher)
@@ -147,7 +147,9 @@ class _Runner(SerialRunner):
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the runner to end."""
 
-    def __init__(self, cfg: TrainingCfg, progress: Progress, keeper: Keeper, interruption: Interruption) -> None:
+    def __init__(
+        self, cfg: TrainingCfg, progress: Progress, keeper: CheckpointKeeper, interruption: Interruption
+    ) -> None:
         self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
 
     def on_training_step(self, runner: _Runner, training_iteration_since_resume: int) -> None:
@@ -182,7 +184,7 @@ def run(
     folder: RunFolder,
     progress: Progress,
     *,
-    keeper: Keeper,
+    keeper: CheckpointKeeper,
     interruption: Interruption,
     ranks: Ranks = ALONE,
 ) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from aerial_gym.rl_training.encoder.scenes import Images
+from aerial_gym.rl_training.encoder.scenes import ImageSet
 from aerial_gym.sensors.encoder.file import Encoder
 from aerial_gym.sensors.encoder.network import Autoencoder
 
@@ -26,12 +26,12 @@ Weighted Autoencoders, section 5.2."""
 AT_ONCE = 1024
 """Images that are encoded at once."""
 
-Telling = Callable[[Tensor], Tensor]
+Reconstruction = Callable[[Tensor], Tensor]
 """Function from images (N, H, W) to their reconstruction, (N, H, W)."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
+class ImageErrors:
     """Pixel errors over all images [m]."""
 
     rms_m: float
@@ -44,21 +44,21 @@ class Errors:
     """Root of the mean squared error of pixels that are nearer than ``NEAR_M`` [m]; None if there is none."""
 
 
-def errors_of(told: Tensor, target: Tensor, *, largest: float) -> Errors:
+def image_errors(told: Tensor, target: Tensor, *, largest: float) -> ImageErrors:
     """Return the errors of images (N, H, W) of shares of a largest distance [m]."""
     error = (told.clamp(0.0, 1.0) - target) * largest
     near = target * largest < NEAR_M
     near_rms = float(error[near].square().mean().sqrt()) if bool(near.any()) else None
-    return Errors(rms_m=float(error.square().mean().sqrt()), mean_m=float(error.abs().mean()), near_rms_m=near_rms)
+    return ImageErrors(rms_m=float(error.square().mean().sqrt()), mean_m=float(error.abs().mean()), near_rms_m=near_rms)
 
 
-def by_mean(train: Images) -> Telling:
+def reconstruct_by_mean(train: ImageSet) -> Reconstruction:
     """Return the mean of the targets for every image."""
     mean = train.target.mean(0)
     return lambda seen: mean.expand_as(seen)
 
 
-def by_components(train: Images, latents: int) -> Telling:
+def reconstruct_by_components(train: ImageSet, latents: int) -> Reconstruction:
     """Return the reconstruction from the first principal components of the images, by least squares.
 
     With equal target and image this is the optimal linear encoder and decoder of this size on its training images (Eckart
@@ -79,14 +79,14 @@ def by_components(train: Images, latents: int) -> Telling:
     return lambda images: (aim + (images.flatten(1) - mean) @ basis @ decoder).reshape(images.shape)
 
 
-def by_encoder(encoder: Encoder, network: Autoencoder) -> Telling:
+def reconstruct_by_encoder(encoder: Encoder, network: Autoencoder) -> Reconstruction:
     """Return the reconstruction by the decoder from the means of an encoder."""
 
     @torch.no_grad()
-    def told(images: Tensor) -> Tensor:
+    def reconstruct(images: Tensor) -> Tensor:
         return torch.cat([network.decode(encoder(part)) for part in images.split(AT_ONCE)])
 
-    return told
+    return reconstruct
 
 
 @torch.no_grad()

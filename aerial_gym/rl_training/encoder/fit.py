@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from aerial_gym.rl_training.encoder.scenes import Images
+from aerial_gym.rl_training.encoder.scenes import ImageSet
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.sensors.encoder.network import Autoencoder, negative_evidence
 
@@ -16,10 +16,10 @@ END_SHARE = 0.01
 """Share of the learning rate that is left at the end."""
 
 
-class Fit:
+class EncoderFit:
     """Network, optimiser, and the number of epochs that are done."""
 
-    def __init__(self, cfg: EncoderTrainingCfg, images: Images) -> None:
+    def __init__(self, cfg: EncoderTrainingCfg, images: ImageSet) -> None:
         """Make a network for the images; its weights follow from the seed."""
         self._cfg, self._images = cfg, images
         _, rows, columns = images.seen.shape

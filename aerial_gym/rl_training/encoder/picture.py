@@ -5,7 +5,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from aerial_gym.config.storage import told_storage
+from aerial_gym.config.storage import storage_errors
 
 
 def draw(rows: Mapping[str, Tensor], path: Path, *, largest: float) -> None:
@@ -30,5 +30,5 @@ def draw(rows: Mapping[str, Tensor], path: Path, *, largest: float) -> None:
         line[0].set_ylabel(title, fontsize=9)
     if shown is not None:
         figure.colorbar(shown, ax=axes, label="m", shrink=0.8)
-    with told_storage(path):
+    with storage_errors(path):
         FigureCanvasAgg(figure).print_figure(path)

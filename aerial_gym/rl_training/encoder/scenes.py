@@ -19,7 +19,7 @@ from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sensors import ray_table
 from aerial_gym.sensors.encoder.collision import collision_distance
-from aerial_gym.sensors.encoder.file import shares_of
+from aerial_gym.sensors.encoder.file import normalize_image
 
 SIDE_BY_SIDE = 512
 """Environments that are rendered at once."""
@@ -32,12 +32,12 @@ POSES = InitialStateCfg(
 )
 """Anywhere in the bounds, any heading, tilted by up to 20 degrees; the environment keeps its clearance about it."""
 
-Told = Callable[[str, float], None]
+ProgressReport = Callable[[str, float], None]
 """Receives a description of the work and the share that is done."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Images:
+class ImageSet:
     """Images of one sensor, each a share of its largest distance."""
 
     seen: Tensor
@@ -53,13 +53,13 @@ class Images:
         return len(self.seen)
 
 
-def sensor_of(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
+def image_sensor(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
     """Return the first camera or lidar of the robot, from a small simulation.
 
     Raises:
         ConfigError: If it has none.
     """
-    with_one = _built(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
+    with_one = _build(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
     try:
         casters = with_one.sensor_manager.casters
         if not casters:
@@ -69,9 +69,9 @@ def sensor_of(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
         with_one.close()
 
 
-def rendered(
-    cfg: EncoderTrainingCfg, count: int, *, seed: int, device: torch.device, tell: Told = lambda _, __: None
-) -> Images:
+def render_images(
+    cfg: EncoderTrainingCfg, count: int, *, seed: int, device: torch.device, tell: ProgressReport = lambda _, __: None
+) -> ImageSet:
     """Return images of the settings' environments, each of another scene with a random number of obstacles.
 
     Args:
@@ -81,18 +81,18 @@ def rendered(
         device: Where they are rendered and stay.
         tell: Receives the progress.
     """
-    sensor, robot = sensor_of(cfg), robot_by_name(cfg.robot)
+    sensor, robot = image_sensor(cfg), robot_by_name(cfg.robot)
     parts = []
     for number, env in enumerate(cfg.envs):
         share = count // len(cfg.envs) + (number < count % len(cfg.envs))
-        found = _of_env(cfg, env, share, seed=seed, device=device, tell=tell)
-        parts.append((shares_of(found, sensor), torch.full((share,), number, device=device)))
+        images = _of_env(cfg, env, share, seed=seed, device=device, tell=tell)
+        parts.append((normalize_image(images, sensor), torch.full((share,), number, device=device)))
     seen, env = torch.cat([part for part, _ in parts]), torch.cat([part for _, part in parts])
-    target = seen if cfg.target == "distance" else collisions(seen, sensor, radius=radius_of(cfg, robot))
-    return Images(seen=seen, target=target, env=env)
+    target = seen if cfg.target == "distance" else collisions(seen, sensor, radius=collision_radius(cfg, robot))
+    return ImageSet(seen=seen, target=target, env=env)
 
 
-def radius_of(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
+def collision_radius(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
     """Return the radius of a robot's collision ball [m].
 
     Raises:
@@ -113,25 +113,27 @@ def collisions(seen: Tensor, sensor: RangeSensorCfg, *, radius: float) -> Tensor
     return (collision_distance(along, rays, radius=radius, largest=largest) * ahead / sensor.max_range).clamp_max(1.0)
 
 
-def _of_env(cfg: EncoderTrainingCfg, env: str, count: int, *, seed: int, device: torch.device, tell: Told) -> Tensor:
+def _of_env(
+    cfg: EncoderTrainingCfg, env: str, count: int, *, seed: int, device: torch.device, tell: ProgressReport
+) -> Tensor:
     """Return the images of one environment in the unit of the sensor, (N, H, W)."""
-    simulation = _built(cfg, env, num_envs=min(SIDE_BY_SIDE, count), seed=seed, device=device)
+    simulation = _build(cfg, env, num_envs=min(SIDE_BY_SIDE, count), seed=seed, device=device)
     removable = simulation.cfg.num_assets - simulation.cfg.num_kept
     generator = torch.Generator().manual_seed(seed)
-    found: list[Tensor] = []
-    while (done := sum(len(part) for part in found)) < count:
+    images: list[Tensor] = []
+    while (done := sum(len(part) for part in images)) < count:
         tell(f"rendering {env}", done / count)
         if simulation.cfg.num_assets:
             obstacles = int(torch.randint(0, removable + 1, (), generator=generator))
             simulation.asset_manager.set_num_obstacles(obstacles)
         simulation.reset()
         simulation.render()
-        found.append(simulation.gtd["depth_range_pixels"][: count - done, 0].clone())
+        images.append(simulation.gtd["depth_range_pixels"][: count - done, 0].clone())
     simulation.close()
-    return torch.cat(found)
+    return torch.cat(images)
 
 
-def _built(cfg: EncoderTrainingCfg, env: str, *, num_envs: int, seed: int, device: torch.device | str) -> EnvManager:
+def _build(cfg: EncoderTrainingCfg, env: str, *, num_envs: int, seed: int, device: torch.device | str) -> EnvManager:
     return SimBuilder().build_env(
         sim_name="base_sim",
         env_name=env,

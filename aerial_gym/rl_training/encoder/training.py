@@ -25,25 +25,25 @@ from torch import Tensor
 
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.range_sensor import RangeSensorCfg
-from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.encoder.figures import (
-    Errors,
+    ImageErrors,
     active_latents,
-    by_components,
-    by_encoder,
-    by_mean,
-    errors_of,
+    image_errors,
+    reconstruct_by_components,
+    reconstruct_by_encoder,
+    reconstruct_by_mean,
 )
-from aerial_gym.rl_training.encoder.fit import Fit
+from aerial_gym.rl_training.encoder.fit import EncoderFit
 from aerial_gym.rl_training.encoder.picture import draw
-from aerial_gym.rl_training.encoder.scenes import Images, Told, rendered, sensor_of
+from aerial_gym.rl_training.encoder.scenes import ImageSet, ProgressReport, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.interruption import interruptible
 from aerial_gym.rl_training.run.run_folder import note_session
-from aerial_gym.sensors.encoder.file import Encoder, seen_by
+from aerial_gym.sensors.encoder.file import Encoder, encoder_image
 
 SAVE_EVERY_S = 5.0
 """Time between checkpoints [s]."""
@@ -77,10 +77,10 @@ class EncoderResult:
     active_latents: int | None
     """Number of latents with variance over images."""
 
-    errors: Mapping[str, Errors]
+    errors: Mapping[str, ImageErrors]
     """Errors on test images by reconstruction: ``encoder``, ``pca_64``, ``mean_image``."""
 
-    errors_by_env: Mapping[str, Errors]
+    errors_by_env: Mapping[str, ImageErrors]
     """Errors of the encoder by environment."""
 
 
@@ -99,9 +99,9 @@ class EncoderFolder:
         """Make the folder and write the settings; raise ``ConfigError`` if it holds a training."""
         if self.config.exists():
             raise ConfigError(f"{self.path}: holds a training already. Choose another --out, or go on with --resume")
-        with told_storage(self.path):
+        with storage_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        write_whole(self.config, dump_yaml(cfg))
+        write_atomic(self.config, dump_yaml(cfg))
 
     def settings(self) -> EncoderTrainingCfg:
         """Return the settings; raise ``ConfigError`` if there are none."""
@@ -112,7 +112,7 @@ class EncoderFolder:
 
 @usual_settings
 def train_encoder(
-    cfg: EncoderTrainingCfg, out: str | Path, *, resume: bool = False, tell: Told = lambda _, __: None
+    cfg: EncoderTrainingCfg, out: str | Path, *, resume: bool = False, tell: ProgressReport = lambda _, __: None
 ) -> EncoderResult:
     """Render the images, learn, measure, and leave a folder.
 
@@ -129,17 +129,17 @@ def train_encoder(
     """
     started, folder, device = time.perf_counter(), EncoderFolder(out), resolve_device(cfg.device)
     if resume:
-        cfg = _resumed(cfg, folder.settings())
-    sensor = sensor_of(cfg)
+        cfg = _resume_settings(cfg, folder.settings())
+    sensor = image_sensor(cfg)
     if not resume:
         folder.create(cfg)
     note_session(folder.path, seed=cfg.seed, device=str(device))
-    train = rendered(cfg, cfg.train_images, seed=cfg.seed, device=device, tell=tell)
-    test = rendered(cfg, cfg.test_images, seed=cfg.seed + 1, device=device, tell=tell)
-    fit = Fit(cfg, train)
-    curve = _loaded(fit, folder) if resume else []
+    train = render_images(cfg, cfg.train_images, seed=cfg.seed, device=device, tell=tell)
+    test = render_images(cfg, cfg.test_images, seed=cfg.seed + 1, device=device, tell=tell)
+    fit = EncoderFit(cfg, train)
+    curve = _load_checkpoint(fit, folder) if resume else []
     interrupted = _learn(fit, cfg, folder, curve, test, largest=sensor.max_range, tell=tell)
-    found = EncoderResult(
+    result = EncoderResult(
         encoder=None if interrupted else str(folder.encoder),
         robot=cfg.robot,
         epochs=fit.epochs,
@@ -151,13 +151,13 @@ def train_encoder(
     )
     if not interrupted:
         tell("measuring", 0.0)
-        found = _finish(found, fit, cfg, folder, train, test, sensor)
-        found = replace(found, time_s=time.perf_counter() - started)
-    write_whole(folder.result, json.dumps(asdict(found), indent=1) + "\n")
-    return found
+        result = _finish(result, fit, cfg, folder, train, test, sensor)
+        result = replace(result, time_s=time.perf_counter() - started)
+    write_atomic(folder.result, json.dumps(asdict(result), indent=1) + "\n")
+    return result
 
 
-def _resumed(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> EncoderTrainingCfg:
+def _resume_settings(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> EncoderTrainingCfg:
     """Return the settings of a resumed training; raise ``ConfigError`` on a change of settings."""
     plain = EncoderTrainingCfg()
     for each in fields(EncoderTrainingCfg):
@@ -170,7 +170,7 @@ def _resumed(given: EncoderTrainingCfg, own: EncoderTrainingCfg) -> EncoderTrain
     return replace(own, device=given.device)
 
 
-def _loaded(fit: Fit, folder: EncoderFolder) -> list[list[float]]:
+def _load_checkpoint(fit: EncoderFit, folder: EncoderFolder) -> list[list[float]]:
     """Load the checkpoint, if the training was ended after its first; return the curve so far."""
     if not folder.checkpoint.exists():
         return []
@@ -183,14 +183,14 @@ def _loaded(fit: Fit, folder: EncoderFolder) -> list[list[float]]:
 
 
 def _learn(
-    fit: Fit,
+    fit: EncoderFit,
     cfg: EncoderTrainingCfg,
     folder: EncoderFolder,
     curve: list[list[float]],
-    test: Images,
+    test: ImageSet,
     *,
     largest: float,
-    tell: Told,
+    tell: ProgressReport,
 ) -> bool:
     """Pass over the images until all epochs are done or somebody ends it; return whether somebody did."""
     saved = time.perf_counter()
@@ -202,7 +202,7 @@ def _learn(
                 raise TrainingError(
                     f"loss = {loss} after {fit.epochs} epochs: the training diverged. Lower learning_rate"
                 )
-            curve.append([fit.epochs, loss, errors_of(_told(fit, test), test.target, largest=largest).rms_m])
+            curve.append([fit.epochs, loss, image_errors(_reconstruct(fit, test), test.target, largest=largest).rms_m])
             if time.perf_counter() - saved >= SAVE_EVERY_S or fit.epochs >= cfg.epochs:
                 with interruption.defer():
                     _save(fit, folder, curve)
@@ -210,27 +210,27 @@ def _learn(
     return fit.epochs < cfg.epochs or interruption.asked
 
 
-def _told(fit: Fit, images: Images) -> Tensor:
+def _reconstruct(fit: EncoderFit, images: ImageSet) -> Tensor:
     """Return the reconstruction of images from the means of their latents, by the present network."""
     network = fit.network
     with torch.no_grad():
         return torch.cat([network.decode(network.encode(part)[0]) for part in images.seen.split(1024)])
 
 
-def _save(fit: Fit, folder: EncoderFolder, curve: list[list[float]]) -> None:
+def _save(fit: EncoderFit, folder: EncoderFolder, curve: list[list[float]]) -> None:
     checkpoint.save(folder.checkpoint, {"fit": fit.state(), "curve": curve})
     text = io.StringIO()
     csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *curve])
-    write_whole(folder.curve, text.getvalue())
+    write_atomic(folder.curve, text.getvalue())
 
 
 def _finish(
-    found: EncoderResult,
-    fit: Fit,
+    result: EncoderResult,
+    fit: EncoderFit,
     cfg: EncoderTrainingCfg,
     folder: EncoderFolder,
-    train: Images,
-    test: Images,
+    train: ImageSet,
+    test: ImageSet,
     sensor: RangeSensorCfg,
 ) -> EncoderResult:
     """Write the encoder, compare it with the baselines, and draw the picture."""
@@ -238,13 +238,13 @@ def _finish(
         "robot": cfg.robot, "envs": list(cfg.envs), "target": cfg.target, "seed": cfg.seed, "epochs": fit.epochs,
         "train_images": cfg.train_images,
     }  # fmt: skip
-    encoder = Encoder(fit.network, seen_by(sensor), trained=trained)
+    encoder = Encoder(fit.network, encoder_image(sensor), trained=trained)
     encoder.save(folder.encoder)
     components = f"pca_{cfg.latents}"
     telling = {
-        ENCODER: by_encoder(encoder, fit.network),
-        components: by_components(train, cfg.latents),
-        MEAN: by_mean(train),
+        ENCODER: reconstruct_by_encoder(encoder, fit.network),
+        components: reconstruct_by_components(train, cfg.latents),
+        MEAN: reconstruct_by_mean(train),
     }
     told = {name: each(test.seen) for name, each in telling.items()}
     largest = sensor.max_range
@@ -252,11 +252,11 @@ def _finish(
     shown = {"seen": test.seen[rows]} | ({"target": test.target[rows]} if cfg.target != "distance" else {})
     draw(shown | {name: told[name][rows] for name in (ENCODER, components)}, folder.picture, largest=largest)
     return replace(
-        found,
+        result,
         active_latents=active_latents(encoder, test.seen),
-        errors={name: errors_of(each, test.target, largest=largest) for name, each in told.items()},
+        errors={name: image_errors(each, test.target, largest=largest) for name, each in told.items()},
         errors_by_env={
-            env: errors_of(told[ENCODER][test.env == i], test.target[test.env == i], largest=largest)
+            env: image_errors(told[ENCODER][test.env == i], test.target[test.env == i], largest=largest)
             for i, env in enumerate(cfg.envs)
         },
     )

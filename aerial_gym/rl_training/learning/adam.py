@@ -25,17 +25,17 @@ class FlatAdam:
         self._max_norm, self._betas = max_norm, betas
         self.weights = torch.cat([p.detach().reshape(-1) for p in self._parameters])
         """(P,)."""
-        self._point_into(self.weights)
+        self._bind_weights(self.weights)
         self._mean, self._square = torch.zeros_like(self.weights), torch.zeros_like(self.weights)
         self._steps = torch.zeros((), device=self.weights.device)
 
-    def _point_into(self, flat: Tensor) -> None:
+    def _bind_weights(self, flat: Tensor) -> None:
         start = 0
         for parameter in self._parameters:
             parameter.data = flat[start : start + parameter.numel()].view_as(parameter)
             start += parameter.numel()
 
-    def place_of(self, parameter: Tensor) -> int:
+    def weight_offset(self, parameter: Tensor) -> int:
         """Return the offset of a network parameter among all weights."""
         return (parameter.data_ptr() - self.weights.data_ptr()) // self.weights.element_size()
 
@@ -76,7 +76,7 @@ class FlatAdam:
 
 
 @contextmanager
-def quick_products() -> Iterator[None]:
+def low_precision() -> Iterator[None]:
     """Multiply float32 matrices on a GPU with 10 bits of mantissa: exact enough for gradients of a network of noisy samples.
 
     Not for passes forward, as the probability ratio compares two of them, nor for gradients that go back through physics.

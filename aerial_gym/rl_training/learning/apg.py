@@ -21,11 +21,11 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import CapabilityError
-from aerial_gym.registry.state import below
+from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import ApgCfg
 from aerial_gym.rl_training.learning.adam import FlatAdam
 from aerial_gym.rl_training.learning.learner import Learner, last_observations
-from aerial_gym.rl_training.learning.objective import beyond_bounds, bounded, generalized_advantages
+from aerial_gym.rl_training.learning.objective import bound_excess, clamp_action, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -121,7 +121,7 @@ class Apg(Learner):
         loss, value = self._policy_loss(window)
         gradient = self._actor_adam.gradient(loss)
         norm = torch.linalg.vector_norm(gradient)  # the optimiser limits it in place
-        rate = self._falling(self._apg.learning_rate, self._apg.end_learning_rate)
+        rate = self._decay(self._apg.learning_rate, self._apg.end_learning_rate)
         self._actor_adam.step(gradient, rate)
         self.network.actor.log_std.data.clamp_(min=log(self._apg.min_std))
         with torch.no_grad():
@@ -145,7 +145,7 @@ class Apg(Learner):
         observed, finals, steps = [], [], []
         for step in noise:
             mean, _ = actor.step(seen, actor.empty_memory(task.num_envs))
-            action = bounded(Gaussian(mean, actor.log_std).sample(step))
+            action = clamp_action(Gaussian(mean, actor.log_std).sample(step))
             observed.append({key: value.detach() for key, value in seen.items()})
             observation, reward, terminated, truncated, info = task.step(action)
             finals.append(last_observations(info, keys))
@@ -171,7 +171,7 @@ class Apg(Learner):
         gained = window_return(window.reward, value, window.terminated, window.ended, discount=self._apg.discount)
         loss = -gained.mean() / self._apg.horizon
         if self._apg.bound_coef:
-            loss = loss + self._apg.bound_coef * beyond_bounds(window.mean).mean()
+            loss = loss + self._apg.bound_coef * bound_excess(window.mean).mean()
         return loss, value
 
     def _values(self, observation: Mapping[str, Tensor]) -> Tensor:
@@ -222,8 +222,8 @@ class Apg(Learner):
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         adams = {"actor": self._actor_adam.state_tensors(), "critic": self._critic_adam.state_tensors()}
-        found = super().state_tensors() | below("target", dict(self._critics[1].named_parameters()))
-        return found | {name: t for prefix, adam in adams.items() for name, t in below(prefix, adam).items()}
+        tensors = super().state_tensors() | add_prefix("target", dict(self._critics[1].named_parameters()))
+        return tensors | {name: t for prefix, adam in adams.items() for name, t in add_prefix(prefix, adam).items()}
 
 
 def check_differentiable(task: Task, cfg: TrainingCfg) -> None:

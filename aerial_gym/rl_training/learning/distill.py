@@ -17,9 +17,9 @@ from math import log
 import torch
 from torch import Tensor
 
-from aerial_gym.registry.state import below
+from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import DistillCfg
-from aerial_gym.rl_training.learning.adam import FlatAdam, quick_products
+from aerial_gym.rl_training.learning.adam import FlatAdam, low_precision
 from aerial_gym.rl_training.learning.learner import Learner
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.policy import Policy
@@ -49,8 +49,8 @@ class Distill(Learner):
     def iterate(self) -> None:
         """Simulate one segment, label it by the teacher, and fit the student."""
         cfg, actor = self._distill, self.network.actor
-        teaching = self._falling(1.0, -1.0)  # none is left to it in the second half
-        rate = self._falling(cfg.learning_rate, cfg.end_learning_rate)
+        teaching = self._decay(1.0, -1.0)  # none is left to it in the second half
+        rate = self._decay(cfg.learning_rate, cfg.end_learning_rate)
         with torch.no_grad():
             seen, begins, memory, wanted = self._fly(self._rows < teaching * self._task.num_envs)
             prepared = actor.body.prepare(seen)
@@ -61,7 +61,7 @@ class Distill(Learner):
                 part = {key: value.index_select(1, chosen) for key, value in prepared.items()}
                 distribution, _ = self.network.sequence(part, memory[chosen], begins[:, chosen])
                 goal = wanted[:, chosen]
-                with quick_products():
+                with low_precision():
                     gradient = self._adam.gradient(-distribution.log_prob(goal).mean())
                 self._adam.step(gradient, rate)
                 actor.log_std.data.clamp_(min=log(cfg.min_std))
@@ -105,4 +105,4 @@ class Distill(Learner):
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         own: Mapping[str, Tensor] = {"memory": self._memory, "taught": self._taught}
-        return super().state_tensors() | own | below("adam", self._adam.state_tensors())
+        return super().state_tensors() | own | add_prefix("adam", self._adam.state_tensors())

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.learning.objective import BOUND
-from aerial_gym.rl_training.learning.ppo import Flown, Ppo, Samples
+from aerial_gym.rl_training.learning.ppo import Ppo, RolloutSegment, Samples
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -56,16 +56,16 @@ def _start_triton(device: torch.device) -> None:
 
     torch.cuda.set_device(device)
     with contextlib.suppress(Exception):  # the compilation of the networks reports errors
-        kernels.nothing.warmup(torch.float32, grid=(1,))
+        kernels.write_zero.warmup(torch.float32, grid=(1,))
 
 
 def _launcher(kernel: Any, grid: tuple[int, ...], *, compile_only: bool) -> Callable[..., object]:
     return partial(kernel.warmup, grid=grid) if compile_only else kernel[grid]
 
 
-def why_not_fused(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:
+def fusion_refusal(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> str | None:
     """Return the reason against fused network kernels, None if they apply."""
-    seen = _seen_by(network)
+    seen = _input_shapes(network)
     if device.type != "cuda":
         return "no GPU"
     if importlib.util.find_spec("triton") is None:
@@ -85,22 +85,22 @@ class FusedPpo(Ppo):
     """Proximal policy optimisation whose passes through both networks are single launches."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic, ranks: Ranks = ALONE) -> None:
-        """Take the arguments of ``Ppo``, if ``why_not_fused`` returns None."""
+        """Take the arguments of ``Ppo``, if ``fusion_refusal`` returns None."""
         super().__init__(cfg, task, network, ranks)
         from aerial_gym.rl_training.learning import kernels
 
         self._kernels, ppo = kernels, self._ppo
-        seen = _seen_by(network)
+        seen = _input_shapes(network)
         self._keys, self._num_in = [list(shapes) for shapes in seen], [_num_entries(shapes) for shapes in seen]
         assert network.own_body is not None
         self._places = [
-            [self._adam.place_of(tensor) for linear in linears for tensor in (linear.weight, linear.bias)]
+            [self._adam.weight_offset(tensor) for linear in linears for tensor in (linear.weight, linear.bias)]
             for linears in (
                 _linears(network.actor.body.layers, network.actor.head),
                 _linears(network.own_body.layers, network.value_head),
             )
         ]
-        self._log_std = self._adam.place_of(network.actor.log_std)
+        self._log_std = self._adam.weight_offset(network.actor.log_std)
         self._sizes: dict[str, Any] = {
             "wide_in": max(16, 1 << (max(self._num_in) - 1).bit_length()),
             "hidden": ppo.hidden_layers[0],
@@ -165,7 +165,7 @@ class FusedPpo(Ppo):
         return mean, action, command, memory
 
     def _values(
-        self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
+        self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: RolloutSegment
     ) -> tuple[Tensor, Tensor, Tensor]:
         values, finals = (self._forward(self._vector(seen, 1), 1)[0].squeeze(-1) for seen in (prepared, final))
         scale = self.network.scale
@@ -176,7 +176,7 @@ class FusedPpo(Ppo):
         parts = [prepared[key] for key in self._keys[network]]
         return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
 
-    def _judge(self, flown: Flown) -> Samples:
+    def _judge(self, flown: RolloutSegment) -> Samples:
         return self._as_vectors(super()._judge(flown))
 
     def _as_vectors(self, samples: Samples) -> Samples:
@@ -205,7 +205,7 @@ class FusedPpo(Ppo):
         )  # fmt: skip
 
 
-def _seen_by(network: ActorCritic) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, tuple[int, ...]]]:
+def _input_shapes(network: ActorCritic) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, tuple[int, ...]]]:
     """Return the input shapes of policy and critic, by key."""
     return network.actor.shapes, (network.own_body or network.actor.body).cfg.shapes
 

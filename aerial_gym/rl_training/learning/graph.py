@@ -6,7 +6,7 @@ from collections.abc import Callable
 import torch
 
 from aerial_gym.errors import CapabilityError
-from aerial_gym.interop import recorded
+from aerial_gym.interop import record_graph
 
 WARM_UP_ITERATIONS = 2
 """Iterations before the recording, in which kernels are compiled and memory is taken; they count as all others do."""
@@ -14,7 +14,7 @@ WARM_UP_ITERATIONS = 2
 _log = logging.getLogger(__name__)
 
 
-class Repeated:
+class IterationGraph:
     """Repeated calls of a function without waits on fixed tensors; on CUDA a recorded graph."""
 
     def __init__(
@@ -35,7 +35,7 @@ class Repeated:
         self._stream = torch.cuda.Stream(device) if capture and device.type == "cuda" else None
 
     @property
-    def captured(self) -> bool:
+    def is_captured(self) -> bool:
         """Whether an iteration is the replay of a graph by now."""
         return self._graph is not None
 
@@ -62,7 +62,7 @@ class Repeated:
             graph = torch.cuda.CUDAGraph()
             graph.register_generator_state(self._generator)
             try:
-                with recorded(graph, self._device, errors=self._forbids):
+                with record_graph(graph, self._device, errors=self._forbids):
                     self._iterate()
             except RuntimeError as error:
                 reason = str(error).strip().splitlines()[0]

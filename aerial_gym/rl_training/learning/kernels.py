@@ -14,7 +14,7 @@ ELU, RELU, TANH = 0, 1, 2
 
 
 @triton.jit
-def nothing(out):
+def write_zero(out):
     """Write 0; compiled alone, to start Triton."""
     tl.store(out, 0.0)
 
@@ -106,15 +106,15 @@ def forward(
     x = tl.load(
         observation + rows[:, None] * num_in + i[None, :], mask=inside[:, None] & (i < num_in)[None, :], other=0.0
     )
-    _, _, found, _, _ = _layers(
+    _, _, result, _, _ = _layers(
         x, weights, first, first_bias, second, second_bias, head, head_bias, num_out,
         num_in, wide_in, hidden, wide_out, kind, precision,
     )  # fmt: skip
     place, mask = rows[:, None] * num_out + u[None, :], inside[:, None] & (u < num_out)[None, :]
-    tl.store(out + place, found, mask=mask)
+    tl.store(out + place, result, mask=mask)
     if draws:
         std = tl.exp(tl.load(weights + log_std + u, mask=u < num_out, other=0.0))
-        drawn = found + std[None, :] * tl.load(noise + place, mask=mask, other=0.0)
+        drawn = result + std[None, :] * tl.load(noise + place, mask=mask, other=0.0)
         tl.store(action_out + place, drawn, mask=mask)
         tl.store(command_out + place, tl.minimum(tl.maximum(drawn, -1.0), 1.0), mask=mask)
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from aerial_gym.registry.state import below
+from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
@@ -64,7 +64,7 @@ class Learner:
         self.sums[0].add_(ended.numel() * self.ranks.size)
         self.sums[1:].add_(self.ranks.sum_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended])))
 
-    def _falling(self, first: float, last: float) -> Tensor:
+    def _decay(self, first: float, last: float) -> Tensor:
         """Return a float32 that changes linearly from ``first`` to ``last`` over the time or steps of the training."""
         share = self.time_share
         if self._cfg.max_env_steps is not None:
@@ -73,7 +73,7 @@ class Learner:
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
-        return {"begins": self._begins, "sums": self.sums} | below("observation", self._observation)
+        return {"begins": self._begins, "sums": self.sums} | add_prefix("observation", self._observation)
 
     def common_tensors(self) -> list[Tensor]:
         """Return the tensors that all processes share."""

@@ -47,12 +47,12 @@ def generalized_advantages(
     return advantage
 
 
-def beyond_bounds(mean: Tensor) -> Tensor:
+def bound_excess(mean: Tensor) -> Tensor:
     """Return the sum over entries of ``max(|mean| - 1.1, 0)²`` of each sample."""
     return ((mean.abs() - BOUND).clamp_min(0.0) ** 2).sum(-1)
 
 
-class _Bounded(torch.autograd.Function):
+class _ClampAction(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, action: Tensor) -> Tensor:
         ctx.save_for_backward(action)
@@ -65,10 +65,10 @@ class _Bounded(torch.autograd.Function):
         return gradient.nan_to_num(0.0, 0.0, 0.0).masked_fill(outward, 0.0)
 
 
-def bounded(action: Tensor) -> Tensor:
+def clamp_action(action: Tensor) -> Tensor:
     """Return actions clamped to -1 to 1, (E, U), with the gradient of a loss that is minimised under this bound.
 
     Beyond the bound a descent may return but go no further out; with a plain clamp it would have no gradient there. NaN or
     infinite gradients of diverged rows are set to 0.
     """
-    return _Bounded.apply(action)
+    return _ClampAction.apply(action)

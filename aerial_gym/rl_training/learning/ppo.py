@@ -17,11 +17,11 @@ from math import log
 import torch
 from torch import Tensor
 
-from aerial_gym.registry.state import below
+from aerial_gym.registry.state import add_prefix
 from aerial_gym.rl_training.learner_settings import PpoCfg
-from aerial_gym.rl_training.learning.adam import FlatAdam, quick_products
+from aerial_gym.rl_training.learning.adam import FlatAdam, low_precision
 from aerial_gym.rl_training.learning.learner import Learner, last_observations
-from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
+from aerial_gym.rl_training.learning.objective import bound_excess, generalized_advantages
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.ranks import ALONE, Ranks
@@ -54,7 +54,7 @@ def squared_error(value: Tensor, target: Tensor, old_value: Tensor, *, clip_rang
     return torch.maximum(error, (clipped - target) ** 2)
 
 
-def adapted_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest: Tensor) -> Tensor:
+def adapt_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest: Tensor) -> Tensor:
     """Return the learning rate adapted to the KL divergence of an update, all scalars ()."""
     rate = torch.where(divergence > 2.0 * threshold, rate / RATE_STEP, rate)
     rate = torch.where(divergence < 0.5 * threshold, rate * RATE_STEP, rate)
@@ -62,7 +62,7 @@ def adapted_rate(rate: Tensor, divergence: Tensor, *, threshold: float, highest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown:
+class RolloutSegment:
     """One segment of every environment, (T, E, ...); the memory is that of its start."""
 
     observation: Mapping[str, Tensor]
@@ -140,7 +140,7 @@ class Ppo(Learner):
             self._learn(samples, old_log_std, highest)
         self.network.count({key: value[:-1] for key, value in flown.observation.items()}, self.ranks)
 
-    def _fly(self) -> Flown:
+    def _fly(self) -> RolloutSegment:
         """Simulate T steps with exploration, and store the start of the next segment."""
         task, keys = self._task, self.network.shapes
         noise = torch.randn(
@@ -157,7 +157,7 @@ class Ppo(Learner):
             steps.append((action, mean, reward, terminated, info["episode_return"], info["episode_length"]))
             seen.append({key: observation[key] for key in keys})
         action, mean, reward, terminated, total, length = (torch.stack(column) for column in zip(*steps, strict=True))
-        flown = Flown(
+        flown = RolloutSegment(
             observation={key: torch.stack([each[key] for each in seen]) for key in keys},
             final={key: torch.stack([each[key] for each in finals]) for key in finals[0]},
             begins=torch.stack(begins),
@@ -184,7 +184,7 @@ class Ppo(Learner):
         action = Gaussian(mean, actor.log_std).sample(noise)
         return mean, action, action.clamp(-1.0, 1.0), memory
 
-    def _judge(self, flown: Flown) -> Samples:
+    def _judge(self, flown: RolloutSegment) -> Samples:
         """Estimate advantages and returns of a segment, and count it."""
         ppo, network, ended = self._ppo, self.network, flown.begins[1:]
         prepared = network.prepare(flown.observation)
@@ -220,7 +220,7 @@ class Ppo(Learner):
         )
 
     def _values(
-        self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: Flown
+        self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: RolloutSegment
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return values of observations (T + 1, E) and of final ones (T, E), and the critic's memory after each."""
         values, remembered = self.network.values(prepared, flown.memory, flown.begins)
@@ -228,7 +228,7 @@ class Ppo(Learner):
 
     def _highest_rate(self) -> Tensor:
         """Return the largest learning rate at this share of the training."""
-        return self._falling(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
+        return self._decay(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
 
     def _learn(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
         """Run one epoch over all samples, in random order of environments, and adapt the learning rate."""
@@ -240,7 +240,7 @@ class Ppo(Learner):
             self._adam.step(self.ranks.mean_(gradient), self._rate)
             log_std.data.clamp_(min=log(ppo.min_std))
         numbers = self.ranks.mean_(torch.stack(told).mean(0))
-        self._rate.copy_(adapted_rate(self._rate, numbers[0], threshold=ppo.kl_threshold, highest=highest))
+        self._rate.copy_(adapt_rate(self._rate, numbers[0], threshold=ppo.kl_threshold, highest=highest))
         self.gauges.copy_(torch.cat((torch.stack((self._rate, log_std.data.exp().mean())), numbers)))
 
     def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
@@ -254,19 +254,19 @@ class Ppo(Learner):
         value_loss = 0.5 * squared_error(value, old["target"], old["value"], clip_range=limit).mean()
         loss = policy_loss + ppo.value_coef * value_loss
         if ppo.bound_coef:
-            loss = loss + ppo.bound_coef * beyond_bounds(distribution.mean).mean()
+            loss = loss + ppo.bound_coef * bound_excess(distribution.mean).mean()
         if ppo.entropy_coef:
             loss = loss - ppo.entropy_coef * distribution.entropy()
         with torch.no_grad():
-            divergence = distribution.divergence_from(old["mean"], old_log_std).mean()
+            divergence = distribution.divergence(old["mean"], old_log_std).mean()
             numbers = torch.stack((divergence, policy_loss, value_loss))
-        with quick_products():
+        with low_precision():
             return self._adam.gradient(loss), numbers
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         own = {"memory": self._memory, "rate": self._rate}
-        return super().state_tensors() | own | below("adam", self._adam.state_tensors())
+        return super().state_tensors() | own | add_prefix("adam", self._adam.state_tensors())
 
     def common_tensors(self) -> list[Tensor]:
         """Return the tensors that all processes share."""

@@ -10,7 +10,7 @@ from functools import cache
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.rl_training.policies.body import Body, BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.policies.normalizer import OUTLIER, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
@@ -23,7 +23,7 @@ def _second_stream(device: torch.device) -> torch.cuda.Stream:
 
 
 @contextmanager
-def _beside(device: torch.device) -> Iterator[AbstractContextManager[object]]:
+def _parallel_stream(device: torch.device) -> Iterator[AbstractContextManager[object]]:
     """Yield a context that runs on a second CUDA stream, in parallel to the rest of the block.
 
     Autograd uses the same streams backward. On a CPU both run in sequence.
@@ -43,11 +43,11 @@ class ActorCritic(nn.Module):
     Values are normalised like their target returns; ``scale`` has the statistics of these.
     """
 
-    def __init__(self, actor: Policy, critic: BodyCfg | None) -> None:
+    def __init__(self, actor: Policy, critic: NetworkBodyCfg | None) -> None:
         """Take a policy and the critic's body; None shares the policy's body and memory. Initial values are 0."""
         super().__init__()
         self.actor = actor
-        self.own_body = None if critic is None else Body(critic, beside=actor.body)
+        self.own_body = None if critic is None else NetworkBody(critic, beside=actor.body)
         self.value_head = nn.Linear((self.own_body or actor.body).num_features, 1)
         nn.init.zeros_(self.value_head.weight)
         nn.init.zeros_(self.value_head.bias)
@@ -91,7 +91,7 @@ class ActorCritic(nn.Module):
         if self.own_body is None:
             features, _ = self.actor.body.sequence(prepared, acting, begins)
             return Gaussian(self.actor.head(features), self.actor.log_std), self.value_head(features).squeeze(-1)
-        with _beside(memory.device) as critics:
+        with _parallel_stream(memory.device) as critics:
             with critics:
                 features, _ = self.own_body.sequence(prepared, judging, begins)
                 value = self.value_head(features).squeeze(-1)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
-from aerial_gym.rl_training.policies.recurrent import along
+from aerial_gym.rl_training.policies.recurrent import unroll
 from aerial_gym.sensors.encoder.network import ACTIVATIONS, convolutions
 
 IMAGE_CHANNELS = (16, 32, 64, 64)
@@ -24,7 +24,7 @@ IMAGE_FEATURES = 128
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyCfg:
+class NetworkBodyCfg:
     """Shape of a body."""
 
     shapes: Mapping[str, tuple[int, ...]]
@@ -43,10 +43,10 @@ class BodyCfg:
     """Whether vectors are normalised by their running mean and deviation."""
 
 
-class Body(nn.Module):
+class NetworkBody(nn.Module):
     """Network from observations to features; its memory is an argument and a result, so that it holds no state."""
 
-    def __init__(self, cfg: BodyCfg, *, beside: "Body | None" = None) -> None:
+    def __init__(self, cfg: NetworkBodyCfg, *, beside: "NetworkBody | None" = None) -> None:
         """Make the layers with torch's initial weights; normalisers of common keys are shared with ``beside``.
 
         Raises:
@@ -81,7 +81,7 @@ class Body(nn.Module):
 
     def forward(self, prepared: Mapping[str, Tensor], memory: Tensor) -> tuple[Tensor, Tensor]:
         """Return features (E, F) and memory (E, M) after one step, from prepared keys (E, ...) and memory (E, M)."""
-        features = self._encoded(prepared)
+        features = self._encode(prepared)
         if self.cell is None:
             return features, memory
         memory = self.cell(features, memory)
@@ -95,13 +95,13 @@ class Body(nn.Module):
             memory: Before the sequence, (E, M).
             begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
         """
-        features = self._encoded(prepared)
+        features = self._encode(prepared)
         if self.cell is None:
             return features, memory.expand(len(features), *memory.shape)
-        remembered = along(self.cell, features, memory, begins)
+        remembered = unroll(self.cell, features, memory, begins)
         return remembered, remembered
 
-    def _encoded(self, prepared: Mapping[str, Tensor]) -> Tensor:
+    def _encode(self, prepared: Mapping[str, Tensor]) -> Tensor:
         parts = [
             self.encoders[key](prepared[key]) if key in self.encoders else prepared[key] for key in self.cfg.shapes
         ]

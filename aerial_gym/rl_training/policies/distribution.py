@@ -33,7 +33,7 @@ class Gaussian:
         """Return the differential entropy [nat], ()."""
         return self.log_std.sum() + 0.5 * (1.0 + log(2.0 * pi)) * self.log_std.shape[0]
 
-    def divergence_from(self, mean: Tensor, log_std: Tensor) -> Tensor:
+    def divergence(self, mean: Tensor, log_std: Tensor) -> Tensor:
         """Return ``KL(N(mean, exp(log_std)²) || self)`` [nat], (...)."""
         change = self.log_std - log_std
         apart = (mean - self.mean) * (-self.log_std).exp()

@@ -13,17 +13,17 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
-from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.run import checkpoint
-from aerial_gym.rl_training.run.run_folder import RunFolder, run_folder_of
+from aerial_gym.rl_training.run.run_folder import RunFolder, find_run_folder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.catalog import TRAINERS
 from aerial_gym.task import Task
 
 
-class Fitting(Protocol):
+class PolicyShapes(Protocol):
     """A policy with known observations and actions."""
 
     @property
@@ -37,19 +37,19 @@ class Fitting(Protocol):
         ...
 
 
-def check_fits(policy: Fitting, task: Task, trained_on: str) -> None:
+def check_fits(policy: PolicyShapes, task: Task, trained_on: str) -> None:
     """Raise ``ConfigError`` if observations or actions of a policy and a task differ."""
     spaces, actions = task.observation_space, task.action_space
     assert actions.shape is not None
     has = {key: tuple(spaces[key].shape or ()) for key in spaces.spaces}
     if any(has.get(key) != shape for key, shape in policy.shapes.items()) or policy.num_actions != actions.shape[0]:
         raise ConfigError(
-            f"policy of {trained_on}: takes {told_shapes(policy.shapes)} and gives {policy.num_actions} actions; this "
-            f"task has {told_shapes(has)} and {actions.shape[0]}. Give it the task, robot and controller of its training"
+            f"policy of {trained_on}: takes {format_shapes(policy.shapes)} and gives {policy.num_actions} actions; this "
+            f"task has {format_shapes(has)} and {actions.shape[0]}. Give it the task, robot and controller of its training"
         )
 
 
-def told_shapes(shapes: Mapping[str, tuple[int, ...]]) -> str:
+def format_shapes(shapes: Mapping[str, tuple[int, ...]]) -> str:
     """Return keys and shapes as text."""
     return ", ".join(f"{' x '.join(str(n) for n in shape)} {key}" for key, shape in sorted(shapes.items()))
 
@@ -61,19 +61,19 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
     Raises:
         ConfigError: If there is no such run or checkpoint or device, or it does not hold the network of its settings.
     """
-    file, cfg = checkpoint_of(source)
+    file, cfg = find_checkpoint(source)
     payload = checkpoint.load(file)
     return policy_from_payload(payload, cfg, where=str(file)).to(resolve_device(device)), cfg
 
 
-def checkpoint_of(source: str | Path) -> tuple[Path, TrainingCfg]:
+def find_checkpoint(source: str | Path) -> tuple[Path, TrainingCfg]:
     """Return the given checkpoint, or the last one of a run folder, and the settings of the run.
 
     Raises:
         ConfigError: If there is no such run or checkpoint.
     """
     source = Path(source)
-    folder = RunFolder(source) if source.is_dir() else run_folder_of(source)
+    folder = RunFolder(source) if source.is_dir() else find_run_folder(source)
     return folder.last_checkpoint() if source.is_dir() else source, folder.config()
 
 
@@ -85,7 +85,7 @@ def policy_from_payload(payload: Mapping[str, Any], cfg: TrainingCfg, *, where: 
     return TRAINERS.get(cfg.trainer).policy(model, payload, cfg, where=where)
 
 
-def own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, where: str) -> Policy:
+def native_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, where: str) -> Policy:
     """Return the policy in a checkpoint of a learner of this package."""
     state = {name.removeprefix("actor."): value for name, value in model.items() if name.startswith("actor.")}
     _check_finite(state.items(), where)
@@ -96,13 +96,13 @@ def own_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *, w
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise ConfigError(f"{where}: does not hold the network of its settings ({reason})") from None
-    return _to_fly(policy)
+    return _make_inference(policy)
 
 
-def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> BodyCfg:
+def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> NetworkBodyCfg:
     """Return the settings of a policy's body for observations of these shapes."""
     learner = cfg.learner
-    return BodyCfg(
+    return NetworkBodyCfg(
         shapes=shapes,
         hidden_layers=learner.hidden_layers,
         activation=learner.activation,
@@ -111,7 +111,7 @@ def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> BodyCfg
     )
 
 
-def _to_fly(policy: Policy) -> Policy:
+def _make_inference(policy: Policy) -> Policy:
     policy.requires_grad_(False)
     return policy.eval()
 
@@ -141,7 +141,7 @@ def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Po
     shapes = {"observations": (layers[0][0].shape[1],)}
     hidden = tuple(bias.shape[0] for _, bias in layers[:-1])
     known = mean is not None and var is not None
-    body = BodyCfg(shapes=shapes, hidden_layers=hidden, activation=cfg.learner.activation, normalize=known)
+    body = NetworkBodyCfg(shapes=shapes, hidden_layers=hidden, activation=cfg.learner.activation, normalize=known)
     policy = Policy(body, layers[-1][1].shape[0])
     for linear, (weight, bias) in zip([*list(policy.body.layers)[::2], policy.head], layers, strict=True):
         assert isinstance(linear, nn.Linear)
@@ -151,4 +151,4 @@ def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Po
         normalizer = policy.body.normalizers["observations"]
         assert isinstance(normalizer, RunningNormalizer)
         normalizer.set(mean, var)
-    return _to_fly(policy)
+    return _make_inference(policy)

@@ -10,7 +10,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, nn
 
-from aerial_gym.rl_training.policies.body import Body, BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
 
 
 class Pilot(Protocol):
@@ -31,10 +31,12 @@ class Policy(nn.Module):
     It needs no trainer installed, and is an ordinary ``torch.nn.Module`` with a pure function ``step``, which is exported.
     """
 
-    def __init__(self, cfg: BodyCfg, num_actions: int, *, initial_std: float = 1.0, head_variance: float = 1.0) -> None:
+    def __init__(
+        self, cfg: NetworkBodyCfg, num_actions: int, *, initial_std: float = 1.0, head_variance: float = 1.0
+    ) -> None:
         """Make the network; the head's first weights have the variance ``head_variance / F``, its biases are 0."""
         super().__init__()
-        self.body, self.num_actions = Body(cfg), num_actions
+        self.body, self.num_actions = NetworkBody(cfg), num_actions
         self.head = nn.Linear(self.body.num_features, num_actions)
         nn.init.normal_(self.head.weight, std=(head_variance / self.body.num_features) ** 0.5)
         nn.init.zeros_(self.head.bias)

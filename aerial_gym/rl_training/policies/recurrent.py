@@ -19,7 +19,7 @@ TILE, WARPS = 16, 4
 """Environments that a block takes through all steps, the least that Triton multiplies, and its warps."""
 
 
-def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
+def unroll(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
     """Return the hidden state of a gated recurrent unit after each step, (T, E, M).
 
     Args:
@@ -31,7 +31,7 @@ def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) ->
     if features.is_cuda:
         entering = linear(features, cell.weight_ih, cell.bias_ih)
         small = cell.hidden_size in SIZES and features.dtype == torch.float32
-        how = _InOneLaunch if small and find_spec("triton") is not None else _Along
+        how = _FusedUnroll if small and find_spec("triton") is not None else _Unroll
         return how.apply(entering, memory, begins, cell.weight_hh, cell.bias_hh)  # pyright: ignore[reportReturnType]
     keep = (~begins).to(features.dtype).unsqueeze(-1)
     after = []
@@ -41,7 +41,7 @@ def along(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) ->
     return torch.stack(after)
 
 
-class _Along(torch.autograd.Function):
+class _Unroll(torch.autograd.Function):
     """The time steps: torch's kernel of the unit, except for the product of weights and memory."""
 
     @staticmethod
@@ -76,7 +76,7 @@ def _kernels() -> Any:
     return import_module("aerial_gym.rl_training.policies.recurrent_kernels")
 
 
-class _InOneLaunch(torch.autograd.Function):
+class _FusedUnroll(torch.autograd.Function):
     """The steps in a kernel of their own."""
 
     @staticmethod

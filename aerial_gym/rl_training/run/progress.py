@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
-from aerial_gym.config.storage import write_whole
+from aerial_gym.config.storage import write_atomic
 from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.settings import TrainingCfg
 
@@ -68,11 +68,11 @@ class Progress:
         """Share of ``max_time_s`` at the last update; 0 without that limit."""
         self.last: Report | None = None
         self.non_finite = 0
-        lines = _kept_lines(curve_file, resumed_steps)
+        lines = _valid_lines(curve_file, resumed_steps)
         self._past_s = float(lines[-1][0]) if lines else 0.0
         text = io.StringIO()
         csv.writer(text).writerows([CURVE_COLUMNS, *lines])
-        write_whole(curve_file, text.getvalue())
+        write_atomic(curve_file, text.getvalue())
         self._file = curve_file.open("a", encoding="utf-8", newline="", buffering=1)
         self._curve = csv.writer(self._file)
         shown = "{task.description} return {task.fields[reward]} {task.fields[rate]} steps/s {task.fields[left]} left"
@@ -90,13 +90,13 @@ class Progress:
         self._last_shown = -LINE_INTERVAL_S
         self._task = self._bar.add_task("", total=1.0, name=cfg.trainer, reward="-", rate="-", left="-")
 
-    def elapsed_s(self) -> float:
+    def session_time_s(self) -> float:
         """Return the time since the start of this session [s]."""
         return time.perf_counter() - self._started
 
     def update(self, report: Report) -> bool:
         """Show and record a report; return whether the training must end now."""
-        now = self.elapsed_s()
+        now = self.session_time_s()
         if self._first_steps is None:
             self._first_steps, self._first_time = report.env_steps, now
         self.env_steps, self.last = report.env_steps, report
@@ -149,7 +149,7 @@ class Progress:
         self._file.close()
 
 
-def _kept_lines(curve_file: Path, resumed_steps: int) -> list[list[str]]:
+def _valid_lines(curve_file: Path, resumed_steps: int) -> list[list[str]]:
     """Return the complete lines of a learning curve up to a number of steps."""
     if not curve_file.exists():
         return []

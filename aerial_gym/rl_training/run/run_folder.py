@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.config import dump_yaml
-from aerial_gym.config.storage import told_storage, write_whole
+from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import ConfigError, StorageError
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings
@@ -68,13 +68,13 @@ class RunFolder:
         """
         if self.config_file.exists():
             raise ConfigError(f"{self.path}: holds a run already. Choose another --out, or continue it with --resume")
-        with told_storage(self.path):
+        with storage_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
         if cfg.encoder is not None and Path(cfg.encoder).is_file():
-            write_whole(self.encoder_file, Path(cfg.encoder).read_bytes())
-        write_whole(self.config_file, dump_yaml(cfg))
+            write_atomic(self.encoder_file, Path(cfg.encoder).read_bytes())
+        write_atomic(self.config_file, dump_yaml(cfg))
 
-    def discard_unless_begun(self) -> None:
+    def discard_unstarted(self) -> None:
         """Remove the files of a training refused before its first session, and the folder if it is then empty."""
         if self.versions_file.exists():
             return
@@ -107,12 +107,12 @@ class RunFolder:
         Raises:
             ConfigError: If there is no checkpoint.
         """
-        found = self.checkpoints()
-        if not found:
+        checkpoints = self.checkpoints()
+        if not checkpoints:
             raise ConfigError(f"{self.path}: holds no checkpoint yet. Train on with --out {self.path} --resume")
-        return found[-1]
+        return checkpoints[-1]
 
-    def newest_whole(self) -> tuple[Path, dict[str, Any]] | None:
+    def newest_readable(self) -> tuple[Path, dict[str, Any]] | None:
         """Return the newest readable checkpoint with its content; None for a run without a checkpoint.
 
         Damaged ones that are newer keep their content under the name ``NAME.damaged``, and a warning says so.
@@ -120,8 +120,8 @@ class RunFolder:
         Raises:
             ConfigError: If there are checkpoints and none of them can be read.
         """
-        found, reasons = self.checkpoints(), []
-        for path in reversed(found):
+        checkpoints, reasons = self.checkpoints(), []
+        for path in reversed(checkpoints):
             try:
                 payload = checkpoint.load(path)
             except ConfigError as error:
@@ -143,7 +143,7 @@ class RunFolder:
         """
         path = self.checkpoint_folder / f"checkpoint_{env_steps:015d}.pth"
         try:
-            with told_storage(path):
+            with storage_errors(path):
                 self.checkpoint_folder.mkdir(exist_ok=True)
             checkpoint.save(path, payload)
         except StorageError as error:
@@ -168,7 +168,7 @@ class RunFolder:
         note_session(self.path, seed=cfg.seed, device=device)
 
     @contextlib.contextmanager
-    def captured_output(self) -> Iterator[None]:
+    def redirect_output(self) -> Iterator[None]:
         """Redirect prints and logs of the block to ``log.txt``."""
         with self.log_file.open("a", encoding="utf-8", errors="surrogateescape", buffering=1) as log:
             handler = logging.StreamHandler(log)
@@ -195,10 +195,10 @@ def note_session(folder: Path, *, seed: int, device: str) -> None:
             "machine": f"{platform.platform()}, {os.cpu_count()} CPU cores",
         }
     )
-    write_whole(file, json.dumps(sessions, indent=1) + "\n")
+    write_atomic(file, json.dumps(sessions, indent=1) + "\n")
 
 
-def run_folder_of(checkpoint: str | Path) -> RunFolder:
+def find_run_folder(checkpoint: str | Path) -> RunFolder:
     """Return the run folder in which a checkpoint lies.
 
     Raises:

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from aerial_gym.config import to_mapping
-from aerial_gym.config.storage import write_whole
+from aerial_gym.config.storage import write_atomic
 from aerial_gym.errors import MissingDependencyError
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import listening
+from aerial_gym.rl_training.trainers.summaries import attach_listener
 
 STEP = "global_step"
 """Horizontal axis of scalars: their TensorBoard step, for some of rl-games an epoch or a time."""
@@ -25,7 +25,7 @@ def require_wandb() -> None:
 
 
 @contextmanager
-def sent_to_wandb(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator[None]:
+def send_scalars(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator[None]:
     """Send scalars to a run of a project that bears the folder's name; a resumed training continues the same run.
 
     The library's own variables hold: ``WANDB_MODE=offline`` keeps all in ``wandb/`` of the folder, for ``wandb sync``.
@@ -34,7 +34,7 @@ def sent_to_wandb(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator
 
     file = folder.path / "wandb.json"
     known = json.loads(file.read_text(encoding="utf-8"))["id"] if file.exists() else uuid.uuid4().hex[:8]
-    write_whole(file, json.dumps({"project": project, "id": known}) + "\n")
+    write_atomic(file, json.dumps({"project": project, "id": known}) + "\n")
     run = wandb.init(
         project=project,
         id=known,
@@ -46,7 +46,7 @@ def sent_to_wandb(project: str, folder: RunFolder, cfg: TrainingCfg) -> Iterator
     )
     run.define_metric("*", step_metric=STEP)
     try:
-        with listening(lambda scalars, step: run.log({**scalars, STEP: step})):
+        with attach_listener(lambda scalars, step: run.log({**scalars, STEP: step})):
             yield
     finally:
         run.finish()

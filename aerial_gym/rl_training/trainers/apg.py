@@ -5,18 +5,18 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.rl_training.learner_settings import ApgCfg
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.trainer import OwnTrainer
+from aerial_gym.rl_training.trainers.trainer import NativeTrainer
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.learning.apg import Apg
     from aerial_gym.rl_training.ranks import Ranks
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
 
 
-class ApgTrainer(OwnTrainer):
+class ApgTrainer(NativeTrainer):
     """Analytic policy gradients of this package."""
 
     name = "apg"
@@ -24,13 +24,13 @@ class ApgTrainer(OwnTrainer):
     section, settings = "apg", ApgCfg
     differentiable = True
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining[Apg]":
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining[Apg]":
         """Return a new training."""
         del ranks
         return make_training(cfg, task)
 
 
-def make_training(cfg: TrainingCfg, task: "Task") -> "OwnTraining[Apg]":
+def make_training(cfg: TrainingCfg, task: "Task") -> "NativeTraining[Apg]":
     """Return a new training; warn if the task has a variant with a reward whose slope does not vanish.
 
     Raises:
@@ -39,10 +39,10 @@ def make_training(cfg: TrainingCfg, task: "Task") -> "OwnTraining[Apg]":
     """
     from aerial_gym.rl_training.learning.apg import Apg
     from aerial_gym.rl_training.learning.network import make_network
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import task_registry
 
     smooth = f"smooth_{cfg.task}"
     if smooth in task_registry.names():
         _log.warning("trainer apg: the reward of %s is flat far from its target. Train with task %s", cfg.task, smooth)
-    return OwnTraining(cfg, task, Apg(cfg, task, make_network(cfg, task)))
+    return NativeTraining(cfg, task, Apg(cfg, task, make_network(cfg, task)))

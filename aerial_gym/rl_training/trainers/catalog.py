@@ -5,7 +5,7 @@ The module is imported when the trainer is first used. It imports its library on
 
 from typing import TYPE_CHECKING
 
-from aerial_gym.lazy import Home
+from aerial_gym.lazy import ImportPath
 from aerial_gym.registry import Registry
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ for _name, _class in (
     ("rl_games", "RlGamesTrainer"),
     ("sample_factory", "SampleFactoryTrainer"),
 ):
-    _home = Home(f"aerial_gym.rl_training.trainers.{_name}:{_class}")
+    _home = ImportPath(f"aerial_gym.rl_training.trainers.{_name}:{_class}")
     TRAINERS.register_later(_name, _home.make, summary=_home.summary)
 
 

@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.learner_settings import DistillCfg
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.trainer import OwnTrainer
+from aerial_gym.rl_training.trainers.trainer import NativeTrainer
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.learning.distill import Distill
     from aerial_gym.rl_training.ranks import Ranks
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import Task
 
 
-class DistillTrainer(OwnTrainer):
+class DistillTrainer(NativeTrainer):
     """Distillation of this package."""
 
     name = "distill"
@@ -32,13 +32,13 @@ class DistillTrainer(OwnTrainer):
             )
         load_policy(cfg.teacher)
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining[Distill]":
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining[Distill]":
         """Return a new training."""
         del ranks
         return make_training(cfg, task)
 
 
-def make_training(cfg: TrainingCfg, task: "Task") -> "OwnTraining[Distill]":
+def make_training(cfg: TrainingCfg, task: "Task") -> "NativeTraining[Distill]":
     """Return a new training.
 
     Raises:
@@ -47,9 +47,9 @@ def make_training(cfg: TrainingCfg, task: "Task") -> "OwnTraining[Distill]":
     from aerial_gym.rl_training.learning.distill import Distill
     from aerial_gym.rl_training.learning.network import make_network
     from aerial_gym.rl_training.policies.load import check_fits, load_policy
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
 
     assert cfg.teacher is not None
     teacher, its_cfg = load_policy(cfg.teacher, device=task.device)
     check_fits(teacher, task, its_cfg.task)
-    return OwnTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))
+    return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))

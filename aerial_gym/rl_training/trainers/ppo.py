@@ -5,20 +5,20 @@ from typing import TYPE_CHECKING
 
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.trainer import OwnTrainer
+from aerial_gym.rl_training.trainers.trainer import NativeTrainer
 
 if TYPE_CHECKING:
     import torch
 
     from aerial_gym.rl_training.learning.ppo import Ppo
     from aerial_gym.rl_training.ranks import Ranks
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import Task
 
 _log = logging.getLogger(__name__)
 
 
-class PpoTrainer(OwnTrainer):
+class PpoTrainer(NativeTrainer):
     """PPO of this package."""
 
     name = "ppo"
@@ -32,27 +32,27 @@ class PpoTrainer(OwnTrainer):
 
         prepare(device)
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining[Ppo]":
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining[Ppo]":
         """Return a new training."""
         return make_training(cfg, task, ranks=ranks)
 
 
 def make_training(
     cfg: TrainingCfg, task: "Task", *, fused: bool = True, ranks: "Ranks | None" = None
-) -> "OwnTraining[Ppo]":
+) -> "NativeTraining[Ppo]":
     """Return a new training; ``fused`` runs the networks in kernels of their own where possible.
 
     Raises:
         ConfigError: If the task lacks a key of the observation that the networks need.
     """
-    from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
+    from aerial_gym.rl_training.learning.fused import FusedPpo, fusion_refusal
     from aerial_gym.rl_training.learning.network import make_network
     from aerial_gym.rl_training.learning.ppo import Ppo
     from aerial_gym.rl_training.ranks import ALONE
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
 
     network = make_network(cfg, task)
-    reason = why_not_fused(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
+    reason = fusion_refusal(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
     if reason is not None and task.device.type == "cuda":
         _log.info("the networks run as torch operations: %s", reason)
-    return OwnTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks or ALONE))
+    return NativeTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks or ALONE))

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from aerial_gym.config.storage import storage_sentence
+from aerial_gym.config.storage import storage_message
 from aerial_gym.errors import StorageError
 
 Listener = Callable[[dict[str, float], int], None]
@@ -21,7 +21,7 @@ _listeners: list[Listener] = []
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def attach_listener(listener: Listener) -> Iterator[None]:
     """Call a function with every scalar that any trainer writes inside the block."""
     _listeners.append(listener)
     try:
@@ -30,7 +30,7 @@ def listening(listener: Listener) -> Iterator[None]:
         _listeners.remove(listener)
 
 
-class GuardedEvents:
+class SafeEvents:
     """An ``EventsWriter`` that keeps its first error instead of ending the thread that writes."""
 
     def __init__(self, events: Any, folder: str) -> None:
@@ -61,7 +61,7 @@ class GuardedEvents:
     def check(self) -> None:
         """Raise ``StorageError`` if something could not be written."""
         if self._error is not None:
-            raise StorageError(storage_sentence(self._error, self._folder))
+            raise StorageError(storage_message(self._error, self._folder))
 
     def _attempt(self, call: Any, *arguments: object) -> None:
         if self._error is None:
@@ -71,10 +71,10 @@ class GuardedEvents:
                 self._error = error
 
 
-def guard(writer: Any) -> GuardedEvents:
+def guard(writer: Any) -> SafeEvents:
     """Wrap the file writer of a ``tensorboardX.SummaryWriter`` with an error guard, and return the guard."""
     file_writer = writer._get_file_writer().event_writer
-    guarded = GuardedEvents(file_writer._ev_writer, writer.logdir)
+    guarded = SafeEvents(file_writer._ev_writer, writer.logdir)
     file_writer._ev_writer = file_writer._worker._record_writer = guarded
     return guarded
 
@@ -92,7 +92,7 @@ class Scalars:
         self._folder, self._last = folder, -self.INTERVAL_S
         self._known = importlib.util.find_spec("tensorboardX") is not None
         self._writer: Any = None
-        self._events: GuardedEvents | None = None
+        self._events: SafeEvents | None = None
 
     def add(self, numbers: Callable[[], Mapping[str, float | None]], env_steps: int) -> None:
         """Write numbers at their interval; None stands for a number not yet known.

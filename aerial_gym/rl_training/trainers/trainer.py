@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from aerial_gym.rl_training.policies.load import Weights
     from aerial_gym.rl_training.policies.policy import Policy
     from aerial_gym.rl_training.ranks import Ranks
+    from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
     from aerial_gym.rl_training.run.interruption import Interruption
-    from aerial_gym.rl_training.run.keeper import Keeper
     from aerial_gym.rl_training.run.progress import Progress
     from aerial_gym.rl_training.run.run_folder import RunFolder
-    from aerial_gym.rl_training.trainers.own import OwnTraining
+    from aerial_gym.rl_training.trainers.native import NativeTraining
     from aerial_gym.task import Task
 
 
@@ -100,7 +100,7 @@ class Trainer(ABC):
         folder: "RunFolder",
         progress: "Progress",
         *,
-        keeper: "Keeper",
+        keeper: "CheckpointKeeper",
         interruption: "Interruption",
         ranks: "Ranks",
     ) -> bool:
@@ -137,14 +137,14 @@ class Trainer(ABC):
         """
 
 
-class OwnTrainer(Trainer):
+class NativeTrainer(Trainer):
     """A trainer with a learner of this package: simulation and updates are one CUDA graph on a GPU."""
 
     any_inputs = True
     captures_task = False
 
     @abstractmethod
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "OwnTraining":
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining":
         """Return a new training."""
 
     def run(
@@ -154,23 +154,23 @@ class OwnTrainer(Trainer):
         folder: "RunFolder",
         progress: "Progress",
         *,
-        keeper: "Keeper",
+        keeper: "CheckpointKeeper",
         interruption: "Interruption",
         ranks: "Ranks",
     ) -> bool:
         """Repeat the learner until the end; return whether it was interrupted."""
-        from aerial_gym.rl_training.trainers.own import repeat
+        from aerial_gym.rl_training.trainers.native import run_iterations
 
         training = self.make_training(cfg, task, ranks)
-        return repeat(training, folder, progress, keeper=keeper, interruption=interruption)
+        return run_iterations(training, folder, progress, keeper=keeper, interruption=interruption)
 
     def policy(
         self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
     ) -> "Policy":
         """Return the policy, the networks under ``actor.`` in the checkpoint."""
-        from aerial_gym.rl_training.policies.load import own_policy
+        from aerial_gym.rl_training.policies.load import native_policy
 
-        return own_policy(model, payload.get("network"), cfg, where=where)
+        return native_policy(model, payload.get("network"), cfg, where=where)
 
 
 class LibraryTrainer(Trainer):
@@ -191,7 +191,7 @@ class LibraryTrainer(Trainer):
         folder: "RunFolder",
         progress: "Progress",
         *,
-        keeper: "Keeper",
+        keeper: "CheckpointKeeper",
         interruption: "Interruption",
         ranks: "Ranks",
     ) -> bool:

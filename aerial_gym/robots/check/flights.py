@@ -23,11 +23,11 @@ from aerial_gym.control.stability import AXES, ClosedLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics import BodyState, build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
-from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.articulated.articulation import build_articulation
+from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EffectParams, WindEffect
 from aerial_gym.physics.model import robot_effects
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.robots.joints.tail_servo import TailServo, tail_servo
 
@@ -95,13 +95,13 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     try:
         loop = ClosedLoop(robot, controller, gravity=gravity, integrator="euler", names=("this", name))
 
-        def rests(dt: float) -> bool:
+        def converges(dt: float) -> bool:
             return _comes_to_rest(robot, controller, dt, loop, gravity)
 
-        largest = _largest_step(lambda dt: loop.is_firm(dt) and rests(dt))
+        largest = _largest_step(lambda dt: loop.is_firm(dt) and converges(dt))
         little_margin = largest is None
         if largest is None:
-            largest = _largest_step(lambda dt: loop.is_stable(dt) and rests(dt))
+            largest = _largest_step(lambda dt: loop.is_stable(dt) and converges(dt))
     except ConfigError as error:
         return StableStep(controller=name, refused=str(error))
     if largest is None:
@@ -130,21 +130,21 @@ def _comes_to_rest(robot: RobotCfg, controller: ControllerCfg, dt: float, loop: 
     linearised loop at that time.
     """
     size = torch.tensor(DISTURBANCE).repeat_interleave(3)
-    tail = tail_of(robot, dt, gravity)
+    tail = make_tail(robot, dt, gravity)
     held = (*loop.axes.split(), *(() if tail is None else HEADING))
     kept = torch.tensor([name in held for name in AXES])
     last = _last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity, tail) / size
     apart = last.amax((0, 1)) - last.amin((0, 1))
-    left = SLOW * loop.left_after(dt, 90 * _hundredth(dt), torch.where(kept, size, 0.0)).float() / size
+    left = SLOW * loop.deviation_bound(dt, 90 * _sample_steps(dt), torch.where(kept, size, 0.0)).float() / size
     return bool((apart < left.clamp_min(AT_REST))[kept].all())  # written so that NaN fails as well
 
 
-def _hundredth(dt: float) -> int:
+def _sample_steps(dt: float) -> int:
     """Return the physics steps of a hundredth of a flight."""
     return ceil(0.01 * (SPAN / dt + STEPS))
 
 
-def tail_of(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
+def make_tail(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
     """Return the heading servo of a tricopter at a time step [s]; None without a tail servo."""
     try:
         return tail_servo(robot, dt=dt, gravity=gravity)
@@ -162,10 +162,10 @@ def _last_tenth(
         _in_still_air(robot),
         gravity=gravity,
         ceiling_height=CEILING,
-        articulation=None if tail is None else articulation_of(robot, like=vehicle.mass),
+        articulation=None if tail is None else build_articulation(robot, like=vehicle.mass),
     )
     law = make_controller(controller, vehicle, gravity, dt=dt, control=robot.control)
-    backend = choose_backend("auto", needs=needs_of(robot, torch.device("cpu"), integrator="euler"))
+    backend = choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"), integrator="euler"))
     backend.allocate(model, law, integrator="euler")
     backend.prepare(dt)
     felt = apparent_gravity(robot.control, robot.body.mass, gravity)
@@ -182,12 +182,12 @@ def _last_tenth(
             action[:, -1] = tail.angle(state.attitude, state.ang_vel, ahead)
             backend.step(state, action, dt, 1)
 
-    ahead, steps, found = torch.zeros(NUM_FLIGHTS), _hundredth(dt), []
+    ahead, steps, distances = torch.zeros(NUM_FLIGHTS), _sample_steps(dt), []
     fly(90 * steps)
     for _ in range(10):
         fly(steps)
-        found.append(torch.cat((state.position, quat_log(state.attitude), state.lin_vel, state.ang_vel), dim=-1))
-    return torch.stack(found)
+        distances.append(torch.cat((state.position, quat_log(state.attitude), state.lin_vel, state.ang_vel), dim=-1))
+    return torch.stack(distances)
 
 
 def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
@@ -196,10 +196,10 @@ def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
     return Allocation(vehicle, gravity).speed_for_wrench(weight)
 
 
-def _with_tail(state: BodyState, tail: TailServo) -> JointedState:
+def _with_tail(state: BodyState, tail: TailServo) -> ArticulatedState:
     """Return the starts with the tail servo at its hover angle."""
     angle = torch.full((NUM_FLIGHTS, 1), tail.trim)
-    return JointedState(**vars(state), joint_pos=angle, joint_vel=torch.zeros_like(angle))
+    return ArticulatedState(**vars(state), joint_pos=angle, joint_vel=torch.zeros_like(angle))
 
 
 def _in_still_air(robot: RobotCfg) -> list[EffectParams]:

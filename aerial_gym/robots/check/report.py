@@ -19,7 +19,7 @@ from aerial_gym.control.laws import LAWS
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.check.flights import StableStep, largest_stable_step
-from aerial_gym.robots.check.tail import LeaningTail, leaning_tail
+from aerial_gym.robots.check.tail import TailRotorModel, tail_rotor_model
 
 AXES = ("x", "y", "z")
 
@@ -113,22 +113,22 @@ def check_robot(
     weight = robot.body.mass * gravity
     held = robot.body.mass * apparent_gravity(robot.control, robot.body.mass, gravity)
     low, high = allocation.low[0], allocation.high[0]
-    tail = leaning_tail(robot, matrix.numpy(), low.numpy(), high.numpy(), gravity=gravity)
+    tail = tail_rotor_model(robot, matrix.numpy(), low.numpy(), high.numpy(), gravity=gravity)
     if tail is None:
         hover = allocation.inverse[0, :, 2] * held
         wrench, ratio = matrix @ hover, allocation.largest_thrust() / weight
-        authority, limiting = allocation.wrench_authority(held), allocation.limiting_rotors(held).tolist()
+        authority, limiting = allocation.wrench_authority(held), allocation.critical_rotors(held).tolist()
     else:
         asked = tail.unknowns(held)
         hover, matrix = torch.from_numpy(tail.thrusts(asked)), torch.from_numpy(tail.columns)
-        wrench, ratio = tail.wrench(asked), tail.most_lift() / weight
+        wrench, ratio = tail.wrench(asked), tail.largest_lift() / weight
         given, limiting = zip((0.0, None), (0.0, None), *(tail.largest(held, axis) for axis in range(4)), strict=True)
         authority = torch.tensor(given, dtype=matrix.dtype)
     ends = tuple(
         rotor + 1 if given > 0.0 and rotor is not None else None
         for rotor, given in zip(limiting, authority.tolist(), strict=True)
     )
-    problems = (*_problems(hover, low, high, wrench, held, weight), *_coupled(matrix))
+    problems = (*_problems(hover, low, high, wrench, held, weight), *_find_couplings(matrix))
     names = _with_gains() if controllers is None else tuple(controllers)
     steps = []
     for number, controller in enumerate(names if not problems else ()):
@@ -184,7 +184,7 @@ def _problems(
             )
 
 
-def _coupled(matrix: torch.Tensor) -> Iterator[str]:
+def _find_couplings(matrix: torch.Tensor) -> Iterator[str]:
     """Yield the linearly dependent rows among lift, roll, pitch and yaw of an effectiveness matrix (6, R)."""
     rows, names = matrix[2:], ("lift", "torque about x", "torque about y", "torque about z")
     size = rows.norm(dim=-1, keepdim=True)
@@ -219,7 +219,7 @@ def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:
         yield robot.joints.rigid_note("hover, authority and time steps are those of a vehicle that does not bend")
 
 
-def _tail_warnings(tail: LeaningTail, held: float, controllers: Sequence[str] | None) -> Iterator[str]:
+def _tail_warnings(tail: TailRotorModel, held: float, controllers: Sequence[str] | None) -> Iterator[str]:
     asked = tail.unknowns(held)
     yield (
         f"its tail leans by {tail.angle(asked):.3g} rad at hover, which takes the torque about z, and the vehicle by "
@@ -243,7 +243,7 @@ def _warnings(robot: RobotCfg) -> Iterator[str]:
             )
     types = {id(rotor): rotor for rotor in robot.rotor_types}.values()
     for rotor in types:
-        tip = rotor.speed_at(rotor.thrust_range[1]) * (rotor.radius or 0.0)
+        tip = rotor.speed_for_thrust(rotor.thrust_range[1]) * (rotor.radius or 0.0)
         if rotor.mode == "speed" and tip > SPEED_OF_SOUND:
             yield (
                 f"at {rotor.thrust_range[1]:g} N tips would move at {tip:.0f} m/s, faster than sound: thrust_map is per "

@@ -28,7 +28,7 @@ LARGEST = 1e6
 """Force [N] or torque [N m] that is more than any rotor gives."""
 
 
-class LeaningTail:
+class TailRotorModel:
     """Forces and torques of such a vehicle, about the angle at which its tail holds hover.
 
     Args:
@@ -61,9 +61,9 @@ class LeaningTail:
 
     def thrusts(self, unknowns: Array) -> Array:
         """Return the thrust of each rotor [N], (R,)."""
-        found = unknowns[:-1].copy()
-        found[self.tail] = hypot(unknowns[self.tail], unknowns[-1])
-        return found
+        values = unknowns[:-1].copy()
+        values[self.tail] = hypot(unknowns[self.tail], unknowns[-1])
+        return values
 
     def angle(self, unknowns: Array) -> float:
         """Return the angle of the tail [rad]."""
@@ -71,16 +71,16 @@ class LeaningTail:
 
     def wrench(self, unknowns: Array) -> Tensor:
         """Return force [N] and torque [N m], (6,), without the tail's side force, which roll balances."""
-        found = self.columns @ unknowns
-        found[1] += unknowns[-1]
-        return torch.from_numpy(found)
+        values = self.columns @ unknowns
+        values[1] += unknowns[-1]
+        return torch.from_numpy(values)
 
     def roll(self, unknowns: Array) -> float:
         """Return the angle about x [rad] at which the weight balances the side force."""
         force = self.columns @ unknowns
         return atan2(force[1], force[2])
 
-    def first_beyond(self, unknowns: Array) -> int | None:
+    def first_violation(self, unknowns: Array) -> int | None:
         """Return the index of the first rotor beyond its limits, for the tail also the servo's; None if all are within."""
         thrusts = self.thrusts(unknowns)
         beyond = np.flatnonzero((thrusts < self._low) | (thrusts > self._high))
@@ -96,11 +96,12 @@ class LeaningTail:
         hover, step = self.unknowns(lift), self._inverse[:, axis]
         return _farthest(
             lambda size: next(
-                (rotor for way in (1, -1) if (rotor := self.first_beyond(hover + way * size * step)) is not None), None
+                (rotor for way in (1, -1) if (rotor := self.first_violation(hover + way * size * step)) is not None),
+                None,
             )
         )
 
-    def most_lift(self) -> float:
+    def largest_lift(self) -> float:
         """Return the largest force along z without torque [N]."""
         return _farthest(
             lambda size: next(iter(np.flatnonzero(self.thrusts(self.unknowns(size)) > self._high).tolist()), None)
@@ -117,11 +118,11 @@ def _farthest(stopped_by: Callable[[float], int | None]) -> tuple[float, int | N
     return size, last
 
 
-def leaning_tail(
+def tail_rotor_model(
     robot: RobotCfg, matrix: Array, low: Array, high: Array, *, gravity: float = STANDARD_GRAVITY
-) -> LeaningTail | None:
+) -> TailRotorModel | None:
     """Return the model of a vehicle with a tail servo; None without one."""
     try:
-        return LeaningTail(robot, matrix, low, high, gravity=gravity)
+        return TailRotorModel(robot, matrix, low, high, gravity=gravity)
     except ConfigError:
         return None

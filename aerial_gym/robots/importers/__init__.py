@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
-    from aerial_gym.robots.importers.importing import Imported, RotorHints, import_robot, read_robot
+    from aerial_gym.robots.importers.robot_import import Imported, RotorHints, import_robot, read_robot
 
 __all__ = ["Imported", "RotorHints", "import_robot", "read_robot"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from aerial_gym.assets.urdf_body import weld
 from aerial_gym.config.joint import EndsCfg, JointCfg, LinkCfg, SpringCfg
 from aerial_gym.config.shape import BASE
-from aerial_gym.robots.importers.found import vec3
+from aerial_gym.robots.importers.file_vehicle import vec3
 
 END_HZ = 10.0
 """Natural frequency of the critically damped springs that replace hard end stops [Hz]."""
@@ -33,7 +33,7 @@ class Weight:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoundJoint:
+class FileJoint:
     """A joint that moves."""
 
     name: str
@@ -50,7 +50,7 @@ class FoundJoint:
     weights: Sequence[Weight] = field(default_factory=tuple)  # Of the links that it carries and no other joint moves
 
 
-def layout_of(joints: Sequence[FoundJoint]) -> tuple[JointCfg, ...]:
+def make_layout(joints: Sequence[FileJoint]) -> tuple[JointCfg, ...]:
     """Return joints as a robot file has them, parents first."""
     return tuple(_joint(joint, joints) for joint in joints)
 
@@ -59,14 +59,14 @@ def _mass(weights: Sequence[Weight]) -> float:
     return sum(weight.mass for weight in weights)
 
 
-def _joint(joint: FoundJoint, joints: Sequence[FoundJoint]) -> JointCfg:
+def _joint(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
     axis = joint.axis / np.linalg.norm(joint.axis)
     spring = None
     if joint.stiffness > 0.0 or joint.damping > 0.0 or joint.friction > 0.0:
         spring = SpringCfg(stiffness=joint.stiffness, damping=joint.damping, friction=joint.friction, rest=joint.rest)
     ends = None
     if joint.limits is not None:
-        inertia = max(_moved(joint, joints, axis), LEAST_INERTIA)
+        inertia = max(_joint_inertia(joint, joints, axis), LEAST_INERTIA)
         rate = 2.0 * pi * END_HZ
         ends = EndsCfg(
             low=joint.limits[0],
@@ -95,7 +95,7 @@ def _link(weights: Sequence[Weight]) -> LinkCfg | None:
     return LinkCfg(mass=body.mass, com=vec3(body.com), inertia=(rows[0], rows[1], rows[2]))
 
 
-def _moved(joint: FoundJoint, joints: Sequence[FoundJoint], axis: np.ndarray) -> float:
+def _joint_inertia(joint: FileJoint, joints: Sequence[FileJoint], axis: np.ndarray) -> float:
     """Return inertia about the axis [kg m²], or mass [kg], of all that a joint moves."""
     names, weights = {joint.name}, list(joint.weights)
     for other in joints:
@@ -112,7 +112,7 @@ def _moved(joint: FoundJoint, joints: Sequence[FoundJoint], axis: np.ndarray) ->
     return total
 
 
-def carriers_of(
+def link_carriers(
     links: Sequence[str], joint_above: Callable[[str], tuple[str, str] | None], moving: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the name of the joint that moves each link, or the base.
@@ -121,15 +121,15 @@ def carriers_of(
         joint_above: Gives joint and parent link of a link; None of the root.
         moving: Names in the robot file of the joints that move, by their names in the other.
     """
-    found: dict[str, str] = {}
+    carriers: dict[str, str] = {}
     for link in links:
         at: str | None = link
         while at is not None:
             above = joint_above(at)
             if above is None:
-                found[link], at = BASE, None
+                carriers[link], at = BASE, None
             elif above[0] in moving:
-                found[link], at = moving[above[0]], None
+                carriers[link], at = moving[above[0]], None
             else:
                 at = above[1]
-    return found
+    return carriers

@@ -16,13 +16,13 @@ from aerial_gym.config.joint import JointCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, roll_pitch_yaw, tilts, vec3
-from aerial_gym.robots.importers.joints import FoundJoint, Weight, layout_of
+from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, Weightless, roll_pitch_yaw, tilts, vec3
+from aerial_gym.robots.importers.joints import FileJoint, Weight, make_layout
 from aerial_gym.robots.importers.mjcf_actuators import Actuator
-from aerial_gym.robots.importers.unused import by_kind
+from aerial_gym.robots.importers.unread import by_kind
 
 
-def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> Found:
+def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> FileVehicle:
     """Return the vehicle of an MJCF file.
 
     Args:
@@ -31,7 +31,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         take_actuators: Whether its actuators are the rotors.
         joints: Whether hinges and slides move.
     """
-    mujoco, model, where = _loaded(path)
+    mujoco, model, where = _load_model(path)
     free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     if len(free) != 1:
         raise ConfigError(f"{where}: has {len(free)} bodies with a free joint: a vehicle is the one of a file")
@@ -39,20 +39,20 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     if joints:
         reader.find_joints()
     actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
-    own = [one for one in actuators if one.is_enabled and one.may_push and reader.pushes_vehicle(one)]
+    own = [one for one in actuators if one.is_enabled and one.may_push and reader.acts_on_vehicle(one)]
     pushing = own if take_actuators else []
     for one in pushing:
         one.check()
     carried = [] if joints else [one for one in own if one.has_force]
     lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in carried]
-    tilting = reader.tilting(lines)
+    tilting = reader.tilt_joints(lines)
     delays = sorted({one.delay for one in pushing})
     delayed = len(delays) == 1 and delays[0] > 0.0
     left = [one.name for one in actuators if one not in pushing]
-    what = "actuators" + (
+    label = "actuators" + (
         " (drives of joints are written by hand, docs/guides/articulated_vehicles.md)" if joints else ""
     )
-    return Found(
+    return FileVehicle(
         body=reader.body(),
         rotors=[one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing],
         shapes=list(reader.shapes()),
@@ -63,17 +63,17 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         notes=(
             *by_kind((note, one.name) for one in pushing for note in one.notes()),
             *([f"delays of actuators, which differ: {delays} s"] if len(delays) > 1 else []),
-            *([f"{what}: {', '.join(left)}"] if left else []),
+            *([f"{label}: {', '.join(left)}"] if left else []),
             *reader.notes(
                 [one.site for one in pushing], [] if joints else [j for j in reader.joints() if j not in tilting]
             ),
         ),
-        assumed=tuple(by_kind((what, one.name) for one in pushing for what in one.assumptions())),
+        assumed=tuple(by_kind((label, one.name) for one in pushing for label in one.assumptions())),
         losses=tuple(reader.losses(tilting)),
     )
 
 
-def _loaded(path: Path) -> tuple[Any, Any, str]:
+def _load_model(path: Path) -> tuple[Any, Any, str]:
     """Return MuJoCo, the model in a file, and the name of the file in messages."""
     try:
         import mujoco
@@ -96,7 +96,7 @@ class _Reader:
         self._bodies = [b for b in range(model.nbody) if self.is_part(b)]
         self._armature = float(model.dof_armature[int(model.body_dofadr[root])])
         self._from_world = np.linalg.inv(_pose(data.xpos[root], data.xmat[root]))
-        self._joints: list[FoundJoint] = []
+        self._joints: list[FileJoint] = []
         self._on: dict[int, str] = {}
 
     def body(self) -> RigidBody:
@@ -140,11 +140,11 @@ class _Reader:
                 place = next(i for i, joint in enumerate(self._joints) if joint.name == at)
                 self._joints[place] = replace(self._joints[place], weights=(*self._joints[place].weights, weight))
 
-    def _joint(self, j: int, parent: str, weights: tuple[Weight, ...]) -> FoundJoint:
+    def _joint(self, j: int, parent: str, weights: tuple[Weight, ...]) -> FileJoint:
         m, slides = self._model, int(self._model.jnt_type[j]) == int(self._mujoco.mjtJoint.mjJNT_SLIDE)
         place, dof = int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
         turn = self._from_world[:3, :3]
-        return FoundJoint(
+        return FileJoint(
             name=m.joint(j).name or f"joint_{j}",
             parent=parent,
             kind="prismatic" if slides else "revolute",
@@ -161,7 +161,7 @@ class _Reader:
 
     def layout(self) -> tuple[JointCfg, ...]:
         """Return the joints as a robot file has them."""
-        return layout_of(self._joints)
+        return make_layout(self._joints)
 
     def carrier(self, body: int) -> str:
         """Return the joint that moves a body, or the base."""
@@ -183,9 +183,9 @@ class _Reader:
         first = int(self._model.body_jntadr[body])
         return [] if body == self._root else list(range(first, first + int(self._model.body_jntnum[body])))
 
-    def tilting(self, lines: Sequence[tuple[FoundRotor, int]]) -> dict[int, list[str]]:
+    def tilt_joints(self, lines: Sequence[tuple[FileRotor, int]]) -> dict[int, list[str]]:
         """Return the joints that move thrust lines, with their rotors and the bodies that carry them."""
-        hinge, found = int(self._mujoco.mjtJoint.mjJNT_HINGE), {}
+        hinge, rotors_by_joint = int(self._mujoco.mjtJoint.mjJNT_HINGE), {}
         turn, place = self._from_world[:3, :3], self._from_world[:3, 3]
         for rotor, start in lines:
             body = int(start)
@@ -193,9 +193,9 @@ class _Reader:
                 for j in self._own_joints(body):
                     kind = "hinge" if int(self._model.jnt_type[j]) == hinge else "other"
                     if tilts(rotor, kind, turn @ self._data.xaxis[j], turn @ self._data.xanchor[j] + place):
-                        found.setdefault(j, []).append(rotor.name)
+                        rotors_by_joint.setdefault(j, []).append(rotor.name)
                 body = int(self._model.body_parentid[body])
-        return found
+        return rotors_by_joint
 
     def losses(self, tilting: dict[int, list[str]]) -> Iterator[str]:
         """Yield wings, and welded joints that move rotors."""
@@ -219,7 +219,7 @@ class _Reader:
             own = _shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
             yield replace(own, link=self.carrier(m.geom_bodyid[geom]))
 
-    def pushes_vehicle(self, actuator: Actuator) -> bool:
+    def acts_on_vehicle(self, actuator: Actuator) -> bool:
         """Return whether an actuator's target belongs to the vehicle."""
         return not actuator.at_site or self.is_part(int(self._model.site_bodyid[actuator.site]))
 
@@ -240,38 +240,38 @@ class _Reader:
                 "quadratic_drag as effects"
             )
         free = slice(int(m.body_dofadr[root]), int(m.body_dofadr[root]) + 6)
-        for what, values in (
+        for label, values in (
             ("damping", m.dof_damping),
             ("frictionloss", m.dof_frictionloss),
         ):
             if np.any(np.asarray(values)[free]):
-                yield f"{what} of the free joint: {np.max(np.asarray(values)[free]):g}"
+                yield f"{label} of the free joint: {np.max(np.asarray(values)[free]):g}"
         own = self.joints()
         if welded:
             yield f"joints that are welded: {', '.join(m.joint(j).name or f'joint_{j}' for j in welded)}"
         if self._joints and any(np.any(np.asarray(m.dof_armature)[int(m.jnt_dofadr[j])] > 0.0) for j in own):
             yield "armature of joints: add it to the inertia of their links"
-        for what, chosen in (("actuatorfrcrange", m.jnt_actfrclimited), ("actuatorgravcomp", m.jnt_actgravcomp)):
+        for label, chosen in (("actuatorfrcrange", m.jnt_actfrclimited), ("actuatorgravcomp", m.jnt_actgravcomp)):
             if of := [m.joint(j).name or f"joint_{j}" for j in own if chosen[j]]:
-                yield f"{what} of joints: {', '.join(of)}"
+                yield f"{label} of joints: {', '.join(of)}"
         off = m.opt.disableflags & int(self._mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         if off or not np.array_equal(m.opt.gravity, (0.0, 0.0, -9.81)):
             yield f"gravity of the file, {[0, 0, 0] if off else m.opt.gravity.tolist()} m/s²: the environment's acts"
         if np.any(m.opt.wind):
             yield f"wind of the file, {m.opt.wind.tolist()} m/s: give constant_wind as an effect"
-        if others := [s for s in range(m.nsite) if s not in sites]:
-            yield f"sites: {', '.join(m.site(s).name or f'site_{s}' for s in others)}"
+        if unused_sites := [s for s in range(m.nsite) if s not in sites]:
+            yield f"sites: {', '.join(m.site(s).name or f'site_{s}' for s in unused_sites)}"
         if unseen := [g for g in self._geoms() if not (m.geom_contype[g] or m.geom_conaffinity[g])]:
             yield f"geoms that do not touch: {', '.join(m.geom(g).name or f'geom_{g}' for g in unseen)}"
         if around := [g for g in range(m.ngeom) if g not in self._geoms()]:
             yield f"geoms of other bodies: {', '.join(m.geom(g).name or f'geom_{g}' for g in around)}"
-        for kind, count, name in _OTHERS:
+        for kind, count, name in _UNREAD_KINDS:
             indices = range(int(getattr(m, count)))
             if indices:
                 yield f"{kind}: {', '.join(getattr(m, name)(i).name or f'{name}_{i}' for i in indices)}"
 
 
-_OTHERS = (
+_UNREAD_KINDS = (
     ("sensors", "nsensor", "sensor"),
     ("cameras", "ncam", "cam"),
     ("lights", "nlight", "light"),

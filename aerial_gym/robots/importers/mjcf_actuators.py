@@ -21,7 +21,7 @@ import numpy as np
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import FoundRotor
+from aerial_gym.robots.importers.file_vehicle import FileRotor
 
 WAY_OUT = "Take rotors of a robot file: --rotors-of ROBOT, rotors_of of RotorHints"
 
@@ -94,14 +94,14 @@ class Actuator:
         force, torque = np.split(np.asarray(self.model.actuator_gear[self.index], dtype=float), 2)
         return force, torque
 
-    def thrust_line(self, pose: np.ndarray) -> FoundRotor:
+    def thrust_line(self, pose: np.ndarray) -> FileRotor:
         """Return position and direction of the thrust, for the frame (4, 4) of the site."""
         force, torque = (pose[:3, :3] @ part for part in self._gear())
         square = float(force @ force)
         place = pose[:3, 3] + np.cross(force, torque) / square
-        return FoundRotor(name=self.name, position=place, axis=force / square**0.5)
+        return FileRotor(name=self.name, position=place, axis=force / square**0.5)
 
-    def rotor(self, pose: np.ndarray, lag: float | None, link: str = BASE) -> FoundRotor:
+    def rotor(self, pose: np.ndarray, lag: float | None, link: str = BASE) -> FileRotor:
         """Return the equivalent rotor.
 
         Args:

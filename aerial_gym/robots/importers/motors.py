@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import number
-from aerial_gym.robots.importers.unused import Tags, by_kind
+from aerial_gym.robots.importers.file_vehicle import number
+from aerial_gym.robots.importers.unread import Tags, by_kind
 
 SPINS = {"ccw": 1, "cw": -1}
 """Of ``turningDirection``, about z of the link."""
@@ -71,15 +71,15 @@ def is_motor(plugin: ElementTree.Element) -> bool:
     )
 
 
-def force_left_out(plugin: ElementTree.Element) -> str | None:
+def force_source(plugin: ElementTree.Element) -> str | None:
     """Return the source of a plugin's force that the import leaves out, None for other plugins."""
     name = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower().replace("_", "").replace("-", "")
-    kind = next((what for part, what in AERODYNAMICS.items() if part in name), None)
+    kind = next((hint for part, hint in AERODYNAMICS.items() if part in name), None)
     at = next(filter(None, map(plugin.findtext, ("link_name", "linkName", "joint_name"))), None)
     return None if kind is None else f"{kind} (plugin {plugin.get('name')}, {(at or 'no link named').strip()})"
 
 
-def motors_in(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) -> list[Motor]:
+def read_motors(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) -> list[Motor]:
     """Return the motors among plugins in the order of their numbers, which is that of commands.
 
     Args:
@@ -89,13 +89,13 @@ def motors_in(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) ->
         ConfigError: If two have the same number, or one is not a plain speed-controlled motor that turns one way.
     """
     motors = [_motor(plugin, scope, where) for scope, plugin in plugins if is_motor(plugin)]
-    found = sorted(motors, key=lambda motor: motor.number)
-    for one, other in itertools.pairwise(found):
+    ordered = sorted(motors, key=lambda motor: motor.number)
+    for one, other in itertools.pairwise(ordered):
         if one.number == other.number:
             raise ConfigError(
                 f"{where}: motors of links {one.link!r} and {other.link!r} have the same motorNumber {one.number}"
             )
-    return found
+    return ordered
 
 
 def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
@@ -134,7 +134,7 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
     )
 
 
-def assumed_of(motors: Sequence[Motor]) -> Iterator[str]:
+def motor_assumptions(motors: Sequence[Motor]) -> Iterator[str]:
     """Yield the numbers that are the plugin's own."""
     pairs = ((name, m.link) for m in motors for name in m.silent if name != "rollingMomentCoefficient")  # is left out
     yield from by_kind((f"{name} = {DEFAULTS[name]:g}, the plugin's own", link) for name, link in pairs)
@@ -148,7 +148,7 @@ def sideways_effects(motors: Sequence[Motor]) -> dict[str, dict[str, float]]:
     return {"h_force_flapping": {"kh": drags.pop(), "kf": 0.0}}
 
 
-def notes_on(motors: Sequence[Motor]) -> Iterator[str]:
+def motor_notes(motors: Sequence[Motor]) -> Iterator[str]:
     """Yield the unused coefficients of motors."""
     if any(motor.rolling_moment for motor in motors):
         yield "rollingMomentCoefficient, a torque along the sideways flow: no effect has that law"

@@ -20,7 +20,7 @@ from aerial_gym.config.robot import RotorCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects import EFFECTS
-from aerial_gym.robots.importers.found import numbers
+from aerial_gym.robots.importers.file_vehicle import numbers
 
 BELOW = 1.0
 """Distance to the vehicle above at which its downwash is taken [m]: the effect has no law of distance."""
@@ -50,7 +50,7 @@ def read_properties(root: Element, mass: float, count: int, lag: float | None, w
         return Properties()
     given = dict(element.attrib)
     if not count or any(given.get(name) is None for name in ("kf", "km", "thrust2weight")):
-        return Properties(notes=_unused(given, set()))
+        return Properties(notes=_unread_properties(given, set()))
     known = {"kf", "km", "thrust2weight", *(name for _, needed, _ in _EFFECTS for name in needed)} & set(given)
     value = {name: numbers(given[name], 1, f"{where}: properties: {name}")[0] for name in known}
     if lag is None:
@@ -80,10 +80,12 @@ def read_properties(root: Element, mass: float, count: int, lag: float | None, w
     far = f"downwash at every distance as at {BELOW:g} m below the other vehicle (dw_coeff_1 to dw_coeff_3)"
     source = f"{where}, properties, by the laws of gym-pybullet-drones" if effects else ""
     notes = [f"properties: {names}: {problem}" for names, problem in refused.items()]
-    return Properties(rotor, effects, source, (*notes, *_unused(given, used)), (far,) if "downwash" in effects else ())
+    return Properties(
+        rotor, effects, source, (*notes, *_unread_properties(given, used)), (far,) if "downwash" in effects else ()
+    )
 
 
-def _unused(given: Mapping[str, str], used: set[str]) -> tuple[str, ...]:
+def _unread_properties(given: Mapping[str, str], used: set[str]) -> tuple[str, ...]:
     rest = [name for name in given if name not in used]
     return (f"properties: {', '.join(rest)}",) if rest else ()
 

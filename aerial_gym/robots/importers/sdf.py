@@ -14,30 +14,38 @@ from aerial_gym.assets.urdf_body import weld
 from aerial_gym.config.robot import BoxCfg, CollisionShape
 from aerial_gym.config.shape import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, read_xml, roll_pitch_yaw, tilts, vec3
+from aerial_gym.robots.importers.file_vehicle import (
+    FileRotor,
+    FileVehicle,
+    Weightless,
+    read_xml,
+    roll_pitch_yaw,
+    tilts,
+    vec3,
+)
 from aerial_gym.robots.importers.joints import Weight
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
     Motor,
-    force_left_out,
+    force_source,
     is_motor,
-    motors_in,
-    notes_on,
+    motor_notes,
+    read_motors,
     sideways_effects,
 )
-from aerial_gym.robots.importers.motors import assumed_of as motors_assumed
+from aerial_gym.robots.importers.motors import motor_assumptions as motors_assumed
 from aerial_gym.robots.importers.sdf_inertia import (
     SIZES,
-    assumed_of,
-    geometry_of,
+    collision_shape,
     lengths,
-    mesh_of,
-    unused_of,
-    weight_of,
+    link_assumptions,
+    link_weight,
+    load_collision_mesh,
+    redundant_values,
 )
 from aerial_gym.robots.importers.sdf_tree import MODEL, TRUE, Element, Scope, SdfTree
-from aerial_gym.robots.importers.shapes import shape_of
-from aerial_gym.robots.importers.unused import Tags, by_kind, unused_in
+from aerial_gym.robots.importers.shapes import part_shape
+from aerial_gym.robots.importers.unread import Tags, by_kind, unread_elements
 
 _MODEL: dict[str, Tags] = {
     "pose": {},
@@ -65,21 +73,21 @@ _MODEL["model"] = _MODEL
 """Elements of a model that are read."""
 
 
-def read(path: Path) -> Found:
+def read(path: Path) -> FileVehicle:
     """Return the vehicle of an SDF file: the model with motors, or the first one."""
     root = read_xml(path)
     tree, vehicle = _vehicle(root, path)
-    weights = {name: weight_of(tree, name) for name in tree.links}
+    weights = {name: link_weight(tree, name) for name in tree.links}
     if not sum(weight.mass for weight in weights.values()) > 0.0:
         raise ConfigError(f"{tree.where}: no link has a mass")
     from_root = np.linalg.inv(tree.pose(tree.root_link))
     poses = [from_root @ weight.pose for weight in weights.values()]
-    motors = motors_in(tree.plugins, tree.where)
+    motors = read_motors(tree.plugins, tree.where)
     rotors = [_rotor(tree, motor, weights, from_root) for motor in motors]
     reader = _Reader(tree, from_root, {motor.joint for motor in motors}, rotors)
     shapes = list(reader.shapes())
     effects = sideways_effects(motors)
-    return Found(
+    return FileVehicle(
         body=weld([weight.mass for weight in weights.values()], poses, [weight.inertia for weight in weights.values()]),
         rotors=rotors,
         shapes=shapes,
@@ -90,11 +98,11 @@ def read(path: Path) -> Found:
         ],
         effects=effects,
         effects_source=f"{tree.where}: rotorDragCoefficient" if effects else "",
-        notes=(*notes_on(motors), *reader.notes(), *_unused(root, vehicle, tree)),
+        notes=(*motor_notes(motors), *reader.notes(), *_unread_elements(root, vehicle, tree)),
         assumed=(
             *motors_assumed(motors),
-            *by_kind((what, name) for name in tree.links for what in assumed_of(tree, name)),
-            *reader.welded_loose(),
+            *by_kind((label, name) for name in tree.links for label in link_assumptions(tree, name)),
+            *reader.loose_links(),
         ),
         losses=tuple(reader.losses()),
     )
@@ -103,16 +111,16 @@ def read(path: Path) -> Found:
 def _vehicle(root: Element, path: Path) -> tuple[SdfTree, Element]:
     """Return the model that is the vehicle, and its element: the first one with motors, else the first."""
     known = [child for base in (root, *root.findall("world")) for child in base if child.tag in ("model", "include")]
-    found, refusal = [], None
+    models, refusal = [], None
     for element in known:
         try:
-            found.append((_tree(element, path), element))
+            models.append((_tree(element, path), element))
         except ConfigError as error:  # a ground plane of a server, beside the vehicle
             refusal = refusal or error
-    with_motors = [pair for pair in found if any(is_motor(plugin) for _, plugin in pair[0].plugins)]
-    if not with_motors and (refusal is not None or not found):
+    with_motors = [pair for pair in models if any(is_motor(plugin) for _, plugin in pair[0].plugins)]
+    if not with_motors and (refusal is not None or not models):
         raise refusal or ConfigError(f"SDF {path}: must hold a <model>")
-    return (with_motors or found)[0]
+    return (with_motors or models)[0]
 
 
 def _tree(element: Element, path: Path) -> SdfTree:
@@ -128,14 +136,14 @@ def _tree(element: Element, path: Path) -> SdfTree:
     return tree
 
 
-def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FoundRotor:
+def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FileRotor:
     """Return position and axis of a motor: centre of mass and z axis of its link."""
     if motor.link not in tree.links or motor.joint not in tree.joints:
         raise ConfigError(
             f"{tree.where}: there is no link {motor.link!r}, or no joint {motor.joint!r}, for a motor. Known: "
             f"{', '.join((*tree.links, *tree.joints))}"
         )
-    return FoundRotor(
+    return FileRotor(
         name=motor.link,
         position=(from_root @ weights[motor.link].pose)[:3, 3],
         axis=(from_root @ tree.pose(motor.link))[:3, 2],
@@ -144,17 +152,17 @@ def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: n
     )
 
 
-def _unused(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:
+def _unread_elements(root: Element, vehicle: Element, tree: SdfTree) -> Iterator[str]:
     """Yield the unused elements of the file."""
-    others = [child for base in (root, *root.findall("world")) for child in base if child is not vehicle]
-    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin) and force_left_out(plugin) is None]
-    named = [plugin for _, plugin in tree.plugins if force_left_out(plugin) is not None]
+    rest = [child for base in (root, *root.findall("world")) for child in base if child is not vehicle]
+    plugins = [plugin for _, plugin in tree.plugins if not is_motor(plugin) and force_source(plugin) is None]
+    named = [plugin for _, plugin in tree.plugins if force_source(plugin) is not None]
     used = {"model": _MODEL, "include": _MODEL["include"]}
-    yield from unused_in(
-        root, {**used, "world": used}, left_out=[*plugins, *(o for o in others if o.tag in used)], named=named
+    yield from unread_elements(
+        root, {**used, "world": used}, left_out=[*plugins, *(o for o in rest if o.tag in used)], named=named
     )
     for included in tree.roots:
-        yield from unused_in(included, used, left_out=plugins, named=named)
+        yield from unread_elements(included, used, left_out=plugins, named=named)
 
 
 @dataclass
@@ -164,7 +172,7 @@ class _Reader:
     tree: SdfTree
     from_root: np.ndarray
     spun: set[str]  # Joints of motors
-    rotors: Sequence[FoundRotor]
+    rotors: Sequence[FileRotor]
 
     def __post_init__(self) -> None:
         self._unread: list[str] = []
@@ -189,7 +197,7 @@ class _Reader:
     def _moves(self, joint: str) -> bool:
         return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
 
-    def _tilts(self, rotor: FoundRotor) -> Callable[[str], bool]:
+    def _tilts(self, rotor: FileRotor) -> Callable[[str], bool]:
         """Return the test of whether a joint on the way to a rotor moves its thrust line."""
 
         def tilts_rotor(joint: str) -> bool:
@@ -203,7 +211,7 @@ class _Reader:
 
     def losses(self) -> Iterator[str]:
         """Yield the wings and joints that the import loses."""
-        yield from filter(None, (force_left_out(plugin) for _, plugin in self.tree.plugins))
+        yield from filter(None, (force_source(plugin) for _, plugin in self.tree.plugins))
         for joint, names in self._tilting.items():
             yield f"joint {joint}, which moves {', '.join(names)}, is welded"
 
@@ -215,9 +223,9 @@ class _Reader:
             yield f"joints to the world: {', '.join(held)}"
         if self._unread:
             yield f"collision meshes: {', '.join(self._unread)}"
-        yield from by_kind((what, name) for name in self.tree.links for what in unused_of(self.tree, name))
+        yield from by_kind((label, name) for name in self.tree.links for label in redundant_values(self.tree, name))
 
-    def welded_loose(self) -> Iterator[str]:
+    def loose_links(self) -> Iterator[str]:
         """Yield the links that no joint connects with the root."""
         if loose := [name for name in self.tree.links if name not in self._ways]:
             yield f"links without a joint, welded to the others: {', '.join(loose)}"
@@ -226,13 +234,13 @@ class _Reader:
         """Yield the collision shapes of all links, with bounding boxes in place of unsupported shapes."""
         for name, link in self.tree.links.items():
             for collision in link.findall("collision"):
-                pose = self.from_root @ self.tree.pose_on(collision, name)
+                pose = self.from_root @ self.tree.link_pose(collision, name)
                 shape = self._shape(collision, name, pose)
                 if shape is not None:
                     yield shape
 
     def _shape(self, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
-        geometry = geometry_of(collision)
+        geometry = collision_shape(collision)
         at = f"{self.tree.where}: collision of {link}"
         if geometry is None or geometry.tag not in (*SIZES, "mesh"):
             return None
@@ -249,11 +257,11 @@ class _Reader:
             if geometry.tag == "box"
             else ShapeCfg(kind=geometry.tag, radius=sizes[0], height=None if geometry.tag == "sphere" else sizes[1])
         )
-        return shape_of(PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3])))
+        return part_shape(PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3])))
 
     def _around_mesh(self, shape: Element, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
         try:
-            low, high = mesh_of(self.tree, link, shape).bounds
+            low, high = load_collision_mesh(self.tree, link, shape).bounds
             return _box(pose, 0.5 * (low + high), high - low)
         except ConfigError as error:  # the hull of a model is often a file of its own, which is not at hand
             self._unread.append(f"{collision.get('name')} ({error})")

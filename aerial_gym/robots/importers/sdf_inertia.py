@@ -22,7 +22,7 @@ from aerial_gym.assets import load_mesh
 from aerial_gym.assets.mesh_files import is_collada
 from aerial_gym.assets.urdf_body import weld
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import number, numbers
+from aerial_gym.robots.importers.file_vehicle import number, numbers
 from aerial_gym.robots.importers.joints import Weight
 from aerial_gym.robots.importers.sdf_tree import TRUE, Element, SdfTree
 
@@ -55,7 +55,7 @@ class _Solid:
     inertia: np.ndarray  # About the centre [m⁵], (3, 3)
 
 
-def weight_of(tree: SdfTree, link: str) -> Weight:
+def link_weight(tree: SdfTree, link: str) -> Weight:
     """Return mass, centre of mass and inertia of a link; the frame is in that of the outermost model."""
     inertial = tree.links[link].find("inertial")
     if inertial is None:
@@ -66,10 +66,10 @@ def weight_of(tree: SdfTree, link: str) -> Weight:
     mass = number(inertial.findtext("mass"), 1.0, f"{at}: mass")
     if not mass >= 0.0:
         raise ConfigError(f"{at}: mass = {mass:g} kg: must be >= 0")
-    return Weight(mass=mass, pose=tree.pose_on(inertial, link), inertia=_given(inertial, at))
+    return Weight(mass=mass, pose=tree.link_pose(inertial, link), inertia=_file_inertia(inertial, at))
 
 
-def unused_of(tree: SdfTree, link: str) -> Iterator[str]:
+def redundant_values(tree: SdfTree, link: str) -> Iterator[str]:
     """Yield the numbers of a link that SDF ignores."""
     element = tree.links[link]
     inertial = element.find("inertial")
@@ -81,7 +81,7 @@ def unused_of(tree: SdfTree, link: str) -> Iterator[str]:
         yield "density, for the inertial is not auto"
 
 
-def assumed_of(tree: SdfTree, link: str) -> Iterator[str]:
+def link_assumptions(tree: SdfTree, link: str) -> Iterator[str]:
     """Yield the numbers of a link that are defaults of SDF."""
     inertial = tree.links[link].find("inertial")
     if inertial is not None and _is_auto(inertial):
@@ -95,7 +95,7 @@ def _is_auto(inertial: Element) -> bool:
     return inertial.get("auto", "").strip().lower() in TRUE
 
 
-def _given(inertial: Element, at: str) -> np.ndarray:
+def _file_inertia(inertial: Element, at: str) -> np.ndarray:
     own = ElementTree.Element("inertia") if inertial.find("inertia") is None else inertial.find("inertia")
     assert own is not None
     xx, yy, zz = (number(own.findtext(tag), 1.0, f"{at}: {tag}") for tag in ("ixx", "iyy", "izz"))
@@ -112,7 +112,7 @@ def _from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
         if solid is None:
             continue
         density = number(collision.findtext("density"), common, f"{at}: density of {collision.get('name')}")
-        pose = tree.pose_on(collision, link)
+        pose = tree.link_pose(collision, link)
         pose[:3, 3] += pose[:3, :3] @ solid.center
         masses.append(density * solid.volume)
         poses.append(pose)
@@ -128,26 +128,26 @@ def _from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
     return Weight(mass=share * body.mass, pose=pose, inertia=share * body.inertia)
 
 
-def geometry_of(collision: Element) -> Element | None:
+def collision_shape(collision: Element) -> Element | None:
     """Return the shape of a collision, or None."""
     return next(iter(collision.find("geometry") or ()), None)
 
 
 def lengths(shape: Element, at: str) -> list[float]:
     """Return sizes of a shape [m], one after the other; ``size`` and ``radii`` have three."""
-    found: list[float] = []
+    sizes: list[float] = []
     for tag in SIZES[shape.tag]:
-        found += numbers(shape.findtext(tag), 3 if tag in ("size", "radii") else 1, f"{at}: {tag}")
-    return found
+        sizes += numbers(shape.findtext(tag), 3 if tag in ("size", "radii") else 1, f"{at}: {tag}")
+    return sizes
 
 
 def _solid(tree: SdfTree, link: str, collision: Element) -> _Solid | None:
-    shape, at = geometry_of(collision), f"{tree.where}: collision of {link}"
+    shape, at = collision_shape(collision), f"{tree.where}: collision of {link}"
     kind = "none" if shape is None else shape.tag
     if shape is None or kind in HOLLOW:
         return None
     if kind == "mesh":
-        return _mesh_solid(mesh_of(tree, link, shape), at)
+        return _mesh_solid(load_collision_mesh(tree, link, shape), at)
     if kind not in _SOLIDS:
         raise ConfigError(
             f"{at}: auto cannot weigh a {kind}: must be {', '.join(_SOLIDS)} or mesh. Give mass and inertia"
@@ -155,7 +155,7 @@ def _solid(tree: SdfTree, link: str, collision: Element) -> _Solid | None:
     return _SOLIDS[kind](*lengths(shape, at))
 
 
-def mesh_of(tree: SdfTree, link: str, shape: Element) -> "trimesh.Trimesh":
+def load_collision_mesh(tree: SdfTree, link: str, shape: Element) -> "trimesh.Trimesh":
     """Return the mesh of a collision, scaled [m]; raise ``ConfigError`` if it is missing or a submesh."""
     at = f"{tree.where}: mesh of {link}"
     if shape.find("submesh") is not None:
@@ -175,17 +175,17 @@ def _mesh_solid(mesh: "trimesh.Trimesh", at: str) -> _Solid:
     return _Solid(sign * of.volume, np.asarray(of.center_mass), sign * np.asarray(of.inertia))
 
 
-def _centred(volume: float, across: float, other: float, along: float, height: float = 0.0) -> _Solid:
+def _make_solid(volume: float, across: float, other: float, along: float, height: float = 0.0) -> _Solid:
     """Return a solid with its centre at a height, from its moments per volume [m²] about the centre's axes."""
     return _Solid(volume, np.array([0.0, 0.0, height]), volume * np.diag([across, other, along]))
 
 
 def _box(x: float, y: float, z: float) -> _Solid:
-    return _centred(x * y * z, (y * y + z * z) / 12.0, (x * x + z * z) / 12.0, (x * x + y * y) / 12.0)
+    return _make_solid(x * y * z, (y * y + z * z) / 12.0, (x * x + z * z) / 12.0, (x * x + y * y) / 12.0)
 
 
 def _ellipsoid(a: float, b: float, c: float) -> _Solid:
-    return _centred(4.0 / 3.0 * pi * a * b * c, (b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
+    return _make_solid(4.0 / 3.0 * pi * a * b * c, (b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
 
 
 def _sphere(radius: float) -> _Solid:
@@ -194,12 +194,12 @@ def _sphere(radius: float) -> _Solid:
 
 def _cylinder(radius: float, length: float) -> _Solid:
     across = (3.0 * radius**2 + length**2) / 12.0
-    return _centred(pi * radius**2 * length, across, across, 0.5 * radius**2)
+    return _make_solid(pi * radius**2 * length, across, across, 0.5 * radius**2)
 
 
 def _cone(radius: float, length: float) -> _Solid:
     across = 3.0 / 80.0 * (4.0 * radius**2 + length**2)
-    return _centred(pi * radius**2 * length / 3.0, across, across, 0.3 * radius**2, -0.25 * length)
+    return _make_solid(pi * radius**2 * length / 3.0, across, across, 0.3 * radius**2, -0.25 * length)
 
 
 def _capsule(radius: float, length: float) -> _Solid:

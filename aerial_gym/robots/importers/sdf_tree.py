@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import numbers, pose_of, read_xml
+from aerial_gym.robots.importers.file_vehicle import make_pose, numbers, read_xml
 
 Element = ElementTree.Element
 
@@ -68,9 +68,9 @@ class SdfTree:
                 self._place(name, child, scope, scope.frame)
             elif child.tag == "joint":
                 self.joints[name], self.scopes[name] = child, scope
-                self._place(name, child, scope, self.scoped(child.findtext("child"), scope))
+                self._place(name, child, scope, self.full_name(child.findtext("child"), scope))
             elif child.tag == "frame":
-                to = self.scoped(child.get("attached_to") or MODEL, scope)
+                to = self.full_name(child.get("attached_to") or MODEL, scope)
                 self._attached[name] = to
                 self._place(name, child, scope, to)
             elif child.tag == "plugin":
@@ -81,7 +81,7 @@ class SdfTree:
                 self._include(child, scope)
         self._attached.setdefault(scope.frame, self._canonical(model, scope, before))
 
-    def scoped(self, name: str | None, scope: Scope) -> str:
+    def full_name(self, name: str | None, scope: Scope) -> str:
         """Return the full name, in the outermost model, of a name within a scope."""
         own = (name or "").strip()
         if own == MODEL:
@@ -91,7 +91,7 @@ class SdfTree:
     def _canonical(self, model: Element, scope: Scope, before: list[str]) -> str:
         """Return the canonical link of a model: the named one, its first own one, or that of a nested model."""
         if model.get("canonical_link"):
-            return self.scoped(model.get("canonical_link"), scope)
+            return self.full_name(model.get("canonical_link"), scope)
         new = [name for name in self.links if name not in before]
         own = [name for name in new if "::" not in name.removeprefix(scope.prefix)]
         return next(iter((*own, *new)), "")
@@ -102,7 +102,7 @@ class SdfTree:
         self.take(model, inner)
 
     def _include(self, include: Element, scope: Scope) -> None:
-        file = _file_of((include.findtext("uri") or "").strip(), scope.folder, self.where)
+        file = _find_file((include.findtext("uri") or "").strip(), scope.folder, self.where)
         root = read_xml(file)
         model = root.find("model")
         if model is None:
@@ -129,7 +129,7 @@ class SdfTree:
         if pose is None:
             return default, np.eye(4)
         to = pose.get("relative_to") or pose.get("frame")
-        return self.scoped(to, scope) if to else default, read_pose(pose, f"{self.where}: pose of {name}")
+        return self.full_name(to, scope) if to else default, read_pose(pose, f"{self.where}: pose of {name}")
 
     def pose(self, name: str, within: str = "") -> np.ndarray:
         """Return the pose of a frame in the outermost model or in another frame, (4, 4)."""
@@ -147,7 +147,7 @@ class SdfTree:
     def _from_placement(self, place: _Place, name: str) -> np.ndarray:
         return np.eye(4) if place.placement is None else np.linalg.inv(self.pose(place.placement, within=name))
 
-    def pose_on(self, element: Element, link: str) -> np.ndarray:
+    def link_pose(self, element: Element, link: str) -> np.ndarray:
         """Return a collision or inertial frame of a link in the outermost model's, (4, 4)."""
         base, pose = self._own(element, link, self.scopes[link], link)
         return self.pose(base) @ pose
@@ -165,7 +165,7 @@ class SdfTree:
     def joint_ends(self, joint: str) -> tuple[str | None, str | None]:
         """Return parent and child link of a joint; None for the world."""
         element, scope = self.joints[joint], self.scopes[joint]
-        parent, child = (self.find_link(self.scoped(element.findtext(tag), scope)) for tag in ("parent", "child"))
+        parent, child = (self.find_link(self.full_name(element.findtext(tag), scope)) for tag in ("parent", "child"))
         return parent, child
 
     @property
@@ -185,13 +185,13 @@ class SdfTree:
         if (element.findtext("use_parent_model_frame") or "").strip() in TRUE:
             frame = scope.frame
         elif xyz is not None and xyz.get("expressed_in"):
-            frame = self.scoped(xyz.get("expressed_in"), scope)
+            frame = self.full_name(xyz.get("expressed_in"), scope)
         along = numbers("0 0 1" if xyz is None else xyz.text, 3, f"{self.where}: axis of {joint}")
         return self.pose(frame)[:3, :3] @ np.array(along)
 
     def mesh_file(self, uri: str, link: str) -> Path:
         """Return the file of a mesh of a link."""
-        return _file_of(uri, self.scopes[link].folder, self.where)
+        return _find_file(uri, self.scopes[link].folder, self.where)
 
 
 def _placement(placed: Element, model: Element, inner: Scope) -> str | None:
@@ -219,18 +219,18 @@ def read_pose(pose: Element, where: str) -> np.ndarray:
             f"{where}: rotation_format {kind!r}: must be euler_rpy, in radians or degrees, or quat_xyzw without degrees"
         )
     values = numbers(pose.text, 6, where)
-    return pose_of(values[:3], [radians(a) for a in values[3:]] if degrees else values[3:])
+    return make_pose(values[:3], [radians(a) for a in values[3:]] if degrees else values[3:])
 
 
-def _file_of(uri: str, folder: Path, where: str) -> Path:
+def _find_file(uri: str, folder: Path, where: str) -> Path:
     """Return the file that an address means: of a model, its model.sdf or NAME.sdf."""
-    found = list(_files(uri, folder))
-    if not found:
+    files = list(_files(uri, folder))
+    if not files:
         raise ConfigError(
             f"{where}: includes {uri!r}, which is not in {folder.parent}. Put the folder of that model there, or take the "
             "element out of the file"
         )
-    return found[0]
+    return files[0]
 
 
 def _files(uri: str, folder: Path) -> Iterator[Path]:

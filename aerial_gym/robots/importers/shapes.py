@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from aerial_gym.assets import load_mesh
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, PartCfg, SphereCfg
-from aerial_gym.robots.importers.found import vec3
+from aerial_gym.robots.importers.file_vehicle import vec3
 
 
-def shape_of(part: PartCfg) -> CollisionShape:
+def part_shape(part: PartCfg) -> CollisionShape:
     """Return spheres, capsules and boxes unchanged, and the bounding box of a cylinder or mesh."""
     shape = part.shape
     if shape.kind == "sphere":
@@ -32,7 +32,7 @@ def _box_around_mesh(part: PartCfg) -> BoxCfg:
     return BoxCfg(center=vec3(center), size=vec3(high - low), euler=part.euler)
 
 
-def collision_of(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
+def make_collision(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
     """Return the collision configuration of shapes; ``name`` is the file, for errors."""
     return CollisionCfg(
         spheres=tuple(shape for shape in shapes if isinstance(shape, SphereCfg)),

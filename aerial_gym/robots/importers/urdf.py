@@ -18,21 +18,21 @@ from aerial_gym.assets.urdf_body import urdf_body
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.config.shape import BASE, FIRST_INSTANCE_ID, PartCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.found import Found, FoundRotor, Weightless, read_xml, tilts
-from aerial_gym.robots.importers.joints import FoundJoint, Weight, carriers_of, layout_of
+from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, Weightless, read_xml, tilts
+from aerial_gym.robots.importers.joints import FileJoint, Weight, link_carriers, make_layout
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
     Motor,
-    assumed_of,
-    force_left_out,
+    force_source,
     is_motor,
-    motors_in,
-    notes_on,
+    motor_assumptions,
+    motor_notes,
+    read_motors,
     sideways_effects,
 )
 from aerial_gym.robots.importers.properties import read_properties
-from aerial_gym.robots.importers.shapes import shape_of
-from aerial_gym.robots.importers.unused import Tags, unused_in
+from aerial_gym.robots.importers.shapes import part_shape
+from aerial_gym.robots.importers.unread import Tags, unread_elements
 
 if TYPE_CHECKING:
     from yourdfpy import URDF
@@ -46,7 +46,9 @@ _MOVING: Tags = {tag: {} for tag in ("limit", "dynamics")}
 _OFF = ("true", "1")
 
 
-def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bool, joints: bool = False) -> Found:
+def read(
+    path: Path, rotor_links: str, lag: float | None, *, take_properties: bool, joints: bool = False
+) -> FileVehicle:
     """Return the vehicle of a URDF file.
 
     Args:
@@ -62,40 +64,40 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
     root = read_xml(path)
     where = f"URDF {path.name}"
     plugins = [("", plugin) for plugin in root.iter("plugin")]
-    motors = motors_in(plugins, where)
+    motors = read_motors(plugins, where)
     names = [] if motors else [name for name in robot.link_map if re.fullmatch(rotor_links, name)]
     spun = {motor.joint for motor in motors}
     spun |= {joint.name for joint in robot.joint_map.values() if joint.child in names and joint.type == "continuous"}
-    moving, on, notes = _moving(robot, poses, spun, where) if joints else ([], dict.fromkeys(poses, BASE), [])
+    moving, on, notes = _find_joints(robot, poses, spun, where) if joints else ([], dict.fromkeys(poses, BASE), [])
     told = read_properties(root, body.mass, len(names) if take_properties else 0, lag, where)
     rotors = [_motor(motor, robot, poses, on, where) for motor in motors]
     rotors += [
-        FoundRotor(name=n, position=_hub(robot, [n], poses), axis=poses[n][:3, 2], rotor=told.rotor, link=on[n])
+        FileRotor(name=n, position=_hub(robot, [n], poses), axis=poses[n][:3, 2], rotor=told.rotor, link=on[n])
         for n in names
     ]
     moves = {joint.name for joint in moving}
     held = {"fixed"} if _has_mass_above_floating(robot) else {"fixed", "floating"}
     welded = [j for j in robot.joint_map.values() if j.type not in held and j.name not in spun and j.name not in moves]
-    losses = [loss for _, plugin in plugins if (loss := force_left_out(plugin)) is not None]
-    tilting = {joint.name: _tilted(joint, rotors, robot, poses) for joint in welded}
+    losses = [loss for _, plugin in plugins if (loss := force_source(plugin)) is not None]
+    tilting = {joint.name: _tilt_rotors(joint, rotors, robot, poses) for joint in welded}
     still = [joint.name for joint in welded if not tilting[joint.name]]
     sideways = sideways_effects(motors)
-    return Found(
+    return FileVehicle(
         body=body,
         rotors=rotors,
         shapes=_shapes(path, list(robot.link_map), on),
-        joints=layout_of(moving),
+        joints=make_layout(moving),
         weightless=_weightless(root, robot, poses, on),
         effects={**sideways, **told.effects},
         effects_source=f"{where}: rotorDragCoefficient" if sideways else told.source,
         notes=(
-            *notes_on(motors),
+            *motor_notes(motors),
             *notes,
             *told.notes,
             *([f"joints that are welded: {', '.join(still)}"] if still and not joints else []),
-            *_unused(root, joints=joints),
+            *_unread_elements(root, joints=joints),
         ),
-        assumed=(*assumed_of(motors), *told.assumed),
+        assumed=(*motor_assumptions(motors), *told.assumed),
         losses=(
             *losses,
             *(f"joint {name}, which moves {', '.join(of)}, is welded" for name, of in tilting.items() if of),
@@ -103,7 +105,7 @@ def read(path: Path, rotor_links: str, lag: float | None, *, take_properties: bo
     )
 
 
-def _unused(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
+def _unread_elements(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
     """Yield the unused elements; visual shapes count only on links without collision shapes."""
     used: Tags = {
         "link": {
@@ -116,9 +118,9 @@ def _unused(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
         "properties": {},
     }
     seen = [v for link in root.iter("link") if link.find("collision") is not None for v in link.findall("visual")]
-    others = [plugin for plugin in root.iter("plugin") if not is_motor(plugin)]
-    named = [plugin for plugin in others if force_left_out(plugin) is not None]
-    yield from unused_in(root, used, left_out=[*seen, *others], named=named)
+    rest = [plugin for plugin in root.iter("plugin") if not is_motor(plugin)]
+    named = [plugin for plugin in rest if force_source(plugin) is not None]
+    yield from unread_elements(root, used, left_out=[*seen, *rest], named=named)
 
 
 def _has_mass_above_floating(robot: "URDF") -> bool:
@@ -132,18 +134,18 @@ def _weightless(
     root: ElementTree.Element, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str]
 ) -> list[Weightless]:
     """Return the links whose weight Gazebo leaves out."""
-    found = []
+    results = []
     for name, link in robot.link_map.items():
         texts = [e for e in root.findall("gazebo") if e.get("reference") == name]
         off = any((e.findtext("turnGravityOff") or "").strip().lower() in _OFF for e in texts)
         off |= any((e.findtext("gravity") or "1").strip().lower() not in _OFF for e in texts)
         if off and link.inertial is not None and link.inertial.mass:
             mass = float(link.inertial.mass)
-            found.append(Weightless(mass=mass, position=_hub(robot, [name], poses), link=on[name]))
-    return found
+            results.append(Weightless(mass=mass, position=_hub(robot, [name], poses), link=on[name]))
+    return results
 
 
-def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FoundRotor:
+def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FileRotor:
     """Return position and axis of a motor: centre of mass of its link with fixed children, and the link's z axis.
 
     Gazebo joins links with fixed joints to one before it simulates them.
@@ -156,7 +158,7 @@ def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[s
     group = [motor.link]
     for link in group:  # grows while it is walked
         group += [j.child for j in robot.joint_map.values() if j.type == "fixed" and j.parent == link]
-    return FoundRotor(
+    return FileRotor(
         name=motor.link,
         position=_hub(robot, group, poses),
         axis=poses[motor.link][:3, 2],
@@ -166,18 +168,18 @@ def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[s
     )
 
 
-def _tilted(joint: "Joint", rotors: Sequence[FoundRotor], robot: "URDF", poses: dict[str, np.ndarray]) -> list[str]:
+def _tilt_rotors(joint: "Joint", rotors: Sequence[FileRotor], robot: "URDF", poses: dict[str, np.ndarray]) -> list[str]:
     """Return the rotors whose thrust line a joint would move."""
     above = {other.child: other.parent for other in robot.joint_map.values()}
     axis = poses[joint.child][:3, :3] @ np.asarray(joint.axis, dtype=float)
-    found = []
+    results = []
     for rotor in rotors:
         link: str | None = rotor.name
         while link is not None and link != joint.child:
             link = above.get(link)
         if link is not None and tilts(rotor, joint.type, axis, poses[joint.child][:3, 3]):
-            found.append(rotor.name)
-    return found
+            results.append(rotor.name)
+    return results
 
 
 def _hub(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
@@ -194,9 +196,9 @@ def _hub(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> n
     return (frames[0][1] if inertials[0][0] is not None else poses[links[0]])[:3, 3]
 
 
-def _moving(
+def _find_joints(
     robot: "URDF", poses: dict[str, np.ndarray], spun: set[str], where: str
-) -> tuple[list[FoundJoint], dict[str, str], list[str]]:
+) -> tuple[list[FileJoint], dict[str, str], list[str]]:
     """Return the joints that move, parents first, the one that moves each link, and notes."""
     above = {joint.child: joint for joint in robot.joint_map.values()}
     moving, notes = {}, []
@@ -209,7 +211,7 @@ def _moving(
             notes.append(f"joint {joint.name}: mimics another one, and is welded")
             continue
         moving[joint.name] = joint.name
-    on = carriers_of(
+    on = link_carriers(
         list(poses), lambda link: (above[link].name, above[link].parent) if link in above else None, moving
     )
     weights: dict[str, list[Weight]] = {}
@@ -219,22 +221,22 @@ def _moving(
             pose = poses[name] if own.origin is None else poses[name] @ own.origin
             inertia = np.zeros((3, 3)) if own.inertia is None else np.asarray(own.inertia, dtype=float)
             weights.setdefault(on[name], []).append(Weight(mass=float(own.mass), pose=pose, inertia=inertia))
-    found, waiting = [], [joint for joint in robot.joint_map.values() if joint.name in moving]
+    results, waiting = [], [joint for joint in robot.joint_map.values() if joint.name in moving]
     placed = {BASE}
     while waiting:
         joint = next(joint for joint in waiting if on[joint.parent] in placed)
         waiting.remove(joint)
         placed.add(joint.name)
-        found.append(_joint(joint, poses[joint.child], on[joint.parent], weights.get(joint.name, [])))
-    return found, on, notes
+        results.append(_joint(joint, poses[joint.child], on[joint.parent], weights.get(joint.name, [])))
+    return results, on, notes
 
 
-def _joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Weight]) -> FoundJoint:
+def _joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Weight]) -> FileJoint:
     limit, dynamics = joint.limit, joint.dynamics
     limits = None
     if joint.type != "continuous" and limit is not None and limit.lower is not None and limit.upper is not None:
         limits = float(limit.lower), float(limit.upper)
-    return FoundJoint(
+    return FileJoint(
         name=joint.name,
         parent=parent,
         kind="prismatic" if joint.type == "prismatic" else "revolute",
@@ -251,18 +253,18 @@ def _shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionS
     """Return the collision shapes of all links, each on its link; none of a file without geometry."""
     if all(link == BASE for link in on.values()):
         return _all_shapes(path, {})
-    found = []
+    results = []
     for start in range(0, len(names), FIRST_INSTANCE_ID):  # semantic ids tell the links apart
         some = names[start : start + FIRST_INSTANCE_ID]
         ids = {name: k for k, name in enumerate(some)}
         for part in _parts(path, ids):
             if part.semantic_id is not None:
-                found.append(replace(shape_of(part), link=on[some[part.semantic_id]]))
-    return found
+                results.append(replace(part_shape(part), link=on[some[part.semantic_id]]))
+    return results
 
 
 def _all_shapes(path: Path, ids: dict[str, int]) -> list[CollisionShape]:
-    return [shape_of(part) for part in _parts(path, ids)]
+    return [part_shape(part) for part in _parts(path, ids)]
 
 
 def _parts(path: Path, ids: dict[str, int]) -> tuple[PartCfg, ...]:

@@ -16,12 +16,12 @@ from aerial_gym.config.joint import JointCfg, JointsCfg
 from aerial_gym.config.sensor import RangeSensorCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
-from aerial_gym.sensors.mounts import Carrier, Mounted
+from aerial_gym.sensors.mounts import Carrier, RobotSensor
 
 if TYPE_CHECKING:
-    from aerial_gym.assets.collision import LinkShapes
+    from aerial_gym.assets.collision import LinkGeometry
     from aerial_gym.physics import Trajectory
-    from aerial_gym.physics.state import JointedState
+    from aerial_gym.physics.state import ArticulatedState
     from aerial_gym.robots.joints.links import LinkPlaces
 
 
@@ -34,23 +34,25 @@ class LinkTensors:
     names: tuple[str, ...]  # Of the links, L of them
     pivots: tuple[Vec3, ...]  # Hinge of each link in its frame [m]; the origin for the base and links that slide
 
-    def carriers(self, mounted: Mapping[str, Mounted[RangeSensorCfg] | Mounted[ImuCfg]]) -> dict[str, Carrier]:
+    def carriers(self, mounted: Mapping[str, RobotSensor[RangeSensorCfg] | RobotSensor[ImuCfg]]) -> dict[str, Carrier]:
         """Return the carrier link of each sensor by name, without sensors on the base."""
         return {name: self._carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE}
 
-    def shapes_of(self, collision: CollisionCfg) -> "list[LinkShapes]":
+    def link_shapes(self, collision: CollisionCfg) -> "list[LinkGeometry]":
         """Return the collision shapes of each link except the base."""
-        from aerial_gym.assets.collision import LinkShapes
+        from aerial_gym.assets.collision import LinkGeometry
 
-        found = [(number, collision.on(name)) for number, name in enumerate(self.names[1:], 1)]
+        shapes_by_link = [(number, collision.link_shapes(name)) for number, name in enumerate(self.names[1:], 1)]
         position, attitude = self.state[..., :3], self.state[..., 3:7]
         return [
-            LinkShapes(shapes=shapes, number=k, position=position[:, k], attitude=attitude[:, k], pivot=self.pivots[k])
-            for k, shapes in found
+            LinkGeometry(
+                shapes=shapes, number=k, position=position[:, k], attitude=attitude[:, k], pivot=self.pivots[k]
+            )
+            for k, shapes in shapes_by_link
             if shapes
         ]
 
-    def places(self, cfg: JointsCfg, state: "JointedState", trajectory: "Trajectory | None") -> "LinkPlaces":
+    def places(self, cfg: JointsCfg, state: "ArticulatedState", trajectory: "Trajectory | None") -> "LinkPlaces":
         """Return the launches that write these tensors from a robot's state, and follow a trajectory with joints."""
         from aerial_gym.robots.joints.links import LinkPlaces
 
@@ -69,7 +71,7 @@ def declare_links(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> LinkTensors:
     names = ", ".join(cfg.link_names)
     return LinkTensors(
         names=cfg.link_names,
-        pivots=((0.0, 0.0, 0.0), *(_pivot_of(joint) for joint in cfg.layout)),
+        pivots=((0.0, 0.0, 0.0), *(_joint_pivot(joint) for joint in cfg.layout)),
         state=gtd.declare(TensorSpec(
             key="robot_link_state_tensor", shape=("E", "L", 13), unit="m, -, m/s, rad/s", frame="world", owner="robot",
             meaning=f"p, q xyzw, v, w of the frames of {names}, each the body's in the reference pose",
@@ -81,5 +83,5 @@ def declare_links(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> LinkTensors:
     )  # fmt: skip
 
 
-def _pivot_of(joint: JointCfg) -> Vec3:
+def _joint_pivot(joint: JointCfg) -> Vec3:
     return (0.0, 0.0, 0.0) if joint.kind == "prismatic" else joint.position

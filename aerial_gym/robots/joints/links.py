@@ -18,10 +18,10 @@ import warp as wp
 
 from aerial_gym.config.joint import JointsCfg
 from aerial_gym.config.shape import BASE
-from aerial_gym.interop import RecordedLaunch
+from aerial_gym.interop import ReusableLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.physics import Trajectory
-from aerial_gym.physics.state import JointedState
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.robots.joints.link_tensors import LinkTensors
 
 
@@ -156,7 +156,7 @@ class LinkTrack:
         self.attitude = torch.zeros(*size, 4, device=device)
         """To the world, xyzw, (K M + 1, E, L, 4)."""
         place = wp.device_from_torch(device)
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _follow_links,
             dim=size[:2],
             inputs=[_table(cfg, place), trajectory.position, trajectory.attitude, trajectory.joint_pos, self.pieces],
@@ -173,7 +173,9 @@ class LinkTrack:
 class LinkPlaces:
     """Writes the frames of the links; captured with the step that it belongs to."""
 
-    def __init__(self, cfg: JointsCfg, state: JointedState, links: LinkTensors, trajectory: Trajectory | None) -> None:
+    def __init__(
+        self, cfg: JointsCfg, state: ArticulatedState, links: LinkTensors, trajectory: Trajectory | None
+    ) -> None:
         """Take views of the state, which must keep its memory, and of the outputs; follow a trajectory with joints."""
         followed = trajectory is not None and trajectory.joint_pos is not None
         self.track: LinkTrack | None = LinkTrack(cfg, trajectory) if followed and trajectory is not None else None
@@ -182,7 +184,7 @@ class LinkPlaces:
         table = _table(cfg, place)
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
         self._written = links.state
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _place_links,
             dim=len(links.state),
             inputs=[table, *base, state.joint_pos, state.joint_vel],

@@ -7,20 +7,22 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.joint import JointsCfg
-from aerial_gym.math.random import Purpose, Randomness, counted_state, counted_uniform
-from aerial_gym.physics.state import JointedState
+from aerial_gym.math.random import Purpose, Randomness, split_state, uniform_draw
+from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 
 
 def declare_joints(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> dict[str, Tensor]:
-    """Declare coordinates and rates of the joints, and return them as ``JointedState`` names them, each (E, D)."""
+    """Declare coordinates and rates of the joints, and return them as ``ArticulatedState`` names them, each (E, D)."""
     gtd.define_size("D", len(cfg.layout))
     names = ", ".join(cfg.names)
     return {
         field: gtd.declare(
-            TensorSpec(key=key, shape=("E", "D"), unit=unit, frame="-", owner="physics", meaning=f"{what} of {names}")
+            TensorSpec(
+                key=key, shape=("E", "D"), unit=unit, frame="-", owner="physics", meaning=f"{quantity} of {names}"
+            )
         )
-        for field, key, unit, what in (
+        for field, key, unit, quantity in (
             ("joint_pos", "dof_position", "rad or m", "coordinates"),
             ("joint_vel", "dof_velocity", "rad/s or m/s", "rates"),
         )
@@ -30,7 +32,9 @@ def declare_joints(gtd: GlobalTensorDictionary, cfg: JointsCfg) -> dict[str, Ten
 class JointStates:
     """Draws joints where episodes begin and keeps ``dof_state_tensor``; captured with the step that it belongs to."""
 
-    def __init__(self, cfg: JointsCfg, gtd: GlobalTensorDictionary, state: JointedState, random: Randomness) -> None:
+    def __init__(
+        self, cfg: JointsCfg, gtd: GlobalTensorDictionary, state: ArticulatedState, random: Randomness
+    ) -> None:
         """Take the ranges, the state that is written, and the random numbers."""
         self._state, self._random = state, random
         self._together = gtd.declare(TensorSpec(
@@ -50,9 +54,9 @@ class JointStates:
     def reset(self) -> None:
         """Draw joints in the environments of the mask that ``random`` keeps."""
         stream, mask = self._random.stream(Purpose.JOINTS), self._random.mask.unsqueeze(1)
-        for which, (target, low, high) in enumerate(self._ranges):
-            first = which * len(low)
-            shares = [counted_uniform(counted_state(stream, first + k), dtype=low.dtype) for k in range(len(low))]
+        for number, (target, low, high) in enumerate(self._ranges):
+            first = number * len(low)
+            shares = [uniform_draw(split_state(stream, first + k), dtype=low.dtype) for k in range(len(low))]
             drawn = low + (high - low) * torch.stack(shares, dim=1)
             target.copy_(torch.where(mask, drawn, target))
         self.refresh()

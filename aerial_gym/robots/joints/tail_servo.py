@@ -42,7 +42,7 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
 
     With the tail at the distance L behind it, its share T of the weight and the moment of inertia J, ``J r' = L T angle`` about
     the trim. The servo's lag (damping over stiffness) and the time step limit the bandwidth. In addition an error of 1 rad
-    must not command more than the servo's range beyond the trim: as in ``control.gains.derived_gains``.
+    must not command more than the servo's range beyond the trim: as in ``control.gains.derive_gains``.
 
     Raises:
         ConfigError: If there is no such joint, or its drive follows no angle.
@@ -54,7 +54,7 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
     assert joint.drive is not None
     arm = robot.body.com[0] - mount.position[0]
     thrust = robot.body.mass * gravity / robot.num_rotors
-    speed = rotor.speed_at(thrust)
+    speed = rotor.speed_for_thrust(thrust)
     torque = sum(c * speed**i for i, c in enumerate(rotor.torque_coefficients))
     trim = atan(mount.spin * torque / (thrust * arm))
     low, high = joint.drive.command_range
@@ -71,15 +71,15 @@ def tail_rotor(robot: RobotCfg) -> int:
         ConfigError: Unless there is exactly one.
     """
     joints = {} if robot.joints is None else {joint.name: joint for joint in robot.joints.layout}
-    found = [
+    matches = [
         (number, mount, joint)
         for number, mount in enumerate(robot.mounts.layout)
         if (joint := joints.get(mount.link or "")) is not None
         and joint.drive is not None
         and joint.drive.mode == "position"
     ]
-    if len(found) != 1 or found[0][2].axis != (1.0, 0.0, 0.0) or found[0][1].position[0] >= robot.body.com[0]:
+    if len(matches) != 1 or matches[0][2].axis != (1.0, 0.0, 0.0) or matches[0][1].position[0] >= robot.body.com[0]:
         raise ConfigError(
             "a tail servo needs one rotor on a joint about body x that a drive holds to an angle, behind the centre of mass"
         )
-    return found[0][0]
+    return matches[0][0]

@@ -7,7 +7,7 @@ Letters: B images, H x W pixels, N = H W rays.
 import torch
 from torch import Tensor
 
-from aerial_gym.math.short import dot
+from aerial_gym.math.small_vectors import dot
 
 PAIRS = {"cpu": 1 << 18, "cuda": 1 << 24}
 """Pairs of rays and points per block, by device type. On a CPU each tensor has 1 MB and stays in the cache, 2.2 times as
@@ -35,17 +35,17 @@ def collision_distance(distance: Tensor, rays: Tensor, *, radius: float, largest
     """
     directions = rays.reshape(-1, 3).to(distance)
     flat = distance.reshape(len(distance), -1)
-    found = torch.empty_like(flat)
+    result = torch.empty_like(flat)
     pairs = PAIRS.get(flat.device.type, PAIRS["cuda"])
     for block in torch.arange(len(directions), device=flat.device).split(max(1, pairs // len(directions))):
         cosine = dot(directions[block].unsqueeze(1), directions).clamp(-1.0, 1.0)  # of rays and points
         sine2 = (1.0 - cosine.square()).clamp_min(0.0)
         for images in torch.arange(len(flat), device=flat.device).split(max(1, pairs // cosine.numel())):
-            found[images.unsqueeze(1), block] = _touched(flat[images], cosine, sine2, radius, largest)
-    return found.reshape(distance.shape)
+            result[images.unsqueeze(1), block] = _touch_distance(flat[images], cosine, sine2, radius, largest)
+    return result.reshape(distance.shape)
 
 
-def _touched(distance: Tensor, cosine: Tensor, sine2: Tensor, radius: float, largest: float) -> Tensor:
+def _touch_distance(distance: Tensor, cosine: Tensor, sine2: Tensor, radius: float, largest: float) -> Tensor:
     """Return the least t over all points, (B, R), of distances (B, N), by cosine and squared sine of R rays and N points."""
     points = distance.unsqueeze(1)  # (B, 1, N)
     within = radius * radius - points.square() * sine2

@@ -22,7 +22,7 @@ from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
 ENCODERS = CONFIG_DIR / "encoders"
 """Folder of the encoders that come with the package, ``NAME.pt``."""
 
-WHAT = "encoder"
+FILE_KIND = "encoder"
 """Name of the file kind in errors."""
 
 HOW = "Train one with aerial-gym train-encoder"
@@ -30,7 +30,7 @@ HOW = "Train one with aerial-gym train-encoder"
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeenCfg:
+class EncoderImageCfg:
     """Image format that a sensor must share with the encoder's training."""
 
     model: str  # Ray model, as in a sensor file
@@ -45,9 +45,9 @@ class SeenCfg:
         return f"{self.columns} x {self.rows} pixels of {self.model}{wide}, {self.kind} to {self.max_range:g} m"
 
 
-def seen_by(cfg: RangeSensorCfg) -> SeenCfg:
+def encoder_image(cfg: RangeSensorCfg) -> EncoderImageCfg:
     """Return the image format of a sensor that an encoder depends on."""
-    return SeenCfg(
+    return EncoderImageCfg(
         model=cfg.model,
         kind=cfg.kind,
         rows=cfg.height,
@@ -57,7 +57,7 @@ def seen_by(cfg: RangeSensorCfg) -> SeenCfg:
     )
 
 
-def shares_of(image: Tensor, cfg: RangeSensorCfg) -> Tensor:
+def normalize_image(image: Tensor, cfg: RangeSensorCfg) -> Tensor:
     """Return an image of distances as shares of the largest, 0 to 1, in its shape."""
     largest, empty = cfg.distance_scale
     return torch.where(image >= 0.0, (image / largest).clamp_max(1.0), empty)
@@ -69,7 +69,7 @@ class Encoder(nn.Module):
     Rows of a batch are independent up to rounding, as libraries choose the order of sums by batch size.
     """
 
-    def __init__(self, network: Autoencoder, seen: SeenCfg, *, trained: Mapping[str, object]) -> None:
+    def __init__(self, network: Autoencoder, seen: EncoderImageCfg, *, trained: Mapping[str, object]) -> None:
         """Take a network, its image format, and data of its training (texts and numbers)."""
         super().__init__()
         self.cfg, self.seen, self.trained = network.cfg, seen, dict(trained)
@@ -87,12 +87,12 @@ class Encoder(nn.Module):
         """Return the means of the latents (B, L) of images (B, H, W) of shares of the largest distance."""
         return self.layers(shares.unsqueeze(1))
 
-    def check_fits(self, cfg: RangeSensorCfg, *, name: str, what: str) -> None:
+    def check_fits(self, cfg: RangeSensorCfg, *, name: str, label: str) -> None:
         """Raise ``ConfigError`` if the sensor ``name`` has other images; ``what`` names the encoder."""
-        actual = seen_by(cfg)
+        actual = encoder_image(cfg)
         if actual != self.seen:
             raise ConfigError(
-                f"{what}: knows images of {self.seen}; sensor {name} has {actual}. Choose the robot of its training, "
+                f"{label}: knows images of {self.seen}; sensor {name} has {actual}. Choose the robot of its training, "
                 f"{self.trained.get('robot', '?')}, or another encoder. {HOW} --robot ROBOT"
             )
 
@@ -128,16 +128,16 @@ def load_encoder(name: str | Path, *, device: torch.device | str = "cpu") -> Enc
         ConfigError: If the file is missing, damaged, or holds no encoder.
     """
     path = encoder_file(name)
-    payload = read_archive(path, WHAT)
+    payload = read_archive(path, FILE_KIND)
     try:
         cfg = convert(AutoencoderCfg, payload["network"], str(path))
-        seen = convert(SeenCfg, payload["seen"], str(path))
-        found = Encoder(Autoencoder(cfg), seen, trained=payload["trained"])
-        found.layers.load_state_dict({name: value.float() for name, value in payload["model"].items()})
+        seen = convert(EncoderImageCfg, payload["seen"], str(path))
+        encoder = Encoder(Autoencoder(cfg), seen, trained=payload["trained"])
+        encoder.layers.load_state_dict({name: value.float() for name, value in payload["model"].items()})
     except (KeyError, AttributeError, TypeError, RuntimeError) as error:
         reason = (str(error).strip().splitlines() or [""])[-1].strip()
-        raise ConfigError(f"{WHAT} {path}: holds no encoder ({reason}). {HOW}") from None
-    bad = [key for key, value in found.state_dict().items() if not bool(value.isfinite().all())]
+        raise ConfigError(f"{FILE_KIND} {path}: holds no encoder ({reason}). {HOW}") from None
+    bad = [key for key, value in encoder.state_dict().items() if not bool(value.isfinite().all())]
     if bad:
-        raise ConfigError(f"{WHAT} {path}: {bad[0]} holds numbers that are NaN or infinite. {HOW}")
-    return found.to(device)
+        raise ConfigError(f"{FILE_KIND} {path}: {bad[0]} holds numbers that are NaN or infinite. {HOW}")
+    return encoder.to(device)

@@ -89,7 +89,7 @@ class Onsets:
     """Relative change of output; for a stuck rotor the constant output relative to hover."""
 
 
-def _sums_before(values: Array) -> Array:
+def _cumulative_sums(values: Array) -> Array:
     """Return the cumulative sums before each block, and the total, (K + 1, any)."""
     return np.concatenate((np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)))
 
@@ -104,16 +104,16 @@ class Evidence:
         self.count, self.rotors = self.residual.shape
         self.ridge = least**2 * np.eye(columns.shape[2])
         outer = columns[..., :, None] * columns[..., None, :]
-        self._gram = _sums_before(outer)  # (K + 1, R, Q, Q)
-        self._lean = _sums_before(columns * self.residual[..., None])
+        self._gram = _cumulative_sums(outer)  # (K + 1, R, Q, Q)
+        self._lean = _cumulative_sums(columns * self.residual[..., None])
         self.inverse = np.linalg.inv(self._gram[-1] + self.ridge)  # (R, Q, Q)
         self.beside = np.einsum("rpq,rq->rp", self.inverse, self._lean[-1])
-        self._squares = _sums_before(self.residual**2)
+        self._squares = _cumulative_sums(self.residual**2)
         self.rss = np.maximum(self._squares[-1] - np.einsum("rq,rq->r", self._lean[-1], self.beside), 0.0)
-        self._zz, self._zr = _sums_before(work.own**2), _sums_before(work.own * self.residual)
+        self._zz, self._zr = _cumulative_sums(work.own**2), _cumulative_sums(work.own * self.residual)
         root = np.linalg.cholesky(self.inverse)  # makes the columns orthonormal
         self._along = np.einsum("rqp,rq->rp", root, self._lean[-1])
-        self._zn = np.einsum("krq,rqp->krp", _sums_before(work.own[..., None] * columns), root)
+        self._zn = np.einsum("krq,rqp->krp", _cumulative_sums(work.own[..., None] * columns), root)
 
     @property
     def total(self) -> float:
@@ -124,7 +124,7 @@ class Evidence:
         """Return ``RSS / n + s²``."""
         return rss / self.total + self.least**2
 
-    def projected(self, begin: Indices, end: Indices) -> tuple[Array, Array]:
+    def project(self, begin: Indices, end: Indices) -> tuple[Array, Array]:
         """Return M_zz and M_zr for changes from block ``begin`` to before block ``end``, (..., R) each."""
         across = self._zn[end] - self._zn[begin]
         inner = self._zz[end] - self._zz[begin] - (across**2).sum(axis=-1)
@@ -133,8 +133,8 @@ class Evidence:
     def changes(self, kind: str, share: float = 1.0) -> Onsets:
         """Return the evidence of a lasting change per rotor for every onset; ``share``: independent share of the values."""
         onset = np.arange(self.count)
-        inner, along = self.projected(onset, np.full(self.count, self.count))
-        log_odds, change, _ = self.changed(kind, inner, along, share)
+        inner, along = self.project(onset, np.full(self.count, self.count))
+        log_odds, change, _ = self.change_odds(kind, inner, along, share)
         return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds), change=change)
 
     def brown_outs(self, kind: str, share: float = 1.0) -> Onsets:
@@ -142,13 +142,13 @@ class Evidence:
         onset, lasting = np.arange(self.count)[:, None], np.arange(1, LONGEST + 1)
         end = np.minimum(onset + lasting, self.count)
         end = np.concatenate((end, np.full((self.count, 1), self.count)), axis=1)
-        inner, along = (part.sum(axis=-1) for part in self.projected(np.broadcast_to(onset, end.shape), end))
-        log_odds, change, _ = self.changed(kind, inner, along, share)
+        inner, along = (part.sum(axis=-1) for part in self.project(np.broadcast_to(onset, end.shape), end))
+        log_odds, change, _ = self.change_odds(kind, inner, along, share)
         ends = np.concatenate((onset + lasting < self.count, np.ones((self.count, 1), dtype=bool)), axis=1)
         log_odds = np.where(ends, log_odds - np.log(LONGEST + 1), -np.inf)
         return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds), change=change)
 
-    def stuck(self, kind: str, share: float = 1.0) -> Onsets:
+    def freeze_odds(self, kind: str, share: float = 1.0) -> Onsets:
         """Return the evidence of a constant output per rotor for every onset, whatever is expected."""
         lean = self._lean[:-1]
         fitted = np.linalg.solve(self._gram[:-1] + self.ridge, lean[..., None])[..., 0]
@@ -161,10 +161,10 @@ class Evidence:
         away = kept - np.concatenate((done[:1], done[:-1]))
         before, after = self.mean_square(self.rss.sum()), self.mean_square(rss)
         prior = Prior(away=away, scale=CONTINUOUS, normal=True)
-        found = log_evidence(before, after, share * self.total, prior, share * left)
-        return Onsets(kind=kind, log_odds=self._far_from_ends(found - np.log(self.rotors)), change=kept)
+        log_odds = log_evidence(before, after, share * self.total, prior, share * left)
+        return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds - np.log(self.rotors)), change=kept)
 
-    def changed(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
+    def change_odds(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
         """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative change, and its standard deviation."""
         parameter = next(p for p in EFFECTS.get(kind).parameters if p.name == "scale")
         change = along / (inner + (self.least / parameter.scale) ** 2)
@@ -172,9 +172,9 @@ class Evidence:
         rss = np.maximum(self.rss.sum() - 2.0 * change * along + change**2 * inner, 0.0)
         before, after = self.mean_square(self.rss.sum()), self.mean_square(rss)
         prior = Prior(away=change, scale=parameter.scale)
-        found = log_evidence(before, after, share * self.total, prior, share * inner)
+        log_odds = log_evidence(before, after, share * self.total, prior, share * inner)
         alike = 0.0 if kind == "brown_out" else float(np.log(self.rotors))
-        return found - alike, change, np.sqrt(after / np.maximum(share * inner, 1e-300))
+        return log_odds - alike, change, np.sqrt(after / np.maximum(share * inner, 1e-300))
 
     def _far_from_ends(self, log_odds: Array) -> Array:
         """Return the log odds, minus infinity for onsets with too few blocks before or after."""

@@ -17,12 +17,12 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWorks
-from aerial_gym.sim2real.failures.scan import Cause, Timed, causes_of, sum_of_odds, timed
+from aerial_gym.sim2real.failures.scan import FailureCause, FailureTiming, rank_causes, sum_of_odds, time_failure
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.declared_rotors import place_of_rotor
+from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.recording import part_of
-from aerial_gym.sim2real.plain import fields_of
+from aerial_gym.sim2real.logs.recording import take_rows
+from aerial_gym.sim2real.logs.rotor_model import place_of_rotor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
@@ -94,7 +94,7 @@ class Failure(FlightEvent):
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        told = fields_of(self, "flight", "name", "params", "std", "interval", "log_odds", "probability")
+        told = select_fields(self, "flight", "name", "params", "std", "interval", "log_odds", "probability")
         return {**told, "rival": self.rival or None, "sentence": self.finding}
 
 
@@ -125,7 +125,7 @@ class FailureFinder:
 
     def find_first(self, flight: Flight) -> Failure | None:
         """Return the first failure of a flight, or None; windows of a minute overlap by half."""
-        works = self.works.of(flight)
+        works = self.works.from_flight(flight)
         count = max((work.time.size for work in works), default=0)
         for begin in range(0, max(count - WINDOW_BLOCKS // 2, 1), WINDOW_BLOCKS // 2):
             failure = self.find_in_blocks(
@@ -137,15 +137,15 @@ class FailureFinder:
 
     def find_in_blocks(self, works: Sequence[RotorWork], flight: str) -> Failure | None:
         """Return the failure that the blocks show; None if the sum of odds is below the limit."""
-        causes = causes_of(works, self._tolerances)
+        causes = rank_causes(works, self._tolerances)
         if not sum_of_odds(causes) > self.limit:
             return None
-        ranked = sorted((timed(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
+        ranked = sorted((time_failure(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
         odds = np.array([one.log_odds for one in ranked])
         probability = float(1.0 / np.exp(odds - odds[0]).sum())
         return self._failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
 
-    def _failure(self, event: Timed, flight: str, probability: float, rival: Cause | None) -> Failure:
+    def _failure(self, event: FailureTiming, flight: str, probability: float, rival: FailureCause | None) -> Failure:
         """Return the failure with the parameters of its effect."""
         cause, work = event.cause, event.cause.work
         params, std, interval = dict[str, float](), dict[str, float](), dict[str, tuple[float, float]]()
@@ -179,7 +179,7 @@ class FailureFinder:
             unit="n" if "force" in self._robot.rotor_traits else "rad_s",
         )
 
-    def _share(self, cause: Cause, done: float) -> float:
+    def _share(self, cause: FailureCause, done: float) -> float:
         """Return the remaining share of the command; a share of thrust is converted by the thrust map."""
         if cause.kind == "weak_motor" or cause.work.quantity == "speed":
             return max(done, 0.0)
@@ -187,7 +187,7 @@ class FailureFinder:
         state = state_for_thrust(self._vehicle, max(done, 0.0) * rotor_thrust(self._vehicle, hover))
         return float((state / hover).mean())
 
-    def _state(self, cause: Cause, done: float) -> float:
+    def _state(self, cause: FailureCause, done: float) -> float:
         """Return the state of a rotor with a given output relative to hover."""
         assert cause.rotor is not None
         hover = self._hover[None]
@@ -205,7 +205,7 @@ def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> lis
         if flight.name not in onset:
             parts.append(flight)
         elif onset[flight.name] >= SHORTEST_S:
-            parts.append(part_of(flight, slice(0, int(onset[flight.name] * flight.rate))))
+            parts.append(take_rows(flight, slice(0, int(onset[flight.name] * flight.rate))))
     return parts
 
 

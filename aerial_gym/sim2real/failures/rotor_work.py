@@ -22,10 +22,10 @@ from aerial_gym.control.effectiveness import allocation_matrix, pseudo_inverse
 from aerial_gym.physics.effects import RotorSensorEffect
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.declared_rotors import mean_lag
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.rotor_model import mean_lag
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.rotor_estimate import rotors_of
+from aerial_gym.sim2real.predict.rows.rotor_estimate import rotor_vehicle
 
 BLOCK_S = 0.1
 """Length of a block [s], several motor time constants."""
@@ -69,7 +69,7 @@ class RotorWork:
         """Return the selected blocks."""
         return replace(self, **{name: getattr(self, name)[chosen] for name in OF_BLOCKS})
 
-    def followed_by(self, other: "RotorWork") -> "RotorWork":
+    def append(self, other: "RotorWork") -> "RotorWork":
         """Return these blocks followed by those of a later part of the flight."""
         return replace(self, **{n: np.concatenate((getattr(self, n), getattr(other, n))) for n in OF_BLOCKS})
 
@@ -82,7 +82,7 @@ class RotorWorks:
     """Computes the rotor outputs of a declared robot along flights."""
 
     def __init__(self, robot: RobotCfg) -> None:
-        self._model = rotors_of(robot)
+        self._model = rotor_vehicle(robot)
         vehicle = self._model.vehicle
         made = allocation_matrix(vehicle, STANDARD_GRAVITY)[0]
         self._inverse = pseudo_inverse(made).numpy()
@@ -92,7 +92,7 @@ class RotorWorks:
         self._hover_thrust = rotor_thrust(vehicle, torch.from_numpy(self._hover)[None])[0].numpy()
         self._lag = mean_lag(robot)
 
-    def of(self, flight: Flight, *, volts: float | None = None) -> list[RotorWork]:
+    def from_flight(self, flight: Flight, *, volts: float | None = None) -> list[RotorWork]:
         """Return the quantities that a flight's log provides, in complete blocks.
 
         ``volts``: reference voltage of the battery [V]; None: its mean.
@@ -102,14 +102,14 @@ class RotorWorks:
         if count < 1:
             return []
         led = RotorReplay([flight]).speeds(self._model, 0.0, self._model.effects[RotorSensorEffect])[0]
-        found = [] if led is None or flight.rotor_speed is None else [self._speeds(flight, led, size, count, volts)]
+        works = [] if led is None or flight.rotor_speed is None else [self._speeds(flight, led, size, count, volts)]
         state = led if flight.rotor_speed is None else flight.rotor_speed
         if state is not None and flight.gyro and flight.specific_force is not None:
-            found.append(self._thrusts(flight, flight.specific_force, state, size, count))
+            works.append(self._thrusts(flight, flight.specific_force, state, size, count))
         if flight.on_ground is None:
-            return found
+            return works
         stands = flight.on_ground[: count * size].reshape(count, size).any(axis=1)
-        return [work.rows(~stands) for work in found]
+        return [work.rows(~stands) for work in works]
 
     def _speeds(self, flight: Flight, led: Array, size: int, count: int, about: float | None) -> RotorWork:
         assert flight.rotor_speed is not None

@@ -29,7 +29,7 @@ AROUND = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cause:
+class FailureCause:
     """One kind of failure on one rotor, with its most probable onset block."""
 
     work: RotorWork
@@ -78,43 +78,43 @@ class Cause:
         return left
 
 
-def tolerated(quantity: str, tolerances: Tolerances) -> float:
+def tolerance_share(quantity: str, tolerances: Tolerances) -> float:
     """Return the tolerance of the declared thrust, or half of it for speed, since thrust is quadratic in speed."""
     return tolerances.thrust if quantity == "thrust" else 0.5 * tolerances.thrust
 
 
-def causes_of(works: Sequence[RotorWork], tolerances: Tolerances) -> list[Cause]:
+def rank_causes(works: Sequence[RotorWork], tolerances: Tolerances) -> list[FailureCause]:
     """Return all failures that the quantities of a flight can show, the most probable first; their sum of odds decides.
 
     Autocorrelated residuals count less (``effective_share``), by those of the most probable failure.
     """
     kinds = sum(len(KINDS[work.quantity, work.driven_by]) for work in works)
-    found: list[Cause] = []
+    ranked: list[FailureCause] = []
     for work in works:
         if len(work.time) > 1:
-            evidence = Evidence(work, tolerated(work.quantity, tolerances))
+            evidence = Evidence(work, tolerance_share(work.quantity, tolerances))
             causes = _causes(evidence, 1.0, kinds)
             best = max(causes, key=lambda cause: cause.log_odds)
-            found += _causes(evidence, best.share(), kinds) if best.log_odds > 0.0 else causes
-    return sorted(found, key=lambda cause: -cause.log_odds)
+            ranked += _causes(evidence, best.share(), kinds) if best.log_odds > 0.0 else causes
+    return sorted(ranked, key=lambda cause: -cause.log_odds)
 
 
-def sum_of_odds(causes: Sequence[Cause]) -> float:
+def sum_of_odds(causes: Sequence[FailureCause]) -> float:
     """Return the log of the sum of odds over failures and onsets, with equal prior probabilities of the kinds."""
     return float(np.logaddexp.reduce([cause.log_odds for cause in causes])) if causes else -np.inf
 
 
-def _causes(evidence: Evidence, share: float, kinds: int) -> list[Cause]:
+def _causes(evidence: Evidence, share: float, kinds: int) -> list[FailureCause]:
     """Return each failure of one quantity per rotor; ``kinds``: number of kinds with equal prior probability."""
-    found = []
+    ranked = []
     for kind in KINDS[evidence.work.quantity, evidence.work.driven_by]:
         onsets = _onsets(evidence, kind, share)
         for rotor in (None,) if kind == "brown_out" else range(evidence.rotors):
             own = slice(None) if rotor is None else [rotor]
             odds, change = onsets.log_odds[:, own], onsets.change[:, own]
             begin, lasting = (int(place) for place in np.unravel_index(int(np.argmax(odds)), odds.shape))
-            found.append(
-                Cause(
+            ranked.append(
+                FailureCause(
                     work=evidence.work,
                     evidence=evidence,
                     kind=kind,
@@ -125,20 +125,20 @@ def _causes(evidence: Evidence, share: float, kinds: int) -> list[Cause]:
                     change=float(change[begin, lasting]),
                 )
             )
-    return found
+    return ranked
 
 
 def _onsets(evidence: Evidence, kind: str, share: float) -> Onsets:
     if kind == "brown_out":
         return evidence.brown_outs(kind, share)
-    return evidence.stuck(kind, share) if kind == "stuck_rotor" else evidence.changes(kind, share)
+    return evidence.freeze_odds(kind, share) if kind == "stuck_rotor" else evidence.changes(kind, share)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Timed:
+class FailureTiming:
     """A failure with its onset resolved within blocks."""
 
-    cause: Cause
+    cause: FailureCause
     log_odds: float
     """Log odds of its onsets on the fine grid, one per block on average, against no failure."""
 
@@ -155,27 +155,27 @@ class Timed:
     std: float
 
 
-def timed(cause: Cause) -> Timed:
+def time_failure(cause: FailureCause) -> FailureTiming:
     """Return a failure with onset and end on a grid of ``FINE_S`` around its blocks."""
     share, work = cause.share(), cause.work
     times = _grid(work, cause.begin)
     end = None if cause.end is None else float(work.time[min(cause.end, len(work.time) - 1)])
     if cause.kind == "stuck_rotor":
-        log_odds, change, std = _stuck_at(cause, times, share)
+        log_odds, change, std = _freeze_odds(cause, times, share)
     else:
-        log_odds, change, std = _changed_at(cause, _profile(work, times, end), share)
+        log_odds, change, std = _change_odds(cause, _profile(work, times, end), share)
     if end is not None and cause.end is not None:
         ends = _grid(work, cause.end)
         best = np.full(ends.size, times[int(np.argmax(log_odds))])
-        of_ends, _, _ = _changed_at(cause, _profile(work, best, ends), share)
+        of_ends, _, _ = _change_odds(cause, _profile(work, best, ends), share)
         end = float(ends[int(np.argmax(of_ends))])
-        log_odds, change, std = _changed_at(cause, _profile(work, times, end), share)
+        log_odds, change, std = _change_odds(cause, _profile(work, times, end), share)
     weight = np.exp(log_odds - log_odds.max())
     weight, best = weight / weight.sum(), int(np.argmax(log_odds))
     places = np.searchsorted(np.cumsum(weight), (0.025, 0.975))
     low, high = times[np.minimum(places, times.size - 1)] + (-FINE_S, FINE_S)
     per_block = FINE_S / work.length
-    return Timed(
+    return FailureTiming(
         cause=cause,
         log_odds=float(np.logaddexp.reduce(log_odds) + np.log(per_block)),
         time=float(times[best]),
@@ -195,11 +195,11 @@ def _grid(work: RotorWork, block: int) -> Array:
 
 def _profile(work: RotorWork, begin: Array, end: Array | float | None) -> Array:
     """Return the share of a change in each block, (G, K), for onsets (G,) and an optional end, with the lag."""
-    share = _risen(work, begin)
-    return share if end is None else share - _risen(work, np.broadcast_to(end, begin.shape))
+    share = _lag_response(work, begin)
+    return share if end is None else share - _lag_response(work, np.broadcast_to(end, begin.shape))
 
 
-def _risen(work: RotorWork, begin: Array) -> Array:
+def _lag_response(work: RotorWork, begin: Array) -> Array:
     """Return the mean over each block of ``1 - exp(-(t - begin) / lag)`` after the onset, (G, K)."""
     since = np.clip(work.time + work.length - begin[:, None], 0.0, None)  # at the block's end
     before = np.clip(work.time - begin[:, None], 0.0, None)
@@ -209,7 +209,7 @@ def _risen(work: RotorWork, begin: Array) -> Array:
     return risen / work.length
 
 
-def _changed_at(cause: Cause, profile: Array, share: float) -> tuple[Array, Array, Array]:
+def _change_odds(cause: FailureCause, profile: Array, share: float) -> tuple[Array, Array, Array]:
     """Return log odds, change and its standard deviation, (G,) each, for a change with profiles (G, K)."""
     evidence, work = cause.evidence, cause.work
     rotors = slice(None) if cause.rotor is None else slice(cause.rotor, cause.rotor + 1)
@@ -220,10 +220,10 @@ def _changed_at(cause: Cause, profile: Array, share: float) -> tuple[Array, Arra
     along = np.einsum("gk,kr,kr->g", profile, own, evidence.residual[:, rotors]) - np.einsum(
         "grq,rq->g", across, beside
     )
-    return evidence.changed(cause.kind, np.maximum(inner, 0.0), along, share)
+    return evidence.change_odds(cause.kind, np.maximum(inner, 0.0), along, share)
 
 
-def _stuck_at(cause: Cause, times: Array, share: float) -> tuple[Array, Array, Array]:
+def _freeze_odds(cause: FailureCause, times: Array, share: float) -> tuple[Array, Array, Array]:
     """Return log odds, constant output and its standard deviation, (G,) each, for a rotor stuck from ``times`` (G,) on."""
     evidence, work, rotor = cause.evidence, cause.work, cause.rotor
     assert rotor is not None

@@ -12,16 +12,16 @@ import numpy as np
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.flight_event import FlightEvent
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
-from aerial_gym.sim2real.logs.recording import FlightLog, part_of
-from aerial_gym.sim2real.logs.repeated_samples import (
+from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
+from aerial_gym.sim2real.logs.sample_repeats import (
     LONGEST_FROZEN_S,
-    frozen_sensors,
+    find_frozen_sensors,
+    last_change_rows,
     mend_repeated_samples,
-    unchanged_since,
 )
 from aerial_gym.sim2real.logs.signals import uniform_log
-from aerial_gym.sim2real.plain import fields_of
 
 WINDOW_S = 20.0
 """Analysed time span [s], long enough to estimate the scatter of position differences."""
@@ -46,7 +46,7 @@ class SensorFault(FlightEvent):
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return fields_of(self, "flight", "name", "sensor", "params", "std", "interval") | {"sentence": self.finding}
+        return select_fields(self, "flight", "name", "sensor", "params", "std", "interval") | {"sentence": self.finding}
 
 
 class SensorWatch:
@@ -69,14 +69,14 @@ class SensorWatch:
 
     def look(self, log: FlightLog) -> list[SensorFault]:
         """Return the new faults in the last rows of a flight; ``log.time`` is from its first row [s]."""
-        return [*self._dropouts(log), *self._jumps_in(log)]
+        return [*self._dropouts(log), *self._find_jumps(log)]
 
     def _dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield newly stopped sensors; those with new values are monitored again."""
-        last = part_of(log, log.time >= float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
-        frozen = {one.name for one in frozen_sensors(last) if last.time[one.row] + one.seconds >= last.time[-1]}
+        last = take_rows(log, log.time >= float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
+        frozen = {one.name for one in find_frozen_sensors(last) if last.time[one.row] + one.seconds >= last.time[-1]}
         stopped = dict[str, float]()
-        for name, row in unchanged_since(log).items():
+        for name, row in last_change_rows(log).items():
             at = float(log.time[row])
             # A stopped sensor stays so until its value changes, even if the vehicle stands for a moment.
             if name in frozen or (name in self._stopped and (row == 0 or at <= self._stopped[name])):
@@ -87,9 +87,9 @@ class SensorWatch:
             self._since = float(log.time[-1])
         self._stopped = {name: self._stopped.get(name, at) for name, at in stopped.items()}
 
-    def _jumps_in(self, log: FlightLog) -> Iterator[SensorFault]:
+    def _find_jumps(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield a new jump once all rows for its comparison are there."""
-        log = part_of(log, log.time >= self._since)
+        log = take_rows(log, log.time >= self._since)
         if log.position is None or log.lin_vel is None or log.time.size < 2:
             return
         try:
@@ -101,13 +101,13 @@ class SensorWatch:
         step, position = float(log.time[1] - log.time[0]), log.position.copy()
         for time, jump in self._jumps:
             position[log.time >= time] -= jump.size
-        found = largest_jump(position - integral(log.lin_vel, step), step, self._offset)
-        if found is None or found.first > len(position) - 2 * round(HALF_S / step):
+        largest = largest_jump(position - integral(log.lin_vel, step), step, self._offset)
+        if largest is None or largest.first > len(position) - 2 * round(HALF_S / step):
             return
-        time = float(log.time[found.first])
-        self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, found)]
-        self._offset = self._offset.and_then(found)
-        size, std = (dict(zip("xyz", values.tolist(), strict=True)) for values in (found.size, found.std))
+        time = float(log.time[largest.first])
+        self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, largest)]
+        self._offset = self._offset.and_then(largest)
+        size, std = (dict(zip("xyz", values.tolist(), strict=True)) for values in (largest.size, largest.std))
         yield SensorFault(
             flight=self._flight,
             name="position_jump",

@@ -19,11 +19,11 @@ from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.on_ground import IDLE
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, NORM_OFF, FlightLog
+from aerial_gym.sim2real.logs.rotor_model import lift
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
@@ -86,7 +86,7 @@ class Alarm:
         }
 
 
-class Watch:
+class FlightWatch:
     """Monitors one flight; after a lasting failure nothing more is reported, since the vehicle has changed.
 
     While a sensor has stopped, rotors are not monitored, as their outputs would seem wrong.
@@ -224,11 +224,11 @@ class Watch:
             self._volts = float(flight.battery.mean())
         new = [
             replace(part, time=part.time + offset).rows(part.time >= (LEAD_BLOCKS - 0.5) * part.length)
-            for part in self._finder.works.of(flight, volts=self._volts)
+            for part in self._finder.works.from_flight(flight, volts=self._volts)
         ]
         kept = self._works or new
         if self._works:
-            kept = [old.followed_by(part) for old, part in zip(self._works, new, strict=True)]
+            kept = [old.append(part) for old, part in zip(self._works, new, strict=True)]
         self._works = [part.rows(slice(-WINDOW_BLOCKS, None)) for part in kept]
 
     def _log(self, rows: Array) -> FlightLog:
@@ -251,23 +251,23 @@ class Watch:
         return complete_flight(log, on_ground=idle if idle.any() else None)
 
     def _look(self) -> list[Alarm]:
-        found = self._finder.find_in_blocks(self._works, self._name) if self._works else None
-        if found is None:
+        failure = self._finder.find_in_blocks(self._works, self._name) if self._works else None
+        if failure is None:
             self._suspected = None
             return []
         if self._suspected is None:
             self._since = self.watched_s
-        seen = self.watched_s - max(found.time, self._since)
-        if (seen >= SETTLED_S and found.probability >= SURE) or seen >= AT_LATEST_S:
-            self.over = "duration" not in found.params
+        seen = self.watched_s - max(failure.time, self._since)
+        if (seen >= SETTLED_S and failure.probability >= SURE) or seen >= AT_LATEST_S:
+            self.over = "duration" not in failure.params
             self._begin_anew()
-            return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)]
-        told = [] if self._suspected else [Alarm(stage=SUSPECTED, failure=found, told_s=self.watched_s)]
-        self._suspected = found
+            return [Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)]
+        told = [] if self._suspected else [Alarm(stage=SUSPECTED, failure=failure, told_s=self.watched_s)]
+        self._suspected = failure
         return told
 
-    def ended(self) -> list[Alarm]:
+    def finish(self) -> list[Alarm]:
         """Return the failure suspected at the end of the rows, since a fallen vehicle leaves little data."""
         self._stamps.end(self._place["t"])
-        found, self._suspected = self._suspected, None
-        return [Alarm(stage=NAMED, failure=found, told_s=self.watched_s)] if found else []
+        failure, self._suspected = self._suspected, None
+        return [Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)] if failure else []

@@ -13,11 +13,11 @@ from scipy.optimize import lsq_linear
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.declared_rotors import drag_torques
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_steady
+from aerial_gym.sim2real.logs.rotor_model import drag_torques
+from aerial_gym.sim2real.predict.replay.rotor_commands import absent_quantity, low_voltage_variation
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.statistics import line_through
+from aerial_gym.sim2real.statistics import fit_line
 
 BLOCK_S = 0.5
 """Averaging time [s]."""
@@ -43,7 +43,7 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     Without a significant slope, or measured speeds, it is the highest measured voltage.
     """
     sag = EFFECTS.get("battery_sag")
-    if robot.battery is not None or missing_in_logs(sag, flights) or too_steady(sag, flights):
+    if robot.battery is not None or absent_quantity(sag, flights) or low_voltage_variation(sag, flights):
         return robot
     if any(flight.rotor_command is None for flight in flights):
         return robot
@@ -54,7 +54,7 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     return replace(robot, battery=BatteryCfg(**rounded, source=f"{source}; nominal voltage: {how}"))
 
 
-def _flying(flight: Flight) -> Flags:
+def _flight_blocks(flight: Flight) -> Flags:
     """Return the blocks without rows on the ground, (blocks,)."""
     stood = np.zeros(flight.num_rows) if flight.on_ground is None else flight.on_ground.astype(np.float64)
     return _block_means(stood, flight.rate)[:, 0] == 0.0
@@ -83,8 +83,8 @@ def _discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
     mean, owner = (np.concatenate(part) for part in zip(*tables, strict=True))
     count = len(flights)
     columns = np.hstack((np.eye(count)[owner], -mean[:, 1:]))
-    found = lsq_linear(columns, mean[:, 0], bounds=(np.zeros(count + 2), np.full(count + 2, np.inf))).x
-    start, slope, resistance = found[:count], float(found[count]), float(found[count + 1])
+    coefficients = lsq_linear(columns, mean[:, 0], bounds=(np.zeros(count + 2), np.full(count + 2, np.inf))).x
+    start, slope, resistance = coefficients[:count], float(coefficients[count]), float(coefficients[count + 1])
     drawn = np.array([mean[owner == number, 1].max() for number in range(count)])
     full, empty = float(start.max()), float((start - slope * drawn).min())
     return {
@@ -111,7 +111,7 @@ def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float,
     gain, nominal = 0.0, highest
     for _ in range(PASSES):
         voltage, ratio = _speed_ratios(robot, flights, gain, nominal)
-        slope, intercept, probability = line_through(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
+        slope, intercept, probability = fit_line(voltage, ratio * (1.0 - gain * (1.0 - voltage / nominal)))
         if not (slope > 0.0 and probability < SURE):
             return guess
         nominal = (1.0 - intercept) / slope
@@ -132,7 +132,7 @@ def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nomin
         assert speed is not None
         sums = np.stack((_voltage(flight), flight.rotor_speed.sum(axis=1), speed.sum(axis=1)), axis=1)
         means.append(
-            _block_means(sums, flight.rate)[_flying(flight)][1:]
+            _block_means(sums, flight.rate)[_flight_blocks(flight)][1:]
         )  # the first block starts at a noisy measured speed
     voltage, measured, replayed = np.concatenate(means).T
     return voltage, measured / replayed

@@ -21,7 +21,7 @@ from aerial_gym.physics.effects.learned_residual import network
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding, refusal
 from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
-from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 OUTPUTS = tuple(f"{kind}.{axis}" for kind in ("specific_force", "angular_acceleration") for axis in "xyz")
@@ -50,7 +50,7 @@ DIGITS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Learned:
+class ResidualFit:
     """Result of the training of a learned residual."""
 
     cfg: LearnedResidualCfg | None
@@ -105,7 +105,7 @@ class Learned:
         }
 
 
-def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut, *, seed: int = 0) -> Learned:
+def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut, *, seed: int = 0) -> ResidualFit:
     """Return a network for the residual of the training flights, or its rejection if left-out flights do not improve.
 
     Args:
@@ -122,24 +122,24 @@ def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut,
             "the robot file already has a learned_residual, but named effects come first. Remove it to train a new one"
         )
     if any(flight.lin_vel is None for flight in predictor.flights):
-        return Learned(cfg=None, objections=(Finding("no_velocity"),))
+        return ResidualFit(cfg=None, objections=(Finding("no_velocity"),))
     if not {channel.name for channel in predictor.channels} & set(OUTPUTS):
-        return Learned(cfg=None, objections=(Finding("no_force"),))
+        return ResidualFit(cfg=None, objections=(Finding("no_force"),))
     trainer = _Trainer(predictor, params, left_out, seed)
     decay, errors = trainer.best_decay()
     if not (errors < 1.0 - LEAST_SHARE).all():
         trainer.keep(errors < 1.0 - LEAST_SHARE)
         if not trainer.outputs:
             most = max(0.0, 1.0 - float(errors.min()))
-            return Learned(cfg=None, objections=(Finding("share_small", "", {"share": most}),))
+            return ResidualFit(cfg=None, objections=(Finding("share_small", "", {"share": most}),))
         decay, _ = trainer.best_decay()
     gain = trainer.gain(decay)
     if objections := left_out.objections(gain):
-        return Learned(cfg=None, objections=tuple(objections), gain=gain, decay=decay)
-    return Learned(cfg=trainer.cfg_of(trainer.train(decay)), objections=(), gain=gain, decay=decay)
+        return ResidualFit(cfg=None, objections=tuple(objections), gain=gain, decay=decay)
+    return ResidualFit(cfg=trainer.network_config(trainer.train(decay)), objections=(), gain=gain, decay=decay)
 
 
-def judge_on_test(learned: Learned, predictor: Predictor, params: ModelParams, floor: Array | None) -> Learned:
+def judge_on_test(learned: ResidualFit, predictor: Predictor, params: ModelParams, floor: Array | None) -> ResidualFit:
     """Return the result with the share of the test flights' excess error that the learned residual removes."""
     if learned.effect is None:
         return learned
@@ -153,7 +153,7 @@ def judge_on_test(learned: Learned, predictor: Predictor, params: ModelParams, f
         for c, channel in enumerate(predictor.channels)
         if channel.name in OUTPUTS
     }
-    felt = torch.from_numpy(np.concatenate(predictor.felt(params)))
+    felt = torch.from_numpy(np.concatenate(predictor.residual_inputs(params)))
     outside = int((learned.effect.distance(felt) > 1.0).sum())
     return replace(learned, gaps=gaps, rows=felt.shape[0], rows_outside=outside)
 
@@ -194,7 +194,7 @@ class _Trainer:
 
     def __init__(self, predictor: Predictor, params: ModelParams, left_out: LeftOut, seed: int) -> None:
         self._predictor, self._point, self._left_out, self._seed = predictor, params, left_out, seed
-        self._felt = np.concatenate(predictor.felt(params))
+        self._felt = np.concatenate(predictor.residual_inputs(params))
         self._residual = np.concatenate(predictor.residuals(params))
         names = [channel.name for channel in predictor.channels]
         self.outputs = [k for k, name in enumerate(OUTPUTS) if name in names]
@@ -233,8 +233,8 @@ class _Trainer:
             (gradient,) = torch.autograd.grad(value, at)
             return value.item(), gradient.numpy()
 
-        found = minimize(loss, start.flat().numpy(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
-        return start.from_flat(torch.from_numpy(found.x))
+        optimum = minimize(loss, start.flat().numpy(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+        return start.from_flat(torch.from_numpy(optimum.x))
 
     def best_decay(self) -> tuple[float, Array]:
         """Return the decay with the least error on left-out flights, and the relative mean squares there, (O,)."""
@@ -246,27 +246,27 @@ class _Trainer:
         squares = np.zeros(len(self.outputs))
         for leave in np.unique(self._fold):
             rows = torch.from_numpy(self._fold == leave)
-            found = self.train(decay, int(leave))(self._inputs[rows])
-            squares += (found - self._targets[rows]).square().sum(dim=0).numpy()
+            optimum = self.train(decay, int(leave))(self._inputs[rows])
+            squares += (optimum - self._targets[rows]).square().sum(dim=0).numpy()
         return squares / self._targets.square().sum(dim=0).numpy()
 
     def gain(self, decay: float) -> Gain:
         """Return the gain on left-out folds, from the simulator's prediction with networks not trained on them."""
-        found = self._residual.copy()
+        optimum = self._residual.copy()
         for leave in np.unique(self._fold):
-            effect = LearnedResidual(self.cfg_of(self.train(decay, int(leave))))
+            effect = LearnedResidual(self.network_config(self.train(decay, int(leave))))
             with_it = np.concatenate(self._predictor.residuals(replace(self._point, learned=effect)))
-            found[self._fold == leave] = with_it[self._fold == leave]
-        return self._left_out.gain(self._squares(self._residual), self._squares(found))
+            optimum[self._fold == leave] = with_it[self._fold == leave]
+        return self._left_out.gain(self._squares(self._residual), self._squares(optimum))
 
     def _squares(self, residual: Array) -> Array:
         """Return the sums of squares of each block, (B, C)."""
         return np.add.reduceat(residual**2, np.concatenate(([0], np.cumsum(self._count)[:-1])), axis=0)
 
-    def cfg_of(self, layers: _Layers) -> LearnedResidualCfg:
+    def network_config(self, layers: _Layers) -> LearnedResidualCfg:
         """Return the network for force and torque, with its limits, from layers for standardised accelerations."""
         model = build_model(
-            vehicle_from_config(self._predictor.robot, num_envs=1, dtype=torch.float64), effects_at(self._point, 1)
+            vehicle_from_config(self._predictor.robot, num_envs=1, dtype=torch.float64), expand_effects(self._point, 1)
         )
         to_wrench = np.zeros((6, 6))
         to_wrench[:3, :3] = model.vehicle.mass.item() * np.eye(3)
@@ -274,14 +274,14 @@ class _Trainer:
         to_wrench = torch.from_numpy(to_wrench[:, self.outputs] * self._size)
         physical = replace(layers, output=to_wrench @ layers.output, offset=to_wrench @ layers.offset)
         return LearnedResidualCfg(
-            low=_rounded(self._low),
-            high=_rounded(self._high),
-            centre=_rounded(self._centre),
-            scale=_rounded(self._scale),
-            whitening=_rounded_rows(self._whitening()),
-            hidden=(LayerCfg(weights=_rounded_rows(layers.weights), bias=_rounded(layers.bias)),),
-            output=LayerCfg(weights=_rounded_rows(physical.output), bias=_rounded(physical.offset)),
-            limit=_rounded(physical(self._inputs).abs().amax(dim=0)),
+            low=_round(self._low),
+            high=_round(self._high),
+            centre=_round(self._centre),
+            scale=_round(self._scale),
+            whitening=_round_rows(self._whitening()),
+            hidden=(LayerCfg(weights=_round_rows(layers.weights), bias=_round(layers.bias)),),
+            output=LayerCfg(weights=_round_rows(physical.output), bias=_round(physical.offset)),
+            limit=_round(physical(self._inputs).abs().amax(dim=0)),
             source=f"aerial-gym close-loop on the flights {', '.join(flight.name for flight in self._predictor.flights)}",
         )
 
@@ -293,9 +293,9 @@ class _Trainer:
         return white / np.quantile(np.linalg.norm(standard @ white.T, axis=1), 1.0 - TAIL)
 
 
-def _rounded(values: Array | Tensor | Sequence[float]) -> tuple[float, ...]:
+def _round(values: Array | Tensor | Sequence[float]) -> tuple[float, ...]:
     return tuple(float(f"{value:.{DIGITS}g}") for value in values)
 
 
-def _rounded_rows(rows: Array | Tensor) -> tuple[tuple[float, ...], ...]:
-    return tuple(_rounded(row) for row in rows)
+def _round_rows(rows: Array | Tensor) -> tuple[tuple[float, ...], ...]:
+    return tuple(_round(row) for row in rows)

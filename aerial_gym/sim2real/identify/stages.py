@@ -8,12 +8,12 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real.identify.battery import with_battery
-from aerial_gym.sim2real.identify.least_squares.parameters import params_of, with_params
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, with_params
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel, comparison_band, find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -24,7 +24,7 @@ SIGNIFICANT_DIGITS = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Declared:
+class LoopSetup:
     """A declared robot with its training and test flights."""
 
     stated: RobotCfg
@@ -65,7 +65,7 @@ class Declared:
 
 def declare(
     robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float, tolerances: Tolerances
-) -> Declared:
+) -> LoopSetup:
     """Return a robot with its training and test flights, ready for comparison.
 
     Raises:
@@ -78,30 +78,32 @@ def declare(
     on_train, on_test = (
         Predictor(powered, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
     )
-    params = declared_params(powered)
+    params = params_from_robot(powered)
     check_scene(tuple(powered.effects), flights)
-    return Declared(stated=robot, robot=powered, params=params, train=on_train, test=on_test, asked_bandwidth=bandwidth)
-
-
-def select(
-    declared: Declared, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
-) -> SelectionResult:
-    """Return the selection of effects from the training flights, among ``candidates`` if given."""
-
-    def told(stage: str, share: float) -> None:
-        progress(stage, 0.05 + 0.65 * share)
-
-    return select_effects(
-        declared.train, declared.params, criteria, told, test=declared.test.flights, candidates=candidates
+    return LoopSetup(
+        stated=robot, robot=powered, params=params, train=on_train, test=on_test, asked_bandwidth=bandwidth
     )
 
 
-def named_model(declared: Declared, selection: SelectionResult) -> ModelParams:
+def select(
+    declared: LoopSetup, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
+) -> SelectionResult:
+    """Return the selection of effects from the training flights, among ``candidates`` if given."""
+
+    def report_progress(stage: str, share: float) -> None:
+        progress(stage, 0.05 + 0.65 * share)
+
+    return select_effects(
+        declared.train, declared.params, criteria, report_progress, test=declared.test.flights, candidates=candidates
+    )
+
+
+def model_with_effects(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
     """Return the final model as in the robot file."""
-    return rounded(declared.robot, selection.final.fit.params, selection.accepted)
+    return round_params(declared.robot, selection.final.fit.params, selection.effect_names)
 
 
-def rounded(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
+def round_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
     """Return the model with parameters rounded as in the robot file."""
-    values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in params_of(params, effects)])
+    values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in parameter_row(params, effects)])
     return with_params(robot, params, effects, values)

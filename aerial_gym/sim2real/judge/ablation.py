@@ -1,7 +1,7 @@
-"""Ablation: what each accepted effect is worth, by the model without it, and by others in its place.
+"""Ablation: the errors of the test flights without each accepted effect, and the gain of each rival in its place.
 
-The model without an effect has the others fitted again, so that what they can take over is not counted for it.
-Letters: C channels, W windows.
+All other effects are fitted again, so an effect gets no credit for errors that the others can remove as well.
+Letters: C channels, W windows, O octaves.
 """
 
 from collections.abc import Sequence
@@ -12,78 +12,78 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted, label_of
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, set_label
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
-from aerial_gym.sim2real.judge.evaluation import Evaluation, rollout_rises
+from aerial_gym.sim2real.json_values import plain, select_fields
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
 from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import RolloutErrors, roll_out_models
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 MOST_WEIGHED = 8
-"""Rivals of an effect that are told, the most probable."""
+"""Largest number of rivals that an ablation lists, the most probable first."""
 
 JUDGED_S = (0.5, 1.0)
-"""Horizons at which a rollout decides on what is material [s]."""
+"""Rollout horizons [s] at which an effect can be material."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class WeighedRival:
+class RivalGain:
     """Another effect in the place of an accepted one."""
 
     label: str
-    """Its name, with its rotor if it has one."""
+    """Name of the rival, with its rotor if it acts on one."""
 
     name: str
     channel: str
-    """Where the accepted effect explains most."""
+    """Channel whose mean square the accepted effect lowers by the largest share."""
 
     explains: float
-    """Share of the mean square there, on the training flights, that the rival takes away in its place."""
+    """Share of that channel's mean square on the training flights that the rival removes."""
 
     instead_of: float
-    """Share that the accepted effect takes away."""
+    """Share that the accepted effect removes."""
 
     log_odds: float
-    """Of the best set with it and without the named effect, over the most probable one."""
+    """Log odds of the best set with the rival and without the named effect, relative to the most probable set."""
 
     because: Finding
-    """Reason why it is not the one."""
+    """Reason why the rival is not named."""
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return fields_of(self, "name", "channel", "explains", "instead_of", "log_odds", "because")
+        return select_fields(self, "name", "channel", "explains", "instead_of", "log_odds", "because")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ablation:
-    """What becomes worse without an accepted effect, on the test flights."""
+    """Relative rise of the errors of the test flights when one accepted effect is removed."""
 
     residual: dict[str, Rise]
-    """Of the residual of each channel."""
+    """Rise of the residual (rms) of each channel."""
 
     rollout: dict[float, dict[str, Rise]]
-    """Of the free rollout, by horizon [s] and quantity; empty without velocity in the logs."""
+    """Rise of the free rollout's errors, by horizon [s] and quantity; empty without velocity in the logs."""
 
     least: float
-    """Share from which on a rise is material."""
+    """Smallest relative rise that is material."""
 
-    rivals: tuple[WeighedRival, ...]
-    """Best first."""
+    rivals: tuple[RivalGain, ...]
+    """The most probable first."""
 
     octaves: tuple[float, ...] = ()
-    """Share of the power without it that it takes away from that residual in each octave below the band, (O,)."""
+    """Share of the residual's power that the effect removes in each octave, (O,), in the channel that rises most."""
 
     solid_below_hz: float | None = None
-    """It takes that share away up to this frequency [Hz], and less above; None where it takes it nowhere."""
+    """Frequency [Hz] up to which it removes a material share in every octave; None if not even in the lowest."""
 
     @property
     def material(self) -> bool | None:
-        """Return whether the interval of a rise, of residual or rollout error, shows that it is material; None: not shown."""
+        """Return True if an interval lies above the material rise, False if all lie below it; None if not shown."""
         rollouts = [rise for quantities in self.rollout.values() for rise in quantities.values()]
         rises = [*self.residual.values(), *rollouts]
         if any(rise.low >= self.least for rise in rises):
@@ -101,7 +101,7 @@ class Ablation:
         return {
             "residual": {"channel": channel, **rise.as_mapping()},
             "rollout": {f"{horizon:g}": plain(rises) for horizon, rises in self.rollout.items()},
-            **fields_of(self, "octaves", "solid_below_hz"),
+            **select_fields(self, "octaves", "solid_below_hz"),
         }
 
 
@@ -110,53 +110,53 @@ def ablations(
     test: Sequence[Flight],
     predictors: tuple[Predictor, Predictor],
     points: tuple[ModelParams, ModelParams],
-    evaluations: tuple[Evaluation, Evaluation],
+    evaluations: tuple[ModelEvaluation, ModelEvaluation],
     selection: SelectionResult,
 ) -> dict[str, Ablation]:
-    """Return what each accepted effect is worth.
+    """Return the ablation of each accepted effect on the test flights.
 
     Args:
         robot: Declared robot.
         test: Test flights.
-        predictors: Of training and test flights.
+        predictors: Predictors of the training and the test flights.
         points: The declared and the final model.
-        evaluations: Of both.
-        selection: The selection.
+        evaluations: Evaluations of both models.
+        selection: The accepted effects and their rivals.
     """
     train, tested = predictors
     _, final = points
-    without = {name: selection.chosen.without[name].params for name in selection.accepted}
+    without = {name: selection.chosen.without[name].params for name in selection.effect_names}
     flown: list[RolloutErrors] = []
     if "free" in evaluations[0].rollouts:
         if len(without) > 1:
             models, links = list(without.values()), [tested.links(less) for less in without.values()]
             flown = [one["free"] for one in roll_out_models(robot, test, models, {"free": False}, links=links)]
-        else:  # it is the declared model
+        else:  # the only effect removed leaves the declared model
             flown = [evaluations[0].rollouts["free"]]
     residuals, group, flight = tested.residuals(final), time_groups(tested.times), flight_of_rows(tested.times)
     residual = np.concatenate(residuals)
-    found = {}
+    by_horizon = {}
     for place, (name, less) in enumerate(without.items()):
         left = tested.residuals(less)
         rises = rise_with_interval(np.concatenate(left), residual, group, flight)
         most = int(np.argmax([rise.value for rise in rises]))
-        octaves = taken_from_octaves(tested, left, residuals, most)
-        rollout = judged_rises(flown[place], evaluations[1].rollouts["free"]) if flown else {}
-        found[name] = Ablation(
+        octaves = octave_shares(tested, left, residuals, most)
+        rollout = horizon_rises(flown[place], evaluations[1].rollouts["free"]) if flown else {}
+        by_horizon[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
             least=selection.criteria.material,
-            rivals=weighed_rivals(name, selection, train),
+            rivals=rank_rivals(name, selection, train),
             octaves=octaves,
-            solid_below_hz=solid_below(octaves, tested.bandwidth, selection.criteria.material),
+            solid_below_hz=reliable_band(octaves, tested.bandwidth, selection.criteria.material),
         )
-    return found
+    return by_horizon
 
 
-def taken_from_octaves(
+def octave_shares(
     predictor: Predictor, without: Sequence[Array], residuals: Sequence[Array], place: int
 ) -> tuple[float, ...]:
-    """Return the share of the power in each octave of a channel that an effect takes away, (O,)."""
+    """Return the share of a channel's residual power that an effect removes in each octave, (O,)."""
     powers = []
     for values in (without, residuals):
         own = [rows[:, place : place + 1] for rows in values]
@@ -165,8 +165,8 @@ def taken_from_octaves(
     return tuple((1.0 - powers[1] / np.maximum(powers[0], 1e-300)).tolist())
 
 
-def solid_below(octaves: Sequence[float], bandwidth: float, least: float) -> float | None:
-    """Return the frequency [Hz] up to which an effect takes ``least`` off the rms of every octave, from the lowest on."""
+def reliable_band(octaves: Sequence[float], bandwidth: float, least: float) -> float | None:
+    """Return the frequency [Hz] up to which an effect lowers the rms of every octave by at least ``least``."""
     edge = None
     for taken, upper in zip(octaves, EDGES[1:], strict=True):
         if taken < 1.0 - (1.0 - least) ** 2:
@@ -175,29 +175,29 @@ def solid_below(octaves: Sequence[float], bandwidth: float, least: float) -> flo
     return edge
 
 
-def judged_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
-    """Return by which share the errors of the same windows rise at the judged horizons."""
-    found: dict[float, dict[str, Rise]] = {horizon: {} for horizon in JUDGED_S if horizon in errors.horizons}
+def horizon_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
+    """Return the relative rise of each rollout error in the same windows, by horizon ``JUDGED_S`` and quantity."""
+    by_horizon: dict[float, dict[str, Rise]] = {horizon: {} for horizon in JUDGED_S if horizon in errors.horizons}
     for quantity, horizon, rise in rollout_rises(without, errors):
-        if horizon in found:
-            found[horizon][quantity] = rise
-    return found
+        if horizon in by_horizon:
+            by_horizon[horizon][quantity] = rise
+    return by_horizon
 
 
-def weighed_rivals(name: str, selection: SelectionResult, train: Predictor) -> tuple[WeighedRival, ...]:
-    """Return the others in the place of a named effect with what they explain of the training flights, best first.
+def rank_rivals(name: str, selection: SelectionResult, train: Predictor) -> tuple[RivalGain, ...]:
+    """Return the rivals of a named effect with the share of the training error that each removes, best first.
 
-    Each model with the deviations within the tolerances that fit best beside its effects.
+    Each model also has the deviations within the tolerances that fit best beside its effects.
     """
 
-    def squares(fitted: Fitted) -> Array:
-        return np.mean(np.square(np.concatenate(train.residuals(fitted.within))), axis=0)
+    def squares(fitted: EffectSetFit) -> Array:
+        return np.mean(np.square(np.concatenate(train.residuals(fitted.model_in_tolerances))), axis=0)
 
     left, own = squares(selection.chosen.without[name]), squares(selection.chosen.named)
     place = int(np.argmin(own / left))
     return tuple(
-        WeighedRival(
-            label=label_of([(rival.effect, rival.fitted.params.effects[rival.effect])], ())[0],
+        RivalGain(
+            label=set_label([(rival.effect, rival.fitted.params.effects[rival.effect])], ())[0],
             name=rival.effect,
             channel=train.channels[place].name,
             explains=float(max(0.0, 1.0 - squares(rival.fitted)[place] / left[place])),
@@ -205,12 +205,12 @@ def weighed_rivals(name: str, selection: SelectionResult, train: Predictor) -> t
             log_odds=rival.log_odds,
             because=rejection(name, rival),
         )
-        for rival in selection.rivals_of(name)[:MOST_WEIGHED]
+        for rival in selection.effect_rivals(name)[:MOST_WEIGHED]
     )
 
 
 def rejection(name: str, rival: Rival) -> Finding:
-    """Return the reason why a rival does not stand in the place of a named effect."""
-    if rival.told_apart:
+    """Return the reason why a rival is not named in place of the accepted effect."""
+    if rival.is_distinct:
         return Finding("rival_less_probable", rival.effect, {"log_odds": rival.log_odds})
     return Finding("rival_wider" if rival.wider else "rival_not_rejected", rival.effect, {"effect": name})

@@ -1,4 +1,4 @@
-"""The last stage of the loop: what test flights say of the corrected model, and the robot that comes out."""
+"""The last stage of the loop: the verdict of the test flights on the corrected model, and the corrected robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,19 +12,19 @@ from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.identify.stages import Declared, named_model
+from aerial_gym.sim2real.identify.stages import LoopSetup, model_with_effects
 from aerial_gym.sim2real.judge.ablation import ablations
-from aerial_gym.sim2real.judge.breakdown import by_flight, where_it_acts
+from aerial_gym.sim2real.judge.breakdown import active_regime, by_flight
 from aerial_gym.sim2real.judge.decision import Decision, decide
 from aerial_gym.sim2real.judge.doubt import doubt_notes, with_doubt
-from aerial_gym.sim2real.judge.evaluation import Evaluation, evaluate
-from aerial_gym.sim2real.judge.experiments.design import fits_vehicle, what_to_fly
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate
+from aerial_gym.sim2real.judge.experiments.design import fits_vehicle, recommend_manoeuvres
 from aerial_gym.sim2real.judge.outcome import Outcome, outcomes
-from aerial_gym.sim2real.judge.random_wind.gusts import NAME, declared_wind, with_random
-from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained, judges_forces, rms_of
-from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, immaterial, named_effects, tied_rivals
+from aerial_gym.sim2real.judge.random_wind.gusts import NAME, wind_declaration, with_random
+from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, channel_rms, find_unexplained, judges_forces
+from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, effect_entries, find_ties, immaterial
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.flights import Flight, notes_of, rigid_notes
+from aerial_gym.sim2real.logs.flights import Flight, merge_notes, rigid_notes
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
@@ -32,13 +32,13 @@ from aerial_gym.sim2real.progress import Progress
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class LoopResult:
     """Everything that a report shows."""
 
-    declared: Declared
+    declared: LoopSetup
     selection: SelectionResult
     params: ModelParams
-    """The final model, with what was learned."""
+    """The final model, including a learned residual if one was accepted."""
 
     within: ModelParams
     """The final model with the deviations within the tolerances that fit the training flights best."""
@@ -48,50 +48,50 @@ class Judged:
 
 
 def judge(
-    declared: Declared, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
-) -> Judged:
-    """Return what the test flights say; nothing is fitted to them.
+    declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
+) -> LoopResult:
+    """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot.
 
     Args:
-        declared: The declared robot beside the flights.
-        selection: The effects that the training flights ask for.
-        seed: Of the resampling behind intervals, and of the first weights of a network.
-        learn_residual: Whether a small network may be added for what no named effect explains.
-        progress: Told what is being done.
+        declared: The declared robot with its flights.
+        selection: The effects that were selected on the training flights.
+        seed: Seed of the bootstrap intervals and of a network's initial weights.
+        learn_residual: Whether a learned residual may be added where no named effect fits.
+        progress: Receives the name of each stage.
     """
-    tested, model = declared.test, named_model(declared, selection)
+    tested, model = declared.test, model_with_effects(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
     floors = floors_in_declared_wind(declared, model)
     still = of_all_flights(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
-    pair = (declared.params, model) if selection.accepted else (declared.params,)
+    pair = (declared.params, model) if selection.effect_names else (declared.params,)
     evaluations = evaluate(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
     unexplained = find_unexplained(declared.train, tested, selection, (declared.params, model), named, still)
-    doubtful = selection.accepted and (unexplained.left_open or unexplained.open_to)
+    doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
     result = with_doubt(selection, tested) if doubtful else selection
-    progress("what each effect is worth", 0.93)
-    effects = judged_effects(declared, result, model, (before, named), unexplained.floor, seed=seed)
+    progress("ablation of each effect", 0.93)
+    effects = effect_verdicts(declared, result, model, (before, named), unexplained.floor, seed=seed)
     learned = None
     if learn_residual:
-        progress("learning what remains", 0.9)
+        progress("fit of the learned residual", 0.9)
         trained = train_residual(declared.train, model, result.left_out, seed=seed)
         learned = judge_on_test(trained, tested, model, unexplained.floor)
     if learned is None or learned.effect is None:
-        params, after = model, unexplained.above_its_floor(named)
+        params, after = model, unexplained.with_wind_floor(named)
     else:
         params = replace(model, learned=learned.effect)
         (after,) = evaluate(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
     gusts = ()
-    if NAME not in declared.robot.effects and unexplained.wind.accepted:
-        gusts = (unexplained.wind.named(declared.stated),)
+    if NAME not in declared.robot.effects and unexplained.wind.is_accepted:
+        gusts = (unexplained.wind.as_effect(declared.stated),)
     made = decision(declared, result, unexplained, gusts)
     became: tuple[Outcome, ...] = ()
     models, both, least = (declared.params, params), (before, after), result.criteria.material
     if effects or gusts or (learned is not None and learned.cfg is not None):
         became = outcomes(tested, models, both, least=least)
-    manoeuvre, fly_next = what_to_fly(declared, result, unexplained.open_to)
+    manoeuvre, fly_next = recommend_manoeuvres(declared, result, unexplained.open_to)
     spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
         verdict=made.kind,
@@ -114,64 +114,64 @@ def judge(
         learned=learned,
         notes=notes(declared, result, model, unexplained, effects, named),
     )
-    accepted = (*result.accepted, *(effect.name for effect in gusts))
-    return Judged(
+    accepted = (*result.effect_names, *(effect.name for effect in gusts))
+    return LoopResult(
         declared=declared,
         selection=result,
         params=params,
         within=unexplained.within,
-        corrected=corrected_robot(declared, with_random(params, unexplained.wind), accepted),
+        corrected=correct_robot(declared, with_random(params, unexplained.wind), accepted),
         verdict=verdict,
     )
 
 
-def floors_in_declared_wind(declared: Declared, params: ModelParams) -> list[Array | None]:
-    """Return the noise floor of each channel on each test flight, declared random wind included, (C,); None: not shown."""
+def floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:
+    """Return each test flight's noise floors (C,), with the declared random wind; None where the log shows none."""
     test = declared.test
-    wind = declared_wind(declared.robot).adds(test, params)
+    wind = wind_declaration(declared.robot).adds(test, params)
     floors = [floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
     return beside_wind(floors, wind)
 
 
 def beside_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | None]:
-    """Return the noise floors of flights with what random wind adds to each channel, (C,) each."""
+    """Return the root sum of squares of each flight's noise floors and the rms of random wind, (C,) each."""
     return [None if floor is None else np.hypot(floor, wind) for floor in floors]
 
 
-def floors_with_gusts(floors: Sequence[Array | None], unexplained: Unexplained) -> list[Array | None]:
-    """Return the noise floors of flights, (C,) each, with the random wind that was found in them."""
+def floors_with_gusts(floors: Sequence[Array | None], unexplained: ResidualExcess) -> list[Array | None]:
+    """Return the noise floors of flights, (C,) each, with the identified random wind added."""
     still = of_all_flights(floors)
     if still is None or unexplained.floor is None:
         return list(floors)
     return beside_wind(floors, np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0)))
 
 
-def judged_effects(
-    declared: Declared,
+def effect_verdicts(
+    declared: LoopSetup,
     selection: SelectionResult,
     model: ModelParams,
-    evaluations: tuple[Evaluation, Evaluation],
+    evaluations: tuple[ModelEvaluation, ModelEvaluation],
     floor: Array | None,
     *,
     seed: int,
 ) -> tuple[NamedEffect, ...]:
-    """Return the accepted effects with what each is worth on the test flights, and where it acts.
+    """Return the accepted effects, each with its ablation and its active regime on the test flights.
 
-    ``floor`` is the noise floor of each channel with random wind in it, (C,).
+    ``floor`` is the noise floor of each channel, random wind included, (C,).
     """
     test, models = declared.test, (declared.params, model)
     worth = ablations(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
     weight = selection.weights.weight
-    regimes = {name: where_it_acts(test, *models, name, weight, floor, seed=seed) for name in selection.accepted}
-    return named_effects(selection, worth, regimes, declared.stated)
+    regimes = {name: active_regime(test, *models, name, weight, floor, seed=seed) for name in selection.effect_names}
+    return effect_entries(selection, worth, regimes, declared.stated)
 
 
 def decision(
-    declared: Declared, selection: SelectionResult, unexplained: Unexplained, gusts: Sequence[NamedEffect]
+    declared: LoopSetup, selection: SelectionResult, unexplained: ResidualExcess, gusts: Sequence[NamedEffect]
 ) -> Decision:
-    """Return the decision of the verdict."""
+    """Return the kind, candidates and open points of the verdict, accepted gusts included."""
     made = decide(
-        {name: tied_rivals(name, selection) for name in selection.accepted},
+        {name: find_ties(name, selection) for name in selection.effect_names},
         unexplained.channels,
         unexplained.floor is not None,
         open_to=unexplained.open_to,
@@ -185,12 +185,12 @@ def decision(
 
 
 def notes(
-    declared: Declared,
+    declared: LoopSetup,
     selection: SelectionResult,
     model: ModelParams,
-    unexplained: Unexplained,
+    unexplained: ResidualExcess,
     effects: Sequence[NamedEffect],
-    named: Evaluation,
+    named: ModelEvaluation,
 ) -> tuple[Finding, ...]:
     """Return the notes, the most important first; those on the logs come last.
 
@@ -203,35 +203,35 @@ def notes(
         *unexplained.wind.notes,
         *immaterial(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
-        *strained_notes(declared, model, selection.criteria.material, unexplained, named),
+        *strain_notes(declared, model, selection.criteria.material, unexplained, named),
         *surrogate_notes(selection),
         *own_notes(selection),
         *about_logs(declared),
     )
 
 
-def strained_notes(
-    declared: Declared, model: ModelParams, least: float, unexplained: Unexplained, named: Evaluation
+def strain_notes(
+    declared: LoopSetup, model: ModelParams, least: float, unexplained: ResidualExcess, named: ModelEvaluation
 ) -> list[Finding]:
-    """Return a note on each strained tolerance, and one on the errors that all deviations together change."""
-    found = declared.tolerances.strained(
+    """Return a note on each implausible deviation, and one on the errors that all deviations together change."""
+    results = declared.tolerances.implausible_deviations(
         unexplained.deviation, absent=absent_tolerances(declared, model), farthest=FARTHEST_DEVIATION
     )
-    if not found:
+    if not results:
         return []
     changed = []
-    rms = rms_of(unexplained.left).tolist()
+    rms = channel_rms(unexplained.left).tolist()
     for channel, value, bare in zip(declared.channels, rms, named.residual, strict=True):
         if abs(value - bare.value) > least * bare.value:
             unit = unit_key(channel.unit)
             changed.append({"channel": channel.name, f"with_{unit}": value, f"without_{unit}": bare.value})
     if not changed:
-        return [*found, Finding("strained_changes_little")]
-    return [*found, Finding("strained_changes", "", {"errors": changed})]
+        return [*results, Finding("strained_changes_little")]
+    return [*results, Finding("strained_changes", "", {"errors": changed})]
 
 
-def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
-    """Return the tolerances of what the vehicle, or its logs, do not have: a deviation there is no finding about it."""
+def absent_tolerances(declared: LoopSetup, params: ModelParams) -> set[str]:
+    """Return the tolerances of parts and sensors that the vehicle or its logs lack: their deviations mean nothing."""
     flights = declared.train.flights
     soft = any(effect.replayed and effect.remembers for effect in map(EFFECTS.get, params.effects))
     has = {
@@ -247,12 +247,12 @@ def absent_tolerances(declared: Declared, params: ModelParams) -> set[str]:
 
 
 def implies_force(flight: Flight) -> bool:
-    """Return whether attitude and velocity of a flight say what an accelerometer reads."""
+    """Return whether a flight's velocity and attitude determine the specific force."""
     return flight.lin_vel is not None and not flight.attitude_integrated
 
 
 def own_notes(selection: SelectionResult) -> list[Finding]:
-    """Return a note on the offsets that differ from flight to flight, and so belong to no vehicle."""
+    """Return a note on the offsets that differ between flights, hence are no property of the vehicle."""
     offsets = [
         {"channel": one.channel, f"rms_{unit_key(UNITS[one.channel.split('.')[0]])}": one.size}
         for one in selection.chosen.best.own
@@ -260,49 +260,49 @@ def own_notes(selection: SelectionResult) -> list[Finding]:
     return [Finding("offsets_sizes", "", {"offsets": offsets})] if offsets else []
 
 
-def about_logs(declared: Declared) -> list[Finding]:
+def about_logs(declared: LoopSetup) -> list[Finding]:
     """Return the notes on the logs, their rate and their number."""
     flights, band = declared.flights, declared.bandwidth
-    found = notes_of(flights)
+    results = merge_notes(flights)
     if band < declared.asked_bandwidth:
         slowest = min(flight.rate for flight in flights)
-        found.append(Finding("band_limited", "", {"band_hz": band, "slowest_hz": slowest}))
+        results.append(Finding("band_limited", "", {"band_hz": band, "slowest_hz": slowest}))
     if (count := len(declared.train.flights)) < 3:
-        found.append(Finding("few_flights", "", {"flights": count}))
-    return found
+        results.append(Finding("few_flights", "", {"flights": count}))
+    return results
 
 
 def surrogate_notes(selection: SelectionResult) -> list[Finding]:
-    """Return a note on each effect that lost its name to a structure."""
+    """Return a note on each surrogate effect, with the structure that its size follows."""
     return [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
 
 
-def open_notes(unexplained: Unexplained) -> list[Finding]:
+def open_notes(unexplained: ResidualExcess) -> list[Finding]:
     """Return a note on the channels that the training flights leave open."""
     channels = list(unexplained.left_open)
     return [Finding("left_open_note", "", {"channels": channels})] if channels else []
 
 
-def not_testable(selection: SelectionResult, robot: RobotCfg, unexplained: Unexplained) -> dict[str, Finding]:
-    """Return the effects that the flights cannot show, with the reason; also look-alikes without a model.
+def not_testable(selection: SelectionResult, robot: RobotCfg, unexplained: ResidualExcess) -> dict[str, Finding]:
+    """Return the effects that the flights cannot show, with the reason; also confounders that are not registered.
 
-    Nobody is told what to fly for soft arms of a vehicle that has none. Of one with joints no effect on links can be shown.
+    A vehicle without soft arms gets no advice to fly for them. One with joints is compared as rigid, without link effects.
     """
-    found = dict(selection.not_testable)
+    results = dict(selection.not_testable)
     if robot.joints is not None:
-        found |= {name: Finding("acts_on_links", name) for name in EFFECTS if not EFFECTS.get(name).on_rigid}
-    for name in found:
+        results |= {name: Finding("acts_on_links", name) for name in EFFECTS if not EFFECTS.get(name).on_rigid}
+    for name in results:
         if robot.joints is None and not fits_vehicle(name, selection, robot):
-            found[name] = Finding("no_soft_arms", name)
-    for name in selection.accepted:
+            results[name] = Finding("no_soft_arms", name)
+    for name in selection.effect_names:
         for other in EFFECTS.get(name).confused_with:
             if other not in EFFECTS:
-                found.setdefault(other, Finding("no_such_effect", other, {"alike": name}))
-    return found | ({NAME: wind} if (wind := unexplained.wind.untestable) is not None else {})
+                results.setdefault(other, Finding("no_such_effect", other, {"alike": name}))
+    return results | ({NAME: wind} if (wind := unexplained.wind.untestable) is not None else {})
 
 
-def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[str]) -> RobotCfg:
-    """Return the declared robot with the accepted effects, and what was learned, in it."""
+def correct_robot(declared: LoopSetup, params: ModelParams, accepted: Sequence[str]) -> RobotCfg:
+    """Return the declared robot with the accepted effects and the learned residual added."""
     robot = declared.robot if "battery_sag" in accepted else declared.stated
     learned = robot if params.learned is None else replace(robot, learned_residual=params.learned.cfg)
     if not accepted:
@@ -318,6 +318,6 @@ def corrected_robot(declared: Declared, params: ModelParams, accepted: Sequence[
 
 
 def with_effects(robot: RobotCfg, effects: dict[str, dict[str, float]], source: str) -> RobotCfg:
-    """Return a robot with these effects in place of its own, and with where they come from told before where its own did."""
+    """Return a robot with its effects replaced; ``source`` precedes its previous ``effects_source``."""
     before = f"; before: {robot.effects_source}" if robot.effects_source else ""
     return replace(robot, effects=effects, effects_source=f"{source}{before}")

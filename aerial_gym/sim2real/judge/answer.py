@@ -1,6 +1,6 @@
-"""The answer of a verdict in four parts: the finding, the gain on unseen flights, worse or open results, the next step.
+"""The answer of a verdict in four parts: the result, the gain on unseen flights, worse or open results, the next step.
 
-Every part is a list of findings, which hold only numbers of the verdict.
+Every part is a list of findings with numbers from the verdict.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,15 +13,15 @@ from aerial_gym.sim2real.predict.channels import KINEMATIC, UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 MOST_GAINS = 2
-"""Errors that the gain names."""
+"""Largest number of errors that the gain names."""
 
 GAIN_HORIZON_S = 1.0
 """Horizon of the rollout that the gain may name [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answer:
-    """The four parts."""
+class VerdictAnswer:
+    """The four parts of an answer, each a list of findings."""
 
     result: tuple[Finding, ...]
     gain: tuple[Finding, ...]
@@ -36,9 +36,9 @@ class Answer:
         return {"result": self.result, "gain": self.gain, "open": self.open, "next": self.next}
 
 
-def answer(verdict: Verdict) -> Answer:
+def answer(verdict: Verdict) -> VerdictAnswer:
     """Return the answer of a verdict."""
-    return Answer(
+    return VerdictAnswer(
         result=tuple(_results(verdict)),
         gain=tuple(_gain(verdict)),
         open=tuple(_open(verdict)),
@@ -55,7 +55,7 @@ def list_findings(verdict: Verdict) -> tuple[Finding, ...]:
 
 
 def meaning(verdict: Verdict) -> tuple[Finding, ...]:
-    """Return the trust in the model: harm and help of the correction, and open channels."""
+    """Return the findings on trust: errors that the correction raises or lowers, ties, and open channels."""
     kind = verdict.verdict
     if kind == "explained" and not verdict.effects and (verdict.failures or verdict.joint_findings):
         kind = NOT_SHOWN if verdict.not_shown else "none"
@@ -88,11 +88,11 @@ TRUST = {
     "unexplained": "trust_nothing",
     "ambiguous": "trust_ambiguous",
 }
-"""Code by the kind of the verdict."""
+"""Finding on trust for each kind of verdict."""
 
 
 def _quantities(outcomes: Sequence[Outcome], state: str) -> list[str]:
-    """Return the names of the errors in a state: without horizon, unless another horizon contradicts it."""
+    """Return the errors in a state, without horizon unless another horizon has the opposite state."""
     opposite = {one.quantity for one in outcomes if one.state == (BETTER if state == WORSE else WORSE)}
     names = (one.name if one.quantity in opposite else one.quantity for one in outcomes if one.state == state)
     return list(dict.fromkeys(names))
@@ -118,7 +118,7 @@ def _results(verdict: Verdict) -> Iterator[Finding]:
 
 
 def _add_errors(verdict: Verdict, point: Finding) -> Finding:
-    """Return a finding on channels that remain, with their errors and noise floors."""
+    """Return a finding on unexplained channels with their residuals and noise floors added."""
     rows, after = [], verdict.after
     for place, channel in enumerate(after.channels):
         if channel.name in point.values["channels"]:  # type: ignore[operator]
@@ -138,7 +138,7 @@ def _gain(verdict: Verdict) -> Iterator[Finding]:
     for one in better:
         kind, _, axis = one.quantity.partition(".")
         if (one.horizon is None and kind not in KINEMATIC) or (kind == "free" and one.horizon == GAIN_HORIZON_S):
-            best.setdefault(kind if axis.isdigit() else one.quantity, one)  # of the rotors the best alone
+            best.setdefault(kind if axis.isdigit() else one.quantity, one)  # only the best rotor
     ranked = sorted(best.values(), key=lambda one: one.horizon is not None)  # rollouts after channels
     errors = [_change(verdict, one) for one in ranked[:MOST_GAINS] if one.rise.value <= 0.5 * ranked[0].rise.value]
     yield Finding("errors_fall", "", {"errors": errors}) if errors else Finding("no_error_falls")

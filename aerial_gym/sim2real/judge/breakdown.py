@@ -1,4 +1,4 @@
-"""Before and after in parts: per flight, and in the regime in which an effect acts.
+"""Errors of the declared and the corrected model, by flight and in the rows in which an effect acts most.
 
 Letters: T rows, C channels.
 """
@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
-from aerial_gym.sim2real.identify.candidates.library import neutral_of
-from aerial_gym.sim2real.identify.candidates.structure import rows_of
+from aerial_gym.sim2real.identify.candidates.library import neutral_params
+from aerial_gym.sim2real.identify.candidates.structure import flight_rows
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.judge.evaluation import Evaluation, gap_closed
+from aerial_gym.sim2real.json_values import select_fields
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, gap_closed
 from aerial_gym.sim2real.judge.outcome import Outcome, channel_outcome, rollout_outcome
-from aerial_gym.sim2real.logs.flights import Flight, had_by_all
-from aerial_gym.sim2real.plain import fields_of
+from aerial_gym.sim2real.logs.flights import Flight, common_values
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -25,12 +25,12 @@ ACTS_FROM = 0.75
 """An effect acts in the rows in which its contribution is above this quantile."""
 
 ROLLOUT_S = 1.0
-"""Horizon that stands for rollouts in a table by flights [s]."""
+"""Rollout horizon that the table by flight shows [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """One quantity of one flight, before and after."""
+    """One error of one flight, with the declared model (before) and the corrected one (after)."""
 
     unit: str
     before: Rms
@@ -39,12 +39,12 @@ class Part:
     """Noise floor (rms) of a channel on this flight; None where it is not known."""
 
     became: Outcome
-    """What it is, and what became of it on this flight."""
+    """Name of the error, and its change on this flight."""
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        found = {"before": self.before.value, "after": self.after.value, "noise_floor": self.floor}
-        return {**found, **self.became.as_mapping()}
+        results = {"before": self.before.value, "after": self.after.value, "noise_floor": self.floor}
+        return {**results, **self.became.as_mapping()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,26 +52,26 @@ class Regime:
     """The rows of the test flights in which an effect acts most."""
 
     channel: str
-    """Where its contribution stands out most."""
+    """Channel in which the effect's weighted mean-square contribution is largest."""
 
     unit: str
     before: Rms
     after: Rms
     gap_closed: float | None
-    """Share of what lies above the noise floor there that the correction takes away."""
+    """Share of the mean square above the noise floor that the correction removes in these rows."""
 
     looks: dict[str, tuple[float, float]]
     """Mean speed [m/s], height [m] and turn rate [rad/s] in these rows, and in the others."""
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return fields_of(self, "channel", "before", "after", "gap_closed")
+        return select_fields(self, "channel", "before", "after", "gap_closed")
 
 
 def by_flight(
     predictor: Predictor,
     models: tuple[ModelParams, ModelParams],
-    evaluations: tuple[Evaluation, Evaluation],
+    evaluations: tuple[ModelEvaluation, ModelEvaluation],
     floors: Sequence[Array | None],
     *,
     least: float,
@@ -82,18 +82,18 @@ def by_flight(
     Args:
         predictor: The flights.
         models: The declared and the corrected one.
-        evaluations: Of both.
+        evaluations: Evaluations of both models.
         floors: Noise floor of each flight, each (C,); None: not known.
-        least: Share from which on a change is material.
-        seed: Of the bootstrap.
+        least: Smallest relative change that is material.
+        seed: Seed of the bootstrap.
     """
     before, after = (predictor.residuals(model) for model in models)
-    found: dict[str, list[Part]] = {}
+    results: dict[str, list[Part]] = {}
     for index, flight in enumerate(predictor.flights):
         floor = floors[index]
         level = [None] * len(predictor.channels) if floor is None else floor.tolist()
         changes = _changes(before[index], after[index], time_groups([predictor.times[index]]), seed)
-        found[flight.name] = [
+        results[flight.name] = [
             Part(
                 unit=channel.unit,
                 before=rms[0],
@@ -103,17 +103,19 @@ def by_flight(
             )
             for channel, own, (rms, rise) in zip(predictor.channels, level, changes, strict=True)
         ] + _rollout_parts(index, evaluations, least, seed)
-    return found
+    return results
 
 
 def _changes(before: Array, after: Array, group: Indices, seed: int) -> list[tuple[tuple[Rms, Rms], Rise]]:
-    """Return the rms of both (S, C), and by how much it rises, of each column."""
+    """Return the rms of each column before and after, and its relative rise, of errors (T, C) each."""
     rms = zip(*(rms_with_interval(values, group, seed=seed) for values in (before, after)), strict=True)
     rises = rise_with_interval(after, before, group, np.zeros(len(before), dtype=np.int64))
     return list(zip(rms, rises, strict=True))
 
 
-def _rollout_parts(index: int, evaluations: tuple[Evaluation, Evaluation], least: float, seed: int) -> list[Part]:
+def _rollout_parts(
+    index: int, evaluations: tuple[ModelEvaluation, ModelEvaluation], least: float, seed: int
+) -> list[Part]:
     if "free" not in evaluations[0].rollouts or ROLLOUT_S not in evaluations[0].rollouts["free"].horizons:
         return []
     before, after = (evaluation.rollouts["free"] for evaluation in evaluations)
@@ -129,7 +131,7 @@ def _rollout_parts(index: int, evaluations: tuple[Evaluation, Evaluation], least
     return parts
 
 
-def where_it_acts(
+def active_regime(
     predictor: Predictor,
     declared: ModelParams,
     final: ModelParams,
@@ -139,12 +141,12 @@ def where_it_acts(
     *,
     seed: int,
 ) -> Regime:
-    """Return before and after in the rows in which an effect changes the prediction most.
+    """Return the errors of both models in the rows in which an effect changes the prediction most.
 
-    Its contribution is the final model minus the same one with the effect at neutral; rows are ranked by its size over all
-    channels in units of ``weight``, (C,).
+    The effect's contribution is the final prediction minus the one with its parameters at neutral. Rows are ranked by the
+    sum of its squares over all channels, weighted by ``weight`` (C,).
     """
-    neutral = final.with_effect(name, neutral_of(name, declared, predictor.robot))
+    neutral = final.with_effect(name, neutral_params(name, declared, predictor.robot))
     change = np.concatenate([a - b for a, b in zip(predictor.predict(final), predictor.predict(neutral), strict=True)])
     size = np.sqrt((weight * change**2).sum(axis=1))
     acts = size >= np.quantile(size, ACTS_FROM)
@@ -166,16 +168,16 @@ def where_it_acts(
 
 
 def _looks(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:
-    """Return means over the rows in which an effect acts and over the others."""
+    """Return mean speed, height and turn rate over the rows in which an effect acts, and over the others."""
     parts = []
     for flight, time in zip(flights, times, strict=True):
-        rows, found = rows_of(flight, time), dict[str, Array]()
+        rows, results = flight_rows(flight, time), dict[str, Array]()
         if flight.lin_vel is not None:
-            found["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
+            results["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
         if flight.position is not None:
-            found["height [m]"] = flight.position[rows, 2]
-        parts.append(found | {"turn rate [rad/s]": np.linalg.norm(flight.ang_vel[rows], axis=1)})
-    together = {title: np.concatenate(values) for title, values in had_by_all(parts).items()}
+            results["height [m]"] = flight.position[rows, 2]
+        parts.append(results | {"turn rate [rad/s]": np.linalg.norm(flight.ang_vel[rows], axis=1)})
+    together = {title: np.concatenate(values) for title, values in common_values(parts).items()}
     return {
         title: (float(v[acts].mean()), float(v[~acts].mean()) if not acts.all() else np.nan)
         for title, v in together.items()

@@ -1,4 +1,4 @@
-"""The decision of a verdict: its kind, its candidates, and what remains of the test flights or stays open."""
+"""The decision of a verdict: its kind, its candidates, and the residuals and questions that stay open."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class Decision:
     """explained, none, not shown, unexplained or ambiguous."""
 
     candidates: tuple[str, ...]
-    """Named effects and those that cannot be told from them."""
+    """Named effects and those that fit the flights equally well."""
 
     findings: tuple[Finding, ...]
     """Residuals that remain and questions that stay open."""
@@ -30,14 +30,14 @@ def decide(
     left_open: Sequence[str] = (),
     of_flights: Sequence[str] = (),
 ) -> Decision:
-    """Return the decision.
+    """Return the kind, candidates and open points of a verdict.
 
     Args:
-        ties: Accepted effects, each with the effects that cannot be told from it.
-        unexplained: Channels of the test flights in which more remains than is allowed.
+        ties: Accepted effects, each with the effects that fit the flights equally well.
+        unexplained: Channels whose test residual exceeds noise and the training flights' uncertainty.
         floor_known: Whether the logs show a noise floor.
-        open_to: Effects that would explain the rest, and that training flights do not show.
-        left_open: Channels with more than noise, but no more than training flights leave open.
+        open_to: Effects that would explain those residuals, and that training flights do not show.
+        left_open: Channels whose residual exceeds noise, but not the training flights' uncertainty.
         of_flights: Channels in which each flight has its own offset.
     """
     remains = [Finding("remains_unexplained", "", {"channels": list(unexplained)})] if unexplained else []

@@ -1,4 +1,4 @@
-"""How well a model predicts flights: residuals of each channel and open-loop rollouts, each with a 95 % interval."""
+"""Prediction errors of a model: residuals of each channel and open-loop rollouts, each with a 95 % interval."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.logs.flights import Flight, names_of
+from aerial_gym.sim2real.logs.flights import Flight, flight_names
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -18,16 +18,16 @@ from aerial_gym.sim2real.predict.windows import find_windows
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
 LEAST_GAP = 1.21
-"""There is something to close where the mean square is this many times the floor's: 10 % in rms."""
+"""Least ratio of the residual's mean square to that of the noise floor at which a gap exists: 10 % in rms."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """One model on the test flights."""
+class ModelEvaluation:
+    """Residuals and rollout errors of one model on the test flights."""
 
     channels: tuple[Channel, ...]
     residual: tuple[Rms, ...]
-    """Of each channel, in the band."""
+    """Residual (rms) of each channel below the bandwidth of the comparison."""
 
     floor: tuple[float, ...] | None
     """Noise floor (rms) of each channel; None where the logs are too slow to tell."""
@@ -38,13 +38,13 @@ class Evaluation:
     rollout: dict[str, dict[str, dict[float, Rms]]]
     """Rms by variant, quantity and horizon [s]."""
 
-    def gaps_closed(self, before: "Evaluation") -> list[float | None]:
-        """Return the share of what lay above the noise floor in each channel that this model takes away from another one's."""
+    def gaps_closed(self, before: "ModelEvaluation") -> list[float | None]:
+        """Return the share of another model's mean square above the noise floor that this one removes, by channel."""
         floor = self.floor or (None,) * len(self.channels)
         pairs = zip(before.residual, self.residual, floor, strict=True)
         return [gap_closed(first.value, second.value, level) for first, second, level in pairs]
 
-    def as_mapping(self, *, before: "Evaluation | None" = None) -> dict[str, object]:
+    def as_mapping(self, *, before: "ModelEvaluation | None" = None) -> dict[str, object]:
         """Return it for JSON, with the share of the gap closed since ``before``."""
         result: dict[str, object] = {}
         closed = None if before is None else self.gaps_closed(before)
@@ -70,16 +70,16 @@ class Evaluation:
 
 def evaluate(
     robot: RobotCfg, predictor: Predictor, models: Sequence[ModelParams], *, floor: Array | None, seed: int
-) -> list[Evaluation]:
+) -> list[ModelEvaluation]:
     """Return residuals and rollouts of each model on flights that were not used for its fit."""
     flights, group = predictor.flights, time_groups(predictor.times)
     residuals = [np.concatenate(predictor.residuals(one)) for one in models]
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
-    if not missing_for_rollouts(flights):
+    if not rollout_gap(flights):
         links, variants = [predictor.links(one) for one in models], {"free": False, "given_attitude": True}
         rollouts = roll_out_models(robot, flights, models, variants, links=links, tolerances=predictor.tolerances)
     return [
-        Evaluation(
+        ModelEvaluation(
             channels=predictor.channels,
             residual=tuple(rms_with_interval(residual, group, seed=seed)),
             floor=None if floor is None else tuple(floor.tolist()),
@@ -90,14 +90,14 @@ def evaluate(
     ]
 
 
-def missing_for_rollouts(flights: Sequence[Flight]) -> Finding | None:
-    """Return the quantity that logs lack for rollouts, which start at a measured velocity and attitude; None: they have all."""
+def rollout_gap(flights: Sequence[Flight]) -> Finding | None:
+    """Return the reason why no rollout can start at a measured velocity and attitude; None if one can."""
     blind = [flight for flight in flights if flight.lin_vel is None]
     if blind:
-        return Finding("rollouts_lack_velocity", names_of(blind, flights))
+        return Finding("rollouts_lack_velocity", flight_names(blind, flights))
     turning = [flight for flight in flights if flight.attitude_integrated]
     if turning:
-        return Finding("rollouts_lack_attitude", names_of(turning, flights))
+        return Finding("rollouts_lack_attitude", flight_names(turning, flights))
     shortest = min(HORIZONS_S)
     if find_windows(flights, shortest).row.size:
         return None
@@ -105,21 +105,21 @@ def missing_for_rollouts(flights: Sequence[Flight]) -> Finding | None:
 
 
 def rollout_rises(errors: RolloutErrors, reference: RolloutErrors) -> Iterator[tuple[str, float, Rise]]:
-    """Yield each quantity and horizon [s], and by which share its error is above that of another model in the same windows."""
+    """Yield each quantity, horizon [s] and the relative rise of its error over the reference in the same windows."""
     for quantity in QUANTITIES:
-        values, others = getattr(errors, quantity), getattr(reference, quantity)
+        values, reference_values = getattr(errors, quantity), getattr(reference, quantity)
         if values is not None:
-            rises = rise_with_interval(values, others, errors.windows.cluster, errors.windows.flight)
+            rises = rise_with_interval(values, reference_values, errors.windows.cluster, errors.windows.flight)
             yield from ((quantity, *pair) for pair in zip(errors.horizons, rises, strict=True))
 
 
 def gap_closed(before: float, after: float, floor: float | None) -> float | None:
-    """Return the share of the closable gap that is closed, ``(b² - a²) / (b² - f²)``; None where there is none to close.
+    """Return the share ``(b² - a²) / (b² - f²)`` of the gap that is closed; None without a gap or a known floor.
 
     Args:
-        before: Residual (rms) of the declared model.
-        after: Of the corrected one.
-        floor: Noise floor (rms), or None where it is not known.
+        before: Residual b (rms) of the declared model.
+        after: Residual a (rms) of the corrected model.
+        floor: Noise floor f (rms), or None where it is not known.
     """
     if floor is None or before**2 < LEAST_GAP * floor**2:
         return None
@@ -131,6 +131,6 @@ def _rollout_rms(errors: RolloutErrors, seed: int) -> dict[str, dict[float, Rms]
     for quantity in QUANTITIES:
         values = getattr(errors, quantity)
         if values is not None:
-            found = rms_with_interval(values, errors.windows.cluster, seed=seed)
-            result[quantity] = dict(zip(errors.horizons, found, strict=True))
+            results = rms_with_interval(values, errors.windows.cluster, seed=seed)
+            result[quantity] = dict(zip(errors.horizons, results, strict=True))
     return result

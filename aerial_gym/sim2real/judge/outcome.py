@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
-from aerial_gym.sim2real.judge.evaluation import Evaluation, rollout_rises
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -29,7 +29,7 @@ class Outcome:
     """Channel, or variant and quantity of a rollout: ``free.velocity``."""
 
     horizon: float | None = None
-    """Of a rollout [s]; None for a channel."""
+    """Horizon of a rollout [s]; None for a channel."""
 
     rise: Rise
     """Relative change of its rms with the 95 % interval over flights."""
@@ -56,7 +56,7 @@ class Outcome:
 
     @property
     def suspect(self) -> bool:
-        """Return whether it rises by a material share that may be chance."""
+        """Return whether the error rises by a material share that may be chance."""
         return self.state == NOT_SHOWN and self.rise.value >= self.least
 
     def as_mapping(self) -> dict[str, object]:
@@ -67,7 +67,7 @@ class Outcome:
 def outcomes(
     predictor: Predictor,
     models: tuple[ModelParams, ModelParams],
-    evaluations: tuple[Evaluation, Evaluation],
+    evaluations: tuple[ModelEvaluation, ModelEvaluation],
     *,
     least: float,
 ) -> tuple[Outcome, ...]:
@@ -76,8 +76,8 @@ def outcomes(
     Args:
         predictor: Test flights.
         models: The declared and the corrected one.
-        evaluations: Of both on these flights.
-        least: Share from which on a change is material.
+        evaluations: Evaluations of both models on these flights.
+        least: Smallest relative change that is material.
     """
     return (*_channels(predictor, models, least), *_rollouts(evaluations, least))
 
@@ -89,7 +89,7 @@ def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], lea
         yield channel_outcome(channel, rise, least)
 
 
-def _rollouts(evaluations: tuple[Evaluation, Evaluation], least: float) -> Iterator[Outcome]:
+def _rollouts(evaluations: tuple[ModelEvaluation, ModelEvaluation], least: float) -> Iterator[Outcome]:
     before, after = (evaluation.rollouts for evaluation in evaluations)
     for variant, errors in after.items():
         for quantity, horizon, rise in rollout_rises(errors, before[variant]):

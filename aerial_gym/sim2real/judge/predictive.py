@@ -1,9 +1,9 @@
-"""What training flights leave open on the test flights: the posterior predictive of a residual.
+"""Posterior predictive distribution of the test residual: the part that the training flights do not determine.
 
-What training does not excite keeps its prior variance: a deviation within the tolerances, a parameter of a named effect, an
-effect that has no name yet. ``r = J d + noise`` on the test flights, with d normal of the posterior covariance
-``(sum w J J^T + P)^-1`` of the training flights.
-Letters: C channels, K parameters (those of effects in units of their scale, then the tolerances in deviations).
+A parameter that training does not excite keeps its prior variance. This holds for deviations within the tolerances, for
+parameters of named effects, and for effects without a name yet. The test residual is ``r = J d + noise``. The parameter error
+d is normal with the posterior covariance ``(sum w J J^T + P)^-1`` of the training flights.
+Letters: C channels, K parameters (those of effects in units of their scale, then the deviations in standard deviations).
 """
 
 from collections.abc import Callable, Sequence
@@ -27,29 +27,29 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import ratio_quantile
 
 MANY = 1e9
-"""Degrees of freedom of a variance that is known."""
+"""Degrees of freedom that stand for a known variance."""
 
 PASSES = 3
-"""Of weighing the test flights by what is left of them."""
+"""Iterations between the fit and the channel weights from its residual on the test flights."""
 
 
 def left_open(
     test: Predictor, params: ModelParams, selection: SelectionResult, fitted: Flags | None = None
 ) -> tuple[Array, Array]:
-    """Return the largest mean square of each channel that tolerances and named effects may leave on test flights, (C,).
+    """Return the largest mean square of each channel that parameter errors may cause on test flights, (C,).
 
-    And the same with the offsets of test flights, which are as large as training flights have them of their own: the standard
-    deviation of a few flights is not much of a number, they may be alike by chance, but none is larger than ``most``.
+    The second array includes an offset of each test flight. Its standard deviation is that between training flights. Few
+    flights estimate it poorly, so the limit uses their degrees of freedom and never exceeds that for offsets of ``most``.
 
-    Larger ones have the probability ``Criteria.significance``. Parameters of named effects that training does not show have a
-    standard deviation of their scale. Where training flights are predicted down to noise, parameters that scatter between
-    flights are no surer than their intervals; where not, it is what the model lacks that scatters, which leaves nothing open.
+    A larger mean square has the probability ``Criteria.significance``. Named parameters that training does not show have a
+    standard deviation of their scale. Where training is predicted down to noise, the scatter of parameters between flights
+    widens the covariance; elsewhere that scatter comes from missing physics and widens nothing.
 
     Args:
         test: Test flights.
         params: The final model.
-        selection: With its linearisation on the training flights.
-        fitted: Whether noise is all that is left of each channel of the training flights, (C,); None: of all.
+        selection: Selection with its linearisation on the training flights.
+        fitted: Whether the training residual of each channel is only noise, (C,); None: in all channels.
     """
     fit = selection.final.fit
     predicted = test.predict(params)
@@ -71,20 +71,20 @@ def left_open(
     columns = jacobian[:, :, chosen]
     mean_product = np.einsum("rck,rcl->ckl", columns, columns) / columns.shape[0]
     rows = np.array([time.size for time in test.times])
-    found, significance = selection.own_offsets, selection.criteria.significance
+    offset_channels, significance = selection.own_offsets, selection.criteria.significance
     flights = np.unique(fit.moments.flight).size
 
     def with_offsets(size: Array, covariance: Array, freedom: float) -> Array:
         offsets = size[:, None, None] ** 2 * np.diag(rows / rows.sum())
-        products = np.stack([beside(one, other) for one, other in zip(mean_product, offsets, strict=True)])
-        whole = beside(covariance, np.eye(rows.size))
+        products = np.stack([block_diagonal(one, other) for one, other in zip(mean_product, offsets, strict=True)])
+        whole = block_diagonal(covariance, np.eye(rows.size))
         return quantile_of_squares(products, whole, significance, estimated=rows.size, freedom=freedom)
 
     def limits(covariance: Array) -> tuple[Array, Array]:
-        estimated = with_offsets(found.size, covariance, max(1, flights - 1))
+        estimated = with_offsets(offset_channels.size, covariance, max(1, flights - 1))
         return (
             quantile_of_squares(mean_product, covariance, significance),
-            np.minimum(estimated, with_offsets(found.most, covariance, MANY)),
+            np.minimum(estimated, with_offsets(offset_channels.most, covariance, MANY)),
         )
 
     by_scatter, by_noise = limits(covariance * np.outer(wider, wider)), limits(covariance)
@@ -93,8 +93,8 @@ def left_open(
     return np.where(fitted, by_scatter[0], by_noise[0]), np.where(fitted, by_scatter[1], by_noise[1])
 
 
-def beside(one: Array, other: Array) -> Array:
-    """Return two square matrices as one, with nothing between them."""
+def block_diagonal(one: Array, other: Array) -> Array:
+    """Return the block-diagonal matrix of two square matrices."""
     across = np.zeros((len(one), len(other)))
     return np.block([[one, across], [across.T, other]])
 
@@ -102,19 +102,19 @@ def beside(one: Array, other: Array) -> Array:
 def quantile_of_squares(
     product: Array, covariance: Array, significance: float, *, estimated: int = 0, freedom: float = MANY
 ) -> Array:
-    """Return what ``d^T M d`` exceeds with a probability, for each M of ``product`` (C, K, K) and normal d, (C,).
+    """Return the upper quantile of ``d^T M d`` for normal d, which it exceeds with probability ``significance``, (C,).
 
     Args:
-        product: M.
-        covariance: Of d, (K, K).
-        significance: The probability.
-        estimated: Of how many of d, the last ones, the size is itself estimated.
-        freedom: With how many degrees of freedom.
+        product: A matrix M for each channel, (C, K, K).
+        covariance: Covariance S of d, (K, K).
+        significance: Probability of a larger value.
+        estimated: Number of last entries of d whose variance is itself an estimate.
+        freedom: Degrees of freedom of that estimate.
 
     Source:
-        Satterthwaite (1946), An approximate distribution of estimates of variance components, Biometrics Bulletin 2: as a
-        multiple of chi-square with the same mean and variance, ``tr(M S)`` and ``2 tr((M S)²)``; and what is put in the place
-        of ``tr(M S)`` as another, which together are distributed as F.
+        Satterthwaite (1946), An approximate distribution of estimates of variance components, Biometrics Bulletin 2. The form
+        is taken as a multiple of chi-square with the same mean ``tr(M S)`` and variance ``2 tr((M S)²)``. The estimate of
+        ``tr(M S)`` is another such multiple, so their ratio has an F distribution.
     """
     spread = product @ covariance
     means = np.einsum("ckk->ck", spread)
@@ -125,11 +125,11 @@ def quantile_of_squares(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
-    """What remains on the test flights."""
+class PredictiveQuestion:
+    """The unexplained channels of the test flights, and the residual that would count as explained."""
 
     remaining: Flags
-    """In which channels, (C,)."""
+    """Whether each channel is unexplained, (C,)."""
 
     enough: Callable[[Array], Flags]
     """Whether an rms of each channel, (C,), is near the noise floor or within the tolerances, (C,)."""
@@ -140,18 +140,18 @@ def open_effects(
     test: Predictor,
     models: tuple[ModelParams, ModelParams],
     selection: SelectionResult,
-    asked: Asked,
+    asked: PredictiveQuestion,
 ) -> tuple[str, ...]:
-    """Return the effects that would make what remains and that training flights do not rule out, the best first.
+    """Return the effects that would explain the test residual and that training does not rule out, the best first.
 
-    Each is taken alone, beside the named ones and the tolerances.
+    Each effect is fitted alone, together with the named effects and the tolerances.
 
     Args:
         train: Training flights.
         test: Test flights.
         models: The declared and the final one.
-        selection: With what is accepted.
-        asked: What remains.
+        selection: Selection with the accepted effects.
+        asked: The unexplained channels.
     """
     declared, final = models
     names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
@@ -163,7 +163,7 @@ def open_effects(
             flights,
             declared,
             final,
-            selection.accepted,
+            selection.effect_names,
             selection.weights.weight,
             frozen=frozen,
             skipped=skipped,
@@ -171,30 +171,32 @@ def open_effects(
         )
         for flights in (train, test)
     ]
-    return covering(libraries[0], libraries[1], selection.weights, asked, selection.criteria.significance)
+    return sufficient_effects(libraries[0], libraries[1], selection.weights, asked, selection.criteria.significance)
 
 
-def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, significance: float) -> tuple[str, ...]:
-    """Return the effects that all flights together would put where training does not rule them out, and that then suffice.
+def sufficient_effects(
+    seen: Library, tested: Library, weights: Weighting, asked: PredictiveQuestion, significance: float
+) -> tuple[str, ...]:
+    """Return the effects whose joint fit agrees with training and explains every unexplained channel, the best first.
 
-    With ``A d = g`` of the training flights and ``B, h`` of the test flights, ``d = (A + B)^-1 (g + h)`` is ruled out if the
-    effect's part of ``d - A^-1 g`` is larger than chance makes it, with its covariance ``A^-1``. It suffices if it brings every
-    channel in which something remains near its floor. Where other values of named effects and tolerances would do,
-    it must make clearly smaller deviations do. No parameter is taken from this: it says what the test flights ask for.
+    ``A d = g`` are the normal equations of the training flights, ``B d = h`` those of the test flights. The joint fit is
+    ``d = (A + B)^-1 (g + h)``. Training rules it out if the effect's part of ``d - A^-1 g`` is significant against the
+    covariance ``A^-1``. The effect suffices if every unexplained channel falls near its noise floor. If named effects and
+    tolerances suffice without it, it must need clearly smaller deviations. No parameter is taken from this fit.
 
     Args:
-        seen: About the final model on the training flights.
+        seen: Candidates about the final model on the training flights.
         tested: The same on the test flights.
-        weights: What a row of each channel counts.
-        asked: What remains.
-        significance: Probability with which chance would put it as far.
+        weights: Weights of the channels.
+        asked: The unexplained channels.
+        significance: Smallest p-value at which training does not rule the joint fit out.
     """
     product, gradient = _sums(seen, weights.weight)
     named = [candidate.columns for candidate in seen.candidates if candidate.named]
     beside = np.concatenate([*named, seen.tolerances]).astype(int)
     left: dict[str, float] = {}
 
-    def learned(columns: Indices) -> tuple[Array, Array]:
+    def information(columns: Indices) -> tuple[Array, Array]:
         """Return A and g of some columns."""
         prior = np.where(np.isin(columns, seen.tolerances), 1.0, WEAK_PRIOR**-2)
         return product[np.ix_(columns, columns)] + np.diag(prior), gradient[columns]
@@ -202,18 +204,18 @@ def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, s
     def suffices(squares: Array) -> bool:
         return bool(asked.enough(np.sqrt(squares))[asked.remaining].all())
 
-    step, squares = _of_all_flights(*learned(beside), tested, None, beside, weights)
+    step, squares = _of_all_flights(*information(beside), tested, None, beside, weights)
     alone = _cost(step, seen) if suffices(squares) else np.inf
     for candidate in seen.candidates:
         if candidate.named or not candidate.columns.size:
             continue
         columns = np.concatenate((candidate.columns, beside))
-        a, g = learned(columns)
+        a, g = information(columns)
         step, squares = _of_all_flights(a, g, tested, candidate, columns, weights)
         spread, own = np.linalg.inv(a), candidate.columns.size
         away = (step - spread @ g)[:own]
         likely = away @ np.linalg.solve(spread[:own, :own], away) <= special.chdtri(own, significance)
-        pays = alone - _cost(step, seen) > LEAST_SCORE  # else other values of what has a name already would do
+        pays = alone - _cost(step, seen) > LEAST_SCORE  # else new values of named effects and tolerances suffice
         if likely and pays and suffices(squares):
             cost = float((weights.weight * squares)[asked.remaining].sum())
             left[candidate.name] = min(cost, left.get(candidate.name, np.inf))
@@ -221,27 +223,27 @@ def covering(seen: Library, tested: Library, weights: Weighting, asked: Asked, s
 
 
 def _cost(step: Array, library: Library) -> float:
-    """Return what the deviations at the end of a step cost in log likelihood."""
+    """Return the negative log prior ``d² / 2`` of the deviations, the last entries of a step."""
     return 0.5 * float(np.square(step[step.size - library.tolerances.size :]).sum())
 
 
 def _of_all_flights(
     a: Array, g: Array, tested: Library, candidate: Candidate | None, columns: Indices, weights: Weighting
 ) -> tuple[Array, Array]:
-    """Return the step that all flights ask for (``a``, ``g``: training), and what mean squares it leaves of the tested, (C,).
+    """Return the joint step of all flights (``a``, ``g``: training), and the test flights' mean squares after it, (C,).
 
-    A channel of the test flights weighs no more than what is left of it allows.
+    The weight of a channel of the test flights is limited by its remaining mean square.
     """
     weight, whole = weights.weight, np.zeros(tested.moments.gradient.shape[2])
     rows, blocks = tested.moments.count.sum(), tested.moments.count.size
     for _ in range(PASSES):
         product, gradient = _sums(tested, weight)
         joint, pull = a + product[np.ix_(columns, columns)], g + gradient[columns]
-        step = np.linalg.solve(joint, pull) if candidate is None else _within(joint, pull, candidate)
+        step = np.linalg.solve(joint, pull) if candidate is None else _solution_in_bounds(joint, pull, candidate)
         whole[columns] = step
-        squares = tested.moments.squares_after(np.tile(whole, (blocks, 1))).sum(axis=0) / rows
+        squares = tested.moments.block_squares(np.tile(whole, (blocks, 1))).sum(axis=0) / rows
         squares = np.maximum(squares, 0.0)
-        weight = weights.where_left(squares)
+        weight = weights.weight_limit(squares)
     return step, squares
 
 
@@ -250,10 +252,10 @@ def _sums(library: Library, weight: Array) -> tuple[Array, Array]:
     return np.einsum("c,bckl->kl", weight, moments.product), np.einsum("c,bck->k", weight, moments.gradient)
 
 
-def _within(a: Array, g: Array, candidate: Candidate) -> Array:
-    """Return the solution of ``a d = g`` whose first parameters, those of a candidate, are held at bounds that they pass."""
-    others = np.full(g.size - candidate.columns.size, np.inf)
-    low, high = np.append(candidate.low, -others), np.append(candidate.high, others)
+def _solution_in_bounds(a: Array, g: Array, candidate: Candidate) -> Array:
+    """Return the solution of ``a d = g`` with a candidate's parameters, the first entries, held within their bounds."""
+    bounds_rest = np.full(g.size - candidate.columns.size, np.inf)
+    low, high = np.append(candidate.low, -bounds_rest), np.append(candidate.high, bounds_rest)
     step, free = np.linalg.solve(a, g), np.ones(g.size, dtype=bool)
     for _ in range(candidate.columns.size):
         beyond = (step < low) | (step > high)
@@ -265,6 +267,6 @@ def _within(a: Array, g: Array, candidate: Candidate) -> Array:
     return step
 
 
-def names_of(channels: Sequence[str], chosen: Flags) -> tuple[str, ...]:
+def channel_names(channels: Sequence[str], chosen: Flags) -> tuple[str, ...]:
     """Return the names of some channels."""
     return tuple(name for name, some in zip(channels, chosen, strict=True) if some)

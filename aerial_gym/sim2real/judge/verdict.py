@@ -14,34 +14,34 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.flight_event import Failure
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.candidates.structure import Structure
-from aerial_gym.sim2real.identify.learned import Learned
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, params_of, scales
-from aerial_gym.sim2real.identify.selection.in_part import RivalInPart
+from aerial_gym.sim2real.identify.learned import ResidualFit
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_row, scales
+from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.ablation import Ablation
 from aerial_gym.sim2real.judge.breakdown import Part, Regime
-from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.whiteness import Whiteness
-from aerial_gym.sim2real.logs.declared_rotors import place_of_rotor
-from aerial_gym.sim2real.plain import fields_of, plain
+from aerial_gym.sim2real.logs.rotor_model import place_of_rotor
 
 MOST_CONFIDENT = 0.9999
 LEAST_SHOWN = 0.05
-"""Effects that were not named are told if they are at least this probable."""
+"""Smallest probability at which a report lists an effect under ``inclusion``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamedEffect:
-    """An effect that the flights ask for."""
+    """An accepted effect with its parameters, certainty, ablation and rivals."""
 
     name: str
     params: dict[str, float]
-    """Fitted totals, as in robot files."""
+    """Fitted values as in a robot file, not changes from the declared ones."""
 
     std: dict[str, float]
-    """Standard deviations: 1.96 of them make the 95 % interval, with few flights and the tolerances in them."""
+    """Half width of the 95 % interval divided by 1.96; includes the small number of flights and the tolerances."""
 
     noise_std: dict[str, float]
     """The part of ``std`` that more flights would make smaller."""
@@ -50,19 +50,19 @@ class NamedEffect:
     """Parameters that these flights do not show; they keep their neutral value."""
 
     confidence: float
-    """Probability that it is there: that of all sets of effects which hold it."""
+    """Posterior inclusion probability: that of all sets which contain the effect."""
 
     ablation: Ablation | None = None
-    """What becomes worse without it, and its rivals; None for a random effect, which is not selected among others."""
+    """Rise of the errors without it, and its rivals; None for gusts and failures, which the selection does not compare."""
 
     regime: Regime | None = None
-    """Before and after where it acts; None likewise."""
+    """Errors of both models in the rows in which it acts most; None for gusts and failures."""
 
     ties: tuple[str, ...] = ()
-    """Effects that would do equally well in its place."""
+    """Effects that explain the flights equally well in its place."""
 
     in_part: tuple[RivalInPart, ...] = ()
-    """Effects that would do equally well in the place of one of its parameters."""
+    """Effects that explain the flights equally well in place of one of its parameters."""
 
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     """Correlation of a parameter with those before it, by ``name.parameter``."""
@@ -104,7 +104,7 @@ class NamedEffect:
         """Return it for JSON."""
         worth = self.ablation
         return {
-            **fields_of(self, "name", "params", "std", "interval", "noise_std", "frozen", "confidence", "ties"),
+            **select_fields(self, "name", "params", "std", "interval", "noise_std", "frozen", "confidence", "ties"),
             "ties_in_part": plain(self.in_part),
             "material": worth is None or worth.material,
             "without_it": plain(worth),
@@ -115,7 +115,7 @@ class NamedEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What the flights say about the declared model."""
+    """The result of the loop: effects, outcomes on the test flights, open points and next steps."""
 
     verdict: str
     """explained, none, not shown, unexplained or ambiguous."""
@@ -127,50 +127,50 @@ class Verdict:
     """In the order in which they were named; a failure that every flight has comes last."""
 
     candidates: tuple[str, ...]
-    """These and what cannot be told from them."""
+    """Named effects and those that fit the flights equally well."""
 
     not_testable: dict[str, Finding]
     """Effects that the flights cannot show, with the reason."""
 
     manoeuvre: Advice | None
-    """What tells tied candidates apart; None if there are none."""
+    """Manoeuvre that distinguishes tied candidates; None if there are none."""
 
     fly_next: dict[str, Advice]
-    """What shows effects that flights of this vehicle can show and these do not."""
+    """Manoeuvre for each effect that this vehicle can show and these flights do not."""
 
     inclusion: dict[str, float]
-    """Probability of every effect, by all sets that were compared."""
+    """Posterior inclusion probability of every effect, over all sets that were compared."""
 
     sets: dict[tuple[str, ...], float]
     """Probability of each set, the most probable first."""
 
     structure: Structure
-    before: Evaluation
-    after: Evaluation
+    before: ModelEvaluation
+    after: ModelEvaluation
 
     outcomes: tuple[Outcome, ...]
-    """What became of each channel and rollout of the test flights; empty where nothing is corrected."""
+    """Change of each channel and rollout error on the test flights; empty if nothing is corrected."""
 
     flights: dict[str, list[Part]]
-    """Before and after on each test flight."""
+    """Errors of the declared and the corrected model on each test flight."""
 
     unexplained: tuple[str, ...]
-    """Channels with material structure after the correction."""
+    """Channels whose test residual exceeds noise and the parameter uncertainty after the correction."""
 
     not_shown: tuple[str, ...] = ()
-    """Channels in which more than noise remains, and no more than the training flights leave open."""
+    """Channels whose residual exceeds noise, but not the parameter uncertainty that training leaves."""
 
     whiteness: dict[str, Whiteness] = field(default_factory=dict)
-    """Of the residual of each channel on the test flights, deviations within the tolerances taken off."""
+    """Whiteness of each channel's test residual with the best deviations within the tolerances."""
 
-    learned: Learned | None = None
-    """What became of a learned residual, where one was asked for."""
+    learned: ResidualFit | None = None
+    """The learned residual with its test result, if one was requested."""
 
     failures: tuple[Failure, ...] = ()
-    """What failed in flights, training flights first; these are compared up to it."""
+    """Failures of flights, training flights first; each flight is compared up to its failure."""
 
     joints: tuple[dict[str, object], ...] = ()
-    """Passive joints with their numbers, where they were looked for, and the numbers that differ from the declared ones."""
+    """Fitted passive joints with their parameters, and those that differ from the declared ones."""
 
     joint_findings: tuple[Finding, ...] = ()
     """Joints that differ from the declared ones."""
@@ -180,20 +180,20 @@ class Verdict:
 
     @property
     def corrects(self) -> bool:
-        """Whether the corrected robot is another one than the declared."""
+        """Whether the corrected robot differs from the declared one."""
         return bool(self.effects) or (self.learned is not None and self.learned.cfg is not None)
 
     def as_mapping(self) -> dict[str, object]:
-        """Return the verdict for JSON, but for its findings (``report.verdict_json`` adds them)."""
+        """Return the verdict for JSON without its findings, which ``report.verdict_json`` adds."""
         learned = [self.learned] if self.learned is not None and self.learned.cfg is not None else []
         return {
-            "test_flights": {found.name: plain(found) for found in self.outcomes},
+            "test_flights": {results.name: plain(results) for results in self.outcomes},
             "effects": plain([*self.effects, *learned]),
-            **fields_of(self, "failures", "joints", "candidates"),
+            **select_fields(self, "failures", "joints", "candidates"),
             "not_testable": list(self.not_testable),
-            **fields_of(self, "manoeuvre", "fly_next"),
+            **select_fields(self, "manoeuvre", "fly_next"),
             "inclusion": {name: share for name, share in self.inclusion.items() if share >= LEAST_SHOWN},
-            **fields_of(self, "structure", "whiteness", "unexplained", "not_shown"),
+            **select_fields(self, "structure", "whiteness", "unexplained", "not_shown"),
             "before": self.before.as_mapping(),
             "after": self.after.as_mapping(before=self.before),
             "flights": {
@@ -202,8 +202,8 @@ class Verdict:
         }
 
 
-def declared_params_of(name: str, robot: RobotCfg) -> dict[str, float]:
-    """Return the parameters of an effect in a robot file; neutral ones where it holds none."""
+def declaration(name: str, robot: RobotCfg) -> dict[str, float]:
+    """Return the parameters of an effect in a robot file; neutral values where the file has none."""
     effect, stated = EFFECTS.get(name), robot.effects.get(name, {})
     neutral = zip(effect.parameters, effect.neutral(robot), strict=True)
     return {parameter.name: float(stated.get(parameter.name, value)) for parameter, value in neutral}
@@ -215,21 +215,21 @@ def rotor_place(name: str, params: Array, robot: RobotCfg) -> str:
     return place_of_rotor(robot, round(float(params[kinds.index("rotor")]))) if "rotor" in kinds else ""
 
 
-def named_effects(
+def effect_entries(
     selection: SelectionResult, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
     fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
-    values, scale = params_of(fit.params, fit.effects), scales(fit.effects)
+    values, scale = parameter_row(fit.params, fit.effects), scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
     noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
     owners = (fit.owners[k] for k in fit.free_effects.tolist())
     numbers = [f"{name}.{EFFECTS.get(name).parameters[place].name}" for name, place in owners]
     correlation = spread.correlation
-    found = []
+    results = []
     for name in fit.effects:
-        own = dict(zip((p.name for p in EFFECTS.get(name).parameters), fit.columns_of(name).tolist(), strict=True))
-        found.append(
+        own = dict(zip((p.name for p in EFFECTS.get(name).parameters), fit.effect_columns(name).tolist(), strict=True))
+        results.append(
             NamedEffect(
                 name=name,
                 params={key: float(values[k]) for key, k in own.items()},
@@ -239,22 +239,22 @@ def named_effects(
                 confidence=min(inclusion[name], MOST_CONFIDENT),
                 ablation=ablations[name],
                 regime=regimes[name],
-                ties=tuple(tied_rivals(name, selection)),
+                ties=tuple(find_ties(name, selection)),
                 in_part=tuple(rival for rival in selection.chosen.in_part if rival.effect == name),
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
                     for key in own
                     if f"{name}.{key}" in numbers and (i := numbers.index(f"{name}.{key}")) > 0
                 },
-                declared=declared_params_of(name, robot),
+                declared=declaration(name, robot),
                 place=rotor_place(name, fit.params.effects[name], robot),
             )
         )
-    return tuple(found)
+    return tuple(results)
 
 
 def immaterial(effects: Sequence[NamedEffect]) -> list[Finding]:
-    """Return a note for each effect whose absence hardly changes the test flights, or not for certain."""
+    """Return a note for each effect that is immaterial, or not shown to be material."""
     notes = []
     for effect in effects:
         if (ablation := effect.ablation) is None or ablation.material:
@@ -268,6 +268,6 @@ def immaterial(effects: Sequence[NamedEffect]) -> list[Finding]:
     return notes
 
 
-def tied_rivals(name: str, selection: SelectionResult) -> list[str]:
-    """Return the registered effects that cannot be told from an accepted one."""
-    return [rival.effect for rival in selection.ties_of(name)]
+def find_ties(name: str, selection: SelectionResult) -> list[str]:
+    """Return the effects that explain the flights as well as an accepted one in its place."""
+    return [rival.effect for rival in selection.effect_ties(name)]

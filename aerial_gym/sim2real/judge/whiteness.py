@@ -1,4 +1,4 @@
-"""What lies in which octave below the band of a comparison, and whether a residual is as even there as noise.
+"""Whiteness: the power of a residual by octave below the bandwidth, and a test for equal power at all frequencies.
 
 Letters: T rows, C channels, O octaves, L spectral lines.
 """
@@ -12,53 +12,53 @@ from scipy import special
 from scipy.integrate import cumulative_trapezoid
 
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.signals import lowpass_gain, without_line
-from aerial_gym.sim2real.plain import fields_of
 from aerial_gym.sim2real.predict.channels import Channel
 
 EDGES = (0.0, 0.125, 0.25, 0.5, 1.0)
-"""Of the octaves, the lowest one down to zero, in units of the band."""
+"""Edges of the octaves as shares of the bandwidth; the lowest octave extends down to zero."""
 
 FEWEST_ROWS = 64
-"""Shorter spans without a gap are left out."""
+"""Fewest rows of a span without a gap that enters the spectrum."""
 
 DIFFERENTIATED = ("angular_acceleration", "kinematic_force")
-"""Kinds that are derivatives of what a sensor reads: even noise of the sensor grows with the square of the frequency."""
+"""Kinds of channel that are derivatives of a reading: white noise of the sensor grows with the square of the frequency."""
 
 WHITE = 0.01
-"""Residuals less probable than this are no noise."""
+"""Smallest p-value at which a residual counts as white."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Whiteness:
-    """How a residual is spread over the band."""
+    """Distribution of a residual's power over frequency, with a test against white noise."""
 
     probability: float
-    """That noise is spread as unevenly."""
+    """P-value: the probability that white noise is distributed as unevenly."""
 
     octaves: tuple[float, ...]
-    """Power in each octave over that of noise of the same power, (O,)."""
+    """Power in each octave divided by that of white noise with the same total power, (O,)."""
 
     @property
     def white(self) -> bool:
-        """Return whether it may be noise."""
+        """Return whether the residual may be white noise."""
         return self.probability >= WHITE
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return fields_of(self, "probability", "white", "octaves")
+        return select_fields(self, "probability", "white", "octaves")
 
 
 def lines(
     times: Sequence[Array], values: Sequence[Array], bandwidth: float, *, tapered: bool = False
 ) -> tuple[Array, Array]:
-    """Return frequencies (L,) [Hz] and powers (L, C) below the band, of all spans without a gap, as before the low-pass.
+    """Return frequencies (L,) [Hz] and powers (L, C) of all spans without a gap, with the low-pass gain divided out.
 
     Args:
-        times: Of the rows of each flight [s], (T,), at equal steps but for gaps.
-        values: Of each flight, (T, C), low-passed at ``bandwidth``.
-        bandwidth: [Hz].
-        tapered: By a Hann window, against leakage of what is strong and slow; neighbouring lines then depend on each other.
+        times: Times of the rows of each flight [s], (T,), at equal steps except for gaps.
+        values: Values of each flight, (T, C), low-passed at ``bandwidth``.
+        bandwidth: Highest frequency [Hz].
+        tapered: Whether a Hann window limits leakage from strong low frequencies; neighbouring lines then correlate.
     """
     frequencies, powers = [np.zeros(0)], [np.zeros((0, values[0].shape[1]))]
     for time, rows in zip(times, values, strict=True):
@@ -75,17 +75,17 @@ def lines(
     return np.concatenate(frequencies), np.concatenate(powers)
 
 
-def integrated(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
-    """Return the integrals of values (T, C) by the trapezoidal rule, its gain ``(h/2) cot(w h/2) w`` undone line by line."""
-    found = []
+def integrate(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
+    """Return the integrals of values (T, C): trapezoidal rule, with its gain ``(w h/2) cot(w h/2)`` divided out."""
+    results = []
     for time, rows in zip(times, values, strict=True):
         step = float(np.median(np.diff(time)))
         total = without_line(cumulative_trapezoid(rows.T, dx=step, initial=0.0)).T
         angle = np.pi * np.fft.rfftfreq(len(rows), 1.0)  # w h / 2
         gain = np.ones_like(angle)
-        gain[1:] = np.maximum(angle[1:] / np.tan(np.maximum(angle[1:], 1e-12)), 0.1)  # beyond the band nothing is left
-        found.append(np.fft.irfft(np.fft.rfft(total, axis=0) / gain[:, None], n=len(rows), axis=0))
-    return found
+        gain[1:] = np.maximum(angle[1:] / np.tan(np.maximum(angle[1:], 1e-12)), 0.1)  # limited above the band
+        results.append(np.fft.irfft(np.fft.rfft(total, axis=0) / gain[:, None], n=len(rows), axis=0))
+    return results
 
 
 def in_octaves(frequency: Array, power: Array, bandwidth: float) -> Array:
@@ -95,26 +95,26 @@ def in_octaves(frequency: Array, power: Array, bandwidth: float) -> Array:
 
 
 def octave_names(bandwidth: float) -> list[str]:
-    """Return the octaves in words."""
+    """Return the frequency range of each octave as text."""
     return [f"{low * bandwidth:.3g} to {high * bandwidth:.3g} Hz" for low, high in pairwise(EDGES)]
 
 
 def whiteness(
     times: Sequence[Array], residuals: Sequence[Array], channels: Sequence[Channel], bandwidth: float
 ) -> list[Whiteness]:
-    """Return how each channel of residuals (T, C) is spread; derivatives are looked at as what the sensor reads.
+    """Return the whiteness of each channel of residuals (T, C); channels that are derivatives are integrated first.
 
-    The cumulative periodogram of noise departs from a straight line as far as Kolmogorov's and Smirnov's statistic says.
+    The test is that of Kolmogorov and Smirnov for the distance of the cumulative periodogram from a straight line.
     Source: Durbin (1969), Tests for serial correlation in regression analysis based on the periodogram of least-squares
     residuals, Biometrika 56; finite samples: Stephens (1970), JRSS B 32.
     """
     frequency, power = lines(times, residuals, bandwidth)
-    read = lines(times, integrated(times, residuals), bandwidth)[1]
+    read = lines(times, integrate(times, residuals), bandwidth)[1]
     order, count = np.argsort(frequency), frequency.size
-    found = []
+    results = []
     for place, channel in enumerate(channels):
         if count < 2 * len(EDGES):
-            found.append(Whiteness(probability=1.0, octaves=(1.0,) * (len(EDGES) - 1)))
+            results.append(Whiteness(probability=1.0, octaves=(1.0,) * (len(EDGES) - 1)))
             continue
         even = (read if channel.kind in DIFFERENTIATED else power)[:, place]
         total = np.cumsum(even[order]) / even.sum()
@@ -122,10 +122,10 @@ def whiteness(
         root = np.sqrt(count)
         share = in_octaves(frequency, even[:, None], bandwidth)[:, 0] / even.sum()
         number = in_octaves(frequency, np.ones((count, 1)), bandwidth)[:, 0] / count
-        found.append(
+        results.append(
             Whiteness(
                 probability=float(special.kolmogorov(distance * (root + 0.12 + 0.11 / root))),
                 octaves=tuple((share / np.maximum(number, 1e-300)).tolist()),
             )
         )
-    return found
+    return results

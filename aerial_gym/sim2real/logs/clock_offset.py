@@ -10,8 +10,8 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import FlightLog, part_of
-from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lagged, lowpass
+from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
+from aerial_gym.sim2real.logs.signals import apply_lag, edge_rows, interpolate, lowpass
 
 LATE_S = 0.003
 """Standard deviation of each sensor's unknown delay [s]: filters and telemetry take milliseconds that no log states."""
@@ -99,7 +99,13 @@ class OffsetCurve:
 
 
 def offset_curve(
-    measured: Array, predicted: Array, others: Array, rate: float, bandwidth: float, *, largest: float = LARGEST_SHIFT_S
+    measured: Array,
+    predicted: Array,
+    disturbance: Array,
+    rate: float,
+    bandwidth: float,
+    *,
+    largest: float = LARGEST_SHIFT_S,
 ) -> OffsetCurve:
     """Return the residual curve of the accelerometer against the rotor log, for offsets up to ``largest`` [s].
 
@@ -115,7 +121,7 @@ def offset_curve(
         largest: Largest offset [s].
     """
     most = round(largest * rate)
-    wave = np.column_stack((measured, predicted, others))
+    wave = np.column_stack((measured, predicted, disturbance))
     wave = lowpass(wave, rate, bandwidth) - lowpass(wave, rate, 0.05 * bandwidth)
     edge = edge_rows(rate, bandwidth) + most
     inner = slice(edge, -edge)
@@ -130,7 +136,7 @@ def offset_curve(
     return OffsetCurve(rate=rate, left=left, samples=2.0 * PASSED * bandwidth * target.size / rate)
 
 
-def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
+def common_offsets(curves: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
     """Return the clock offset of each log: a common one if the decisive logs agree, else each log's own.
 
     A logger has one clock, so a flight with nearly constant thrust takes the common offset unless its own data reject it.
@@ -138,17 +144,17 @@ def common_offsets(found: Sequence[OffsetCurve], learning: int) -> list[ClockOff
     explain as well is 0, since tolerances cover such delays. If the decisive logs disagree, the odds must exceed
     ``CLEAR_ODDS``, because other vertical forces can imitate an offset.
     """
-    told, agreed = _told_offsets(found, learning)
+    told, agreed = _decide_offsets(curves, learning)
     odds = 1.0 if agreed else CLEAR_ODDS
     return [
-        offset if offset.is_a_clock(one.rate, odds) else ClockOffset() for offset, one in zip(told, found, strict=True)
+        offset if offset.is_a_clock(one.rate, odds) else ClockOffset() for offset, one in zip(told, curves, strict=True)
     ]
 
 
-def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
+def _decide_offsets(curves: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
     """Return the offset of each log, and whether all decisive logs agree."""
-    own = [one.offset for one in found]
-    told = list(zip(own, found, strict=True))[:learning]
+    own = [one.offset for one in curves]
+    told = list(zip(own, curves, strict=True))[:learning]
     known = [(offset.rows / one.rate, offset.std / one.rate) for offset, one in told if offset.std > 0.0]
     if not known:
         return own, True
@@ -156,10 +162,10 @@ def _told_offsets(found: Sequence[OffsetCurve], learning: int) -> tuple[list[Clo
     mean, spread = float(np.sum(time / std**2) / np.sum(std**-2)), float(np.sum(std**-2) ** -0.5)
     if np.any(np.abs(time - mean) > AGREEING * std):
         return own, False
-    same = [ClockOffset(rows=mean * one.rate, std=spread * one.rate) for one in found]
+    same = [ClockOffset(rows=mean * one.rate, std=spread * one.rate) for one in curves]
     each = [
         offset if one.rules_out(moved.rows) or abs(offset.rows - moved.rows) > AGREEING * offset.std > 0.0 else moved
-        for offset, moved, one in zip(own, same, found, strict=True)
+        for offset, moved, one in zip(own, same, curves, strict=True)
     ]
     return each, all(offset is moved for offset, moved in zip(each[:learning], same, strict=False))
 
@@ -175,8 +181,8 @@ def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffse
         offsets: Offsets of the rotor speeds.
         time_constant: Declared [s]; 0.2 to 5 times it is searched.
     """
-    found = [_left_by_lags(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)]
-    told = [np.log(moved / stayed) for moved, stayed in filter(None, found)]
+    curve_values = [_left_by_lags(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)]
+    told = [np.log(moved / stayed) for moved, stayed in filter(None, curve_values)]
     return not told or bool(np.mean(told) > np.log(1.0 - LEAST_SHIFT_GAIN))
 
 
@@ -190,11 +196,11 @@ def _left_by_lags(log: FlightLog, offset: ClockOffset, time_constant: float) -> 
     edge = round(SETTLED * time_constant / step) + abs(whole)
 
     def left(shift: int) -> float:
-        moved, found = np.roll(command, shift, axis=0), []
+        moved, curve_values = np.roll(command, shift, axis=0), []
         for constant in time_constant * np.geomspace(0.2, 5.0, 17):
             kept = np.exp(-step / constant)
-            found.append(np.mean((speed - lagged(moved, kept, speed[0]))[edge:-edge] ** 2))
-        return float(min(found))
+            curve_values.append(np.mean((speed - apply_lag(moved, kept, speed[0]))[edge:-edge] ** 2))
+        return float(min(curve_values))
 
     return left(-whole), left(0)
 
@@ -212,8 +218,8 @@ def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = Tru
     for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
         values = getattr(log, name)
         if values is not None:
-            moved[name] = interpolated(rows[kept] - offset.rows, rows, values)
+            moved[name] = interpolate(rows[kept] - offset.rows, rows, values)
     step = 1e3 * float(np.median(np.diff(log.time)))
     lead = {"lead_ms": offset.rows * step, "half_width_ms": 1.96 * offset.std * step, "with_commands": commands}
     note = Finding("rotor_log_moved", "", lead)
-    return replace(part_of(log, kept), **moved, notes=(*log.notes, note))
+    return replace(take_rows(log, kept), **moved, notes=(*log.notes, note))

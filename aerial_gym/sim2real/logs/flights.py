@@ -17,21 +17,21 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_time, without_bad_quaternions
-from aerial_gym.sim2real.logs.checks.copies import SeenLogs
+from aerial_gym.sim2real.logs.checks.conventions import body_rate, check_log, check_time, without_bad_quaternions
+from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
 from aerial_gym.sim2real.logs.checks.rotor_order import check_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
 from aerial_gym.sim2real.logs.checks.time_courses import check_one_course
 from aerial_gym.sim2real.logs.clock_offset import commands_share_clock, shift_rotor_log
-from aerial_gym.sim2real.logs.declared_rotors import mean_lag
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, rate_of
-from aerial_gym.sim2real.logs.repeated_samples import mend_repeated_samples
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets
+from aerial_gym.sim2real.logs.rotor_model import mean_lag
+from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
 
 FEWEST_HIGH = 10
@@ -73,7 +73,7 @@ class Flight(Recording):
         return rotors.shape[1]
 
 
-def names_of(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
+def flight_names(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
     """Return the names of ``some`` flights, or 'all logs' if these are all of several."""
     return "all logs" if len(some) == len(flights) > 1 else ", ".join(flight.name for flight in some)
 
@@ -81,16 +81,16 @@ def names_of(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
 Had = TypeVar("Had")
 
 
-def had_by_all(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
+def common_values(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
     """Return the entries that all mappings share, by key, each as a list with one value per mapping."""
     return {name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)}
 
 
-def notes_of(flights: Sequence[Flight]) -> list[Finding]:
+def merge_notes(flights: Sequence[Flight]) -> list[Finding]:
     """Return the distinct findings on the logs; each subject names the affected flights."""
     notes = dict.fromkeys(note for flight in flights for note in flight.notes)
     return [
-        replace(note, subject=names_of([flight for flight in flights if note in flight.notes], flights))
+        replace(note, subject=flight_names([flight for flight in flights if note in flight.notes], flights))
         for note in notes
     ]
 
@@ -118,12 +118,12 @@ def load_flights(
         DataError: If a file is given twice, or is unusable or a copy and ``refused`` is None.
     """
     read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
-    seen = SeenLogs()
+    seen = LogRegister()
     for real, path in distinct_files(paths).items():
         with _left_out(refused):
             raw = read_flight_log(path, mapping=mapping)
             seen.add(raw)
-            log = mended_log(raw)
+            log = repair_log(raw)
             read[real] = (with_velocity(log), check_log(log, robot))
     first = {Path(os.path.realpath(path)) for path in paths[:learning]}
     logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
@@ -167,12 +167,12 @@ def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
     return seen
 
 
-def mended_log(log: FlightLog) -> FlightLog:
+def repair_log(log: FlightLog) -> FlightLog:
     """Return the log at equal time steps, with repeated values and position jumps repaired."""
-    return mend_position_jumps(even_log(log))
+    return mend_position_jumps(resample_log(log))
 
 
-def even_log(log: FlightLog) -> FlightLog:
+def resample_log(log: FlightLog) -> FlightLog:
     """Return the log at equal time steps with repeated values repaired."""
     log = without_bad_quaternions(log)
     check_time(log)
@@ -185,7 +185,7 @@ def with_velocity(log: FlightLog) -> FlightLog:
     """Return the log with velocity derived from position if it was not logged."""
     if log.lin_vel is not None or log.position is None:
         return log
-    rate = rate_of(log)
+    rate = sample_rate(log)
     velocity = lowpass(log.position, rate, DERIVED_BAND * rate, derivative=True)
     return replace(log, lin_vel=velocity, notes=(*log.notes, Finding("velocity_derived")))
 
@@ -221,7 +221,7 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
 
     ``on_ground``: rows on the ground, (T,).
     """
-    rate, said = rate_of(log), [*log.notes, *notes]
+    rate, said = sample_rate(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate
     specific_force, ang_vel = log.specific_force, log.ang_vel
     if log.lin_vel is None:
@@ -231,7 +231,7 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         specific_force = Rotation.from_quat(log.attitude).apply(acceleration, inverse=True)
         said.append(Finding("force_derived"))
     if ang_vel is None:
-        ang_vel = body_rate_of(log.attitude, rate, band)
+        ang_vel = body_rate(log.attitude, rate, band)
         said.append(Finding("rates_derived"))
     if log.collective:
         said.append(Finding("one_command"))

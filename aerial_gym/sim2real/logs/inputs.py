@@ -48,13 +48,13 @@ def read_inputs(
     digests = file_digests(paths)
     flights = load_flights(paths, robot, mapping=mapping, bandwidth=bandwidth, learning=len(train), refused=refused)
     to_train = {str(path) for path in train}
-    found = [[f for f in flights if (f.path in to_train) is wanted] for wanted in (True, False)]
-    for role, given, left in zip(("train", "test"), (train, test), found, strict=True):
+    groups = [[f for f in flights if (f.path in to_train) is wanted] for wanted in (True, False)]
+    for role, given, left in zip(("train", "test"), (train, test), groups, strict=True):
         if not left:
-            others = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
-            raise DataError(f"{refused[0]}{others if len(refused) > 1 else ''}") from None
+            refusals = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
+            raise DataError(f"{refused[0]}{refusals if len(refused) > 1 else ''}") from None
     notes = tuple(Finding("flight_left_out", "", {"error": str(error)}) for error in refused)
-    return Inputs(train=found[0], test=found[1], left_out=notes, digests=digests)
+    return Inputs(train=groups[0], test=groups[1], left_out=notes, digests=digests)
 
 
 def check_bandwidth(bandwidth: float) -> None:
@@ -80,12 +80,12 @@ def load_train_and_test(
 
 def file_digests(paths: Sequence[str | Path]) -> dict[str, str]:
     """Return the SHA-256 of files by their paths."""
-    found: dict[str, str] = {}
+    groups: dict[str, str] = {}
     for path in paths:
         try:
-            found[str(path)] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+            groups[str(path)] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
         except FileNotFoundError:
             raise DataError(f"{path}: no such file") from None
         except OSError as error:
             raise DataError(f"{path}: cannot be read ({error.strerror})") from None
-    return found
+    return groups

@@ -10,8 +10,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, sample_rate
+from aerial_gym.sim2real.logs.rotor_model import lift, simulate_lag
 from aerial_gym.sim2real.logs.signals import edge_rows
 
 SMOOTH_S = 0.05
@@ -43,10 +43,10 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     Raises:
         DataError: If more than ``MOST`` of the rows are on the ground.
     """
-    rotors, width = log.rotor_speed, SMOOTH_S * rate_of(log)
+    rotors, width = log.rotor_speed, SMOOTH_S * sample_rate(log)
     if rotors is None and log.rotor_command is not None:
-        rotors = followed(robot, log.rotor_command, rate_of(log))
-    felt = _felt(log, width)
+        rotors = simulate_lag(robot, log.rotor_command, sample_rate(log))
+    felt = _force_size(log, width)
     if felt is None or rotors is None:
         return None
     thrust = ndimage.gaussian_filter1d(lift(robot, rotors), width)
@@ -63,7 +63,7 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     piece = np.cumsum(np.diff(likely, prepend=False))
     on_ground = likely & np.isin(piece, piece[certain])
     if log.lift_off > 0.0 and log.position is not None:
-        on_ground |= _at_height_of(on_ground, log.position[:, 2], log.lift_off)
+        on_ground |= _rows_near_lowest(on_ground, log.position[:, 2], log.lift_off)
     if on_ground.mean() > MOST:
         raise DataError(
             f"{log.path}: the vehicle stands on the ground in {on_ground.mean():.0%} of the rows: at rest, while its rotors "
@@ -77,26 +77,27 @@ def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) ->
 
     ``bandwidth``: frequency limit of the comparison [Hz].
     """
-    edge = edge_rows(rate_of(log), min(bandwidth, HIGHEST_BAND * rate_of(log)))
+    edge = edge_rows(sample_rate(log), min(bandwidth, HIGHEST_BAND * sample_rate(log)))
     flies = np.ones(log.time.size, dtype=bool) if on_ground is None else ~on_ground
     if not np.asarray(ndimage.minimum_filter1d(flies, 2 * edge + 1, mode="constant", cval=0)).any():
         raise DataError(
-            f"{log.path}: the vehicle is never airborne for {(2 * edge + 1) / rate_of(log):.2g} s at a time, as a comparison "
-            f"below {bandwidth:g} Hz needs; give a log of a flight, or compare below a higher frequency (bandwidth_hz)"
+            f"{log.path}: the vehicle is never airborne for {(2 * edge + 1) / sample_rate(log):.2g} s at a time; a "
+            f"comparison below {bandwidth:g} Hz needs more. Give a log of a flight, or compare "
+            "below a higher frequency (bandwidth_hz)"
         )
 
 
-def _felt(log: FlightLog, width: float) -> Array | None:
+def _force_size(log: FlightLog, width: float) -> Array | None:
     """Return the smoothed specific force [m/s²], (T,), from the accelerometer or else the velocity; None without both."""
     if log.specific_force is not None:
         return _size(log.specific_force, width)
     if log.lin_vel is None:
         return None
-    change = rate_of(log) * ndimage.gaussian_filter1d(log.lin_vel, width, axis=0, order=1)
+    change = sample_rate(log) * ndimage.gaussian_filter1d(log.lin_vel, width, axis=0, order=1)
     return np.linalg.norm(change + AT_REST, axis=1)
 
 
-def _at_height_of(stands: Flags, height: Array, reach: float) -> Flags:
+def _rows_near_lowest(stands: Flags, height: Array, reach: float) -> Flags:
     """Return the rows (T,) within ``reach`` [m] of the lowest height of any span on the ground."""
     pieces, count = ndimage.label(stands)  # pyright: ignore[reportGeneralTypeIssues]
     levels = ndimage.minimum(height, pieces, np.arange(1, count + 1))

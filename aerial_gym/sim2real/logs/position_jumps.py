@@ -99,25 +99,25 @@ def mend_position_jumps(log: FlightLog) -> FlightLog:
     if log.position is None or log.lin_vel is None:
         return log
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    position, found, way, offset = log.position, list[PositionJump](), integral(log.lin_vel, step), Offset()
+    position, accepted, way, offset = log.position, list[PositionJump](), integral(log.lin_vel, step), Offset()
     while (jump := largest_jump(position - way, step, offset)) is not None:
-        found.append(jump)
+        accepted.append(jump)
         offset = offset.and_then(jump)
-        if len(found) > MOST:
+        if len(accepted) > MOST:
             return replace(log, notes=(*log.notes, Finding("position_jumps_left", "", {"most": MOST})))
         position = np.concatenate((position[: jump.first], position[jump.first :] - jump.size))
-    notes = [jump.finding(log.time) for jump in joined(found, round(HALF_S / step))]
-    return replace(log, position=position, notes=(*log.notes, *notes)) if found else log
+    notes = [jump.finding(log.time) for jump in merge_jumps(accepted, round(HALF_S / step))]
+    return replace(log, position=position, notes=(*log.notes, *notes)) if accepted else log
 
 
-def joined(jumps: Iterable[PositionJump], rows: int) -> list[PositionJump]:
+def merge_jumps(jumps: Iterable[PositionJump], rows: int) -> list[PositionJump]:
     """Return the jumps in time order, merging those closer than ``rows`` rows."""
-    found: list[PositionJump] = []
+    accepted: list[PositionJump] = []
     for jump in sorted(jumps, key=lambda one: one.first):
-        if found and jump.first - found[-1].last < rows:
-            jump = found.pop().and_then(jump)
-        found.append(jump)
-    return found
+        if accepted and jump.first - accepted[-1].last < rows:
+            jump = accepted.pop().and_then(jump)
+        accepted.append(jump)
+    return accepted
 
 
 def integral(velocity: Array, step: float) -> Array:
@@ -136,7 +136,7 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
     half = max(3, round(HALF_S / step))
     if len(left) < 8 * half:
         return None
-    sizes, scale = scaled_differences(left, step)
+    sizes, scale = jump_statistics(left, step)
     rows = np.abs(sizes)
     odd = np.where(rows > LEAST, rows / scale, 0.0)
     place, axis = np.unravel_index(int(np.argmax(odd)), odd.shape)
@@ -151,7 +151,7 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
     return PositionJump(first=row, last=row, size=sizes[place], std=scale[place])
 
 
-def scaled_differences(left: Array, step: float) -> tuple[Array, Array]:
+def jump_statistics(left: Array, step: float) -> tuple[Array, Array]:
     """Return the step estimates at rows half to T - half, and their scale without jumps, each (T - 2 half + 1, 3) [m]."""
     sizes = differences(left, max(3, round(HALF_S / step)))
     rows = np.abs(sizes)
@@ -167,8 +167,8 @@ def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:
     1, so they exceed c with a probability of at most 1 / c (Markov).
     """
     wide = np.sqrt(scale**2 + offset.variance)
-    nothing, back = (np.log1p((x**2).sum(axis=1) / FREEDOM) for x in (sizes / scale, (sizes + offset.size) / wide))
-    return 0.5 * (FREEDOM + 3) * (nothing - back) + np.log(scale / wide).sum(axis=1)
+    no_jump, back = (np.log1p((x**2).sum(axis=1) / FREEDOM) for x in (sizes / scale, (sizes + offset.size) / wide))
+    return 0.5 * (FREEDOM + 3) * (no_jump - back) + np.log(scale / wide).sum(axis=1)
 
 
 def differences(left: Array, half: int) -> Array:

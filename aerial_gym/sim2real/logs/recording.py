@@ -107,7 +107,7 @@ class FlightLog(Recording):
         rotors = self.rotor_speed if self.rotor_speed is not None else self.rotor_command
         return 0 if rotors is None else rotors.shape[1]
 
-    def where(self, row: int) -> str:
+    def row_name(self, row: int) -> str:
         """Return a row's name for messages: file, line if known, and time."""
         line = "" if self.lines is None else f", line {self.lines[row]}"
         return f"{self.path}{line} (t = {self.time[row]:.6g} s)"
@@ -122,12 +122,12 @@ NORM_OFF = 0.05
 Some = TypeVar("Some", bound=Recording)
 
 
-def part_of(log: Some, rows: slice | Flags) -> Some:
+def take_rows(log: Some, rows: slice | Flags) -> Some:
     """Return the selected rows of a log or flight."""
-    return replace(log, **{name: values[rows] for name, values in arrays_of(log).items()})
+    return replace(log, **{name: values[rows] for name, values in row_arrays(log).items()})
 
 
-def arrays_of(log: Recording) -> dict[str, Array]:
+def row_arrays(log: Recording) -> dict[str, Array]:
     """Return the arrays with one entry per row, by field name, (T, any)."""
     return {f.name: value for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
 
@@ -137,6 +137,6 @@ def gap_limit(step: float) -> float:
     return max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S)
 
 
-def rate_of(log: FlightLog) -> float:
+def sample_rate(log: FlightLog) -> float:
     """Return the sample rate [Hz]."""
     return (log.time.size - 1) / float(log.time[-1] - log.time[0])

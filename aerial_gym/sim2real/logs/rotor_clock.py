@@ -21,7 +21,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
     common_offsets,
     offset_curve,
 )
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 FAR_S = 0.25
@@ -40,12 +40,12 @@ def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, 
     Without velocity the offset is 0, because drag along z would imitate one.
     """
     able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
-    curves = [offset_curve_of(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
-    found = iter(common_offsets(curves, sum(able[:learning])))
-    return [next(found) if one else ClockOffset() for one in able]
+    curves = [correlate_clock(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
+    offsets = iter(common_offsets(curves, sum(able[:learning])))
+    return [next(offsets) if one else ClockOffset() for one in able]
 
 
-def offset_curve_of(
+def correlate_clock(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float = LARGEST_SHIFT_S, stride: int = 1
 ) -> OffsetCurve:
     """Return the residual curve of vertical force against rotor speeds, for clock offsets up to ``largest`` [s].
@@ -54,27 +54,27 @@ def offset_curve_of(
     """
     assert log.specific_force is not None
     assert log.lin_vel is not None
-    thrust, _ = _made_by_rotors(log, robot)
-    others = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
+    thrust, _ = _rotor_wrench(log, robot)
+    body_velocity = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
     if log.ang_vel is not None:
-        others.append(_ang_acc(log)[:, :2])
-    waves = np.column_stack((log.specific_force[:, 2], thrust, *others))
-    return _curve_of(waves, rate_of(log), bandwidth, largest, stride)
+        body_velocity.append(_ang_acc(log)[:, :2])
+    waves = np.column_stack((log.specific_force[:, 2], thrust, *body_velocity))
+    return _correlation_curve(waves, sample_rate(log), bandwidth, largest, stride)
 
 
-def turning_curves_of(
+def rotation_curves(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float, stride: int
 ) -> list[OffsetCurve]:
     """Return the residual curves of roll and pitch acceleration, free of other vertical forces; empty without a gyro."""
     if log.ang_vel is None:
         return []
-    _, torque = _made_by_rotors(log, robot)
-    turning, rate = _ang_acc(log), rate_of(log)
+    _, torque = _rotor_wrench(log, robot)
+    turning, rate = _ang_acc(log), sample_rate(log)
     pairs = (np.column_stack((turning[:, axis], torque[:, axis])) for axis in (0, 1))
-    return [_curve_of(waves, rate, bandwidth, largest, stride) for waves in pairs]
+    return [_correlation_curve(waves, rate, bandwidth, largest, stride) for waves in pairs]
 
 
-def _made_by_rotors(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
+def _rotor_wrench(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
     """Return the rotors' specific force along z [m/s²], (T,), and torque [N m], (T, 3), at the logged speeds."""
     assert log.rotor_speed is not None
     rows = vehicle_from_config(robot, num_envs=log.time.size, dtype=torch.float64)
@@ -86,11 +86,11 @@ def _made_by_rotors(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
 def _ang_acc(log: FlightLog) -> Array:
     """Return the angular acceleration [rad/s²], body, (T, 3)."""
     assert log.ang_vel is not None
-    rate = rate_of(log)
+    rate = sample_rate(log)
     return lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)
 
 
-def _curve_of(waves: Array, rate: float, bandwidth: float, largest: float, stride: int) -> OffsetCurve:
+def _correlation_curve(waves: Array, rate: float, bandwidth: float, largest: float, stride: int) -> OffsetCurve:
     """Return the residual curve of columns (T, any): measurement, rotor prediction, other regressors; thinned by ``stride``."""
     band = min(bandwidth, DERIVED_BAND * rate)
     if stride > 1:
@@ -105,8 +105,8 @@ def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None
     """
     if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
         return
-    stride = max(1, int(rate_of(log) / (ROWS_PER_BAND * bandwidth)))
-    curve = offset_curve_of(log, robot, bandwidth, largest=FAR_S, stride=stride)
+    stride = max(1, int(sample_rate(log) / (ROWS_PER_BAND * bandwidth)))
+    curve = correlate_clock(log, robot, bandwidth, largest=FAR_S, stride=stride)
     if not curve.left.size:
         return
     rows = np.arange(curve.left.size) - curve.left.size // 2
@@ -114,7 +114,7 @@ def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None
     best = int(np.argmin(curve.left))
     if near[best] or best in (0, rows.size - 1) or curve.left[best] > FAR_GAIN * min(curve.left[near].min(), 1.0):
         return
-    for turning in turning_curves_of(log, robot, bandwidth, largest=FAR_S, stride=stride):
+    for turning in rotation_curves(log, robot, bandwidth, largest=FAR_S, stride=stride):
         if turning.left.size and turning.left[near].min() < FAR_GAIN * turning.left[best]:
             return
     time, most = 1e3 * float(rows[best]) / curve.rate, 1e3 * LARGEST_SHIFT_S

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from aerial_gym.errors import DataError
-from aerial_gym.math.decay import decaying_sum
+from aerial_gym.math.decay import exponential_sum
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import FlightLog, arrays_of, gap_limit, part_of
+from aerial_gym.sim2real.logs.recording import FlightLog, gap_limit, row_arrays, take_rows
 
 FILTER_ORDER = 4
 """Order of the Butterworth low-pass, which runs forwards and backwards."""
@@ -125,9 +125,9 @@ def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
     return fft.rfftfreq(rows, 1.0 / rate), power.T
 
 
-def lagged(values: Array, kept: float, start: Array) -> Array:
+def apply_lag(values: Array, kept: float, start: Array) -> Array:
     """Return the first-order lag of values (T, K) from a start (K,): ``y_n = kept y_(n-1) + (1 - kept) x_(n-1)``."""
-    return decaying_sum(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
+    return exponential_sum(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
 
 
 def edge_rows(rate: float, bandwidth: float) -> int:
@@ -138,16 +138,16 @@ def edge_rows(rate: float, bandwidth: float) -> int:
 def continuous_quaternion(attitude: Array) -> Array:
     """Return the normalised quaternions (T, 4) with continuous signs."""
     unit = attitude / np.linalg.norm(attitude, axis=1, keepdims=True)
-    return unit * signs_of(unit)[:, None]
+    return unit * quaternion_signs(unit)[:, None]
 
 
-def signs_of(attitude: Array) -> Array:
+def quaternion_signs(attitude: Array) -> Array:
     """Return the signs (T,), +1 or -1, that make quaternions (T, 4) continuous."""
     flips = np.where((attitude[1:] * attitude[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
     return np.concatenate(([1.0], np.cumprod(flips)))
 
 
-def interpolated(at: Array, time: Array, values: Array) -> Array:
+def interpolate(at: Array, time: Array, values: Array) -> Array:
     """Return columns (T, K) interpolated linearly at other times."""
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
@@ -164,7 +164,7 @@ def without_gaps(log: FlightLog) -> FlightLog:
     gap = int(np.argmax(steps))
     if steps[gap] > gap_limit(step):
         raise DataError(
-            f"{log.where(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
+            f"{log.row_name(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
             "cut the log there and give both parts as flights"
         )
     return log
@@ -184,8 +184,8 @@ def uniform_log(log: FlightLog) -> FlightLog:
         return replace(log, attitude=attitude)
     count = int((log.time[-1] - log.time[0]) / step) + 1
     time = log.time[0] + step * np.arange(count)
-    columns = {name: values for name, values in arrays_of(log).items() if values.ndim == 2} | {"attitude": attitude}
-    moved = {name: interpolated(time, log.time, values) for name, values in columns.items()}
+    columns = {name: values for name, values in row_arrays(log).items() if values.ndim == 2} | {"attitude": attitude}
+    moved = {name: interpolate(time, log.time, values) for name, values in columns.items()}
     moved["attitude"] = continuous_quaternion(moved["attitude"])
     if log.rotor_command is not None:
         moved["rotor_command"] = log.rotor_command[np.clip(np.searchsorted(log.time, time, "right") - 1, 0, None)]
@@ -208,4 +208,4 @@ def _without_loose_ends(log: FlightLog) -> FlightLog:
     part = slice(edges[longest], edges[longest + 1])
     cut = {"rows": int(log.time.size - sizes[longest]), "gap_s": float(steps.max())}
     note = Finding("rows_cut", "", cut)
-    return replace(part_of(log, part), notes=(*log.notes, note))
+    return replace(take_rows(log, part), notes=(*log.notes, note))

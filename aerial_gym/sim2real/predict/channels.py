@@ -52,17 +52,17 @@ def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
     Raises:
         DataError: If there are none.
     """
-    found: list[Channel] = []
+    channels: list[Channel] = []
     if all(flight.specific_force is not None for flight in flights):
-        found += [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+        channels += [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
     if all(flight.gyro for flight in flights):
-        found += [Channel(kind="angular_acceleration", axis=axis) for axis in "xyz"]
+        channels += [Channel(kind="angular_acceleration", axis=axis) for axis in "xyz"]
     if all(flight.rotor_speed is not None and flight.rotor_command is not None for flight in flights):
-        found += [Channel(kind="rotor_speed", axis=str(n + 1)) for n in range(flights[0].num_rotors)]
-    if not found:
+        channels += [Channel(kind="rotor_speed", axis=str(n + 1)) for n in range(flights[0].num_rotors)]
+    if not channels:
         raise DataError("the flights have no quantity in common that can be compared; log acc or omega in all of them")
     if all(flight.accelerometer and flight.lin_vel is not None for flight in flights):
-        found += [Channel(kind="kinematic_force", axis=axis) for axis in "xyz"]
+        channels += [Channel(kind="kinematic_force", axis=axis) for axis in "xyz"]
     if all(flight.gyro and not flight.attitude_integrated for flight in flights):
-        found += [Channel(kind="kinematic_rate", axis=axis) for axis in "xyz"]
-    return tuple(found)
+        channels += [Channel(kind="kinematic_rate", axis=axis) for axis in "xyz"]
+    return tuple(channels)

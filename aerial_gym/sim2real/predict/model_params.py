@@ -33,27 +33,27 @@ class ModelParams:
         return replace(self, effects={**self.effects, name: params})
 
 
-def declared_params(robot: RobotCfg) -> ModelParams:
+def params_from_robot(robot: RobotCfg) -> ModelParams:
     """Return the declared model as a rigid vehicle, without random effects."""
     kept = {name: values for name, values in robot.effects.items() if EFFECTS.get(name).predicts}
     return ModelParams(
-        effects={name: np.array(EFFECTS.get(name).params_from(values)) for name, values in kept.items()},
+        effects={name: np.array(EFFECTS.get(name).parse_params(values)) for name, values in kept.items()},
         learned=None if robot.learned_residual is None else LearnedResidual(robot.learned_residual),
     )
 
 
-def effects_at(params: ModelParams, rows: int) -> list[EffectParams]:
+def expand_effects(params: ModelParams, rows: int) -> list[EffectParams]:
     """Return the effects of a model with their parameters repeated in every row, (E, P)."""
-    found: list[EffectParams] = [
+    effects: list[EffectParams] = [
         (EFFECTS.get(name), torch.from_numpy(np.asarray(values, dtype=float)).expand(rows, -1))
         for name, values in params.effects.items()
     ]
     if params.learned is not None:
-        found.append((params.learned, torch.ones(rows, 1, dtype=torch.float64)))
-    return found
+        effects.append((params.learned, torch.ones(rows, 1, dtype=torch.float64)))
+    return effects
 
 
-def key_of(params: ModelParams) -> tuple[object, ...]:
+def params_key(params: ModelParams) -> tuple[object, ...]:
     """Return a hashable key of a model's effects, in order, and its deviations."""
     effects = [(name, np.asarray(values, dtype=float).tobytes()) for name, values in params.effects.items()]
     return (None if params.deviation is None else params.deviation.tobytes(), *effects)

@@ -113,7 +113,7 @@ def square_of_slow_rounding(
     """
     given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
     flown = slice(None) if flight.on_ground is None else ~flight.on_ground
-    logs = {name: rounded_anew(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
+    logs = {name: requantise(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
     flights = [replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True)]
     predictor = wide_predictor(robot, flights, channels, [as_measured(log) for log in flights])
     rows = longest_flight(flight, predictor.times[0], bandwidth)
@@ -127,7 +127,7 @@ def square_of_slow_rounding(
     return np.maximum(np.mean(squares, axis=0), 0.0)
 
 
-def rounded_anew(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
+def requantise(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
     """Return a simulated signal, and ``LOGS`` roundings of it with the step sizes of the log, (T, K) each.
 
     In the band the signal follows the logged values (T, K). Above it, white noise has their variance there minus that of
@@ -192,7 +192,7 @@ def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Seq
         if not line.any():
             floors.append(0.0)
             continue
-        own = slice(_unfiltered(frequency[chosen], line))
+        own = slice(_count_unfiltered(frequency[chosen], line))
         lines = frequency[chosen][own]
         narrow = lines[-1] < (NARROW_READING if reading else NARROW) * lines[0]
         level, growth = (line[own].mean(), 0.0) if narrow else _level_and_growth(line[own], square[chosen][own])
@@ -218,7 +218,7 @@ def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
     return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
 
 
-def _unfiltered(frequency: Array, density: Array) -> int:
+def _count_unfiltered(frequency: Array, density: Array) -> int:
     """Return the number of spectral lines below the sensor's low-pass, at least ``FEWEST_LINES``."""
     band = np.floor(np.log(frequency / frequency[0]) / np.log(BAND_RATIO)).astype(int)
     mean = np.bincount(band, weights=density) / np.maximum(np.bincount(band), 1)

@@ -24,13 +24,13 @@ from aerial_gym.physics.effects import LoadEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at, key_of
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_key
 from aerial_gym.sim2real.predict.replay.load import Link
-from aerial_gym.sim2real.predict.rows.batches import together
-from aerial_gym.sim2real.predict.rows.dataset import Dataset, thinned
+from aerial_gym.sim2real.predict.rows.batches import group_flights
+from aerial_gym.sim2real.predict.rows.dataset import Dataset, thin_rows
+from aerial_gym.sim2real.predict.rows.flight_batch import Columns, FlightBatch
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
-from aerial_gym.sim2real.predict.rows.together import Columns, Together
-from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated, sensed
+from aerial_gym.sim2real.predict.tolerances import Tolerances, apply_deviation, sensor_deviation
 
 KEPT_BYTES = 6e7
 """Memory for stored predictions [bytes], counted as if they shared nothing; fits often return to the same model."""
@@ -70,10 +70,10 @@ class Predictor:
         if any(simulated) and not all(simulated):
             raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
         turning = estimate_rotors(robot, flights, bandwidth) if rotors is None else rotors
-        rows = [flight.num_rows // (1 if every_row else thinned(flight, bandwidth)) for flight in flights]
+        rows = [flight.num_rows // (1 if every_row else thin_rows(flight, bandwidth)) for flight in flights]
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._parts = [
-            Together(
+            FlightBatch(
                 robot,
                 self._declared,
                 Dataset(
@@ -85,7 +85,7 @@ class Predictor:
                 ),
                 tolerances,
             )
-            for part in together(rows)
+            for part in group_flights(rows)
         ]
         self.measured = [np.asfortranarray(measured) for part in self._parts for measured in part.data.measured]
         self.times = [time for part in self._parts for time in part.data.times]
@@ -99,16 +99,16 @@ class Predictor:
 
     def predict(self, params: ModelParams) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
-        changing = {name: values for name, values in params.effects.items() if not self._adds_nothing(name, values)}
+        changing = {name: values for name, values in params.effects.items() if not self._is_neutral(name, values)}
         params = replace(params, effects=changing)
-        numbers = (params.learned, *key_of(params))
+        numbers = (params.learned, *params_key(params))
         if numbers not in self._told:
-            self._told[numbers] = self._told_apart(params)
+            self._told[numbers] = self._prediction_key(params)
             if len(self._told) > MOST_TOLD:
                 del self._told[next(iter(self._told))]
         key = self._told[numbers]
         if key not in self._predictions:
-            self._predictions[key] = [found for part in self._parts for found in part.predict(params)]
+            self._predictions[key] = [prediction for part in self._parts for prediction in part.predict(params)]
             if len(self._predictions) * sum(part.nbytes for part in self.measured) > KEPT_BYTES:
                 self._predictions.popitem(last=False)
         self._predictions.move_to_end(key)
@@ -118,9 +118,9 @@ class Predictor:
         """Return measured minus predicted channels of each flight, (rows kept, C)."""
         return [m - p for m, p in zip(self.measured, self.predict(params), strict=True)]
 
-    def felt(self, params: ModelParams) -> list[Array]:
+    def residual_inputs(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
-        return [felt for part in self._parts for felt in part.felt(params)]
+        return [felt for part in self._parts for felt in part.residual_inputs(params)]
 
     def links(self, params: ModelParams) -> list[Link] | None:
         """Return the load's link along each flight from its initial state; None for a model without a load."""
@@ -128,7 +128,7 @@ class Predictor:
             return None
         return [link for part in self._parts for link in part.links(params)]
 
-    def _told_apart(self, params: ModelParams) -> tuple[object, ...]:
+    def _prediction_key(self, params: ModelParams) -> tuple[object, ...]:
         """Return a hashable key of a model's predictions: the resulting vehicle and all other parameters in order.
 
         Vehicle effects with the same result as a deviation, another effect or none have the same key.
@@ -136,14 +136,18 @@ class Predictor:
         on_vehicle = {
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
         }
-        others = {name: values for name, values in params.effects.items() if name not in on_vehicle}
-        off = deviated(self._declared, self.tolerances, params.deviation)
-        vehicle = build_model(off.vehicle, effects_at(ModelParams(effects=on_vehicle), 1)).vehicle
-        logged = b"" if params.deviation is None else sensed(self.tolerances, torch.from_numpy(params.deviation)).key
+        remaining = {name: values for name, values in params.effects.items() if name not in on_vehicle}
+        off = apply_deviation(self._declared, self.tolerances, params.deviation)
+        vehicle = build_model(off.vehicle, expand_effects(ModelParams(effects=on_vehicle), 1)).vehicle
+        logged = (
+            b""
+            if params.deviation is None
+            else sensor_deviation(self.tolerances, torch.from_numpy(params.deviation)).key
+        )
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
-        others_key = key_of(ModelParams(effects=others))
+        others_key = params_key(ModelParams(effects=remaining))
         return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)
 
-    def _adds_nothing(self, name: str, values: Array) -> bool:
+    def _is_neutral(self, name: str, values: Array) -> bool:
         effect = EFFECTS.get(name)
         return effect.additive and np.array_equal(values, effect.neutral(self.robot))

@@ -30,15 +30,15 @@ from aerial_gym.physics.model import EffectParams
 from aerial_gym.physics.rotor_lag import Ramp
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.model_params import ModelParams, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
-from aerial_gym.sim2real.predict.replay.memory import remembering, track_of
+from aerial_gym.sim2real.predict.replay.memory import effects_with_memory, make_track
 from aerial_gym.sim2real.predict.replay.rotor_commands import acts_on_commands, is_commanded, with_arriving_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.batches import expand_rows, one_row, with_known_wind
-from aerial_gym.sim2real.predict.scene import heights, other_along
-from aerial_gym.sim2real.predict.tolerances import Tolerances, deviated
-from aerial_gym.sim2real.predict.windows import STEP_S, Windows, longest_windows, same_rate
+from aerial_gym.sim2real.predict.scene import heights, other_vehicle_track
+from aerial_gym.sim2real.predict.tolerances import Tolerances, apply_deviation
+from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, longest_windows, same_rate
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
 """Times after the start at which rollout and flight are compared [s]."""
@@ -58,7 +58,7 @@ FARTHEST = 1e6
 class RolloutErrors:
     """Errors of rollouts at each horizon, at most ``FARTHEST``, one row per window."""
 
-    windows: Windows
+    windows: RolloutWindows
     horizons: tuple[float, ...]
     """[s]."""
 
@@ -99,26 +99,26 @@ def roll_out_models(
     """
     if len(models) > 1 and not _fit_together(models, flights):
         return [
-            found
+            results
             for one, own in zip(models, links, strict=True)
-            for found in roll_out_models(
+            for results in roll_out_models(
                 robot, flights, [one], variants, links=[own], horizons=horizons, tolerances=tolerances
             )
         ]
     kept, windows = longest_windows(flights, horizons)
     commanded = is_commanded(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    off = deviated(declared, tolerances or Tolerances(), models[0].deviation)
+    off = apply_deviation(declared, tolerances or Tolerances(), models[0].deviation)
     flown = [with_arriving_commands(off, flights, one) if commanded else flights for one in models]
     shape = (len(models), len(variants))
     errors = {name: np.full((*shape, windows.row.size, len(kept)), np.nan) for name in QUANTITIES}
-    load = None if links[0] is None else load_at(links[0], flights, windows)
+    load = None if links[0] is None else initial_links(links[0], flights, windows)
     for members in same_rate(flights, windows):
         model, variant, window = (np.ravel(i) for i in np.indices((*shape, members.size)))
         every = members[window]
-        run = Batch(
+        run = WindowBatch(
             off.vehicle,
-            _effects_of(robot, models, model),
+            _window_effects(robot, models, model),
             [flight for of_model in flown for flight in of_model],
             windows.flight[every] + len(flights) * model,
             windows.row[every],
@@ -127,7 +127,7 @@ def roll_out_models(
         )
         at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
         given = np.array(list(variants.values()))[variant]
-        for step, state, truth in run.fly(run.measured(0), at, given_attitude=given):
+        for step, state, truth in run.fly(run.reference_state(0), at, given_attitude=given):
             for name, values in _distances(state, truth).items():
                 errors[name][:, :, members, at[step]] = values.reshape(*shape, -1)
     placed, moving = (all(getattr(f, name) is not None for f in flights) for name in ("position", "lin_vel"))
@@ -161,28 +161,28 @@ def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> b
     )
 
 
-def _effects_of(robot: RobotCfg, models: Sequence[ModelParams], model: Indices) -> list[EffectParams]:
+def _window_effects(robot: RobotCfg, models: Sequence[ModelParams], model: Indices) -> list[EffectParams]:
     """Return the models' effects with parameters per window, (W, P); neutral where its ``model`` (W,) has none."""
     if len(models) == 1:
-        return effects_at(models[0], model.size)
-    found = list[EffectParams]()
+        return expand_effects(models[0], model.size)
+    results = list[EffectParams]()
     for name in dict.fromkeys(name for one in models for name in one.effects):
         effect = EFFECTS.get(name)
         params = np.array([one.effects.get(name, effect.neutral(robot)) for one in models])
-        found.append((effect, torch.from_numpy(params[model])))
-    return found
+        results.append((effect, torch.from_numpy(params[model])))
+    return results
 
 
-def load_at(links: Sequence[Link], flights: Sequence[Flight], windows: Windows) -> Array:
+def initial_links(links: Sequence[Link], flights: Sequence[Flight], windows: RolloutWindows) -> Array:
     """Return direction and rate of the link at the start of each window, (W, 6)."""
     load = np.empty((windows.row.size, 6))
     for index, (link, flight) in enumerate(zip(links, flights, strict=True)):
         own = windows.flight == index
-        load[own] = link.at(windows.row[own] / flight.rate)
+        load[own] = link.interpolate(windows.row[own] / flight.rate)
     return load
 
 
-class Batch:
+class WindowBatch:
     """Batch of windows of flights with one rate."""
 
     def __init__(
@@ -219,7 +219,7 @@ class Batch:
         model = build_model(expand_rows(vehicle, row.size), effects, **scene)
         flown = replace(model, effects=model.effects.exclude(DelayEffect, CommandEffect))  # in the commands already
         self._model = with_known_wind(flown, flights, flight)
-        longest = MEMORY_STEP_S if flown.effects.remembering else STEP_S
+        longest = MEMORY_STEP_S if flown.effects.names_with_memory else STEP_S
         self._substeps = max(1, round(self._stride / (longest * self._rate)))
 
     def steps(self, seconds: float) -> int:
@@ -245,14 +245,14 @@ class Batch:
                 model, stepper, None, state, led, span / self._substeps, self._substeps, memory
             )
             if given is not None or step + 1 in at:
-                truth = self.measured(step + 1)
+                truth = self.reference_state(step + 1)
                 if step + 1 in at:
                     yield step + 1, state, truth
                 if given is not None:
                     attitude = torch.where(given, truth.attitude, state.attitude)
                     state = replace(state, attitude=attitude, ang_vel=torch.where(given, truth.ang_vel, state.ang_vel))
 
-    def measured(self, step: int) -> BodyState:
+    def reference_state(self, step: int) -> BodyState:
         """Return the measured state ``step`` steps after each start."""
         rows = self._row + step * self._stride
         return BodyState(
@@ -260,25 +260,25 @@ class Batch:
             attitude=self._gather("attitude", rows),
             lin_vel=self._gather("lin_vel", rows),
             ang_vel=self._gather("ang_vel", rows),
-            rotor_speed=self._speed_at(rows),
+            rotor_speed=self._rotor_speed_rows(rows),
         )
 
-    def _speed_at(self, rows: Indices) -> Tensor:
+    def _rotor_speed_rows(self, rows: Indices) -> Tensor:
         """Return the true rotor speeds at a row of each window's flight [rad/s], (W, R): measured, else from commands."""
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
             return self._true_speed(self._gather("rotor_speed", rows))
         speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
         for index in np.unique(self._flight):
             chosen = np.flatnonzero(self._flight == index)
-            along = self._speed_along(int(index))
+            along = self._rotor_speed_track(int(index))
             speed[chosen] = along[np.minimum(rows[chosen], len(along) - 1)]
         return speed
 
     def _memory(self, dt: float) -> Memory | None:
         """Return the initial memory of effects; None if no effect has any."""
-        if not self._model.effects.remembering:
+        if not self._model.effects.names_with_memory:
             return None
-        memory = place_memory(self._model, make_memory(self._model, dt), self._remembered())
+        memory = place_memory(self._model, make_memory(self._model, dt), self._initial_memory())
         if not self._model.effects[LoadEffect]:
             return memory
         name = self._model.effects[LoadEffect][0][0].name
@@ -291,20 +291,22 @@ class Batch:
         load[order] = LoadReplay([self._flights[index] for index in flown], times).loads(self._model)
         return place_memory(self._model, memory, {name: load})
 
-    def _remembered(self) -> dict[str, Tensor]:
+    def _initial_memory(self) -> dict[str, Tensor]:
         """Return the initial memory of effects on rotors and body, (W, M), by effect, replayed from the log's start."""
-        found: dict[str, Tensor] = {}
-        for effect, params in remembering(self._model.effects):
+        results: dict[str, Tensor] = {}
+        for effect, params in effects_with_memory(self._model.effects):
             numbers = torch.empty(self._row.size, len(effect.fresh_memory(self._rotors)), dtype=torch.float64)
             vehicle, one, step = one_row(self._model.vehicle, 0), params[:1], 1.0 / self._rate
             for index in np.unique(self._flight):
-                chosen, speed = np.flatnonzero(self._flight == index), self._speed_along(int(index))
-                along = effect.replay(track_of(self._flights[index], vehicle, speed, step, settled=self._settled), one)
+                chosen, speed = np.flatnonzero(self._flight == index), self._rotor_speed_track(int(index))
+                along = effect.replay(
+                    make_track(self._flights[index], vehicle, speed, step, settled=self._settled), one
+                )
                 numbers[chosen] = along[self._row[chosen]]
-            found[effect.name] = numbers
-        return found
+            results[effect.name] = numbers
+        return results
 
-    def _speed_along(self, index: int) -> Tensor:
+    def _rotor_speed_track(self, index: int) -> Tensor:
         """Return the true rotor speeds along a flight [rad/s], (T, R): measured, else from commands."""
         speed = self._flights[index].rotor_speed
         if speed is None:
@@ -337,7 +339,7 @@ class Batch:
         """Return a quantity at rows (W,) or (W, any) of each window's flight, with its own last dimension."""
         if name not in self._tables:
             self._tables[name] = _Table([self._along_flight(name, flight) for flight in self._flights], self._flight)
-        return self._tables[name].at(rows)
+        return self._tables[name].rows_after_start(rows)
 
     def _along_flight(self, name: str, flight: Flight) -> Array:
         """Return a quantity along a flight, (T, any), or one row of zeros; cached by its array."""
@@ -345,12 +347,12 @@ class Batch:
         key = name, id(values)
         if key not in self._along_flights:
             width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
-            found = np.zeros((1, width)) if values is None else values
+            results = np.zeros((1, width)) if values is None else values
             if name == "other_position":
-                found = other_along(flight)
+                results = other_vehicle_track(flight)
             if name == "rotor_speed":
-                found = mean_about(found, self._stride)
-            self._along_flights[key] = found
+                results = window_mean(results, self._stride)
+            self._along_flights[key] = results
         return self._along_flights[key]
 
 
@@ -369,13 +371,13 @@ class _Table:
         self._last = self._first + np.array([len(one) for one in along])[flight] - 1
         self._rows = torch.from_numpy(np.concatenate(parts))
 
-    def at(self, rows: Indices) -> Tensor:
+    def rows_after_start(self, rows: Indices) -> Tensor:
         """Return the quantity at rows of each window's flight, (W,) or (W, any); beyond its end the last value."""
         shape = (-1, *[1] * (rows.ndim - 1))
         return self._rows[torch.from_numpy(np.minimum(self._first.reshape(shape) + rows, self._last.reshape(shape)))]
 
 
-def mean_about(values: Array, rows: int) -> Array:
+def window_mean(values: Array, rows: int) -> Array:
     """Return the centred moving mean over ``rows`` rows, (T, any); for an even number the end weights are halved."""
     weights = np.ones(rows + 1 - rows % 2)
     weights[[0, -1]] = 1.0 if rows % 2 else 0.5
@@ -386,4 +388,4 @@ def _distances(state: BodyState, truth: BodyState) -> dict[str, Array]:
     turn = quat_log(quat_multiply(quat_conjugate(truth.attitude), state.attitude))
     far = {"position": state.position - truth.position, "velocity": state.lin_vel - truth.lin_vel, "attitude": turn}
     most = {"position": FARTHEST, "velocity": FARTHEST, "attitude": np.pi}
-    return {name: np.fmin(found.norm(dim=1).numpy(), most[name]) for name, found in far.items()}  # NaN is the most
+    return {name: np.fmin(results.norm(dim=1).numpy(), most[name]) for name, results in far.items()}  # NaN is the most

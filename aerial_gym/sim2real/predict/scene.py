@@ -16,7 +16,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import WindEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.flights import Flight, names_of
+from aerial_gym.sim2real.logs.flights import Flight, flight_names
 
 NEEDED = {
     "position": "a position (columns p_x, p_y, p_z)",
@@ -37,7 +37,7 @@ class Heights(TypedDict):
 
 def lacks_of_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding on surroundings that an effect needs and flights lack; None if all are there."""
-    return _without(name, EFFECTS.get(name).needs, flights)
+    return _absent_data(name, EFFECTS.get(name).needs, flights)
 
 
 def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
@@ -48,14 +48,14 @@ def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
     """
     effect = EFFECTS.get(name)
     airborne = isinstance(effect, WindEffect) or "velocity" in effect.follows
-    return _without(name, ("lin_vel",) if airborne else (), flights)
+    return _absent_data(name, ("lin_vel",) if airborne else (), flights)
 
 
-def _without(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
+def _absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
     for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
         if without:
-            return Finding("logs_lack", name, {"flights": names_of(without, flights), "need": need})
+            return Finding("logs_lack", name, {"flights": flight_names(without, flights), "need": need})
     return None
 
 
@@ -81,7 +81,7 @@ def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
     }
 
 
-def other_along(flight: Flight) -> Array:
+def other_vehicle_track(flight: Flight) -> Array:
     """Return the other vehicle's position along a flight [m], world, (T, 3); far below where unknown, to cast no wake."""
     below = np.array([0.0, 0.0, -inf])
     if flight.other_position is None:

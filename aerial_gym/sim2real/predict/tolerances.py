@@ -99,10 +99,12 @@ class Tolerances:
 
     def names(self, num_rotors: int) -> tuple[str, ...]:
         """Return the names of the N tolerances in the order of ``LAYOUT``."""
-        parts = [(name, part) for name, of in LAYOUT.items() for part in _parts_of(of, num_rotors)]
+        parts = [(name, part) for name, of in LAYOUT.items() for part in _part_names(of, num_rotors)]
         return tuple(f"{name}_{part}" if part else name for name, part in parts)
 
-    def strained(self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf) -> list[Finding]:
+    def implausible_deviations(
+        self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf
+    ) -> list[Finding]:
         """Return findings on the implausible deviations among (N,), in standard deviations.
 
         Args:
@@ -150,7 +152,7 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
 
 
 @dataclass(frozen=True, kw_only=True)
-class Deviated:
+class VehicleDeviation:
     """Vehicle and replay settings with deviations within the tolerances."""
 
     vehicle: Vehicle
@@ -163,12 +165,12 @@ class Deviated:
     """Initial angle of soft arms as a share of their rest angle."""
 
 
-def deviated(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> Deviated:
+def apply_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleDeviation:
     """Return vehicle and replay settings for deviations (N,) in standard deviations; None: exactly as declared."""
     if deviation is None:
-        return Deviated(vehicle=declared, command_shift=0.0, joint_start=1.0)
+        return VehicleDeviation(vehicle=declared, command_shift=0.0, joint_start=1.0)
     off = torch.from_numpy(deviation)
-    return Deviated(
+    return VehicleDeviation(
         vehicle=deviate(declared, tolerances, off),
         command_shift=command_shift(tolerances, off),
         joint_start=joint_start(tolerances, off),
@@ -176,7 +178,7 @@ def deviated(declared: Vehicle, tolerances: Tolerances, deviation: Array | None)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensed:
+class SensorDeviation:
     """Sensor errors of a vehicle's log for given deviations."""
 
     acc_bias: Tensor
@@ -215,10 +217,10 @@ class Sensed:
         return numbers.numpy().tobytes() if numbers.any() else b""
 
 
-def sensed(tolerances: Tolerances, deviation: Tensor) -> Sensed:
+def sensor_deviation(tolerances: Tolerances, deviation: Tensor) -> SensorDeviation:
     """Return the sensor errors of deviations (N,) in standard deviations."""
     off = split(deviation)
-    return Sensed(
+    return SensorDeviation(
         acc_bias=tolerances.acc_bias * off["acc_bias"],
         gyro_bias=tolerances.gyro_bias * off["gyro_bias"],
         acc_scale=tolerances.acc_scale * off["acc_scale"],
@@ -248,16 +250,16 @@ def split(deviation: Tensor) -> dict[str, Tensor]:
 @cache
 def _sizes(number: int) -> list[int]:
     """Return the number of parts of each name of ``LAYOUT``, for N tolerances in total."""
-    none = {name: len(_parts_of(of, 0)) for name, of in LAYOUT.items()}
+    none = {name: len(_part_names(of, 0)) for name, of in LAYOUT.items()}
     rotors = (number - sum(none.values())) // sum(of == "rotors" for of in LAYOUT.values())
-    return [len(_parts_of(of, rotors)) for of in LAYOUT.values()]
+    return [len(_part_names(of, rotors)) for of in LAYOUT.values()]
 
 
 def of_logs(num_rotors: int) -> Flags:
     """Return the flags of the N tolerances that belong to logs alone, (N,)."""
-    return np.array([name in OF_LOGS for name, of in LAYOUT.items() for _ in _parts_of(of, num_rotors)])
+    return np.array([name in OF_LOGS for name, of in LAYOUT.items() for _ in _part_names(of, num_rotors)])
 
 
-def _parts_of(of: Iterable[str], num_rotors: int) -> list[str]:
+def _part_names(of: Iterable[str], num_rotors: int) -> list[str]:
     """Return the names of a tolerance's parts."""
     return [str(number + 1) for number in range(num_rotors)] if of == "rotors" else list(of)

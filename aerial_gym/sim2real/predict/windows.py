@@ -32,7 +32,7 @@ CLUSTER_S = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Windows:
+class RolloutWindows:
     """Starts of rollouts."""
 
     flight: Indices
@@ -47,7 +47,7 @@ class Windows:
 
 def find_windows(
     flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
-) -> Windows:
+) -> RolloutWindows:
     """Return windows of ``horizon`` [s] in every long enough flight, one ``every`` so many seconds.
 
     No window contains a row on the ground.
@@ -67,10 +67,10 @@ def find_windows(
         parts.append((np.full(rows.size, index), rows, groups + cluster))
         cluster += int(groups[-1]) + 1 if rows.size else 0
     flight_index, row, clusters = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Windows(flight=flight_index, row=row, cluster=clusters)
+    return RolloutWindows(flight=flight_index, row=row, cluster=clusters)
 
 
-def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], Windows]:
+def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], RolloutWindows]:
     """Return the feasible horizons [s], for which some flight is airborne long enough, and the longest one's windows.
 
     Raises:
@@ -83,7 +83,7 @@ def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tup
     raise DataError(f"no flight is airborne for {FIRST_WINDOW_S + min(horizons):g} s at a time, which a rollout needs")
 
 
-def same_rate(flights: Sequence[Flight], windows: Windows) -> list[Indices]:
+def same_rate(flights: Sequence[Flight], windows: RolloutWindows) -> list[Indices]:
     """Return the windows grouped by sample rate of their flights."""
     rate = np.array([flights[index].rate for index in windows.flight])
     return [np.flatnonzero(rate == one) for one in np.unique(rate)]

@@ -111,20 +111,20 @@ class Panel:
         if any(mark.filled for mark in self.marks) and not self.log:
             y_low = max(y_low, min(0.0, float(y_values.min())))  # bars stand on the frame
 
-        def across(x: Array) -> Array:
+        def to_pixels(x: Array) -> Array:
             return left + wide * (x - x_low) / (x_high - x_low)
 
         def upright(y: Array) -> Array:
             scaled = np.log10(np.maximum(y, 1e-300)) if self.log else y
             return top + high * (1.0 - np.clip((scaled - y_low) / (y_high - y_low), 0.0, 1.0))
 
-        parts = [_path(mark, across(mark.x), upright(mark.y)) for mark in self.marks]
+        parts = [_path(mark, to_pixels(mark.x), upright(mark.y)) for mark in self.marks]
         ends = np.array([left, left + wide])
         parts += [_stroke(ends, upright(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"') for y in self.levels]
         x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_low, x_high)
         y_ticks = _decades(y_low, y_high) if self.log else ticks(y_low, y_high)
         bottom, out = top + high, 3 * POINT
-        x_at, y_at = across(x_ticks), upright(y_ticks)
+        x_at, y_at = to_pixels(x_ticks), upright(y_ticks)
         x_ends = np.concatenate((np.repeat(x_at, 2), np.tile([left - out, left], y_at.size)))
         y_ends = np.concatenate((np.tile([bottom, bottom + out], x_at.size), np.repeat(y_at, 2)))
         parts.append(_stroke(x_ends, y_ends, 2, 'stroke="#000" stroke-width="8"'))
@@ -249,8 +249,8 @@ def _decades(low: float, high: float) -> Array:
     powers = np.arange(np.ceil(low), np.floor(high) + 1.0)
     if powers.size > 1:
         return 10.0 ** powers[:: -(-powers.size // MOST_TICKS)]
-    found = np.outer(10.0 ** np.arange(np.floor(low), high + 1.0), [1.0, 2.0, 5.0]).ravel()
-    return found[(found >= 10.0**low) & (found <= 10.0**high)]
+    ticks = np.outer(10.0 ** np.arange(np.floor(low), high + 1.0), [1.0, 2.0, 5.0]).ravel()
+    return ticks[(ticks >= 10.0**low) & (ticks <= 10.0**high)]
 
 
 def _limits(values: Array) -> tuple[float, float]:
@@ -261,7 +261,7 @@ def _limits(values: Array) -> tuple[float, float]:
     return low - MARGIN * span, high + MARGIN * span
 
 
-def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+def _envelope(x: Array, y: Array) -> tuple[Array, Array]:
     """Return the lowest and highest point in each pixel column, in drawing order."""
     column = x // 10.0
     order = np.lexsort((y, column))
@@ -287,7 +287,7 @@ def _path(mark: Mark, x: Array, y: Array) -> str:
 
 def _line(x: Array, y: Array, style: str) -> str:
     if x.size > 4 and x.size > 2.0 * (x.max() - x.min()) / 10.0:
-        x, y = _thinned(x, y)
+        x, y = _envelope(x, y)
     return _stroke(x, y, x.size, style)
 
 

@@ -65,16 +65,16 @@ class Clue:
     """All channels, the most informative first."""
 
     @property
-    def telling(self) -> tuple[tuple[Cloud, float], ...]:
+    def informative_channels(self) -> tuple[tuple[Cloud, float], ...]:
         """Return the channels with a noticeable share of the parameter's information, and these shares."""
         told = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
         shares = [(cloud, own / max(sum(told), 1e-300)) for cloud, own in zip(self.clouds, told, strict=True)]
         return tuple((cloud, share) for cloud, share in shares if share >= LEAST_TOLD)
 
     @property
-    def shown(self) -> tuple[Cloud, ...]:
+    def channels_to_plot(self) -> tuple[Cloud, ...]:
         """Return the channels to plot."""
-        return tuple(cloud for cloud, _ in self.telling[:MOST_CHANNELS])
+        return tuple(cloud for cloud, _ in self.informative_channels[:MOST_CHANNELS])
 
 
 def clues(
@@ -94,7 +94,7 @@ def clues(
     jacobian = np.concatenate(effect_jacobian(predictor, params, (effect,), predicted)) * np.sqrt(weight)[:, None]
     left = np.concatenate([m - p for m, p in zip(predictor.measured, predicted, strict=True)]) * np.sqrt(weight)
     group, scale = time_groups(predictor.times), scales((effect,))
-    found = []
+    clues_list = []
     for k, parameter in enumerate(EFFECTS.get(effect).parameters):
         if parameter.kind != "number" or parameter.name in untold:
             continue
@@ -112,7 +112,7 @@ def clues(
                     std=float(std * scale[k]),
                 )
             )
-        found.append(
+        clues_list.append(
             Clue(
                 parameter=parameter.name,
                 unit=parameter.unit,
@@ -122,7 +122,7 @@ def clues(
                 clouds=tuple(clouds),
             )
         )
-    return found
+    return clues_list
 
 
 def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
@@ -135,35 +135,37 @@ def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
     return slope, float(np.sqrt(scores @ scores) / square)
 
 
-def evidence(effect: str, found: list[Clue]) -> str:
+def evidence(effect: str, clues: list[Clue]) -> str:
     """Return a figure with one panel per parameter."""
-    shown = [clue for clue in found if clue.shown]
+    shown = [clue for clue in clues if clue.channels_to_plot]
     figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
     for panel, clue in zip(axes[0], shown, strict=False):
         _draw(panel, clue)
     return figure.svg()
 
 
-def write_evidence(path: Path, found: Mapping[str, Sequence[Clue]]) -> None:
+def write_evidence(path: Path, clues: Mapping[str, Sequence[Clue]]) -> None:
     """Write each parameter's fitted value, and the value from each informative channel alone."""
     columns = ["effect", "parameter", "fitted", "channel", "alone", "std", "share_told"]
     rows = []
-    for effect, own in found.items():
+    for effect, own in clues.items():
         for clue in own:
             rows += [
                 (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share)
-                for cloud, share in clue.telling
+                for cloud, share in clue.informative_channels
             ]
     pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g", errors="surrogateescape")
 
 
 def _draw(panel: Panel, clue: Clue) -> None:
-    for cloud, colour in zip(clue.shown, COLOURS, strict=False):
+    for cloud, colour in zip(clue.channels_to_plot, COLOURS, strict=False):
         step = max(1, cloud.adds.size // MOST_POINTS)
         name = f"{cloud.channel.kind.replace('_', ' ')} {cloud.channel.axis}"
         label = f"{name} alone: {cloud.alone:.4g} ± {1.96 * cloud.std:.2g}"
         panel.dots(cloud.adds[::step], cloud.beyond[::step], colour, width=1.8, alpha=0.45, label=label)
-    ends = np.array([min(c.adds.min() for c in clue.shown), max(c.adds.max() for c in clue.shown)])
+    ends = np.array(
+        [min(c.adds.min() for c in clue.channels_to_plot), max(c.adds.max() for c in clue.channels_to_plot)]
+    )
     line = (clue.fitted - clue.neutral) / clue.scale * ends
     panel.line(ends, line, LINE, width=1.6, label=f"{clue.parameter} = {clue.fitted:.4g}")
     unit = "" if clue.unit == "-" else f" {clue.unit}"

@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.sim2real.identify.candidates.library import neutral_of
-from aerial_gym.sim2real.identify.candidates.structure import rows_of, world_forces
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.candidates.library import neutral_params
+from aerial_gym.sim2real.identify.candidates.structure import flight_rows, world_forces
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.outcome import SAME
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -30,38 +30,38 @@ VARIANTS = {
 }
 
 
-def models_of(judged: Judged) -> dict[str, ModelParams]:
+def report_models(judged: LoopResult) -> dict[str, ModelParams]:
     """Return the declared model and, if it differs, the corrected one."""
     models = {"declared": judged.declared.params}
     return models | {"corrected": judged.params} if judged.verdict.corrects else models
 
 
-def clues_of(judged: Judged) -> dict[str, list[Clue]]:
+def report_clues(judged: LoopResult) -> dict[str, list[Clue]]:
     """Return the training flights' information about the accepted effects; without any, about the closest candidates.
 
     Models include the jointly fitted deviations, so that the fitted line matches the residual.
     """
     declared, selection = judged.declared, judged.selection
-    models = dict.fromkeys(selection.accepted, judged.within)
+    models = dict.fromkeys(selection.effect_names, judged.within)
     for fitted in () if models else closest(selection):
-        models.setdefault(fitted.effects[0], fitted.within)
+        models.setdefault(fitted.effects[0], fitted.model_in_tolerances)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
-    weight, found = selection.weights.weight, {}
+    weight, results = selection.weights.weight, {}
     for name, params in models.items():
-        neutral = neutral_of(name, declared.params, declared.stated)
-        found[name] = clues(declared.train, params, name, neutral, weight, untold.get(name, ()))
-    return found
+        neutral = neutral_params(name, declared.params, declared.stated)
+        results[name] = clues(declared.train, params, name, neutral, weight, untold.get(name, ()))
+    return results
 
 
 def figures(
-    judged: Judged, told: Mapping[str, list[Clue]], found: Sequence[Profile]
+    judged: LoopResult, told: Mapping[str, list[Clue]], profiles_list: Sequence[Profile]
 ) -> dict[str, list[dict[str, str]]]:
     """Return the figures of the page by section."""
     verdict, test = judged.verdict, judged.declared.test
     before, after = verdict.before, verdict.after if verdict.corrects else None
     clouds = []
     for name, own in told.items():
-        rejected = "" if name in judged.selection.accepted else ", which is not accepted"
+        rejected = "" if name in judged.selection.effect_names else ", which is not accepted"
         clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence(name, own)})
     bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
     bars += [
@@ -70,14 +70,15 @@ def figures(
         if variant in before.rollout
     ]
     rest = [
-        {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.what_remains(parts, channel)}
-        for channel, parts in remaining(judged)
+        {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.residual_figures(parts, channel)}
+        for channel, parts in residual_rows(judged)
     ]
-    kinds, models = shown_kinds(judged), models_of(judged)
+    kinds, models = kinds_to_plot(judged), report_models(judged)
     return {
         "traces": [{"title": _words(kind), "image": plots.traces(test, models, kind)} for kind in kinds],
         "profiles": [
-            {"title": _words(kind), "image": plots.residual_profiles(found, test.channels, kind)} for kind in kinds
+            {"title": _words(kind), "image": plots.residual_profiles(profiles_list, test.channels, kind)}
+            for kind in kinds
         ],
         "evidence": clouds,
         "bars": bars,
@@ -89,16 +90,16 @@ def _words(kind: str) -> str:
     return kind.replace("_", " ").capitalize()
 
 
-def shown_kinds(judged: Judged) -> list[str]:
+def kinds_to_plot(judged: LoopResult) -> list[str]:
     """Return the plotted kinds of channels: those with dynamics, and kinematic ones that the correction changes."""
     changed = {one.name for one in judged.verdict.outcomes if one.state != SAME}
     drawn = [c.kind for c in judged.declared.channels if c.kind not in KINEMATIC or c.name in changed]
     return list(dict.fromkeys(drawn))
 
 
-def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
+def residual_rows(judged: LoopResult) -> list[tuple[Channel, list[plots.ResidualPart]]]:
     """Return the corrected model's residual in the unexplained channels, or in the one farthest above its noise floor."""
-    channels, after, found = judged.declared.channels, judged.verdict.after, []
+    channels, after, results = judged.declared.channels, judged.verdict.after, []
     dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
     named = [place for place in dynamic if channels[place].name in judged.verdict.unexplained]
     floor = after.floor or (1.0,) * len(channels)
@@ -115,10 +116,10 @@ def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
                 turned = world_forces(flight, time, residual, channels)
                 against = {"time [s]": time, **quantities(flight, time, vehicle, judged.declared.bandwidth)}
                 if flight.position is not None:
-                    against |= {"x [m]": flight.position[rows_of(flight, time), 0]}
-                    against |= {"y [m]": flight.position[rows_of(flight, time), 1]}
+                    against |= {"x [m]": flight.position[flight_rows(flight, time), 0]}
+                    against |= {"y [m]": flight.position[flight_rows(flight, time), 1]}
                 parts.append(
-                    plots.Rest(
+                    plots.ResidualPart(
                         flight=flight,
                         time=time,
                         values=residual[:, place],
@@ -126,11 +127,11 @@ def remaining(judged: Judged) -> list[tuple[Channel, list[plots.Rest]]]:
                         quantities=against,
                     )
                 )
-        found.append((channels[place], parts))
-    return found
+        results.append((channels[place], parts))
+    return results
 
 
-def closest(selection: SelectionResult) -> list[Fitted]:
+def closest(selection: SelectionResult) -> list[EffectSetFit]:
     """Return the most probable fitted sets with a single effect, for a report without accepted effects."""
     fits = [one for one in selection.chosen.fits if len(one.effects) == 1 and not one.structures]
     return [one for one in fits if np.isfinite(one.log_posterior)][:MOST_REJECTED]

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags
-from aerial_gym.sim2real.judge.evaluation import Evaluation
-from aerial_gym.sim2real.logs.flights import Flight, had_by_all
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
+from aerial_gym.sim2real.logs.flights import Flight, common_values
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.report.canvas import Panel, panels
-from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, Profile, bin_edges, place_in
+from aerial_gym.sim2real.report.profiles import FEWEST_ROWS, Profile, bin_edges, bin_index
 from aerial_gym.sim2real.statistics import Rms
 
 DECLARED, CORRECTED, MEASURED, FLOOR = "#b0413e", "#2a6f97", "#222222", "#888888"
@@ -32,7 +32,7 @@ TRACE_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rest:
+class ResidualPart:
     """Residual of one channel in one flight under the corrected model."""
 
     flight: Flight
@@ -61,8 +61,8 @@ def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
     predicted = {name: predictor.predict(params) for name, params in models.items()}
-    first, *others = predicted.values()
-    against = others[0] if others and _differ(first, others[0], places) else predictor.measured
+    first, *rest = predicted.values()
+    against = rest[0] if rest and _differ(first, rest[0], places) else predictor.measured
     change = [np.square(a[:, places] - b[:, places]) for a, b in zip(first, against, strict=True)]
     size = np.maximum(np.concatenate(change).mean(axis=0), 1e-300)
     telling = [(part / size).sum(axis=1) for part in change]
@@ -103,13 +103,15 @@ def _span(time: Array, size: Array) -> Flags:
     return (time >= time[start]) & (time <= time[start] + TRACE_S)
 
 
-def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kind: str) -> str:
+def residual_profiles(profiles: Sequence[Profile], channels: Sequence[Channel], kind: str) -> str:
     """Return the mean residual of one kind of channel against each quantity, per model with standard errors."""
     places = [place for place, channel in enumerate(channels) if channel.kind == kind]
     title = kind.replace("_", " ")
-    figure, axes = panels(len(places), len(found), width=2.35, height=1.25, title=title, gap=(0.5, 0.12), sharex=True)
+    figure, axes = panels(
+        len(places), len(profiles), width=2.35, height=1.25, title=title, gap=(0.5, 0.12), sharex=True
+    )
     for row, place in zip(axes, places, strict=True):
-        for panel, profile in zip(row, found, strict=True):
+        for panel, profile in zip(row, profiles, strict=True):
             for model, means in profile.residual.items():
                 known = np.isfinite(means.half_width[:, place])
                 at, mean, half = profile.middle[known], means.mean[known, place], means.half_width[known, place]
@@ -118,29 +120,29 @@ def residual_profiles(found: Sequence[Profile], channels: Sequence[Channel], kin
                 panel.error_bars(at, mean - half, mean + half, COLOURS[model])
             panel.levels.append(0.0)
         row[0].y_label = _axis(channels[place])
-    for panel, profile in zip(axes[-1], found, strict=True):
+    for panel, profile in zip(axes[-1], profiles, strict=True):
         panel.x_label = profile.against
     figure.legend = [mark for mark in axes[0][0].marks if mark.label]
     return figure.svg()
 
 
-def what_remains(parts: Sequence[Rest], channel: Channel) -> str:
+def residual_figures(parts: Sequence[ResidualPart], channel: Channel) -> str:
     """Return the residual's spectrum and its means against place, speed, time and voltage, per flight.
 
     Features common to all flights are structure; differences between flights are noise.
     """
-    against = had_by_all([part.quantities for part in parts])
+    against = common_values([part.quantities for part in parts])
     columns = min(4, 1 + len(against))
     rows = -(-(1 + len(against)) // columns)
     figure, grid = panels(rows, columns, width=2.35, height=1.5, title=channel.name, gap=(0.6, 0.5))
-    first, *others = (panel for row in grid for panel in row)
+    first, *rest = (panel for row in grid for panel in row)
     for place, part in enumerate(parts):
         rate = 1.0 / float(np.median(np.diff(part.time)))
         length = min(part.values.size, round(SEGMENT_S * rate))
         frequency, density = welch(part.values[:, None], rate, length)
         first.line(frequency[1:], np.sqrt(density[1:, 0]), FLIGHTS[place % len(FLIGHTS)], width=0.7, alpha=0.7)
     first.log, first.x_label, first.y_label = True, "frequency [Hz]", f"{channel.unit} / √Hz"
-    for panel, (title, places) in zip(others, against.items(), strict=False):
+    for panel, (title, places) in zip(rest, against.items(), strict=False):
         turned = title in PLACES and channel.kind == "specific_force"
         _per_flight(panel, places, [part.world if turned else part.values for part in parts])
         panel.x_label, panel.y_label = title, f"{'world ' if turned else ''}[{channel.unit}]"
@@ -159,7 +161,7 @@ def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) 
     together = np.concatenate(places), np.concatenate(values)
     for number, (place, value) in enumerate((*zip(places, values, strict=True), together)):
         thick = place is together[0]
-        index = place_in(edges, place)
+        index = bin_index(edges, place)
         count = np.maximum(np.bincount(index, minlength=edges.size - 1), 1)
         means = [np.bincount(index, weights=v, minlength=edges.size - 1) / count for v in (place, value)]
         enough = count >= FEWEST_ROWS
@@ -168,7 +170,7 @@ def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) 
     panel.levels.append(0.0)
 
 
-def residual_bars(before: Evaluation, after: Evaluation | None) -> str:
+def residual_bars(before: ModelEvaluation, after: ModelEvaluation | None) -> str:
     """Return the RMS residual of each channel before and after, with intervals and noise floor, one panel per unit."""
     kinds = [kind for kind in SHOWN_KINDS if any(channel.kind == kind for channel in before.channels)]
     title = "residual (rms)"
@@ -186,7 +188,7 @@ def residual_bars(before: Evaluation, after: Evaluation | None) -> str:
     return figure.svg()
 
 
-def rollout_bars(before: Evaluation, after: Evaluation | None, variant: str) -> str:
+def rollout_bars(before: ModelEvaluation, after: ModelEvaluation | None, variant: str) -> str:
     """Return rollout errors by horizon, before and after."""
     quantities = list(before.rollout[variant])
     title = "open-loop error (rms)"

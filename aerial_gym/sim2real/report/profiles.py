@@ -14,14 +14,14 @@ import torch
 from aerial_gym.physics import Vehicle, vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.candidates.structure import rows_of
+from aerial_gym.sim2real.identify.candidates.structure import flight_rows
 from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.logs.flights import Flight, had_by_all
+from aerial_gym.sim2real.logs.flights import Flight, common_values
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.statistics import BinnedMean, binned_mean
+from aerial_gym.sim2real.statistics import BinMeans, bin_means
 
 BINS = 12
 """Number of bins of equal count."""
@@ -46,7 +46,7 @@ class Profile:
     middle: Array
     """Mean of the quantity in each bin, (B,)."""
 
-    residual: dict[str, BinnedMean]
+    residual: dict[str, BinMeans]
     """Mean residuals by model."""
 
 
@@ -55,18 +55,18 @@ def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) 
 
     Thrust is the declared total at measured speeds, or at the commands if speeds were not measured.
     """
-    rows = rows_of(flight, time)
+    rows = flight_rows(flight, time)
     rotors = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
     assert rotors is not None
     slow = torch.from_numpy(lowpass(rotors, flight.rate, bandwidth)[rows])
-    found = {"thrust [N]": rotor_thrust(vehicle, slow).sum(dim=1).numpy()}
+    by_name = {"thrust [N]": rotor_thrust(vehicle, slow).sum(dim=1).numpy()}
     if flight.lin_vel is not None:
-        found["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
+        by_name["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
     if flight.position is not None:
-        found["height [m]"] = flight.position[rows, 2] - flight.ground_height
+        by_name["height [m]"] = flight.position[rows, 2] - flight.ground_height
     if flight.battery is not None:
-        found["battery voltage [V]"] = flight.battery[rows]
-    return found
+        by_name["battery voltage [V]"] = flight.battery[rows]
+    return by_name
 
 
 def bin_edges(values: Array) -> Array:
@@ -74,40 +74,40 @@ def bin_edges(values: Array) -> Array:
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
 
 
-def place_in(edges: Array, values: Array) -> Indices:
+def bin_index(edges: Array, values: Array) -> Indices:
     """Return the bin index of each value; the last bin includes its upper edge."""
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
 
 
 def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
     """Return the profiles over all quantities that vary, for each model."""
-    group, found = time_groups(predictor.times), []
+    group, by_name = time_groups(predictor.times), []
     vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
     pairs = zip(predictor.flights, predictor.times, strict=True)
-    own = had_by_all([quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
+    own = common_values([quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
     residuals = {name: np.concatenate(predictor.residuals(params)) for name, params in models.items()}
     for name, parts in own.items():
         values = np.concatenate(parts)
         edges = bin_edges(values)
         if edges.size < 3:
             continue
-        place = place_in(edges, values)
+        place = bin_index(edges, values)
         bins = edges.size - 1
-        found.append(
+        by_name.append(
             Profile(
                 against=name,
                 edges=edges,
-                middle=binned_mean(values[:, None], place, bins, group).mean[:, 0],
-                residual={model: binned_mean(rows, place, bins, group) for model, rows in residuals.items()},
+                middle=bin_means(values[:, None], place, bins, group).mean[:, 0],
+                residual={model: bin_means(rows, place, bins, group) for model, rows in residuals.items()},
             )
         )
-    return found
+    return by_name
 
 
-def write_profiles(path: Path, found: list[Profile], channels: tuple[Channel, ...]) -> None:
+def write_profiles(path: Path, profiles_list: list[Profile], channels: tuple[Channel, ...]) -> None:
     """Write every bin of every channel: edges, rows, and the mean residual of each model with its standard error."""
     tables = [pd.DataFrame(columns=["channel", "against", "low", "high", "middle", "rows", "blocks"])]
-    for profile in found:
+    for profile in profiles_list:
         first = next(iter(profile.residual.values()))
         for place, channel in enumerate(channels):
             columns: dict[str, object] = {

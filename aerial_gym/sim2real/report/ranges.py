@@ -13,7 +13,7 @@ WIDEST = 4.0
 """Truncation of the distributions in standard deviations; one draw in 16,000 lies beyond."""
 
 
-def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, RandomizeCfg]:
+def uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, RandomizeCfg]:
     """Return a joint normal distribution of the identified parameters, by the names of quantities.
 
     Correlations are kept, so well-known combinations such as sums stay certain.
@@ -23,13 +23,13 @@ def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, R
         effects: Identified effects.
     """
     ranges = {}
-    for found in effects:
-        effect = EFFECTS.get(found.name)
+    for entry in effects:
+        effect = EFFECTS.get(entry.name)
         for parameter, (least, most) in zip(effect.parameters, effect.bounds(robot), strict=True):
-            std, value = found.std.get(parameter.name, 0.0), found.params.get(parameter.name)
+            std, value = entry.std.get(parameter.name, 0.0), entry.params.get(parameter.name)
             if value is None or parameter.kind != "number" or not (isfinite(std) and std > 0.0):
                 continue
-            ranges[f"effects.{found.name}.{parameter.name}"] = RandomizeCfg(
+            ranges[f"effects.{entry.name}.{parameter.name}"] = RandomizeCfg(
                 how="value",
                 distribution="normal",
                 mean=value,
@@ -37,15 +37,17 @@ def found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[str, R
                 low=max(least, parameter.low, value - WIDEST * std),
                 high=min(most, parameter.high, value + WIDEST * std),
             )
-    for found in effects:
-        for parameter, others in found.correlation.items():
-            name = f"effects.{found.name}.{parameter}"
+    for entry in effects:
+        for parameter, correlations in entry.correlation.items():
+            name = f"effects.{entry.name}.{parameter}"
             if name in ranges:
-                kept = {f"effects.{other}": share for other, share in others.items() if f"effects.{other}" in ranges}
+                kept = {
+                    f"effects.{other}": share for other, share in correlations.items() if f"effects.{other}" in ranges
+                }
                 ranges[name] = replace(ranges[name], correlation=kept)
     return ranges
 
 
-def with_found_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> RobotCfg:
+def with_uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> RobotCfg:
     """Return a corrected robot that draws the identified parameters from their uncertainty at every reset."""
-    return replace(robot, randomize={**robot.randomize, **found_ranges(robot, effects)})
+    return replace(robot, randomize={**robot.randomize, **uncertainty_ranges(robot, effects)})

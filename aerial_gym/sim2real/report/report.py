@@ -6,29 +6,29 @@ from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import answer, meaning
-from aerial_gym.sim2real.judge.evaluation import missing_for_rollouts
+from aerial_gym.sim2real.judge.evaluation import rollout_gap
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report.evidence import Clue, write_evidence
-from aerial_gym.sim2real.report.figures import VARIANTS, clues_of, figures, models_of, shown_kinds
+from aerial_gym.sim2real.report.figures import VARIANTS, figures, kinds_to_plot, report_clues, report_models
 from aerial_gym.sim2real.report.profiles import LABELS, Profile, profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
     SHOWN_NOTES,
     became_rows,
     channel_rows,
+    effect_rows,
     flight_table,
+    format_rise,
     interval,
-    named_rows,
     number,
     parameter_rows,
     percent,
     reason_rows,
-    risen,
+    rejection_rows,
     rollout_rows,
-    unnamed_rows,
 )
 from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
@@ -41,16 +41,16 @@ MOST_SETS = 5
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def write_report(folder: Path, judged: Judged) -> None:
+def write_report(folder: Path, judged: LoopResult) -> None:
     """Write report.html, report.md and the tables of their data: residuals.csv, profiles.csv, evidence.csv."""
-    test, models = judged.declared.test, models_of(judged)
-    found = profiles(test, models)
-    told = clues_of(judged)
-    context = report_context(judged, told, found)
+    test, models = judged.declared.test, report_models(judged)
+    residual_profiles = profiles(test, models)
+    told = report_clues(judged)
+    context = report_context(judged, told, residual_profiles)
     for name in ("report.html", "report.md"):
         (folder / name).write_text(render(name, context), encoding="utf-8", errors="surrogateescape")
     write_evidence(folder / "evidence.csv", told)
-    write_profiles(folder / "profiles.csv", found, test.channels)
+    write_profiles(folder / "profiles.csv", residual_profiles, test.channels)
     write_residuals(folder / "residuals.csv", {"train": judged.declared.train, "test": test}, models)
 
 
@@ -66,12 +66,14 @@ def render(name: str, context: dict[str, object]) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"num": number, "interval": interval, "percent": percent, "risen": risen}
+    environment.filters |= {"num": number, "interval": interval, "percent": percent, "risen": format_rise}
     environment.filters |= {"text": text, "joined": join_texts}
     return environment.get_template(f"{name}.j2").render(context)
 
 
-def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequence[Profile]) -> dict[str, object]:
+def report_context(
+    judged: LoopResult, told: Mapping[str, list[Clue]], residual_profiles: Sequence[Profile]
+) -> dict[str, object]:
     """Return the values for the templates."""
     verdict, selection = judged.verdict, judged.selection
     after = verdict.after if verdict.corrects else None
@@ -86,26 +88,26 @@ def report_context(judged: Judged, told: Mapping[str, list[Clue]], found: Sequen
         "effects": parameter_rows(judged),
         "channels": channel_rows(verdict.before, after, verdict.outcomes),
         "octaves": octave_names(judged.declared.bandwidth),
-        "flights": flight_table(verdict, shown_kinds(judged)),
+        "flights": flight_table(verdict, kinds_to_plot(judged)),
         "sets": list(verdict.sets.items())[:MOST_SETS],
         "least": selection.criteria.material,
         "shown_rivals": SHOWN_RIVALS,
         "shown_notes": SHOWN_NOTES,
         "became": became_rows(verdict),
-        "named": named_rows(verdict),
+        "named": effect_rows(verdict),
         "reasons": reason_rows({name: text(reason) for name, reason in verdict.not_testable.items()}),
         "unshowable": [name for name, advice in verdict.fly_next.items() if advice.fly is None],
-        "no_rollouts": missing_for_rollouts(judged.declared.test.flights),
+        "no_rollouts": rollout_gap(judged.declared.test.flights),
         "notes": [text(note) for note in verdict.notes],
         "rollouts": [
             {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
             for name, text in VARIANTS.items()
             if name in verdict.before.rollout
         ],
-        "unnamed": unnamed_rows(selection),
+        "unnamed": rejection_rows(selection),
         "criteria": vars(selection.criteria),
         "tolerances": vars(judged.declared.tolerances),
-        "figures": figures(judged, told, found),
+        "figures": figures(judged, told, residual_profiles),
     }
 
 

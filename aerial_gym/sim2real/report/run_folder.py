@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from aerial_gym.config.storage import told_storage
+from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import DataError
 
 RECORD = "run.json"
@@ -35,15 +35,15 @@ def whole_folder(out_dir: Path) -> Iterator[Path]:
         StorageError: If the disk is full; ``out_dir`` is then unchanged.
     """
     check_out_dir(out_dir)
-    with told_storage(out_dir):
+    with storage_errors(out_dir):
         out_dir.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{out_dir.name}.", dir=out_dir.parent))
     try:
-        with told_storage(out_dir, only_full=True):
+        with storage_errors(out_dir, only_full=True):
             yield partial
             new = sorted(path.name for path in partial.iterdir())
             _list_files(partial / RECORD, new)
-            old = _listed_files(out_dir / RECORD)
+            old = _files_in_record(out_dir / RECORD)
             out_dir.mkdir(exist_ok=True)
             for name in new:
                 (partial / name).replace(out_dir / name)
@@ -59,7 +59,7 @@ def _list_files(record: Path, names: list[str]) -> None:
     record.write_text(json.dumps(content | {"files": sorted({*names, RECORD})}, indent=1) + "\n", encoding="utf-8")
 
 
-def _listed_files(record: Path) -> set[str]:
+def _files_in_record(record: Path) -> set[str]:
     """Return the file names in a record; empty if unreadable or invalid."""
     try:
         names = json.loads(record.read_text(encoding="utf-8"))["files"]

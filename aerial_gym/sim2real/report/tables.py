@@ -7,8 +7,8 @@ import numpy as np
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.judge.analysis import Judged
-from aerial_gym.sim2real.judge.evaluation import Evaluation
+from aerial_gym.sim2real.judge.analysis import LoopResult
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, SAME, WORSE, Outcome
 from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -23,7 +23,7 @@ MOST_PERCENT = 3.0
 """Rise above which it is written as a factor."""
 
 
-def parameter_rows(judged: Judged) -> list[dict[str, object]]:
+def parameter_rows(judged: LoopResult) -> list[dict[str, object]]:
     """Return one row per parameter of the accepted effects."""
     rows = []
     for effect in judged.verdict.effects:
@@ -50,23 +50,23 @@ def parameter_rows(judged: Judged) -> list[dict[str, object]]:
 
 
 def channel_rows(
-    before: Evaluation, after: Evaluation | None, became: Sequence[Outcome] = (), *, intervals: bool = True
+    before: ModelEvaluation, after: ModelEvaluation | None, became: Sequence[Outcome] = (), *, intervals: bool = True
 ) -> list[dict[str, object]]:
     """Return one row per channel; ``became``: outcomes by channel."""
     shown = interval if intervals else value_alone
-    rows, states = [], {found.name: found for found in became}
+    rows, states = [], {texts.name: texts for texts in became}
     closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
     for place, channel in enumerate(before.channels):
         first = before.residual[place]
         second = None if after is None else after.residual[place]
-        found = states.get(channel.name)
+        texts = states.get(channel.name)
         rows.append(
             {
                 "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
                 "before": shown(first),
                 "after": "–" if second is None else shown(second),
-                "change": "–" if found is None else risen(found.rise),
-                "became": "–" if found is None else found.state,
+                "change": "–" if texts is None else format_rise(texts.rise),
+                "became": "–" if texts is None else texts.state,
                 "closed": percent(closed[place]),
                 "floor": "–" if before.floor is None else number(before.floor[place]),
             }
@@ -76,7 +76,7 @@ def channel_rows(
 
 def became_rows(verdict: Verdict) -> dict[str, str]:
     """Return the channels by outcome (worse, better, same or not shown), with their changes."""
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for state in (WORSE, BETTER, SAME, NOT_SHOWN):
         kinds: dict[str, list[str]] = {}
         for one in verdict.outcomes:
@@ -84,11 +84,11 @@ def became_rows(verdict: Verdict) -> dict[str, str]:
                 kind, _, axis = one.quantity.replace("_", " ").rpartition(".")
                 kinds.setdefault(kind, []).append(axis if state == SAME else f"{axis} ({one.rise.value:+.0%})")
         if kinds:
-            found[state] = "; ".join(f"{kind} {', '.join(axes)}" for kind, axes in kinds.items())
-    return found
+            texts[state] = "; ".join(f"{kind} {', '.join(axes)}" for kind, axes in kinds.items())
+    return texts
 
 
-def named_rows(verdict: Verdict) -> list[dict[str, str]]:
+def effect_rows(verdict: Verdict) -> list[dict[str, str]]:
     """Return one row per named effect: parameters and certainty."""
     rows = []
     for effect in verdict.effects:
@@ -113,35 +113,35 @@ def named_rows(verdict: Verdict) -> list[dict[str, str]]:
 
 def reason_rows(reasons: Mapping[str, str]) -> dict[str, list[str]]:
     """Return the names that share a reason, by reason."""
-    found: dict[str, list[str]] = {}
+    texts: dict[str, list[str]] = {}
     for name, reason in reasons.items():
-        found.setdefault(reason, []).append(name)
-    return found
+        texts.setdefault(reason, []).append(name)
+    return texts
 
 
 def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> list[dict[str, str]]:
     """Return one row per quantity and horizon."""
     shown = interval if intervals else value_alone
     before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]
-    states = {found.name: found for found in verdict.outcomes}
+    states = {texts.name: texts for texts in verdict.outcomes}
     rows = []
     for quantity, horizons in before.items():
         for horizon, rms in horizons.items():
-            found = states.get(f"{variant}.{quantity}.{horizon:g}")
+            texts = states.get(f"{variant}.{quantity}.{horizon:g}")
             rows.append(
                 {
                     "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
                     "horizon": f"{horizon:g}",
                     "before": shown(rms),
                     "after": shown(after[quantity][horizon]),
-                    "change": "–" if found is None else risen(found.rise),
-                    "became": "–" if found is None else found.state,
+                    "change": "–" if texts is None else format_rise(texts.rise),
+                    "became": "–" if texts is None else texts.state,
                 }
             )
     return rows
 
 
-def unnamed_rows(selection: SelectionResult) -> list[dict[str, str]]:
+def rejection_rows(selection: SelectionResult) -> list[dict[str, str]]:
     """Return one row per effect that is not named, the most probable first: its odds, and the reason of its rejection."""
     chosen, reasons = selection.chosen, dict(selection.not_testable)
     for name, odds in chosen.adds.items():
@@ -151,7 +151,7 @@ def unnamed_rows(selection: SelectionResult) -> list[dict[str, str]]:
     for name, kind in chosen.surrogates.items():
         reasons[name] = Finding("follows_structure", name, {"structure": kind})
     reasons |= chosen.refused
-    shown = {name: reason for name, reason in reasons.items() if name not in selection.accepted}
+    shown = {name: reason for name, reason in reasons.items() if name not in selection.effect_names}
     order = sorted(shown, key=lambda name: (name in selection.not_testable, -chosen.adds.get(name, np.inf)))
     return [
         {
@@ -164,7 +164,7 @@ def unnamed_rows(selection: SelectionResult) -> list[dict[str, str]]:
     ]
 
 
-def risen(rise: Rise) -> str:
+def format_rise(rise: Rise) -> str:
     """Return a relative rise with its interval in per cent, or as a factor if it is large."""
     if max(rise.value, rise.high) > MOST_PERCENT:
         return f"× {number(1.0 + rise.value)} [{number(1.0 + rise.low)}, {number(1.0 + rise.high)}]"
@@ -180,20 +180,20 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
     worse = []
     for name, parts in verdict.flights.items():
         for part in parts:
-            found = part.became
-            if found.state == WORSE:
-                worse.append(f"{_label(found)} {risen(found.rise)} on {name}")
-            if found.horizon is None and found.name.split(".")[0] not in kinds:
+            texts = part.became
+            if texts.state == WORSE:
+                worse.append(f"{_label(texts)} {format_rise(texts.rise)} on {name}")
+            if texts.horizon is None and texts.name.split(".")[0] not in kinds:
                 continue
-            row = rows.setdefault(found.name, {"quantity": f"{_label(found)} [{part.unit}]", "cells": {}})
+            row = rows.setdefault(texts.name, {"quantity": f"{_label(texts)} [{part.unit}]", "cells": {}})
             cells = row["cells"]
             assert isinstance(cells, dict)
             cells[name] = {
                 "before": number(part.before.value),
                 "after": number(part.after.value) if verdict.corrects else None,
                 "floor": None if part.floor is None else number(part.floor),
-                "state": found.state,
-                "change": risen(found.rise),
+                "state": texts.state,
+                "change": format_rise(texts.rise),
             }
     return {"names": list(verdict.flights), "rows": list(rows.values()), "worse": worse}
 

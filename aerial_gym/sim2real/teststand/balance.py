@@ -17,11 +17,11 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.plain import fields_of
-from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, Cause, causes, priors, tell_apart
-from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, hovering_rows
-from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pooled_scatter
+from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, BalanceCause, causes, priors, tell_apart
+from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, find_hover_rows
+from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pool_scatter
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
 
 SIGNIFICANCE = 0.01
@@ -45,7 +45,7 @@ class HoverEffort:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON, without the effort, which the shares contain."""
-        return fields_of(self, "name", "windows", "voltage")
+        return select_fields(self, "name", "windows", "voltage")
 
 
 def hover_effort(log: FlightLog) -> HoverEffort:
@@ -59,7 +59,7 @@ def hover_effort(log: FlightLog) -> HoverEffort:
         raise DataError(
             f"{log.path}: has {log.num_rotors} rotors; the balance at hover gives the thrust of exactly {ROTORS}"
         )
-    rows = hovering_rows(log, speed)
+    rows = find_hover_rows(log, speed)
     if log.position is not None:
         height = np.array([log.position[row, 2].mean() for row in rows])
         near = np.abs(height - np.median(height)) < SAME_HEIGHT
@@ -74,19 +74,19 @@ def hover_effort(log: FlightLog) -> HoverEffort:
     )
 
 
-def repeats_of(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
+def group_repeats(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
     """Return the hovers by condition: names that differ only in a final number belong together."""
-    found: dict[str, list[HoverEffort]] = {}
+    results: dict[str, list[HoverEffort]] = {}
     for hover in hovers:
-        found.setdefault(re.sub(r"\d+$", "", hover.name), []).append(hover)
-    return found
+        results.setdefault(re.sub(r"\d+$", "", hover.name), []).append(hover)
+    return results
 
 
 @dataclass(frozen=True, kw_only=True)
 class CauseFit:
     """Fit of one candidate cause to the flights."""
 
-    cause: Cause
+    cause: BalanceCause
     fit: ScatterFit
     params: dict[str, Estimate]
     probability: float = 0.0
@@ -104,8 +104,8 @@ class CauseFit:
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
         return {
-            **fields_of(self.cause, "name", "motor"),
-            **fields_of(self, "params", "place"),
+            **select_fields(self.cause, "name", "motor"),
+            **select_fields(self, "params", "place"),
             "misfit_p": self.fit.misfit,
             "probability": self.probability,
             "judged_p": self.judged,
@@ -123,7 +123,7 @@ class Change:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return fields_of(self, "baseline", "flights", "change")
+        return select_fields(self, "baseline", "flights", "change")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,10 +162,10 @@ class Balance:
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
         return {
-            **fields_of(self, "verdict", "candidates", "fits", "tell_apart", "shares"),
+            **select_fields(self, "verdict", "candidates", "fits", "tell_apart", "shares"),
             "sum": self.total.as_mapping(),
             "scatter": {"freedom": self.freedom, "relative_std": self.scatter.tolist()},
-            "logs": fields_of(self, "baseline", "flights", "test"),
+            "logs": select_fields(self, "baseline", "flights", "test"),
             "notes": list(self.notes),
         }
 
@@ -203,14 +203,14 @@ def judge_balance(
                 f"added_mass = {added_mass!r} kg: must be finite and more than minus the mass of the robot"
             )
         possible = [cause for cause in possible if "payload_mass" not in cause.name]
-    filled = [group for group in (list(baseline), list(flights), *repeats_of(repeats).values()) if group]
+    filled = [group for group in (list(baseline), list(flights), *group_repeats(repeats).values()) if group]
     if not baseline or not flights or all(len(group) < 2 for group in filled):
         raise DataError(
             "needs a baseline, a flight, and two logs of at least one condition, whose difference is the scatter between logs; "
             "give more logs in --baseline or in --repeats"
         )
     logs = [np.log([hover.effort for hover in group]) for group in filled]
-    scatter = pooled_scatter(logs)
+    scatter = pool_scatter(logs)
     if np.linalg.matrix_rank(scatter.squares) < (ROTORS if scatter.freedom >= ROTORS else 1):
         raise DataError("logs of one condition do not differ: are some of them copies? Give each log once")
     share = 1.0 / len(baseline) + 1.0 / len(flights)
@@ -218,8 +218,8 @@ def judge_balance(
     fits: tuple[CauseFit, ...] = ()
     if scatter.freedom >= ROTORS:
         fits = tuple(_fit(cause, logs[1], usual, scatter, len(baseline)) for cause in possible)
-        fits = tuple(_judged(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
-        fits = _weighed(fits, [logs[0], np.log([hover.effort for hover in (*flights, *test)]), *logs[2:]], usual)
+        fits = tuple(_validate(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
+        fits = _weigh_causes(fits, [logs[0], np.log([hover.effort for hover in (*flights, *test)]), *logs[2:]], usual)
     verdict, candidates = _decide(fits, possible)
     (total,) = _change([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
     return Balance(
@@ -240,18 +240,18 @@ def judge_balance(
         scatter=scatter.std,
         notes=(
             *_notes(baseline, flights, test, scatter, added_mass),
-            *(Finding("flights_differ") for fit in fits[-1:] if not _repeated(fit)),
+            *(Finding("flights_differ") for fit in fits[-1:] if not _repeats_agree(fit)),
             *(Finding("other_cause", "", {"probability": fit.probability}) for fit in fits[-1:] if candidates),
         ),
     )
 
 
-def _repeated(other: CauseFit) -> bool:
+def _repeats_agree(other: CauseFit) -> bool:
     """Return whether left-out logs agree with the flights, whatever the cause."""
     return other.judged is None or other.judged >= SIGNIFICANCE
 
 
-def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
+def _fit(cause: BalanceCause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
     """Return a cause fitted to log efforts (L, R), with relative residuals."""
     ratio = np.exp(efforts.mean(axis=0)) / usual
     fit = fit_scatter(1.0 - 1.0 / ratio, cause.columns / ratio[:, None], scatter, 1.0 / len(efforts) + 1.0 / count)
@@ -260,18 +260,18 @@ def _fit(cause: Cause, efforts: Array, usual: Array, scatter: Scatter, count: in
     return CauseFit(cause=cause, fit=fit, params=_physical(cause, fit), place=known)
 
 
-def _physical(cause: Cause, fit: ScatterFit) -> dict[str, Estimate]:
+def _physical(cause: BalanceCause, fit: ScatterFit) -> dict[str, Estimate]:
     """Return the physical parameters with 95 % intervals, to first order."""
     values = cause.physical(fit.params)
     steps = 1e-6 * np.eye(fit.params.size)
     slopes = [[v - values[name] for name, v in cause.physical(fit.params + step).items()] for step in steps]
     slope = np.array(slopes).reshape(fit.params.size, len(values)) / 1e-6
     spread = np.sqrt(np.diag(slope.T @ fit.covariance @ slope)) * stats.t.ppf(0.975, fit.freedom)
-    return {n: Estimate.around(v, s) for (n, v), s in zip(values.items(), spread, strict=True)}
+    return {n: Estimate.from_half_width(v, s) for (n, v), s in zip(values.items(), spread, strict=True)}
 
 
-def _judged(
-    found: CauseFit,
+def _validate(
+    estimate: CauseFit,
     flights: Sequence[HoverEffort],
     test: Sequence[HoverEffort],
     usual: Array,
@@ -280,14 +280,14 @@ def _judged(
 ) -> CauseFit:
     """Return the fit with its prediction error on left-out logs."""
     if not test and len(flights) < 2:
-        return found
+        return estimate
     parts = (
         [(flights, test)] if test else [([*flights[:n], *flights[n + 1 :]], [flights[n]]) for n in range(len(flights))]
     )
     p_values, errors = [], []
     for seen, left_out in parts:
-        fit = _fit(found.cause, np.log([hover.effort for hover in seen]), usual, scatter, count).fit
-        predicted = 1.0 + found.cause.columns @ fit.params
+        fit = _fit(estimate.cause, np.log([hover.effort for hover in seen]), usual, scatter, count).fit
+        predicted = 1.0 + estimate.cause.columns @ fit.params
         each = [hover.effort / (usual * predicted) - 1.0 for hover in left_out]
         mean = np.mean(each, axis=0)
         one = scatter.squares / scatter.freedom
@@ -296,19 +296,19 @@ def _judged(
         errors += each
     # Bonferroni correction of the smallest p-value.
     p_value = min(1.0, len(parts) * min(p_values))
-    return replace(found, judged=p_value, held_out=rms(np.array(errors)))
+    return replace(estimate, judged=p_value, held_out=rms(np.array(errors)))
 
 
-def _weighed(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
+def _weigh_causes(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
     """Return the fits with posterior probabilities, from groups (L, R) of logs: baseline, condition, others."""
-    scatter, share = pooled_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
+    scatter, share = pool_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
     evidence = [log_evidence(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits]
     probability = special.softmax(np.array(evidence) + np.log(priors([fit.cause for fit in fits])))
     return tuple(replace(fit, probability=float(p)) for fit, p in zip(fits, probability, strict=True))
 
 
-def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, tuple[str, ...]]:
+def _decide(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tuple[str, tuple[str, ...]]:
     """Return the verdict and the possible causes, one name per part at fault.
 
     These are the smallest set of candidates with a total probability of 1 - `SIGNIFICANCE`. No cause is named if "none" is in
@@ -316,7 +316,7 @@ def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, t
     """
     if not fits:
         return "ambiguous", tuple(cause.name for cause in possible if cause is not OTHER)
-    if not _repeated(fits[-1]):
+    if not _repeats_agree(fits[-1]):
         return "unexplained", ()
     if fits[0].probability >= SIGNIFICANCE:
         return "none", ()
@@ -336,11 +336,11 @@ def _decide(fits: Sequence[CauseFit], possible: Sequence[Cause]) -> tuple[str, t
 
 def _change(values: Sequence[Array], share: float) -> list[Change]:
     """Return the change of each column from the first group (L, columns) to the second; all groups give the scatter."""
-    scatter = pooled_scatter(values)
+    scatter = pool_scatter(values)
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)
 
     def interval(value: Array, part: float) -> list[Estimate]:
-        return [Estimate.around(*pair) for pair in zip(value, scatter.half_width(part), strict=True)]
+        return [Estimate.from_half_width(*pair) for pair in zip(value, scatter.half_width(part), strict=True)]
 
     parts = (
         interval(before, 1.0 / len(values[0])),
@@ -350,8 +350,8 @@ def _change(values: Sequence[Array], share: float) -> list[Change]:
     return [Change(baseline=b, flights=f, change=c) for b, f, c in zip(*parts, strict=True)]
 
 
-def _exponential(found: Estimate, less: float = 0.0) -> Estimate:
-    return Estimate(value=exp(found.value) - less, low=exp(found.low) - less, high=exp(found.high) - less)
+def _exponential(estimate: Estimate, less: float = 0.0) -> Estimate:
+    return Estimate(value=exp(estimate.value) - less, low=exp(estimate.low) - less, high=exp(estimate.high) - less)
 
 
 def _notes(
@@ -361,15 +361,15 @@ def _notes(
     scatter: Scatter,
     added_mass: float | None,
 ) -> list[Finding]:
-    found = [Finding("balance_assumptions")]
+    results = [Finding("balance_assumptions")]
     if added_mass is not None:
-        found.append(Finding("mass_added", "", {"added_kg": added_mass}))
+        results.append(Finding("mass_added", "", {"added_kg": added_mass}))
     if scatter.freedom < ROTORS:
-        found.append(Finding("scatter_unknown", "", {"repeats": scatter.freedom, "needed": ROTORS}))
+        results.append(Finding("scatter_unknown", "", {"repeats": scatter.freedom, "needed": ROTORS}))
     if not test and len(flights) < 2:
-        found.append(Finding("no_unseen_log"))
+        results.append(Finding("no_unseen_log"))
     volts = [[h.voltage for h in hovers if h.voltage is not None] for hovers in (baseline, [*flights, *test])]
     if volts[0] and volts[1]:
         baseline_v, flights_v = ([min(part), max(part)] for part in volts)
-        found.append(Finding("battery_range", "", {"baseline_v": baseline_v, "flights_v": flights_v}))
-    return found
+        results.append(Finding("battery_range", "", {"baseline_v": baseline_v, "flights_v": flights_v}))
+    return results

@@ -20,7 +20,7 @@ ROTORS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cause:
+class BalanceCause:
     """A candidate cause: it multiplies the baseline effort of each rotor by ``1 + columns params``."""
 
     name: str
@@ -43,7 +43,7 @@ class Cause:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Layout:
+class ThrustLayout:
     """Thrusts in balance, relative to weight."""
 
     carried: Array
@@ -59,7 +59,7 @@ class Layout:
     """Spin of each rotor, (R,)."""
 
 
-def layout_of(robot: RobotCfg) -> Layout:
+def thrust_layout(robot: RobotCfg) -> ThrustLayout:
     """Return the thrusts with which four rotors balance a declared vehicle.
 
     Raises:
@@ -82,10 +82,10 @@ def layout_of(robot: RobotCfg) -> Layout:
     if carried.min() <= 0.0:
         raise ConfigError("the declared centre of mass is not between the rotors: check body.com and mounts.layout")
     shift = np.stack((to_x, to_y), axis=1) / carried[:, None]
-    return Layout(carried=carried, shift=shift, twist=to_yaw / carried, spin=spin)
+    return ThrustLayout(carried=carried, shift=shift, twist=to_yaw / carried, spin=spin)
 
 
-def causes(robot: RobotCfg) -> list[Cause]:
+def causes(robot: RobotCfg) -> list[BalanceCause]:
     """Return the candidate causes for a declared vehicle, "none" first and "something else" last.
 
     Source:
@@ -93,26 +93,28 @@ def causes(robot: RobotCfg) -> list[Cause]:
         has the share s of its thrust, and r times its drag torque per thrust, then ``sum(spin T) = (1 - r) spin_j T_j``,
         and its effort is ``T_j / s``.
     """
-    layout, mass = layout_of(robot), robot.body.mass
+    layout, mass = thrust_layout(robot), robot.body.mass
     heavier = np.ones((ROTORS, 1))
 
-    def placed(params: Array) -> dict[str, float]:
+    def param_columns(params: Array) -> dict[str, float]:
         whole = 1.0 + params[0]
         return {"dm": float(mass * params[0]), "x": float(params[1] / whole), "y": float(params[2] / whole)}
 
     return [
-        Cause(name="none", columns=np.empty((ROTORS, 0)), physical=lambda _: {}, kind="none"),
-        Cause(name="payload_mass", columns=heavier, physical=lambda p: {"dm": float(mass * p[0])}, kind="weight"),
-        Cause(
+        BalanceCause(name="none", columns=np.empty((ROTORS, 0)), physical=lambda _: {}, kind="none"),
+        BalanceCause(
+            name="payload_mass", columns=heavier, physical=lambda p: {"dm": float(mass * p[0])}, kind="weight"
+        ),
+        BalanceCause(
             name="com_offset",
             columns=layout.shift,
             physical=lambda p: {"x": float(p[0]), "y": float(p[1])},
             kind="weight",
         ),
-        Cause(
+        BalanceCause(
             name="payload_mass + com_offset",
             columns=np.column_stack((heavier, layout.shift)),
-            physical=placed,
+            physical=param_columns,
             kind="weight",
         ),
         *(cause for rotor in range(ROTORS) for cause in _weak(layout, rotor)),
@@ -120,11 +122,11 @@ def causes(robot: RobotCfg) -> list[Cause]:
     ]
 
 
-OTHER = Cause(name="something else", columns=np.eye(ROTORS), physical=lambda _: {}, kind="other")
+OTHER = BalanceCause(name="something else", columns=np.eye(ROTORS), physical=lambda _: {}, kind="other")
 """Any other change: two causes at once, or one that is not listed."""
 
 
-def priors(possible: Sequence[Cause]) -> Array:
+def priors(possible: Sequence[BalanceCause]) -> Array:
     """Return the prior probability of each candidate.
 
     "none" has one half. The other classes share the rest equally, and the candidates of a class share its part.
@@ -135,11 +137,11 @@ def priors(possible: Sequence[Cause]) -> Array:
         probability accounts for the number of candidates.
     """
     kinds = [cause.kind for cause in possible]
-    others = len(set(kinds)) - 1
-    return np.array([0.5 if kind == "none" else 0.5 / (others * kinds.count(kind)) for kind in kinds])
+    num_others = len(set(kinds)) - 1
+    return np.array([0.5 if kind == "none" else 0.5 / (num_others * kinds.count(kind)) for kind in kinds])
 
 
-def _weak(layout: Layout, rotor: int) -> list[Cause]:
+def _weak(layout: ThrustLayout, rotor: int) -> list[BalanceCause]:
     """Return two weak propellers: one whose drag torque falls with its thrust, and one with free drag torque."""
     name, one = f"weak_motor {rotor + 1}", np.eye(ROTORS)[:, rotor : rotor + 1]
 
@@ -149,14 +151,14 @@ def _weak(layout: Layout, rotor: int) -> list[Cause]:
         return {"scale": float(thrust / (thrust + params[0])), "torque_ratio": float(drag)}
 
     return [
-        Cause(
+        BalanceCause(
             name=name,
             columns=one,
             physical=lambda p: {"scale": float(1.0 / (1.0 + p[0]))},
             kind="propeller",
             motor=rotor + 1,
         ),
-        Cause(
+        BalanceCause(
             name=f"{name} + torque_ratio",
             columns=np.column_stack((one, layout.twist)),
             physical=with_yaw,
@@ -172,11 +174,11 @@ def tell_apart(candidates: Sequence[str]) -> list[Finding]:
         return []
     weak = [name for name in candidates if name.startswith("weak_motor")]
     payload = [name for name in candidates if name.startswith("payload_mass")]
-    found = []
+    findings = []
     if payload and len(payload) < len(candidates):
-        found.extend((Finding("weigh_vehicle"), Finding("measure_thrust")))
+        findings.extend((Finding("weigh_vehicle"), Finding("measure_thrust")))
     if weak and len(weak) < len(candidates):
-        found.append(Finding("turn_with_gyro"))
+        findings.append(Finding("turn_with_gyro"))
     if weak:
-        found.append(Finding("swap_propeller"))
-    return found
+        findings.append(Finding("swap_propeller"))
+    return findings

@@ -40,7 +40,7 @@ def _pair(
 
 def static_figures(fit: StaticFit) -> "dict[str, Figure]":
     """Return the figures of thrust and torque against speed."""
-    found = {}
+    panels = {}
     for name, values, choice in (("thrust", fit.thrust, fit.thrust_map), ("torque", fit.torque, fit.torque_map)):
         if values is None or choice is None:
             continue
@@ -51,23 +51,23 @@ def static_figures(fit: StaticFit) -> "dict[str, Figure]":
         else:
             after = np.polyval(choice.best.polynomial()[::-1], fit.speed)
         labels = ("speed [rad/s]", f"{name} [{choice.unit}]")
-        found[name] = _pair(fit.speed, values, before, after, ("w²", choice.chosen), labels)
-    return found
+        panels[name] = _pair(fit.speed, values, before, after, ("w²", choice.chosen), labels)
+    return panels
 
 
 def step_figures(lag: StepFit) -> "dict[str, Figure]":
     """Return the figures of measured and predicted speed of every record against time."""
     names = ("one time constant", lag.chosen)
-    found, offset = {}, 0
+    panels, offset = {}, 0
     for number, record in enumerate(lag.records, start=1):
         rows = slice(record.starts[0], None)
         measured = record.measured[rows]
         part = slice(offset, offset + measured.size)
         before, after = (measured - lag.laws[name].residual[part] for name in names)
         labels = ("t [s]", "speed [rad/s]")
-        found[f"steps_{number}"] = _pair(record.time[rows], measured, before, after, names, labels)
+        panels[f"steps_{number}"] = _pair(record.time[rows], measured, before, after, names, labels)
         offset += measured.size
-    return found
+    return panels
 
 
 def joint_figures(study: JointStudy) -> "dict[str, Figure]":

@@ -14,15 +14,15 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import plain
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.plain import plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
-    correlated_covariance,
-    held_out_error,
+    cross_validation_error,
+    fold_labels,
+    hac_covariance,
     left_out,
-    parts_of,
     rms,
 )
 
@@ -82,7 +82,7 @@ class HoverFit:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        found: dict[str, object] = {
+        record: dict[str, object] = {
             "mass": self.mass,
             "windows": self.force.size,
             "c_t": self.thrust_coefficient.as_mapping(),
@@ -93,13 +93,13 @@ class HoverFit:
             "notes": list(self.notes),
         }
         if self.scale is not None:
-            found["scale"] = self.scale.as_mapping()
-            found["before"] = {"model": "declared", "held_out": self.models["declared"].error.as_mapping()}
-            found["after"] = {"model": self.chosen, "held_out": self.models[self.chosen].error.as_mapping()}
-        return found
+            record["scale"] = self.scale.as_mapping()
+            record["before"] = {"model": "declared", "held_out": self.models["declared"].error.as_mapping()}
+            record["after"] = {"model": self.chosen, "held_out": self.models[self.chosen].error.as_mapping()}
+        return record
 
 
-def hovering_rows(log: FlightLog, speed: Array) -> list[Flags]:
+def find_hover_rows(log: FlightLog, speed: Array) -> list[Flags]:
     """Return the rows (T,) of each hover window of a flight.
 
     Args:
@@ -129,7 +129,7 @@ def hovering_rows(log: FlightLog, speed: Array) -> list[Flags]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Windows:
+class HoverWindows:
     """Means over the hover windows of one flight."""
 
     name: str
@@ -143,7 +143,7 @@ class Windows:
     """Whether the thrust is g over the cosine of tilt, without an accelerometer."""
 
 
-def hover_windows(log: FlightLog) -> Windows:
+def hover_windows(log: FlightLog) -> HoverWindows:
     """Return the hover windows of a flight.
 
     Raises:
@@ -151,11 +151,11 @@ def hover_windows(log: FlightLog) -> Windows:
     """
     if log.rotor_speed is None:
         raise DataError(f"{log.path}: needs measured rotor speeds; commands or duty cycles give no thrust coefficient")
-    rows = hovering_rows(log, log.rotor_speed)
+    rows = find_hover_rows(log, log.rotor_speed)
     up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
     force = STANDARD_GRAVITY / np.maximum(up, 0.1) if log.specific_force is None else log.specific_force[:, 2]
     powers = np.stack([(log.rotor_speed**p).sum(axis=1) for p in range(3)], axis=1)
-    return Windows(
+    return HoverWindows(
         name=log.name,
         moments=np.array([powers[r].mean(axis=0) for r in rows]),
         force=np.array([force[r].mean() for r in rows]),
@@ -193,7 +193,7 @@ def fit_hover(
     if not parts:
         raise missed[0] if missed else DataError("needs at least one flight that hovers")
     sizes = [part.force.size for part in parts]
-    group = parts_of(sizes)
+    group = fold_labels(sizes)
     moments, force = np.concatenate([p.moments for p in parts]), np.concatenate([p.force for p in parts])
     square, target = moments[:, 2], mass * force
     coefficient = _ratio(square, target, sizes, mass_std / mass)
@@ -205,7 +205,7 @@ def fit_hover(
         left = force - carried / mass
         models = {
             "declared": HoverModel(
-                name="declared", thrust_map=declared, held_out=left, error=held_out_error(left, group)
+                name="declared", thrust_map=declared, held_out=left, error=cross_validation_error(left, group)
             ),
             "declared, scaled": _model("declared, scaled", declared, moments, force, mass, group),
             **models,
@@ -236,15 +236,13 @@ def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float)
     slope = _slope(cause, effect)
     unit = cause / rms(cause)
     residual = effect - slope * cause
-    spread = (
-        stats.t.ppf(0.975, cause.size - 1) * np.sqrt(correlated_covariance(unit[:, None], residual)[0, 0]) / rms(cause)
-    )
+    spread = stats.t.ppf(0.975, cause.size - 1) * np.sqrt(hac_covariance(unit[:, None], residual)[0, 0]) / rms(cause)
     if len(sizes) >= 3:
         ends = np.cumsum(sizes)[:-1]
         each = [_slope(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
         spread = max(spread, stats.t.ppf(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
     half_width = float(np.hypot(spread, 1.96 * mass_error * slope))
-    return Estimate.around(slope, half_width)
+    return Estimate.from_half_width(slope, half_width)
 
 
 def _model(
@@ -255,4 +253,6 @@ def _model(
     held_out = left_out(group, lambda out: force[out] - _slope(carried[~out], target[~out]) * carried[out] / mass)
     size = _slope(carried, target)
     c0, c1, c2 = (size * c for c in shape)
-    return HoverModel(name=name, thrust_map=(c0, c1, c2), held_out=held_out, error=held_out_error(held_out, group))
+    return HoverModel(
+        name=name, thrust_map=(c0, c1, c2), held_out=held_out, error=cross_validation_error(held_out, group)
+    )

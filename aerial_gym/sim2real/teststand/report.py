@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.logs.inputs import file_digests
-from aerial_gym.sim2real.plain import write_json
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.wording import render_findings, text
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class ReportTable:
     """Table with a title and text cells."""
 
     title: str
@@ -35,7 +35,7 @@ class Study:
     mapping: dict[str, object]
     """Content for JSON."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[ReportTable, ...]
     figures: "dict[str, Figure]" = field(default_factory=dict)
     """Figures by file name without suffix."""
 

@@ -44,7 +44,7 @@ class Scatter:
         return _tail(ratio, size, self.freedom - size + 1)
 
 
-def pooled_scatter(groups: Sequence[Array]) -> Scatter:
+def pool_scatter(groups: Sequence[Array]) -> Scatter:
     """Return the common scatter within groups of repeats (N, K); groups of one do not contribute."""
     centred: Array = np.concatenate([group - group.mean(axis=0) for group in groups])
     return Scatter(squares=centred.T @ centred, freedom=len(centred) - len(groups))

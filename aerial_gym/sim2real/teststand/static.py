@@ -10,12 +10,12 @@ import numpy as np
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.plain import fields_of, plain
+from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
+    cross_validation_error,
     estimates,
-    held_out_error,
     independent_covariance,
     leverage,
     parsimonious,
@@ -66,7 +66,7 @@ class MapFit:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return fields_of(self, "name", "fit_rms", "held_out_rms", "coefficients")
+        return select_fields(self, "name", "fit_rms", "held_out_rms", "coefficients")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,21 +86,21 @@ class Choice:
         return self.candidates[self.chosen]
 
     @property
-    def before(self) -> Rms:
+    def rms_squared_only(self) -> Rms:
         """Held-out error of the map with w² alone."""
-        return held_out_error(self.candidates["w²"].held_out)
+        return cross_validation_error(self.candidates["w²"].held_out)
 
     @property
-    def after(self) -> Rms:
+    def rms_chosen(self) -> Rms:
         """Nested cross-validation error of the selection."""
-        return held_out_error(self.nested)
+        return cross_validation_error(self.nested)
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
         return {
-            **fields_of(self, "unit", "chosen"),
-            "before": {"model": "w²", "held_out": plain(self.before)},
-            "after": {"model": self.chosen, "held_out": plain(self.after)},
+            **select_fields(self, "unit", "chosen"),
+            "before": {"model": "w²", "held_out": plain(self.rms_squared_only)},
+            "after": {"model": self.chosen, "held_out": plain(self.rms_chosen)},
             "candidates": plain(list(self.candidates.values())),
         }
 
@@ -144,8 +144,8 @@ class StaticFit:
             "torque": self.torque_map,
             "reverse": self.reverse,
         }
-        found = {name: plain(part) for name, part in parts.items() if part is not None}
-        return {"name": self.name, "rows": self.speed.size, **found, "notes": list(self.notes)}
+        results = {name: plain(part) for name, part in parts.items() if part is not None}
+        return {"name": self.name, "rows": self.speed.size, **results, "notes": list(self.notes)}
 
 
 def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], list[Finding]]:
@@ -236,10 +236,10 @@ def choose_map(
         candidates = {"torque ratio": _fit_regressors("torque ratio", carried, values, ("ratio",)), **candidates}
     nested, terms = np.empty(speed.size), {name: rows.shape[1] for name, rows in columns.items()}
     for row in range(speed.size):
-        others = np.arange(speed.size) != row
-        errors = {name: rms(_leave_one_out(c[others], values[others])) for name, c in columns.items()}
+        kept_rows = np.arange(speed.size) != row
+        errors = {name: rms(_leave_one_out(c[kept_rows], values[kept_rows])) for name, c in columns.items()}
         best = parsimonious(errors, terms)
-        gains = np.linalg.lstsq(columns[best][others], values[others], rcond=None)[0]
+        gains = np.linalg.lstsq(columns[best][kept_rows], values[kept_rows], rcond=None)[0]
         nested[row] = values[row] - columns[best][row] @ gains
     rising = [name for name in columns if name == "torque ratio" or candidates[name].polynomial()[2] > 0.0]
     if through_zero:
@@ -266,10 +266,10 @@ def _fit_regressors(name: str, regressors: Array, values: Array, labels: tuple[s
     gains = np.linalg.lstsq(scaled, values, rcond=None)[0]
     residual = values - scaled @ gains
     covariance = independent_covariance(scaled, residual) / np.outer(scale, scale)
-    found = estimates(gains / scale, covariance, values.size - gains.size)
+    results = estimates(gains / scale, covariance, values.size - gains.size)
     return MapFit(
         name=name,
-        coefficients=dict(zip(labels, found, strict=True)),
+        coefficients=dict(zip(labels, results, strict=True)),
         fit_rms=rms(residual),
         held_out=_leave_one_out(regressors, values),
     )

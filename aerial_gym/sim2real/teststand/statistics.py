@@ -32,7 +32,7 @@ class Estimate:
         return {"value": self.value, "interval": [self.low, self.high]}
 
     @classmethod
-    def around(cls, value: float, half_width: float) -> "Estimate":
+    def from_half_width(cls, value: float, half_width: float) -> "Estimate":
         """Return a value with a symmetric interval."""
         return cls(value=float(value), low=float(value - half_width), high=float(value + half_width))
 
@@ -40,7 +40,7 @@ class Estimate:
 def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
     """Return each value with ``value ± t std``, t the 97.5 % quantile of Student's distribution."""
     half_width = stats.t.ppf(0.975, max(freedom, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return [Estimate.around(*pair) for pair in zip(values, half_width, strict=True)]
+    return [Estimate.from_half_width(*pair) for pair in zip(values, half_width, strict=True)]
 
 
 def rms(values: Array) -> float:
@@ -48,13 +48,13 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def held_out_error(values: Array, group: Indices | None = None) -> Rms:
+def cross_validation_error(values: Array, group: Indices | None = None) -> Rms:
     """Return the RMS of held-out errors (N,) with a 95 % interval over groups of rows; None: independent rows."""
     labels = np.arange(values.size) if group is None else group
     return rms_with_interval(values[:, None], labels, seed=0)[0]
 
 
-def parts_of(counts: Sequence[int]) -> Indices:
+def fold_labels(counts: Sequence[int]) -> Indices:
     """Return the cross-validation fold of each row, (N,): its flight, given row counts, or one of FOLDS of a single flight."""
     if len(counts) == 1:
         return np.arange(counts[0]) * FOLDS // counts[0]
@@ -66,11 +66,11 @@ def left_out(part: Indices, missed: Callable[[Flags], Array]) -> Array:
 
     ``missed`` takes the left-out rows, bool (N,), fits all others, and returns the errors of the left-out ones.
     """
-    found = np.empty(part.size)
+    results = np.empty(part.size)
     for label in np.unique(part):
         out = part == label
-        found[out] = missed(out)
-    return found
+        results[out] = missed(out)
+    return results
 
 
 def parsimonious(errors: Mapping[str, float], terms: Mapping[str, int]) -> str:
@@ -111,7 +111,7 @@ def correlation_rows(residual: Array) -> int:
     return int(np.ceil(1.1447 * (alpha * residual.size) ** (1.0 / 3.0)))
 
 
-def correlated_covariance(regressors: Array, residual: Array) -> Array:
+def hac_covariance(regressors: Array, residual: Array) -> Array:
     """Return the least-squares covariance for autocorrelated residuals, (K, K).
 
     Scores are prewhitened by AR(1), summed with a Bartlett window, and recoloured.
@@ -179,13 +179,13 @@ def fit_curve(
     """
     rows = np.ones(measured.size, dtype=bool) if kept is None else kept
     scale = np.maximum(np.abs(start), 1e-3 * (high - low))
-    found = optimize.least_squares(
+    results = optimize.least_squares(
         lambda z: (predict(z * scale) - measured)[rows],
         start / scale,
         bounds=(low / scale, high / scale),
         x_scale="jac",
     )
-    params = found.x * scale
+    params = results.x * scale
     residual = measured - predict(params)
-    covariance = correlated_covariance(np.asarray(found.jac) / scale, residual[rows])
+    covariance = hac_covariance(np.asarray(results.jac) / scale, residual[rows])
     return CurveFit(params=params, residual=residual, covariance=covariance)

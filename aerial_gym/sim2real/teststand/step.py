@@ -12,9 +12,16 @@ import numpy as np
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.plain import fields_of, plain
+from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.statistics import Estimate, fit_curve, held_out_error, left_out, parsimonious, rms
+from aerial_gym.sim2real.teststand.statistics import (
+    Estimate,
+    cross_validation_error,
+    fit_curve,
+    left_out,
+    parsimonious,
+    rms,
+)
 from aerial_gym.sim2real.teststand.tables import Bench
 
 SHORTEST_STEP = 5
@@ -68,7 +75,7 @@ class StepRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LawFit:
+class StepLawFit:
     """Fit of one law."""
 
     name: str
@@ -86,7 +93,7 @@ class LawFit:
     @property
     def error(self) -> Rms:
         """RMS held-out error [rad/s], with its interval over steps."""
-        return held_out_error(self.held_out, self.step)
+        return cross_validation_error(self.held_out, self.step)
 
     @property
     def held_out_rms(self) -> float:
@@ -95,7 +102,7 @@ class LawFit:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return {**fields_of(self, "name", "fit_rms"), "held_out": plain(self.error), "params": plain(self.params)}
+        return {**select_fields(self, "name", "fit_rms"), "held_out": plain(self.error), "params": plain(self.params)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +110,7 @@ class StepFit:
     """Fits of all laws, and the selected one."""
 
     records: tuple[StepRecord, ...]
-    laws: dict[str, LawFit]
+    laws: dict[str, StepLawFit]
     chosen: str
     in_robot: str
     """Best law that a robot file supports."""
@@ -115,7 +122,7 @@ class StepFit:
         first, best = self.laws["one time constant"], self.laws[self.chosen]
         return {
             "unit": "rad/s",
-            **fields_of(self, "chosen", "in_robot"),
+            **select_fields(self, "chosen", "in_robot"),
             "before": {"model": first.name, "fit_rms": first.fit_rms, "held_out": plain(first.error)},
             "after": {"model": self.chosen, "fit_rms": best.fit_rms, "held_out": plain(best.error)},
             "candidates": plain(list(self.laws.values())),
@@ -207,7 +214,7 @@ def _ways(record: StepRecord) -> list[str]:
     return ["up" if after > before else "down" for before, after in pairwise(levels)]
 
 
-def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
+def _fit_law(name: str, records: Sequence[StepRecord]) -> StepLawFit:
     labels = LAWS[name]
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
     measured = np.concatenate([record.measured[record.starts[0] :] for record in records])
@@ -226,15 +233,15 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> LawFit:
     begins = np.concatenate([np.isin(np.arange(r.starts[0], r.time.size), r.starts) for r in records])
     step = begins.cumsum(dtype=np.int64)
     held_out = left_out(step, lambda out: fit_curve(predict, measured, inside, low, high, ~out).residual[out])
-    params = _unreached(dict(zip(labels, whole.estimates(), strict=True)), records)
-    return LawFit(
+    params = _bound_slew_limit(dict(zip(labels, whole.estimates(), strict=True)), records)
+    return StepLawFit(
         name=name, params=params, fit_rms=rms(whole.residual), held_out=held_out, step=step, residual=whole.residual
     )
 
 
-def _unreached(params: dict[str, Estimate], records: Sequence[StepRecord]) -> dict[str, Estimate]:
+def _bound_slew_limit(params: dict[str, Estimate], records: Sequence[StepRecord]) -> dict[str, Estimate]:
     """Return the parameters; a slew limit that no step reaches gets the required rate as its lower bound."""
-    found = dict(params)
+    bounds = dict(params)
     for way in ("up", "down"):
         if f"slew_{way}" not in params:
             continue
@@ -243,8 +250,8 @@ def _unreached(params: dict[str, Estimate], records: Sequence[StepRecord]) -> di
         slew = params[f"slew_{way}"]
         if slew.high >= asked or slew.value >= asked:
             low = asked if slew.value >= asked else slew.low
-            found[f"slew_{way}"] = Estimate(value=slew.value, low=low, high=BOUNDS[f"slew_{way}"][2])
-    return found
+            bounds[f"slew_{way}"] = Estimate(value=slew.value, low=low, high=BOUNDS[f"slew_{way}"][2])
+    return bounds
 
 
 def largest_step(record: StepRecord, way: str) -> float:

@@ -22,7 +22,7 @@ from aerial_gym.sim2real.teststand.joints.record import (
     release_record,
     spans,
 )
-from aerial_gym.sim2real.teststand.report import Study, Table, rotor_files
+from aerial_gym.sim2real.teststand.report import ReportTable, Study, rotor_files
 from aerial_gym.sim2real.teststand.static import Choice, StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
 from aerial_gym.sim2real.teststand.step import BOUNDS, StepFit, fit_steps, step_record
@@ -31,9 +31,9 @@ from aerial_gym.sim2real.teststand.tables import Bench
 MOST_TESTS_SHOWN = 3
 
 
-def interval(found: Estimate | Rms) -> str:
+def interval(value: Estimate | Rms) -> str:
     """Return a value with its 95 % interval as text."""
-    return f"{found.value:.4g} [{found.low:.4g}, {found.high:.4g}]"
+    return f"{value.value:.4g} [{value.low:.4g}, {value.high:.4g}]"
 
 
 def change(before: float, after: float) -> str:
@@ -94,36 +94,36 @@ def names(benches: Sequence[Bench]) -> str:
 
 def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str, object]:
     """Return the rotor fields from one static test and the steps; no maps for several tests."""
-    found: dict[str, object] = {}
+    results: dict[str, object] = {}
     if len(static) == 1:
         fit = static[0]
-        found["thrust_map"] = fit.thrust_map.best.polynomial()
+        results["thrust_map"] = fit.thrust_map.best.polynomial()
         if fit.torque_map is not None and fit.torque_ratio is not None:
             constant = fit.torque_map.chosen == "torque ratio"
-            found["torque_ratio"] = fit.torque_map.best.coefficients["ratio"].value if constant else None
-            found["torque_map"] = None if constant else fit.torque_map.best.polynomial()
+            results["torque_ratio"] = fit.torque_map.best.coefficients["ratio"].value if constant else None
+            results["torque_map"] = None if constant else fit.torque_map.best.polynomial()
         if fit.reverse is not None:
-            found |= _reverse_changes(fit, fit.reverse)
+            results |= _reverse_changes(fit, fit.reverse)
     if lag is not None:
         params = lag.laws[lag.in_robot].params
         for way in ("up", "down"):
-            found[f"time_constant_{way}"] = params.get(f"tau_{way}", params.get("tau")).value  # type: ignore[union-attr]
-        found |= slew_rates(params)
-    return found
+            results[f"time_constant_{way}"] = params.get(f"tau_{way}", params.get("tau")).value  # type: ignore[union-attr]
+        results |= slew_rates(params)
+    return results
 
 
 def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
     """Return the fields of a reversible rotor: reverse maps, and the range of measured thrust."""
     thrust_map = reverse.thrust_map.best.polynomial()
-    found: dict[str, object] = {"reverse_thrust_map": thrust_map}
-    found["thrust_range"] = -float(reverse.thrust.max()), float(fit.thrust.max())
+    results: dict[str, object] = {"reverse_thrust_map": thrust_map}
+    results["thrust_range"] = -float(reverse.thrust.max()), float(fit.thrust.max())
     if reverse.torque_map is not None and reverse.torque_ratio is not None:
         best = reverse.torque_map.best
         constant = reverse.torque_map.chosen == "torque ratio"
         ratio = best.coefficients["ratio"].value if constant else 0.0
         c0, c1, c2 = thrust_map
-        found["reverse_torque_map"] = (ratio * c0, ratio * c1, ratio * c2) if constant else best.polynomial()
-    return found
+        results["reverse_torque_map"] = (ratio * c0, ratio * c1, ratio * c2) if constant else best.polynomial()
+    return results
 
 
 def slew_rates(params: Mapping[str, Estimate]) -> dict[str, object]:
@@ -138,8 +138,8 @@ def slew_rates(params: Mapping[str, Estimate]) -> dict[str, object]:
 
 def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
     """Return a summary of map selection over many tests, with errors relative to the highest thrust."""
-    before = np.array([fit.thrust_map.before.value / fit.thrust.max() for fit in static])
-    after = np.array([fit.thrust_map.after.value / fit.thrust.max() for fit in static])
+    before = np.array([fit.thrust_map.rms_squared_only.value / fit.thrust.max() for fit in static])
+    after = np.array([fit.thrust_map.rms_chosen.value / fit.thrust.max() for fit in static])
     chosen = [fit.thrust_map.chosen for fit in static]
     return {
         "tests": len(static),
@@ -150,7 +150,7 @@ def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
     }
 
 
-def static_tables(static: Sequence[StaticFit]) -> list[Table]:
+def static_tables(static: Sequence[StaticFit]) -> list[ReportTable]:
     """Return the tables of static tests: all candidates for few tests, a summary for many."""
     tables = []
     parts = [part for fit in static for part in (fit, fit.reverse) if part is not None]
@@ -158,33 +158,35 @@ def static_tables(static: Sequence[StaticFit]) -> list[Table]:
         rows = [("c_t (w² alone) [N s²/rad²]", interval(fit.thrust_coefficient))]
         if fit.torque_ratio is not None:
             rows.append(("c_t2t, torque per thrust [m]", interval(fit.torque_ratio)))
-        tables.append(Table(title=f"Coefficients, {Path(fit.name).name}", head=("quantity", "value"), rows=tuple(rows)))
+        tables.append(
+            ReportTable(title=f"Coefficients, {Path(fit.name).name}", head=("quantity", "value"), rows=tuple(rows))
+        )
         tables.append(_choice_table("Thrust", fit.thrust_map))
         if fit.torque_map is not None:
             tables.append(_choice_table("Torque", fit.torque_map))
     if len(static) > MOST_TESTS_SHOWN:
-        found = all_tests(static)
-        rows = [(name.replace("_", " "), str(value)) for name, value in found.items()]
-        tables.append(Table(title="All tests", head=("quantity", "value"), rows=tuple(rows)))
+        results = all_tests(static)
+        rows = [(name.replace("_", " "), str(value)) for name, value in results.items()]
+        tables.append(ReportTable(title="All tests", head=("quantity", "value"), rows=tuple(rows)))
     return tables
 
 
-def _choice_table(quantity: str, choice: Choice) -> Table:
+def _choice_table(quantity: str, choice: Choice) -> ReportTable:
     rows = []
     for fit in choice.candidates.values():
         numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.coefficients.items())
         mark = " (chosen)" if fit.name == choice.chosen else ""
         rows.append((fit.name + mark, f"{fit.fit_rms:.3g}", f"{fit.held_out_rms:.3g}", numbers))
-    before, after = choice.before, choice.after
+    before, after = choice.rms_squared_only, choice.rms_chosen
     rows.append(("before: w²", "", interval(before), ""))
     rows.append(("after: selected again without each row", "", interval(after), change(before.value, after.value)))
     head = ("map", f"fit rms [{choice.unit}]", f"held-out rms [{choice.unit}]", "coefficients, 95 %")
-    return Table(title=f"{quantity} map", head=head, rows=tuple(rows))
+    return ReportTable(title=f"{quantity} map", head=head, rows=tuple(rows))
 
 
 def curvature_notes(fit: StaticFit) -> list[Finding]:
     """Return a finding for each residual with a curvature that a robot file's map cannot represent."""
-    found = []
+    results = []
     for quantity, choice in (("thrust", fit.thrust_map), ("torque", fit.torque_map)):
         if choice is None:
             continue
@@ -192,11 +194,11 @@ def curvature_notes(fit: StaticFit) -> list[Finding]:
         if cubic.held_out_rms < 0.8 * best.held_out_rms:
             key = unit_key(choice.unit)
             errors = {f"cubic_{key}": cubic.held_out_rms, f"chosen_{key}": best.held_out_rms}
-            found.append(Finding("curvature_kept", Path(fit.name).name, {"quantity": quantity, **errors}))
-    return found
+            results.append(Finding("curvature_kept", Path(fit.name).name, {"quantity": quantity, **errors}))
+    return results
 
 
-def step_tables(lag: StepFit) -> list[Table]:
+def step_tables(lag: StepFit) -> list[ReportTable]:
     """Return the table of lag laws."""
     rows = []
     for law in lag.laws.values():
@@ -206,7 +208,7 @@ def step_tables(lag: StepFit) -> list[Table]:
     before, after = lag.laws["one time constant"], lag.laws[lag.chosen]
     rows.append(("change against one time constant", "", change(before.held_out_rms, after.held_out_rms), ""))
     head = ("law", "fit rms [rad/s]", "held-out rms [rad/s], steps left out", "tau, delay [s]; slew [rad/s²]")
-    return [Table(title="Step responses", head=head, rows=tuple(rows))]
+    return [ReportTable(title="Step responses", head=head, rows=tuple(rows))]
 
 
 def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
@@ -247,8 +249,10 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
         "Blocks of time are left out in turn, the first 30 ms included.",
         mapping=study.as_mapping(),
         tables=(
-            Table(title="Laws", head=head, rows=tuple(rows)),
-            Table(title=f"Parameters of the {study.chosen} ({units})", head=("parameter", "95 %"), rows=tuple(params)),
+            ReportTable(title="Laws", head=head, rows=tuple(rows)),
+            ReportTable(
+                title=f"Parameters of the {study.chosen} ({units})", head=("parameter", "95 %"), rows=tuple(params)
+            ),
         ),
         figures=figures.joint_figures(study),
         notes=(
@@ -270,8 +274,8 @@ def joint_text(law: str, params: Mapping[str, float]) -> str:
     return "\n".join(lines)
 
 
-def _angles(found: dict[str, float]) -> tuple[str, str, str]:
-    return tuple(f"{np.degrees(found[name]):.3g}" for name in ("rms", "rms_first_second", "largest"))  # type: ignore[return-value]
+def _angles(value: dict[str, float]) -> tuple[str, str, str]:
+    return tuple(f"{np.degrees(value[name]):.3g}" for name in ("rms", "rms_first_second", "largest"))  # type: ignore[return-value]
 
 
 def study_hover(
@@ -301,8 +305,8 @@ def study_hover(
         "left out of the fit.",
         mapping=fit.as_mapping(),
         tables=(
-            Table(title="Coefficients", head=("quantity", "value"), rows=tuple(rows)),
-            Table(title="Held-out errors", head=head, rows=models),
+            ReportTable(title="Coefficients", head=("quantity", "value"), rows=tuple(rows)),
+            ReportTable(title="Held-out errors", head=head, rows=models),
         ),
         figures=figures.hover_figures(fit),
         notes=fit.notes,
@@ -324,37 +328,39 @@ def study_balance(
     named = [path.resolve() for path in (*baseline, *flights, *test)]
     if len(set(named)) < len(named):
         raise ConfigError("a log is named twice among flights, --baseline and --test; each log has one role")
-    others = [path for whole, path in {path.resolve(): path for path in repeats}.items() if whole not in named]
+    repeats_only = [path for whole, path in {path.resolve(): path for path in repeats}.items() if whole not in named]
 
     def read(paths: Sequence[Path]) -> list[HoverEffort]:
         return [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in paths]
 
-    found = judge_balance(
-        read(baseline), read(flights), robot=robot, test=read(test), repeats=read(others), added_mass=added_mass
+    results = judge_balance(
+        read(baseline), read(flights), robot=robot, test=read(test), repeats=read(repeats_only), added_mass=added_mass
     )
     return Study(
         title="Balance at hover",
-        intro=f"Verdict: {found.verdict}. Candidates: {', '.join(found.candidates) or 'none'}. Intervals of 95 % come from the "
-        f"scatter between logs of one condition, known from {found.freedom} repeats.",
-        mapping=found.as_mapping(),
-        tables=tuple(_balance_tables(found)),
-        notes=(*found.notes, *found.tell_apart),
+        intro=f"Verdict: {results.verdict}. Candidates: {', '.join(results.candidates) or 'none'}. Intervals of 95 % come from "
+        f"the scatter between logs of one condition, known from {results.freedom} repeats.",
+        mapping=results.as_mapping(),
+        tables=tuple(_balance_tables(results)),
+        notes=(*results.notes, *results.tell_apart),
     )
 
 
-def _balance_tables(found: Balance) -> list[Table]:
+def _balance_tables(value: Balance) -> list[ReportTable]:
     def row(name: str, change: Change) -> tuple[str, ...]:
         return name, interval(change.baseline), interval(change.flights), interval(change.change)
 
-    rows = [row(f"share of rotor {number}", share) for number, share in enumerate(found.shares, start=1)]
-    rows.append(row("sum of squared speeds; relative change", found.total))
-    tables = [Table(title="Effort at hover", head=("quantity", "baseline", "flights", "change"), rows=tuple(rows))]
+    rows = [row(f"share of rotor {number}", share) for number, share in enumerate(value.shares, start=1)]
+    rows.append(row("sum of squared speeds; relative change", value.total))
+    tables = [
+        ReportTable(title="Effort at hover", head=("quantity", "baseline", "flights", "change"), rows=tuple(rows))
+    ]
     rows = []
-    for fit in found.fits:
+    for fit in value.fits:
         numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.params.items())
         if fit.place is not None:
             numbers += "; weight at " + ", ".join(interval(axis) for axis in fit.place)
-        mark = " (possible)" * (fit.cause.name in found.candidates)
+        mark = " (possible)" * (fit.cause.name in value.candidates)
         judged = ("", "") if fit.judged is None else (f"{fit.judged:.2g}", f"{fit.held_out:.3g}")
         rows.append((fit.cause.name + mark, numbers, f"{fit.probability:.2g}", f"{fit.fit.misfit:.2g}", *judged))
     head = (
@@ -365,4 +371,4 @@ def _balance_tables(found: Balance) -> list[Table]:
         "p-value of its error on left-out logs",
         "relative error on left-out logs",
     )
-    return [*tables, *([Table(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]
+    return [*tables, *([ReportTable(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]

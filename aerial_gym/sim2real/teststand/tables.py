@@ -31,15 +31,15 @@ _THRUST = {"N": ("thrust", "force", "{}_n"), "mN": ("{}_mn",), "gf": ("{}_gf", "
 _TORQUE = {"N m": ("torque", "moment", "{}_nm"), "mN m": ("{}_mnm", "{}_nmm"), "gf cm": ("{}_gcm",)}
 
 
-def _spelled(patterns: Mapping[str, Sequence[str]], stems: Sequence[str]) -> dict[str, str]:
+def _expand_units(patterns: Mapping[str, Sequence[str]], stems: Sequence[str]) -> dict[str, str]:
     """Return the unit by lower-case column name; ``{}`` in a pattern stands for each stem."""
     return {p.format(stem): unit for unit, texts in patterns.items() for p in texts for stem in stems}
 
 
 KNOWN: dict[str, tuple[str, dict[str, str]]] = {
-    "speed": ("speed", _spelled(_SPEED, ("omega", "speed", "rotor_speed")) | {"omega_mean": "rad/s"}),
-    "thrust": ("thrust", _spelled(_THRUST, ("thrust", "force", "thrust_total"))),
-    "torque": ("torque", _spelled(_TORQUE, ("torque", "moment"))),
+    "speed": ("speed", _expand_units(_SPEED, ("omega", "speed", "rotor_speed")) | {"omega_mean": "rad/s"}),
+    "thrust": ("thrust", _expand_units(_THRUST, ("thrust", "force", "thrust_total"))),
+    "torque": ("torque", _expand_units(_TORQUE, ("torque", "moment"))),
     "time": ("time", {"t": "s", "time": "s", "t_s": "s", "time_s": "s", "t_ms": "ms", "time_ms": "ms", "t_us": "us"}),
     "command": (
         "speed",

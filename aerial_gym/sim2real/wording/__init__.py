@@ -1,4 +1,4 @@
-"""The wording: one sentence, or a few, for the code of every finding. Only reports and commands render."""
+"""The wording: the sentence or sentences for each code of a finding. Only reports and commands use them."""
 
 from collections.abc import Callable, Iterable, Mapping
 from math import isfinite
@@ -13,26 +13,26 @@ from aerial_gym.sim2real.wording.teststand import TESTSTAND
 Template = str | Callable[[Finding], str]
 
 TEMPLATES: dict[str, Template] = {**ANSWER, **TRUST, **NOTES, **REASONS, **LOGS, **TESTSTAND}
-"""Of every code: a text, or a function of the finding."""
+"""Template of each code: a text, or a function of the finding."""
 
 _WITH_SUBJECT = {*LOGS, "rows_without_speed", "thrust_from_gravity", "curvature_kept"}
-"""Codes whose subject stands before the sentence."""
+"""Codes whose sentence starts with the subject and a colon."""
 
 
 def text(finding: Finding) -> str:
-    """Return a finding in words."""
+    """Return the sentence of a finding."""
     template = TEMPLATES[finding.code]
     sentence = template if isinstance(template, str) else template(finding)
     return f"{finding.subject}: {sentence}" if finding.subject and finding.code in _WITH_SUBJECT else sentence
 
 
 def join_texts(findings: Iterable[Finding]) -> str:
-    """Return findings in words, one behind the other."""
+    """Return the sentences of findings as one text."""
     return " ".join(map(text, findings))
 
 
 def answer_texts(parts: Mapping[str, Iterable[Finding]]) -> list[str]:
-    """Return the parts of an answer in words, without empty ones; the last is marked as the next step."""
+    """Return the non-empty parts of an answer as texts; the last part starts with ``Next:``."""
     texts = {name: join_texts(part) for name, part in parts.items()}
     step = texts["next"]
     texts["next"] = step and f"Next: {step[0].lower()}{step[1:]}"
@@ -40,7 +40,7 @@ def answer_texts(parts: Mapping[str, Iterable[Finding]]) -> list[str]:
 
 
 def render_findings(content: Any) -> Any:
-    """Return content for JSON with every finding in it in words."""
+    """Return content for JSON with every finding replaced by its sentence."""
     if isinstance(content, Finding):
         return text(content)
     if isinstance(content, Mapping):
@@ -49,7 +49,7 @@ def render_findings(content: Any) -> Any:
 
 
 def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
-    """Return findings for JSON: code, subject, values, severity and text; an infinite number becomes null."""
+    """Return findings for JSON: code, subject, values, severity and text; infinite and NaN values become null."""
     return [
         {
             "code": one.code,

@@ -1,4 +1,4 @@
-"""Sentences of the answer: the finding, the gain on unseen flights, worse or open results, the next step; and of the trust."""
+"""Sentences of the answer (result, gain on unseen flights, worse or open results, next step) and of the trust."""
 
 from collections.abc import Mapping, Sequence
 
@@ -116,7 +116,7 @@ def _fly(finding: Finding) -> str:
 def _weigh_or_log(finding: Finding) -> str:
     tells = finding.values.get("tells", ())
     clause = f" about {names(tells)}" if tells else ""
-    return f"Measure on a bench or log more{clause}; no manoeuvre of the catalogue tells."
+    return f"Measure on a bench or log more{clause}; no manoeuvre of the catalogue decides it."
 
 
 STRUCTURE_FLIGHTS = {
@@ -127,7 +127,7 @@ STRUCTURE_FLIGHTS = {
     "time": "hover from a cold start for as long as the battery lasts",
     "periodic": "hover once with each propeller exchanged",
 }
-"""A flight that varies one thing."""
+"""For each kind of structure, a flight that varies its quantity alone."""
 
 
 def _fly_structure(finding: Finding) -> str:
@@ -186,7 +186,7 @@ ANSWER = {
     "keep_declared_where": _keep_where,
     "keep_declared_for_harm": "Keep the declared robot; no error on unseen flights falls for certain.",
 }
-"""By code; a text without values is the sentence itself."""
+"""Template of each code: a text, or a function of the finding."""
 
 
 def _until_failure(finding: Finding) -> str:
@@ -209,4 +209,4 @@ TRUST = {
     "rigid_vehicle_only": "This holds for the vehicle as a rigid body; its joints were fitted separately.",
     "until_failure_only": _until_failure,
 }
-"""How far the model can be trusted."""
+"""Templates of the findings on trust in the model, by code."""

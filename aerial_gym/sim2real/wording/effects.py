@@ -1,6 +1,6 @@
-"""Sentences of params effects, with physical names, units, and directions in a pilot's words.
+"""Sentences of named effects, with physical names, units, and directions in a pilot's words.
 
-A direction is named only if its interval holds no zero.
+A direction is stated only if the confidence interval of the change excludes zero.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,12 +12,12 @@ from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.wording.words import decimals, join_words, number, percent, round_value, tolerance
 
 LEAST_CERTAIN = 0.95
-"""An effect of a smaller probability is called probable."""
+"""Probability below which a sentence calls the effect probable."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A fitted parameter in the unit of its sentence."""
+    """A fitted parameter with its declared value and half width, in the unit of its sentence."""
 
     value: float
     declared: float
@@ -25,16 +25,16 @@ class Number:
 
     @property
     def change(self) -> float:
-        """Return the difference from the declared value."""
+        """Return the fitted minus the declared value."""
         return self.value - self.declared
 
     @property
     def certain(self) -> bool:
-        """Return whether the interval of the change holds no zero."""
+        """Return whether the interval of the change excludes zero; True without an interval."""
         return self.half_width is None or abs(self.change) > self.half_width
 
     def scale(self, factor: float) -> "Number":
-        """Return it in another unit."""
+        """Return the parameter multiplied by a unit factor."""
         half = None if self.half_width is None else abs(factor) * self.half_width
         return Number(factor * self.value, factor * self.declared, half)
 
@@ -43,7 +43,7 @@ Numbers = dict[str, Number]
 
 
 def read_numbers(finding: Finding) -> Numbers:
-    """Return the parameters of a params effect by name."""
+    """Return the parameters in the finding of a named effect, by name."""
     params = {}
     for parameter in EFFECTS.get(finding.subject).parameters:
         values = finding.values.get(f"{parameter.name}_{unit_key(parameter.unit)}")
@@ -54,7 +54,7 @@ def read_numbers(finding: Finding) -> Numbers:
 
 
 def effect_sentence(finding: Finding) -> str:
-    """Return the sentence of a params effect; less certain ones are called probable, tied ones are conditional."""
+    """Return the sentence of a named effect: with ``Probably`` if uncertain, with ``If it is`` if tied."""
     params, ties = read_numbers(finding), finding.values["ties"]
     try:
         sentence = EFFECT_TEMPLATES.get(finding.subject, _by_parameters)(finding, params)
@@ -76,7 +76,7 @@ def _widest(numbers: Sequence[Number]) -> float | None:
 
 
 def _shift(numbers: Sequence[tuple[Number, str, str]], unit: str, start: str, unsure: str) -> str:
-    """Return the certain changes with the words for more and for less, and the widest half width; else ``unsure``."""
+    """Return a sentence on the certain changes and their widest half width; it starts with ``unsure`` if none is certain."""
     certain = [(one, more if one.change > 0.0 else less) for one, more, less in numbers if one.certain]
     width = _widest([one for one, _ in certain] or [one for one, *_ in numbers])
     if not certain:
@@ -266,7 +266,7 @@ def _imu_misalignment(_: Finding, params: Numbers) -> str:
 def _coefficients(
     start: str, labels: dict[str, str], unit: str, factor: float = 1.0
 ) -> Callable[[Finding, Numbers], str]:
-    """Return a template that lists coefficients with their half widths, and the declared ones unless zero."""
+    """Return a template that lists coefficients, their widest half width, and declared values unless all are zero."""
 
     def sentence(_: Finding, params: Numbers) -> str:
         shown = {name: params[name].scale(factor) for name in labels if name in params}
@@ -292,7 +292,7 @@ AXES = {"dx": "forward", "dy": "sideways", "dz": "vertically"}
 
 
 def _by_parameters(finding: Finding, params: Numbers) -> str:
-    """Return an effect without a template of its own, such as one of a user."""
+    """Return the sentence of an effect without its own template, such as a user's effect."""
     units = {p.name: "" if p.unit == "-" else p.unit for p in EFFECTS.get(finding.subject).parameters}
     parts = [f"{name} = {_plus(one, units[name])}".rstrip() for name, one in params.items()]
     return f"The flights show {finding.subject}: {', '.join(parts)}."
@@ -346,4 +346,4 @@ EFFECT_TEMPLATES: dict[str, Callable[[Finding, Numbers], str]] = {
     "blade_element": _coefficients("Blade-element theory acts with a share of", {"share": "of 1"}, ""),
     "vortex_ring": _coefficients("Thrust is lost in fast descent, by a coefficient of", {"k": ""}, ""),
 }
-"""Of every effect that flights can show."""
+"""Template of each effect that flights can show."""

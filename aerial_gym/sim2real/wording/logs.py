@@ -56,7 +56,7 @@ def _late_blocks(finding: Finding) -> str:
 
 
 def _vector(values: Sequence[float], half_widths: Sequence[float | None]) -> str:
-    """Return numbers with half widths; an axis without one is not shown."""
+    """Return the values with their half widths; ``not shown`` for an axis without half width."""
     pairs = zip(values, half_widths, strict=True)
     parts = (
         "not shown" if half is None else f"{round_value(value, half)} ± {round_value(half, half)}"
@@ -186,4 +186,4 @@ LOGS = {
         f"{f.values['longest_rows']} in a row; straight lines connect measured values."
     ),
 }
-"""By code; a text without values is the sentence itself."""
+"""Template of each code: a text, or a function of the finding."""

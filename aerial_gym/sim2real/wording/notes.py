@@ -1,4 +1,4 @@
-"""Sentences of notes: on effects, rivals, tolerances, gusts and the learned residual; reasons why effects are not named."""
+"""Sentences of notes on effects, rivals, tolerances, gusts and the learned residual, and of reasons against effects."""
 
 from collections.abc import Mapping, Sequence
 
@@ -53,7 +53,7 @@ WAYS_OUT = {
     "command_hold": "",
     "joint_rest": "",
 }
-"""By the start of a tolerance's name; any other is declared anew."""
+"""Remedy for an implausible deviation, by the start of the tolerance's name; for others: declare the value anew."""
 
 
 def _strain(finding: Finding) -> str:
@@ -104,7 +104,7 @@ PROCESSES = {
     "axes": "It differs between the axes",
     "flights": "It differs between the flights",
 }
-"""Properties that gusts do not have; other names are those of a quantity that the residual follows."""
+"""Properties that gusts do not have; any other name is a quantity that the residual follows."""
 
 
 def _process(finding: Finding) -> str:
@@ -114,7 +114,7 @@ def _process(finding: Finding) -> str:
 
 
 def _objections(finding: Finding) -> str:
-    """Return the objections of a refusal, whose codes are those of notes."""
+    """Return the sentences of the objections in a refusal."""
     objections = [Finding(row["code"], row["subject"], row["values"]) for row in finding.values["objections"]]
     return " ".join(template if isinstance(template := NOTES[one.code], str) else template(one) for one in objections)
 
@@ -150,7 +150,7 @@ NOTES = {
         "An effect is missing, or input noise looks like it."
     ),
     "strained_changes": _strain_changes,
-    "strained_changes_little": "These deviations change the errors of the test flights hardly at all.",
+    "strained_changes_little": "These deviations hardly change the errors of the test flights.",
     "band_limited": lambda f: (
         f"Compared below {number(f.values['band_hz'])} Hz: the slowest log has {number(f.values['slowest_hz'], 4)} "
         "rows per second."
@@ -163,7 +163,7 @@ NOTES = {
         "Bending shows as a residual (docs/guides/articulated_vehicles.md)."
     ),
     "failure_suspected": lambda f: (
-        f"A failure is suspected (log odds {f.values['log_odds']:.1f}), and nothing was made of it. {failure_sentence(f)} "
+        f"A failure is suspected (log odds {f.values['log_odds']:.1f}), but the verdict does not use it. {failure_sentence(f)} "
         f"--failures compares {f.subject} up to its onset; a wrongly declared vehicle can look the same."
     ),
     "train_with_failure": lambda f: (
@@ -171,9 +171,9 @@ NOTES = {
         f"To train with it, add to effects: {f.values['effect']}: {{{_params(f.values['params'])}}}."
     ),
     "gusts_are_random": "Gusts predict no row and lower no residual; the noise floor after the correction includes them.",
-    "gusts_refused": lambda f: f"The rest is not called gusts. {_objections(f)}",
+    "gusts_refused": lambda f: f"The remaining residual is not attributed to gusts. {_objections(f)}",
     "may_be_noise": lambda f: f"It may be noise (p = {number(f.values['p_value'], 2)}).",
-    "adds_too_little": "It adds too little to the noise of any channel, or less than the tolerances hide.",
+    "adds_too_little": "It adds too little to the noise of any channel, or less than the tolerances may cause.",
     "wrong_corr_time": lambda f: (
         f"These flights cannot show a correlation time of {number(f.values['corr_time_s'], 2)} s."
     ),
@@ -190,7 +190,7 @@ NOTES = {
     "gain_by_chance": lambda f: f"Its gain on flights left out may be chance (p = {number(f.values['p_value'], 2)}).",
     "few_flights_better": lambda f: f"It predicts only {percent(f.values['share'])} of the flights left out better.",
     "gain_small": lambda f: (
-        f"It lowers no error by more than {percent(f.values['share'])}, or by less than tolerances hide."
+        f"It lowers no error by more than {percent(f.values['share'])}, or by less than the tolerances may cause."
     ),
     "channel_worse": lambda f: f"It raises the {error_words(f.subject)} by {percent(f.values['share'])}.",
     "channel_worse_in_flights": lambda f: (
@@ -210,7 +210,7 @@ NOTES = {
     ),
     "joints_felt": _joints_felt,
 }
-"""Notes of a verdict."""
+"""Templates of the notes of a verdict, by code."""
 
 REASONS = {
     "not_excited": lambda f: f"These flights do not show it. {_excitation(f)}",
@@ -230,15 +230,15 @@ REASONS = {
     "effect_refused": lambda f: f"{f.values['error']}.",
     "parameters_unknown": "These flights leave every parameter unknown by more than its scale.",
     "flights_disagree": lambda f: (
-        f"Probable only if noise were the whole error (log odds {f.values['log_odds']:.0f}): the flights disagree on it, or it "
+        f"Probable only if noise were the only error (log odds {f.values['log_odds']:.0f}): the flights disagree on it, or it "
         "needs a structure beside it."
     ),
     "at_bound": lambda f: f"It ends at its physical bound: {names(f.values['parameters'])}.",
     "not_told_from_nothing": lambda f: (
-        f"Probable, but not told from nothing (log odds {f.values['log_odds']:.1f}; {f.values['least_log_odds']:g} needed)."
+        f"Probable, but not certain enough (log odds {f.values['log_odds']:.1f}; {f.values['least_log_odds']:g} needed)."
     ),
-    "told_beside_another": "It is told from nothing only beside an effect that is not.",
-    "only_linear": "It promised a gain where it is linear, which the fit did not hold.",
+    "told_beside_another": "It is certain enough only together with an effect that is not.",
+    "only_linear": "Its linear model predicts a gain that the full fit does not reach.",
     "less_probable": "Less probable than not.",
     "trifle": lambda f: f"Immaterial: without it no training error rises by more than {percent(f.values['rise'])}.",
     "follows_structure": lambda f: f"It only replaces a residual that follows the {f.values['structure']}.",
@@ -246,4 +246,4 @@ REASONS = {
     "gusts_no_forces": "It needs specific force and velocity in the logs.",
     "gusts_no_drag": lambda f: f"This model has no drag along some axis. {_excitation(f)}",
 }
-"""Reasons why an effect could not be tested or is not named."""
+"""Templates of the reasons why an effect could not be tested or is not named, by code."""

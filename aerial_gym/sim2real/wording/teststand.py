@@ -1,4 +1,4 @@
-"""Sentences of notes on the test stand, and of the experiments that tell candidates apart."""
+"""Sentences of notes on the test stand, and of experiments that distinguish candidates."""
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.wording.words import number, quantity_value
@@ -72,4 +72,4 @@ TESTSTAND = {
     "published_law": _publication,
     "one_record": "This is one record of one joint: its intervals hold for this record only.",
 }
-"""By code; a text without values is the sentence itself."""
+"""Template of each code: a text, or a function of the finding."""

@@ -1,4 +1,4 @@
-"""Words and numbers that many sentences share: quantities, units, lists, intervals."""
+"""Formatting shared by all sentences: names of errors, units, lists, numbers and intervals."""
 
 from collections.abc import Iterable, Mapping
 from math import floor, isfinite, log10
@@ -11,7 +11,7 @@ from aerial_gym.sim2real.predict.rollout import QUANTITIES
 Values = Mapping[str, Any]
 
 MOST_LISTED = 5
-"""Names of a list; the others are counted."""
+"""Largest number of names in a list; further ones are only counted."""
 
 _ERRORS = {
     "specific_force.x": "forward-force error",
@@ -27,13 +27,13 @@ _ERRORS = {
     "kinematic_rate.y": "gyro error y",
     "kinematic_rate.z": "gyro error z",
 }
-"""Errors of channels in a pilot's words; those of the accelerometer are against velocity, of the gyro against attitude."""
+"""Names of channel errors; the accelerometer is compared with velocity, the gyro with attitude."""
 
 _VARIANTS = {"free": "", "given_attitude": " with the logged attitude"}
 
 
 def error_words(quantity: str) -> str:
-    """Return the name of an error: of a channel, or of a rollout with or without its horizon."""
+    """Return the name of a channel's error, or of a rollout's error with or without horizon."""
     if quantity in _ERRORS:
         return _ERRORS[quantity]
     kind, axis, *horizon = quantity.split(".", 2)
@@ -44,52 +44,52 @@ def error_words(quantity: str) -> str:
 
 
 def errors(quantities: Iterable[str]) -> str:
-    """Return a list of errors in words."""
+    """Return the names of errors as a list in a sentence."""
     return names(map(error_words, quantities))
 
 
 def quantity_unit(quantity: str) -> str:
-    """Return the unit of a channel or of a quantity of a rollout."""
+    """Return the unit of a channel or of a rollout's quantity."""
     kind, _, rest = quantity.partition(".")
     return UNITS[kind] if kind in UNITS else QUANTITIES[rest.partition(".")[0]]
 
 
 def quantity_value(values: Values, name: str, unit: str) -> Any:
-    """Return the number of a key that ends in its unit; None where it is not known."""
+    """Return the value whose key is ``name`` plus the suffix of its unit; None where it is not known."""
     return values[f"{name}_{unit_key(unit)}"]
 
 
 def names(items: Iterable[str]) -> str:
-    """Return a list of names; of long ones the first and the number of the others."""
+    """Return names as a list in a sentence: at most ``MOST_LISTED``, then the number of further ones."""
     all_of = [str(item) for item in items]
     more = len(all_of) - MOST_LISTED
     return join_words([*all_of[:MOST_LISTED], f"{more} more"] if more > 0 else all_of)
 
 
 def join_words(parts: Iterable[str], last: str = "and") -> str:
-    """Return parts with commas and a last word: ``a, b and c``."""
+    """Return parts joined by commas and a last word: ``a, b and c``."""
     *before, end = parts
     return f"{', '.join(before)} {last} {end}" if before else end
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits; a dash for none."""
+    """Return a number with ``digits`` significant digits; a dash if it is None or not finite."""
     return "–" if value is None or not isfinite(value) else f"{value:.{digits}g}"
 
 
 def percent(share: float, digits: int = 2) -> str:
-    """Return a share in per cent, without sign."""
+    """Return the magnitude of a share in per cent."""
     return f"{float(f'{100.0 * abs(share):.{digits}g}'):g} %"
 
 
 def rise_interval(values: Values) -> str:
-    """Return the interval of a relative change in per cent."""
+    """Return the interval ``rise_low`` to ``rise_high`` in per cent."""
     low, high = (f"{100.0 * float(values[end]):+.0f}" for end in ("rise_low", "rise_high"))
     return f"{low} to {high} %".replace("inf", "∞")
 
 
 def decimals(half_width: float | None) -> int | None:
-    """Return the decimals that a half width allows: one significant digit, two where the first is 1; None: not known."""
+    """Return the decimals that show a half width with one significant digit, or two if the first is 1; None: not known."""
     if half_width is None or not isfinite(half_width) or half_width <= 0.0:
         return None
     place = floor(log10(half_width))
@@ -97,14 +97,14 @@ def decimals(half_width: float | None) -> int | None:
 
 
 def round_value(value: float, half_width: float | None) -> str:
-    """Return a value with the decimals that its half width allows."""
+    """Return a value with as many decimals as its half width; three significant digits if that is not known."""
     places = decimals(half_width)
     text = f"{value:.3g}" if places is None else f"{value:.{places}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 def tolerance(half_width: float | None, unit: str) -> str:
-    """Return ``± half width unit``; an unknown interval is said so."""
+    """Return ``± half width unit``, or ``interval not known``."""
     places = decimals(half_width)
     return "interval not known" if places is None or half_width is None else f"± {half_width:.{places}f}{_space(unit)}"
 

@@ -4,7 +4,7 @@ from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.task.commands import gates, points, polynomial, track, trajectory
 from aerial_gym.task.commands.command import COMMANDS, Command
-from aerial_gym.task.terms.term import checked
+from aerial_gym.task.terms.term import check_params
 from aerial_gym.task.values import Values
 
 __all__ = ["COMMANDS", "gates", "make_command", "points", "polynomial", "track", "trajectory"]
@@ -20,4 +20,4 @@ def make_command(cfg: CommandCfg | None, values: Values, env: EnvManager) -> Com
     if cfg is None:
         return Command(values, env)
     cls = COMMANDS.get(cfg.generator)
-    return cls(values, env, **checked(cls, cfg.params, f"command {cfg.generator}"))
+    return cls(values, env, **check_params(cls, cfg.params, f"command {cfg.generator}"))

@@ -14,7 +14,7 @@ from aerial_gym.config.robot import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
-from aerial_gym.task.commands.points import chosen, next_index
+from aerial_gym.task.commands.points import next_index, select_row
 from aerial_gym.task.commands.practice import FIRST_GATE, Practice
 from aerial_gym.task.values import Values
 
@@ -108,12 +108,12 @@ class Gates(Command):
         values.declare("following_direction", (2,), frame="world", meaning="way through that: x and y, unit")
         declare_gates(values)
         options = {"share": practice_share, "speed": practice_speed, "offset": practice_offset}
-        self._practice = Practice(self.name, values, env, self._stand(env), **options)
+        self._practice = Practice(self.name, values, env, self._gate_poses(env), **options)
         self.reads = (
             TARGET, "target_direction", "target_index", "gate_passed", FIRST_GATE, "robot_position", "previous_position",
         )  # fmt: skip
 
-    def _stand(self, env: EnvManager) -> tuple[Tensor, Tensor]:
+    def _gate_poses(self, env: EnvManager) -> tuple[Tensor, Tensor]:
         """Return position [m] and orientation to world, xyzw, of the gates, (E, G, 3) and (E, G, 4)."""
         rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
         return rows[..., :3].contiguous(), rows[..., 5:].contiguous()
@@ -130,11 +130,11 @@ class Gates(Command):
         """Return the crossing flags of the gate for the motion of this step."""
         x, y = values["target_direction"].unbind(-1)
 
-        def seen_from_gate(place: Tensor) -> Tensor:
+        def to_gate_frame(place: Tensor) -> Tensor:
             ahead, left, up = (place - values[TARGET]).unbind(-1)
             return torch.stack((ahead * x + left * y, left * x - ahead * y, up), dim=-1)
 
-        ways = (seen_from_gate(values[name]) for name in ("previous_position", "robot_position"))
+        ways = (to_gate_frame(values[name]) for name in ("previous_position", "robot_position"))
         crossed, passed = crossing(*ways, half=self._half)
         last = (values["target_index"] == len(self._gates) - 1) & (not self._loop)
         return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
@@ -142,8 +142,8 @@ class Gates(Command):
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step."""
         index = next_gate(values, len(self._gates), loop=self._loop)
-        gate, following = chosen(index, self._gates), chosen(index, self._following)
-        found = {"target_index": index, "target_orientation": gate[:, 5:]}
+        gate, following = select_row(index, self._gates), select_row(index, self._following)
+        buffers = {"target_index": index, "target_orientation": gate[:, 5:]}
         for name, row in (("target", gate), ("following", following)):
-            found |= {f"{name}_position": row[:, :3], f"{name}_direction": row[:, 3:5]}
-        return found
+            buffers |= {f"{name}_position": row[:, :3], f"{name}_direction": row[:, 3:5]}
+        return buffers

@@ -20,7 +20,7 @@ from aerial_gym.task.values import Values
 
 
 @COMMANDS.generator("point")
-class Point(Command):
+class PointCommand(Command):
     """The same point in every episode."""
 
     def __init__(self, values: Values, env: EnvManager, *, position: Vec3 = (0.0, 0.0, 0.0)) -> None:
@@ -31,7 +31,7 @@ class Point(Command):
 
 
 @COMMANDS.generator("drawn_point")
-class DrawnPoint(Command):
+class RandomPoint(Command):
     """A point drawn uniformly at every reset; randomly placed obstacles keep clear of it."""
 
     goal = True
@@ -39,7 +39,7 @@ class DrawnPoint(Command):
     def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
         """Take the lowest and the highest point as shares of the bounds, 0 <= low <= high <= 1."""
         super().__init__(values, env)
-        self._goals = goals_within(self._target(), env, low, high, self.name)
+        self._goals = make_goals(self._target(), env, low, high, self.name)
 
     def draw(self, mask: Tensor) -> None:
         """Draw new points."""
@@ -47,7 +47,7 @@ class DrawnPoint(Command):
 
 
 @COMMANDS.generator("drawn_pose")
-class DrawnPose(DrawnPoint):
+class RandomPose(RandomPoint):
     """The point of ``drawn_point`` with a heading, ``target_yaw``, drawn uniformly from a full turn."""
 
     def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
@@ -105,10 +105,10 @@ class PointSequence(Command):
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the point of the next step."""
         index = next_index(values, values["target_reached"], len(self._points), loop=self._loop)
-        return {"target_index": index, TARGET: chosen(index, self._points)}
+        return {"target_index": index, TARGET: select_row(index, self._points)}
 
 
-def goals_within(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> Goals:
+def make_goals(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> Goals:
     """Return the launch that draws a goal (E, 3) between two shares of the bounds; ``name`` is the command's, for errors."""
     if not all(0.0 <= a <= b <= 1.0 for a, b in zip(low, high, strict=True)):
         raise ConfigError(
@@ -126,12 +126,12 @@ def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop
     return torch.where(values["begun"], 0, index).int()
 
 
-def chosen(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
+def select_row(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
     """Return the row of each index, (E, width); without indexing, so that it can be part of a kernel."""
-    found = [torch.full_like(index, 0, dtype=torch.float32) + value for value in rows[0]]
+    columns = [torch.full_like(index, 0, dtype=torch.float32) + value for value in rows[0]]
     for i, row in enumerate(rows[1:], start=1):
-        found = [torch.where(index == i, value, old) for value, old in zip(row, found, strict=True)]
-    return torch.stack(found, dim=-1)
+        columns = [torch.where(index == i, value, old) for value, old in zip(row, columns, strict=True)]
+    return torch.stack(columns, dim=-1)
 
 
 def _check_points(name: str, points: Sequence[Vec3]) -> None:
@@ -144,7 +144,7 @@ STATES = "vec_root_tensor"
 
 
 @COMMANDS.generator("asset")
-class OnAsset(Command):
+class AssetPoint(Command):
     """A point at an asset's origin or an offset from it, with the asset's velocity as ``target_velocity``."""
 
     def __init__(self, values: Values, env: EnvManager, *, name: str, offset: Vec3 = (0.0, 0.0, 0.0)) -> None:
@@ -190,7 +190,7 @@ class LoadPoint(Command):
         if LOAD_PARAMS not in env.gtd:
             raise ConfigError("command load_point: nothing hangs on the robot. Give it the effect slung_payload")
         load = values.declare("load_target", (3,), unit="m", frame="world", meaning="where to carry the load")
-        self._goals = goals_within(load, env, low, high, self.name)
+        self._goals = make_goals(load, env, low, high, self.name)
         self._target()
         self.reads = ("load_target", LOAD_PARAMS)
 

@@ -23,7 +23,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
-from aerial_gym.task.commands.points import chosen
+from aerial_gym.task.commands.points import select_row
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.values import Values
 
@@ -43,7 +43,7 @@ def minimum_snap(num_points: int) -> Array:
     segments = num_points - 1
     rows, given = [], []
 
-    def ask(where: list[tuple[int, float, float]], order: int, point: int | None = None) -> None:
+    def add_equation(where: list[tuple[int, float, float]], order: int, point: int | None = None) -> None:
         """Add the equation that a sum of derivatives, (segment, u, sign) each, equals a point, or zero."""
         row = np.zeros((segments, DEGREE + 1))
         for segment, u, sign in where:
@@ -52,14 +52,14 @@ def minimum_snap(num_points: int) -> Array:
         given.append(np.eye(num_points)[point] if point is not None else np.zeros(num_points))
 
     for k in range(segments):
-        ask([(k, 0.0, 1.0)], 0, k)
-        ask([(k, 1.0, 1.0)], 0, k + 1)
+        add_equation([(k, 0.0, 1.0)], 0, k)
+        add_equation([(k, 1.0, 1.0)], 0, k + 1)
     for order in (1, 2, 3):
-        ask([(0, 0.0, 1.0)], order)
-        ask([(segments - 1, 1.0, 1.0)], order)
+        add_equation([(0, 0.0, 1.0)], order)
+        add_equation([(segments - 1, 1.0, 1.0)], order)
     for k in range(segments - 1):
         for order in range(1, DEGREE):
-            ask([(k, 1.0, 1.0), (k + 1, 0.0, -1.0)], order)
+            add_equation([(k, 1.0, 1.0), (k + 1, 0.0, -1.0)], order)
     return np.linalg.solve(np.array(rows), np.array(given)).reshape(segments, DEGREE + 1, num_points)
 
 
@@ -145,12 +145,12 @@ class Polynomial(Command):
         segment = share.floor().clamp(0.0, float(last - 1))
         u = (share - segment).unsqueeze(-1)
         names = (TARGET, "target_velocity", "target_acceleration")
-        found = {}
+        buffers = {}
         for order, (name, rows) in enumerate(zip(names, self._rows, strict=True)):
-            weights = self._weights(chosen(segment.int(), rows), u, DEGREE - order)
+            weights = self._weights(select_row(segment.int(), rows), u, DEGREE - order)
             axes = [(weights * points[:, i * self._num_points : (i + 1) * self._num_points]).sum(-1) for i in range(3)]
-            found[name] = torch.stack(axes, dim=-1) / (time**order).unsqueeze(-1)
-        return found
+            buffers[name] = torch.stack(axes, dim=-1) / (time**order).unsqueeze(-1)
+        return buffers
 
     def _weights(self, coefficients: Tensor, u: Tensor, degree: int) -> Tensor:
         """Return the weight of each point, (E, K), by Horner's rule."""

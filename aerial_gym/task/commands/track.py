@@ -15,7 +15,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
 from aerial_gym.task.commands.gates import crossing, declare_gates, next_gate
 from aerial_gym.task.commands.practice import FIRST_GATE, Practice
-from aerial_gym.task.terms.observations import row_of
+from aerial_gym.task.terms.observations import select_rows
 from aerial_gym.task.values import Values
 
 GATE_KEYS = ("gate_position", "gate_orientation")
@@ -73,8 +73,8 @@ class TrackGates(Command):
         self._target()
         values.declare("target_orientation", (4,), frame="world", meaning="orientation of the next gate to world, xyzw")
         declare_gates(values)
-        for name, count, what in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
-            values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {what}")
+        for name, count, kind in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
+            values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {kind}")
         places, turns = (env.gtd[key] for key in GATE_KEYS)
         options = {"share": practice_share, "speed": practice_speed, "offset": practice_offset}
         self._practice = Practice(self.name, values, env, (places, turns), **options)
@@ -100,13 +100,13 @@ class TrackGates(Command):
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step, and the flags of gates and poles seen so far."""
         index = next_gate(values, self._count, loop=False)
-        position, orientation = (row_of(index, values[key]) for key in GATE_KEYS)
-        found = {"target_index": index, TARGET: position, "target_orientation": orientation}
+        position, orientation = (select_rows(index, values[key]) for key in GATE_KEYS)
+        buffers = {"target_index": index, TARGET: position, "target_orientation": orientation}
         for name, key in SEEN.items():
             away = values[key][..., :2] - values["robot_position"][:, None, :2]
             near = (away * away).sum(-1) < self._range * self._range
-            found[name] = (values[name] & ~values["begun"].unsqueeze(-1)) | near
-        return found
+            buffers[name] = (values[name] & ~values["begun"].unsqueeze(-1)) | near
+        return buffers
 
     def place(self, mask: Tensor) -> None:
         """Place the robots of new episodes that begin behind a gate."""

@@ -43,7 +43,7 @@ CURVES: dict[str, Curve] = {"circle": _circle, "lemniscate": _lemniscate, "helix
 
 
 @COMMANDS.generator("trajectory")
-class Trajectory(Command):
+class TrajectoryCommand(Command):
     """A target on a closed curve, a function of the time since the episode began; ``target_velocity`` is its derivative."""
 
     def __init__(

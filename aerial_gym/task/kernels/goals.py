@@ -7,9 +7,9 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import Vec3
-from aerial_gym.interop import RecordedLaunch
+from aerial_gym.interop import ReusableLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 
 
@@ -29,7 +29,7 @@ def _draw_goals(
     env = wp.tid()
     if not mask[env]:
         return
-    ratio = draw_vec3(stream_of(random, env, wp.static(int(Purpose.GOAL))), 0, ratio_low, ratio_high)
+    ratio = draw_vec3(episode_stream(random, env, wp.static(int(Purpose.GOAL))), 0, ratio_low, ratio_high)
     goal_out[env] = bounds_min[env] + wp.cw_mul(ratio, bounds_max[env] - bounds_min[env])
 
 
@@ -48,7 +48,7 @@ class Goals:
         """
         envs, device = goal.shape[0], goal.device
         self._mask = random.mask
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _draw_goals,
             dim=envs,
             inputs=[self._mask, random_arrays(random), *(wp.vec3(*ratio) for ratio in ratios), *bounds],

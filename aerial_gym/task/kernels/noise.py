@@ -9,8 +9,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import RecordedLaunch, start_warp
-from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.interop import ReusableLaunch, start_warp
+from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness
 
 
@@ -28,7 +28,7 @@ def _draw_noise(
 ):
     """Write normal draws of every environment at its present step, infinity where an entry is dropped."""
     env, i = wp.tid()
-    state = substream(substream(stream_of(random, env, purpose), step[env]), entry[i])
+    state = substream(substream(episode_stream(random, env, purpose), step[env]), entry[i])
     noise = std[i] * wp.randn(state)
     noise_out[env, i] = wp.where(wp.randf(state) < dropout[i], wp.inf, noise)
 
@@ -64,7 +64,7 @@ class WhiteNoise:
         given += [step, stds, dropouts, entries] if kinds else []
         self._command = None
         if kinds:
-            self._command = RecordedLaunch(
+            self._command = ReusableLaunch(
                 _draw_noise, dim=tuple(self.noise.shape), inputs=given, outputs=[self.noise], device=device
             )
 

@@ -7,23 +7,23 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.checks import Vec3
-from aerial_gym.interop import RecordedLaunch, make_struct, start_warp
+from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
 from aerial_gym.interop.streams import BLOCK_DIM
-from aerial_gym.math.draws import RandomArrays, draw_vec3, random_arrays, stream_of, substream
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
-from aerial_gym.robots.derived import DerivedArrays, write_derived
+from aerial_gym.robots.secondary_states import SecondaryArrays, write_derived
 from aerial_gym.robots.state_keys import RobotTensors
 
 
 @wp.struct
-class Motion:
+class RobotMotion:
     """The robot's motion, written."""
 
     position: wp.array[wp.vec3]  # (E,) world [m]
     attitude: wp.array[wp.quat]  # (E,) body to world, xyzw
     lin_vel: wp.array[wp.vec3]  # (E,) world [m/s]
     ang_vel: wp.array[wp.vec3]  # (E,) body [rad/s]
-    derived: DerivedArrays
+    derived: SecondaryArrays
 
 
 @wp.kernel(enable_backward=False)
@@ -38,19 +38,19 @@ def _practise(
     speed: float,  # [m/s]
     offset: wp.vec3,  # [m] in the gate's frame
     # out
-    motion_out: Motion,
+    motion_out: RobotMotion,
     first_out: wp.array[wp.int32],  # (E,) gate with which the episode begins
 ):
     """Write the first gate of masked environments, and where some of their robots begin; leave the others alone."""
     env = wp.tid()
     if not mask[env]:
         return
-    stream = stream_of(random, env, wp.static(int(Purpose.PRACTICE)))
+    stream = episode_stream(random, env, wp.static(int(Purpose.PRACTICE)))
     first_out[env] = 0
     if wp.randf(substream(stream, 0)) >= share[0]:
         return
-    others = gate_position.shape[1] - 1
-    behind = wp.min(int(wp.randf(substream(stream, 1)) * float(others)), others - 1)
+    last_gate = gate_position.shape[1] - 1
+    behind = wp.min(int(wp.randf(substream(stream, 1)) * float(last_gate)), last_gate - 1)
     turn = gate_attitude[env, behind]
     low = wp.vec3(0.0, -offset[1], -offset[2])
     position = gate_position[env, behind] + wp.quat_rotate(turn, draw_vec3(stream, 2, low, offset))
@@ -90,9 +90,9 @@ class PracticeStarts:
         start_warp()
         state = robot.state
         moved = {name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel")}
-        motion = make_struct(Motion, derived=robot.derived.arrays, **moved)
+        motion = make_struct(RobotMotion, derived=robot.derived.arrays, **moved)
         self._mask = random.mask
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _practise,
             dim=state.num_envs,
             inputs=[self._mask, *gates, random_arrays(random), share, speed, wp.vec3(*offset)],

@@ -9,8 +9,8 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import RecordedLaunch, start_warp
-from aerial_gym.math.draws import RandomArrays, random_arrays, stream_of, substream
+from aerial_gym.interop import ReusableLaunch, start_warp
+from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 
 
@@ -30,7 +30,7 @@ def _draw_uniform(
     env, i = wp.tid()
     if not mask[env]:
         return
-    share = wp.randf(substream(stream_of(random, env, purpose), i))
+    share = wp.randf(substream(episode_stream(random, env, purpose), i))
     value = low[i] + share * (high[i] - low[i])
     if whole == 1:
         value = wp.min(wp.floor(low[i] + share * (high[i] - low[i] + 1.0)), high[i])
@@ -59,7 +59,7 @@ class UniformDraws:
         start_warp()
         self._mask = random.mask
         low, high = (torch.tensor([each[i] for each in ranges], device=drawn.device).float() for i in (0, 1))
-        self._command = RecordedLaunch(
+        self._command = ReusableLaunch(
             _draw_uniform,
             dim=tuple(drawn.shape),
             inputs=[self._mask, random_arrays(random), int(purpose), low, high, int(whole)],

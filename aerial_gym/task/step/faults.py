@@ -68,11 +68,11 @@ class Faults:
         return torch.where(acts, value + offsets, value)
 
 
-def widths_of(groups: Mapping[str, Sequence[tuple[object, ObservationCfg, int]]]) -> dict[str, int]:
+def fault_widths(groups: Mapping[str, Sequence[tuple[object, ObservationCfg, int]]]) -> dict[str, int]:
     """Return the width of the widest term that has each fault, by its name."""
-    found: dict[str, int] = {}
+    widths: dict[str, int] = {}
     for terms in groups.values():
         for _, cfg, width in terms:
             if cfg.fault is not None:
-                found[cfg.fault] = max(width, found.get(cfg.fault, 0))
-    return found
+                widths[cfg.fault] = max(width, widths.get(cfg.fault, 0))
+    return widths

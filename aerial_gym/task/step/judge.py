@@ -14,8 +14,8 @@ from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg, TerminationCfg
 from aerial_gym.math.random import Randomness
 from aerial_gym.robots.finite import NonFinite
 from aerial_gym.task.commands.command import TARGET, Command
-from aerial_gym.task.step.by_row import NamedRows
-from aerial_gym.task.step.observe import Observer
+from aerial_gym.task.step.observer import Observer
+from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.term import BoundTerm
 from aerial_gym.task.values import Values
 
@@ -36,7 +36,7 @@ FLAGS = ("terminated", "truncated", "crash", "success", "timeout", "bad")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ends:
+class EpisodeEnds:
     """Flags of episode ends in a step, each bool (E,)."""
 
     crash: Tensor
@@ -92,7 +92,7 @@ class Judge:
         names = ("sim_steps", "non_finite", "episodes", "crashes", *kept)
         names += (*command.reads, *(("difficulty",) if any(by_difficulty) else ()))
         names += (TARGET, "robot_position") if TARGET in values.own else ()
-        reads = {name: values.find(name, "the task") for name in names} | values.read_by(*terms) | observer.reads
+        reads = {name: values.find(name, "the task") for name in names} | values.term_inputs(*terms) | observer.reads
         moved = {name: values[name] for name in command.current_values(values)}
         gtd, own = values.gtd, values.own
         writes = {
@@ -104,7 +104,7 @@ class Judge:
             **{name: own[name] for name in kept},
             **moved,
         }
-        self.rows = NamedRows(
+        self.rows = StepKernel(
             self._judgement,
             "the judgement of a step",
             reads=reads,
@@ -114,18 +114,18 @@ class Judge:
             keeps=tuple(moved),
         )
         """The kernel."""
-        self._early: NamedRows | None = None
+        self._early: StepKernel | None = None
         if any(name in moved for term in self.rows.apart for name in term.reads):  # they run before the kernel
             given = {name: reads[name] for name in ("sim_steps", *command.reads)}
-            self._early = NamedRows(command.current_values, "the command", reads=given, writes=moved)
+            self._early = StepKernel(command.current_values, "the command", reads=given, writes=moved)
 
     def __call__(self) -> dict[str, Tensor]:
         """Judge every environment; return the results by name, (E, ...); launched, not waited for."""
         if self._early is not None:
             self._early()
-        found = self.rows()
-        found |= zip(FLAGS, found["flags"].unbind(-1), strict=True)
-        return found | {"total": found["sums"][:, 0], "reward_terms": found["sums"][:, 1:]}
+        result = self.rows()
+        result |= zip(FLAGS, result["flags"].unbind(-1), strict=True)
+        return result | {"total": result["sums"][:, 0], "reward_terms": result["sums"][:, 1:]}
 
     def info(self, judged: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the ``info`` of a step: ends, episode sums and last observations; only the latter keep gradients."""
@@ -151,11 +151,11 @@ class Judge:
         tallies = self._tallies.double().sum(dim=0).tolist()
         terms, (episodes, *ended) = tallies[: len(self.reward_names)], tallies[len(self.reward_names) :]
         self._tallies.zero_()
-        found = {"episodes": episodes}
+        result = {"episodes": episodes}
         if episodes:
-            found |= {f"reward/{name}": term / episodes for name, term in zip(self.reward_names, terms, strict=True)}
-            found |= {f"ended/{name}": number / episodes for name, number in zip(self.end_names, ended, strict=True)}
-        return found
+            result |= {f"reward/{name}": term / episodes for name, term in zip(self.reward_names, terms, strict=True)}
+            result |= {f"ended/{name}": number / episodes for name, number in zip(self.end_names, ended, strict=True)}
+        return result
 
     def _judgement(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
         moved = self._command.current_values(given)
@@ -169,14 +169,14 @@ class Judge:
             + NonFinite.OBSERVATION.value * (~finite).int()
         )
         bad = bits != 0
-        ends = self._with_bad(ends, bad)
-        terms, reward = self._of_bad(terms, reward, bad, _worth(self._cfg.crash_reward, values))
+        ends = self._end_non_finite(ends, bad)
+        terms, reward = self._crash_values(terms, reward, bad, _end_reward(self._cfg.crash_reward, values))
         ended = ends.terminated | ends.truncated
         sums = values[SUMS] + torch.cat([reward.unsqueeze(-1), terms], dim=-1)
         counts = torch.stack([ended, *(cause & ended for cause in ends.causes)], dim=-1).to(sums.dtype)
         tallies = torch.cat([torch.where(ended.unsqueeze(-1), sums[:, 1:], 0.0), counts], dim=-1)
         timeout = ended & ~ends.crash & ~ends.success
-        found = {
+        result = {
             "non_finite": bits,
             "crashes": ends.crash,
             "truncations": ended & ~ends.crash,
@@ -192,36 +192,36 @@ class Judge:
             "flags": torch.stack([ends.terminated, ends.truncated, ends.crash, ends.success, timeout, bad], dim=-1),
         }
         if ARRIVED in values:
-            found[ARRIVED] = ends.arrived & ~ended
+            result[ARRIVED] = ends.arrived & ~ended
         if TARGET in values:
             distance = (values[TARGET] - values["robot_position"]).norm(dim=-1)
-            found["distance"] = distance.nan_to_num(nan=torch.finfo(distance.dtype).max)
-        return found
+            result["distance"] = distance.nan_to_num(nan=torch.finfo(distance.dtype).max)
+        return result
 
-    def _ends(self, values: Mapping[str, Tensor]) -> Ends:
+    def _ends(self, values: Mapping[str, Tensor]) -> EpisodeEnds:
         no = torch.zeros_like(values["crashes"])
         flags = {name: term.evaluate(values) for name, (term, _) in self._terminations.items()}
         entries = {name: cfg for name, (_, cfg) in self._terminations.items()}
 
-        def any_of(kind: str | None, when: str, *, bootstraps: bool | None = None) -> Tensor:
-            found = no
+        def any_end(kind: str | None, when: str, *, bootstraps: bool | None = None) -> Tensor:
+            result = no
             for name, cfg in entries.items():
                 same = cfg.when == when and kind in (None, cfg.kind)
                 if same and bootstraps in (None, cfg.bootstraps):
-                    found = found | flags[name]
-            return found
+                    result = result | flags[name]
+            return result
 
         time_up = values["sim_steps"] >= self._cfg.episode_len_steps
-        crash, arrived = any_of("crash", "now"), any_of("success", "counts") | values.get(ARRIVED, no)
-        now = any_of(None, "now")
+        crash, arrived = any_end("crash", "now"), any_end("success", "counts") | values.get(ARRIVED, no)
+        now = any_end(None, "now")
         ended = now | time_up
-        terminated = any_of(None, "now", bootstraps=False)
+        terminated = any_end(None, "now", bootstraps=False)
         if not self._cfg.time_out_bootstraps:
             terminated = terminated | time_up
-        at_end = any_of("success", "at_end") & (time_up | any_of("time_out", "now"))
-        success = (any_of("success", "now") | (ended & arrived) | at_end) & ~crash
+        at_end = any_end("success", "at_end") & (time_up | any_end("time_out", "now"))
+        success = (any_end("success", "now") | (ended & arrived) | at_end) & ~crash
         causes = [flags[name] if cfg.when == "now" else flags[name] & success for name, cfg in entries.items()]
-        return Ends(
+        return EpisodeEnds(
             crash=crash,
             success=success,
             terminated=terminated,
@@ -231,9 +231,9 @@ class Judge:
         )
 
     @staticmethod
-    def _with_bad(ends: Ends, bad: Tensor) -> Ends:
+    def _end_non_finite(ends: EpisodeEnds, bad: Tensor) -> EpisodeEnds:
         """Return the ends, with a crash in rows with NaN or infinite values."""
-        return Ends(
+        return EpisodeEnds(
             crash=ends.crash | bad,
             success=ends.success & ~bad,
             terminated=ends.terminated | bad,
@@ -242,7 +242,7 @@ class Judge:
             causes=ends.causes,
         )
 
-    def _reward(self, values: Mapping[str, Tensor], ends: Ends) -> tuple[Tensor, Tensor]:
+    def _reward(self, values: Mapping[str, Tensor], ends: EpisodeEnds) -> tuple[Tensor, Tensor]:
         """Return the terms, (E, T), and their sum, (E,)."""
         plain = {name: term.evaluate(values) for name, (term, _) in self._rewards.items()}
         no_reward = torch.zeros_like(ends.crash, dtype=next(iter(plain.values())).dtype)
@@ -256,7 +256,7 @@ class Judge:
                 for other in cfg.times[1:]:
                     factor = factor + weighed[other]
                 weighed[name] = factor * self._apply_weight(plain[name], cfg, values)
-        found = {name: weighed[name] for name in self._rewards}
+        result = {name: weighed[name] for name in self._rewards}
         for name, when, end in (
             ("success", ends.success, self._cfg.success_reward),
             ("crash", ends.crash, self._cfg.crash_reward),
@@ -264,9 +264,9 @@ class Judge:
             if end is None:
                 continue
             if end.how == "replace":
-                found = {each: torch.where(when, 0.0, value) for each, value in found.items()}
-            found[name] = torch.where(when, _worth(end, values), no_reward)
-        columns = [found[name] for name in self.reward_names]
+                result = {each: torch.where(when, 0.0, value) for each, value in result.items()}
+            result[name] = torch.where(when, _end_reward(end, values), no_reward)
+        columns = [result[name] for name in self.reward_names]
         total = columns[0]
         for column in columns[1:]:
             total = total + column
@@ -278,14 +278,14 @@ class Judge:
             return (cfg.weight + cfg.difficulty_weight * values["difficulty"]) * value
         return value if cfg.weight == 1.0 else cfg.weight * value
 
-    def _of_bad(self, terms: Tensor, reward: Tensor, bad: Tensor, worth: Tensor | float) -> tuple[Tensor, Tensor]:
+    def _crash_values(self, terms: Tensor, reward: Tensor, bad: Tensor, worth: Tensor | float) -> tuple[Tensor, Tensor]:
         """Return terms and reward, replaced in non-finite rows by the crash reward alone."""
         crash = torch.zeros_like(reward) + worth
         alone = torch.stack([crash * (name == "crash") for name in self.reward_names], dim=-1)
         return torch.where(bad.unsqueeze(-1), alone, terms), torch.where(bad, crash, reward)
 
 
-def _worth(end: EndRewardCfg | None, values: Mapping[str, Tensor]) -> Tensor | float:
+def _end_reward(end: EndRewardCfg | None, values: Mapping[str, Tensor]) -> Tensor | float:
     """Return the reward of an end: a number, or (E,) where it depends on the difficulty."""
     if end is None:
         return 0.0

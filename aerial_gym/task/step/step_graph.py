@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ShapeError
-from aerial_gym.interop import recorded
-from aerial_gym.task.step.by_row import NamedRows
+from aerial_gym.interop import record_graph
+from aerial_gym.task.step.row_kernels import StepKernel
 
 WARM_UP_STEPS = 3
 """Steps before the recording, in which kernels are compiled and memory is taken."""
@@ -42,7 +42,7 @@ def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
             torch.cuda.set_sync_debug_mode(mode)
 
 
-def check_untraced(parts: Sequence[NamedRows], values: Mapping[str, Tensor]) -> None:
+def check_untraced(parts: Sequence[StepKernel], values: Mapping[str, Tensor]) -> None:
     """Refuse terms that wait for the GPU; only terms that run as torch operations can.
 
     Raises:
@@ -54,7 +54,7 @@ def check_untraced(parts: Sequence[NamedRows], values: Mapping[str, Tensor]) -> 
     for rows in parts:
         asked |= {term.label: partial(term.evaluate, values) for term in rows.apart}
         if rows.reason is not None:
-            asked[rows.what] = rows.plainly
+            asked[rows.what] = rows.compute
     check_terms(asked)
 
 
@@ -81,7 +81,7 @@ class StepGraph(Generic[Result]):
         torch.cuda.current_stream(device).wait_stream(stream)
         self._graph = torch.cuda.CUDAGraph()
         try:
-            with recorded(self._graph, device):
+            with record_graph(self._graph, device):
                 self._result = step(self._actions)
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[0]

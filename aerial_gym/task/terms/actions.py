@@ -56,7 +56,7 @@ ACTIONS = ActionRegistry("action")
 ROTOR_RANGE = "rotor_range"
 """Name of an ``affine``, or ``four_places``, with the numbers of the robot's rotors (``task.rotor_range``)."""
 
-NOTHING = 1e-12
+NEGLIGIBLE = 1e-12
 """Share of a thrust below which a root has no gradient of use."""
 
 
@@ -125,16 +125,16 @@ def four_places(
     """
     told = (0.5 * (actions.clamp(-1.0, 1.0) + 1.0)).unbind(-1)
     lifts = [share.square() for share in told]
-    found = []
+    commands = []
     for row, lowest, highest, speed in zip(mix, low, high, speeds, strict=True):
         share = sum((weight * lift for weight, lift in zip(row, lifts, strict=True)), torch.zeros_like(lifts[0]))
-        size = share.abs().clamp(NOTHING, 1.0)
+        size = share.abs().clamp(NEGLIGIBLE, 1.0)
         size = size.sqrt() if speed else size
         if lowest < 0.0:
-            found.append((highest * size * share.sign()).clamp(lowest, highest))
+            commands.append((highest * size * share.sign()).clamp(lowest, highest))
         else:
-            found.append(torch.where(share <= 0.0, lowest, lowest + (highest - lowest) * size))  # NaN stays NaN
-    return torch.stack(found, dim=-1)
+            commands.append(torch.where(share <= 0.0, lowest, lowest + (highest - lowest) * size))  # NaN stays NaN
+    return torch.stack(commands, dim=-1)
 
 
 ACTIONS.register("forward_flight_3", Action(value=forward_flight, width=3, command=LAWS["velocity"].action))

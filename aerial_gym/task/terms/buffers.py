@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.registry import Registry
+from aerial_gym.task.terms.gate_path import gate_path_length
 from aerial_gym.task.terms.term import Function, Term
-from aerial_gym.task.terms.way import way_through
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,5 +95,5 @@ def policy_action(policy_action: Tensor, begun: Tensor) -> Tensor:
 
 @BUFFERS.buffer(unit="m")
 def previous_way(target_position: Tensor, target_orientation: Tensor, robot_position: Tensor) -> Tensor:
-    """Return the way to the next gate of a track one step before, or at the reset, (E,): see ``way.way_through``."""
-    return way_through(target_position, target_orientation, robot_position)
+    """Return the way to the next gate of a track one step before, or at the reset, (E,): see ``way.gate_path_length``."""
+    return gate_path_length(target_position, target_orientation, robot_position)

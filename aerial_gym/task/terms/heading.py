@@ -15,12 +15,12 @@ LEAST_CLOSING_SPEED = 1e-3
 """A speed [m/s] below which nothing comes nearer: a wall at 1 cm is 10 s away."""
 
 
-def heading_error_of(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
+def heading_difference(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return target's yaw minus yaw [rad], in [-pi, pi), (E,)."""
     return wrap_angle(target_yaw - yaw_from_quat(robot_orientation))
 
 
-def _there(target_position: Tensor, robot_position: Tensor, radius: float, reward: Tensor) -> Tensor:
+def _near_target(target_position: Tensor, robot_position: Tensor, radius: float, reward: Tensor) -> Tensor:
     """Return a reward within a radius [m] of the target, 0 elsewhere, (E,)."""
     return torch.where((target_position - robot_position).norm(dim=-1) < radius, reward, 0.0)
 
@@ -28,7 +28,7 @@ def _there(target_position: Tensor, robot_position: Tensor, radius: float, rewar
 @OBSERVATIONS.term(width=1)
 def heading_error(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
     """Return target's yaw minus yaw [rad], in [-pi, pi), (E, 1)."""
-    return heading_error_of(target_yaw, robot_orientation).unsqueeze(-1)
+    return heading_difference(target_yaw, robot_orientation).unsqueeze(-1)
 
 
 @REWARDS.term()
@@ -43,7 +43,7 @@ def aligned_distance_bell(
     yaw_width: float,
 ) -> Tensor:
     """Return ``height exp(-width d² - yaw_width e²)``, d the distance [m] and e the heading error [rad], (E,)."""
-    aligned = bell(heading_error_of(target_yaw, robot_orientation), 1.0, yaw_width)
+    aligned = bell(heading_difference(target_yaw, robot_orientation), 1.0, yaw_width)
     return aligned * bell((target_position - robot_position).norm(dim=-1), height, width)
 
 
@@ -93,7 +93,7 @@ def slow_at_target(
     width: float,
 ) -> Tensor:
     """Return ``height exp(-width v²)``, v the speed [m/s], closer to the target than a radius [m], else 0, (E,)."""
-    return _there(target_position, robot_position, radius, bell(robot_linvel.norm(dim=-1), height, width))
+    return _near_target(target_position, robot_position, radius, bell(robot_linvel.norm(dim=-1), height, width))
 
 
 @REWARDS.term()
@@ -108,8 +108,8 @@ def heading_at_target(
     width: float,
 ) -> Tensor:
     """Return ``height exp(-width e²)``, e the heading error [rad], closer to the target than a radius [m], else 0, (E,)."""
-    worth = bell(heading_error_of(target_yaw, robot_orientation), height, width)
-    return _there(target_position, robot_position, radius, worth)
+    worth = bell(heading_difference(target_yaw, robot_orientation), height, width)
+    return _near_target(target_position, robot_position, radius, worth)
 
 
 @REWARDS.term()
@@ -129,8 +129,8 @@ def aligned_rest_at_target(
 
     r is the angular velocity about body z [rad/s], e the heading error [rad].
     """
-    aligned = bell(heading_error_of(target_yaw, robot_orientation), 1.0, yaw_width)
-    return _there(target_position, robot_position, radius, aligned * bell(robot_body_angvel[:, 2], height, width))
+    aligned = bell(heading_difference(target_yaw, robot_orientation), 1.0, yaw_width)
+    return _near_target(target_position, robot_position, radius, aligned * bell(robot_body_angvel[:, 2], height, width))
 
 
 @REWARDS.term()

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
+from aerial_gym.task.terms.gate_path import gate_path_direction
 from aerial_gym.task.terms.term import ACTION, Term, TermRegistry
-from aerial_gym.task.terms.way import way_direction
 
 OBSERVATIONS = TermRegistry("observation term")
 """Terms by the name that a task configuration uses."""
@@ -188,12 +188,12 @@ def next_gates(
     ahead = torch.stack((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)), dim=-1)
     rows = torch.cat((position - robot_position.unsqueeze(1), ahead), dim=-1)  # (E, G, 6)
     number = rows.shape[1]
-    found = []
+    values = []
     for k in range(count):
         index = target_index + k % number
-        row = row_of(torch.where(index >= number, index - number, index), rows)
-        found += [quat_rotate_inverse(robot_vehicle_orientation, part) for part in row.split(3, dim=-1)]
-    return torch.cat(found, dim=-1)
+        row = select_rows(torch.where(index >= number, index - number, index), rows)
+        values += [quat_rotate_inverse(robot_vehicle_orientation, part) for part in row.split(3, dim=-1)]
+    return torch.cat(values, dim=-1)
 
 
 @OBSERVATIONS.term(width=6)
@@ -207,14 +207,15 @@ def way_ahead(
     robot_position: Tensor,
     robot_vehicle_orientation: Tensor,
 ) -> Tensor:
-    """Return the direction of the path through the next gate (``way_direction``), vehicle frame, and the robot's position in
-    that gate's frame [m], (E, 6); a gate not yet seen counts at its nominal pose.
+    """Return the path direction through the next gate (vehicle frame) and the robot's position in the gate's frame [m], (E, 6).
+
+    The direction is ``gate_path_direction``. A gate not yet seen counts at its nominal pose.
     """
     seen = gates_seen.unsqueeze(-1)
-    position = row_of(target_index, torch.where(seen, gate_position, gate_nominal_position))
-    orientation = row_of(target_index, torch.where(seen, gate_orientation, gate_nominal_orientation))
+    position = select_rows(target_index, torch.where(seen, gate_position, gate_nominal_position))
+    orientation = select_rows(target_index, torch.where(seen, gate_orientation, gate_nominal_orientation))
     place = quat_rotate_inverse(orientation, robot_position - position)
-    toward = quat_rotate(orientation, way_direction(place))
+    toward = quat_rotate(orientation, gate_path_direction(place))
     return torch.cat((quat_rotate_inverse(robot_vehicle_orientation, toward), place), dim=-1)
 
 
@@ -246,26 +247,26 @@ def nearest_poles(
     return torch.cat(rows[:count], dim=-1)
 
 
-def row_of(index: Tensor, rows: Tensor) -> Tensor:
+def select_rows(index: Tensor, rows: Tensor) -> Tensor:
     """Return row ``index``, (E,), of rows (E, G, W), as (E, W); without indexing, to be part of a kernel."""
-    first, *others = rows.unbind(1)
-    found = first
-    for i, other in enumerate(others, start=1):
-        found = torch.where((index == i).unsqueeze(-1), other, found)
-    return found
+    first, *rest = rows.unbind(1)
+    values = first
+    for i, other in enumerate(rest, start=1):
+        values = torch.where((index == i).unsqueeze(-1), other, values)
+    return values
 
 
-def whole(name: str) -> Term:
+def tensor_term(name: str) -> Term:
     """Return the term that observes a whole tensor, flattened to (E, W)."""
 
     def value(tensor: Tensor) -> Tensor:
         entries = tensor.reshape(tensor.shape[0], -1)
         return entries if entries.dtype == torch.float64 else entries.float()
 
-    return Shown(name=name, value=value)
+    return TensorTerm(name=name, value=value)
 
 
-class Shown(Term):
+class TensorTerm(Term):
     """Term that observes one tensor by name."""
 
     @property

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from aerial_gym.control.laws import LAWS
 from aerial_gym.math.quaternion import yaw_from_quat
+from aerial_gym.task.terms.gate_path import gate_path_length
 from aerial_gym.task.terms.term import TermRegistry
-from aerial_gym.task.terms.way import way_through
 
 REWARDS = TermRegistry("reward term")
 """Terms by the name that a task configuration uses."""
@@ -306,5 +306,5 @@ def way_gained(
     gate_passed: Tensor,
 ) -> Tensor:
     """Return the decrease of the path length through the next gate in this step [m], (E,)."""
-    way = way_through(target_position, target_orientation, robot_position)
+    way = gate_path_length(target_position, target_orientation, robot_position)
     return previous_way - torch.where(gate_passed, 0.0, way)

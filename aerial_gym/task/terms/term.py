@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_type_hints
 from torch import Tensor
 
 from aerial_gym.config.loader import convert
-from aerial_gym.errors import ConfigError, did_you_mean
+from aerial_gym.errors import ConfigError, suggest_name
 from aerial_gym.registry import Registry
 
 Function = TypeVar("Function", bound=Callable[..., Tensor])
@@ -74,13 +74,13 @@ def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
     Raises:
         ConfigError: If a number is missing, unknown or of another kind.
     """
-    given = checked(term.value, params, label)
+    given = check_params(term.value, params, label)
     numbers = {name: each.default for name, each in _arguments(term.value)} | given if term.named else {}
     reads = tuple(name.format(**numbers) if name in term.named.values() else name for name in term.reads)
     return BoundTerm(label=label, term=term, params=given, reads=reads)
 
 
-def checked(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
+def check_params(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
     """Return the keyword arguments of a function, converted to its type hints; ``label`` is the prefix of errors.
 
     Raises:
@@ -90,7 +90,7 @@ def checked(function: Callable[..., object], params: Mapping[str, object], label
     takes = ", ".join(known) or "none"
     for name in params:
         if name not in known:
-            raise ConfigError(f"{label}: no parameter {name!r}.{did_you_mean(name, known)} It takes {takes}")
+            raise ConfigError(f"{label}: no parameter {name!r}.{suggest_name(name, known)} It takes {takes}")
     missing = [name for name, each in known.items() if each.default is Parameter.empty and name not in params]
     if missing:
         raise ConfigError(f"{label}: parameter {missing[0]!r} is missing. It takes {takes}")

@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def fixed_model(scene: dict[str, np.ndarray], env: int) -> str:
+def static_model(scene: dict[str, np.ndarray], env: int) -> str:
     """Return the model of one environment, MJCF, with every part fixed to the world and the camera in its place."""
     parts = _geometries(scene, [_pose(scene["position"][env, p], scene["attitude"][env, p]) for p in _parts(scene)])
     pose = _pose(scene["camera_position"][env], scene["camera_attitude"][env])
@@ -29,13 +29,13 @@ def _parts(scene: dict[str, np.ndarray]) -> range:
 
 
 def _geometries(scene: dict[str, np.ndarray], poses: list[str]) -> list[str]:
-    found = []
+    geometries = []
     for kind, size, pose in zip(scene["kind"].tolist(), scene["size"].tolist(), poses, strict=True):
         half = [0.5 * edge for edge in size]
         numbers = {"box": half, "floor": [*half[:2], 1.0], "sphere": size[:1], "cylinder": [size[0], half[1]]}
         name = "plane" if kind == "floor" else kind
-        found.append(f'<geom type="{name}" size="{_text(numbers[kind])}" {pose}/>')
-    return found
+        geometries.append(f'<geom type="{name}" size="{_text(numbers[kind])}" {pose}/>')
+    return geometries
 
 
 def _camera(scene: dict[str, np.ndarray]) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
-from mujoco_scene import fixed_model
+from mujoco_scene import static_model
 
 PACKAGES = ("mujoco",)
 
@@ -27,7 +27,7 @@ def build(
     rays = scene["direction"].reshape(-1, 3).astype(np.float64)
     worlds = []
     for env in range(envs):
-        model = mujoco.MjModel.from_xml_string(fixed_model(scene, env))
+        model = mujoco.MjModel.from_xml_string(static_model(scene, env))
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         to_world = data.cam_xmat[0].reshape(3, 3) @ FORWARD

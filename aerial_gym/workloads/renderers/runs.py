@@ -45,17 +45,17 @@ class PeerTimes:
     """By package."""
 
 
-def why_missing(name: str, python: str, device: str) -> str | None:
+def absence_reason(name: str, python: str, device: str) -> str | None:
     """Return the reason against measuring a peer, with the remedy; None if it can be measured."""
     peer = RENDER_PEERS.get(name)
     if device not in peer.devices:
         return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
     code = f"import importlib.util as u, sys; sys.exit(not all(map(u.find_spec, {peer.needs!r})))"
     try:
-        found = subprocess.run([python, "-c", code], capture_output=True).returncode == 0
+        available = subprocess.run([python, "-c", code], capture_output=True).returncode == 0
     except OSError as error:
         return f"{name} is skipped: {python} does not start ({error})."
-    if found:
+    if available:
         return None
     return (
         f"{name} is skipped: {python} does not have it. Install it there, or in an environment of its own: python -m venv "
@@ -96,7 +96,7 @@ def run_peer(
     return PeerTimes(depth=depth, identity=identity, **json.loads(said))
 
 
-def share_that_differs(
+def mismatch_share(
     name: str,
     depth: Tensor,
     other: Tensor,
@@ -115,8 +115,8 @@ def share_that_differs(
     Raises:
         WorkloadError: If more pixels differ.
     """
-    ours, theirs = depth.detach().cpu().flatten(), other.detach().cpu().flatten()
-    same = ((ours < 0.0) & (theirs < 0.0)) | ((ours - theirs).abs() <= DEPTH_TOLERANCE)
+    first, second = depth.detach().cpu().flatten(), other.detach().cpu().flatten()
+    same = ((first < 0.0) & (second < 0.0)) | ((first - second).abs() <= DEPTH_TOLERANCE)
     if identity is not None and other_identity is not None:
         same &= identity.cpu().flatten() == other_identity.cpu().flatten()
     share = float((~same).double().mean())

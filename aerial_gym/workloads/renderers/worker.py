@@ -41,15 +41,15 @@ def main() -> None:
     asked = parser.parse_args()
     peer = importlib.import_module(f"peer_{asked.name}")
     draw, images = peer.build(dict(np.load(asked.scene)), asked.device)
-    run, wait = batched(draw, asked.device)
+    run, wait = make_batch(draw, asked.device)
     run()
     depth, identity = images()
     np.savez(asked.images, depth=depth, **({} if identity is None else {"identity": identity}))
     seconds = measure(run, wait, repeats=asked.repeats, repeat_time_s=asked.repeat_time_s)
-    print(json.dumps({"seconds": seconds, "versions": {name: version_of(name) for name in peer.PACKAGES}}))
+    print(json.dumps({"seconds": seconds, "versions": {name: package_version(name) for name in peer.PACKAGES}}))
 
 
-def version_of(package: str) -> str:
+def package_version(package: str) -> str:
     """Return the version of a package, from its metadata or its module."""
     try:
         return version(package)
@@ -58,7 +58,7 @@ def version_of(package: str) -> str:
         return str(getattr(module, "__version__", "unknown"))
 
 
-def batched(draw: Callable[[], None], device: str) -> tuple[Callable[[], None], Callable[[], None]]:
+def make_batch(draw: Callable[[], None], device: str) -> tuple[Callable[[], None], Callable[[], None]]:
     """Return two functions: one makes ``CALLS`` calls (on a GPU the replay of a graph), one waits for them."""
     if device == "cpu":
         return lambda: repeat(draw, CALLS), lambda: None

@@ -29,13 +29,13 @@ LONGEST_SENTENCE = 1500
 TELL_EVERY_S = 10.0
 
 
-class TooLongError(BaseException):
+class TimeLimitError(BaseException):
     """An input took longer than the limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fuzz:
-    """What to feed, and how much of it."""
+    """Feed mutated inputs to the targets."""
 
     count: int = 3000
     """Mutated inputs."""
@@ -55,17 +55,17 @@ class Fuzz:
     def run(self) -> int:
         """Print progress and a summary; return the exit status."""
         kinds: Counter[str] = Counter()
-        found: Counter[str] = Counter()
+        result: Counter[str] = Counter()
         with tempfile.TemporaryDirectory() as name, _quiet():
-            self._feed(Path(name), kinds, found)
+            self._feed(Path(name), kinds, result)
         for kind, number in sorted(kinds.items()):
             print(f"{number:6d}  {kind}")
-        for finding, number in found.most_common():
+        for finding, number in result.most_common():
             print(f"FINDING {number:4d}  {finding}")
-        print(f"{self.count} inputs with seed {self.seed}: {found.total()} findings of {len(found)} kinds")
-        return 1 if found else 0
+        print(f"{self.count} inputs with seed {self.seed}: {result.total()} findings of {len(result)} kinds")
+        return 1 if result else 0
 
-    def _feed(self, folder: Path, kinds: "Counter[str]", found: "Counter[str]") -> None:
+    def _feed(self, folder: Path, kinds: "Counter[str]", results: "Counter[str]") -> None:
         told = time.monotonic()
         chosen = [target for target in targets(folder) if not self.only or target.name in self.only]
         for index in range(self.count):
@@ -73,10 +73,10 @@ class Fuzz:
             outcome, finding = self._attempt(target, folder, index)
             kinds[f"{target.name}: {outcome}"] += 1
             if finding is not None:
-                found[finding] += 1
+                results[finding] += 1
             if time.monotonic() - told > TELL_EVERY_S:
                 told = time.monotonic()
-                print(f"{index + 1}/{self.count}, {found.total()} findings", file=sys.stderr, flush=True)
+                print(f"{index + 1}/{self.count}, {results.total()} findings", file=sys.stderr, flush=True)
 
     def _attempt(self, target: Target, folder: Path, index: int) -> tuple[str, str | None]:
         draw = random.Random(f"{self.seed}:{target.name}:{index}")
@@ -89,7 +89,7 @@ class Fuzz:
         except AerialGymError as error:
             bad = _bad_sentence(str(error))
             outcome, finding = "refused", None if bad is None else f"{target.name}: {bad}: {str(error)[:150]!r}"
-        except TooLongError:
+        except TimeLimitError:
             outcome, finding = "finding", f"{target.name}: takes longer than {self.limit_s} s"
         except Exception as error:
             outcome, finding = "finding", f"{target.name}: {type(error).__name__} {_place(error)}: {str(error)[:120]!r}"
@@ -106,7 +106,7 @@ class Fuzz:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Let warnings and logs of bad inputs be silent, and the alarm raise; put all back afterwards."""
-    kept = signal.signal(signal.SIGALRM, _too_long)
+    kept = signal.signal(signal.SIGALRM, _raise_time_limit)
     logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings():
@@ -117,13 +117,13 @@ def _quiet() -> Iterator[None]:
         signal.signal(signal.SIGALRM, kept)
 
 
-def _too_long(number: int, frame: FrameType | None) -> None:
+def _raise_time_limit(number: int, frame: FrameType | None) -> None:
     del number, frame
-    raise TooLongError
+    raise TimeLimitError
 
 
 def _bad_sentence(text: str) -> str | None:
-    """Return what is wrong with a message, if anything."""
+    """Return the fault of a message, or None."""
     if "\n" in text.strip():
         return "several lines"
     if len(text) > LONGEST_SENTENCE:

@@ -116,19 +116,19 @@ def swap_lines(data: bytes, draw: random.Random) -> bytes:
 
 def change_number(data: bytes, draw: random.Random) -> bytes:
     """Put an extreme in place of a number."""
-    found = list(re.finditer(rb"-?\d+\.?\d*(e-?\d+)?", data))
-    if not found:
+    result = list(re.finditer(rb"-?\d+\.?\d*(e-?\d+)?", data))
+    if not result:
         return flip_bytes(data, draw)
-    match = draw.choice(found)
+    match = draw.choice(result)
     return data[: match.start()] + draw.choice(NUMBERS).encode() + data[match.end() :]
 
 
 def change_word(data: bytes, draw: random.Random) -> bytes:
     """Put something odd in place of a word or a field."""
-    found = list(re.finditer(rb"[\w./]+", data))
-    if not found:
+    result = list(re.finditer(rb"[\w./]+", data))
+    if not result:
         return flip_bytes(data, draw)
-    match = draw.choice(found)
+    match = draw.choice(result)
     return data[: match.start()] + draw.choice(WORDS).encode() + data[match.end() :]
 
 
@@ -160,12 +160,12 @@ def change_tree(data: bytes, draw: random.Random) -> bytes:
 
 def _nodes(tree: Any) -> list[Any]:
     """Return a tree and all below it; one that holds itself is not followed for ever."""
-    found, waiting = [], [tree]
-    while waiting and len(found) < 10_000:
+    result, waiting = [], [tree]
+    while waiting and len(result) < 10_000:
         node = waiting.pop()
-        found.append(node)
+        result.append(node)
         waiting += node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
-    return found
+    return result
 
 
 Mutation = Callable[[bytes, random.Random], bytes]

@@ -1,4 +1,4 @@
-"""What is fed with mutated inputs: valid ones, ways to spoil them, and a use that goes as far as a user would."""
+"""Targets of fuzzing: valid inputs, mutations, and a use of each input as far as a user would go."""
 
 import io
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import torch
 
 from aerial_gym.assets.mesh_files import load_mesh
 from aerial_gym.assets.urdf import load_urdf
-from aerial_gym.config import dump_yaml, files_of, load
+from aerial_gym.config import dump_yaml, family_files, load
 from aerial_gym.config.environment import load_environment
 from aerial_gym.config.robot import load_robot
 from aerial_gym.config.sensor import load_any_sensor
@@ -65,7 +65,7 @@ def _environment(path: Path) -> None:
 
 
 @cache
-def _flown() -> EnvManager:
+def _env() -> EnvManager:
     return _build()
 
 
@@ -130,16 +130,16 @@ STL = b"solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nver
 
 
 def targets(folder: Path) -> tuple[Target, ...]:
-    """Return all targets; ``folder`` receives what belongs to the inputs."""
+    """Return all targets; ``folder`` receives the files that their inputs need."""
     (folder / "bulb.obj").write_bytes(OBJ)
 
     def files(kind: str) -> tuple[bytes, ...]:
-        return tuple(path.read_bytes() for path in files_of(kind).values())
+        return tuple(path.read_bytes() for path in family_files(kind).values())
 
     own = (MAPPING_DIR / "aerial_gym.yaml").read_bytes()
     paired = own + b"companion: {log: other}\nwind: {log: [1.0, 0.0, 0.0]}\nlift_off_m: 0.1\nhover_above_m: 0.5\n"
-    others = tuple(path.read_bytes() for path in sorted(MAPPING_DIR.glob("*.yaml")))
-    mappings = (*(own, paired) * 4, *others)
+    rest = tuple(path.read_bytes() for path in sorted(MAPPING_DIR.glob("*.yaml")))
+    mappings = (*(own, paired) * 4, *rest)
     robots = (*files("robots"), dump_yaml(flat_flights.ROBOT).encode())
 
     def yaml(name: str, inputs: tuple[bytes, ...], use: Callable[[Path], object]) -> Target:

@@ -30,26 +30,26 @@ def pairs() -> dict[str, tuple[Tensor, Tensor]]:
 
 def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:
     vectors = crazyflie_pairs.read_vectors()
-    ours, theirs = crazyflie_pairs.lee_pair(vectors)
-    lifts = theirs[:, 0] > 1e-3
-    found = {
-        "Crazyflie, Lee: thrust [N]": (ours[:, :1], theirs[:, :1]),
-        "Crazyflie, Lee: torque [N m] where thrust is along the body": (ours[lifts, 1:], theirs[lifts, 1:]),
+    actual, reference = crazyflie_pairs.lee_pair(vectors)
+    lifts = reference[:, 0] > 1e-3
+    result = {
+        "Crazyflie, Lee: thrust [N]": (actual[:, :1], reference[:, :1]),
+        "Crazyflie, Lee: torque [N m] where thrust is along the body": (actual[lifts, 1:], reference[lifts, 1:]),
     }
-    ours, theirs = crazyflie_pairs.lee_integral_pair(vectors)
-    lifts = (theirs[..., 0] > 1e-2).all(0)
-    found["Crazyflie, Lee with integrals: thrust [N]"] = ours[:, lifts, :1], theirs[:, lifts, :1]
-    found["Crazyflie, Lee with integrals: torque [N m]"] = ours[:, lifts, 1:], theirs[:, lifts, 1:]
+    actual, reference = crazyflie_pairs.lee_integral_pair(vectors)
+    lifts = (reference[..., 0] > 1e-2).all(0)
+    result["Crazyflie, Lee with integrals: thrust [N]"] = actual[:, lifts, :1], reference[:, lifts, :1]
+    result["Crazyflie, Lee with integrals: torque [N m]"] = actual[:, lifts, 1:], reference[:, lifts, 1:]
     for name, pair in (("Mellinger", crazyflie_pairs.mellinger_pair), ("PID", crazyflie_pairs.pid_pair)):
-        ours, theirs = pair(vectors)
-        found[f"Crazyflie, {name}: thrust [counts]"] = ours[..., :1], theirs[..., :1]
-        found[f"Crazyflie, {name}: moments [whole counts]"] = ours[..., 1:], theirs[..., 1:]
-    ours, theirs = crazyflie_pairs.brescianini_pair(vectors)
-    found["Crazyflie, Brescianini: thrust [N]"] = ours[..., :1], theirs[..., :1]
-    found["Crazyflie, Brescianini: torque [N m]"] = ours[..., 1:], theirs[..., 1:]
+        actual, reference = pair(vectors)
+        result[f"Crazyflie, {name}: thrust [counts]"] = actual[..., :1], reference[..., :1]
+        result[f"Crazyflie, {name}: moments [whole counts]"] = actual[..., 1:], reference[..., 1:]
+    actual, reference = crazyflie_pairs.brescianini_pair(vectors)
+    result["Crazyflie, Brescianini: thrust [N]"] = actual[..., :1], reference[..., :1]
+    result["Crazyflie, Brescianini: torque [N m]"] = actual[..., 1:], reference[..., 1:]
     reduced = crazyflie_pairs.brescianini_reduced_pair(vectors)
-    found["Crazyflie, Brescianini: rates of the reduced attitude, world [rad/s]"] = reduced
-    return found | {"Crazyflie: motors [whole counts]": crazyflie_pairs.power_pair(vectors)}
+    result["Crazyflie, Brescianini: rates of the reduced attitude, world [rad/s]"] = reduced
+    return result | {"Crazyflie: motors [whole counts]": crazyflie_pairs.power_pair(vectors)}
 
 
 def table() -> str:
@@ -58,10 +58,10 @@ def table() -> str:
         "| | states | largest value | largest difference | 99 % below | median |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for name, (ours, theirs) in pairs().items():
-        error = (ours - theirs).abs().amax(-1).flatten()
+    for name, (actual, reference) in pairs().items():
+        error = (actual - reference).abs().amax(-1).flatten()
         tail = float(error.kthvalue(int(0.99 * error.numel())).values)
-        figures = (float(theirs.abs().max()), float(error.max()), tail, float(error.median()))
+        figures = (float(reference.abs().max()), float(error.max()), tail, float(error.median()))
         lines.append(f"| {name} | {error.numel():,} | " + " | ".join(f"{x:.2g}" for x in figures) + " |")
     made_on = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}; ours in float64, theirs in float32."
     return "\n".join((*lines, "", made_on, ""))

@@ -9,11 +9,11 @@ from torch import Tensor
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie import brescianini
 from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
-from aerial_gym.control.crazyflie.distribution import signs_of, told
+from aerial_gym.control.crazyflie.distribution import rotor_counts, rotor_signs
 from aerial_gym.control.crazyflie.geometric import WIDTH as INTEGRALS
 from aerial_gym.control.crazyflie.geometric import IntegralGains, geometric_control
 from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
-from aerial_gym.control.crazyflie.pid import OUTER_NUMBERS, PidGains, PidLevel, fresh, lean, turn
+from aerial_gym.control.crazyflie.pid import OUTER_NUMBERS, PidGains, PidLevel, initial_memory, inner_loop, outer_loop
 from aerial_gym.control.lee import LeeGains, position_control
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.physics import vehicle_from_config
@@ -104,7 +104,7 @@ def lee_integral_pair(vectors: dict[str, Tensor], *, integrals: bool = True) -> 
     own = IntegralGains(
         lee=lee, position_integral=far, position_limit=free, attitude_integral=turned, attitude_limit=free
     )
-    kept, found = mass.new_zeros(made.RUNS, INTEGRALS), []
+    kept, result = mass.new_zeros(made.RUNS, INTEGRALS), []
     for step in zip(*(part.unbind(1) for part in _split(rows, 4, 3, 3, 3, 3, 3, 1)), strict=True):
         q, at, moving, gyro, goal, goal_velocity, yaw = step
         still = torch.zeros_like(at)
@@ -112,8 +112,8 @@ def lee_integral_pair(vectors: dict[str, Tensor], *, integrals: bool = True) -> 
             position=goal, velocity=goal_velocity, acceleration=still, yaw=torch.deg2rad(yaw[:, 0]), rates=still
         )
         thrust, torque, kept = geometric_control(_state(quat_normalize(q), at, moving, gyro), target, kept, own, dt=DT)
-        found.append(torch.cat((thrust.unsqueeze(-1), torque), dim=-1))
-    return torch.stack(found), vectors["lee_integrals"].transpose(0, 1)
+        result.append(torch.cat((thrust.unsqueeze(-1), torque), dim=-1))
+    return torch.stack(result), vectors["lee_integrals"].transpose(0, 1)
 
 
 def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
@@ -121,15 +121,16 @@ def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
     gains, rows = made.mellinger_states()
     named = dict(zip(made.MELLINGER, torch.from_numpy(gains).double().unsqueeze(-1).unbind(1), strict=True))
 
-    def of(name: str) -> Tensor:
+    def axis_gains(name: str) -> Tensor:
         return torch.cat((named[f"{name}_xy"], named[f"{name}_xy"], named[f"{name}_z"]), dim=-1)
 
     own = MellingerGains(
-        mass=named["mass"], mass_thrust=named["massThrust"], position=of("kp"), velocity=of("kd"), position_integral=of("ki"),
-        position_limit=of("i_range"), attitude=of("kR"), rate=of("kw"), attitude_integral=of("ki_m"),
-        attitude_limit=of("i_range_m"), rate_difference=named["kd_omega_rp"],
+        mass=named["mass"], mass_thrust=named["massThrust"], position=axis_gains("kp"), velocity=axis_gains("kd"),
+        position_integral=axis_gains("ki"), position_limit=axis_gains("i_range"), attitude=axis_gains("kR"),
+        rate=axis_gains("kw"), attitude_integral=axis_gains("ki_m"),
+        attitude_limit=axis_gains("i_range_m"), rate_difference=named["kd_omega_rp"],
     )  # fmt: skip
-    kept, found = own.mass.new_zeros(made.RUNS, WIDTH), []
+    kept, result = own.mass.new_zeros(made.RUNS, WIDTH), []
     for step in zip(*(part.unbind(1) for part in _split(rows, 4, 3, 3, 3, 3, 3, 1)), strict=True):
         q, at, moving, gyro, goal, goal_velocity, yaw = step
         still = torch.zeros_like(at)
@@ -138,36 +139,36 @@ def mellinger_pair(vectors: dict[str, Tensor]) -> Pair:
         )
         state = _state(quat_normalize(q), at, moving, gyro)
         thrust, moment, kept = mellinger_control(state, target, kept, own, gravity=GRAVITY, dt=DT)
-        found.append(torch.cat((thrust, moment.trunc()), dim=-1))
-    return torch.stack(found), _nose_down(vectors["mellinger"]).transpose(0, 1)
+        result.append(torch.cat((thrust, moment.trunc()), dim=-1))
+    return torch.stack(result), _nose_down(vectors["mellinger"]).transpose(0, 1)
 
 
 def pid_pair(vectors: dict[str, Tensor]) -> Pair:
     """Return thrust and moments [counts], (STEPS, RUNS, 4), of runs of ten steps, of which two move position and velocity."""
     rows, own = _split(made.pid_states(), 3, 3, 3, 3, 3, 1), default_pid_gains(made.RUNS)
-    outer, inner, told, found = torch.zeros(made.RUNS, OUTER_NUMBERS, dtype=torch.float64), None, None, []
+    outer, inner, told, result = torch.zeros(made.RUNS, OUTER_NUMBERS, dtype=torch.float64), None, None, []
     for k, step in enumerate(zip(*(part.unbind(1) for part in rows), strict=True)):
         angles, at, moving, gyro, goal, yaw = step
         state = _state(quat_from_euler(torch.deg2rad(angles)), at, moving, gyro)
         if told is None or k % 5 == 0:
-            told, outer = lean(state, goal, outer, own, dt=5 * DT)
+            told, outer = outer_loop(state, goal, outer, own, dt=5 * DT)
         if inner is None:  # the firmware begins with no rates before
-            inner = torch.cat((fresh(state)[:, :9], torch.zeros_like(at)), dim=-1)
-        moment, inner = turn(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
-        found.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
-    return torch.stack(found), _nose_down(vectors["pid"]).transpose(0, 1)
+            inner = torch.cat((initial_memory(state)[:, :9], torch.zeros_like(at)), dim=-1)
+        moment, inner = inner_loop(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
+        result.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
+    return torch.stack(result), _nose_down(vectors["pid"]).transpose(0, 1)
 
 
 def brescianini_pair(vectors: dict[str, Tensor]) -> Pair:
     """Return thrust [N] and torque [N m], (STEPS, RUNS, 4), of runs of ten steps, of which two move thrust and wanted rates."""
     gains, rows = made.brescianini_states()
-    own, wish, found = firmware_brescianini_gains(gains, mixing=1.0), torch.zeros(0), []
+    own, wish, result = firmware_brescianini_gains(gains, mixing=1.0), torch.zeros(0), []
     for k, step in enumerate(torch.from_numpy(rows).double().unbind(1)):
         state, target = _follow(step)
         if k % 5 == 0:
-            wish = brescianini.lean(state, target, own, gravity=GRAVITY)
-        found.append(torch.cat((wish[:, :1], brescianini.turn(state.ang_vel, wish[:, 1:], own)), dim=-1))
-    return torch.stack(found), vectors["brescianini"].transpose(0, 1)
+            wish = brescianini.outer_loop(state, target, own, gravity=GRAVITY)
+        result.append(torch.cat((wish[:, :1], brescianini.inner_loop(state.ang_vel, wish[:, 1:], own)), dim=-1))
+    return torch.stack(result), vectors["brescianini"].transpose(0, 1)
 
 
 def brescianini_reduced_pair(vectors: dict[str, Tensor]) -> Pair:
@@ -179,9 +180,9 @@ def brescianini_reduced_pair(vectors: dict[str, Tensor]) -> Pair:
     gains, rows = made.brescianini_states()
     own = firmware_brescianini_gains(gains, mixing=0.0)
     state, target = _follow(torch.from_numpy(rows[:, 0]).double())
-    ours = brescianini.lean(state, target, own, gravity=GRAVITY)[:, 1:] - target.rates
-    theirs = torch.linalg.solve(own.inertia, vectors["brescianini_reduced"][:, 1:]) / own.rate + state.ang_vel
-    return quat_rotate(state.attitude, ours), theirs - target.rates
+    actual = brescianini.outer_loop(state, target, own, gravity=GRAVITY)[:, 1:] - target.rates
+    reference = torch.linalg.solve(own.inertia, vectors["brescianini_reduced"][:, 1:]) / own.rate + state.ang_vel
+    return quat_rotate(state.attitude, actual), reference - target.rates
 
 
 def firmware_brescianini_gains(gains: np.ndarray, *, mixing: float) -> BrescianiniGains:
@@ -213,9 +214,9 @@ def _follow(rows: Tensor) -> tuple[BodyState, FlatTarget]:
 def power_pair(vectors: dict[str, Tensor]) -> Pair:
     """Return the counts of the four rotors, (N, 4), of which the firmware's are whole numbers."""
     vehicle = vehicle_from_config(ROBOTS.get("crazyflie_21"), num_envs=1, dtype=torch.float64)
-    signs = signs_of("position", vehicle, Allocation(vehicle, GRAVITY), GRAVITY)
+    signs = rotor_signs("position", vehicle, Allocation(vehicle, GRAVITY), GRAVITY)
     counts = _nose_down(torch.from_numpy(made.power_states()).double())
-    return told(counts[:, :1], counts[:, 1:], signs), vectors["power"]
+    return rotor_counts(counts[:, :1], counts[:, 1:], signs), vectors["power"]
 
 
 def default_pid_gains(num_envs: int) -> PidGains:

@@ -66,7 +66,7 @@ BRESCIANINI = {
 thrust. ``mixing_factor`` is 0 or 1, ``coll_fairness`` as it comes."""
 
 
-class Stamped(Structure):
+class TimeVector(Structure):
     """Three numbers with a time."""
 
     _fields_ = (("time", c_uint32), ("v", Vector))
@@ -76,8 +76,8 @@ class Setpoint(Structure):
     """``setpoint_t``."""
 
     _fields_ = (
-        ("time", c_uint32), ("attitude", Stamped), ("rates", Stamped), ("quaternion", c_float * 4), ("thrust", c_float),
-        ("position", Stamped), ("velocity", Stamped), ("acceleration", Stamped), ("jerk", Stamped),
+        ("time", c_uint32), ("attitude", TimeVector), ("rates", TimeVector), ("quaternion", c_float * 4), ("thrust", c_float),
+        ("position", TimeVector), ("velocity", TimeVector), ("acceleration", TimeVector), ("jerk", TimeVector),
         ("in_body", ctypes.c_bool), ("mode", c_int * 7),
     )  # fmt: skip
 
@@ -86,11 +86,12 @@ class State(Structure):
     """``state_t``."""
 
     _fields_ = (
-        ("attitude", Stamped), ("quaternion", c_float * 4), ("position", Stamped), ("velocity", Stamped), ("acc", Stamped),
+        ("attitude", TimeVector), ("quaternion", c_float * 4), ("position", TimeVector), ("velocity", TimeVector),
+        ("acc", TimeVector),
     )  # fmt: skip
 
 
-class Sensors(Structure):
+class SensorData(Structure):
     """``sensorData_t``."""
 
     _fields_ = (("acc", Vector), ("gyro", Vector), ("mag", Vector), ("baro", Vector), ("time", c_uint64))
@@ -102,7 +103,7 @@ class Counts(Structure):
     _fields_ = (("roll", c_int16), ("pitch", c_int16), ("yaw", c_int16), ("thrust", c_float))
 
 
-class Answer(Union):
+class ControlOutput(Union):
     """In counts, or thrust [N] and torque [N m]."""
 
     _fields_ = (("counts", Counts), ("wrench", c_float * 4))
@@ -111,10 +112,10 @@ class Answer(Union):
 class Control(Structure):
     """``control_t``."""
 
-    _fields_ = (("answer", Answer), ("mode", c_int))
+    _fields_ = (("answer", ControlOutput), ("mode", c_int))
 
 
-class Uncapped(Structure):
+class RawThrust(Structure):
     """``motors_thrust_uncapped_t``."""
 
     _fields_ = (("motors", c_int32 * 4),)
@@ -142,7 +143,7 @@ class Mellinger(Structure):
     _fields_ = (*((name, c_float) for name in MELLINGER), ("rest", c_float * 64))
 
 
-class Parameter(Structure):
+class ParamStruct(Structure):
     """``struct param_s``."""
 
     _fields_ = (
@@ -243,16 +244,24 @@ def states_checksum() -> int:
     return checksum(*states)
 
 
-def _fill(row: Array) -> tuple[State, Sensors, Setpoint]:
-    state, sensors, wanted = State(), Sensors(), Setpoint()
-    state.quaternion, state.position.v, state.velocity.v = _of(row[:4]), _of(row[4:7]), _of(row[7:10])
-    sensors.gyro, wanted.position.v, wanted.velocity.v = _of(row[10:13]), _of(row[13:16]), _of(row[16:19])
-    wanted.attitude.v = _of((0.0, 0.0, row[19]))
+def _fill(row: Array) -> tuple[State, SensorData, Setpoint]:
+    state, sensors, wanted = State(), SensorData(), Setpoint()
+    state.quaternion, state.position.v, state.velocity.v = (
+        _float_array(row[:4]),
+        _float_array(row[4:7]),
+        _float_array(row[7:10]),
+    )
+    sensors.gyro, wanted.position.v, wanted.velocity.v = (
+        _float_array(row[10:13]),
+        _float_array(row[13:16]),
+        _float_array(row[16:19]),
+    )
+    wanted.attitude.v = _float_array((0.0, 0.0, row[19]))
     wanted.mode = (c_int * 7)(1, 1, 1, 0, 0, 1, 0)  # position and yaw
     return state, sensors, wanted
 
 
-def _of(numbers: "Array | tuple[float, ...]") -> ctypes.Array[c_float]:
+def _float_array(numbers: "Array | tuple[float, ...]") -> ctypes.Array[c_float]:
     return (c_float * len(numbers))(*(float(x) for x in numbers))
 
 
@@ -262,7 +271,7 @@ def _counts(control: Control) -> tuple[float, int, int, int]:
 
 
 def answers(library: ctypes.CDLL) -> dict[str, Array]:
-    """Return what the controllers answer, by name: Lee and Brescianini in SI, the others in counts."""
+    """Return the outputs of the controllers by name: Lee and Brescianini in SI units, the others in counts."""
     return {
         "lee": _ask_lee(library),
         "lee_integrals": _ask_lee_integrals(library),
@@ -275,34 +284,44 @@ def answers(library: ctypes.CDLL) -> dict[str, Array]:
 
 
 def _ask_lee(library: ctypes.CDLL) -> Array:
-    found = []
+    result = []
     for gains, row in zip(*lee_states(), strict=True):
         own, control = Lee(), Control()
         library.controllerLeeInit(byref(own))
-        own.mass, own.inertia, own.position, own.velocity = float(gains[0]), *(_of(gains[i : i + 3]) for i in (1, 4, 7))
-        own.attitude, own.rate, own.turned = _of(gains[10:13]), _of(gains[13:16]), _of((0.0, 0.0, 0.0))
+        own.mass, own.inertia, own.position, own.velocity = (
+            float(gains[0]),
+            *(_float_array(gains[i : i + 3]) for i in (1, 4, 7)),
+        )
+        own.attitude, own.rate, own.turned = (
+            _float_array(gains[10:13]),
+            _float_array(gains[13:16]),
+            _float_array((0.0, 0.0, 0.0)),
+        )
         state, sensors, wanted = _fill(row)
         library.controllerLee(byref(own), byref(control), byref(wanted), byref(sensors), byref(state), c_uint32(0))
-        found.append(list(control.answer.wrench))
-    return np.array(found, np.float32)
+        result.append(list(control.answer.wrench))
+    return np.array(result, np.float32)
 
 
 def _ask_lee_integrals(library: ctypes.CDLL) -> Array:
-    found = []
+    result = []
     for gains, rows in zip(*lee_integral_states(), strict=True):
         own = Lee()
         library.controllerLeeInit(byref(own))
-        own.mass, own.inertia, own.position, own.velocity = float(gains[0]), *(_of(gains[i : i + 3]) for i in (1, 4, 7))
-        own.attitude, own.rate, own.integral, own.turned = (_of(gains[i : i + 3]) for i in (10, 13, 16, 19))
+        own.mass, own.inertia, own.position, own.velocity = (
+            float(gains[0]),
+            *(_float_array(gains[i : i + 3]) for i in (1, 4, 7)),
+        )
+        own.attitude, own.rate, own.integral, own.turned = (_float_array(gains[i : i + 3]) for i in (10, 13, 16, 19))
         for k, row in enumerate(rows):
             control, (state, sensors, wanted) = Control(), _fill(row)
             library.controllerLee(*map(byref, (own, control, wanted, sensors, state)), c_uint32(2 * k))
-            found.append(list(control.answer.wrench))
-    return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+            result.append(list(control.answer.wrench))
+    return np.array(result, np.float32).reshape(RUNS, STEPS, 4)
 
 
 def _ask_mellinger(library: ctypes.CDLL) -> Array:
-    found = []
+    result = []
     for gains, rows in zip(*mellinger_states(), strict=True):
         own = Mellinger()
         library.controllerMellingerInit(byref(own))
@@ -314,66 +333,70 @@ def _ask_mellinger(library: ctypes.CDLL) -> Array:
             control, (state, sensors, wanted) = Control(), _fill(row)
             arguments = map(byref, (own, control, wanted, sensors, state))
             library.controllerMellinger(*arguments, c_uint32(2 * k))
-            found.append(_counts(control))
-    return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+            result.append(_counts(control))
+    return np.array(result, np.float32).reshape(RUNS, STEPS, 4)
 
 
 def _ask_pid(library: ctypes.CDLL) -> Array:
     library.controllerPidInit()
-    found = []
+    result = []
     for rows in pid_states():
         library.attitudeControllerResetAllPID(*map(c_float, _nose_up(rows[0, :3])))
         library.positionControllerResetAllPID(c_float(0.0), c_float(0.0), c_float(0.0))
         library.positionControllerResetAllfilters()
         for k, row in enumerate(rows):
-            control, state, sensors, wanted = Control(), State(), Sensors(), Setpoint()
-            state.attitude.v, state.position.v, state.velocity.v = _of(_nose_up(row[:3])), _of(row[3:6]), _of(row[6:9])
+            control, state, sensors, wanted = Control(), State(), SensorData(), Setpoint()
+            state.attitude.v, state.position.v, state.velocity.v = (
+                _float_array(_nose_up(row[:3])),
+                _float_array(row[3:6]),
+                _float_array(row[6:9]),
+            )
             sensors.gyro, wanted.position.v, wanted.attitude.v = (
-                _of(row[9:12]),
-                _of(row[12:15]),
-                _of((0.0, 0.0, row[15])),
+                _float_array(row[9:12]),
+                _float_array(row[12:15]),
+                _float_array((0.0, 0.0, row[15])),
             )
             wanted.mode = (c_int * 7)(1, 1, 1, 0, 0, 1, 0)
             library.controllerPid(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
-            found.append(_counts(control))
-    return np.array(found, np.float32).reshape(RUNS, STEPS, 4)
+            result.append(_counts(control))
+    return np.array(result, np.float32).reshape(RUNS, STEPS, 4)
 
 
 def _ask_brescianini(library: ctypes.CDLL, *, steps: int, mixing_factor: float) -> Array:
     parameters = _parameters(library, "ctrlAtt")
     library.controllerBrescianiniInit()
     parameters["mixing_factor"].value = mixing_factor
-    found = []
+    result = []
     for gains, rows in zip(*brescianini_states(), strict=True):
         for name, gain in zip(BRESCIANINI, gains, strict=True):
             parameters[name].value = float(gain)
         for k, row in enumerate(rows[:steps]):
             control, (state, sensors, wanted) = Control(), _fill(row)
-            wanted.acceleration.v, wanted.rates.v = _of(row[20:23]), _of((0.0, 0.0, row[23]))
+            wanted.acceleration.v, wanted.rates.v = _float_array(row[20:23]), _float_array((0.0, 0.0, row[23]))
             library.controllerBrescianini(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
-            found.append(list(control.answer.wrench))
-    return np.array(found, np.float32).reshape(RUNS, steps, 4)
+            result.append(list(control.answer.wrench))
+    return np.array(result, np.float32).reshape(RUNS, steps, 4)
 
 
 def _parameters(library: ctypes.CDLL, group: str) -> Mapping[str, c_float]:
     """Return the parameters of a group, to be read and set."""
-    found = {}
-    for row in (Parameter * 64).in_dll(library, f"parameters_{group}"):
+    result = {}
+    for row in (ParamStruct * 64).in_dll(library, f"parameters_{group}"):
         if row.name == f"stop_{group}".encode():
             break
-        found[row.name.decode()] = c_float.from_address(row.address)
-    return found
+        result[row.name.decode()] = c_float.from_address(row.address)
+    return result
 
 
 def _ask_power(library: ctypes.CDLL) -> Array:
-    found = []
+    result = []
     for thrust, roll, pitch, yaw in power_states():
-        control, uncapped, capped = Control(), Uncapped(), Pwm()
+        control, uncapped, capped = Control(), RawThrust(), Pwm()
         control.answer.counts = Counts(int(roll), int(pitch), int(yaw), float(thrust))
         library.powerDistribution(byref(control), byref(uncapped))
         library.powerDistributionCap(byref(uncapped), byref(capped))
-        found.append(list(capped.motors))
-    return np.array(found, np.float32)
+        result.append(list(capped.motors))
+    return np.array(result, np.float32)
 
 
 def _nose_up(angles: Array) -> tuple[float, float, float]:
@@ -387,8 +410,8 @@ def main() -> None:
     parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")
     parser.add_argument("--out", type=Path, default=VECTORS)
     args = parser.parse_args()
-    found = answers(ctypes.CDLL(str(args.library.resolve())))
-    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, **found)
+    result = answers(ctypes.CDLL(str(args.library.resolve())))
+    np.savez_compressed(args.out, checksum=states_checksum(), version=args.version, **result)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def checksum(*arrays: Array) -> int:
 
 
 def pointer(array: Array) -> ctypes.c_void_p:
-    """Return where an array lies."""
+    """Return the C pointer to the data of a contiguous float32 array."""
     assert array.dtype == np.float32
     assert array.flags.c_contiguous
     return array.ctypes.data_as(ctypes.c_void_p)

@@ -79,7 +79,7 @@ def signals(px4: Path) -> Array:
     """Return the motor signals of a checkout, (ROWS, MOTORS)."""
     parts, wanted = states()
     rows = np.ascontiguousarray(np.concatenate((parts.reshape(ROWS, -1), wanted), axis=-1))
-    found = np.zeros((ROWS, MOTORS), np.float32)
+    result = np.zeros((ROWS, MOTORS), np.float32)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         (folder / "ControlAllocationSequentialDesaturation.hpp").write_text('#include "px4_mixer_host.h"\n')
@@ -98,8 +98,8 @@ def signals(px4: Path) -> Array:
         subprocess.run(
             [*command, str(folder / "host.cpp"), str(folder / "mixer.cpp"), "-o", str(folder / "mixer.so")], check=True
         )
-        ctypes.CDLL(str(folder / "mixer.so")).mix(ROWS, pointer(rows), pointer(found))
-    return np.clip(found, parts[..., 4], np.float32(1.0))
+        ctypes.CDLL(str(folder / "mixer.so")).mix(ROWS, pointer(rows), pointer(result))
+    return np.clip(result, parts[..., 4], np.float32(1.0))
 
 
 def main() -> None:

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.control.px4.attitude import attitude_from_thrust, wanted_rates
+from aerial_gym.control.px4.attitude import attitude_from_thrust, rate_setpoint
 from aerial_gym.control.px4.mixer import mix
-from aerial_gym.control.px4.position import PositionGains, limited_velocity, velocity_control
-from aerial_gym.control.px4.rates import grown_integral, rate_torque
+from aerial_gym.control.px4.position import PositionGains, limit_velocity, velocity_control
+from aerial_gym.control.px4.rates import rate_torque, update_integral
 from aerial_gym.control.reduced_attitude import canonical
 from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made
@@ -31,14 +31,14 @@ def read_vectors() -> dict[str, Tensor]:
         return {name: torch.from_numpy(file[name]).double() for name in ("torque", "rate", "position")}
 
 
-def turned(rows: Tensor) -> Tensor:
+def flip_axes(rows: Tensor) -> Tensor:
     """Return vectors (..., 3) in the other convention: y and z change their signs."""
     return rows * rows.new_tensor((1.0, -1.0, -1.0))
 
 
 def quat(rows: Tensor) -> Tensor:
     """Return quaternions wxyz of PX4's frames (..., 4) as xyzw of ours."""
-    return torch.cat((turned(rows[..., 1:]), rows[..., :1]), dim=-1)
+    return torch.cat((flip_axes(rows[..., 1:]), rows[..., :1]), dim=-1)
 
 
 def split(rows: np.ndarray, *widths: int) -> list[Tensor]:
@@ -51,20 +51,20 @@ def rate_pair(vectors: dict[str, Tensor]) -> Pair:
     gains, states = made.rate_states()
     p, i, d, forward, limit = split(gains, 3, 3, 3, 3, 3)
     rate, wanted, ang_acc, short, dt = (part.unbind(1) for part in split(states, 3, 3, 3, 3, 1))
-    integral, found, sizes = torch.zeros_like(p), [], []
+    integral, result, sizes = torch.zeros_like(p), [], []
     for k in range(made.STEPS):
-        w, w_d, a, s = (turned(x[k]) for x in (rate, wanted, ang_acc, short))
-        found.append(rate_torque(w_d - w, w_d, a, integral, (p, d, forward)))
+        w, w_d, a, s = (flip_axes(x[k]) for x in (rate, wanted, ang_acc, short))
+        result.append(rate_torque(w_d - w, w_d, a, integral, (p, d, forward)))
         sizes.append((p * (w_d - w)).abs() + integral.abs() + (d * a).abs() + 1.0)
-        integral = grown_integral(integral, w_d - w, s, i, limit, dt[k])
-    return torch.stack(found), turned(vectors["torque"].transpose(0, 1)), torch.stack(sizes)
+        integral = update_integral(integral, w_d - w, s, i, limit, dt[k])
+    return torch.stack(result), flip_axes(vectors["torque"].transpose(0, 1)), torch.stack(sizes)
 
 
 def attitude_pair(vectors: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     """Return the body rates [rad/s], (N, 3), for ``attitude_cases``."""
     attitude, wanted, yaw_rate, gain, weight, limit = attitude_cases()
-    rates = wanted_rates(attitude, wanted, yaw_rate, gain=gain, yaw_weight=weight, limit=limit)
-    return rates, turned(vectors["rate"])
+    rates = rate_setpoint(attitude, wanted, yaw_rate, gain=gain, yaw_weight=weight, limit=limit)
+    return rates, flip_axes(vectors["rate"])
 
 
 def attitude_cases() -> tuple[Tensor, ...]:
@@ -78,23 +78,27 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
     gains, states = made.position_states()
     position, velocity, integral_gain, derivative, *limits = split(gains, 3, 3, 3, 3, *[1] * 8)
     speed, up, down, least, most, margin, tilt, hover = limits
-    ours = PositionGains(
+    actual = PositionGains(
         position=position, velocity=velocity, integral=integral_gain, derivative=derivative, speed=speed, up=up, down=down,
         least_thrust=least.clamp_min(1e-3), most_thrust=most, margin=margin, tilt=tilt, hover=hover,
         gravity=torch.full_like(hover, GRAVITY),
     )  # fmt: skip
     steps = [part.unbind(1) for part in split(states, 3, 3, 3, 3, 1, 1, 1)]
-    integral, found, sizes = torch.zeros_like(position), [], []
+    integral, result, sizes = torch.zeros_like(position), [], []
     for k in range(made.STEPS):
-        at, moving, measured, goal = (turned(part[k]) for part in steps[:4])
+        at, moving, measured, goal = (flip_axes(part[k]) for part in steps[:4])
         yaw, dt, is_velocity = (part[k] for part in steps[4:])
-        error = limited_velocity(torch.where(is_velocity > 0.5, goal, position * (goal - at)), ours) - moving
+        error = limit_velocity(torch.where(is_velocity > 0.5, goal, position * (goal - at)), actual) - moving
         sizes.append((velocity * error).abs().amax(-1, keepdim=True) + integral.abs().amax(-1, keepdim=True) + 1.0)
-        acceleration, thrust, integral = velocity_control(error, integral, measured, ours, dt)
-        found.append((acceleration, thrust, canonical(attitude_from_thrust(thrust, -yaw[:, 0]))))
-    theirs = vectors["position"].transpose(0, 1)
-    parts = (turned(theirs[..., :3]), turned(theirs[..., 3:6]), canonical(quat(theirs[..., 6:]).flatten(0, 1)))
-    acceleration, thrust, attitude = (torch.stack(each) for each in zip(*found, strict=True))
+        acceleration, thrust, integral = velocity_control(error, integral, measured, actual, dt)
+        result.append((acceleration, thrust, canonical(attitude_from_thrust(thrust, -yaw[:, 0]))))
+    reference = vectors["position"].transpose(0, 1)
+    parts = (
+        flip_axes(reference[..., :3]),
+        flip_axes(reference[..., 3:6]),
+        canonical(quat(reference[..., 6:]).flatten(0, 1)),
+    )
+    acceleration, thrust, attitude = (torch.stack(each) for each in zip(*result, strict=True))
     size = torch.stack(sizes)
     return {
         "acceleration setpoint [m/s²]": (acceleration, parts[0], size),
@@ -108,12 +112,12 @@ def mixer_pair() -> tuple[Tensor, Tensor]:
     with np.load(mixed.VECTORS) as file:
         if int(file["checksum"]) != mixed.states_checksum():
             raise ValueError("the commands are not those of the vectors: make them anew (px4_mixer_vectors.py)")
-        theirs = torch.from_numpy(file["signals"]).double()
+        reference = torch.from_numpy(file["signals"]).double()
     parts, wanted = (torch.from_numpy(rows).double() for rows in mixed.states())
     parts, low, wanted, airmode = parts[..., :4], parts[..., 4], wanted[:, :4], wanted[:, 4]
     down = parts.new_tensor((1.0, -1.0, -1.0, -1.0))  # pitch, yaw and thrust are positive the other way
-    ours = torch.zeros_like(theirs)
+    actual = torch.zeros_like(reference)
     for mode in range(3):
         rows = airmode == mode
-        ours[rows] = mix(parts[rows] * down, wanted[rows] * down, low[rows], airmode=mode).signal
-    return ours, theirs
+        actual[rows] = mix(parts[rows] * down, wanted[rows] * down, low[rows], airmode=mode).signal
+    return actual, reference

@@ -114,7 +114,7 @@ def _library(px4: Path, folder: Path) -> ctypes.CDLL:
 
 
 def answers(px4: Path) -> dict[str, Array]:
-    """Return what the libraries of a checkout answer, by the name of a controller."""
+    """Return the outputs of the controllers in a PX4 checkout, by name."""
     with tempfile.TemporaryDirectory() as folder:
         library = _library(px4, Path(folder))
         torque, rate = np.zeros((RUNS, STEPS, 3), np.float32), np.zeros((RUNS * STEPS, 3), np.float32)

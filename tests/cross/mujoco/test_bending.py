@@ -12,14 +12,14 @@ import torch
 from aerial_gym import SimBuilder
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
+from aerial_gym.physics.articulated.joint_laws import Drive, JointLimits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 
@@ -54,7 +54,7 @@ def on_a_stand(state: TreeState) -> TreeState:
 
 @pytest.mark.parametrize(
     ("num_joints", "chain", "floating"),
-    often(
+    frequent_values(
         [(*tree, floating) for tree in ((1, False), (6, False), (10, True)) for floating in (True, False)],
         [(6, False, False), (10, True, True)],
     ),
@@ -71,17 +71,17 @@ def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating:
     ends = {"low": -0.1, "high": 0.2, "stiffness": 3.0, "damping": 0.02}
     laws = (
         spring(num_joints, stiffness=0.4, quadratic=0.7, damping=0.05, rest=0.1),
-        Limits(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in ends.items()}),
+        JointLimits(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in ends.items()}),
     )
     gains = {"stiffness": 2.0, "damping": 0.1, "position": 0.3, "rate": 0.2, "effort": 0.01, "limit": 0.4}
     drive = Drive(**{name: torch.full((1, num_joints), value, dtype=F64) for name, value in gains.items()})
-    bodies, ours, theirs, at_limit = RolloutTrees(tree, 3, DT), first, first, []
+    bodies, actual, reference, at_limit = RolloutTrees(tree, 3, DT), first, first, []
     for _ in range(50):
-        ours = implicit_euler(tree, links, laws, ours, DT, gravity=G, drive=drive, wrench=wrench)
-        theirs = bodies.move(tree, links, laws, theirs, DT, gravity=G, drive=drive, wrench=wrench)
-        at_limit.append(drive.saturation_side(ours.joint_pos, ours.joint_vel) != 0.0)
+        actual = implicit_euler(tree, links, laws, actual, DT, gravity=G, drive=drive, wrench=wrench)
+        reference = bodies.move(tree, links, laws, reference, DT, gravity=G, drive=drive, wrench=wrench)
+        at_limit.append(drive.saturation_side(actual.joint_pos, actual.joint_vel) != 0.0)
     assert 0.0 < torch.stack(at_limit).double().mean() < 1.0
-    assert_same(ours, theirs, bound=1e-9)
+    assert_same(actual, reference, bound=1e-9)
 
 
 def test_a_link_without_mass_between_two_joints_moves_as_in_torch() -> None:
@@ -91,11 +91,11 @@ def test_a_link_without_mass_between_two_joints_moves_as_in_torch() -> None:
     mass, inertia = links.mass.clone(), links.inertia.clone()
     mass[:, 1], inertia[:, 1] = 0.0, 0.0
     links = Links(mass=mass, com=links.com, inertia=inertia)
-    bodies, ours, theirs = RolloutTrees(tree, 2, DT), state, state
+    bodies, actual, reference = RolloutTrees(tree, 2, DT), state, state
     for _ in range(25):
-        ours = implicit_euler(tree, links, (), ours, DT, gravity=G, wrench=no_wrench(tree, 2))
-        theirs = bodies.move(tree, links, (), theirs, DT, gravity=G, wrench=no_wrench(tree, 2))
-    assert_same(ours, theirs, bound=1e-6)
+        actual = implicit_euler(tree, links, (), actual, DT, gravity=G, wrench=no_wrench(tree, 2))
+        reference = bodies.move(tree, links, (), reference, DT, gravity=G, wrench=no_wrench(tree, 2))
+    assert_same(actual, reference, bound=1e-6)
 
 
 def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
@@ -124,7 +124,7 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
 
 @pytest.mark.parametrize(
     "robot",
-    often(
+    frequent_values(
         (name for name in ROBOTS.names() if ROBOTS.get(name).joints is not None),
         ("morphy_creeping", "morphy_fixed_base", "snakey6", "tilt_tricopter"),  # drives, by test_trees
     ),

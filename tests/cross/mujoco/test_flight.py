@@ -25,11 +25,11 @@ from aerial_gym.physics import (
 from aerial_gym.physics.vehicle import Vehicle, own_rows
 from aerial_gym.robots import ROBOTS
 from aerial_gym.workloads.measure import torch_threads
-from tests.cross.test_backends import actions_for, as_type, build, start_of
+from tests.cross.test_backends import as_type, build, random_actions, start_state
 from tests.physics.contact_rig import start
-from tests.physics.mixed_rotors import mixed_robot
-from tests.physics.vehicles import F64, ON_RIGID, lopsided_robot, random_state
-from tests.repetitions import thinned
+from tests.physics.rotor_types import three_type_robot
+from tests.physics.vehicles import F64, ON_RIGID, asymmetric_robot, random_state
+from tests.repetitions import thin_values
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 
@@ -59,15 +59,15 @@ def assert_same(one: BodyState, other: BodyState, *, bound: float = ROUND_OFF) -
         assert error <= bound * size, f"{name}: {error:.1e}"
 
 
-@pytest.mark.parametrize("name", thinned([None, *ON_RIGID], 2))
+@pytest.mark.parametrize("name", thin_values([None, *ON_RIGID], 2))
 def test_every_effect_flies_as_in_torch(name: str | None) -> None:
     """Each moderately far from neutral, beside drag, which shows wind, on a vehicle with products of inertia."""
-    robot, ends = lopsided_robot(), []
+    robot, ends = asymmetric_robot(), []
     for backend in (TorchBackend(), mujoco_backend()):
         model, law = build(
             robot, CONTROLLERS.get("no_control"), 5, F64, tuple({"rotor_drag": 0, name: 0} if name else ())
         )
-        ends.append(fly(backend, model, law, start_of(model, 5), actions_for(law, model, 5)))
+        ends.append(fly(backend, model, law, start_state(model, 5), random_actions(law, model, 5)))
     assert_same(*ends)
 
 
@@ -77,12 +77,12 @@ def test_control_laws_fly_as_in_torch(controller: str) -> None:
     robot, ends = ROBOTS.get("tinyprop"), []
     for backend in (TorchBackend(), mujoco_backend()):
         model, law = build(robot, CONTROLLERS.get(controller), 5, F64)
-        ends.append(fly(backend, model, law, start_of(model, 5), actions_for(law, model, 5)))
+        ends.append(fly(backend, model, law, start_state(model, 5), random_actions(law, model, 5)))
     assert_same(*ends)
 
 
 def test_rotors_of_all_kinds_fly_as_in_torch() -> None:
-    robot, ends = mixed_robot(), []
+    robot, ends = three_type_robot(), []
     for backend in (TorchBackend(), mujoco_backend()):
         vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
         law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT)
@@ -91,9 +91,9 @@ def test_rotors_of_all_kinds_fly_as_in_torch() -> None:
     assert_same(*ends)
 
 
-def still(num_envs: int, body: BodyCfg):
+def make_idle_model(num_envs: int, body: BodyCfg):
     """Return model and law of bodies whose rotors stand still, and their action."""
-    vehicle = vehicle_from_config(replace(lopsided_robot(), body=body), num_envs=num_envs, dtype=F64)
+    vehicle = vehicle_from_config(replace(asymmetric_robot(), body=body), num_envs=num_envs, dtype=F64)
     return build_model(vehicle), make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
 
 
@@ -104,7 +104,7 @@ def body(*moments: float, com=(0.0, 0.0, 0.0), mass: float = 0.5) -> BodyCfg:
 
 def test_a_thrown_body_falls_as_semi_implicit_euler_does() -> None:
     """``z = z0 + v t - g t (t + dt) / 2``: the sum of the velocities at the ends of the steps."""
-    model, law = still(1, body(2e-3, 3e-3, 4e-3))
+    model, law = make_idle_model(1, body(2e-3, 3e-3, 4e-3))
     end = fly(mujoco_backend(), model, law, start(height=1.0, lin_vel=(1.0, 0.0, 2.0)), torch.zeros(1, 4, dtype=F64))
     t = 50 * DT
     expected = torch.tensor([[t, 0.0, 1.0 + 2.0 * t - 9.81 * t * (t + DT) / 2.0]], dtype=F64)
@@ -113,9 +113,9 @@ def test_a_thrown_body_falls_as_semi_implicit_euler_does() -> None:
 
 
 def top_error(dt: float, steps: int) -> float:
-    """Return how far the spin of a symmetric top is from its closed form."""
+    """Return the error of a symmetric top's angular velocity against its closed form [rad/s]."""
     slow, fast = 2e-3, 3.2e-3
-    model, law = still(1, body(slow, slow, fast))
+    model, law = make_idle_model(1, body(slow, slow, fast))
     first = start(ang_vel=(1.0, 0.0, 5.0))
     end = fly(mujoco_backend(), model, law, first, torch.zeros(1, 4, dtype=F64), steps=steps, dt=dt)
     turn = torch.tensor((fast - slow) / slow * 5.0 * dt * steps, dtype=F64)
@@ -178,11 +178,11 @@ def by_env(vehicle: Vehicle) -> Vehicle:
 
 def test_environments_with_bodies_of_their_own_fly_as_in_torch_and_as_alone() -> None:
     """Mass, inertia and centre of mass by environment. Alone is bit for bit the same, on any number of threads."""
-    robot, law_cfg = lopsided_robot(), CONTROLLERS.get("no_control")
+    robot, law_cfg = asymmetric_robot(), CONTROLLERS.get("no_control")
     ends = []
     for backend in (TorchBackend(), mujoco_backend()):
         model, law = build(robot, law_cfg, 6, F64, adjust=by_env)
-        state, action = start_of(model, 6), actions_for(law, model, 6)
+        state, action = start_state(model, 6), random_actions(law, model, 6)
         with torch_threads(2):
             ends.append(fly(backend, model, law, state, action))
     assert_same(*ends)
@@ -199,7 +199,7 @@ def test_environments_with_bodies_of_their_own_fly_as_in_torch_and_as_alone() ->
 
 def test_parameters_that_are_written_in_place_are_followed_in_their_rows_alone() -> None:
     """As a masked reset writes them: twice the mass at equal thrust; the other row goes on bit for bit."""
-    vehicle = vehicle_from_config(lopsided_robot(com=(0.0, 0.0, 0.0)), num_envs=2, dtype=F64)
+    vehicle = vehicle_from_config(asymmetric_robot(com=(0.0, 0.0, 0.0)), num_envs=2, dtype=F64)
     vehicle = replace(vehicle, mass=own_rows(vehicle.mass))
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
     state, speeds = start(2, rotor_speed=800.0), torch.full((2, 4), 800.0, dtype=F64)
@@ -224,14 +224,14 @@ def test_parameters_that_are_written_in_place_are_followed_in_their_rows_alone()
 @pytest.mark.parametrize("effect", ["slung_payload", "gusts", "actuation_delay"])
 def test_reset_by_mask_forgets_rows_of_the_mask_alone(effect: str) -> None:
     """As in torch; rows outside fly on bit for bit as without the reset."""
-    robot, ends = lopsided_robot(), {}
+    robot, ends = asymmetric_robot(), {}
     for name, reset in (("torch", True), ("mujoco", True), ("mujoco", False)):
         backend = BACKENDS.get(name)()
         model, law = build(robot, CONTROLLERS.get("no_control"), 4, F64, (effect, "rotor_drag"))
-        state = start_of(model, 4)
+        state = start_state(model, 4)
         backend.allocate(model, law, integrator="euler", random=Randomness(4))
         for _ in range(2):
-            backend.step(state, actions_for(law, model, 4), DT, 20)
+            backend.step(state, random_actions(law, model, 4), DT, 20)
             if reset:
                 backend.reset(torch.tensor([True, False, True, False]))
         ends[name, reset] = state
@@ -245,8 +245,8 @@ def test_reset_by_mask_forgets_rows_of_the_mask_alone(effect: str) -> None:
 def test_a_row_that_is_not_finite_stays_so_and_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo would put it back to its start and write a file."""
     monkeypatch.chdir(tmp_path)
-    model, law = build(lopsided_robot(), CONTROLLERS.get("no_control"), 3, F64)
-    state, action = start_of(model, 3), actions_for(law, model, 3)
+    model, law = build(asymmetric_robot(), CONTROLLERS.get("no_control"), 3, F64)
+    state, action = start_state(model, 3), random_actions(law, model, 3)
     well = fly(mujoco_backend(), model, law, state, action)
     state.lin_vel[1, 0], state.position[2, 1] = torch.nan, 1e10
     ill = fly(mujoco_backend(), model, law, state, action)
@@ -260,14 +260,14 @@ def test_a_state_in_float32_is_stepped_in_float64_and_rounded_once() -> None:
     ends = []
     for dtype in (torch.float32, F64):
         model, law = build(ROBOTS.get("base_quadrotor"), CONTROLLERS.get("no_control"), 8, dtype)
-        state = as_type(as_type(start_of(model, 8), torch.float32), dtype)
-        ends.append(fly(mujoco_backend(), model, law, state, actions_for(law, model, 8).float().to(dtype), steps=1))
+        state = as_type(as_type(start_state(model, 8), torch.float32), dtype)
+        ends.append(fly(mujoco_backend(), model, law, state, random_actions(law, model, 8).float().to(dtype), steps=1))
     assert ends[0].position.dtype == torch.float32
     assert_same(ends[1], as_type(ends[0], F64), bound=2e-6)
 
 
 def test_rk4_is_refused_by_name() -> None:
     """Its stages would see a wrench that does not change."""
-    model, law = build(lopsided_robot(), CONTROLLERS.get("no_control"), 1, F64)
+    model, law = build(asymmetric_robot(), CONTROLLERS.get("no_control"), 1, F64)
     with pytest.raises(CapabilityError, match="backend mujoco: no integrator 'rk4'. Known: euler"):
         mujoco_backend().allocate(model, law, integrator="rk4")

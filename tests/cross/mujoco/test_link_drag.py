@@ -10,11 +10,11 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import BACKENDS, TorchBackend
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
-from tests.cross.mujoco.test_trees import Theirs, level
+from tests.cross.mujoco.test_trees import MujocoEnv, level
 from tests.cross.test_link_drag import OF_ALL, fly, with_drag
-from tests.physics.articulated.test_link_drag import acting
+from tests.physics.articulated.test_link_drag import make_damping
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
 G, SPAN, PROBE = 9.81, 0.05, 1e-6
@@ -24,21 +24,21 @@ NUMBERS = {"lx": 0.3, "ly": 0.1, "lz": 0.2, "qx": 0.2, "qy": 0.4, "qz": 0.1, "ax
 WIND = (2.0, -1.0, 0.5)
 
 
-def places_of(theirs: Theirs) -> tuple[np.ndarray, np.ndarray]:
+def link_poses(reference: MujocoEnv) -> tuple[np.ndarray, np.ndarray]:
     """Return centres of mass of links, (L, 3), and their axes, (L, 3, 3), world."""
-    bodies = [theirs.data.body(f"link{link}") for link in range(theirs.tree.num_links)]
+    bodies = [reference.data.body(f"link{link}") for link in range(reference.tree.num_links)]
     return np.array([body.xipos for body in bodies]), np.array([body.xmat.reshape(3, 3) for body in bodies])
 
 
-def drag_by_differences(theirs: Theirs) -> None:
+def drag_by_differences(reference: MujocoEnv) -> None:
     """Push each body against its motion, which differences of MuJoCo's own places along its velocity say."""
-    data, model, seen = theirs.data, theirs.model, []
+    data, model, seen = reference.data, reference.model, []
     here = data.qpos.copy()
     for side in (-PROBE, 0.0, PROBE):
         data.qpos[:] = here
         mujoco.mj_integratePos(model, data.qpos, data.qvel, side)
         mujoco.mj_kinematics(model, data)
-        seen.append(places_of(theirs))
+        seen.append(link_poses(reference))
     data.qpos[:] = here
     (before, turned), (_, axes), (after, further) = seen
     through = (after - before) / (2.0 * PROBE) - np.array(WIND)
@@ -56,36 +56,36 @@ def drag_by_differences(theirs: Theirs) -> None:
         data.body(f"link{link}").xfrc_applied[:] = np.concatenate(wrench)
 
 
-def theirs_at(tree: Tree, links: Links, state: TreeState, dt: float) -> np.ndarray:
+def mujoco_motion(tree: Tree, links: Links, state: TreeState, dt: float) -> np.ndarray:
     """Return the joints and, of a free base, its motion after ``SPAN``; force is held over a step."""
-    theirs = Theirs(tree, links, state, 0)
-    theirs.model.opt.timestep = dt
+    expected = MujocoEnv(tree, links, state, 0)
+    expected.model.opt.timestep = dt
     for _ in range(round(SPAN / dt)):
-        drag_by_differences(theirs)
-        mujoco.mj_step(theirs.model, theirs.data)
-    base = theirs.data.qpos[:3] if tree.floating else np.zeros(0)
-    return np.concatenate((base, theirs.data.qpos[theirs.position], theirs.in_our_order(theirs.data.qvel)))
+        drag_by_differences(expected)
+        mujoco.mj_step(expected.model, expected.data)
+    base = expected.data.qpos[:3] if tree.floating else np.zeros(0)
+    return np.concatenate((base, expected.data.qpos[expected.position], expected.reorder(expected.data.qvel)))
 
 
-def ours_at(tree: Tree, links: Links, state: TreeState, dt: float) -> np.ndarray:
+def package_motion(tree: Tree, links: Links, state: TreeState, dt: float) -> np.ndarray:
     wind = torch.tensor([WIND], dtype=torch.float64)
     for _ in range(round(SPAN / dt)):
-        damping, _ = acting(tree, links, state, wind, **NUMBERS)
+        damping, _ = make_damping(tree, links, state, wind, **NUMBERS)
         state = implicit_euler(tree, links, (), state, dt, gravity=G, damping=damping)
     free = [state.position, state.lin_vel, state.ang_vel] if tree.floating else []
     return torch.cat((*free[:1], state.joint_pos, *free[1:], state.joint_vel), dim=-1)[0].numpy()
 
 
-@pytest.mark.parametrize("floating", often([True, False], [True]))
+@pytest.mark.parametrize("floating", frequent_values([True, False], [True]))
 def test_trees_with_drag_in_wind_move_as_in_mujoco(floating: bool) -> None:
     """Both of order 1 in the drag, extrapolated."""
     tree = random_tree(4, 6, floating=floating)
     links, start = random_links(tree, 1, 6), random_motion(tree, 1, 6)
     state = start if floating else level(start)
-    coarse, fine = (ours_at(tree, links, state, dt) for dt in (5e-4, 2.5e-4))
-    theirs_coarse, theirs_fine = (theirs_at(tree, links, state, dt) for dt in (2e-4, 1e-4))
-    ours, theirs = 2.0 * fine - coarse, 2.0 * theirs_fine - theirs_coarse
-    assert np.abs(ours - theirs).max() < 1e-4 * np.abs(theirs).max()
+    coarse, fine = (package_motion(tree, links, state, dt) for dt in (5e-4, 2.5e-4))
+    theirs_coarse, theirs_fine = (mujoco_motion(tree, links, state, dt) for dt in (2e-4, 1e-4))
+    actual, expected = 2.0 * fine - coarse, 2.0 * theirs_fine - theirs_coarse
+    assert np.abs(actual - expected).max() < 1e-4 * np.abs(expected).max()
     assert np.abs(fine - coarse).max() > 1e-3  # else the steps say nothing
 
 

@@ -8,7 +8,7 @@ from aerial_gym.math.quaternion import quat_multiply, quat_normalize
 from aerial_gym.physics import INTEGRATORS, advance, build_model, vehicle_from_config
 from aerial_gym.physics.rotors import evaluate_map
 from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
 
@@ -32,7 +32,7 @@ def mujoco_model(robot, torque_per_thrust: np.ndarray):
 
 def test_flight_under_constant_thrusts_agrees_with_mujoco() -> None:
     """0.5 s from random states; both integrate with RK4, ours at 1 ms: truncation stays below 1e-7."""
-    robot, count = lopsided_robot(), 6
+    robot, count = asymmetric_robot(), 6
     model = build_model(vehicle_from_config(robot, num_envs=count, dtype=F64))
     state = random_state(count, seed=7)
     thrust = evaluate_map(model.vehicle.thrust_map, state.rotor_speed)
@@ -50,7 +50,7 @@ def test_flight_under_constant_thrusts_agrees_with_mujoco() -> None:
         np.testing.assert_allclose(end.position[i].numpy(), data.qpos[:3], atol=1e-6)
         np.testing.assert_allclose(end.lin_vel[i].numpy(), data.qvel[:3], atol=1e-6)
         np.testing.assert_allclose(end.ang_vel[i].numpy(), data.qvel[3:], atol=1e-6)
-        theirs = quat_normalize(torch.tensor(data.qpos[[4, 5, 6, 3]]))
+        reference = quat_normalize(torch.tensor(data.qpos[[4, 5, 6, 3]]))
         inverse = end.attitude[i] * torch.tensor([-1.0, -1.0, -1.0, 1.0], dtype=F64)
-        turn = quat_multiply(inverse, theirs)
+        turn = quat_multiply(inverse, reference)
         assert turn[:3].norm().item() < 1e-6

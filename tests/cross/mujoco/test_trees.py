@@ -15,16 +15,16 @@ mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip inst
 G = 9.81
 
 
-def model_of(tree: Tree, links: Links, env: int) -> Any:
+def mujoco_model(tree: Tree, links: Links, env: int) -> Any:
     """Return the tree with the links of one environment in MuJoCo."""
     return mujoco.MjModel.from_xml_string(write_mjcf(tree, links, env=env, gravity=G, dt=1e-4, integrator="RK4"))
 
 
-class Theirs:
+class MujocoEnv:
     """One environment in MuJoCo, set to a state; coordinates in our order."""
 
     def __init__(self, tree: Tree, links: Links, state: TreeState, env: int) -> None:
-        self.tree, self.model = tree, model_of(tree, links, env)
+        self.tree, self.model = tree, mujoco_model(tree, links, env)
         self.data = mujoco.MjData(self.model)
         self.position = [int(self.model.joint(f"joint{k}").qposadr[0]) for k in range(tree.num_joints)]
         self.rate = [int(self.model.joint(f"joint{k}").dofadr[0]) for k in range(tree.num_joints)]
@@ -35,7 +35,7 @@ class Theirs:
         self.data.qpos[self.position] = state.joint_pos[env].numpy()
         self.data.qvel[self.rate] = state.joint_vel[env].numpy()
 
-    def in_our_order(self, values: np.ndarray) -> np.ndarray:
+    def reorder(self, values: np.ndarray) -> np.ndarray:
         base = values[:6] if self.tree.floating else np.zeros(0)
         return np.concatenate((base, values[self.rate]))
 
@@ -68,13 +68,13 @@ def test_accelerations_of_random_trees_are_those_of_mujoco(num_joints: int, chai
         generator = torch.Generator().manual_seed(seed)
         wrench = torch.randn(3, tree.num_links, 6, generator=generator, dtype=torch.float64)
         effort = torch.randn(3, num_joints, generator=generator, dtype=torch.float64)
-        found = accelerations(tree, links, state, gravity=G, wrench=wrench, effort=effort)
-        of_base = (found.lin_acc, found.ang_acc) if floating else ()
-        ours = torch.cat((*of_base, found.joint_acc), dim=-1)
+        result = accelerations(tree, links, state, gravity=G, wrench=wrench, effort=effort)
+        of_base = (result.lin_acc, result.ang_acc) if floating else ()
+        actual = torch.cat((*of_base, result.joint_acc), dim=-1)
         for env in range(3):
-            theirs = Theirs(tree, links, state, env)
-            theirs.push(wrench[env])
-            theirs.data.qfrc_applied[theirs.rate] = effort[env].numpy()
-            mujoco.mj_forward(theirs.model, theirs.data)
-            expected = theirs.in_our_order(theirs.data.qacc)
-            np.testing.assert_allclose(ours[env].numpy(), expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())
+            reference = MujocoEnv(tree, links, state, env)
+            reference.push(wrench[env])
+            reference.data.qfrc_applied[reference.rate] = effort[env].numpy()
+            mujoco.mj_forward(reference.model, reference.data)
+            expected = reference.reorder(reference.data.qacc)
+            np.testing.assert_allclose(actual[env].numpy(), expected, rtol=0.0, atol=1e-8 * np.abs(expected).max())

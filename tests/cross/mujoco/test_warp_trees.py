@@ -10,21 +10,21 @@ from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
 from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
-from tests.cross.test_joints_in_single_precision import WITH_JOINTS, bound_of, coordinates, start_of
+from tests.cross.test_joints_in_single_precision import WITH_JOINTS, coordinates, make_start, step_bound
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.vehicles import F64
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed: pip install 'aerial-gym[mujoco-warp]'")
 
 
-@pytest.mark.parametrize("name", often(WITH_JOINTS, ("morphy", "snakey")))
+@pytest.mark.parametrize("name", frequent_values(WITH_JOINTS, ("morphy", "snakey")))
 def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows(name: str) -> None:
     """Beside torch in float64, by the bound of ``test_joints_in_single_precision``: drives, springs, rotors on links."""
-    exact = start_of(name, F64, spread=0.3, moves=1.0)
-    single = start_of(name, torch.float32, spread=0.3, moves=1.0, backend=BACKENDS.get("mujoco_warp")())
+    exact = make_start(name, F64, spread=0.3, moves=1.0)
+    single = make_start(name, torch.float32, spread=0.3, moves=1.0, backend=BACKENDS.get("mujoco_warp")())
     assert exact.model.articulation is not None
-    bound = bound_of(exact, 0 if exact.model.articulation.tree.floating else 6)
+    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
     for start in (exact, single):
         start.backend.step(start.state, start.action, DT, 1)
     width = bound.scale.shape[1]
@@ -45,14 +45,14 @@ def test_trees_with_branches_and_weights_of_their_own_move_as_by_implicit_euler(
     first = first if floating else on_a_stand(first)
     wrench = torch.randn(3, tree.num_links, 6, generator=torch.Generator().manual_seed(1), dtype=F64)
     law = spring(6, stiffness=0.4, quadratic=0.7, damping=0.05, rest=0.1)
-    bodies, ours, theirs = WarpTrees(tree, 3, DT), first, first
+    bodies, actual, reference = WarpTrees(tree, 3, DT), first, first
     for _ in range(50):
-        ours = implicit_euler(tree, links, (law,), ours, DT, gravity=G, wrench=wrench)
-        theirs = bodies.move(tree, links, (law,), theirs, DT, gravity=G, wrench=wrench)
-    assert_same(ours, theirs, bound=1e-4)
+        actual = implicit_euler(tree, links, (law,), actual, DT, gravity=G, wrench=wrench)
+        reference = bodies.move(tree, links, (law,), reference, DT, gravity=G, wrench=wrench)
+    assert_same(actual, reference, bound=1e-4)
     heavier = Links(mass=2.0 * links.mass, com=links.com, inertia=links.inertia)
-    again = implicit_euler(tree, heavier, (law,), ours, DT, gravity=G, wrench=wrench)
-    assert_same(again, bodies.move(tree, heavier, (law,), ours, DT, gravity=G, wrench=wrench), bound=1e-5)
+    again = implicit_euler(tree, heavier, (law,), actual, DT, gravity=G, wrench=wrench)
+    assert_same(again, bodies.move(tree, heavier, (law,), actual, DT, gravity=G, wrench=wrench), bound=1e-5)
 
 
 def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so() -> None:
@@ -70,7 +70,7 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so()
         assert torch.equal(rows[0], getattr(batch, name)[2]), name
 
 
-@pytest.mark.parametrize("robot", often(WITH_JOINTS, ("morphy_fixed_base", "tilt_tricopter")))
+@pytest.mark.parametrize("robot", frequent_values(WITH_JOINTS, ("morphy_fixed_base", "tilt_tricopter")))
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
     """As on backend ``mujoco``, 0.3 s from draws, and with torch in float32 as well: to 1e-4 of the size."""
     flies_as_on_torch(robot, "mujoco_warp")

@@ -15,10 +15,10 @@ import torch
 import tests.conftest  # noqa: F401 - kernels as this test's process has them, and has compiled them
 from aerial_gym.cli.main import main
 from aerial_gym.rl_training import load_settings, settings_for, train
-from aerial_gym.rl_training.ranks import Ranks, joined_ranks
+from aerial_gym.rl_training.ranks import Ranks, join_ranks
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.own import OwnTraining
+from aerial_gym.rl_training.trainers.native import NativeTraining
 from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
 
@@ -37,8 +37,8 @@ def settings(size: int, **ppo: object) -> TrainingCfg:
     )
 
 
-def learned(ranks: Ranks, *, iterations: int, like_one: bool) -> dict[str, Any]:
-    """Return what a process has after some iterations; ``like_one``: with the exploration of a single process."""
+def train_ranks(ranks: Ranks, *, iterations: int, like_one: bool) -> dict[str, Any]:
+    """Return the training state of a process after some iterations; ``like_one``: explore as a single process does."""
     cfg = settings(ranks.size, **({"num_minibatches": 1} if like_one else {}))
     first = ranks.rank * cfg.num_envs
     with task_registry.make_task(cfg.task, num_envs=cfg.num_envs, device="cpu", seed=0, first_env=first) as task:
@@ -62,8 +62,8 @@ def learned(ranks: Ranks, *, iterations: int, like_one: bool) -> dict[str, Any]:
 def learn(out: Path, ports: list[str]) -> None:
     for name, like_one in (("own", False), ("one", True)):
         os.environ["MASTER_PORT"] = ports.pop()
-        with joined_ranks("cpu") as ranks:
-            torch.save(learned(ranks, iterations=2, like_one=like_one), out / f"{name}_{ranks.rank}.pt")
+        with join_ranks("cpu") as ranks:
+            torch.save(train_ranks(ranks, iterations=2, like_one=like_one), out / f"{name}_{ranks.rank}.pt")
 
 
 def resume(out: Path, ports: list[str]) -> None:
@@ -89,15 +89,15 @@ def resume(out: Path, ports: list[str]) -> None:
 
 def fail(out: Path, ports: list[str]) -> None:
     """Train by the command; rank 1 fails in its third iteration."""
-    advance, calls = OwnTraining.advance, []
+    advance, calls = NativeTraining.advance, []
 
-    def fails(self: OwnTraining) -> Report:
+    def fails(self: NativeTraining) -> Report:
         calls.append(self)
         if len(calls) == 3 and os.environ["RANK"] == "1":
             raise ValueError("a fault of rank 1")
         return advance(self)
 
-    OwnTraining.advance = fails
+    NativeTraining.advance = fails
     os.environ["MASTER_PORT"] = ports.pop()
     sys.exit(
         main(["train", "--out", str(out / "fault"), "--num-envs", "32", "--device", "cpu", "--max-env-steps", "99999"])

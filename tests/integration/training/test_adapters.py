@@ -59,7 +59,7 @@ def as_captured(task: Task) -> Task:
     return task
 
 
-def flown() -> Iterator[tuple[Tensor, dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]]:
+def reference_steps() -> Iterator[tuple[Tensor, dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]]:
     """Give each action, and what the task alone answers: in the first half many crash."""
     task = make()
     observation, _ = task.reset()
@@ -74,7 +74,7 @@ def flown() -> Iterator[tuple[Tensor, dict[str, Tensor], Tensor, Tensor, Tensor,
 
 def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
     env = skrl().SkrlEnv(as_captured(make()), state="observations")
-    script = flown()
+    script = reference_steps()
     assert env.num_envs == ENVS
     assert env.observation_space == env.state_space
     observation, _ = env.reset()
@@ -95,7 +95,7 @@ def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
 
 def test_rsl_rl_gets_time_outs_and_a_dictionary_of_groups() -> None:
     env = rsl_rl().RslRlEnv(as_captured(make()))
-    script = flown()
+    script = reference_steps()
     assert torch.equal(env.get_observations()["observations"], next(script)[1]["observations"])
     assert env.max_episode_length == 500
     ended = torch.zeros(2)
@@ -116,7 +116,7 @@ def test_rsl_rl_gets_time_outs_and_a_dictionary_of_groups() -> None:
 
 def test_stable_baselines3_gets_the_last_observation_of_an_episode() -> None:
     env = stable_baselines3().Sb3Env(as_captured(make()))
-    script = flown()
+    script = reference_steps()
     observation = env.reset()
     assert (observation == next(script)[1]["observations"].numpy()).all()
     ended = 0

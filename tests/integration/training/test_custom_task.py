@@ -30,5 +30,5 @@ def test_the_example_is_trained_and_evaluated(
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()
     assert main(["evaluate", "--policy", out, "--num-envs", "4", "--device", "cpu", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["num_starts"] == 4
+    result = json.loads(capsys.readouterr().out)
+    assert result["num_starts"] == 4

@@ -71,78 +71,78 @@ Told = Callable[..., list[tuple[str, list[float]]]]
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Told:
+def run_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Told:
     def run(name: str, *arguments: object) -> list[tuple[str, list[float]]]:
         monkeypatch.syspath_prepend(str(EXAMPLES / "tasks"))
         monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
         runpy.run_path(str(EXAMPLES / "tasks" / name), run_name="__main__")
         lines = [line.partition(": ") for line in capsys.readouterr().out.splitlines()]
-        return [(what, [float(number) for number in re.findall(r"[\d.]+(?=%| m)", rest)]) for what, _, rest in lines]
+        return [(label, [float(number) for number in re.findall(r"[\d.]+(?=%| m)", rest)]) for label, _, rest in lines]
 
     return run
 
 
 @pytest.mark.slow
-def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(told: Told) -> None:
+def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(run_example: Told) -> None:
     """A thrown vehicle starts in any attitude: a wrong axis or angle loses it."""
-    caught = told("hold.py", 64, "recovery_task", "position_setpoint_task_sim2real_px4")
+    caught = run_example("hold.py", 64, "recovery_task", "position_setpoint_task_sim2real_px4")
     assert all(lost < 15.0 for _, (lost, *_) in caught)
-    assert all(error < 0.01 and stay == 100.0 for what, (_, error, stay, _) in caught if "px4" in what)
+    assert all(error < 0.01 and stay == 100.0 for label, (_, error, stay, _) in caught if "px4" in label)
 
 
 @pytest.mark.slow
-def test_a_law_holds_a_point_on_soft_arms_and_on_stiff_ones(told: Told) -> None:
-    for _, (lost, error, stay, _) in told("hold.py", 16, *(f"position_setpoint_task_{name}" for name in SOFT)):
+def test_a_law_holds_a_point_on_soft_arms_and_on_stiff_ones(run_example: Told) -> None:
+    for _, (lost, error, stay, _) in run_example("hold.py", 16, *(f"position_setpoint_task_{name}" for name in SOFT)):
         assert lost == 0.0
         assert error < 0.15
         assert stay == 100.0
 
 
 @pytest.mark.slow
-def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(told: Told) -> None:
+def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(run_example: Told) -> None:
     sims = ("position_setpoint_task", "position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real")
-    for _, (lost, error, stay, _) in told("hold.py", 16, *sims, "smooth_position_setpoint_task"):
+    for _, (lost, error, stay, _) in run_example("hold.py", 16, *sims, "smooth_position_setpoint_task"):
         assert lost == 0.0
         assert error < 0.02
         assert stay == 100.0
 
 
 @pytest.mark.slow
-def test_a_law_that_waits_above_a_platform_lands_on_it(told: Told) -> None:
+def test_a_law_that_waits_above_a_platform_lands_on_it(run_example: Told) -> None:
     """Straight to it a vehicle touches its edge, or touches it too fast."""
-    (_, (_, crash)), (_, (landed, less)) = told("land.py", 64)
+    (_, (_, crash)), (_, (landed, less)) = run_example("land.py", 64)
     assert landed > 40.0
     assert less < 20.0 < crash
 
 
 @pytest.mark.slow
-def test_a_law_that_knows_its_load_holds_it_at_its_point(told: Told) -> None:
-    (_, (held, far)), (_, (more, near)) = told("carry.py", 64)
+def test_a_law_that_knows_its_load_holds_it_at_its_point(run_example: Told) -> None:
+    (_, (held, far)), (_, (more, near)) = run_example("carry.py", 64)
     assert held == 0.0
     assert more > 50.0
     assert near < 0.03 < far
 
 
 @pytest.mark.slow
-def test_a_law_flies_through_gates_one_over_the_other(told: Told) -> None:
-    ((_, (complete, crash, *_)),) = told("race.py", 16)
+def test_a_law_flies_through_gates_one_over_the_other(run_example: Told) -> None:
+    ((_, (complete, crash, *_)),) = run_example("race.py", 16)
     assert complete > 80.0
     assert crash < 20.0
 
 
 @pytest.mark.slow
-def test_a_law_that_leads_follows_more_closely(told: Told, tmp_path: Path) -> None:
-    (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = told("follow.py", tmp_path / "out.png", 16)
+def test_a_law_that_leads_follows_more_closely(run_example: Told, tmp_path: Path) -> None:
+    (_, (_, behind)), (_, (_, near)), (_, (_, far)), (_, (_, less)) = run_example("follow.py", tmp_path / "out.png", 16)
     assert near < 0.25 * behind
     assert less < far
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
-    (_, (_, behind)), (_, (_, near)) = told("follow.py", tmp_path / "smooth.png", 16, "smooth_tracking_task")
+    (_, (_, behind)), (_, (_, near)) = run_example("follow.py", tmp_path / "smooth.png", 16, "smooth_tracking_task")
     assert near < 0.25 * behind
 
 
 @pytest.mark.slow
-def test_smooth_tracks_are_followed_more_closely_by_their_acceleration(told: Told) -> None:
-    (_, (slow, _)), (_, (near, speed)), (_, (quick, _)), (_, (less, faster)) = told("smooth_track.py", 16)
+def test_smooth_tracks_are_followed_more_closely_by_their_acceleration(run_example: Told) -> None:
+    (_, (slow, _)), (_, (near, speed)), (_, (quick, _)), (_, (less, faster)) = run_example("smooth_track.py", 16)
     assert near < 0.5 * slow
     assert less < 0.5 * quick
     assert 1.0 < speed < 2.5 < faster < 5.0
@@ -150,10 +150,10 @@ def test_smooth_tracks_are_followed_more_closely_by_their_acceleration(told: Tol
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", runpy.run_path(str(EXAMPLES / "tasks" / "learn.py"))["TASKS"])
-def test_what_no_law_flies_is_learned(told: Told, tmp_path: Path, name: str) -> None:
+def test_what_no_law_flies_is_learned(run_example: Told, tmp_path: Path, name: str) -> None:
     """One update and its flights."""
-    ((what, (right, crash)),) = told("learn.py", tmp_path, 1, 16, name)
-    assert what == name
+    ((label, (right, crash)),) = run_example("learn.py", tmp_path, 1, 16, name)
+    assert label == name
     assert 0.0 <= right + crash <= 100.0
     assert (tmp_path / name / "curve.csv").exists()
 
@@ -166,14 +166,16 @@ def test_each_task_has_a_short_example(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_rule_flies_through_obstacles_seen_as_cells_logarithms_and_images(told: Told) -> None:
-    few = told("through_obstacles.py", 32, "navigation_task", "safe_navigation_task", "pixel_navigation_task")[::2]
+def test_a_rule_flies_through_obstacles_seen_as_cells_logarithms_and_images(run_example: Told) -> None:
+    few = run_example("through_obstacles.py", 32, "navigation_task", "safe_navigation_task", "pixel_navigation_task")[
+        ::2
+    ]
     assert all(arrive > 60.0 and crash < 25.0 for _, (arrive, crash) in few)
     assert len(few) == 3
 
 
 @pytest.mark.slow
-def test_a_rule_flies_backwards_by_lidar(told: Told) -> None:
-    (_, (arrive, crash)), _ = told("backwards_by_lidar.py", 32)
+def test_a_rule_flies_backwards_by_lidar(run_example: Told) -> None:
+    (_, (arrive, crash)), _ = run_example("backwards_by_lidar.py", 32)
     assert arrive > 80.0
     assert crash < 15.0

@@ -12,7 +12,7 @@ from aerial_gym.config.checks import require_positive
 from aerial_gym.errors import ConfigError, MissingDependencyError
 from aerial_gym.rl_training import TRAINERS, Policy, Trainer, load_policy, load_settings, train
 from aerial_gym.rl_training.learner_settings import LearnerCfg
-from aerial_gym.rl_training.policies.load import body_cfg, own_policy
+from aerial_gym.rl_training.policies.load import body_cfg, native_policy
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 
@@ -78,7 +78,7 @@ class RandomSearch(Trainer):
         self.env_steps = state["env_steps"]
 
     def policy(self, model, payload, cfg, *, where):
-        return own_policy(model, payload["network"], cfg, where=where)
+        return native_policy(model, payload["network"], cfg, where=where)
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from aerial_gym.rl_training import train
 from aerial_gym.rl_training.ranks import ALONE
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from tests.integration.training.ranks_worker import STEPS_OF_ONE, learned, settings
+from tests.integration.training.ranks_worker import STEPS_OF_ONE, settings, train_ranks
 
 LIMIT_S = 300.0
 """After that a test takes two processes for hung; they need 20 s."""
@@ -32,16 +32,16 @@ def free_ports(count: int) -> list[str]:
 
 def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
     """Run two processes to their ends; return exit status and stderr of each."""
-    ours = free_ports(ports)
+    actual = free_ports(ports)
     shared = os.environ | {
         "WORLD_SIZE": "2",
         "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": ours[-1],
+        "MASTER_PORT": actual[-1],
         "OMP_NUM_THREADS": "1",
     }
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", "tests.integration.training.ranks_worker", act, str(out), *ours],
+            [sys.executable, "-m", "tests.integration.training.ranks_worker", act, str(out), *actual],
             env=shared | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
             stderr=subprocess.PIPE,
             text=True,
@@ -62,7 +62,7 @@ def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) ->
     Adam divides by the size of a gradient, so that a weight with almost none moves by rounding alone: 0.1 and 1.1 % of the way
     were seen on two processors.
     """
-    one, begun = (learned(ALONE, iterations=count, like_one=True)["common"] for count in (2, 0))
+    one, begun = (train_ranks(ALONE, iterations=count, like_one=True)["common"] for count in (2, 0))
     for status, said in start_two("learn", tmp_path, ports=2):
         assert status == 0, said
     for name in ("own", "one"):
@@ -91,14 +91,14 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(
     train(alone, tmp_path / "more", show_progress=False)
     for status, said in start_two("resume", tmp_path, ports=4):
         assert status == 0, said
-    whole, parts = (RunFolder(tmp_path / name).newest_whole() for name in ("whole", "parts"))
+    whole, parts = (RunFolder(tmp_path / name).newest_readable() for name in ("whole", "parts"))
     assert whole is not None
     assert parts is not None
     assert whole[0].name == parts[0].name == f"checkpoint_{6 * STEPS_OF_ONE:015d}.pth"
     assert len(whole[1]["others"]) == 1
     assert_equal(whole[1], parts[1])
     assert "of 1 processes, and goes on with 2" in (tmp_path / "more" / "log.txt").read_text()
-    more = RunFolder(tmp_path / "more").newest_whole()
+    more = RunFolder(tmp_path / "more").newest_readable()
     assert more is not None
     for payload in (whole[1], more[1]):
         for name in ("adam.mean", "adam.square", "adam.steps", "rate", "sums"):
@@ -109,7 +109,7 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(
 
 
 @pytest.mark.slow
-def test_two_processes_of_rl_games_have_equal_weights_and_go_on(tmp_path: Path) -> None:
+def test_two_processes_of_rl_games_have_equal_weights_and_continue(tmp_path: Path) -> None:
     """Its normalisers are each process's own: those of rank 0 are kept."""
     pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
     for status, said in start_two("rl_games", tmp_path, ports=2):
@@ -121,7 +121,7 @@ def test_two_processes_of_rl_games_have_equal_weights_and_go_on(tmp_path: Path) 
         for name in weights:
             assert torch.equal(first[name], second[name]), name
     assert len(list(tmp_path.glob("save_*"))) == 2 * 3
-    last = RunFolder(tmp_path / "run").newest_whole()
+    last = RunFolder(tmp_path / "run").newest_readable()
     assert last is not None
     assert last[1]["run"]["env_steps"] == last[1]["frame"] == 5 * 32 * 64
     assert len(last[1]["others"]) == 1

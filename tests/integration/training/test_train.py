@@ -15,12 +15,12 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.errors import TrainingError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.run import checkpoint
-from aerial_gym.rl_training.run.keeper import Keeper
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.robots import ROBOTS
-from tests.repetitions import seldom
+from tests.repetitions import rare_values
 
 pytest.importorskip("rl_games", reason="rl-games is not installed: pip install 'aerial-gym[rl]'")
 pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
@@ -31,7 +31,7 @@ def train(out: Path, trainer: str, *more: str) -> int:
     return main(["train", "--trainer", trainer, "--out", str(out), *limits, "--json", *more])
 
 
-@pytest.mark.parametrize("trainer", seldom(["ppo", "apg", "rl_games", "sample_factory"], ("apg", "rl_games")))
+@pytest.mark.parametrize("trainer", rare_values(["ppo", "apg", "rl_games", "sample_factory"], ("apg", "rl_games")))
 def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -56,9 +56,9 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     dump = tmp_path / "dump.csv"
     assert main(["evaluate", "--policy", str(out), "--num-envs", "16", "--json", "--watch", str(dump)]) == 0
     assert len(dump.read_text().splitlines()) == 1  # the columns: every row was finite
-    found = json.loads(capsys.readouterr().out)
-    assert found["num_starts"] == 16
-    assert 0.0 <= found["success_rate"] <= 1.0
+    results = json.loads(capsys.readouterr().out)
+    assert results["num_starts"] == 16
+    assert 0.0 <= results["success_rate"] <= 1.0
     assert main(["evaluate", "--policy", str(out), "--device", "tpu9"]) == 2
     assert "device 'tpu9': must be auto, cpu" in capsys.readouterr().err
 
@@ -91,9 +91,9 @@ def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how
 
     capsys.readouterr()
     assert main(["evaluate", "--policy", str(out), "--num-envs", "2", "--level", "20", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["success_rate"] + found["crash_rate"] + found["timeout_rate"] == pytest.approx(1.0)
-    assert found["success_radius_m"] == 1.0
+    results = json.loads(capsys.readouterr().out)
+    assert results["success_rate"] + results["crash_rate"] + results["timeout_rate"] == pytest.approx(1.0)
+    assert results["success_radius_m"] == 1.0
     assert main(["evaluate", "--policy", str(out), "--num-envs", "2", "--level", "50"]) == 2
     assert "must lie in 15 to 44" in capsys.readouterr().err
 
@@ -135,7 +135,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(
     RunFolder(tmp_path).create(replace(cfg, num_envs=128, device="cpu"))
     assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1", "--max-time-s", "40"]) == 0
     assert "ended before its first checkpoint; the training starts anew in the same folder" in caplog.text
-    assert RunFolder(tmp_path).newest_whole() is not None
+    assert RunFolder(tmp_path).newest_readable() is not None
 
 
 @pytest.mark.parametrize("trainer", ["ppo", "rl_games", "sample_factory"])
@@ -156,14 +156,14 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
     assert train(out, trainer) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["interrupted"]
-    saved = RunFolder(out).newest_whole()
+    saved = RunFolder(out).newest_readable()
     assert saved is not None
     assert saved[1]["run"]["env_steps"] >= updates[-1]
 
     def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Keeper, "due", property(lambda self: monkeypatch.setattr(os, "fsync", full) or True))
+    monkeypatch.setattr(CheckpointKeeper, "due", property(lambda self: monkeypatch.setattr(os, "fsync", full) or True))
     assert main(["train", "--out", str(out), "--resume", "--max-env-steps", "20000", "--max-time-s", "40"]) == 1
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert "disk is full" in said

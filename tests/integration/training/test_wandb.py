@@ -36,29 +36,29 @@ def entries(content: bytes) -> Iterator[bytes]:
             entry = b""
 
 
-def sent(out: Path) -> dict[str, set[int]]:
+def wandb_scalars(out: Path) -> dict[str, set[int]]:
     """Return the steps of each scalar in the files that wait to be sent."""
     from wandb.proto import wandb_internal_pb2
 
-    found: dict[str, set[int]] = {}
+    result: dict[str, set[int]] = {}
     for file in out.glob("wandb/offline-run-*/*.wandb"):
         for data in entries(file.read_bytes()):
             record = wandb_internal_pb2.Record()
             record.ParseFromString(data)
             items = {item.key or "/".join(item.nested_key): item.value_json for item in record.history.item}
             for name in items.keys() - {"global_step", "_step", "_runtime", "_timestamp"}:
-                found.setdefault(name, set()).add(int(json.loads(items["global_step"])))
-    return found
+                result.setdefault(name, set()).add(int(json.loads(items["global_step"])))
+    return result
 
 
-def drawn(out: Path) -> dict[str, set[int]]:
+def tensorboard_scalars(out: Path) -> dict[str, set[int]]:
     """Return the steps of each scalar in TensorBoard's files."""
-    found: dict[str, set[int]] = {}
+    result: dict[str, set[int]] = {}
     for folder in {file.parent for file in out.rglob("events.out.tfevents*")}:
         events = event_accumulator.EventAccumulator(str(folder), size_guidance={"scalars": 0}).Reload()
         for name in events.Tags()["scalars"]:
-            found.setdefault(name, set()).update(each.step for each in events.Scalars(name))
-    return found
+            result.setdefault(name, set()).update(each.step for each in events.Scalars(name))
+    return result
 
 
 @pytest.mark.parametrize(
@@ -75,4 +75,4 @@ def test_every_scalar_of_tensorboard_is_sent(trainer: str, tmp_path: Path, monke
     assert first["project"] == "hover"
     assert main(["train", "--out", str(out), "--resume", "--max-env-steps", "18000", *limits]) == 0
     assert json.loads((out / "wandb.json").read_text()) == first
-    assert sent(out) == drawn(out) != {}
+    assert wandb_scalars(out) == tensorboard_scalars(out) != {}

@@ -38,10 +38,10 @@ class Energies:
     """Where it acts from the centre of mass, (L, 3)."""
 
     @classmethod
-    def of(cls, tree: Tree, links: Links, state: TreeState, env: int, **others: object) -> "Energies":
+    def from_env(cls, tree: Tree, links: Links, state: TreeState, env: int, **rest: object) -> "Energies":
         """Return those of one environment; what is not given is zero."""
         count = tree.num_links
-        nothing = {
+        empty = {
             "added": np.zeros((count, 6)),
             "push": np.zeros(count),
             "lever": np.zeros((count, 3)),
@@ -49,7 +49,7 @@ class Energies:
         }
         mass, com, inertia = (rows.expand(env + 1, *rows.shape[1:])[env].numpy() for rows in vars(links).values())
         attitude = Rotation.from_quat(state.attitude[env].numpy())
-        return cls(tree=tree, attitude=attitude, mass=mass, com=com, inertia=inertia, **(nothing | others))  # type: ignore[arg-type]
+        return cls(tree=tree, attitude=attitude, mass=mass, com=com, inertia=inertia, **(empty | rest))  # type: ignore[arg-type]
 
     def places(self, x: Array) -> Array:
         """Return the centre of mass and the axes of each link, world, in columns, (L, 3, 4)."""
@@ -90,9 +90,9 @@ class Energies:
         slopes = _slopes(self.mass_matrix, x)  # (n, n, n), the coordinate first
         turned = np.einsum("kab,k,b->a", slopes, rate, rate) - 0.5 * np.einsum("kab,a,b->k", slopes, rate, rate)
         first = 0 if self.tree.floating else 6
-        found = np.zeros_like(x)
-        found[first:] = np.linalg.solve(self.mass_matrix(x)[first:, first:], (self.forces(x) - turned)[first:])
-        return found
+        result = np.zeros_like(x)
+        result[first:] = np.linalg.solve(self.mass_matrix(x)[first:, first:], (self.forces(x) - turned)[first:])
+        return result
 
 
 def coordinates(state: TreeState, env: int) -> tuple[Array, Array]:
@@ -103,10 +103,10 @@ def coordinates(state: TreeState, env: int) -> tuple[Array, Array]:
 
 def _slopes(function: Callable[[Array], Array] | Callable[[Array], float], x: Array) -> Array:
     """Return derivatives along each coordinate, of order 4 in their step."""
-    step, found = 3e-3, []
+    step, result = 3e-3, []
     for k in range(len(x)):
         side = np.zeros_like(x)
         side[k] = step
         near, far = (np.asarray(function(x + n * side)) - np.asarray(function(x - n * side)) for n in (1, 2))
-        found.append((8.0 * near - far) / (12.0 * step))
-    return np.array(found)
+        result.append((8.0 * near - far) / (12.0 * step))
+    return np.array(result)

@@ -14,13 +14,13 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.physics.articulated.articulation import Articulation, articulation_of
+from aerial_gym.physics.articulated.articulation import Articulation, build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.articulated.tree import Tree, TreeState
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model, build_model, robot_effects
-from aerial_gym.physics.state import BodyState, JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, BodyState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.teststand.joints.record import Release, joint_angle
@@ -30,20 +30,20 @@ G = 9.81
 F64 = torch.float64
 
 
-def model_of(robot: RobotCfg, articulation: Articulation | None = None, num_envs: int = 3) -> Model:
+def make_model(robot: RobotCfg, articulation: Articulation | None = None, num_envs: int = 3) -> Model:
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
-    return build_model(vehicle, effects, articulation=articulation or articulation_of(robot, like=vehicle.mass))
+    return build_model(vehicle, effects, articulation=articulation or build_articulation(robot, like=vehicle.mass))
 
 
-def at_rest(model: Model) -> JointedState:
+def at_rest(model: Model) -> ArticulatedState:
     assert model.articulation is not None
     body = state_at_rest(model.vehicle.num_envs, model.vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
     joints = model.articulation.reference.repeat(model.vehicle.num_envs, 1)
-    return JointedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints))
+    return ArticulatedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints))
 
 
-def thrown(state: JointedState) -> JointedState:
+def throw(state: ArticulatedState) -> ArticulatedState:
     gen = torch.Generator().manual_seed(3)
 
     def draw(like: Tensor) -> Tensor:
@@ -52,7 +52,7 @@ def thrown(state: JointedState) -> JointedState:
     return replace(state, lin_vel=draw(state.lin_vel), ang_vel=2.0 * draw(state.ang_vel))
 
 
-def rod_of(articulation: Articulation) -> Articulation:
+def make_rod(articulation: Articulation) -> Articulation:
     """Return an articulation without joints: all on one link."""
     some = {n: v[..., :0] for n, v in vars(articulation).items() if n in ("link_mass", "reference")}
     laws = {
@@ -90,25 +90,25 @@ def plain(robot: RobotCfg) -> RobotCfg:
 def test_a_tree_of_one_link_flies_as_the_rigid_vehicle(change: Callable[[RobotCfg], RobotCfg]) -> None:
     """Its centre of mass is the body origin, where both integrate the same quantities: rounding is left."""
     robot = change(ROBOTS.get("morphy_stiff"))
-    bending = articulation_of(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
+    bending = build_articulation(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
     assert bending is not None
-    tree, rigid = model_of(robot, rod_of(bending)), model_of(robot)
-    state = thrown(at_rest(tree))
+    tree, rigid = make_model(robot, make_rod(bending)), make_model(robot)
+    state = throw(at_rest(tree))
     state = replace(state, rotor_speed=torch.rand(3, 4, dtype=F64) + 0.2)
     command = state.rotor_speed * torch.tensor([1.3, 0.8, 1.1, 0.9], dtype=F64)
     other = to_mass_state(rigid, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
     for _ in range(200):
-        state = jointed_step(tree, state, command, command[:, :0], 2e-3)
+        state = articulated_step(tree, state, command, command[:, :0], 2e-3)
         other = semi_implicit_euler(rigid, other, command, 2e-3)
-    for mine, theirs in zip(state.tensors(), to_body_state(rigid, other).tensors(), strict=False):
-        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-10)
+    for own, reference in zip(state.tensors(), to_body_state(rigid, other).tensors(), strict=False):
+        torch.testing.assert_close(own, reference, rtol=1e-9, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["morphy", "snakey", "snakey5", "snakey6"])
 def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
     """The mass matrix of the base in the reference pose is that of the declared vehicle, about the body origin."""
     robot = ROBOTS.get(name)
-    model = model_of(robot, num_envs=1)
+    model = make_model(robot, num_envs=1)
     state = at_rest(model)
     assert model.articulation is not None
     tree = TreeState(**{n: v for n, v in vars(state).items() if n != "rotor_speed"})
@@ -123,7 +123,7 @@ def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
     torch.testing.assert_close(mass[:3, 3:], -cross, rtol=1e-9, atol=1e-12)  # a push at the origin turns about it
 
 
-def stiffened(robot: RobotCfg, stiffness: float) -> RobotCfg:
+def stiffen(robot: RobotCfg, stiffness: float) -> RobotCfg:
     """Hold every joint in its reference pose by a spring alone."""
     assert robot.joints is not None
     layout = tuple(
@@ -140,17 +140,17 @@ def test_stiff_joints_are_the_rigid_vehicle_in_its_reference_pose() -> None:
     robot = ROBOTS.get("snakey5")
     mounts = replace(robot.mounts, layout=tuple(replace(mount, link="base") for mount in robot.mounts.layout))
     shapes = replace(robot.collision, spheres=(), boxes=(), capsules=(), between_links=False)
-    expected = model_of(replace(robot, joints=None, mounts=mounts, collision=shapes))
+    expected = make_model(replace(robot, joints=None, mounts=mounts, collision=shapes))
     command = torch.tensor([2.0, 4.0, 3.0, 3.5, 2.5], dtype=F64).expand(3, 5)
-    bending = [articulation_of(stiffened(robot, each), like=torch.zeros(1, dtype=F64)) for each in (1e3, 1e4, 1e5)]
+    bending = [build_articulation(stiffen(robot, each), like=torch.zeros(1, dtype=F64)) for each in (1e3, 1e4, 1e5)]
     springs = [vars(each.spring) for each in bending if each is not None]
     assert bending[0] is not None
     spring = {name: torch.cat([rows[name] for rows in springs]) for name in springs[0]}
-    model = model_of(robot, replace(bending[0], spring=type(bending[0].spring)(**spring)))
+    model = make_model(robot, replace(bending[0], spring=type(bending[0].spring)(**spring)))
     state = replace(at_rest(model), ang_vel=torch.tensor([0.3, -0.2, 0.5], dtype=F64).expand(3, 3))
     other = to_mass_state(expected, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
     for _ in range(200):
-        state = jointed_step(model, state, command, command[:, :0], 1e-4)
+        state = articulated_step(model, state, command, command[:, :0], 1e-4)
         other = semi_implicit_euler(expected, other, command, 1e-4)
     both = zip(state.tensors()[:4], to_body_state(expected, other).tensors()[:4], strict=True)
     apart = torch.cat([(a - b).abs() for a, b in both], dim=1).amax(dim=1).tolist()
@@ -179,12 +179,12 @@ def test_morphy_hovers_on_arms_where_thrust_and_spring_balance() -> None:
 def test_an_arm_on_a_stand_falls_back_by_the_published_law() -> None:
     """``q'' = -k |q - q0| (q - q0) - c q'`` per inertia about the hinge, whatever the arm weighs; a fine step, 1e-4 rad."""
     robot = ROBOTS.get("morphy_fixed_base")
-    model = model_of(robot, num_envs=1)
-    state = replace(thrown(at_rest(model)), joint_pos=torch.tensor([[0.24, 0.0] * 4], dtype=F64))
+    model = make_model(robot, num_envs=1)
+    state = replace(throw(at_rest(model)), joint_pos=torch.tensor([[0.24, 0.0] * 4], dtype=F64))
     angle, rate, dt = 0.24, 0.0, 2.5e-4
     off = torch.zeros(1, 4, dtype=F64)
     for k in range(300):
-        state = jointed_step(model, state, off, off[:, :0], dt)
+        state = articulated_step(model, state, off, off[:, :0], dt)
         away = angle - 0.125
         weight = G / 0.07 * (cos(angle) - cos(0.125))
         rate += dt * (-5834.85 * abs(away) * away - 229.24 * rate + weight)
@@ -210,8 +210,8 @@ def test_commands_of_drives_stand_behind_those_of_the_rotors() -> None:
     for _ in range(10):
         env.step(actions)
     torch.testing.assert_close(env.gtd["dof_velocity"][:, 0], torch.full((3,), 0.5), rtol=0.05, atol=0.0)
-    others = env.gtd["dof_velocity"][:, 1:].abs().max()
-    assert float(others) < 0.1
+    remaining = env.gtd["dof_velocity"][:, 1:].abs().max()
+    assert float(remaining) < 0.1
 
 
 def test_a_position_drive_folds_a_snake_and_a_reset_unfolds_one_alone() -> None:
@@ -250,11 +250,11 @@ def test_what_a_bending_vehicle_cannot_have_is_refused_by_name() -> None:
 @pytest.mark.slow
 def test_ends_hold_arms_that_thrust_pushes_beyond_them() -> None:
     """At full thrust, 2 N on 0.07 m: past the upper end by what spring and end share."""
-    model = model_of(ROBOTS.get("morphy_fixed_base"), num_envs=1)
+    model = make_model(ROBOTS.get("morphy_fixed_base"), num_envs=1)
     state = at_rest(model)
     full = torch.full((1, 4), 2.0, dtype=F64)
     for _ in range(500):
-        state = jointed_step(model, state, full, full[:, :0], 4e-3)
+        state = articulated_step(model, state, full, full[:, :0], 4e-3)
     mass, length = 0.01625, 0.07
     spring, end = 5834.85 * mass * length**2, 2.8291
     angle, aside = state.joint_pos[0, :2].tolist()
@@ -274,7 +274,7 @@ CREEP = (
 """[N m/rad], [s]."""
 
 
-def creeping_arm(creep: tuple[CreepCfg, ...]) -> RobotCfg:
+def creep_arm(creep: tuple[CreepCfg, ...]) -> RobotCfg:
     """Morphy on a stand without weight, with linear springs in the elevations, of which part creeps."""
     robot = ROBOTS.get("morphy_fixed_base")
     assert robot.joints is not None
@@ -288,14 +288,14 @@ def creeping_arm(creep: tuple[CreepCfg, ...]) -> RobotCfg:
 
 def let_go(dt: float, num_steps: int) -> Tensor:
     """Return the elevation after each step of an arm that is let go 0.4 rad from its stop, where all has relaxed."""
-    model = replace(model_of(creeping_arm(CREEP), num_envs=1), gravity=0.0)
+    model = replace(make_model(creep_arm(CREEP), num_envs=1), gravity=0.0)
     bends = model.articulation
     assert bends is not None
     state = replace(at_rest(model), joint_pos=torch.tensor([[0.4, 0.0] * 4], dtype=F64))
     crept, off, seen = bends.initialise_creep(bends.fresh_creep(1), state.joint_pos), torch.zeros(1, 4, dtype=F64), []
     for _ in range(num_steps):
-        state = jointed_step(model, state, off, off[:, :0], dt, crept=crept)
-        crept = bends.creep_on(crept, state.joint_pos, dt)
+        state = articulated_step(model, state, off, off[:, :0], dt, crept=crept)
+        crept = bends.advance_creep(crept, state.joint_pos, dt)
         seen.append(state.joint_pos[0, 0])
     return torch.stack(seen)
 

@@ -11,7 +11,7 @@ from aerial_gym.env_manager import SIMS
 from aerial_gym.physics.articulated.joint_laws import STICK_RATE
 from tests.builders import simulation
 from tests.physics.test_links_seen import DOWN, LEFT, arm, bending
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 INERTIA = 1e-6 + 1e-3 * 0.05**2
 """Of the arm about its hinge [kg m²]: 1 g at 0.05 m."""
@@ -30,26 +30,26 @@ def course(axis: tuple[float, float, float], friction: float, rate: float, *, ba
         seed=1,
     )
     manager.reset()
-    found = []
+    result = []
     for _ in range(round(time / dt)):
         manager.step(torch.zeros(1, 4))
-        found.append(torch.cat((manager.gtd["dof_position"][0], manager.gtd["dof_velocity"][0])))
-    return torch.stack(found)
+        result.append(torch.cat((manager.gtd["dof_position"][0], manager.gtd["dof_velocity"][0])))
+    return torch.stack(result)
 
 
 @pytest.mark.parametrize(
-    ("rate", "backend"), often(product((1.0, -1.0), ("warp", "torch")), [(1.0, "torch"), (-1.0, "warp")])
+    ("rate", "backend"), frequent_values(product((1.0, -1.0), ("warp", "torch")), [(1.0, "torch"), (-1.0, "warp")])
 )
 def test_a_swing_slows_down_evenly_and_stays_where_it_stops(rate, backend) -> None:
     """By F / I: to rest after w I / F = 0.1 s and w² I / 2 F = 0.05 rad, to order 1; it never turns round."""
     off = []
     for dt in (0.004, 0.002):
-        found = course(LEFT, 10.0 * INERTIA, rate, backend=backend, dt=dt, time=0.2)
-        assert (found[:, 1] * rate > -1e-6).all()
-        assert found[round(0.11 / dt) :, 1].abs().max() < STICK_RATE
+        result = course(LEFT, 10.0 * INERTIA, rate, backend=backend, dt=dt, time=0.2)
+        assert (result[:, 1] * rate > -1e-6).all()
+        assert result[round(0.11 / dt) :, 1].abs().max() < STICK_RATE
         half = round(0.052 / dt)
-        assert found[half - 1, 1].item() == pytest.approx(rate * (1.0 - 10.0 * half * dt), abs=6.0 * dt)
-        off.append(abs(found[-1, 0].item()) - 0.05)
+        assert result[half - 1, 1].item() == pytest.approx(rate * (1.0 - 10.0 * half * dt), abs=6.0 * dt)
+        off.append(abs(result[-1, 0].item()) - 0.05)
     assert abs(off[1]) < 0.6 * abs(off[0])
     assert abs(off[1]) < 2e-3
 

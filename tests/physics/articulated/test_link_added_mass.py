@@ -10,13 +10,13 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.articulated.articulation import articulation_of
-from aerial_gym.physics.articulated.dynamics import Accelerations, equations, solve
-from aerial_gym.physics.articulated.flight import jointed_step
-from aerial_gym.physics.articulated.link_fluid import LinkFluid, entrained
+from aerial_gym.physics.articulated.articulation import build_articulation
+from aerial_gym.physics.articulated.dynamics import TreeAccelerations, equations, solve
+from aerial_gym.physics.articulated.flight import articulated_step
+from aerial_gym.physics.articulated.link_fluid import LinkFluid, add_fluid
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
-from aerial_gym.physics.capabilities import choose_backend, needs_of
+from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects.link_added_mass import LinkAddedMass
 from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
@@ -25,8 +25,8 @@ from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
-from tests.physics.articulated.test_link_buoyancy import crooked, moving, of_one_link, under_water
-from tests.physics.articulated.test_link_drag import fly, model_of
+from tests.physics.articulated.test_link_buoyancy import draw_state, make_joints, of_one_link, under_water
+from tests.physics.articulated.test_link_drag import fly, make_model
 from tests.physics.articulated.trees import F64, random_links, random_motion, random_tree
 
 G = 9.81
@@ -40,9 +40,9 @@ def water(tree: Tree, num_envs: int, seed: int, wind: Tensor | None = None) -> L
     return LinkFluid(added=torch.cat((mass, 5e-3 * inertia), dim=-1), wind=still)
 
 
-def accelerations(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid, *, gravity: float) -> Accelerations:
-    found = entrained(tree, equations(tree, links, state, gravity=gravity), state.attitude, fluid)
-    return solve(tree, state, found.mass, found.force)
+def accelerations(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid, *, gravity: float) -> TreeAccelerations:
+    result = add_fluid(tree, equations(tree, links, state, gravity=gravity), state.attitude, fluid)
+    return solve(tree, state, result.mass, result.force)
 
 
 @pytest.mark.parametrize(("floating", "seed"), [(True, 1), (True, 7), (False, 2)])
@@ -50,18 +50,18 @@ def test_trees_in_still_water_accelerate_by_lagranges_equations(floating: bool, 
     """Under weight, which the water has none of: energies by SciPy's rotations, all else by differences."""
     tree = random_tree(3, seed, floating=floating)
     links, state, fluid = random_links(tree, 1, seed), random_motion(tree, 1, seed), water(tree, 1, seed)
-    energies = Energies.of(tree, links, state, 0, added=fluid.added[0].numpy(), gravity=G)
+    energies = Energies.from_env(tree, links, state, 0, added=fluid.added[0].numpy(), gravity=G)
     expected = energies.accelerations(*coordinates(state, 0))
     now = accelerations(tree, links, state, fluid, gravity=G)
-    found = torch.cat((now.lin_acc, now.ang_acc, now.joint_acc), dim=-1)[0].numpy()
-    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+    result = torch.cat((now.lin_acc, now.ang_acc, now.joint_acc), dim=-1)[0].numpy()
+    assert np.abs(result - expected).max() < 1e-9 * np.abs(expected).max()
     dry = accelerations(tree, links, state, replace(fluid, added=0.0 * fluid.added), gravity=G)
     assert float((dry.joint_acc - now.joint_acc).abs().max()) > 0.1 * float(now.joint_acc.abs().max())
 
 
-def kept(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid) -> np.ndarray:
+def momentum_energy(tree: Tree, links: Links, state: TreeState, fluid: LinkFluid) -> np.ndarray:
     """Return energy, impulse and its moment about the world's origin, of links and water, by SciPy's rotations."""
-    energies = Energies.of(tree, links, state, 0, added=fluid.added[0].numpy())
+    energies = Energies.from_env(tree, links, state, 0, added=fluid.added[0].numpy())
     x, rate = coordinates(state, 0)
     momentum = energies.mass_matrix(x) @ rate
     moment = energies.attitude.apply(momentum[3:6]) + np.cross(x[:3], momentum[:3])
@@ -72,20 +72,22 @@ def test_a_free_tree_in_still_water_keeps_energy_impulse_and_moment() -> None:
     """To the order of the stepper: what is lost in a tenth of a second falls by more than 14 when the step is halved."""
     tree = random_tree(3, 5)
     links, start, fluid = random_links(tree, 1, 5), random_motion(tree, 1, 5), water(tree, 1, 5)
-    first, lost = kept(tree, links, start, fluid), []
+    first, lost = momentum_energy(tree, links, start, fluid), []
     for steps in (8, 16):
         state = start
         for _ in range(steps):
             state = rk4(tree, links, (), state, 0.1 / steps, gravity=0.0, fluid=fluid)
-        lost.append(np.abs(kept(tree, links, state, fluid) - first))
+        lost.append(np.abs(momentum_energy(tree, links, state, fluid) - first))
     size = np.array([first[0], *[np.linalg.norm(first[1:4])] * 3, *[np.linalg.norm(first[4:])] * 3])
     assert (lost[1] < 1e-5 * size).all()
     assert np.linalg.norm(lost[0] / size) > 14.0 * np.linalg.norm(lost[1] / size)
-    dry = kept(tree, links, state, replace(fluid, added=0.0 * fluid.added))[1:4]
-    assert np.linalg.norm(dry - kept(tree, links, start, replace(fluid, added=0.0 * fluid.added))[1:4]) > 0.05
+    dry = momentum_energy(tree, links, state, replace(fluid, added=0.0 * fluid.added))[1:4]
+    assert (
+        np.linalg.norm(dry - momentum_energy(tree, links, start, replace(fluid, added=0.0 * fluid.added))[1:4]) > 0.05
+    )
 
 
-def test_a_current_carries_everything_along() -> None:
+def test_a_current_carries_all_bodies() -> None:
     """In the frame of the water the same happens: Galileo; of both steppers."""
     tree, current = random_tree(3, 6), torch.tensor([[0.7, -0.4, 0.2]], dtype=F64)
     links, start, fluid = random_links(tree, 2, 6), random_motion(tree, 2, 6), water(tree, 2, 6)
@@ -116,11 +118,11 @@ def test_a_tree_of_one_link_moves_water_as_a_rigid_hull() -> None:
     vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
     rigid, dt = build_model(vehicle, [*effects, (EFFECTS.get("buoyancy"), lift)]), 1e-7
     body = BodyState(**{name: rows for name, rows in vars(state).items() if not name.startswith("joint")})
-    mine = jointed_step(tree, state, state.rotor_speed, state.rotor_speed[:, :0], dt)
-    theirs = to_body_state(rigid, semi_implicit_euler(rigid, to_mass_state(rigid, body), state.rotor_speed, dt))
+    own = articulated_step(tree, state, state.rotor_speed, state.rotor_speed[:, :0], dt)
+    reference = to_body_state(rigid, semi_implicit_euler(rigid, to_mass_state(rigid, body), state.rotor_speed, dt))
     for name in ("lin_vel", "ang_vel"):
-        found, expected = ((getattr(end, name) - getattr(body, name)) / dt for end in (mine, theirs))
-        assert float((found - expected).abs().max()) < 1e-5 * float(expected.abs().max())
+        result, expected = ((getattr(end, name) - getattr(body, name)) / dt for end in (own, reference))
+        assert float((result - expected).abs().max()) < 1e-5 * float(expected.abs().max())
 
 
 def test_a_step_with_water_and_drag_is_of_order_one() -> None:
@@ -130,8 +132,8 @@ def test_a_step_with_water_and_drag_is_of_order_one() -> None:
         "link_drag": {"qx": 0.5, "qy": 0.5, "az": 0.01},
         "constant_wind": {"x": 1.0, "y": -0.5, "z": 0.3},
     }
-    model, start = model_of(under_water(crooked(), effects), gravity=G)
-    start = moving(start)
+    model, start = make_model(under_water(make_joints(), effects), gravity=G)
+    start = draw_state(start)
     ends = []
     for steps in (4, 8, 16, 32):
         state = fly(model, start, 0.02 / steps, steps)
@@ -147,8 +149,8 @@ def test_gradients_flow_through_steps() -> None:
         "link_added_mass": {"mx": 0.1, "my": 0.3, "left.jx": 1e-3},
         "constant_wind": {"x": 1.0, "y": 0.5, "z": 0.0},
     }
-    model, state = model_of(under_water(crooked(), effects), gravity=G)
-    state, ((law, params), (wind, blows)) = moving(state), tuple(model.effects)
+    model, state = make_model(under_water(make_joints(), effects), gravity=G)
+    state, ((law, params), (wind, blows)) = draw_state(state), tuple(model.effects)
 
     def end(rows: Tensor, air: Tensor, velocity: Tensor, angle: Tensor, rate: Tensor) -> Tensor:
         there = replace(model, effects=type(model.effects)([(law, rows), (wind, air)]))
@@ -175,10 +177,10 @@ def test_what_cannot_be_is_refused_by_name() -> None:
         with pytest.raises(
             CapabilityError, match=f"{name}: cannot run effect 'link_added_mass'. Use backend 'warp', 'torch'"
         ):
-            choose_backend(name, needs=needs_of(robot, torch.device("cpu")))
-    assert choose_backend("auto", needs=needs_of(robot, torch.device("cpu"))).capabilities.joints
+            choose_backend(name, needs=robot_needs(robot, torch.device("cpu")))
+    assert choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"))).capabilities.joints
     vehicle = vehicle_from_config(morphy, num_envs=1, dtype=F64)
-    bends = articulation_of(morphy, like=vehicle.mass)
+    bends = build_articulation(morphy, like=vehicle.mass)
     twice = [(LinkAddedMass(), torch.zeros(1, 6, dtype=F64))] * 2
     with pytest.raises(ConfigError, match="a vehicle has one fluid of links at most"):
         build_model(vehicle, twice, articulation=bends)

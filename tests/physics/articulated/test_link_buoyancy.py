@@ -10,19 +10,19 @@ from aerial_gym.config.joint import JointCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.flight import jointed_step, link_wrenches
+from aerial_gym.physics.articulated.flight import articulated_step, link_wrenches
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import Model, build_model, check_effects
-from aerial_gym.physics.state import BodyState, JointedState
+from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.lagrange import Energies, coordinates
-from tests.physics.articulated.test_flight import at_rest, rod_of, thrown
-from tests.physics.articulated.test_link_drag import arm, dragged, fly, model_of
+from tests.physics.articulated.test_flight import at_rest, make_rod, throw
+from tests.physics.articulated.test_link_drag import arm, fly, make_drag_robot, make_model
 from tests.physics.articulated.trees import F64
 
 G = 9.81
@@ -32,7 +32,7 @@ def under_water(
     joints: tuple[JointCfg, ...], effects: dict[str, dict[str, float]], *, floating: bool = True
 ) -> RobotCfg:
     """Return a robot of a base of 1 kg with links and effects; its rotors stand still."""
-    robot = dragged(1.0, joints, {})
+    robot = make_drag_robot(1.0, joints, {})
     assert robot.joints is not None
     return replace(robot, effects=effects, joints=replace(robot.joints, floating=floating))
 
@@ -42,11 +42,11 @@ def link(mass: float, *com: float, inertia: tuple[float, float, float] = (1e-3, 
     return LinkCfg(mass=mass, com=(com[0], com[1], com[2]), inertia=rows)  # type: ignore[arg-type]
 
 
-def tree_of(state: JointedState) -> TreeState:
+def tree_state(state: ArticulatedState) -> TreeState:
     return TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
 
 
-def crooked() -> tuple[JointCfg, ...]:
+def make_joints() -> tuple[JointCfg, ...]:
     """Return an arm of a hinge and a slide, and one more hinge."""
     return (
         arm("left", (0.1, 0.4, 0.05), (0.0, 0.1, 0.0), axis=(0.6, 0.0, 0.8), link=link(0.3, 0.1, 0.4, 0.05)),
@@ -55,7 +55,7 @@ def crooked() -> tuple[JointCfg, ...]:
     )
 
 
-def moving(state: JointedState, seed: int = 4) -> JointedState:
+def draw_state(state: ArticulatedState, seed: int = 4) -> ArticulatedState:
     """Return it in any attitude, with joints anywhere, that moves and turns."""
     gen = torch.Generator().manual_seed(seed)
 
@@ -78,53 +78,53 @@ FORCES = {"force": 2.0, "x": 0.01, "left.force": 3.5, "left.y": -0.03, "left.z":
 
 def test_a_neutral_tree_rests_in_any_attitude() -> None:
     """Each link is carried at its centre of mass, and nothing moves."""
-    robot = under_water(crooked(), {"link_buoyancy": {"base.force": G, "left.force": 0.3 * G, "slide.force": 0.1 * G,
+    robot = under_water(make_joints(), {"link_buoyancy": {"base.force": G, "left.force": 0.3 * G, "slide.force": 0.1 * G,
                                                       "right.force": 0.2 * G}})  # fmt: skip
-    model, state = model_of(robot, gravity=G, num_envs=8)
+    model, state = make_model(robot, gravity=G, num_envs=8)
     still = {name: torch.zeros_like(rows) for name, rows in vars(state).items() if name.endswith("_vel")}
-    state = fly(model, replace(moving(state), **still), 0.01, 8)
+    state = fly(model, replace(draw_state(state), **still), 0.01, 8)
     for rows in (state.lin_vel, state.ang_vel, state.joint_vel):
         torch.testing.assert_close(rows, torch.zeros_like(rows), rtol=0.0, atol=1e-11)
 
 
 def test_forces_along_coordinates_are_what_heights_of_centres_of_buoyancy_say() -> None:
     """``-dU/dx`` with ``U = -sum F z``, by SciPy's rotations; numbers of a link stand in place of those of all."""
-    model, state = model_of(under_water(crooked(), {"link_buoyancy": FORCES}), num_envs=3)
-    state, articulation = moving(state), model.articulation
+    model, state = make_model(under_water(make_joints(), {"link_buoyancy": FORCES}), num_envs=3)
+    state, articulation = draw_state(state), model.articulation
     assert articulation is not None
-    tree, links, there = articulation.tree, articulation.links(model.vehicle), tree_of(state)
+    tree, links, there = articulation.tree, articulation.links(model.vehicle), tree_state(state)
     wrench = link_wrenches(model, articulation, there, state.rotor_speed, state.rotor_speed)
-    found = [equations(tree, links, there, gravity=0.0, wrench=rows).force for rows in (wrench, None)]
+    result = [equations(tree, links, there, gravity=0.0, wrench=rows).force for rows in (wrench, None)]
     push, lever = torch.tensor([8.0, 3.5, 2.0, 2.0], dtype=F64).numpy(), torch.zeros(4, 3, dtype=F64).numpy()
     lever[:, 0], lever[1, 1], lever[1, 2], lever[0, 2] = 0.01, -0.03, 0.05, 0.1
     for env in range(3):
-        expected = Energies.of(tree, links, there, env, push=push, lever=lever).forces(coordinates(there, env)[0])
-        mine = found[0] - found[1]
+        expected = Energies.from_env(tree, links, there, env, push=push, lever=lever).forces(coordinates(there, env)[0])
+        own = result[0] - result[1]
         world = torch.from_numpy(expected)
-        turned = Energies.of(tree, links, there, env).attitude.as_matrix()
+        turned = Energies.from_env(tree, links, there, env).attitude.as_matrix()
         world[:3] = torch.from_numpy(turned).T @ world[:3]
-        torch.testing.assert_close(mine[env], world, rtol=0.0, atol=1e-8)
+        torch.testing.assert_close(own[env], world, rtol=0.0, atol=1e-8)
 
 
-def of_one_link(robot: RobotCfg, effects: list[tuple[object, Tensor]]) -> tuple[Model, JointedState]:
+def of_one_link(robot: RobotCfg, effects: list[tuple[object, Tensor]]) -> tuple[Model, ArticulatedState]:
     """Return a rigid robot as a tree of one link with effects on it, and a state in which it moves."""
-    bending = articulation_of(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
+    bending = build_articulation(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
     assert bending is not None
     vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
-    model = build_model(vehicle, effects, articulation=rod_of(bending))  # type: ignore[arg-type]
-    state = thrown(at_rest(model))
+    model = build_model(vehicle, effects, articulation=make_rod(bending))  # type: ignore[arg-type]
+    state = throw(at_rest(model))
     return model, replace(state, rotor_speed=torch.rand(3, 4, dtype=F64, generator=torch.Generator().manual_seed(1)))
 
 
-def assert_flies_as_rigid(tree: Model, rigid: Model, state: JointedState, *, steps: int = 40) -> None:
+def assert_flies_as_rigid(tree: Model, rigid: Model, state: ArticulatedState, *, steps: int = 40) -> None:
     """Both integrate the same quantities where the centre of mass is the body origin: rounding is left."""
     command = state.rotor_speed * torch.tensor([1.3, 0.8, 1.1, 0.9], dtype=F64)
     other = to_mass_state(rigid, BodyState(**{n: v for n, v in vars(state).items() if not n.startswith("joint")}))
     for _ in range(steps):
-        state = jointed_step(tree, state, command, command[:, :0], 2e-3)
+        state = articulated_step(tree, state, command, command[:, :0], 2e-3)
         other = semi_implicit_euler(rigid, other, command, 2e-3)
-    for mine, theirs in zip(state.tensors(), to_body_state(rigid, other).tensors(), strict=False):
-        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-10)
+    for own, reference in zip(state.tensors(), to_body_state(rigid, other).tensors(), strict=False):
+        torch.testing.assert_close(own, reference, rtol=1e-9, atol=1e-10)
 
 
 def test_a_tree_of_one_link_is_carried_as_a_rigid_hull() -> None:
@@ -136,8 +136,8 @@ def test_a_tree_of_one_link_is_carried_as_a_rigid_hull() -> None:
 
 def test_gradients_flow_through_steps() -> None:
     """For parameters, attitude and angles, by differences."""
-    model, state = model_of(under_water(crooked(), {"link_buoyancy": FORCES}), gravity=G)
-    state, ((law, params),) = moving(state), tuple(model.effects)
+    model, state = make_model(under_water(make_joints(), {"link_buoyancy": FORCES}), gravity=G)
+    state, ((law, params),) = draw_state(state), tuple(model.effects)
 
     def end(rows: Tensor, attitude: Tensor, angle: Tensor) -> Tensor:
         there = replace(model, effects=type(model.effects)([(law, rows)]))

@@ -11,16 +11,16 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
-from aerial_gym.physics.articulated.flight import jointed_step, link_damping
+from aerial_gym.physics.articulated.flight import articulated_step, link_damping
 from aerial_gym.physics.articulated.link_damping import LinkDamping, motion_in_air
 from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.effects.link_drag import LinkDrag
 from aerial_gym.physics.model import Model, build_model, check_effects, robot_effects
-from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import F64, pendulum, random_links, random_motion, random_tree
@@ -30,10 +30,10 @@ G = 9.81
 ORDERS = ("lx", "ly", "lz", "qx", "qy", "qz", "ax", "ay", "az", "bx", "by", "bz")
 
 
-def acting(
+def make_damping(
     tree: Tree, links: Links, state: TreeState, wind: Tensor | None = None, **numbers: float
 ) -> tuple[LinkDamping, Tensor]:
-    """Return what damps all links, and the parameters, (E, 12); ``l=0.1`` is along all axes."""
+    """Return the damping of all links, and the parameters, (E, 12); ``l=0.1`` sets all three axes."""
     row = torch.tensor([numbers.get(name, numbers.get(name[0], 0.0)) for name in ORDERS], dtype=F64)
     params = row.expand(len(state.position), -1)
     wind = torch.zeros_like(state.lin_vel) if wind is None else wind
@@ -59,7 +59,7 @@ def swing(
     state.joint_pos[:] = start
     state.joint_vel[:] = 2.0 * (gravity == 0.0)
     for _ in range(round(span / dt)):
-        damping, _ = acting(tree, links, state, l=linear, q=quadratic)
+        damping, _ = make_damping(tree, links, state, l=linear, q=quadratic)
         state = implicit_euler(tree, links, (), state, dt, gravity=gravity, damping=damping)
     return torch.cat((state.joint_pos, state.joint_vel))[:, 0]
 
@@ -73,7 +73,9 @@ def test_quadratic_drag_slows_a_link_hyperbolically() -> None:
         assert rate == pytest.approx(2.0 / (1.0 + quadratic * length * 2.0 / mass), rel=1e-9)
 
 
-def dragged(mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], **others: dict[str, float]) -> RobotCfg:
+def make_drag_robot(
+    mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], **rest: dict[str, float]
+) -> RobotCfg:
     """Return a robot of a base of some mass about the origin with links, drag and other effects; its rotors stand still."""
     robot = ROBOTS.get("base_quadrotor")
     links = [joint.link for joint in joints if joint.link is not None]
@@ -88,7 +90,7 @@ def dragged(mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], *
     body = replace(
         robot.body, mass=float(masses.sum()), com=tuple(com.tolist()), inertia=tuple(map(tuple, inertia.tolist()))
     )
-    effects = {"link_drag": drag, **others}
+    effects = {"link_drag": drag, **rest}
     return replace(
         robot,
         body=body,
@@ -98,30 +100,30 @@ def dragged(mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], *
     )
 
 
-def arm(name: str, com: tuple[float, float, float], position: tuple[float, float, float], **others: object) -> JointCfg:
+def arm(name: str, com: tuple[float, float, float], position: tuple[float, float, float], **rest: object) -> JointCfg:
     """Return a hinge about z with a link of 0.1 kg."""
     lump = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
     defaults = {"axis": (0.0, 0.0, 1.0), "link": LinkCfg(mass=0.1, com=com, inertia=lump)}
-    return JointCfg(name=name, position=position, **(defaults | others))  # type: ignore[arg-type]
+    return JointCfg(name=name, position=position, **(defaults | rest))  # type: ignore[arg-type]
 
 
-def model_of(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> tuple[Model, JointedState]:
+def make_model(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> tuple[Model, ArticulatedState]:
     """Return the model, and the robot at rest in the reference pose."""
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     check_effects(robot)
     effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
-    articulation = articulation_of(robot, like=vehicle.mass)
+    articulation = build_articulation(robot, like=vehicle.mass)
     assert articulation is not None
     model = build_model(vehicle, effects, gravity=gravity, articulation=articulation)
     body = state_at_rest(num_envs, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
     joints = articulation.reference.repeat(num_envs, 1)
-    return model, JointedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints))
+    return model, ArticulatedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints))
 
 
-def fly(model: Model, state: JointedState, dt: float, steps: int) -> JointedState:
+def fly(model: Model, state: ArticulatedState, dt: float, steps: int) -> ArticulatedState:
     """Return the state after some steps with rotors that stand still."""
     for _ in range(steps):
-        state = jointed_step(model, state, state.rotor_speed, state.joint_pos[:, :0], dt)
+        state = articulated_step(model, state, state.rotor_speed, state.joint_pos[:, :0], dt)
     return state
 
 
@@ -132,33 +134,33 @@ def test_forces_of_links_are_the_rate_of_momentum(floating: bool) -> None:
     tree, dt = random_tree(5, 1, floating=floating), 1e-6
     links, state = random_links(tree, 8, 1), random_motion(tree, 8, 1)
     wind = torch.randn(8, 3, dtype=F64, generator=torch.Generator().manual_seed(2))
-    damping, params = acting(
+    damping, params = make_damping(
         tree, links, state, wind, lx=0.1, ly=0.3, lz=0.05, q=0.2, ax=0.01, ay=0.02, az=0.03, b=0.01
     )
 
-    def seen(at: TreeState) -> tuple[Tensor, Tensor]:
+    def link_motion(at: TreeState) -> tuple[Tensor, Tensor]:
         places, turn = place_links(tree, links, at.joint_pos), quat_to_matrix(at.attitude).unsqueeze(1)
         return at.position.unsqueeze(1) + (turn @ places.com.unsqueeze(-1)).squeeze(-1), turn @ places.rotation
 
     coasting = implicit_euler(tree, links, (), state, dt, gravity=0.0)
     drifting = implicit_euler(tree, links, (), state, dt, gravity=0.0, damping=damping)
-    (first, turned), (second, after) = seen(state), seen(coasting)
+    (first, turned), (second, after) = link_motion(state), link_motion(coasting)
     through = (second - first) / dt - wind.unsqueeze(1)
     rate = (after - turned) / dt @ turned.mT  # the skew matrix of the angular velocity
     turning = torch.stack((rate[..., 2, 1], rate[..., 0, 2], rate[..., 1, 0]), dim=-1)
     linear, quadratic, turn, whirl = params.unsqueeze(1).split(3, dim=-1)
 
-    def against(velocity: Tensor, per_speed: Tensor, per_square: Tensor) -> Tensor:
+    def drag_force(velocity: Tensor, per_speed: Tensor, per_square: Tensor) -> Tensor:
         own = (turned.mT @ velocity.unsqueeze(-1)).squeeze(-1)
         own = (per_speed + per_square * own.norm(dim=-1, keepdim=True)) * own
         return -(turned @ own.unsqueeze(-1)).squeeze(-1)
 
-    force, torque = against(through, linear, quadratic), against(turning, turn, whirl)
+    force, torque = drag_force(through, linear, quadratic), drag_force(turning, turn, whirl)
     if floating:
         expected = (force.sum(1), (torch.linalg.cross(first, force) + torque).sum(1))
         after_drag, without = momenta(tree, links, drifting), momenta(tree, links, coasting)
-        for found, before, rate in zip(after_drag, without, expected, strict=True):
-            torch.testing.assert_close((found - before) / dt, rate, rtol=1e-4, atol=1e-4)
+        for result, before, rate in zip(after_drag, without, expected, strict=True):
+            torch.testing.assert_close((result - before) / dt, rate, rtol=1e-4, atol=1e-4)
     power = (force * (through + wind.unsqueeze(1))).sum((1, 2)) + (torque * turning).sum((1, 2))
     gained = (kinetic_energy(tree, links, drifting) - kinetic_energy(tree, links, coasting)) / dt
     torch.testing.assert_close(gained, power, rtol=1e-4, atol=1e-4)
@@ -172,12 +174,12 @@ def test_energy_only_falls_in_still_air_however_large_drag_is(size: float) -> No
     links, state = random_links(tree, 16, 4), random_motion(tree, 16, 4)
     held = state
     for step in range(30):
-        damping, _ = acting(tree, links, state, l=10.0 * size, q=size, a=0.1 * size, b=0.01 * size)
+        damping, _ = make_damping(tree, links, state, l=10.0 * size, q=size, a=0.1 * size, b=0.01 * size)
         end = implicit_euler(tree, links, (), state, dt, gravity=0.0, damping=damping)
         assert bool((kinetic_energy(tree, links, end) < kinetic_energy(tree, links, state)).all()), step
         state = end
         if size > 1.0 and step < 5:
-            damping, _ = acting(tree, links, held, l=10.0 * size, q=size, a=0.1 * size, b=0.01 * size)
+            damping, _ = make_damping(tree, links, held, l=10.0 * size, q=size, a=0.1 * size, b=0.01 * size)
             held = implicit_euler(tree, links, (), held, dt, gravity=0.0, wrench=damping.start_wrench(links))
     if size > 1.0:
         assert not bool((kinetic_energy(tree, links, held) < 1e6).any())
@@ -192,7 +194,7 @@ def test_the_step_with_drag_is_of_order_one() -> None:
     def end(dt: float) -> Tensor:
         state = start
         for _ in range(round(0.04 / dt)):
-            damping, _ = acting(tree, links, state, wind, l=0.2, q=0.3, a=0.01, b=0.01)
+            damping, _ = make_damping(tree, links, state, wind, l=0.2, q=0.3, a=0.01, b=0.01)
             state = implicit_euler(tree, links, (), state, dt, gravity=G, damping=damping)
         return torch.cat((state.position, state.lin_vel, state.ang_vel, state.joint_pos, state.joint_vel), dim=-1)
 
@@ -207,18 +209,18 @@ def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
     robot = ROBOTS.get("morphy")
     drag = {"qx": 0.1, "lz": 0.2, "azimuth_2.qx": 0.3, "azimuth_2.ay": 0.4, "base.lz": 0.0}
     robot = replace(robot, effects={"link_drag": drag}, effects_source="test")
-    model, _ = model_of(robot)
+    model, _ = make_model(robot)
     ((effect, params),) = list(model.effects)
     assert [p.name for p in effect.parameters] == list(drag)
     assert effect.parameters[2].meaning == "force per speed squared along x of azimuth_2"
     velocity = torch.tensor([2.0, 0.0, 0.0, 0.0, 0.0, 1.0], dtype=F64).expand(1, 9, 6)
-    found = effect.damping(velocity, params)[0]  # type: ignore[attr-defined]
+    result = effect.damping(velocity, params)[0]  # type: ignore[attr-defined]
     assert robot.joints is not None
     expected = torch.tensor([[0.2, 0.0, 0.2, 0.0, 0.0, 0.0]], dtype=F64).repeat(9, 1)
     expected[0, 2] = 0.0
     place = robot.joints.link_names.index("azimuth_2")
     expected[place, 0], expected[place, 4] = 0.6, 0.4
-    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(result, expected)
     expected[:, 0], expected[place, 4] = 0.0, 0.4
     torch.testing.assert_close(effect.damping(0.0 * velocity, params)[0], expected)  # type: ignore[attr-defined]
 
@@ -226,7 +228,7 @@ def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
 def test_links_without_mass_feel_nothing_and_the_base_what_others_do() -> None:
     """Of morphy's universal joints: five of nine links have mass."""
     robot = replace(ROBOTS.get("morphy"), effects={"link_drag": {"lx": 0.1}}, effects_source="test")
-    model, state = model_of(robot)
+    model, state = make_model(robot)
     assert model.articulation is not None
     links = model.articulation.links(model.vehicle)
     tree = TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
@@ -239,7 +241,7 @@ def test_gradients_flow_through_steps() -> None:
     """For parameters, wind, rates and angles, by differences; at rest in still air too."""
     arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)), arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0)))
     drag = {"lx": 0.1, "qx": 0.3, "qy": 0.2, "right.qz": 0.4, "left.az": 0.01, "bz": 0.02}
-    model, state = model_of(dragged(1.0, arms, drag, constant_wind={"x": 1.0, "y": 0.5, "z": -0.3}))
+    model, state = make_model(make_drag_robot(1.0, arms, drag, constant_wind={"x": 1.0, "y": 0.5, "z": -0.3}))
     (law, params), (wind, blows) = list(model.effects)
     assert law.name == "link_drag"
     inputs = (params, blows, torch.tensor([[0.4, -0.7]], dtype=F64), torch.tensor([[2.0, 1.0]], dtype=F64))
@@ -258,13 +260,13 @@ def test_gradients_flow_through_steps() -> None:
 def test_environments_have_numbers_of_their_own() -> None:
     """Each of a batch moves as it does alone, to rounding, and differently."""
     arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)),)
-    robot = dragged(1.0, arms, {"qx": 0.1, "left.qx": 0.2}, constant_wind={"x": 3.0, "y": 1.0, "z": 0.0})
-    model, state = model_of(robot, num_envs=3)
+    robot = make_drag_robot(1.0, arms, {"qx": 0.1, "left.qx": 0.2}, constant_wind={"x": 3.0, "y": 1.0, "z": 0.0})
+    model, state = make_model(robot, num_envs=3)
     rows = {"link_drag": torch.tensor([[0.1, 0.2], [0.3, 0.2], [0.1, 0.5]], dtype=F64)}
     model = replace(model, effects=model.effects.with_params(lambda effect, params: rows.get(effect.name, params)))
     whole = fly(model, state, 0.01, 10)
     for env in range(3):
-        alone, start = model_of(robot)
+        alone, start = make_model(robot)
         own = model.effects.with_params(lambda effect, params, env=env: params[env : env + 1])
         end = fly(replace(alone, effects=own), start, 0.01, 10)
         torch.testing.assert_close(end.lin_vel[0], whole.lin_vel[env], rtol=1e-12, atol=1e-14)
@@ -292,7 +294,7 @@ def test_what_cannot_be_is_refused_by_name() -> None:
         check_effects(replace(morphy, effects={"link_drag": {"elevation_1.qx": 0.1}}))
     with pytest.raises(ConfigError, match=r"link_drag.azimuth_1.qx = -1.0: must lie in \[0, 10000\] N s²/m²"):
         check_effects(replace(morphy, effects={"link_drag": {"azimuth_1.qx": -1.0}}))
-    articulation = articulation_of(morphy, like=vehicle.mass)
+    articulation = build_articulation(morphy, like=vehicle.mass)
     bends = vehicle_from_config(morphy, num_envs=1, dtype=F64)
     twice = [(LinkDrag(), torch.zeros(1, 12, dtype=F64))] * 2
     with pytest.raises(ConfigError, match="a vehicle has one damping of links at most"):

@@ -16,10 +16,10 @@ import torch
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.physics.articulated.articulation import articulation_of
-from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.articulation import build_articulation
+from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.model import Model, build_model
-from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 
@@ -65,19 +65,19 @@ def rates(damping: float, *, flying: bool = True) -> tuple[complex, complex]:
     return (-damping + root) / (2.0 * inertia), (-damping - root) / (2.0 * inertia)
 
 
-def at_hover(damping: float) -> tuple[Model, JointedState, torch.Tensor]:
+def at_hover(damping: float) -> tuple[Model, ArticulatedState, torch.Tensor]:
     """Return it at rest in hover, one environment, and the thrusts."""
     robot = arms(damping)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
-    model = build_model(vehicle, [], articulation=articulation_of(robot, like=vehicle.mass))
+    model = build_model(vehicle, [], articulation=build_articulation(robot, like=vehicle.mass))
     angle, thrust = hover()
     thrusts = torch.full((1, 4), thrust, dtype=F64)
     body = replace(state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64), rotor_speed=thrusts)
     joints = torch.tensor([[angle, 0.0] * 4], dtype=F64)
-    return model, JointedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints)), thrusts
+    return model, ArticulatedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints)), thrusts
 
 
-def seen_rates(damping: float, dt: float, num_steps: int) -> np.ndarray:
+def fit_rates(damping: float, dt: float, num_steps: int) -> np.ndarray:
     """Return the two rates of a flight in which all arms are pushed down at once, by a fit of
     ``x_k+2 = a x_k+1 + b x_k + d``; d is what the angle of rest is off by the rounded numbers of the robot file."""
     model, state, thrusts = at_hover(damping)
@@ -86,19 +86,19 @@ def seen_rates(damping: float, dt: float, num_steps: int) -> np.ndarray:
     state = replace(state, joint_vel=push)
     away = []
     for _ in range(num_steps):
-        state = jointed_step(model, state, thrusts, thrusts[:, :0], dt)
+        state = articulated_step(model, state, thrusts, thrusts[:, :0], dt)
         away.append(float(state.joint_pos[0, 0]) - rest)
     assert float(state.ang_vel.abs().max()) < 1e-12
     x = np.array(away)
-    found, *_ = np.linalg.lstsq(np.stack((x[1:-1], x[:-2], np.full(len(x) - 2, x.std())), axis=1), x[2:], rcond=None)
-    return np.log(np.roots([1.0, -found[0], -found[1]]).astype(complex)) / dt
+    result, *_ = np.linalg.lstsq(np.stack((x[1:-1], x[:-2], np.full(len(x) - 2, x.std())), axis=1), x[2:], rcond=None)
+    return np.log(np.roots([1.0, -result[0], -result[1]]).astype(complex)) / dt
 
 
 def test_arms_hover_where_lagrange_says() -> None:
     """Nothing moves from there: neither arms nor body."""
     model, state, thrusts = at_hover(0.01825324)
     for _ in range(20):
-        state = jointed_step(model, state, thrusts, thrusts[:, :0], 2e-3)
+        state = articulated_step(model, state, thrusts, thrusts[:, :0], 2e-3)
     torch.testing.assert_close(state.lin_vel, torch.zeros_like(state.lin_vel), rtol=0.0, atol=1e-6)
     torch.testing.assert_close(state.joint_vel, torch.zeros_like(state.joint_vel), rtol=0.0, atol=1e-5)
 
@@ -113,7 +113,7 @@ def test_arms_pushed_in_flight_move_with_the_reduced_inertia(damping: float) -> 
     """
     right = sorted(rates(damping), key=lambda s: (s.imag, s.real))
     steps = [2e-4, 1e-4]
-    seen = [sorted(seen_rates(damping, dt, round(0.016 / dt)), key=lambda s: (s.imag, s.real)) for dt in steps]
+    seen = [sorted(fit_rates(damping, dt, round(0.016 / dt)), key=lambda s: (s.imag, s.real)) for dt in steps]
     print()
     for exact, coarse, fine, stand in zip(
         right, *seen, sorted(rates(damping, flying=False), key=lambda s: (s.imag, s.real)), strict=True

@@ -16,11 +16,11 @@ import torch
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import MountCfg, MountsCfg, RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.articulated.articulation import articulation_of
-from aerial_gym.physics.articulated.flight import jointed_step
+from aerial_gym.physics.articulated.articulation import build_articulation
+from aerial_gym.physics.articulated.flight import articulated_step
 from aerial_gym.physics.memory import make_memory
 from aerial_gym.physics.model import Model, build_model
-from aerial_gym.physics.state import JointedState, state_at_rest
+from aerial_gym.physics.state import ArticulatedState, state_at_rest
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_remembering
@@ -49,7 +49,7 @@ def rigid() -> RobotCfg:
     )
 
 
-def jointed(tau: float, inertia: float) -> RobotCfg:
+def add_joints(tau: float, inertia: float) -> RobotCfg:
     """Return the same with arms that turn up about ``e x z`` at their hinges, e outwards."""
     robot, own = rigid(), ((inertia, 0.0, 0.0), (0.0, inertia, 0.0), (0.0, 0.0, inertia))
     joints, mounts = [], []
@@ -78,10 +78,10 @@ def jointed(tau: float, inertia: float) -> RobotCfg:
     )
 
 
-def model_of(robot: RobotCfg, effects: list) -> Model:
+def make_model(robot: RobotCfg, effects: list) -> Model:
     """Return a model of three environments."""
     vehicle = vehicle_from_config(robot, num_envs=len(SPEEDS), dtype=F64)
-    return build_model(vehicle, effects, articulation=articulation_of(robot, like=vehicle.mass))
+    return build_model(vehicle, effects, articulation=build_articulation(robot, like=vehicle.mass))
 
 
 def amplitude(rows: list[torch.Tensor], phase: list[torch.Tensor], last: torch.Tensor) -> torch.Tensor:
@@ -103,11 +103,11 @@ def swings(name: str, scale: float, dt: float) -> torch.Tensor:
     speeds, step = SPEEDS / scale, dt * scale
     tau, inertia = 0.01 * scale, 1e-4 * scale**2 / COMPLIANCE
     params = torch.tensor([[COMPLIANCE, tau, HINGE / HUB]], dtype=F64).expand(len(SPEEDS), -1)
-    arms, still = model_of(jointed(tau, inertia), []), model_of(rigid(), [(EFFECTS.get(name), params)])
+    arms, still = make_model(add_joints(tau, inertia), []), make_model(rigid(), [(EFFECTS.get(name), params)])
     rest = torch.full((len(SPEEDS), 4), COMPLIANCE * THRUST * LENGTH, dtype=F64)
     body = state_at_rest(len(SPEEDS), 4, device=torch.device("cpu"), dtype=F64)
     body = replace(body, rotor_speed=torch.full_like(rest, THRUST))
-    bent = JointedState(**vars(body), joint_pos=rest, joint_vel=torch.zeros_like(rest))
+    bent = ArticulatedState(**vars(body), joint_pos=rest, joint_vel=torch.zeros_like(rest))
     memory = replace(make_memory(still, step), numbers=rest.clone())
     periods = (2.0 * pi / (speeds * step)).round()
     angles: list[list[torch.Tensor]] = [[], [], [], []]
@@ -117,7 +117,7 @@ def swings(name: str, scale: float, dt: float) -> torch.Tensor:
         thrust = (THRUST + SWING * torch.sin(phase)).unsqueeze(1).expand(-1, 4)
         before = bent.lin_vel[:, 2], body.lin_vel[:, 2]
         bent, body = replace(bent, rotor_speed=thrust), replace(body, rotor_speed=thrust)
-        bent = jointed_step(arms, bent, thrust, thrust[:, :0], step)
+        bent = articulated_step(arms, bent, thrust, thrust[:, :0], step)
         body, memory = fly_remembering(still, memory, body, [thrust], step, "euler")
         rising = [(now.lin_vel[:, 2] - old) / step for now, old in zip((bent, body), before, strict=True)]
         for seen, value in zip(angles, (bent.joint_pos[:, 0], memory.numbers[:, 0], *rising), strict=True):

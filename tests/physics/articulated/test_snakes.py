@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from aerial_gym.robots import ROBOTS
-from tests.physics.articulated.snakes import F64, STIFFNESS, G, Hover
+from tests.physics.articulated.snakes import F64, STIFFNESS, G, SnakeHover
 
 MASS, LENGTH, TORQUE_RATIO = 0.30625, 1.0, 0.01
 """Of a rod [kg], [m]; drag torque per thrust [m]."""
@@ -19,14 +19,16 @@ def test_a_stand_needs_more_than_drives_in_roll_can_give() -> None:
     That is L/2 and L of the two rods beyond roll_1 and L/2 beyond roll_2: 15 and 5 times the limit. Rod 2 lies along -x from a
     joint whose axis is +y: its weight turns the joint by ``r x F = (-L/2, 0, 0) x (0, 0, -m g) = -m g L/2 y``.
     """
-    hover = Hover.of(ROBOTS.get("snakey"))
-    load, _, _ = hover.on_joints(hover.articulation.reference, 0.0 * hover.even, floating=False)
+    hover = SnakeHover.from_robot(ROBOTS.get("snakey"))
+    load, _, _ = hover.on_joints(hover.articulation.reference, 0.0 * hover.equal_thrusts, floating=False)
     weight = MASS * G * LENGTH
     expected = torch.tensor([0.0, -1.5 * weight, 0.0, -0.5 * weight, 0.0, 0.0], dtype=F64)
     torch.testing.assert_close(load, expected, rtol=1e-9, atol=1e-12)
     for name in ("snakey", "snakey5", "snakey6"):
-        hover = Hover.of(ROBOTS.get(name))
-        most = float(hover.on_joints(hover.articulation.reference, 0.0 * hover.even, floating=False)[0].abs().max())
+        hover = SnakeHover.from_robot(ROBOTS.get(name))
+        most = float(
+            hover.on_joints(hover.articulation.reference, 0.0 * hover.equal_thrusts, floating=False)[0].abs().max()
+        )
         print(f"\n{name}: {most:.1f} N m on a stand, drives give {ROLL_LIMIT} N m")
         assert most > ROLL_LIMIT
 
@@ -37,11 +39,11 @@ def test_rods_that_carry_themselves_load_only_yaw_and_by_the_drag_of_rotors(name
 
     Rotor 0 turns positively, so that its drag is ``-0.01 m f`` about z and that of rotor 1 ``+0.01 m f``.
     """
-    hover = Hover.of(ROBOTS.get(name))
+    hover = SnakeHover.from_robot(ROBOTS.get(name))
     gen = torch.Generator().manual_seed(0)
     shape = hover.articulation.reference.clone()
     shape[0::2] += torch.rand(len(shape) // 2, generator=gen, dtype=F64) - 0.5
-    load, _, _ = hover.on_joints(shape, hover.even)
+    load, _, _ = hover.on_joints(shape, hover.equal_thrusts)
     torch.testing.assert_close(load[1::2], torch.zeros_like(load[1::2]), rtol=0.0, atol=1e-12)
     drag = TORQUE_RATIO * MASS * G * torch.tensor([(1.0, 0.0)[k % 2] for k in range(len(load) // 2)], dtype=F64)
     torch.testing.assert_close(load[0::2], drag, rtol=1e-9, atol=1e-12)
@@ -50,11 +52,11 @@ def test_rods_that_carry_themselves_load_only_yaw_and_by_the_drag_of_rotors(name
 def yaw_per_thrust(name: str, stiffness: float) -> float:
     """Return the torque about z per thrust by which rotors of the two directions differ [m], once drives to angles of a
     stiffness [N m/rad] have given way to it by load over stiffness."""
-    hover = Hover.of(ROBOTS.get(name))
+    hover = SnakeHover.from_robot(ROBOTS.get(name))
     spins, com = hover.model.vehicle.rotor_spin[0], hover.model.vehicle.com[0]
     step, pose, turning = 1e-4, hover.articulation.reference, []
     for side in (step, -step):
-        thrust = hover.even + side * (spins.mean() - spins)
+        thrust = hover.equal_thrusts + side * (spins.mean() - spins)
         load, _, _ = hover.on_joints(pose, thrust)
         _, _, whole = hover.on_joints(pose + load / stiffness, thrust)
         turning.append(float(whole[5] - torch.linalg.cross(com, whole[:3])[2]))

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.articulated.dynamics import accelerations, com_position, kinetic_energy, momenta
-from aerial_gym.physics.articulated.joint_laws import Drive, Limits, Spring
+from aerial_gym.physics.articulated.joint_laws import Drive, JointLimits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler, rk4
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 from tests.physics.articulated.trees import F64, pendulum, random_links, random_motion, random_tree
@@ -21,7 +21,7 @@ def row(*numbers: float) -> Tensor:
     return torch.tensor([numbers], dtype=F64)
 
 
-def hanging(angle: float, rate: float = 0.0) -> TreeState:
+def pendulum_state(angle: float, rate: float = 0.0) -> TreeState:
     state = TreeState.at_rest(1, 1, like=row(0.0))
     return TreeState(**{**vars(state), "joint_pos": row(angle), "joint_vel": row(rate)})
 
@@ -62,7 +62,7 @@ def test_a_pendulum_swings_in_its_period() -> None:
     """From 2 rad back to it after ``4 sqrt(l / g) K(sin 1)``, K the complete elliptic integral; RK4 at T / 200: 1e-5."""
     tree, links = pendulum(0.7, 0.3)
     period = 4.0 * sqrt(0.7 / G) * float(ellipk(sin(1.0) ** 2))
-    end = free(tree, links, hanging(2.0), period / 200, 200, gravity=G)
+    end = free(tree, links, pendulum_state(2.0), period / 200, 200, gravity=G)
     torch.testing.assert_close(end.joint_pos, row(2.0), rtol=0.0, atol=1e-5)
     torch.testing.assert_close(end.joint_vel, row(0.0), rtol=0.0, atol=1e-5)
 
@@ -74,8 +74,8 @@ def test_forces_on_a_link_push_the_base() -> None:
     wrench[0, 1] = torch.tensor(
         [3.0, 0.0, 0.0, 0.0, -0.5 * 3.0, 0.0]
     )  # at the end: moment of a force there about the hinge
-    found = accelerations(tree, links, hanging(0.0), gravity=G, wrench=wrench)
-    torch.testing.assert_close(found.joint_acc, row(-3.0 / (0.2 * 0.5)))
+    result = accelerations(tree, links, pendulum_state(0.0), gravity=G, wrench=wrench)
+    torch.testing.assert_close(result.joint_acc, row(-3.0 / (0.2 * 0.5)))
 
 
 @pytest.mark.parametrize("dt", [2e-3, 4e-3, 1e-2])
@@ -92,7 +92,7 @@ def test_a_stiff_damper_is_stable_at_any_step_and_exact_at_rest(dt: float) -> No
         rest=row(0.1),
         preload=row(0.0),
     )
-    state, before = hanging(0.35), 0.35
+    state, before = pendulum_state(0.35), 0.35
     for _ in range(round(1.0 / dt)):
         state = implicit_euler(tree, links, (spring,), state, dt, gravity=G)
         assert state.joint_pos.item() <= before + 1e-12  # creeps down, never up
@@ -107,7 +107,7 @@ def test_a_spring_that_is_stiffer_than_a_step_resolves_comes_to_rest() -> None:
     """50 rad in a step, no damper: implicit Euler shrinks the swing by ``1 + (w dt)²`` in square, to rest within rounding."""
     tree, links = pendulum(1.0, 1.0)
     spring = Spring(stiffness=row(5000.0**2), quadratic=row(0.0), damping=row(0.0), rest=row(0.0), preload=row(0.0))
-    state = hanging(0.2)
+    state = pendulum_state(0.2)
     for _ in range(8):
         state = implicit_euler(tree, links, (spring,), state, 0.01, gravity=0.0)
     assert abs(state.joint_pos.item()) < 0.2 * 50.0**-7
@@ -128,7 +128,7 @@ def test_implicit_steps_are_of_order_one() -> None:
     exact = 0.2 * exp(-share * natural * 0.5) * (cos(damped * 0.5) + share * natural / damped * sin(damped * 0.5))
     errors = []
     for dt in (4e-3, 2e-3, 1e-3):
-        state = hanging(0.2)
+        state = pendulum_state(0.2)
         for _ in range(round(0.5 / dt)):
             state = implicit_euler(tree, links, (spring,), state, dt, gravity=0.0)
         errors.append(abs(state.joint_pos.item() - exact))
@@ -144,7 +144,7 @@ def test_a_drive_holds_its_place_within_what_it_can(limit: float, reaches: bool)
         stiffness=row(50.0), damping=row(10.0), position=row(1.0), rate=row(0.0), effort=row(0.0), limit=row(limit)
     )
     still = Spring(stiffness=row(0.0), quadratic=row(0.0), damping=row(1.0), rest=row(0.0), preload=row(0.0))
-    state = hanging(0.0)
+    state = pendulum_state(0.0)
     for _ in range(250):  # 10 s, and still by 1e-8
         state = implicit_euler(tree, links, (still,), state, 4e-2, gravity=G, drive=drive)
     angle, weight = state.joint_pos.item(), 0.4 * G * 0.5
@@ -157,7 +157,7 @@ def test_a_drive_to_a_rate_turns_at_it() -> None:
     drive = Drive(
         stiffness=row(0.0), damping=row(10.0), position=row(0.0), rate=row(1.5), effort=row(0.0), limit=row(9.0)
     )
-    state = hanging(0.0)
+    state = pendulum_state(0.0)
     for _ in range(100):
         state = implicit_euler(tree, links, (), state, 2e-2, gravity=0.0, drive=drive)
     assert state.joint_vel.item() == pytest.approx(1.5, rel=1e-9)
@@ -168,14 +168,14 @@ def test_soft_ends_stop_a_joint_and_never_pull(side: float) -> None:
     """Flung at an end at 0.3 rad: it goes past it by no more than ``v / sqrt(k / I)``, comes back, and leaves freely."""
     tree, links = pendulum(0.5, 0.4)
     inertia, stiffness = 0.4 * 0.25, 500.0
-    ends = Limits(low=row(-0.3), high=row(0.3), stiffness=row(stiffness), damping=row(1.0))
-    state, most = hanging(0.0, side * 2.0), 0.0
+    ends = JointLimits(low=row(-0.3), high=row(0.3), stiffness=row(stiffness), damping=row(1.0))
+    state, most = pendulum_state(0.0, side * 2.0), 0.0
     for _ in range(500):
         state = implicit_euler(tree, links, (ends,), state, 1e-3, gravity=0.0)
         most = max(most, side * state.joint_pos.item())
     assert 0.3 < most < 0.3 + 2.0 / sqrt(stiffness / inertia)
     assert -2.0 < side * state.joint_vel.item() < 0.0
-    sticky = ends.effort_at(row(side * 0.31), row(-side * 100.0))
+    sticky = ends.evaluate_effort(row(side * 0.31), row(-side * 100.0))
     assert sticky.value.item() == 0.0
 
 
@@ -187,9 +187,9 @@ def test_a_tree_without_joints_is_a_body_that_turns_by_euler() -> None:
     state = TreeState.at_rest(1, 0, like=row(0.0))
     state = TreeState(**{**vars(state), "ang_vel": row(1.0, 2.0, 3.0)})
     wrench = torch.tensor([[[4.0, 0.0, 0.0, 0.0, 0.0, 0.0]]], dtype=F64)
-    found = accelerations(tree, links, state, gravity=G, wrench=wrench)
-    torch.testing.assert_close(found.lin_acc, row(2.0, 0.0, -G))
-    torch.testing.assert_close(found.ang_acc, row(-6.0, 3.0, -2.0 / 3.0))
+    result = accelerations(tree, links, state, gravity=G, wrench=wrench)
+    torch.testing.assert_close(result.lin_acc, row(2.0, 0.0, -G))
+    torch.testing.assert_close(result.ang_acc, row(-6.0, 3.0, -2.0 / 3.0))
 
 
 def test_gradients_flow_through_steps() -> None:
@@ -215,9 +215,9 @@ def test_float32_loses_no_more_than_rounding() -> None:
     exact = accelerations(tree, links, state, gravity=G).joint_acc
     single = {name: value.float() for name, value in vars(links).items()}
     moving = {name: value.float() for name, value in vars(state).items()}
-    found = accelerations(tree, Links(**single), TreeState(**moving), gravity=G).joint_acc
-    assert ((found - exact).abs().amax(1) / exact.abs().amax(1)).max() < 1e-3
-    assert found.dtype == torch.float32
+    result = accelerations(tree, Links(**single), TreeState(**moving), gravity=G).joint_acc
+    assert ((result - exact).abs().amax(1) / exact.abs().amax(1)).max() < 1e-3
+    assert result.dtype == torch.float32
 
 
 @pytest.mark.parametrize(

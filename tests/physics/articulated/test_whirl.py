@@ -61,7 +61,7 @@ def test_a_free_tree_keeps_energy_and_momentum_to_order_one_and_better_half_way(
     tree = random_tree(4, 3)
     links, start = random_links(tree, 16, 5), random_motion(tree, 16, 5)
     none = torch.zeros(1, 4, dtype=F64)
-    nothing = Drive(stiffness=none, damping=none, position=none, rate=none, effort=none, limit=none + 1.0)
+    empty = Drive(stiffness=none, damping=none, position=none, rate=none, effort=none, limit=none + 1.0)
 
     def off(drive: Drive | None, dt: float) -> list[float]:
         state = start
@@ -72,7 +72,7 @@ def test_a_free_tree_keeps_energy_and_momentum_to_order_one_and_better_half_way(
             ((a - b).norm(dim=-1) / b.norm(dim=-1)).square().mean().sqrt().item() for a, b in zip(*pairs, strict=True)
         ]
 
-    at_start, half_way = ([off(drive, dt) for dt in (4e-3, 2e-3)] for drive in (None, nothing))
+    at_start, half_way = ([off(drive, dt) for dt in (4e-3, 2e-3)] for drive in (None, empty))
     print(f"\nenergy, momentum, angular momentum off at 4 and 2 ms: {at_start}; half way {half_way}")
     for coarse, fine in (at_start, half_way):
         assert [log2(a / b) for a, b in zip(coarse, fine, strict=True)] == pytest.approx([1.0] * 3, abs=0.1)

@@ -41,18 +41,18 @@ def random_motion(tree: Tree, num_envs: int, seed: int) -> TreeState:
     """Return trees in any attitude that move and turn; a base that stands still does neither."""
     rng = np.random.default_rng(seed + 2)
 
-    def drawn(width: int, scale: float) -> torch.Tensor:
+    def draw(width: int, scale: float) -> torch.Tensor:
         return torch.from_numpy(rng.normal(size=(num_envs, width)) * scale)
 
-    attitude = torch.nn.functional.normalize(drawn(4, 1.0), dim=-1)
+    attitude = torch.nn.functional.normalize(draw(4, 1.0), dim=-1)
     moves = float(tree.floating)
     return TreeState(
-        position=drawn(3, 1.0),
+        position=draw(3, 1.0),
         attitude=attitude,
-        lin_vel=moves * drawn(3, 1.0),
-        ang_vel=moves * drawn(3, 2.0),
-        joint_pos=drawn(tree.num_joints, 0.7),
-        joint_vel=drawn(tree.num_joints, 2.0),
+        lin_vel=moves * draw(3, 1.0),
+        ang_vel=moves * draw(3, 2.0),
+        joint_pos=draw(tree.num_joints, 0.7),
+        joint_vel=draw(tree.num_joints, 2.0),
     )
 
 

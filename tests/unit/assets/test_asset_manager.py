@@ -93,8 +93,8 @@ def test_inner_faces_of_walls_lie_on_the_bounds(device: torch.device) -> None:
         axis_row = row if row < 4 else 9 - row  # bottom comes before top
         face = (upper if side > 0 else lower)[:, axis]
         torch.testing.assert_close(walls[:, axis_row, axis] - 0.1 * side, face, rtol=0.0, atol=2e-6)
-        others = [i for i in range(3) if i != axis]
-        torch.testing.assert_close(walls[:, axis_row, others], middle[:, others], rtol=0.0, atol=2e-6)
+        rest = [i for i in range(3) if i != axis]
+        torch.testing.assert_close(walls[:, axis_row, rest], middle[:, rest], rtol=0.0, atol=2e-6)
     assert manager.scene.semantic_id[:, WALLS].tolist() == [[9, 10, 11, 12, 13, 14]] * 50
     own = [*range(100, 103), *range(109, 144)]
     assert manager.scene.semantic_id[:, [*range(3), *range(9, 44)]].tolist() == [own] * 50

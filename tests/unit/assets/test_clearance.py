@@ -55,7 +55,7 @@ def begin(made: AssetManager, mask: Tensor) -> None:
 
 
 def distance(made: AssetManager, points: Tensor) -> Tensor:
-    """Return how far points (E, 3) are from the scene [m]."""
+    """Return the distance of points (E, 3) from the scene [m], (E,)."""
     num = len(points)
     out = torch.full((num,), float("nan"))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
@@ -156,7 +156,7 @@ def test_making_room_leaves_other_environments_bit_for_bit() -> None:
     assert torch.equal(made.scene.asset_state[~mask], before[~mask])
 
 
-def test_a_new_start_forgets_the_goal_of_the_episode_before() -> None:
+def test_a_new_start_forgets_the_goal_of_the_last_episode() -> None:
     """Environment 0 with an old goal is the same as environment 0 of a manager that never had one."""
     states = []
     for has_goal in (False, True):

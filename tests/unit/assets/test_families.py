@@ -48,7 +48,7 @@ def test_the_same_seed_gives_the_same_shapes_and_another_seed_others(name: str) 
     assert not set(map(str, family_shapes(replace(cfg, seed=4)))) & set(map(str, shapes))
 
 
-def test_rods_have_the_thickness_and_length_asked_for() -> None:
+def test_rods_have_the_thickness_and_length_requested() -> None:
     cfg = FamilyCfg(name="thin_rods", variants=200, ranges={"thickness": (0.014, 0.02), "length": (4.89, 4.89)})
     rods = family_shapes(cfg)
     radii = torch.tensor([rod.radius for rod in rods])
@@ -143,8 +143,8 @@ def test_a_compound_moves_and_turns_rigidly(seed: int) -> None:
         distance = excess.clamp(min=0.0).norm(dim=1) + excess.amax(dim=1).clamp(max=0.0)
         expected = torch.minimum(expected, distance)
     compound = ShapeCfg(kind="compound", parts=parts)
-    found = distances(compound, points, torch.cat((position, attitude)))
-    torch.testing.assert_close(found.double(), expected, atol=1e-5, rtol=0.0)  # float32 at 10 m
+    result = distances(compound, points, torch.cat((position, attitude)))
+    torch.testing.assert_close(result.double(), expected, atol=1e-5, rtol=0.0)  # float32 at 10 m
 
 
 def test_parts_show_their_own_semantic_id_or_that_of_their_asset() -> None:
@@ -174,15 +174,15 @@ def environment(*assets: AssetCfg, **fields) -> EnvironmentCfg:
 
 
 def manager(cfg: EnvironmentCfg, num_envs: int = 4) -> AssetManager:
-    ones = torch.ones(num_envs, 3)
+    unit_rows = torch.ones(num_envs, 3)
     return AssetManager(
         cfg,
         GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs}),
         num_envs=num_envs,
         device=torch.device("cpu"),
         random=Randomness(num_envs),
-        bounds_min=-5.0 * ones,
-        bounds_max=5.0 * ones,
+        bounds_min=-5.0 * unit_rows,
+        bounds_max=5.0 * unit_rows,
     )
 
 
@@ -265,11 +265,11 @@ def test_every_link_of_a_urdf_becomes_a_part_at_zero_joint_angles(lamp: Path) ->
     about_x = quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64))
     inner = quat_from_euler(torch.tensor([0.2, 0.3, 0.4], dtype=torch.float64))
     for axis in torch.eye(3, dtype=torch.float64):
-        found = quat_rotate(quat_from_euler(torch.tensor(shade.euler, dtype=torch.float64)), axis)
-        torch.testing.assert_close(found, quat_rotate(about_x, quat_rotate(inner, axis)))
+        result = quat_rotate(quat_from_euler(torch.tensor(shade.euler, dtype=torch.float64)), axis)
+        torch.testing.assert_close(result, quat_rotate(about_x, quat_rotate(inner, axis)))
 
 
-def test_links_of_a_urdf_show_the_ids_asked_for(lamp: Path) -> None:
+def test_links_of_a_urdf_show_the_ids_requested(lamp: Path) -> None:
     pytest.importorskip("yourdfpy")
     assert [part.semantic_id for part in load_urdf(lamp).parts or ()] == [None] * 4
     parts = load_urdf(lamp, link_ids={"pole": 50}, first_link_id=20).parts or ()

@@ -32,7 +32,7 @@ def simulate(env: str | EnvironmentCfg, num_envs: int, *, seed: int = 0, first_e
     )
 
 
-def track_of(env: EnvManager) -> TrackCfg:
+def env_track(env: EnvManager) -> TrackCfg:
     assert env.cfg.track is not None
     return env.cfg.track
 
@@ -48,7 +48,7 @@ def assert_uniform(values: Tensor, low: float, high: float) -> None:
 def test_offsets_are_uniform_about_the_listed_places() -> None:
     env = simulate("racing_env", 1000)
     env.reset()
-    track, gtd = track_of(env), env.gtd
+    track, gtd = env_track(env), env.gtd
     listed = torch.tensor([gate.position for gate in track.gates])
     torch.testing.assert_close(gtd["gate_nominal_position"], listed.expand(1000, -1, -1))
     torch.testing.assert_close(gtd["pole_nominal_position"], torch.tensor(track.poles).expand(1000, -1, -1))
@@ -91,7 +91,7 @@ def test_a_drawn_track_keeps_its_distances() -> None:
     """Within its rectangle always; distances where there is room, which is so in 19 of 20 tracks at the least."""
     env = simulate("racing_random_track_env", 2000)
     env.reset()
-    layout, gtd = track_of(env).layout, env.gtd
+    layout, gtd = env_track(env).layout, env.gtd
     assert layout is not None
     gates, poles, start = gtd["gate_nominal_position"], gtd["pole_nominal_position"], gtd["robot_position"][:, None]
     for places in (gates, poles):

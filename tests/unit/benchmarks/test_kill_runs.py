@@ -7,28 +7,28 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.robustness.kill_runs import begin, ended
+from benchmarks.robustness.kill_runs import await_exit, begin
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 
 
 @pytest.fixture
-def ignored_interrupts() -> Iterator[None]:
+def ignore_interrupts() -> Iterator[None]:
     """As in the background of a shell."""
     kept = signal.signal(signal.SIGINT, signal.SIG_IGN)
     yield
     signal.signal(signal.SIGINT, kept)
 
 
-@pytest.mark.usefixtures("ignored_interrupts")
+@pytest.mark.usefixtures("ignore_interrupts")
 def test_sigint_ends_a_process_that_was_begun_in_the_background() -> None:
     process = begin(SLEEP)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
-    assert ended(process, 10.0)
+    assert await_exit(process, 10.0)
 
 
 def test_a_process_that_goes_on_is_told_and_killed() -> None:
     process = begin(SLEEP)
-    assert not ended(process, 0.2)
+    assert not await_exit(process, 0.2)
     assert process.returncode == -signal.SIGKILL

@@ -8,38 +8,38 @@ import pytest
 from aerial_gym.errors import ConfigError, UnknownNameError
 from benchmarks.peers.__main__ import PeersCmd, print_ratios
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import RunFailedError, run, schedule, why_skipped
+from benchmarks.peers.runs import RunFailedError, run, schedule, skip_reason
 from benchmarks.peers.table import Measurement, ratios
-from benchmarks.peers.timing import Batch, Request, check, measure
+from benchmarks.peers.timing import Request, StepBlock, check, measure
 
 PEER_FILES = sorted((Path(__file__).parents[3] / "benchmarks" / "peers").glob("peer_*.py"))
 
 
-def measured(name: str, case: str, rate: float, substeps: int | None = None) -> Measurement:
+def make_measurement(name: str, case: str, rate: float, substeps: int | None = None) -> Measurement:
     call = "1" if substeps is None else str(substeps)
     return Measurement(name=name, case=case, substeps=substeps, rates=(rate,), version="1", dt_s=0.002, call=call)
 
 
 GIVEN = [
-    measured("aerial_gym", "plant", 10.0, 1),
-    measured("crazyflow", "plant", 4.0),
-    measured("aerial_gym", "plant", 30.0, 10),
-    measured("aerial_gym", "plant", 20.0, 1),
-    measured("crazyflow", "plant", 6.0),
-    measured("aerial_gym", "plant", 90.0, 1),
-    measured("crazyflow", "plant", 5.0),
-    measured("aerial_gym", "rk4", 8.0, 1),
-    measured("l2f", "rk4", 16.0),
+    make_measurement("aerial_gym", "plant", 10.0, 1),
+    make_measurement("crazyflow", "plant", 4.0),
+    make_measurement("aerial_gym", "plant", 30.0, 10),
+    make_measurement("aerial_gym", "plant", 20.0, 1),
+    make_measurement("crazyflow", "plant", 6.0),
+    make_measurement("aerial_gym", "plant", 90.0, 1),
+    make_measurement("crazyflow", "plant", 5.0),
+    make_measurement("aerial_gym", "rk4", 8.0, 1),
+    make_measurement("l2f", "rk4", 16.0),
 ]
 
 
 def test_ratios_are_those_of_the_medians_of_all_rounds() -> None:
-    found = {(row.case, row.peer, row.ours_call): row for row in ratios(GIVEN)}
-    assert found.keys() == {("plant", "crazyflow", "1"), ("plant", "crazyflow", "10"), ("rk4", "l2f", "1")}
-    assert found["plant", "crazyflow", "1"].ratio == 20.0 / 5.0
-    assert found["plant", "crazyflow", "10"].ratio == 30.0 / 5.0
-    assert found["rk4", "l2f", "1"].ratio == 0.5
-    assert found["plant", "crazyflow", "1"].peer_rounds == (4.0, 6.0, 5.0)
+    result = {(row.case, row.peer, row.ours_call): row for row in ratios(GIVEN)}
+    assert result.keys() == {("plant", "crazyflow", "1"), ("plant", "crazyflow", "10"), ("rk4", "l2f", "1")}
+    assert result["plant", "crazyflow", "1"].ratio == 20.0 / 5.0
+    assert result["plant", "crazyflow", "10"].ratio == 30.0 / 5.0
+    assert result["rk4", "l2f", "1"].ratio == 0.5
+    assert result["plant", "crazyflow", "1"].peer_rounds == (4.0, 6.0, 5.0)
 
 
 def test_the_table_has_a_line_per_peer_and_case(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,10 +56,10 @@ def test_ours_and_the_peers_take_turns() -> None:
 
 
 def test_a_missing_peer_is_skipped_with_a_sentence() -> None:
-    sentence = why_skipped("l2f", "/nowhere/bin/python", "cpu")
+    sentence = skip_reason("l2f", "/nowhere/bin/python", "cpu")
     assert sentence is not None
     assert sentence.startswith("l2f is skipped: /nowhere/bin/python cannot import it (")
-    assert why_skipped("l2f", sys.executable, "cuda") == "l2f is skipped: it runs on cpu only."
+    assert skip_reason("l2f", sys.executable, "cuda") == "l2f is skipped: it runs on cpu only."
 
 
 def test_the_words_of_a_failed_process_are_kept() -> None:
@@ -74,8 +74,8 @@ def test_a_process_is_pinned_to_as_many_cores_as_it_has_threads() -> None:
 
 
 def test_interpreters_are_named() -> None:
-    found = interpreters(("crazyflow=/venv/bin/python",), "python")
-    assert found == {**dict.fromkeys(PEERS, "python"), "crazyflow": "/venv/bin/python"}
+    result = interpreters(("crazyflow=/venv/bin/python",), "python")
+    assert result == {**dict.fromkeys(PEERS, "python"), "crazyflow": "/venv/bin/python"}
     with pytest.raises(UnknownNameError, match="no peer 'crazyflw'. Did you mean 'crazyflow'"):
         interpreters(("crazyflw=python",), "python")
     with pytest.raises(ConfigError, match="must be NAME=PYTHON"):
@@ -102,7 +102,7 @@ def test_a_peer_is_timed_and_watched() -> None:
         height[0] += 1e-6
 
     request = Request(case="plant", num_envs=1, threads=1, device="cpu", repeats=3, repeat_time_s=0.005)
-    batch = Batch(
+    batch = StepBlock(
         steps=10, dt=1e-3, run=climb, restart=lambda: height.__setitem__(0, 0.0), wait=lambda: None,
         heights=lambda: list(height),
     )  # fmt: skip

@@ -8,19 +8,27 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from aerial_gym import task_registry
-from aerial_gym.config import files_of
-from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.config import family_files
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.task.terms.observations import OBSERVATIONS
-from benchmarks.story.flying import CONTROL_RATE, SETPOINTS, STAY_S, PolicyPilot, fly_setpoints, setpoints, tracking
+from benchmarks.story.setpoint_flight import (
+    CONTROL_RATE,
+    SETPOINTS,
+    STAY_S,
+    PolicyPilot,
+    fly_setpoints,
+    setpoints,
+    tracking,
+)
 from benchmarks.story.story import ROBOT, TASK
-from benchmarks.story.vehicle import HIDDEN, declared_vehicle, true_vehicle
+from benchmarks.story.vehicle import HIDDEN, nominal_vehicle, true_vehicle
 from benchmarks.undeclared.nuisance import NO_BIAS
 from benchmarks.undeclared.sensors import Sample
 from benchmarks.undeclared.trajectories import Reference
 
 
-class Watched(Policy):
+class RecordingPolicy(Policy):
     """Gives the middle of its range, and keeps what it saw."""
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -28,8 +36,8 @@ class Watched(Policy):
         return torch.zeros(len(self.seen), 4)
 
 
-def watched() -> Watched:
-    return Watched(BodyCfg(shapes={"observations": (15,)}, hidden_layers=(8, 8), activation="relu"), 4)
+def recorder() -> RecordingPolicy:
+    return RecordingPolicy(NetworkBodyCfg(shapes={"observations": (15,)}, hidden_layers=(8, 8), activation="relu"), 4)
 
 
 def reference(position: np.ndarray) -> Reference:
@@ -50,8 +58,8 @@ def test_the_policy_sees_what_its_task_shows() -> None:
     rng = np.random.default_rng(0)
     turn = Rotation.from_quat(rng.normal(size=(5, 4)))
     position, target, velocity, rate = rng.normal(size=(4, 5, 3))
-    policy = watched()
-    pilot = PolicyPilot(policy, declared_vehicle(ROBOT))
+    policy = recorder()
+    pilot = PolicyPilot(policy, nominal_vehicle(ROBOT))
     sample = Sample(
         position=position,
         velocity=velocity,
@@ -77,32 +85,37 @@ def test_the_policy_sees_what_its_task_shows() -> None:
 
 def test_the_middle_of_its_actions_is_the_middle_of_the_thrusts() -> None:
     """0.7 N, between 0.2 and 1.2 N; held for four ticks of the plant, as the policy decides 100 times a second."""
-    declared = declared_vehicle(ROBOT)
-    policy = watched()
+    declared = nominal_vehicle(ROBOT)
+    policy = recorder()
     pilot = PolicyPilot(policy, declared)
-    ones = np.ones((2, 3))
+    unit_rows = np.ones((2, 3))
     sample = Sample(
-        position=ones, velocity=ones, rotation=np.tile(np.eye(3), (2, 1, 1)), rate=ones, acc=ones, rotor=np.ones((2, 4))
+        position=unit_rows,
+        velocity=unit_rows,
+        rotation=np.tile(np.eye(3), (2, 1, 1)),
+        rate=unit_rows,
+        acc=unit_rows,
+        rotor=np.ones((2, 4)),
     )
-    first = pilot.command(sample, reference(ones), 0)
+    first = pilot.command(sample, reference(unit_rows), 0)
     np.testing.assert_allclose(first**2 * 3.25852e-7, 0.7, rtol=1e-6)
     policy.seen = torch.zeros(0)
-    assert np.array_equal(pilot.command(sample, reference(ones), 3), first)
+    assert np.array_equal(pilot.command(sample, reference(unit_rows), 3), first)
     assert policy.seen.numel() == 0
 
 
 def test_the_vehicle_is_that_of_the_file_and_hides_what_it_says(tmp_path: Path) -> None:
     """Hover of the file's own comment, 1675.5 rad/s; what is hidden within two deviations of a careful declaration."""
-    declared = declared_vehicle(ROBOT)
+    declared = nominal_vehicle(ROBOT)
     assert declared.hover_speed() == pytest.approx(1675.5, abs=0.5)
     true, _ = true_vehicle(declared, seed=7)
     np.testing.assert_allclose(true.com[:2], [HIDDEN["com_offset"]["x"], HIDDEN["com_offset"]["y"]], atol=0.0006)
     shares = true.thrust_coeff / declared.thrust_coeff
     np.testing.assert_allclose(shares, [1.0, 1.0, 1.0, 0.92], atol=0.008)
     other = tmp_path / "other.yaml"
-    other.write_text((files_of("robots")["tinyprop"]).read_text() + "effects: {rotor_drag: {dx: 0.1}}\n")
+    other.write_text((family_files("robots")["tinyprop"]).read_text() + "effects: {rotor_drag: {dx: 0.1}}\n")
     with pytest.raises(ValueError, match="has effects or a thrust map that is no square"):
-        declared_vehicle(other)
+        nominal_vehicle(other)
 
 
 def test_setpoints_are_within_reach_and_the_same_for_a_seed() -> None:
@@ -116,10 +129,10 @@ def test_setpoints_are_within_reach_and_the_same_for_a_seed() -> None:
 @pytest.mark.slow
 def test_a_vehicle_that_only_falls_is_lost() -> None:
     """0.7 N a rotor carry 77 % of the weight: it falls by ½ (1 - 0.766) g t², 1.5 m after 1.1 s."""
-    declared = declared_vehicle(ROBOT)
+    declared = nominal_vehicle(ROBOT)
     points = setpoints(2, seed=0)
     points[1:] = points[0]
-    record = fly_setpoints(watched(), declared=declared, true=declared, bias=NO_BIAS, points=points, seed=0)
+    record = fly_setpoints(recorder(), declared=declared, true=declared, bias=NO_BIAS, points=points, seed=0)
     height = record.position[:, 0, 2] - points[0, 0, 2]
     tick = round(1.1 * CONTROL_RATE)
     share = 4.0 * 0.7 / (declared.mass * 9.81)

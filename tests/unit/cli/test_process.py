@@ -60,10 +60,10 @@ def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.Monk
     monkeypatch.setattr(process, "keep_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "list"])
-    assert process.started_at() == pytest.approx(time.perf_counter(), abs=0.1)
+    assert process.start_time() == pytest.approx(time.perf_counter(), abs=0.1)
     used = time.process_time()
     process.begin()
-    assert process.started_at() == pytest.approx(time.perf_counter() - used, abs=0.1)
+    assert process.start_time() == pytest.approx(time.perf_counter() - used, abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ class TaskConfig:
         self.seed = seed
 
 
-def test_a_seed_reaches_what_scripts_draw_from() -> None:
+def test_a_seed_reaches_what_scripts_use() -> None:
     def draws(seed: int) -> tuple[float, float, float]:
         BaseTask(TaskConfig(seed))
         return random.random(), float(np.random.rand()), torch.rand(1).item()

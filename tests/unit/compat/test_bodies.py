@@ -10,7 +10,7 @@ import torch
 from aerial_gym.compat import SimBuilder, robot_registry
 from aerial_gym.compat.config import robots
 from aerial_gym.compat.config.bodies import allocation_matrix
-from aerial_gym.compat.config.fields import same
+from aerial_gym.compat.config.fields import values_equal
 from aerial_gym.compat.registries import BaseMultirotor
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
@@ -60,10 +60,10 @@ def hexarotor(folder: Path, **changes: Any) -> type:
 def test_a_robot_of_one_s_own_flies(tmp_path: Path) -> None:
     """Mass, inertia and shape are those of the URDF, the matrix comes back, and it hovers where it shall."""
     cls = hexarotor(tmp_path)
-    cfg = robots.robot_of(cls)
+    cfg = robots.translate_robot(cls)
     assert cfg.body.mass == pytest.approx(1.2)
     np.testing.assert_allclose(cfg.body.inertia, np.diag([0.012, 0.013, 0.02]))
-    assert same(allocation_matrix(cfg), cls.control_allocator_config.allocation_matrix)  # pyright: ignore
+    assert values_equal(allocation_matrix(cfg), cls.control_allocator_config.allocation_matrix)  # pyright: ignore
     assert [box.size for box in cfg.collision.boxes] == [(0.3, 0.4, 0.12), (0.02, 0.02, 0.1)]
     assert cfg.collision.boxes[1].center == (0.0, 0.0, 0.1)
     assert [(ball.center, ball.radius) for ball in cfg.collision.spheres] == [((0.2, 0.0, 0.0), 0.03)]
@@ -84,7 +84,7 @@ def test_allocation_matrix_of_the_quadrotor_is_that_of_the_class() -> None:
         [0.0] * 4, [0.0] * 4, [1.0] * 4,
         [-0.13, -0.13, 0.13, 0.13], [-0.13, 0.13, 0.13, -0.13], [-0.01, 0.01, -0.01, 0.01],
     ]  # fmt: skip
-    assert same(allocation_matrix(ROBOTS.get("base_quadrotor")), expected)
+    assert values_equal(allocation_matrix(ROBOTS.get("base_quadrotor")), expected)
 
 
 @pytest.mark.parametrize(
@@ -101,17 +101,17 @@ def test_allocation_matrix_of_the_quadrotor_is_that_of_the_class() -> None:
 )
 def test_what_contradicts_itself_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        robots.robot_of(hexarotor(tmp_path, **changes))
+        robots.translate_robot(hexarotor(tmp_path, **changes))
 
 
 def test_a_robot_without_gravity_floats() -> None:
     """Only robots feel gravity, there too, so that it is the simulation's to leave it out."""
 
-    class Floating(robots.BaseQuadCfg):
+    class WeightlessRobot(robots.BaseQuadCfg):
         class robot_asset(robots.BaseQuadCfg.robot_asset):  # pyright: ignore
             disable_gravity = True
 
-    robot_registry.register("floating", BaseMultirotor, Floating)
+    robot_registry.register("floating", BaseMultirotor, WeightlessRobot)
     env = SimBuilder().build_env("base_sim", "empty_env", "floating", "no_control", "cpu", num_envs=3, seed=1)
     env.reset()
     env.step(torch.zeros(3, 4))  # from hover speed at weight 0: the rotors stand

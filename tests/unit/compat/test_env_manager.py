@@ -47,11 +47,11 @@ def test_flags_outlive_the_reset_until_the_next_step() -> None:
 
 
 def test_reset_on_collision_keeps_crashed_rows() -> None:
-    class Lasting(env_config_registry.get_env_config("empty_env")):
+    class NoResetEnv(env_config_registry.get_env_config("empty_env")):
         class env(env_config_registry.get_env_config("empty_env").env):
             reset_on_collision = False
 
-    env_config_registry.register("lasting", Lasting)
+    env_config_registry.register("lasting", NoResetEnv)
     env = build("lasting")
     env.get_obs()["crashes"][:] = True
     env.get_obs()["truncations"][1] = True

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
-from aerial_gym.compat.config.fields import STANDS_FOR, Field, Table, same
+from aerial_gym.compat.config.fields import STANDS_FOR, ConfigField, ConfigTable, values_equal
 from aerial_gym.compat.page import TABLES
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import ConfigError
@@ -84,10 +84,10 @@ KEPT = {
 """Fields that are read where they are needed, and not written into our configuration."""
 
 
-def another(field: Field, value: Any) -> Any:
+def other_value(field: ConfigField, value: Any) -> Any:
     """Return another value of the same kind."""
-    if field.theirs in OTHER:
-        return OTHER[field.theirs]
+    if field.script_name in OTHER:
+        return OTHER[field.script_name]
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
@@ -101,7 +101,7 @@ def another(field: Field, value: Any) -> Any:
     return "another"
 
 
-def derived_class(parent: type, values: dict[str, Any]) -> type:
+def make_subclass(parent: type, values: dict[str, Any]) -> type:
     """Return a class derived from a configuration class with other values, written as scripts write it."""
     made = type("Mine", (parent,), {})
     for path, value in values.items():
@@ -127,30 +127,32 @@ CASES = [
     (title, table, field)
     for title, table in TABLES
     for field in table.fields
-    if f"{title} {field.theirs}" not in TOGETHER
+    if f"{title} {field.script_name}" not in TOGETHER
 ]
 
 
-@pytest.mark.parametrize(("title", "table", "field"), CASES, ids=[f"{t} {f.theirs}" for t, _, f in CASES])
+@pytest.mark.parametrize(("title", "table", "field"), CASES, ids=[f"{t} {f.script_name}" for t, _, f in CASES])
 def test_every_attribute_does_what_the_table_says(
-    title: str, table: Table, field: Field, tmp_path: Any, caplog: pytest.LogCaptureFixture
+    title: str, table: ConfigTable, field: ConfigField, tmp_path: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     """A changed value changes our configuration, is noted in the log as without effect, or is refused with the way out."""
     parent = CLASSES[title]
     stands_for = getattr(parent, STANDS_FOR)
     (tmp_path / "post.urdf").write_text(URDF)
-    values = {key: str(tmp_path) if value == "URDF" else value for key, value in NEEDS.get(field.theirs, {}).items()}
-    before = table.translate(derived_class(parent, values), stands_for)
-    new = another(field, field.read(stands_for))
-    if field.theirs == "asset_folder":
+    values = {
+        key: str(tmp_path) if value == "URDF" else value for key, value in NEEDS.get(field.script_name, {}).items()
+    }
+    before = table.translate(make_subclass(parent, values), stands_for)
+    new = other_value(field, field.read(stands_for))
+    if field.script_name == "asset_folder":
         new = str(tmp_path)
-    elif field.theirs == "file":
+    elif field.script_name == "file":
         new = "post.urdf"
         (tmp_path / "other.urdf").write_text(URDF)
-        before = table.translate(derived_class(parent, values), stands_for)
-    cls = derived_class(parent, values | {field.theirs: new})
+        before = table.translate(make_subclass(parent, values), stands_for)
+    cls = make_subclass(parent, values | {field.script_name: new})
     if field.refused:
-        with pytest.raises(ConfigError, match=f"Mine.{field.theirs} = "):
+        with pytest.raises(ConfigError, match=f"Mine.{field.script_name} = "):
             table.translate(cls, stands_for)
         assert field.remark
         return
@@ -159,18 +161,18 @@ def test_every_attribute_does_what_the_table_says(
     if field.write is None:
         assert "without effect here" in caplog.text
         assert field.remark
-    changes = field.write is not None and field.theirs not in KEPT
+    changes = field.write is not None and field.script_name not in KEPT
     assert (after != before) == changes
 
 
 @pytest.mark.parametrize(("title", "table"), TABLES, ids=[title for title, _ in TABLES])
-def test_a_class_stands_for_its_configuration(title: str, table: Table) -> None:
+def test_a_class_stands_for_its_configuration(title: str, table: ConfigTable) -> None:
     """Read back unchanged, also from a class derived with a nested class of its own, it is the very same numbers."""
     parent = CLASSES[title]
     stands_for = getattr(parent, STANDS_FOR)
     assert table.translate(parent, stands_for) == stands_for
     assert table.translate(parent(), stands_for) == stands_for
-    assert table.translate(derived_class(parent, {}), stands_for) == stands_for
+    assert table.translate(make_subclass(parent, {}), stands_for) == stands_for
 
 
 def test_the_sections_that_mean_nothing_take_anything() -> None:
@@ -182,18 +184,18 @@ def test_the_sections_that_mean_nothing_take_anything() -> None:
             class physx:
                 num_threads = 10
 
-    assert sims.sim_of(Sim) == sims.sim_of(sims.BaseSimConfig)
+    assert sims.translate_sim(Sim) == sims.translate_sim(sims.BaseSimConfig)
 
 
 def test_an_unknown_attribute_is_refused_by_name() -> None:
-    cls = derived_class(CLASSES["Environments"], {"env.lower_bound_mim": [0, 0, 0]})
+    cls = make_subclass(CLASSES["Environments"], {"env.lower_bound_mim": [0, 0, 0]})
     with pytest.raises(
         ConfigError,
         match=r"Mine.env.lower_bound_mim = \[0, 0, 0\]: no such field \(environment\). Did you mean 'env.lower_bound_min'",
     ):
-        environments.environment_of(cls)
-    cls = derived_class(CLASSES["Environments"], {"env._my_own_note": 3})
-    assert environments.environment_of(cls) == environments.environment_of(CLASSES["Environments"])
+        environments.translate_environment(cls)
+    cls = make_subclass(CLASSES["Environments"], {"env._my_own_note": 3})
+    assert environments.translate_environment(cls) == environments.translate_environment(CLASSES["Environments"])
 
 
 def test_changes_are_made_all_at_once() -> None:
@@ -204,7 +206,7 @@ def test_changes_are_made_all_at_once() -> None:
             lower_bound_min = lower_bound_max = [100.0, 100.0, 100.0]
             upper_bound_min = upper_bound_max = [120.0, 120.0, 120.0]
 
-    cfg = environments.environment_of(Far)
+    cfg = environments.translate_environment(Far)
     assert cfg.bounds_lower_low == (100.0, 100.0, 100.0)
     assert cfg.bounds_upper_high == (120.0, 120.0, 120.0)
     assert cfg.assets == ()
@@ -215,55 +217,59 @@ def test_asset_classes_are_read_when_something_is_built() -> None:
     panels = assets.CLASSES["panels"]
     try:
         panels.num_assets = 7
-        cfg = environments.environment_of(CLASSES["Environments"])
+        cfg = environments.translate_environment(CLASSES["Environments"])
         assert next(a.count for a in cfg.assets if a.name == "panels") == 7
         panels.num_assets = 0
-        assert "panels" not in [a.name for a in environments.environment_of(CLASSES["Environments"]).assets]
+        assert "panels" not in [a.name for a in environments.translate_environment(CLASSES["Environments"]).assets]
     finally:
         panels.num_assets = 3
-    assert environments.environment_of(CLASSES["Environments"]) == getattr(CLASSES["Environments"], STANDS_FOR)
+    assert environments.translate_environment(CLASSES["Environments"]) == getattr(CLASSES["Environments"], STANDS_FOR)
 
 
 def test_folders_of_that_simulator_have_shapes_here() -> None:
-    class Trees(assets.BaseAssetParams):
+    class TreeAssets(assets.BaseAssetParams):
         asset_folder = "/nowhere/aerial_gym/resources/models/environment_assets/trees"
 
-    cfg = assets.asset_of("wood", Trees)
+    cfg = assets.translate_asset("wood", TreeAssets)
     assert cfg is not None
     assert cfg.name == "wood"
     assert cfg.family is not None
     assert cfg.family.name == "trees"
 
-    class Nothing(assets.BaseAssetParams):
+    class EmptyAssets(assets.BaseAssetParams):
         asset_folder = "/nowhere/houses"
 
     with pytest.raises(
         ConfigError, match="asset_folder = '/nowhere/houses', file = None: no such URDF file. Folders of that"
     ):
-        assets.asset_of("houses", Nothing)
+        assets.translate_asset("houses", EmptyAssets)
 
     class Bare(assets.BaseAssetParams):
         num_assets = 2
 
     with pytest.raises(ConfigError, match="Bare.asset_folder: must be given"):
-        assets.asset_of("bare", Bare)
+        assets.translate_asset("bare", Bare)
 
 
 def test_units_of_the_motor_model() -> None:
     """1.376e-5 N per (rev/s)² is that over (2 pi)² per (rad/s)²; the middle of a range counts."""
     low, high = 1.0e-5, 1.752e-5
     motor = "control_allocator_config.motor_model_config"
-    cls = derived_class(
+    cls = make_subclass(
         robots.BaseQuadCfg, {f"{motor}.motor_thrust_constant_min": low, f"{motor}.motor_thrust_constant_max": high}
     )
-    assert robots.robot_of(cls).rotor_types[0].thrust_map == pytest.approx((0.0, 0.0, 1.376e-5 / 39.47841760435743))
+    assert robots.translate_robot(cls).rotor_types[0].thrust_map == pytest.approx(
+        (0.0, 0.0, 1.376e-5 / 39.47841760435743)
+    )
 
 
 def test_force_mode_has_no_thrust_map() -> None:
     """There the state of such a motor is its thrust, with limits that may be negative: a reversible rotor."""
     motor = "control_allocator_config.motor_model_config"
     values = {"use_rps": False, "min_thrust": -5.0, "max_thrust": 5.0, "max_thrust_rate": 200.0}
-    rotor = robots.robot_of(derived_class(robots.BaseQuadCfg, {f"{motor}.{k}": v for k, v in values.items()})).rotor
+    rotor = robots.translate_robot(
+        make_subclass(robots.BaseQuadCfg, {f"{motor}.{k}": v for k, v in values.items()})
+    ).rotor
     assert rotor is not None
     assert (rotor.mode, rotor.thrust_map, rotor.thrust_range, rotor.slew_rate) == (
         "force",
@@ -274,7 +280,7 @@ def test_force_mode_has_no_thrust_map() -> None:
 
 
 def test_depth_of_cameras_there_is_divided_by_the_range() -> None:
-    cfg = sensors.sensor_of(sensors.CLASSES["base_depth_camera"])
+    cfg = sensors.translate_sensor(sensors.CLASSES["base_depth_camera"])
     assert cfg.normalize
     assert (cfg.far_pixel, cfg.near_pixel) == (1.0, -1.0)
     assert sensors.sensor_name(sensors.CLASSES["stereo_camera"]) == "stereo_camera"
@@ -290,7 +296,7 @@ def test_an_imu_of_one_s_own() -> None:
         bias_std = [1.0] * 6
         enable_bias = False
 
-    cfg = imus.imu_of(Noisy)
+    cfg = imus.translate_imu(Noisy)
     assert (cfg.accel_noise_density, cfg.gyro_noise_density) == ((0.1, 0.1, 0.2), (0.01, 0.01, 0.02))
     assert cfg.accel_bias_walk == cfg.gyro_bias_walk == cfg.gyro_initial_bias == (0.0,) * 3
     name = imus.imu_name(Noisy)
@@ -301,9 +307,9 @@ def test_an_imu_of_one_s_own() -> None:
         "min_euler_rotation_deg": [-1.0, -2.0, 0.0],
         "max_euler_rotation_deg": [1.0, 2.0, 0.0],
     }
-    assert imus.imu_of(derived_class(Noisy, turned)).misalignment_deg == (1.0, 2.0, 0.0)
+    assert imus.translate_imu(make_subclass(Noisy, turned)).misalignment_deg == (1.0, 2.0, 0.0)
     with pytest.raises(ConfigError, match="max_euler_rotation_deg = .* must lie about 0"):
-        imus.imu_of(derived_class(Noisy, turned | {"min_euler_rotation_deg": [0.0, 0.0, 1.0]}))
+        imus.translate_imu(make_subclass(Noisy, turned | {"min_euler_rotation_deg": [0.0, 0.0, 1.0]}))
 
 
 def test_gains_of_a_class_are_explicit_gains() -> None:
@@ -314,7 +320,7 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
         K_rot_tensor_max = [1.5, 1.7, 0.5]
         randomize_params = True
 
-    cfg = controllers.controller_of(controllers.LAWS["LeeAttitudeController"], Quick)
+    cfg = controllers.translate_controller(controllers.LAWS["LeeAttitudeController"], Quick)
     assert cfg.gains is not None
     assert cfg.gains.attitude == pytest.approx((1.55, 1.65, 0.45))
     assert cfg.if_unstable == "warn"
@@ -324,7 +330,7 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
     assert drawn.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
     assert not controllers.gain_randomization(controllers.LAWS["NoControl"], Quick)
     with pytest.raises(ConfigError, match="controller class MyLaw: its own law cannot be run here"):
-        controllers.controller_of(type("MyLaw", (), {}), Quick)
+        controllers.translate_controller(type("MyLaw", (), {}), Quick)
 
 
 @dataclass(frozen=True)
@@ -333,8 +339,8 @@ class _Inner:
 
 
 def test_same_compares_numbers_to_a_millionth() -> None:
-    assert same([1.0, 2], (1.0 + 1e-9, 2.0))
-    assert not same([1.0], [1.0001])
-    assert not same([1.0], 1.0)
-    assert not same("ab", ("a", "b"))
+    assert values_equal([1.0, 2], (1.0 + 1e-9, 2.0))
+    assert not values_equal([1.0], [1.0001])
+    assert not values_equal([1.0], 1.0)
+    assert not values_equal("ab", ("a", "b"))
     assert replace(_Inner(), a=2.0) != _Inner()

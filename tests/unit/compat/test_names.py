@@ -4,12 +4,12 @@ from importlib import import_module
 
 import pytest
 
-from aerial_gym.compat.names import METHODS, Name
+from aerial_gym.compat.names import METHODS, MethodName
 
 
-@pytest.mark.parametrize("name", METHODS, ids=lambda name: name.theirs)
-def test_every_method_is_there(name: Name) -> None:
-    module, _, path = name.theirs.partition(":")
+@pytest.mark.parametrize("name", METHODS, ids=lambda name: name.script_name)
+def test_every_method_is_there(name: MethodName) -> None:
+    module, _, path = name.script_name.partition(":")
     member = import_module(f"aerial_gym.compat.{module}")
     for part in path.split("."):
         member = getattr(member, part)

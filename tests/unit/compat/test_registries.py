@@ -17,7 +17,7 @@ from aerial_gym.compat import (
     task_registry,
 )
 from aerial_gym.compat.config import controllers, robots, sims
-from aerial_gym.compat.config.fields import fresh
+from aerial_gym.compat.config.fields import copy_class
 from aerial_gym.compat.registries import BaseMultirotor
 from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
 
@@ -73,16 +73,16 @@ def test_every_robot_of_ours_has_a_class(name: str) -> None:
     """Read back it is the robot; only depth cameras are divided by their range, as there."""
     cls = robot_registry.get_robot_config(name)
     assert robot_registry.get_robot_class(name) is BaseMultirotor
-    translated = robots.robot_of(cls)
+    translated = robots.translate_robot(cls)
     assert translated.body == ROBOTS.get(name).body
     assert len(translated.sensors) == len(ROBOTS.get(name).sensors)
     assert robot_registry.resolve(name) in (name, translated)
 
 
 def test_a_file_of_ours_is_a_robot() -> None:
-    from aerial_gym.config import files_of
+    from aerial_gym.config import family_files
 
-    path = str(files_of("robots")["tinyprop"])
+    path = str(family_files("robots")["tinyprop"])
     assert robot_registry.resolve(path) == path
     assert robot_registry.config_class(path).init_config.min_init_state[6] == 1.0
 
@@ -141,12 +141,14 @@ def test_registered_gains_fly() -> None:
 def test_randomised_gains_are_drawn_by_name() -> None:
     """What ``randomize_params`` draws lies between minimum and maximum, is of each environment, and changes with an episode."""
 
-    class Drawn(controllers.control):
+    class RandomGains(controllers.control):
         K_rot_tensor_min, K_rot_tensor_max = [0.9, 0.9, 0.4], [1.1, 1.1, 0.6]
         K_angvel_tensor_min, K_angvel_tensor_max = [0.15, 0.15, 0.15], [0.2, 0.2, 0.2]
         randomize_params = True
 
-    controller_registry.register_controller("drawn_position_control", controllers.LAWS["LeePositionController"], Drawn)
+    controller_registry.register_controller(
+        "drawn_position_control", controllers.LAWS["LeePositionController"], RandomGains
+    )
     env = SimBuilder().build_env(
         "base_sim", "empty_env", "base_quadrotor", "drawn_position_control", "cpu", num_envs=64
     )
@@ -156,7 +158,7 @@ def test_randomised_gains_are_drawn_by_name() -> None:
     for name in ("position", "velocity", "attitude", "rate"):
         assert torch.equal(draws[f"gains.{name}"], getattr(gains, name))
         assert len(getattr(gains, name).unique(dim=0)) == 64
-    low, high = torch.tensor(Drawn.K_rot_tensor_min), torch.tensor(Drawn.K_rot_tensor_max)
+    low, high = torch.tensor(RandomGains.K_rot_tensor_min), torch.tensor(RandomGains.K_rot_tensor_max)
     assert ((gains.attitude >= low) & (gains.attitude <= high)).all()
     before = gains.attitude.clone()
     env.env.reset(torch.arange(64) < 32)
@@ -198,6 +200,6 @@ def test_a_task_gets_a_configuration_of_its_own() -> None:
     assert Config.reward_parameters == {"a": 1.0}
     assert Config.inner.levels == [1, 2]
     assert Config.num_envs == 4
-    assert fresh(Config()).num_envs == 4
+    assert copy_class(Config()).num_envs == 4
     assert task_registry.get_task_class("greedy") is Greedy
     assert task_registry.get_task_config("greedy") is Config

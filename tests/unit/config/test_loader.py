@@ -46,7 +46,7 @@ def test_tinyprop_is_table_4_of_the_appendix() -> None:
     assert robot.body.mass == 0.373
     np.testing.assert_allclose(np.diag(robot.body.inertia), [1.5914e-3, 1.5312e-3, 2.5329e-3], rtol=1e-6)
     np.testing.assert_allclose(robot.rotor.thrust_map[2] * (2 * np.pi) ** 2, 1.286412e-5, rtol=1e-6)
-    hover = robot.rotor.speed_at(0.373 * 9.81 / 4)
+    hover = robot.rotor.speed_for_thrust(0.373 * 9.81 / 4)
     np.testing.assert_allclose(hover / (2 * np.pi), 266.7, atol=0.1)
 
 
@@ -130,4 +130,4 @@ def test_unreadable_files_are_named(text: str, message: str, tmp_path: Path) -> 
 def test_torque_map_follows_the_ratio() -> None:
     rotor = build(RotorCfg, {**ROTOR, "thrust_map": [0.1, -1e-4, 1e-6]}, where="here")
     np.testing.assert_allclose(rotor.torque_coefficients, [1e-3, -1e-6, 1e-8])
-    np.testing.assert_allclose(rotor.speed_at(0.1 - 1e-4 * 900 + 1e-6 * 900**2), 900.0)
+    np.testing.assert_allclose(rotor.speed_for_thrust(0.1 - 1e-4 * 900 + 1e-6 * 900**2), 900.0)

@@ -71,7 +71,7 @@ LIDARS = {
 
 
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
-    ours = {
+    actual = {
         "depth_camera_64",
         "coarse_depth_camera",
         "coarse_dome_lidar",
@@ -87,7 +87,7 @@ def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
         "livox_mid70",
         "livox_avia",
     }
-    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *ours}
+    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *actual}
 
 
 @pytest.mark.parametrize("name", CAMERAS)
@@ -226,7 +226,7 @@ def test_noise_is_off_if_absent_or_switched_off() -> None:
     ],
 )
 def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, worst: float) -> None:
-    assert noise.least_std_at(0.2, 10.0) == pytest.approx(worst)
+    assert noise.least_std_distance(0.2, 10.0) == pytest.approx(worst)
     grid = [0.2 + 9.8 * i / 1000 for i in range(1001)]
     assert noise.std(worst) <= min(map(noise.std, grid)) + 1e-12
 

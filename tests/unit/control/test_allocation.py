@@ -12,14 +12,14 @@ from torch import Tensor
 
 from aerial_gym.config.robot import MountCfg, RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.allocation import Allocation, allocation_matrix, prioritised_thrust
+from aerial_gym.control.allocation import Allocation, allocation_matrix, allot_thrust
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.fused.allocation import make_prioritised_thrust
+from aerial_gym.physics.fused.allocation import make_allot_thrust
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.robots import ROBOTS
-from tests.repetitions import seldom
+from tests.repetitions import rare_values
 
 F64 = torch.float64
 
@@ -47,7 +47,7 @@ def with_a_pusher() -> RobotCfg:
 VEHICLES = {"quadrotor": ROBOTS.get("tinyprop"), "hexarotor": hexarotor(), "pusher": with_a_pusher()}
 
 
-def allocation_of(robot: RobotCfg, num_envs: int, dtype: torch.dtype = F64) -> Allocation:
+def make_allocation(robot: RobotCfg, num_envs: int, dtype: torch.dtype = F64) -> Allocation:
     return Allocation(vehicle_from_config(robot, num_envs=num_envs, dtype=dtype), 9.81)
 
 
@@ -78,9 +78,9 @@ def best_by_linear_programs(allocation: Allocation, wrench: np.ndarray) -> np.nd
     bounds = [(0.0, 1.0), (0.0, None), (0.0, None), (0.0, 1.0 if len(lift) == 4 else 0.0)]
 
     def solve(cost: list[float]) -> np.ndarray:
-        found = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs")
-        assert found.status == 0
-        return found.x
+        result = linprog(cost, A_ub=matrix, b_ub=limit, bounds=bounds, method="highs")
+        assert result.status == 0
+        return result.x
 
     share = solve([-1.0, 0.0, 0.0, 0.0])[0]
     bounds[0], bounds[3] = (share, share), (0.0, 1.0)
@@ -89,8 +89,8 @@ def best_by_linear_programs(allocation: Allocation, wrench: np.ndarray) -> np.nd
     return base + columns @ solve([0.0, 0.0, 0.0, -1.0])
 
 
-def inside(allocation: Allocation, wrench: Tensor) -> Tensor:
-    """Return where no rotor is at a limit, (E,)."""
+def has_margin(allocation: Allocation, wrench: Tensor) -> Tensor:
+    """Return the mask of wrenches whose rotor thrusts all lie within the limits, (E,)."""
     plain = allocation.thrust(wrench)
     return ((plain >= allocation.low) & (plain <= allocation.high)).all(-1)
 
@@ -98,26 +98,26 @@ def inside(allocation: Allocation, wrench: Tensor) -> Tensor:
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize("size", [0.5, 3.0])
 def test_each_priority_is_the_best_that_linear_programs_find(name: str, size: float) -> None:
-    allocation = allocation_of(VEHICLES[name], 40)
+    allocation = make_allocation(VEHICLES[name], 40)
     wanted = wrenches(VEHICLES[name], 40, size)
-    found = prioritised_thrust(allocation.inverse, wanted, allocation.low, allocation.high)
-    at_limits = ~inside(allocation, wanted)
+    result = allot_thrust(allocation.inverse, wanted, allocation.low, allocation.high)
+    at_limits = ~has_margin(allocation, wanted)
     expected = np.stack([best_by_linear_programs(allocation, row) for row in wanted[at_limits].numpy()])
     assert len(expected) > 10
-    torch.testing.assert_close(found[at_limits], torch.from_numpy(expected), atol=1e-7, rtol=0)
+    torch.testing.assert_close(result[at_limits], torch.from_numpy(expected), atol=1e-7, rtol=0)
 
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_a_wrench_within_the_limits_is_the_pseudo_inverse_bit_for_bit(name: str) -> None:
-    allocation = allocation_of(VEHICLES[name], 256)
+    allocation = make_allocation(VEHICLES[name], 256)
     low, high = allocation.low, allocation.high
     g = torch.Generator().manual_seed(1)
     thrust = low + (high - low) * torch.rand(low.shape, dtype=F64, generator=g)
     vehicle = vehicle_from_config(VEHICLES[name], num_envs=256, dtype=F64)
     wanted = (allocation_matrix(vehicle, 9.81) @ thrust.unsqueeze(-1)).squeeze(-1)
-    plain, fits = allocation.thrust(wanted), inside(allocation, wanted)
+    plain, fits = allocation.thrust(wanted), has_margin(allocation, wanted)
     assert fits.sum() > 50
-    assert torch.equal(prioritised_thrust(allocation.inverse, wanted, low, high)[fits], plain[fits])
+    assert torch.equal(allot_thrust(allocation.inverse, wanted, low, high)[fits], plain[fits])
 
 
 def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
@@ -139,20 +139,20 @@ def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
 
 
 def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
-    allocation = allocation_of(ROBOTS.get("tinyprop"), 8)
+    allocation = make_allocation(ROBOTS.get("tinyprop"), 8)
     wanted = wrenches(ROBOTS.get("tinyprop"), 8, 1.0).requires_grad_()
     assert torch.autograd.gradcheck(
-        lambda w: prioritised_thrust(allocation.inverse, w, allocation.low, allocation.high), (wanted,), atol=1e-6
+        lambda w: allot_thrust(allocation.inverse, w, allocation.low, allocation.high), (wanted,), atol=1e-6
     )
 
 
-@pytest.mark.parametrize("name", seldom(VEHICLES, ["hexarotor"]))
+@pytest.mark.parametrize("name", rare_values(VEHICLES, ["hexarotor"]))
 def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
     robot = VEHICLES[name]
     start_warp()
     types, twin = (
         rotor_types(robot.num_rotors),
-        make_prioritised_thrust(robot.num_rotors, idle=name == "pusher", lateral=True),
+        make_allot_thrust(robot.num_rotors, idle=name == "pusher", lateral=True),
     )
     command_type, vector = types.command, types.vector
 
@@ -162,22 +162,22 @@ def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
         thrust, _turn, _rest = twin(params, wanted[env])
         thrust_out[env] = thrust
 
-    exact = allocation_of(robot, 200)
+    exact = make_allocation(robot, 200)
     wanted = torch.cat([wrenches(robot, 100, size) for size in (0.3, 3.0)])
     params = command_type()
     for field, rows in (("low", exact.low), ("high", exact.high), ("allocation", exact.inverse)):
         setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
-    found = torch.full((200, robot.num_rotors), torch.nan)
+    result = torch.full((200, robot.num_rotors), torch.nan)
     wp.launch(
         spread,
         dim=200,
         inputs=[params, wp.from_torch(wanted.float(), dtype=wp.spatial_vector)],
-        outputs=[wp.from_torch(found, dtype=vector)],
+        outputs=[wp.from_torch(result, dtype=vector)],
         device="cpu",
     )
-    expected = torch.clamp(prioritised_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
+    expected = torch.clamp(allot_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
     size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
-    torch.testing.assert_close(found.double(), expected, atol=float(size) * 4e-6, rtol=0)
+    torch.testing.assert_close(result.double(), expected, atol=float(size) * 4e-6, rtol=0)
 
 
 def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> None:
@@ -194,7 +194,7 @@ def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
     """Of a weighted sum of thrusts by the wrench, on a hexarotor, at limits of every kind."""
     robot = VEHICLES["hexarotor"]
     start_warp()
-    types, twin = rotor_types(6), make_prioritised_thrust(6, idle=False, lateral=True, differentiable=True)
+    types, twin = rotor_types(6), make_allot_thrust(6, idle=False, lateral=True, differentiable=True)
     command_type, vector = types.command, types.vector
 
     @wp.kernel(module="unique", enable_backward=True, module_options={"optimization_level": 0})  # compiles in a third
@@ -203,9 +203,9 @@ def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
         thrust, _turn, _rest = twin(params, wanted[env])
         sum_out[env] = wp.dot(weight, thrust)
 
-    exact, wanted = allocation_of(robot, 60), wrenches(robot, 60, 1.0).requires_grad_()
+    exact, wanted = make_allocation(robot, 60), wrenches(robot, 60, 1.0).requires_grad_()
     weight = torch.linspace(-1.0, 2.0, 6, dtype=F64)
-    thrust = prioritised_thrust(exact.inverse, wanted, exact.low, exact.high)
+    thrust = allot_thrust(exact.inverse, wanted, exact.low, exact.high)
     (expected,) = torch.autograd.grad((thrust @ weight).sum(), wanted)
     params = command_type()
     for field, rows in (("low", exact.low), ("high", exact.high), ("allocation", exact.inverse)):
@@ -215,6 +215,6 @@ def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
     with wp.Tape() as tape:
         wp.launch(weigh, dim=60, inputs=[params, single, vector(*weight.tolist())], outputs=[total], device="cpu")
     tape.backward(grads={total: wp.full(60, 1.0, dtype=wp.float32, device="cpu")})
-    found = wp.to_torch(tape.gradients[single]).view(60, 6).double()
-    assert (~inside(exact, wanted.detach())).sum() > 20
-    torch.testing.assert_close(found, expected, atol=1e-3 * float(expected.abs().max()), rtol=0)
+    result = wp.to_torch(tape.gradients[single]).view(60, 6).double()
+    assert (~has_margin(exact, wanted.detach())).sum() > 20
+    torch.testing.assert_close(result, expected, atol=1e-3 * float(expected.abs().max()), rtol=0)

@@ -13,7 +13,7 @@ from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControllerCfg, RateLoopCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.cascade import CascadeController
-from aerial_gym.control.timing import timing_of
+from aerial_gym.control.timing import make_timing
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.physics import (
     EFFECTS,
@@ -28,7 +28,7 @@ from aerial_gym.physics.effects import Condition, EffectParams, Parameter, Wrenc
 from aerial_gym.physics.law_memory import LawMemory, fresh_law_memory
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import random_state
-from tests.repetitions import seldom
+from tests.repetitions import rare_values
 
 F64 = torch.float64
 DT = 0.002
@@ -51,13 +51,13 @@ FILTERED = Px4Cfg(
 """Filters, feed-forward and a thrust curve of PX4."""
 
 
-def law_of(cfg: ControllerCfg, num_envs: int = 1, *, dt: float = DT, dtype: torch.dtype = F64) -> CascadeController:
+def make_law(cfg: ControllerCfg, num_envs: int = 1, *, dt: float = DT, dtype: torch.dtype = F64) -> CascadeController:
     law = make_controller(cfg, vehicle_from_config(ROBOT, num_envs=num_envs, dtype=dtype), 9.81, dt=dt)
     assert isinstance(law, CascadeController)
     return law
 
 
-def turning(rate: list[float]) -> BodyState:
+def turn_state(rate: list[float]) -> BodyState:
     """Return one body that turns at body rates [rad/s], level."""
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     return replace(state, ang_vel=torch.tensor([rate], dtype=F64))
@@ -65,12 +65,12 @@ def turning(rate: list[float]) -> BodyState:
 
 def commands(law: CascadeController, actions: list[Tensor], states: list[BodyState]) -> tuple[Tensor, list[LawMemory]]:
     """Return the commands (T, R) of successive steps and the memories after them."""
-    memory, found, memories = fresh_law_memory(law.needs, 1, states[0].position), [], []
+    memory, result, memories = fresh_law_memory(law.needs, 1, states[0].position), [], []
     for action, state in zip(actions, states, strict=True):
         command, memory = law.command(state, action, memory)
-        found.append(command)
+        result.append(command)
         memories.append(memory)
-    return torch.cat(found), memories
+    return torch.cat(result), memories
 
 
 class Push(WrenchEffect):
@@ -89,16 +89,16 @@ class Push(WrenchEffect):
 
 
 @pytest.mark.parametrize("integral", [pytest.param(True, marks=pytest.mark.slow), False])
-def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_without(integral: bool) -> None:
+def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_otherwise(integral: bool) -> None:
     """At rest ``J (P e + I) + m = 0``: with an integral e = 0 and ``I = -m / J``, without one ``w = m / (J P)``."""
     cfg = PID if integral else replace(PID, rate_loop=RateLoopCfg(integral=(0.0, 0.0, 0.0)))
     torque = torch.tensor([[2e-4, -1e-4, 3e-5]], dtype=F64)
-    law, backend, dt = law_of(cfg, dt=0.02), TorchBackend(), 0.02
+    law, backend, dt = make_law(cfg, dt=0.02), TorchBackend(), 0.02
     push: EffectParams = (Push(), torque)
     model = build_model(vehicle_from_config(ROBOT, num_envs=1, dtype=F64), [push])
     backend.allocate(model, law, integrator="euler")
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
-    state.rotor_speed.fill_(ROBOT.rotor.speed_at(0.25 * 9.81 / 4))
+    state.rotor_speed.fill_(ROBOT.rotor.speed_for_thrust(0.25 * 9.81 / 4))
     backend.step(state, torch.zeros(1, 4, dtype=F64), dt, 1500 if integral else 500)
     inertia = torch.tensor([4.225e-4, 4.225e-4, 8.45e-4], dtype=F64)
     assert law.rate_gains is not None
@@ -114,9 +114,9 @@ def test_a_constant_torque_leaves_no_error_with_an_integral_and_a_known_one_with
 def test_the_low_pass_answers_a_ramp_with_its_exponential() -> None:
     """A body that turns up at 3 rad/s² is seen, k runs later, as ``3 (1 - exp(-2 pi f k dt))``; unknown in the first."""
     loop = RateLoopCfg(rate_hz=250.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=20.0)
-    law = law_of(replace(PID, rate_loop=loop))
+    law = make_law(replace(PID, rate_loop=loop))
     span, steps = 1 / 250.0, 60
-    states = [turning([3.0 * DT * k, 0.0, 0.0]) for k in range(steps)]
+    states = [turn_state([3.0 * DT * k, 0.0, 0.0]) for k in range(steps)]
     _, memories = commands(law, [torch.zeros(1, 4, dtype=F64)] * steps, states)
     for k, memory in enumerate(memories):
         expected = 3.0 * (1.0 - exp(-2.0 * pi * 20.0 * span * (k // 2)))
@@ -126,10 +126,13 @@ def test_the_low_pass_answers_a_ramp_with_its_exponential() -> None:
 def test_the_derivative_is_taken_back_from_the_wanted_acceleration() -> None:
     """Without low-pass a body that turns up at 3 rad/s² costs ``J D 3`` of torque: the lever arms give the thrusts."""
     still, steps = RateLoopCfg(integral=(0.0, 0.0, 0.0)), 3
-    states, actions = [turning([3.0 * DT * k, 0.0, 0.0]) for k in range(steps)], [torch.zeros(1, 4, dtype=F64)] * steps
-    without, _ = commands(law_of(replace(PID, rate_loop=still)), actions, states)
+    states, actions = (
+        [turn_state([3.0 * DT * k, 0.0, 0.0]) for k in range(steps)],
+        [torch.zeros(1, 4, dtype=F64)] * steps,
+    )
+    without, _ = commands(make_law(replace(PID, rate_loop=still)), actions, states)
     loop = replace(still, derivative=(0.2, 0.0, 0.0))
-    with_it, _ = commands(law_of(replace(PID, rate_loop=loop)), actions, states)
+    with_it, _ = commands(make_law(replace(PID, rate_loop=loop)), actions, states)
     thrust = ROBOT.rotor.thrust_map[2] * (with_it**2 - without**2)
     expected = -0.2 * 3.0 * 4.225e-4 / (4 * 0.13) * torch.tensor([-1.0, -1.0, 1.0, 1.0], dtype=F64)
     torch.testing.assert_close(thrust[0], torch.zeros(4, dtype=F64), atol=1e-12, rtol=0)
@@ -140,13 +143,13 @@ def random_flight(steps: int) -> tuple[list[Tensor], list[BodyState]]:
     """Return actions and states that differ in every step."""
     g = torch.Generator().manual_seed(0)
     actions = [0.2 * torch.randn(1, 4, dtype=F64, generator=g) for _ in range(steps)]
-    return actions, [turning((0.2 * torch.randn(3, generator=g)).tolist()) for _ in range(steps)]
+    return actions, [turn_state((0.2 * torch.randn(3, generator=g)).tolist()) for _ in range(steps)]
 
 
 def test_a_command_changes_only_when_its_loop_runs() -> None:
-    law = law_of(replace(PID, rate_loop=RateLoopCfg(rate_hz=100.0)))
-    found, _ = commands(law, *random_flight(30))
-    changes = (found[1:] != found[:-1]).any(-1)
+    law = make_law(replace(PID, rate_loop=RateLoopCfg(rate_hz=100.0)))
+    result, _ = commands(law, *random_flight(30))
+    changes = (result[1:] != result[:-1]).any(-1)
     assert [k + 1 for k in changes.nonzero().flatten().tolist()] == [5, 10, 15, 20, 25]
 
 
@@ -154,36 +157,36 @@ def test_a_loop_at_a_rate_of_its_own_is_the_loop_at_that_time_step() -> None:
     """Every 5th of the physics steps of 2 ms is bit for bit what steps of 10 ms are."""
     cfg = replace(PID, rate_loop=RateLoopCfg(rate_hz=100.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=9.0))
     actions, states = random_flight(40)
-    slow, _ = commands(law_of(cfg), actions, states)
-    coarse, _ = commands(law_of(cfg, dt=0.01), actions[::5], states[::5])
+    slow, _ = commands(make_law(cfg), actions, states)
+    coarse, _ = commands(make_law(cfg, dt=0.01), actions[::5], states[::5])
     assert torch.equal(slow[::5], coarse)
 
 
 def test_an_action_acts_exactly_its_delay_later_and_the_first_at_once() -> None:
     actions, states = random_flight(20)
-    late, _ = commands(law_of(replace(PID, action_delay=0.008)), actions, states)
+    late, _ = commands(make_law(replace(PID, action_delay=0.008)), actions, states)
     shifted = [actions[max(k - 4, 0)] for k in range(20)]
-    assert torch.equal(late, commands(law_of(PID), shifted, states)[0])
+    assert torch.equal(late, commands(make_law(PID), shifted, states)[0])
 
 
 def test_a_wish_reaches_the_rate_loop_exactly_its_delay_later_and_is_held() -> None:
     """The rates law wishes what the action says: seen every 3 steps, 4 steps late, by a loop that runs in every step."""
     actions, states = random_flight(40)
-    late, _ = commands(law_of(replace(PID, rate_hz=1 / 0.006, delay=0.008)), actions, states)
+    late, _ = commands(make_law(replace(PID, rate_hz=1 / 0.006, delay=0.008)), actions, states)
     shifted = [actions[max(k - 4, 0) // 3 * 3] for k in range(40)]
-    like = law_of(PID, dt=DT)
-    slower = law_of(replace(PID, rate_hz=1 / 0.006, delay=0.008))
+    like = make_law(PID, dt=DT)
+    slower = make_law(replace(PID, rate_hz=1 / 0.006, delay=0.008))
     like.rate_gains = slower.rate_gains
     torch.testing.assert_close(late, commands(like, shifted, states)[0], rtol=0, atol=1e-9)
 
 
 def test_the_integral_stands_still_while_its_rotors_are_at_their_limits() -> None:
     """Far more yaw than there is: yaw's integral waits, roll's goes on; a turned error lets it move again."""
-    law = law_of(PID)
+    law = make_law(PID)
     actions = [torch.tensor([[0.0, 0.05, 0.0, 50.0]], dtype=F64)] * 4 + [
         torch.tensor([[0.0, 0.0, 0.0, -0.01]], dtype=F64)
     ]
-    _, memories = commands(law, actions, [turning([0.0, 0.0, 0.0])] * 5)
+    _, memories = commands(law, actions, [turn_state([0.0, 0.0, 0.0])] * 5)
     integrals = torch.cat([memory.numbers[:, :3] for memory in memories])
     assert (integrals[:4, 2] == 0.0).all()
     assert (integrals[1:4, 0] > integrals[:3, 0]).all()
@@ -192,9 +195,9 @@ def test_the_integral_stands_still_while_its_rotors_are_at_their_limits() -> Non
 
 def test_the_integral_has_a_limit() -> None:
     loop = RateLoopCfg(integral=(5.0, 5.0, 5.0), integral_limit=(0.03, 0.02, 0.01))
-    law = law_of(replace(PID, rate_loop=loop))
+    law = make_law(replace(PID, rate_loop=loop))
     action = torch.tensor([[0.0, 0.5, -0.5, 0.2]], dtype=F64)
-    _, memories = commands(law, [action] * 50, [turning([0.0, 0.0, 0.0])] * 50)
+    _, memories = commands(law, [action] * 50, [turn_state([0.0, 0.0, 0.0])] * 50)
     expected = torch.tensor([[0.03, -0.02, 0.01]], dtype=F64)
     torch.testing.assert_close(memories[-1].numbers[:, :3], expected, atol=1e-12, rtol=0)
 
@@ -211,7 +214,7 @@ def fly(
         pairs.append((effect, torch.tensor(row, dtype=dtype).expand(vehicle.num_envs, -1).clone()))
     backend.allocate(build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=DT), integrator="euler")
     start = random_state(6, seed=5)
-    speed = torch.full_like(start.rotor_speed, ROBOT.rotor.speed_at(0.25 * 9.81 / 4))
+    speed = torch.full_like(start.rotor_speed, ROBOT.rotor.speed_for_thrust(0.25 * 9.81 / 4))
     start = replace(start, ang_vel=0.3 * start.ang_vel, rotor_speed=speed)
     state = BodyState(**{k: v[rows].to(dtype).contiguous() for k, v in vars(start).items()})
     g = torch.Generator().manual_seed(2)
@@ -301,11 +304,11 @@ AS_USERS_HAVE_THEM = "everything"
 """The one whose kernel is optimised; the others keep their loops, as users have them with more than 16 rotors."""
 
 
-@pytest.mark.parametrize("case", seldom(CASES, ("with effects", "no loop", "clamped")))
+@pytest.mark.parametrize("case", rare_values(CASES, ("with effects", "no loop", "clamped")))
 def test_the_fused_twin_flies_like_torch(case: str, request: pytest.FixtureRequest) -> None:
     """At most 4 times as far from float64 as float32 torch is, and some units in the last place; through a masked reset."""
     if case == AS_USERS_HAVE_THEM:
-        request.getfixturevalue("optimised")
+        request.getfixturevalue("optimise_kernels")
     cfg, effects = CASES[case]
     exact, single = (fly(TorchBackend(), cfg, dtype, effects=effects)[-1] for dtype in (F64, torch.float32))
     fused = fly(WarpBackend(), cfg, torch.float32, effects=effects)[-1]
@@ -325,7 +328,7 @@ def test_a_masked_reset_begins_anew_and_leaves_others_bit_for_bit(backend: type)
     ends = []
     for used in (reset, untouched):
         used.allocate(build_model(vehicle), make_controller(BUSY, vehicle, 9.81, dt=DT), integrator="euler")
-        state, action = flying_start(4)
+        state, action = flight_start(4)
         used.step(state, action, DT, 33)
         ends.append((state, action))
     reset.reset(mask)
@@ -335,16 +338,16 @@ def test_a_masked_reset_begins_anew_and_leaves_others_bit_for_bit(backend: type)
     for used, (state, action) in zip((reset, untouched, fresh), ends, strict=True):
         used.step(state, action, DT, 33)
     for name in vars(ends[0][0]):
-        found, kept, anew = (getattr(state, name) for state, _ in ends)
-        assert torch.equal(found[~mask], kept[~mask]), name
-        assert torch.equal(found[mask], anew[mask]), name
+        result, kept, anew = (getattr(state, name) for state, _ in ends)
+        assert torch.equal(result[~mask], kept[~mask]), name
+        assert torch.equal(result[mask], anew[mask]), name
         if name != "position":
-            assert not torch.equal(found[mask], kept[mask]), name
+            assert not torch.equal(result[mask], kept[mask]), name
 
 
-def flying_start(num_envs: int) -> tuple[BodyState, Tensor]:
+def flight_start(num_envs: int) -> tuple[BodyState, Tensor]:
     state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
-    state.rotor_speed.fill_(ROBOT.rotor.speed_at(0.25 * 9.81 / 4))
+    state.rotor_speed.fill_(ROBOT.rotor.speed_for_thrust(0.25 * 9.81 / 4))
     state.ang_vel.copy_(0.4 * torch.randn(num_envs, 3, generator=torch.Generator().manual_seed(1)))
     return state, torch.tensor([0.5, -0.3, 0.2, 0.1]).expand(num_envs, -1).contiguous()
 
@@ -369,13 +372,13 @@ def test_without_memory_nothing_is_asked_of_a_backend() -> None:
 
 def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match=r"RateLoopCfg.rate_hz = 300 Hz: .* 1.66667 physics steps of 0.002 s.*250 Hz"):
-        timing_of(replace(PID, rate_loop=RateLoopCfg(rate_hz=300.0)), DT)
+        make_timing(replace(PID, rate_loop=RateLoopCfg(rate_hz=300.0)), DT)
     with pytest.raises(ConfigError, match=r"rate_hz = 1000 Hz: .* 0.5 physics steps.*500 Hz"):
-        timing_of(replace(PID, rate_loop=RateLoopCfg(rate_hz=1000.0)), DT)
+        make_timing(replace(PID, rate_loop=RateLoopCfg(rate_hz=1000.0)), DT)
     with pytest.raises(ConfigError, match=r"action_delay = 0.003 s: .* 1.5 physics steps.*0.004 s"):
-        timing_of(replace(PID, action_delay=0.003), DT)
+        make_timing(replace(PID, action_delay=0.003), DT)
     with pytest.raises(ConfigError, match=r"rate_hz = 100.0: the rate loop runs at 250.0 Hz, which must be a multiple"):
-        timing_of(replace(PID, rate_hz=100.0, rate_loop=RateLoopCfg(rate_hz=250.0)), DT)
+        make_timing(replace(PID, rate_hz=100.0, rate_loop=RateLoopCfg(rate_hz=250.0)), DT)
     with pytest.raises(ConfigError, match="there is no rate loop to reach"):
         replace(CONTROLLERS.get("lee_rates_control"), delay=0.01)
     with pytest.raises(ConfigError, match=r"RateLoopCfg.integral = \(-1.0, 0.0, 0.0\): must be >= 0"):
@@ -388,7 +391,7 @@ def test_what_a_controller_with_memory_cannot_do_is_said() -> None:
         make_controller(PID, vehicle, 9.81)
     for backend in (TorchBackend(), WarpBackend()):
         backend.allocate(build_model(vehicle), make_controller(PID, vehicle, 9.81, dt=DT), integrator="euler")
-        state, action = flying_start(1)
+        state, action = flight_start(1)
         with pytest.raises(ConfigError, match=r"built for steps of 0.002 s, but the physics takes 0.01 s"):
             backend.step(state, action, 0.01, 1)
     with pytest.raises(CapabilityError, match="cannot run CascadeController, which has memory"):
@@ -407,7 +410,7 @@ def test_gains_of_each_environment_are_read_by_both_backends() -> None:
         assert law.rate_gains is not None
         law.rate_gains.proportional.mul_(torch.tensor([[0.5], [1.0], [1.5]]))
         backend.allocate(build_model(vehicle), law, integrator="euler")
-        state, action = flying_start(3)
+        state, action = flight_start(3)
         state.ang_vel.copy_(state.ang_vel[:1].expand(3, 3).clone())
         backend.step(state, action, DT, 30)
         ends.append(state.ang_vel)

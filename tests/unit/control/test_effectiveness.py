@@ -11,7 +11,7 @@ from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.effectiveness import PRIORITY, actuation_of, allocation_matrix, pseudo_inverse, right_inverse
+from aerial_gym.control.effectiveness import PRIORITY, allocation_matrix, find_actuation, pseudo_inverse, right_inverse
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.robots import ROBOTS
@@ -20,7 +20,7 @@ from tests.unit.control.test_allocation import hexarotor, with_a_pusher
 F64 = torch.float64
 
 
-def leaning() -> RobotCfg:
+def make_tilted_robot() -> RobotCfg:
     """Return a quadrotor of which each rotor leans another way: lateral forces come with whatever it does."""
     base = ROBOTS.get("tinyprop")
     axes = [(0.3, 0.1, 1.0), (-0.2, 0.3, 1.0), (0.1, -0.4, 1.0), (0.2, 0.2, 1.0)]
@@ -33,15 +33,15 @@ VEHICLES = {
     "hexarotor": hexarotor(),
     "pusher": with_a_pusher(),
     "octarotor": ROBOTS.get("omnidirectional_octarotor"),
-    "leaning": leaning(),
+    "leaning": make_tilted_robot(),
 }
 
 
-def matrix_of(name: str) -> Tensor:
+def vehicle_matrix(name: str) -> Tensor:
     return allocation_matrix(vehicle_from_config(VEHICLES[name], num_envs=1, dtype=F64), 9.81)
 
 
-def changed(matrix: Tensor, count: int) -> Tensor:
+def perturb(matrix: Tensor, count: int) -> Tensor:
     """Return matrices (E, 6, R) of vehicles whose parts are all some 10 % off, forces to the side included."""
     noise = torch.randn(count, *matrix.shape[1:], dtype=F64, generator=torch.Generator().manual_seed(2))
     return matrix + 0.1 * noise * matrix.abs().amax(-1, keepdim=True).clamp_min(0.02)
@@ -51,23 +51,23 @@ ASKED = {"quadrotor": (2, 3, 4, 5), "pusher": (0, 2, 3, 4), "leaning": (2, 3, 4,
 """Rows of the matrix that are asked of the rotors; of the others, all."""
 
 
-def expected_inverse(matrix: np.ndarray, name: str) -> np.ndarray:
+def reference_inverse(matrix: np.ndarray, name: str) -> np.ndarray:
     """Return the pseudo-inverse of the rows that are asked for, with zeros for the others, (R, 6)."""
-    axes, found = list(ASKED.get(name, range(6))), np.zeros((matrix.shape[1], 6))
-    found[:, axes] = np.linalg.pinv(matrix[axes])
-    return found
+    axes, result = list(ASKED.get(name, range(6))), np.zeros((matrix.shape[1], 6))
+    result[:, axes] = np.linalg.pinv(matrix[axes])
+    return result
 
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_of_the_nominal_vehicle_it_is_the_pseudo_inverse_of_what_is_asked(name: str) -> None:
     """And where nothing comes with that, of the whole matrix."""
-    matrix = matrix_of(name)
-    actuation = actuation_of(matrix[0])
-    found, exact = right_inverse(matrix, actuation), matrix[0].numpy()
-    torch.testing.assert_close(found[0].numpy(), expected_inverse(exact, name), atol=1e-9, rtol=0)
-    torch.testing.assert_close(found, pseudo_inverse(actuation.mask_rows(matrix)), atol=1e-9, rtol=0)
+    matrix = vehicle_matrix(name)
+    actuation = find_actuation(matrix[0])
+    result, exact = right_inverse(matrix, actuation), matrix[0].numpy()
+    torch.testing.assert_close(result[0].numpy(), reference_inverse(exact, name), atol=1e-9, rtol=0)
+    torch.testing.assert_close(result, pseudo_inverse(actuation.mask_rows(matrix)), atol=1e-9, rtol=0)
     if name != "leaning":
-        torch.testing.assert_close(found[0].numpy(), np.linalg.pinv(exact, rcond=1e-9), atol=1e-9, rtol=0)
+        torch.testing.assert_close(result[0].numpy(), np.linalg.pinv(exact, rcond=1e-9), atol=1e-9, rtol=0)
 
 
 def test_three_rotors_lift_roll_and_pitch_exactly_whatever_yaw_comes_with_it() -> None:
@@ -84,21 +84,21 @@ def test_three_rotors_lift_roll_and_pitch_exactly_whatever_yaw_comes_with_it() -
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_of_another_vehicle_it_is_the_pseudo_inverse_of_what_is_asked_of_the_nominal_one(name: str) -> None:
-    nominal = matrix_of(name)
-    matrices = changed(nominal, 50)
-    found = right_inverse(matrices, actuation_of(nominal[0]))
+    nominal = vehicle_matrix(name)
+    matrices = perturb(nominal, 50)
+    result = right_inverse(matrices, find_actuation(nominal[0]))
     axes = list(ASKED.get(name, range(6)))
-    for inverse, matrix in zip(found.numpy(), matrices.numpy(), strict=True):
-        expected = expected_inverse(matrix, name)
+    for inverse, matrix in zip(result.numpy(), matrices.numpy(), strict=True):
+        expected = reference_inverse(matrix, name)
         part = np.abs(expected) * np.abs(matrix).max(1) > 2e-6
         torch.testing.assert_close(inverse[part], expected[part], atol=0, rtol=1e-7)
         torch.testing.assert_close(matrix[axes] @ inverse, np.eye(6)[axes], atol=2e-5, rtol=0)
 
 
 def test_gradients_are_those_of_differences() -> None:
-    nominal = matrix_of("quadrotor")
-    actuation = actuation_of(nominal[0])
-    matrix = changed(nominal, 3).requires_grad_()
+    nominal = vehicle_matrix("quadrotor")
+    actuation = find_actuation(nominal[0])
+    matrix = perturb(nominal, 3).requires_grad_()
     assert torch.autograd.gradcheck(lambda m: right_inverse(m, actuation), (matrix,), atol=1e-5)
 
 
@@ -106,41 +106,41 @@ def test_gradients_are_those_of_differences() -> None:
 def test_a_torque_without_lever_arm_is_asked_of_no_rotor(arm: float, turns: bool) -> None:
     """All hubs nearly on the y axis: below a hundred thousandth of the nominal arms nothing is asked of pitch, and the rest is
     the pseudo-inverse without it."""
-    nominal = matrix_of("quadrotor").float()
+    nominal = vehicle_matrix("quadrotor").float()
     matrix = nominal.clone()
     matrix[0, 4] *= arm
-    found = right_inverse(matrix, actuation_of(nominal[0]))[0].double().numpy()
+    result = right_inverse(matrix, find_actuation(nominal[0]))[0].double().numpy()
     exact = matrix[0].double().numpy()
     if turns:
-        torch.testing.assert_close(exact[2:] @ found[:, 2:], np.eye(4), atol=1e-5, rtol=0)
+        torch.testing.assert_close(exact[2:] @ result[:, 2:], np.eye(4), atol=1e-5, rtol=0)
         return
     exact[4] = 0.0
-    assert not found[:, 4].any()
-    torch.testing.assert_close(found, np.linalg.pinv(exact), atol=1e-4, rtol=1e-6)
+    assert not result[:, 4].any()
+    torch.testing.assert_close(result, np.linalg.pinv(exact), atol=1e-4, rtol=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-7])
 def test_what_depends_on_more_important_torques_is_asked_of_no_rotor(share: float) -> None:
     """All rotors turn the same way: yaw torque is the torque ratio times thrust. Thrust is kept, being the more important."""
-    nominal = matrix_of("quadrotor").float()
+    nominal = vehicle_matrix("quadrotor").float()
     matrix = nominal.clone()
     matrix[0, 5] = -0.01 * matrix[0, 2] + share * nominal[0, 5]
-    found = right_inverse(matrix, actuation_of(nominal[0]))[0].double().numpy()
+    result = right_inverse(matrix, find_actuation(nominal[0]))[0].double().numpy()
     exact = matrix[0].double().numpy()
     exact[5] = 0.0
-    assert not found[:, 5].any()
-    torch.testing.assert_close(found, np.linalg.pinv(exact), atol=1e-4, rtol=1e-6)
+    assert not result[:, 5].any()
+    torch.testing.assert_close(result, np.linalg.pinv(exact), atol=1e-4, rtol=1e-6)
 
 
 def test_numbers_that_are_none_make_no_command() -> None:
-    nominal = matrix_of("quadrotor")
-    assert not right_inverse(nominal * torch.nan, actuation_of(nominal[0])).any()
+    nominal = vehicle_matrix("quadrotor")
+    assert not right_inverse(nominal * torch.nan, find_actuation(nominal[0])).any()
 
 
 def test_what_is_asked_is_what_matters_most() -> None:
-    assert actuation_of(matrix_of("hexarotor")[0]).axes == PRIORITY
-    assert actuation_of(matrix_of("quadrotor")[0]).axes == (3, 4, 2, 5)
-    assert actuation_of(matrix_of("leaning")[0]).axes == (3, 4, 2, 5)
+    assert find_actuation(vehicle_matrix("hexarotor")[0]).axes == PRIORITY
+    assert find_actuation(vehicle_matrix("quadrotor")[0]).axes == (3, 4, 2, 5)
+    assert find_actuation(vehicle_matrix("leaning")[0]).axes == (3, 4, 2, 5)
 
 
 def test_a_robot_file_says_whose_effectiveness_it_is() -> None:

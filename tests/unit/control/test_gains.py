@@ -23,12 +23,12 @@ from aerial_gym.robots import ROBOTS
 F64 = torch.float64
 
 
-def controller_of(robot: RobotCfg, *, dt: float = 0.01, control: ControlCfg | None = None) -> LeeController:
+def lee_controller(robot: RobotCfg, *, dt: float = 0.01, control: ControlCfg | None = None) -> LeeController:
     vehicle = vehicle_from_config(robot, num_envs=2, dtype=F64)
     control = robot.control if control is None else control
-    found = make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=dt, control=control)
-    assert isinstance(found, LeeController)
-    return found
+    result = make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=dt, control=control)
+    assert isinstance(result, LeeController)
+    return result
 
 
 @pytest.mark.parametrize("margin", [0.4, pi / 4, 1.1])
@@ -49,7 +49,7 @@ def test_the_loop_has_its_phase_margin_at_its_crossover_and_no_gain_has_more(mar
 
 def test_gains_are_frequency_and_damping_times_inertia() -> None:
     """At 100 Hz: T = 0.04 + 0.01 s, a = 1 + sqrt 2; roll, pitch from the lag, yaw of a heavier one from its authority."""
-    light, gains = (controller_of(ROBOTS.get(f"base_quadrotor{end}")).gains for end in ("", "_doubled_inertia"))
+    light, gains = (lee_controller(ROBOTS.get(f"base_quadrotor{end}")).gains for end in ("", "_doubled_inertia"))
     a, lag = 1.0 + sqrt(2.0), 0.05
     assert atan(a) - atan(1 / a) == pytest.approx(pi / 4)
     for each, roll in ((light, 4.225e-4), (gains, 8.45e-4)):
@@ -66,9 +66,9 @@ def test_slower_rotors_and_larger_steps_are_slower_loops() -> None:
     robot = ROBOTS.get("crazyflie_21")
     slow = replace(robot, rotor=replace(robot.rotor, time_constant_up=0.14))
     quick, coarse, lagging = (
-        controller_of(robot, dt=0.002),
-        controller_of(robot, dt=0.02),
-        controller_of(slow, dt=0.002),
+        lee_controller(robot, dt=0.002),
+        lee_controller(robot, dt=0.02),
+        lee_controller(slow, dt=0.002),
     )
     for name in ("position", "velocity", "attitude", "rate"):
         assert (getattr(coarse.gains, name) < getattr(quick.gains, name)).all(), name
@@ -81,7 +81,7 @@ def test_a_robot_file_may_give_frequencies_damping_and_limits() -> None:
         attitude_frequency=(8.0, 7.0, 2.0), attitude_damping=(0.7, 0.8, 0.9), position_frequency=(1.0, 1.0, 2.0),
         position_damping=(0.7, 0.7, 1.0), max_yaw_rate=2.0, max_inclination=0.3, source="test",
     )  # fmt: skip
-    gains = controller_of(robot, control=control).gains
+    gains = lee_controller(robot, control=control).gains
     inertia = torch.tensor([4.225e-4, 4.225e-4, 8.45e-4], dtype=F64)
     torch.testing.assert_close(gains.attitude[0], inertia * torch.tensor([64.0, 49.0, 4.0], dtype=F64))
     torch.testing.assert_close(gains.rate[0], inertia * torch.tensor([11.2, 11.2, 3.6], dtype=F64))
@@ -94,12 +94,12 @@ def test_inclination_leaves_half_of_the_spare_thrust() -> None:
     """tinyprop has 4 x 1.2 N for 3.66 N: cos tilt = 1 / (1 + 0.31 / 2); a vehicle with thrust to spare keeps pi/3."""
     surplus = 4 * 1.2 / (0.373 * 9.81) - 1.0
     expected = acos(1.0 / (1.0 + surplus / 2))
-    assert controller_of(ROBOTS.get("tinyprop")).gains.max_inclination == pytest.approx(expected)
-    assert controller_of(ROBOTS.get("base_quadrotor")).gains.max_inclination == pytest.approx(pi / 3)
+    assert lee_controller(ROBOTS.get("tinyprop")).gains.max_inclination == pytest.approx(expected)
+    assert lee_controller(ROBOTS.get("base_quadrotor")).gains.max_inclination == pytest.approx(pi / 3)
 
 
 def test_without_yaw_torque_yaw_is_left_alone() -> None:
-    gains = controller_of(ROBOTS.get("neural_fly_quad")).gains
+    gains = lee_controller(ROBOTS.get("neural_fly_quad")).gains
     assert gains.attitude[0, 2] == gains.rate[0, 2] == 0.0
     assert (gains.attitude[0, :2] > 0.0).all()
 
@@ -114,7 +114,7 @@ def test_authority_is_the_torque_at_which_a_rotor_meets_its_limit() -> None:
 
 
 def test_each_environment_may_have_gains_of_its_own() -> None:
-    controller = controller_of(ROBOTS.get("base_quadrotor"))
+    controller = lee_controller(ROBOTS.get("base_quadrotor"))
     controller.own_gains()
     controller.gains.attitude[1] *= 2.0
     torch.testing.assert_close(controller.gains.attitude[1], 2.0 * controller.gains.attitude[0])

@@ -28,7 +28,7 @@ def with_effects(robot: RobotCfg, **effects: dict[str, float]) -> RobotCfg:
     return replace(robot, effects=effects, effects_source="test")
 
 
-def loop_of(robot: RobotCfg, controller: str = "lee_position_control") -> ClosedLoop:
+def make_loop(robot: RobotCfg, controller: str = "lee_position_control") -> ClosedLoop:
     cfg = CONTROLLERS.get(controller)
     return ClosedLoop(robot, cfg, gravity=GRAVITY, integrator="euler", names=("robot", controller))
 
@@ -64,7 +64,7 @@ def late_rate_radius(gain: float, steps: float) -> float:
 def test_the_radius_of_a_late_rate_loop_is_that_of_its_delay_states(steps: float) -> None:
     late = with_effects(TUNED, actuation_delay={"delay": steps * DT})
     expected = max(late_rate_radius(2.0 * FREQUENCY, steps), late_rate_radius(2.0, steps))
-    assert loop_of(late, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
+    assert make_loop(late, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_lag_that_differs_up_and_down_counts_as_the_mean_of_its_decays() -> None:
@@ -78,13 +78,13 @@ def test_a_lag_that_differs_up_and_down_counts_as_the_mean_of_its_decays() -> No
         return float(abs(np.linalg.eigvals(matrix)).max())
 
     expected = max(radius(2.0 * FREQUENCY), radius(2.0))
-    assert loop_of(robot, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
+    assert make_loop(robot, "lee_rates_control").radius(DT) == pytest.approx(expected, abs=1e-6)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) -> None:
     """``s m (g + k e) = m g`` of thrust that is s times the declared: ``e = g (1 / s - 1) / k`` below the setpoint."""
-    rest = loop_of(with_effects(QUAD, thrust_coefficient={"scale": factor})).rest(DT)
+    rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": factor})).rest(DT)
     expected = -GRAVITY * (1.0 / factor - 1.0) / position_gain(QUAD)
     assert rest.converged.all()
     assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, expected], abs=1e-6)
@@ -92,14 +92,14 @@ def test_a_law_without_an_integrator_rests_beside_its_setpoint(factor: float) ->
 
 def test_a_law_that_knows_the_actual_thrust_rests_at_its_setpoint() -> None:
     robot = replace(QUAD, control=replace(QUAD.control, effectiveness="actual"))
-    loop = loop_of(with_effects(robot, thrust_coefficient={"scale": 0.8}))
+    loop = make_loop(with_effects(robot, thrust_coefficient={"scale": 0.8}))
     assert loop.rest(DT).offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
     assert loop.hover(DT).holds
 
 
 def test_a_payload_lowers_the_rest() -> None:
     """``m (g + k e) = (m + M) g``: ``e = M g / (m k)`` below."""
-    rest = loop_of(with_effects(QUAD, payload_mass={"dm": 0.02})).rest(DT)
+    rest = make_loop(with_effects(QUAD, payload_mass={"dm": 0.02})).rest(DT)
     expected = -0.02 * GRAVITY / (QUAD.body.mass * position_gain(QUAD))
     assert float(rest.offset[0, 2]) == pytest.approx(expected, abs=1e-6)
 
@@ -111,31 +111,31 @@ def test_a_velocity_law_drifts() -> None:
     law = make_controller(CONTROLLERS.get("lee_velocity_control"), vehicle, GRAVITY, dt=DT, control=QUAD.control)
     assert isinstance(law, LeeController)
     expected = GRAVITY * (1.0 - 1.0 / 1.01) / float(law.gains.velocity[0, 2])
-    hover = loop_of(robot, "lee_velocity_control").hover(DT)
+    hover = make_loop(robot, "lee_velocity_control").hover(DT)
     assert hover.drift == pytest.approx((0.0, 0.0, expected), abs=1e-6)
     assert 0.8 * expected * HOVER_SPAN < hover.distance < expected * HOVER_SPAN
 
 
 def test_an_integrator_brings_the_rest_to_the_setpoint() -> None:
-    rest = loop_of(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").rest(DT)
+    rest = make_loop(with_effects(QUAD, thrust_coefficient={"scale": 0.9}), "px4_position_control").rest(DT)
     assert rest.converged.all()
     assert rest.offset[0].tolist() == pytest.approx([0.0, 0.0, 0.0], abs=1e-4)
 
 
 def test_more_thrust_than_there_is_has_no_rest() -> None:
     """A thrust of 0.3 of the declared lifts 0.98 of the weight at most, as that is 3.26 of it."""
-    hover = loop_of(with_effects(QUAD, thrust_coefficient={"scale": 0.3})).hover(DT)
+    hover = make_loop(with_effects(QUAD, thrust_coefficient={"scale": 0.3})).hover(DT)
     assert (hover.stable, hover.is_lost) == (False, True)
 
 
 def test_random_wind_and_later_failures_are_left_out_and_failures_from_the_start_are_not() -> None:
-    calm = loop_of(QUAD).radius(DT)
+    calm = make_loop(QUAD).radius(DT)
     gusts = with_effects(QUAD, gusts={"std": 3.0, "corr_time": 1.0}, rotor_drag={"dx": 0.0, "dy": 0.0, "dz": 0.0})
     later = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.9, "time": 5.0})
     for robot in (gusts, later):
-        assert loop_of(robot).radius(DT) == pytest.approx(calm, abs=1e-9)
+        assert make_loop(robot).radius(DT) == pytest.approx(calm, abs=1e-9)
     failed = with_effects(QUAD, motor_failure={"motor": 1.0, "scale": 0.98, "time": 0.0})
-    assert float(loop_of(failed).rest(DT).offset[0].norm()) > 0.01
+    assert float(make_loop(failed).rest(DT).offset[0].norm()) > 0.01
 
 
 def test_slew_limited_rotors_are_flown() -> None:
@@ -143,7 +143,7 @@ def test_slew_limited_rotors_are_flown() -> None:
     rotor = QUAD.the_rotor("a test")
     for slew, lost in ((2000.0, False), (30.0, True)):
         robot = replace(QUAD, rotor=replace(rotor, slew_rate=slew, slew_rate_down=slew))
-        hover = loop_of(robot).hover(DT)
+        hover = make_loop(robot).hover(DT)
         assert hover.stable
         assert hover.is_lost is lost
         assert hover.flown is not None

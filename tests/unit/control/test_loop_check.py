@@ -69,13 +69,13 @@ def test_what_flies_away_is_refused_and_what_hovers_is_not(
 
 
 @pytest.mark.slow
-def test_a_limit_cycle_that_holds_its_place_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_limit_cycle_that_holds_its_place_causes_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         assert not is_refused("crazyflie_2x_arpl", "crazyflie_pid_control", {"actuation_delay": {"delay": 0.0156}})
     assert len(caplog.records) == 1
 
 
-def test_effects_that_a_law_does_not_know_of_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_effects_that_a_law_does_not_know_cause_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     payload = {"payload_mass": {"dm": 0.02}}
     with caplog.at_level(logging.WARNING):
         assert not is_refused("base_quadrotor", "lee_position_control", payload)

@@ -70,7 +70,7 @@ def test_the_radius_of_a_controller_with_memory_is_that_of_a_flight(delay: float
     robot = replace(robot, effects={"actuation_delay": {"delay": delay}}, effects_source="test")
     backend.allocate(build_model(vehicle, [late]), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="euler")
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=torch.float64)
-    state.rotor_speed.fill_(robot.rotor.speed_at(0.25 * 9.81 / 4))
+    state.rotor_speed.fill_(robot.rotor.speed_for_thrust(0.25 * 9.81 / 4))
     state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 1e-3]], dtype=torch.float64))
     sizes = []
     for steps in (1600, 400):
@@ -83,11 +83,11 @@ def test_a_long_period_costs_its_different_steps_alone(monkeypatch: pytest.Monke
     """160 steps: law and loop run in one, the loop in every 8th, and half a period later the wish comes through."""
     flown: list[object] = []
 
-    def counted(*given: Any) -> Any:
+    def count_call(*given: Any) -> Any:
         flown.append(given)
         return law_command(*given)
 
-    monkeypatch.setattr(linear_loop, "law_command", counted)
+    monkeypatch.setattr(linear_loop, "law_command", count_call)
     loop = RateLoopCfg(rate_hz=1000.0)
     cfg = replace(CONTROLLERS.get("pid_position_control"), rate_hz=50.0, rate_loop=loop, delay=0.01)
     assert radius(ROBOTS.get("base_quadrotor"), cfg, 1.0 / 8000.0) < 1.0
@@ -96,8 +96,8 @@ def test_a_long_period_costs_its_different_steps_alone(monkeypatch: pytest.Monke
 
 def test_largest_stable_time_step_is_where_the_radius_is_one() -> None:
     """One number that is multiplied by ``1 - 40 dt`` in each step is stable below dt = 0.05 s."""
-    found = largest_stable_dt(lambda dt: abs(1.0 - 40.0 * dt), 0.2)
-    assert found == pytest.approx(0.05, rel=1e-5)
+    result = largest_stable_dt(lambda dt: abs(1.0 - 40.0 * dt), 0.2)
+    assert result == pytest.approx(0.05, rel=1e-5)
     assert largest_stable_dt(lambda dt: 1.0 + dt, 0.2) is None
 
 
@@ -181,7 +181,7 @@ def check(controller: ControllerCfg, randomize: dict[str, RandomizeCfg], dt: flo
     )
 
 
-def test_what_is_drawn_about_explicit_gains_can_be_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_what_is_drawn_about_explicit_gains_can_cause_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         check(FIRM, {})
         check(FIRM, {"gains.rate": RandomizeCfg(how="offset", low=-0.01, high=0.01)})
@@ -229,7 +229,7 @@ def test_an_untruncated_normal_gain_is_judged_where_its_draws_end(caplog: pytest
 def test_a_robot_that_cannot_hover_is_refused() -> None:
     robot = ROBOTS.get("tinyprop")
     heavy = replace(robot, body=replace(robot.body, mass=0.6))
-    with pytest.raises(ConfigError, match=r"robot 'heavy' cannot hover under controller 'c': its rotors must give"):
+    with pytest.raises(ConfigError, match=r"robot 'heavy' cannot hover under controller 'c': its rotors need"):
         check_closed_loop(heavy, RATES, gravity=9.81, dt=0.01, integrator="euler", names=("'heavy'", "'c'"))
 
 

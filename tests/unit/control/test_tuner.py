@@ -10,7 +10,7 @@ from torch import Tensor
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.control import CONTROLLERS, LeeController, make_controller
 from aerial_gym.control.stability import ClosedLoop
-from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_position, tuned
+from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat
 from aerial_gym.physics import (
@@ -44,27 +44,27 @@ def vehicles() -> Vehicle:
 def test_without_lag_it_is_the_second_order_formula(damping: float) -> None:
     """Bandwidth over natural frequency: sqrt(1 - 2 z² + sqrt((1 - 2 z²)² + 1))."""
     none = torch.zeros(2, 3, dtype=F64)
-    found = tuned(rotor_response(none, 0.0), none, bandwidth=5.0, damping=damping, what="a")
+    result = tune_loop(rotor_response(none, 0.0), none, bandwidth=5.0, damping=damping, loop_name="a")
     square = 1.0 - 2.0 * damping**2
     natural = 5.0 / sqrt(square + sqrt(square**2 + 1.0))
-    torch.testing.assert_close(found.natural_frequency, torch.full_like(none, natural), rtol=1e-5, atol=0)
-    torch.testing.assert_close(found.damping, torch.full_like(none, damping), rtol=1e-5, atol=0)
+    torch.testing.assert_close(result.natural_frequency, torch.full_like(none, natural), rtol=1e-5, atol=0)
+    torch.testing.assert_close(result.damping, torch.full_like(none, damping), rtol=1e-5, atol=0)
 
 
-def residual(found: Tuning, damping: float) -> Tensor:
+def residual(results: Tuning, damping: float) -> Tensor:
     """Return the characteristic polynomial at the pair, over s²."""
-    s = found.frequency * complex(-damping, sqrt(1.0 - damping**2))
-    return (s.square() + (found.proportional + found.derivative * s) * found.inner(s)) / s.square()
+    s = results.frequency * complex(-damping, sqrt(1.0 - damping**2))
+    return (s.square() + (results.proportional + results.derivative * s) * results.inner(s)) / s.square()
 
 
 def test_poles_and_bandwidth_are_met_with_lag_and_dead_time_in_every_environment() -> None:
     attitude = tune_attitude(vehicles(), bandwidth=5.0, damping=0.7, delay=0.01, dt=0.004)
     position = tune_position(attitude, bandwidth=(0.5, 0.7, 1.2), damping=0.8)
     asked = torch.tensor([[5.0] * 3, [0.5, 0.7, 1.2]], dtype=F64)
-    for found, bandwidth, damping in ((attitude, asked[0], 0.7), (position, asked[1], 0.8)):
-        assert float(residual(found, damping).abs().max()) < 1e-12
+    for result, bandwidth, damping in ((attitude, asked[0], 0.7), (position, asked[1], 0.8)):
+        assert float(residual(result, damping).abs().max()) < 1e-12
         s = torch.complex(torch.zeros(4, 3, dtype=F64), bandwidth.expand(4, 3))
-        torch.testing.assert_close(found.closed(s).abs(), torch.full((4, 3), sqrt(0.5), dtype=F64), rtol=1e-9, atol=0)
+        torch.testing.assert_close(result.closed(s).abs(), torch.full((4, 3), sqrt(0.5), dtype=F64), rtol=1e-9, atol=0)
     assert len(set(attitude.proportional[:, 0].tolist())) == 3  # inertia is not in it, lag is
 
 
@@ -77,8 +77,8 @@ def test_the_sampled_loop_has_the_placed_poles() -> None:
         position = tune_position(attitude, bandwidth=1.0, damping=0.8)
         loops = {"attitude": attitude, "position": position}
         numbers = {
-            f"{name}_{kind}": tuple(getattr(found, "natural_frequency" if kind == "frequency" else kind)[0].tolist())
-            for name, found in loops.items()
+            f"{name}_{kind}": tuple(getattr(result, "natural_frequency" if kind == "frequency" else kind)[0].tolist())
+            for name, result in loops.items()
             for kind in ("frequency", "damping")
         }
         loop = ClosedLoop(
@@ -87,8 +87,8 @@ def test_the_sampled_loop_has_the_placed_poles() -> None:
         )  # fmt: skip
         poles = torch.log(loop.modes(dt)) / dt
         yaw, sideways, up = (attitude, 2, 0.7), (position, 0, 0.8), (position, 2, 0.8)
-        for found, axis, damping in (yaw, sideways, up):
-            placed = complex(found.frequency[0, axis]) * complex(-damping, sqrt(1.0 - damping**2))
+        for result, axis, damping in (yaw, sideways, up):
+            placed = complex(result.frequency[0, axis]) * complex(-damping, sqrt(1.0 - damping**2))
             missed.append(float((poles - placed).abs().min()) / abs(placed))
     assert max(missed[:3]) < 0.01
     for coarse, fine in zip(missed[:3], missed[3:], strict=True):
@@ -100,15 +100,15 @@ def test_a_flight_with_lag_and_dead_time_has_the_bandwidth() -> None:
     bandwidth, vehicle, amplitude = 5.0, vehicles(), 0.02
     dt = 2.0 * pi / bandwidth / 150.0
     delay = 3.5 * dt
-    found = tune_attitude(vehicle, bandwidth=bandwidth, damping=0.7, delay=delay, dt=dt)
+    result = tune_attitude(vehicle, bandwidth=bandwidth, damping=0.7, delay=delay, dt=dt)
     law = make_controller(CONTROLLERS.get("lee_attitude_control"), vehicle, 9.81, dt=dt)
     assert isinstance(law, LeeController)
     inertia = vehicle.inertia.diagonal(dim1=1, dim2=2)
-    law.gains = replace(law.gains, attitude=inertia * found.proportional, rate=inertia * found.derivative)
+    law.gains = replace(law.gains, attitude=inertia * result.proportional, rate=inertia * result.derivative)
     late = (EFFECTS.get("actuation_delay"), torch.full((4, 1), delay, dtype=F64))
     backend, state = TorchBackend(), state_at_rest(4, 4, device=torch.device("cpu"), dtype=F64)
     backend.allocate(build_model(vehicle, [late]), law, integrator="rk4")
-    state.rotor_speed.fill_(X500.rotor.speed_at(X500.body.mass * 9.81 / 4))
+    state.rotor_speed.fill_(X500.rotor.speed_for_thrust(X500.body.mass * 9.81 / 4))
     rolls, times = [], []
     for step in range(600):
         time = torch.tensor(step * dt, dtype=F64)

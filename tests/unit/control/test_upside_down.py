@@ -10,8 +10,8 @@ import torch
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.remembering import RememberingController
-from aerial_gym.control.upside_down import attitudes_beyond, check_starts
+from aerial_gym.control.stateful import StatefulController
+from aerial_gym.control.upside_down import check_starts, sample_attitudes
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
 from aerial_gym.physics import state_at_rest, vehicle_from_config
@@ -47,7 +47,7 @@ def check(robot: RobotCfg, controller: str | ControllerCfg, dt: float = 0.005) -
     check_starts(robot, cfg, gravity=9.81, dt=dt, names=("cf", "law"))
 
 
-def fallen(
+def fall(
     cfg: ControllerCfg, rolls_deg: list[float], seconds: float = 0.4, dt: float = 0.005
 ) -> tuple[list[bool], list[float]]:
     """Return whether body z points up after a fall from rest, and the body rates [rad/s] then, for each start."""
@@ -61,14 +61,14 @@ def fallen(
     state.attitude[:] = quat_from_euler(torch.tensor([[radians(roll), 0.0, 0.3] for roll in rolls_deg], dtype=F64))
     state.position[:, 2] = 1000.0
     action = torch.tensor([[0.0, 0.0, 1000.0, 0.0]], dtype=F64).expand(count, -1)
-    memory = fresh_law_memory(law.needs, count, state.position) if isinstance(law, RememberingController) else None
+    memory = fresh_law_memory(law.needs, count, state.position) if isinstance(law, StatefulController) else None
     for _ in range(round(seconds / dt)):
         command, memory = law_command(law, state, action, memory)
         state = to_body_state(model, INTEGRATORS["euler"](model, to_mass_state(model, state), command, dt))
     return (quat_to_matrix(state.attitude)[:, 2, 2] > 0.0).tolist(), state.ang_vel.norm(dim=-1).tolist()
 
 
-def test_the_crazyflies_mellinger_is_refused_from_a_right_angle_on() -> None:
+def test_the_crazyflies_mellinger_is_refused_from_a_right_angle() -> None:
     """Its moment is zero where the thrust along the body is not positive: m g cos(tilt) at the setpoint."""
     check(from_angles(-89.0, 89.0), "crazyflie_mellinger_control")
     for robot in (
@@ -130,7 +130,7 @@ def test_clamped_rotors_give_no_torque_to_a_law_that_asks_for_negative_thrust() 
 )
 def test_the_verdict_is_that_of_a_flight(cfg: ControllerCfg, rolls: list[float], over: list[bool]) -> None:
     """After 0.4 s a vehicle points up, or falls at a body rate of 0; a start at that roll is accepted, or refused."""
-    turned, rates = fallen(cfg, rolls)
+    turned, rates = fall(cfg, rolls)
     assert turned == over
     for roll, turns, rate in zip(rolls, turned, rates, strict=True):
         if turns:
@@ -147,11 +147,11 @@ def test_laws_that_hold_no_attitude_are_not_judged(name: str) -> None:
     check(from_angles(-180.0, 180.0), name)
 
 
-def test_only_attitudes_beyond_a_right_angle_are_looked_at() -> None:
-    assert len(attitudes_beyond(from_angles(-89.0, 89.0).initial_state)) == 0
-    found = attitudes_beyond(from_angles(-180.0, 180.0, pitch=90.0).initial_state)
-    assert len(found) > 100
-    assert bool((quat_to_matrix(found)[:, 2, 2] < 0.0).all())
+def test_only_attitudes_beyond_a_right_angle_are_checked() -> None:
+    assert len(sample_attitudes(from_angles(-89.0, 89.0).initial_state)) == 0
+    result = sample_attitudes(from_angles(-180.0, 180.0, pitch=90.0).initial_state)
+    assert len(result) > 100
+    assert bool((quat_to_matrix(result)[:, 2, 2] < 0.0).all())
 
 
 def test_an_environment_refuses_such_a_start() -> None:

@@ -11,7 +11,7 @@ from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.task import Task
 from tests.builders import simulation
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 FEW, MANY = 4, 37
 """Neither is a multiple of the width of the processor's vectors."""
@@ -43,7 +43,7 @@ def build(
     )
 
 
-def actions_of(num_envs: int, first: int = 0, *, width: int = 4) -> Tensor:
+def make_actions(num_envs: int, first: int = 0, *, width: int = 4) -> Tensor:
     """Return an action (E, width) for each environment, by its number."""
     number = torch.arange(first, first + num_envs, dtype=torch.float32).unsqueeze(-1)
     return torch.sin(number + torch.arange(float(width))).clamp(-0.5, 0.5)
@@ -61,25 +61,25 @@ def fly(env: EnvManager, first: int = 0, *, steps: int = 6) -> None:
     env.reset()
     number = torch.arange(first, first + env.num_envs)
     for step in range(steps):
-        env.step(actions_of(env.num_envs, first))
+        env.step(make_actions(env.num_envs, first))
         env.reset((number + step) % 3 == 0)
         env.render()
 
 
-def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor], *, within: float = 0.0) -> None:
-    assert found.keys() == expected.keys()
+def assert_same(result: dict[str, Tensor], expected: dict[str, Tensor], *, within: float = 0.0) -> None:
+    assert result.keys() == expected.keys()
     if within:
-        for key, value in found.items():
+        for key, value in result.items():
             torch.testing.assert_close(value, expected[key], rtol=0.0, atol=within, equal_nan=True)
         return
-    different = [key for key in found if not torch.equal(found[key].nan_to_num(7.0), expected[key].nan_to_num(7.0))]
+    different = [key for key in result if not torch.equal(result[key].nan_to_num(7.0), expected[key].nan_to_num(7.0))]
     assert not different
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 @pytest.mark.parametrize(
     ("env", "robot"),
-    often(
+    frequent_values(
         [
             *((name, "base_quadrotor") for name in OBSTACLE_COURSES),
             ("env_with_obstacles", "base_quadrotor_with_camera_imu"),
@@ -90,23 +90,23 @@ def assert_same(found: dict[str, Tensor], expected: dict[str, Tensor], *, within
     ),
 )
 def test_an_environment_is_the_same_among_few_and_many(env: str, robot: str) -> None:
-    found = []
+    results = []
     for num_envs in (FEW, MANY):
         built = build(env, robot, num_envs)
         fly(built)
-        found.append(snapshot(built.gtd, slice(FEW)))
-    assert_same(*found)
+        results.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(*results)
 
 
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> None:
-    found = []
+    results = []
     for num_envs, first in ((FEW, 0), (MANY, 0), (1, 3)):
         built = build("empty_env", "tinyprop", num_envs, randomize=RANDOMIZE, first_env=first)
         fly(built, first)
-        found.append(snapshot(built.gtd, slice(FEW)))
-    assert_same(found[0], found[1])
-    assert_same(found[2], {key: value[3:] for key, value in found[1].items()})
+        results.append(snapshot(built.gtd, slice(FEW)))
+    assert_same(results[0], results[1])
+    assert_same(results[2], {key: value[3:] for key, value in results[1].items()})
 
 
 @pytest.mark.parametrize(
@@ -154,12 +154,12 @@ def test_another_seed_is_another_simulation() -> None:
 def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tensor]]:
     """Return everything that a task gives, step by step; every episode ends on the way."""
     observation, _ = task.reset()
-    found = [{"observation": observation["observations"].clone()}]
+    results = [{"observation": observation["observations"].clone()}]
     number = torch.arange(first, first + task.num_envs)
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
         observation, reward, terminated, truncated, info = task.step(
-            actions_of(task.num_envs, first, width=task.num_actions)
+            make_actions(task.num_envs, first, width=task.num_actions)
         )
         row = {
             "observation": observation["observations"],
@@ -167,8 +167,8 @@ def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tenso
             "terminated": terminated,
             "truncated": truncated,
         }
-        found.append({key: value.clone() for key, value in (row | info).items()})
-    return found
+        results.append({key: value.clone() for key, value in (row | info).items()})
+    return results
 
 
 AS_USERS_HAVE_THEM = ("agile_tracking_task", "gust_rejection_task", "motor_failure_task", "racing_task")
@@ -178,10 +178,10 @@ OFTEN = ("motor_failure_task", "navigation_task", "position_setpoint_task_morphy
 """Of each kind one, of which the others have other numbers, or fewer parts; races are in ``task/commands/test_track.py``."""
 
 
-@pytest.mark.parametrize("name", often(task_registry.names(), OFTEN))
+@pytest.mark.parametrize("name", frequent_values(task_registry.names(), OFTEN))
 def test_a_task_gives_an_environment_the_same_among_few_and_many(name: str, request: pytest.FixtureRequest) -> None:
     if name in AS_USERS_HAVE_THEM:
-        request.getfixturevalue("optimised")
+        request.getfixturevalue("optimise_kernels")
     curriculum = task_registry.get(name).curriculum
     level = None if curriculum is None else curriculum.first_level + 5
     rounding = 0.0 if task_registry.get(name).encoder is None else 1e-4  # convolutions sum by the size of a batch

@@ -11,7 +11,7 @@ from aerial_gym import EnvManager, SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.robots import ROBOTS
-from tests.physics.mixed_rotors import mixed_robot
+from tests.physics.rotor_types import three_type_robot
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 3, 2
@@ -27,7 +27,7 @@ def build(controller: str = "lee_attitude_control", **options) -> EnvManager:
     return env
 
 
-def flown(env: EnvManager) -> Callable[[Tensor], Tensor]:
+def make_objective(env: EnvManager) -> Callable[[Tensor], Tensor]:
     """Return a function from actions (T, E, U) to a number that depends on all states of a flight from the same start."""
 
     def loss(actions: Tensor) -> Tensor:
@@ -36,7 +36,7 @@ def flown(env: EnvManager) -> Callable[[Tensor], Tensor]:
         total = actions.new_zeros(())
         for action in actions:
             env.step(action)
-            for i, rows in enumerate(env.traced.values()):
+            for i, rows in enumerate(env.gradient_tensors.values()):
                 rows = rows.flatten(1)
                 total = total + (rows * torch.arange(1.0 + i, rows.shape[1] + 1.0 + i, dtype=rows.dtype).cos()).sum()
         return total
@@ -48,15 +48,17 @@ def flown(env: EnvManager) -> Callable[[Tensor], Tensor]:
 def test_gradients_of_a_flight_are_its_differences(controller: str, size: float) -> None:
     """Of every state in every step with respect to every action before it, to the accuracy of central differences."""
     actions = size * torch.rand(STEPS, NUM_ENVS, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
-    assert torch.autograd.gradcheck(flown(build(controller)), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        make_objective(build(controller)), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5
+    )
 
 
-def gradient_of(env: EnvManager) -> Tensor:
+def flight_gradient(env: EnvManager) -> Tensor:
     """Return the gradient of a flight that saturates rotors, touches nothing, and is the same in every float type."""
-    dtype = env.traced["robot_position"].dtype
+    dtype = env.gradient_tensors["robot_position"].dtype
     actions = 0.8 * torch.rand(STEPS, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1)).to(dtype) - 0.4
-    (found,) = torch.autograd.grad(flown(env)(actions.requires_grad_()), actions)
-    return found.double()
+    (result,) = torch.autograd.grad(make_objective(env)(actions.requires_grad_()), actions)
+    return result.double()
 
 
 @pytest.mark.parametrize("robot", [pytest.param("base_quadrotor", marks=pytest.mark.slow), "mixed"])
@@ -65,11 +67,11 @@ def test_kernels_have_the_gradients_of_torch_operations(robot: str) -> None:
 
     1e-4 of the largest entry: some thousand operations in float32, whose results pass through the root of small thrusts.
     """
-    chosen = {"robot_name": mixed_robot()} if robot == "mixed" else {}
+    chosen = {"robot_name": three_type_robot()} if robot == "mixed" else {}
     controller = "no_control" if robot == "mixed" else "lee_attitude_control"
     single, exact = (build(controller, dtype=dtype, **chosen) for dtype in (torch.float32, F64))
-    found, expected = gradient_of(single), gradient_of(exact)
-    torch.testing.assert_close(found, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
+    result, expected = flight_gradient(single), flight_gradient(exact)
+    torch.testing.assert_close(result, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
     for env, in_kernels in ((single, True), (exact, False)):
         backend = env.robot_manager.differentiable
         assert backend is not None
@@ -80,8 +82,8 @@ def test_what_remembers_runs_as_torch_operations() -> None:
     """Gradients go back through the memory of an effect; a kernel of one step knows nothing of it."""
     robot = replace(ROBOTS.get("base_quadrotor"), effects={"actuation_delay": {"delay": 0.01}})
     single, exact = (build(dtype=dtype, robot_name=robot) for dtype in (torch.float32, F64))
-    found, expected = gradient_of(single), gradient_of(exact)
-    torch.testing.assert_close(found, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
+    result, expected = flight_gradient(single), flight_gradient(exact)
+    torch.testing.assert_close(result, expected, atol=1e-4 * float(expected.abs().max()), rtol=0.0)
     assert single.robot_manager.differentiable is not None
     assert single.robot_manager.differentiable._in_rows(0.01) is None
 
@@ -91,14 +93,14 @@ def test_the_dictionary_shows_what_is_traced() -> None:
     env = build()
     for _ in range(2):
         env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64).requires_grad_())
-    for key, rows in env.traced.items():
+    for key, rows in env.gradient_tensors.items():
         assert rows.dtype == F64
         assert rows.requires_grad or key == "robot_vehicle_orientation"
         assert not env.gtd[key].requires_grad
         torch.testing.assert_close(env.gtd[key].double(), rows.detach(), atol=2e-6, rtol=2e-6)
 
 
-def test_a_flight_with_gradients_is_the_flight_without() -> None:
+def test_a_flight_with_gradients_is_the_plain_flight() -> None:
     """The same starts and actions on the fused backend, to float32."""
     traced, fused = build(), build(differentiable=False, dtype=torch.float32)
     for _ in range(20):
@@ -111,14 +113,14 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
     env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
     env.step(action)
     env.reset(torch.tensor([True, False]))
-    env.traced["robot_linvel"].sum().backward()
+    env.gradient_tensors["robot_linvel"].sum().backward()
     assert action.grad is not None
     assert action.grad[0].tolist() == [0.0] * 4
     assert action.grad[1].abs().max() > 0.0
     for cut in (env.detach, env.reset):
         env.step(action)
         cut()
-        assert not env.traced["robot_linvel"].requires_grad
+        assert not env.gradient_tensors["robot_linvel"].requires_grad
 
 
 def test_obstacles_are_met_as_without_gradients() -> None:
@@ -138,7 +140,7 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
     with pytest.raises(ConfigError, match="the GTD is float32; give differentiable=True"):
         build(differentiable=False)
     with pytest.raises(ConfigError, match="build it with differentiable=True"):
-        _ = build(differentiable=False, dtype=torch.float32).traced
+        _ = build(differentiable=False, dtype=torch.float32).gradient_tensors
 
 
 def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> None:
@@ -150,7 +152,7 @@ def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> 
     env = build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
     action = torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
     env.step(action)
-    loss = env.traced["robot_linvel"].sum()
+    loss = env.gradient_tensors["robot_linvel"].sum()
     loss.backward(retain_graph=True)
     assert action.grad is not None
     assert action.grad[0, 0] != action.grad[1, 0]
@@ -165,7 +167,7 @@ def test_drawn_gains_never_overwrite_a_graph_in_silence() -> None:
     env = build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
     for _ in range(2):
         env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True))
-    loss = env.traced["robot_body_angvel"][1].sum()
+    loss = env.gradient_tensors["robot_body_angvel"][1].sum()
     env.reset(torch.tensor([True, False]))
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
@@ -179,7 +181,7 @@ def test_a_plain_robot_has_no_slew_rate_to_draw() -> None:
 
 def test_slew_rates_of_mixed_rotors_are_drawn_both_ways() -> None:
     """On the fused backend: thrust of the rotor in force mode climbs 60 N/s times the draw, and falls 90 N/s times it."""
-    robot = replace(mixed_robot(), randomize={"rotor.slew_rate": RandomizeCfg(low=0.5, high=0.9, each_rotor=True)})
+    robot = replace(three_type_robot(), randomize={"rotor.slew_rate": RandomizeCfg(low=0.5, high=0.9, each_rotor=True)})
     env = build("no_control", robot_name=robot, differentiable=False, dtype=torch.float32)
     factor, thrust = env.robot_manager.draws()["rotor.slew_rate"][:, 2], env.gtd["rotor_speed"]
     before = thrust[:, 2].clone()
@@ -195,7 +197,7 @@ def test_resets_one_after_the_other_cut_each_their_own_rows() -> None:
     env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
     env.step(action)
     env.reset(torch.tensor([True, False]))
-    reached = env.traced["robot_linvel"].sum()
+    reached = env.gradient_tensors["robot_linvel"].sum()
     env.reset(torch.tensor([False, True]))
     env.random.mask.data.fill_(True)  # as a kernel does, of which torch knows nothing
     (gradient,) = torch.autograd.grad(reached, action)
@@ -209,13 +211,13 @@ def test_actions_are_traced_beside_the_motion() -> None:
     first, second = (torch.full((NUM_ENVS, 4), u, dtype=F64, requires_grad=True) for u in (0.1, 0.2))
     env.step(first)
     env.step(second)
-    torch.autograd.grad(env.traced["robot_actions"].sum(), second)
-    torch.autograd.grad(env.traced["robot_prev_actions"].sum(), first)
+    torch.autograd.grad(env.gradient_tensors["robot_actions"].sum(), second)
+    torch.autograd.grad(env.gradient_tensors["robot_prev_actions"].sum(), first)
     for key in ("robot_actions", "robot_prev_actions"):
-        torch.testing.assert_close(env.gtd[key].double(), env.traced[key].detach(), atol=1e-7, rtol=0.0)
+        torch.testing.assert_close(env.gtd[key].double(), env.gradient_tensors[key].detach(), atol=1e-7, rtol=0.0)
     env.reset(torch.tensor([True, False]))
-    assert env.traced["robot_actions"].tolist() == [[0.0] * 4, [0.2] * 4]
-    assert env.traced["robot_prev_actions"].tolist() == [[0.0] * 4, [0.1] * 4]
+    assert env.gradient_tensors["robot_actions"].tolist() == [[0.0] * 4, [0.2] * 4]
+    assert env.gradient_tensors["robot_prev_actions"].tolist() == [[0.0] * 4, [0.1] * 4]
 
 
 def test_a_reset_leaves_what_effects_of_other_rows_remember_in_the_graph() -> None:
@@ -229,7 +231,7 @@ def test_a_reset_leaves_what_effects_of_other_rows_remember_in_the_graph() -> No
         env.reset(torch.tensor(mask))
         for _ in range(5):
             env.step(later)
-        gradients.append(torch.autograd.grad(env.traced["rotor_speed"].sum(), first)[0])
+        gradients.append(torch.autograd.grad(env.gradient_tensors["rotor_speed"].sum(), first)[0])
     assert gradients[0][1].abs().max() > 0.0
     assert torch.equal(gradients[0][1], gradients[1][1])
     assert gradients[1][0].tolist() == [0.0] * 4

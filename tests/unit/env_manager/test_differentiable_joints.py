@@ -10,7 +10,7 @@ from aerial_gym import ENVIRONMENTS, EnvManager
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
-from tests.unit.env_manager.test_differentiable import flown
+from tests.unit.env_manager.test_differentiable import make_objective
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 3, 2
@@ -36,7 +36,7 @@ def build(robot: RobotCfg | str, **options) -> EnvManager:
     return env
 
 
-def bent(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
+def bend(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
     """Return a robot whose joints begin up to 0.3 rad from their reference, with dry friction [N m] in their springs."""
     robot = ROBOTS.get(name)
     assert robot.joints is not None
@@ -52,7 +52,7 @@ def bent(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
     return replace(robot, joints=replace(robot.joints, layout=layout), **changes)  # type: ignore[arg-type]
 
 
-def actions_of(env: EnvManager, low: float, high: float) -> Tensor:
+def make_actions(env: EnvManager, low: float, high: float) -> Tensor:
     share = torch.rand(
         STEPS, NUM_ENVS, env.robot_manager.num_actions, dtype=F64, generator=torch.Generator().manual_seed(1)
     )
@@ -62,10 +62,10 @@ def actions_of(env: EnvManager, low: float, high: float) -> Tensor:
 @pytest.mark.parametrize(
     ("robot", "low", "high"),
     [
-        pytest.param(bent("morphy", effects=DRAG), 0.2, 1.5, id="springs and ends"),
-        pytest.param(bent("morphy_fixed_base", effects=DRAG), 0.2, 1.5, id="on a stand"),
-        pytest.param(bent("snakey", effects=DRAG), -0.9, 0.9, id="driven to rates"),
-        pytest.param(bent("morphy_creeping", friction=0.05), 0.2, 1.5, id="creep and friction"),
+        pytest.param(bend("morphy", effects=DRAG), 0.2, 1.5, id="springs and ends"),
+        pytest.param(bend("morphy_fixed_base", effects=DRAG), 0.2, 1.5, id="on a stand"),
+        pytest.param(bend("snakey", effects=DRAG), -0.9, 0.9, id="driven to rates"),
+        pytest.param(bend("morphy_creeping", friction=0.05), 0.2, 1.5, id="creep and friction"),
     ],
 )
 def test_gradients_of_a_flight_are_its_differences(robot: RobotCfg, low: float, high: float) -> None:
@@ -74,8 +74,8 @@ def test_gradients_of_a_flight_are_its_differences(robot: RobotCfg, low: float, 
     Joints begin beyond their ends, and drives come to their limits in some steps.
     """
     env = build(robot)
-    actions = actions_of(env, low, high).requires_grad_()
-    assert torch.autograd.gradcheck(flown(env), (actions,), atol=1e-6, rtol=1e-5, fast_mode=True)
+    actions = make_actions(env, low, high).requires_grad_()
+    assert torch.autograd.gradcheck(make_objective(env), (actions,), atol=1e-6, rtol=1e-5, fast_mode=True)
 
 
 def test_the_dictionary_shows_what_is_traced() -> None:
@@ -83,19 +83,19 @@ def test_the_dictionary_shows_what_is_traced() -> None:
     env = build("morphy")
     for _ in range(2):
         env.step(torch.full((NUM_ENVS, 4), 0.8, dtype=F64).requires_grad_())
-    assert set(JOINTS) < set(env.traced)
-    for key, rows in env.traced.items():
+    assert set(JOINTS) < set(env.gradient_tensors)
+    for key, rows in env.gradient_tensors.items():
         assert rows.requires_grad or key == "robot_vehicle_orientation"
         assert not env.gtd[key].requires_grad
         torch.testing.assert_close(env.gtd[key].double(), rows.detach(), atol=2e-6, rtol=2e-6)
 
 
 def test_a_rigid_vehicle_has_no_joints_to_trace() -> None:
-    assert not set(JOINTS) & set(build("morphy_stiff").traced)
+    assert not set(JOINTS) & set(build("morphy_stiff").gradient_tensors)
 
 
 @pytest.mark.parametrize("robot", ["morphy_creeping", "snakey"])
-def test_a_flight_with_gradients_is_the_flight_without(robot: str) -> None:
+def test_a_flight_with_gradients_is_the_plain_flight(robot: str) -> None:
     """The same starts and actions on the fused backend, to float32, across a reset of one row."""
     traced, fused = build(robot), build(robot, differentiable=False, dtype=torch.float32)
     for step in range(8):
@@ -114,8 +114,8 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
     env.step(first)
     env.reset(torch.tensor([True, False]))
     for key in ("dof_position", "dof_velocity"):
-        torch.testing.assert_close(env.traced[key].float(), env.gtd[key], atol=0.0, rtol=0.0)
-        (gradient,) = torch.autograd.grad(env.traced[key].sum(), first, retain_graph=True)
+        torch.testing.assert_close(env.gradient_tensors[key].float(), env.gtd[key], atol=0.0, rtol=0.0)
+        (gradient,) = torch.autograd.grad(env.gradient_tensors[key].sum(), first, retain_graph=True)
         assert gradient[0].tolist() == [0.0] * 4
         assert gradient[1].abs().max() > 0.0
     env.step(later)
@@ -127,9 +127,9 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
     assert gradient[1].abs().max() > 0.0
     for cut in (env.detach, env.settle, env.reset):
         env.step(later)
-        assert env.traced["dof_position"].requires_grad
+        assert env.gradient_tensors["dof_position"].requires_grad
         cut()
-        assert not env.traced["dof_position"].requires_grad
+        assert not env.gradient_tensors["dof_position"].requires_grad
         assert not backend._inner._crept.requires_grad
 
 
@@ -138,12 +138,12 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
     env, places = build("morphy_creeping"), []
     for _ in range(3):
         env.step(torch.full((NUM_ENVS, 4), 0.8, dtype=F64, requires_grad=True))
-        before = {key: env.traced[key].detach().clone() for key in JOINTS[:2]}
+        before = {key: env.gradient_tensors[key].detach().clone() for key in JOINTS[:2]}
         env.settle()
         for key, rows in before.items():
-            assert torch.equal(env.traced[key], rows)
+            assert torch.equal(env.gradient_tensors[key], rows)
         crept = env.robot_manager.backend.state_tensors()["crept"]
-        places.append([crept.data_ptr(), *(env.traced[key].data_ptr() for key in JOINTS[:2])])
+        places.append([crept.data_ptr(), *(env.gradient_tensors[key].data_ptr() for key in JOINTS[:2])])
     assert places[0] == places[1] == places[2]
 
 
@@ -158,7 +158,7 @@ def test_a_saved_flight_goes_on_as_if_it_had_not_stopped() -> None:
         for env in (one, other):
             env.step(torch.full((NUM_ENVS, 4), 0.6))
     for key in ("robot_position", *JOINTS):
-        assert torch.equal(one.traced[key], other.traced[key])
+        assert torch.equal(one.gradient_tensors[key], other.gradient_tensors[key])
 
 
 def test_links_that_collide_are_seen_as_without_gradients() -> None:
@@ -166,7 +166,7 @@ def test_links_that_collide_are_seen_as_without_gradients() -> None:
 
     The first and the third rod fold onto each other.
     """
-    snake = bent("snakey", collision=replace(ROBOTS.get("snakey").collision, between_links=True))
+    snake = bend("snakey", collision=replace(ROBOTS.get("snakey").collision, between_links=True))
     assert snake.joints is not None
     layout = tuple(
         replace(joint, initial=(2.08, 2.08), initial_rate=(3.0, 3.0)) if joint.name.startswith("yaw") else joint

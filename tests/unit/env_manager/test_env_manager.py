@@ -13,7 +13,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
 from tests.builders import simulation
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 
 def build(num_envs: int = 4, *, seed: int = 0, **changes: object) -> EnvManager:
@@ -39,7 +39,9 @@ OFTEN = ("dynamic_env", "empty_env", "forest_env", "landing_env")
 @pytest.mark.parametrize(
     ("env_name", "robot_name"),
     [
-        *often(((name, "base_quadrotor") for name in ENVIRONMENTS.names()), [(n, "base_quadrotor") for n in OFTEN]),
+        *frequent_values(
+            ((name, "base_quadrotor") for name in ENVIRONMENTS.names()), [(n, "base_quadrotor") for n in OFTEN]
+        ),
         pytest.param("empty_env", "morphy", marks=pytest.mark.slow),
     ],
 )
@@ -124,14 +126,14 @@ def test_wrong_requests_are_refused_by_name() -> None:
 
 
 def test_a_device_without_a_number_is_the_first_one_or_refused_by_name() -> None:
-    def made() -> EnvManager:
+    def make() -> EnvManager:
         return simulation("base_quadrotor", device=torch.device("cuda"))
 
     if torch.cuda.is_available():
-        assert made().device == torch.device("cuda:0")
+        assert make().device == torch.device("cuda:0")
     else:
         with pytest.raises(ConfigError, match="this machine shows 0 CUDA devices"):
-            made()
+            make()
 
 
 def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> None:

@@ -25,7 +25,7 @@ def build() -> EnvManager:
     )
 
 
-def images_of(env: EnvManager) -> dict[str, Tensor]:
+def copy_images(env: EnvManager) -> dict[str, Tensor]:
     return {key: value.clone() for key, value in env.gtd.items() if key.endswith("pixels")}
 
 
@@ -44,11 +44,11 @@ def test_looking_before_a_reset_and_once_more_where_it_was_gives_the_same_images
         once.render()
         twice.step(actions)
         twice.render()
-        before = images_of(twice)
+        before = copy_images(twice)
         twice.reset(mask)
         twice.render(mask)
-        found = images_of(twice)
-        assert not [key for key, image in images_of(once).items() if not torch.equal(found[key], image)]
-        assert not [key for key in found if not torch.equal(found[key][~mask], before[key][~mask])]
-        changed += sum(not torch.equal(found[key][mask], before[key][mask]) for key in found if mask.any())
+        result = copy_images(twice)
+        assert not [key for key, image in copy_images(once).items() if not torch.equal(result[key], image)]
+        assert not [key for key in result if not torch.equal(result[key][~mask], before[key][~mask])]
+        changed += sum(not torch.equal(result[key][mask], before[key][mask]) for key in result if mask.any())
     assert changed > 10

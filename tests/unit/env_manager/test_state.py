@@ -59,18 +59,18 @@ def rich(backend: str = "warp", *, env: str = "dynamic_env", seed: int = 1, num_
 
 def fly(env: EnvManager, steps: int) -> list[dict[str, Tensor]]:
     """Fly with a reset on the way; return everything after every step."""
-    found, actions = [], torch.linspace(-0.5, 0.5, 4 * env.num_envs).view(-1, 4)
+    results, actions = [], torch.linspace(-0.5, 0.5, 4 * env.num_envs).view(-1, 4)
     for step in range(steps):
         env.step(actions)
         if step == 3:
             env.reset(torch.arange(env.num_envs) == 1)
         env.render()
-        found.append({key: value.clone() for key, value in env.gtd.items()})
-    return found
+        results.append({key: value.clone() for key, value in env.gtd.items()})
+    return results
 
 
-def assert_same(found: list[dict[str, Tensor]], expected: list[dict[str, Tensor]]) -> None:
-    for a, b in zip(found, expected, strict=True):
+def assert_same(result: list[dict[str, Tensor]], expected: list[dict[str, Tensor]]) -> None:
+    for a, b in zip(result, expected, strict=True):
         assert not [key for key in a if not torch.equal(a[key].nan_to_num(7.0), b[key].nan_to_num(7.0))]
 
 
@@ -102,7 +102,7 @@ def test_saving_changes_nothing() -> None:
     assert any(not torch.equal(tensor, saved.state_tensors()[name]) for name, tensor in state.items())
 
 
-def task_of(seed: int, controller: str | None = None) -> Task:
+def navigation_task(seed: int, controller: str | None = None) -> Task:
     cfg = task_registry.get("navigation_task")
     assert cfg.curriculum is not None
     task = task_registry.make_task("navigation_task", num_envs=E, device="cpu", seed=seed, controller=controller)
@@ -112,22 +112,22 @@ def task_of(seed: int, controller: str | None = None) -> Task:
 
 
 def roll_out(task: Task, steps: int) -> list[dict[str, Tensor]]:
-    found = []
+    results = []
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_(torch.arange(E) == step % E, task.cfg.episode_len_steps)
         observation, reward, terminated, _, info = task.step(torch.full((E, 4), 0.3))
         row = {"observation": observation["observations"], "reward": reward, "terminated": terminated} | info
-        found.append({key: value.clone() for key, value in row.items()})
-    return found
+        results.append({key: value.clone() for key, value in row.items()})
+    return results
 
 
 def test_a_task_goes_on_with_its_curriculum_and_returns() -> None:
-    task = task_of(1)
+    task = navigation_task(1)
     roll_out(task, 4)
     state = task.save_state()
     expected = roll_out(task, 5)
     level = int(task.env.gtd["curriculum_level"])
-    other = task_of(2)
+    other = navigation_task(2)
     other.load_state(state)
     assert_same(roll_out(other, 5), expected)
     assert int(other.env.gtd["curriculum_level"]) == level

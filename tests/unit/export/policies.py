@@ -8,14 +8,14 @@ import torch
 
 from aerial_gym.assets.catalog import ENVIRONMENTS
 from aerial_gym.config.task_terms import ActionCfg
-from aerial_gym.export.layout import Layout, layout_of
-from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.export.layout import Layout, policy_layout
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings, settings_for
 from aerial_gym.task import Task, task_registry
 from tests.builders import simulation
-from tests.unit.task.hover import built
+from tests.unit.task.hover import build_task
 
 HOVER = task_registry.get("position_setpoint_task")
 
@@ -53,7 +53,7 @@ def training() -> TrainingCfg:
     return load_settings(settings_for("ppo", "position_setpoint_task"))
 
 
-def drawn_policy(
+def random_policy(
     num_observations: int = 13,
     *,
     activation: str = "elu",
@@ -63,7 +63,7 @@ def drawn_policy(
 ) -> Policy:
     """Return a policy of random weights whose normaliser has seen something of every size."""
     generator = torch.Generator().manual_seed(3)
-    body = BodyCfg(
+    body = NetworkBodyCfg(
         shapes={"observations": (num_observations,)},
         hidden_layers=(24, 17),
         activation=activation,
@@ -81,7 +81,7 @@ def drawn_policy(
     return policy.requires_grad_(False).eval()
 
 
-def hovering_policy(*, memory: bool = False) -> Policy:
+def hover_policy(*, memory: bool = False) -> Policy:
     """Return a position controller as a network: linear in position error, velocity and yaw, as ``relu(x) - relu(-x)``.
 
     Attitude commands (thrust - 1, roll, pitch, yaw rate) of 13 observations: error in the world, quaternion, velocity in the
@@ -93,7 +93,7 @@ def hovering_policy(*, memory: bool = False) -> Policy:
     law[2, 0], law[2, 7] = 0.25, -0.3
     law[1, 1], law[1, 8] = -0.25, 0.3
     law[3, 5] = -2.0
-    body = BodyCfg(
+    body = NetworkBodyCfg(
         shapes={"observations": (13,)},
         hidden_layers=(8,),
         activation="relu",
@@ -131,8 +131,8 @@ def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 1
 
 @cache
 def _hover_layout() -> Layout:
-    with built(HOVER, 1) as task:
-        return layout_of(drawn_policy(), training(), task, name="hover", source="nowhere")
+    with build_task(HOVER, 1) as task:
+        return policy_layout(random_policy(), training(), task, name="hover", source="nowhere")
 
 
 def layout(policy: Policy) -> Layout:
@@ -140,7 +140,7 @@ def layout(policy: Policy) -> Layout:
     return replace(_hover_layout(), memory=policy.body.memory_size)
 
 
-def layout_with(policy: Policy, name: str, **params: Any) -> Layout:
+def make_layout(policy: Policy, name: str, **params: Any) -> Layout:
     """Return the layout of a hover policy with one of ``TRANSFORMS``; ``params`` replace some of its numbers."""
     action, _ = TRANSFORMS[name]
     return replace(layout(policy), transform=action.transform, params={**action.params, **params})

@@ -18,11 +18,11 @@ from aerial_gym.export.c99 import _ACTIVATIONS
 from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.export import Exported, compare, write_policy
 from aerial_gym.export.layout import Layout
-from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import Encoder, SeenCfg
+from aerial_gym.sensors.encoder.file import Encoder, EncoderImageCfg
 from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
-from tests.unit.export.policies import drawn_policy, layout, layout_with
+from tests.unit.export.policies import layout, make_layout, random_policy
 
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
 
@@ -33,38 +33,38 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "CHECKED", 5_000)
 
 
-def compared(exact: list[float], rounded: list[float], found: list[float]) -> Comparison:
+def compare_columns(exact: list[float], rounded: list[float], result: list[float]) -> Comparison:
     comparison = Comparison(["x"])
     comparison.add(
-        torch.tensor(exact, dtype=torch.float64)[:, None], torch.tensor(rounded)[:, None], torch.tensor(found)[:, None]
+        torch.tensor(exact, dtype=torch.float64)[:, None], torch.tensor(rounded)[:, None], torch.tensor(result)[:, None]
     )
     return comparison
 
 
 def test_the_limit_is_that_of_float32() -> None:
     """Error 0.02, rounding 0.001 and range 8: limit FACTOR (0.001 + 8 2^-23)."""
-    worst = compared([0.0, 8.0], [0.001, 8.0], [0.02, 8.0]).worst
+    worst = compare_columns([0.0, 8.0], [0.001, 8.0], [0.02, 8.0]).worst
     assert worst.error == pytest.approx(0.02)
     assert worst.rounding == pytest.approx(0.001)
     assert worst.span == 8.0
     assert worst.limit == pytest.approx(FACTOR * (0.001 + 8.0 * UNIT), rel=1e-6)
     assert not worst.holds
-    assert compared([0.0, 8.0], [0.001, 8.0], [0.009, 8.0]).worst.holds
+    assert compare_columns([0.0, 8.0], [0.001, 8.0], [0.009, 8.0]).worst.holds
 
 
 @pytest.mark.parametrize("bad", [nan, inf])
 def test_nan_in_a_file_does_not_pass(bad: float) -> None:
-    assert not compared([0.0, 8.0], [0.0, 8.0], [0.0, bad]).worst.holds
+    assert not compare_columns([0.0, 8.0], [0.0, 8.0], [0.0, bad]).worst.holds
 
 
-@pytest.mark.parametrize(("found", "status"), [(0.009, 0), (0.02, 1), (nan, 1)])
+@pytest.mark.parametrize(("result", "status"), [(0.009, 0), (0.02, 1), (nan, 1)])
 def test_the_command_ends_with_status_1_for_a_file_that_does_not_pass(
-    found: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    result: float, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "hover.pt"
     file.write_bytes(b"")
-    worst = compared([0.0, 8.0], [0.001, 8.0], [found, 8.0]).worst
-    written = [Exported(to="torchscript", file=file, largest_difference=found, agreement=worst)]
+    worst = compare_columns([0.0, 8.0], [0.001, 8.0], [result, 8.0]).worst
+    written = [Exported(to="torchscript", file=file, largest_difference=result, agreement=worst)]
     monkeypatch.setattr(export, "export_policy", lambda *_, **__: written)
     assert ExportCmd(policy=tmp_path, json=True).run() == status
     out, err = capsys.readouterr()
@@ -73,16 +73,16 @@ def test_the_command_ends_with_status_1_for_a_file_that_does_not_pass(
 
 
 def test_a_constant_output_passes_only_unchanged() -> None:
-    assert compared([0.0, 0.0], [0.0, 0.0], [0.0, 0.0]).worst.holds
-    assert not compared([0.0, 0.0], [0.0, 0.0], [0.0, 1e-9]).worst.holds
+    assert compare_columns([0.0, 0.0], [0.0, 0.0], [0.0, 0.0]).worst.holds
+    assert not compare_columns([0.0, 0.0], [0.0, 0.0], [0.0, 1e-9]).worst.holds
 
 
 def test_each_output_has_a_limit_of_its_own() -> None:
     """An angle that is wrong by a fifth is not hidden beside a rotor speed."""
     comparison = Comparison(["speed", "angle"])
     exact = torch.tensor([[0.0, 0.0], [3000.0, 1e-4]], dtype=torch.float64)
-    found = torch.tensor([[1e-4, 2e-5], [3000.0, 1e-4]])
-    comparison.add(exact, exact.float(), found)
+    results = torch.tensor([[1e-4, 2e-5], [3000.0, 1e-4]])
+    comparison.add(exact, exact.float(), results)
     assert (comparison.worst.output, comparison.worst.holds) == ("angle", False)
     comparison = Comparison(["speed", "angle"])
     comparison.add(exact, exact.float(), torch.tensor([[1e-4, 0.0], [3000.0, 1e-4]]))
@@ -90,7 +90,7 @@ def test_each_output_has_a_limit_of_its_own() -> None:
 
 
 def test_a_number_for_an_input_that_is_not_finite_does_not_pass() -> None:
-    comparison = compared([0.0, 8.0], [0.0, 8.0], [0.0, 8.0])
+    comparison = compare_columns([0.0, 8.0], [0.0, 8.0], [0.0, 8.0])
     comparison.add_not_finite(torch.tensor([[nan], [nan]]))
     assert comparison.worst.holds
     comparison.add_not_finite(torch.tensor([[nan], [0.3]]))
@@ -106,17 +106,19 @@ def large(policy: Policy) -> Policy:
 
 
 GOOD: dict[str, Callable[[], tuple[Policy, Layout]]] = {
-    "commands in rad/s": lambda: _with(drawn_policy(), "affine", low=[0.0] * 4, high=[3000.0] * 4),
-    "roots of thrust shares": lambda: _with(drawn_policy(), "four_places", low=[0.0] * 4, high=[3000.0] * 4),
-    "large weights": lambda: _with(large(drawn_policy(activation="relu")), "direct"),
-    "large weights and a memory": lambda: _with(large(drawn_policy(memory=16)), "direct"),
-    "small commands": lambda: _with(drawn_policy(activation="tanh"), "affine", low=[0.0] * 4, high=[1e-6] * 4),
-    "offset commands": lambda: _with(drawn_policy(), "affine", low=[1000.0] * 4, high=[1000.1] * 4),
+    "commands in rad/s": lambda: _policy_layout(random_policy(), "affine", low=[0.0] * 4, high=[3000.0] * 4),
+    "roots of thrust shares": lambda: _policy_layout(random_policy(), "four_places", low=[0.0] * 4, high=[3000.0] * 4),
+    "large weights": lambda: _policy_layout(large(random_policy(activation="relu")), "direct"),
+    "large weights and a memory": lambda: _policy_layout(large(random_policy(memory=16)), "direct"),
+    "small commands": lambda: _policy_layout(
+        random_policy(activation="tanh"), "affine", low=[0.0] * 4, high=[1e-6] * 4
+    ),
+    "offset commands": lambda: _policy_layout(random_policy(), "affine", low=[1000.0] * 4, high=[1000.1] * 4),
 }
 
 
-def _with(policy: Policy, name: str, **params: list[float]) -> tuple[Policy, Layout]:
-    return policy, layout_with(policy, name, **params)
+def _policy_layout(policy: Policy, name: str, **params: list[float]) -> tuple[Policy, Layout]:
+    return policy, make_layout(policy, name, **params)
 
 
 @COMPILER
@@ -136,7 +138,7 @@ def test_good_onnx_files_pass(tmp_path: Path) -> None:
     assert written.agrees, written
 
 
-def _swapped(weight: Tensor) -> None:
+def _swap_columns(weight: Tensor) -> None:
     weight[:, [0, 1]] = weight[:, [1, 0]]
 
 
@@ -153,8 +155,8 @@ def _other_activation(policy: Policy) -> None:
 
 
 WRONG: dict[str, Callable[[Policy], object]] = {
-    "swapped inputs": lambda policy: _swapped(policy.body.layers[0].weight.data),
-    "swapped weights of the head": lambda policy: _swapped(policy.head.weight.data),
+    "swapped inputs": lambda policy: _swap_columns(policy.body.layers[0].weight.data),
+    "swapped weights of the head": lambda policy: _swap_columns(policy.head.weight.data),
     "no normaliser": _no_normalizer,
     "no limit behind the normaliser": _other_limit,
     "another activation": _other_activation,
@@ -170,24 +172,24 @@ WRONG: dict[str, Callable[[Policy], object]] = {
 def test_wrong_files_do_not_pass(name: str, to: str, tmp_path: Path) -> None:
     """A file of a policy that was changed after it, with commands up to 3000 rad/s."""
     memory = 8 if name == "forgotten memory" else 0
-    wrong, right = drawn_policy(memory=memory), drawn_policy(memory=memory)
-    made = layout_with(right, "affine", low=[0.0] * 4, high=[3000.0] * 4)
+    wrong, right = random_policy(memory=memory), random_policy(memory=memory)
+    made = make_layout(right, "affine", low=[0.0] * 4, high=[3000.0] * 4)
     WRONG[name](wrong)
     (written,) = write_policy(wrong, made, tmp_path, [to], check=False)
-    worst = compare(FlownPolicy(right, made).eval(), made, written.file).worst
+    worst = compare(DeployablePolicy(right, made).eval(), made, written.file).worst
     assert not worst.holds, worst
 
 
 @COMPILER
 def test_an_activation_that_hides_nan_does_not_pass(tmp_path: Path) -> None:
-    policy = drawn_policy(activation="relu", normalize=False)
+    policy = random_policy(activation="relu", normalize=False)
     made = layout(policy)
     (written,) = write_policy(policy, made, tmp_path, ["c99"], check=False)
     text = written.file.read_text()
     assert _ACTIVATIONS["relu"] in text
     hiding = text.replace("if (!finite)", "if (0)").replace("x < 0.0f ? 0.0f : x", "x > 0.0f ? x : 0.0f")
     written.file.write_text(hiding)
-    worst = compare(FlownPolicy(policy, made).eval(), made, written.file).worst
+    worst = compare(DeployablePolicy(policy, made).eval(), made, written.file).worst
     assert worst.error == inf
     assert not worst.holds
 
@@ -196,7 +198,7 @@ def test_an_activation_that_hides_nan_does_not_pass(tmp_path: Path) -> None:
 def test_encoders(ending: str, tmp_path: Path) -> None:
     torch.manual_seed(2)
     cfg = AutoencoderCfg(rows=21, columns=38, latents=5, channels=(4, 6, 8), activation="elu")
-    seen = SeenCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
+    seen = EncoderImageCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
     encoder = Encoder(Autoencoder(cfg), seen, trained={})
     encoder.save(tmp_path / "small.pt")
     file = write_encoder(str(tmp_path / "small.pt"), tmp_path / f"small_encoder{ending}")

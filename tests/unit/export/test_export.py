@@ -11,14 +11,14 @@ from aerial_gym.config.task_terms import ActionCfg, ObservationCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.export.c99 import _TRANSFORMS
 from aerial_gym.export.export import export_policy, write_policy
-from aerial_gym.export.layout import Layout, layout_of
-from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.layout import Layout, policy_layout
+from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
-from tests.unit.export.policies import HOVER, TRANSFORMS, drawn_policy, hover, hovering_policy, layout, training
-from tests.unit.task.hover import built
+from tests.unit.export.policies import HOVER, TRANSFORMS, hover, hover_policy, layout, random_policy, training
+from tests.unit.task.hover import build_task
 
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
 TOLERANCE = 1e-5
@@ -37,9 +37,9 @@ TOLERANCE = 1e-5
 )
 def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, normalize: bool, tmp_path: Path) -> None:
     """Of 100,000 observations in sequences of 10 steps; gcc takes all warnings as errors."""
-    policy = drawn_policy(activation=activation, memory=memory, normalize=normalize)
-    found = write_policy(policy, layout(policy), tmp_path, ["c99", "torchscript"])
-    for each in found:
+    policy = random_policy(activation=activation, memory=memory, normalize=normalize)
+    result = write_policy(policy, layout(policy), tmp_path, ["c99", "torchscript"])
+    for each in result:
         assert each.not_checked is None, each
         assert each.largest_difference is not None
         assert each.largest_difference < TOLERANCE, each
@@ -53,11 +53,11 @@ def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, n
 def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    policy = drawn_policy(memory=memory)
-    (found,) = write_policy(policy, layout(policy), tmp_path, ["onnx"])
-    assert found.largest_difference is not None
-    assert found.largest_difference < TOLERANCE
-    assert found.agrees
+    policy = random_policy(memory=memory)
+    (result,) = write_policy(policy, layout(policy), tmp_path, ["onnx"])
+    assert result.largest_difference is not None
+    assert result.largest_difference < TOLERANCE
+    assert result.agrees
 
 
 @COMPILER
@@ -65,10 +65,10 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
 def test_commands_are_those_of_the_task(action: ActionCfg, controller: str, tmp_path: Path) -> None:
     """Transform and limits are inside: what comes out is what the controller of the simulation takes."""
     cfg = replace(HOVER, action=action, controller=controller)
-    policy = drawn_policy()
+    policy = random_policy()
     policy.head.weight.data *= 0.1  # most actions then lie within the limits
-    with built(cfg, 200) as task:
-        made = layout_of(policy, training(), task, name="hover", source="nowhere")
+    with build_task(cfg, 200) as task:
+        made = policy_layout(policy, training(), task, name="hover", source="nowhere")
         pilot_file = write_policy(policy, made, tmp_path, ["c99"], check=False)[0].file
         observation, _ = task.reset()
         step = load_exported(pilot_file).step
@@ -105,20 +105,20 @@ def test_an_exported_policy_flies(form: str, memory: bool, rate_hz: int, tmp_pat
     if form == "onnx":
         pytest.importorskip("onnxruntime")
         pytest.importorskip("onnxscript")
-    policy = hovering_policy(memory=memory)
+    policy = hover_policy(memory=memory)
     file = write_policy(policy, layout(policy), tmp_path, [form])[0].file
     with hover(rate_hz, delay=rate_hz // 50, noise=0.01) as task:
-        ours = evaluate(policy, task)
+        actual = evaluate(policy, task)
     with hover(rate_hz, delay=rate_hz // 50, noise=0.01) as task:
-        theirs = evaluate(load_exported(file), task)
-    assert theirs.crash_rate == 0.0
-    assert theirs.final_error_mean_m is not None
-    assert theirs.final_error_mean_m < 0.1
-    assert ours.final_error_max_m is not None
-    assert theirs.final_error_max_m == pytest.approx(ours.final_error_max_m, abs=1e-4)
-    difference = abs(theirs.final_error_max_m - ours.final_error_max_m)
+        reference = evaluate(load_exported(file), task)
+    assert reference.crash_rate == 0.0
+    assert reference.final_error_mean_m is not None
+    assert reference.final_error_mean_m < 0.1
+    assert actual.final_error_max_m is not None
+    assert reference.final_error_max_m == pytest.approx(actual.final_error_max_m, abs=1e-4)
+    difference = abs(reference.final_error_max_m - actual.final_error_max_m)
     print(
-        f"{form}, memory {memory}, {rate_hz} Hz: {theirs.final_error_mean_m:.4f} m off, {difference:.1e} m from torch"
+        f"{form}, memory {memory}, {rate_hz} Hz: {reference.final_error_mean_m:.4f} m off, {difference:.1e} m from torch"
     )
 
 
@@ -129,9 +129,9 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
         ObservationCfg(term="lin_vel_body", history=2, dropout=0.1, dropout_value=-1.0),
     )
     cfg = replace(HOVER, observations={"policy": terms})
-    policy = drawn_policy(9)
-    with built(cfg, 4) as task:
-        made = layout_of(policy, training(), task, name="p", source="nowhere")
+    policy = random_policy(9)
+    with build_task(cfg, 4) as task:
+        made = policy_layout(policy, training(), task, name="p", source="nowhere")
     assert [(s.term, s.first, s.count, s.history, s.scale, s.delay_steps) for s in made.observation] == [
         ("position_error_world", 0, 3, 1, 0.1, (1, 2)),
         ("lin_vel_body", 3, 6, 2, 1.0, (0, 0)),
@@ -140,7 +140,7 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
     assert made.observation[0].meaning == "target minus position [m], world"
     assert made.command[1] == "roll [rad]"
     seen = torch.randn(5, 9)
-    command, _ = FlownPolicy(policy, made)(seen)
+    command, _ = DeployablePolicy(policy, made)(seen)
     scaled = torch.cat((0.1 * seen[:, :3], seen[:, 3:]), dim=-1)
     torch.testing.assert_close(command, policy({"observations": scaled}))
     made.write(tmp_path)
@@ -151,24 +151,27 @@ def test_a_policy_of_many_vehicles_is_written_for_one_of_them(tmp_path: Path, mo
     """The end of its range is that of the rotors of this robot, and a hexarotor is told six of them by four actions."""
     with task_registry.make_task("any_quadrotor_task", num_envs=1, device="cpu") as task:
         (width,) = task.observation_space["observations"].shape
-    policy, cfg = drawn_policy(width), replace(training(), task="any_quadrotor_task", controller=None)
+    policy, cfg = random_policy(width), replace(training(), task="any_quadrotor_task", controller=None)
     policy.head.bias.data = torch.full((4,), 100.0)  # all as fast as they can
     monkeypatch.setattr("aerial_gym.export.export.load_policy", lambda source: (policy, cfg))
     for robot, rotors in (("x500", 4), ("typhoon_hexarotor", 6)):
-        (found,) = export_policy("nowhere", tmp_path / robot, ["torchscript"], robot=robot, check=False)
+        (result,) = export_policy("nowhere", tmp_path / robot, ["torchscript"], robot=robot, check=False)
         made = Layout.read(tmp_path / robot)
         assert made.robot == robot
         assert len(made.command) == rotors
-        command, _, _ = load_exported(found.file).step(torch.zeros(1, width), torch.zeros(1, 0))
-        fastest = ROBOTS.get(robot).rotor.speed_at(ROBOTS.get(robot).rotor.thrust_range[1])
+        command, _, _ = load_exported(result.file).step(torch.zeros(1, width), torch.zeros(1, 0))
+        fastest = ROBOTS.get(robot).rotor.speed_for_thrust(ROBOTS.get(robot).rotor.thrust_range[1])
         assert command.max() == pytest.approx(fastest, rel=1e-5)
         assert command.min() > 0.99 * fastest  # without torque not all of a hexarotor are equal
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
-    policy = drawn_policy()
-    with built(HOVER, 1) as task, pytest.raises(ConfigError, match="name '2nd try': C allows letters, digits and _"):
-        layout_of(policy, training(), task, name="2nd try", source="")
+    policy = random_policy()
+    with (
+        build_task(HOVER, 1) as task,
+        pytest.raises(ConfigError, match="name '2nd try': C allows letters, digits and _"),
+    ):
+        policy_layout(policy, training(), task, name="2nd try", source="")
     with pytest.raises(ConfigError, match="format 'tflite': must be onnx, torchscript, c99"):
         export_policy(tmp_path, tmp_path, ["tflite"])
     with pytest.raises(ConfigError, match=r"no policy.json in it. Make it with aerial-gym export"):

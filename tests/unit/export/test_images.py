@@ -14,15 +14,15 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.export import export
 from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.export import write_policy
-from aerial_gym.export.layout import Layout, layout_of
+from aerial_gym.export.layout import Layout, policy_layout
 from aerial_gym.export.pilot import load_exported
-from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import Encoder, SeenCfg, load_encoder
+from aerial_gym.sensors.encoder.file import Encoder, EncoderImageCfg, load_encoder
 from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
 from aerial_gym.task import Task
 from tests.unit.export.policies import training
-from tests.unit.task.hover import built
+from tests.unit.task.hover import build_task
 
 NAME, OBSERVATIONS, IMAGE = "pixel_navigation_task", (17,), (1, 24, 40)
 TOLERANCE = 1e-5
@@ -30,24 +30,24 @@ TOLERANCE = 1e-5
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
 
 
-def drawn_policy(shapes: dict[str, tuple[int, ...]], *, activation: str = "elu", memory: int = 0) -> Policy:
+def random_policy(shapes: dict[str, tuple[int, ...]], *, activation: str = "elu", memory: int = 0) -> Policy:
     """Return a policy of drawn weights whose actions are of the order of 1."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(5)
-        body = BodyCfg(shapes=shapes, hidden_layers=(24, 17), activation=activation, memory=memory)
+        body = NetworkBodyCfg(shapes=shapes, hidden_layers=(24, 17), activation=activation, memory=memory)
         policy = Policy(body, 4)
     policy.head.weight.data *= 5.0
     return policy.requires_grad_(False).eval()
 
 
-def task_with(images: dict[str, ImageCfg] | None = None, num_envs: int = 1) -> Task:
+def image_task(images: dict[str, ImageCfg] | None = None, num_envs: int = 1) -> Task:
     task = task_registry.get(NAME)
-    return built(task if images is None else replace(task, images=images), num_envs)
+    return build_task(task if images is None else replace(task, images=images), num_envs)
 
 
-def layout_for(policy: Policy, images: dict[str, ImageCfg] | None = None) -> Layout:
-    with task_with(images) as task:
-        return layout_of(policy, training(), task, name="pixels", source="nowhere")
+def image_layout(policy: Policy, images: dict[str, ImageCfg] | None = None) -> Layout:
+    with image_task(images) as task:
+        return policy_layout(policy, training(), task, name="pixels", source="nowhere")
 
 
 @pytest.fixture
@@ -71,9 +71,11 @@ def test_c_and_torchscript_give_what_torch_gives(
     shapes: dict[str, tuple[int, ...]], activation: str, memory: int, dtype: str, tmp_path: Path
 ) -> None:
     """Of images and vectors in sequences of 10 steps; gcc takes all warnings as errors."""
-    policy = drawn_policy(shapes, activation=activation, memory=memory)
-    found = write_policy(policy, layout_for(policy, {"depth": ImageCfg(dtype=dtype)}), tmp_path, ["c99", "torchscript"])
-    for each in found:
+    policy = random_policy(shapes, activation=activation, memory=memory)
+    result = write_policy(
+        policy, image_layout(policy, {"depth": ImageCfg(dtype=dtype)}), tmp_path, ["c99", "torchscript"]
+    )
+    for each in result:
         assert each.largest_difference is not None, each
         assert each.largest_difference < TOLERANCE, each
     text = (tmp_path / "pixels.c").read_text()
@@ -86,10 +88,10 @@ def test_c_and_torchscript_give_what_torch_gives(
 def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE}, memory=memory)
-    (found,) = write_policy(policy, layout_for(policy), tmp_path, ["onnx"])
-    assert found.largest_difference is not None
-    assert found.largest_difference < TOLERANCE
+    policy = random_policy({"observations": OBSERVATIONS, "depth": IMAGE}, memory=memory)
+    (result,) = write_policy(policy, image_layout(policy), tmp_path, ["onnx"])
+    assert result.largest_difference is not None
+    assert result.largest_difference < TOLERANCE
 
 
 @pytest.mark.slow
@@ -98,25 +100,25 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
 def test_two_images_of_two_frames_go_in_by_name(tmp_path: Path) -> None:
     """Each by its own network; frames are channels, oldest first."""
     images = {"depth": ImageCfg(history=2), "far": ImageCfg(dtype="float32", largest=20.0)}
-    policy = drawn_policy({"far": (1, 24, 40), "observations": OBSERVATIONS, "depth": (2, 24, 40)})
-    made = layout_for(policy, images)
+    policy = random_policy({"far": (1, 24, 40), "observations": OBSERVATIONS, "depth": (2, 24, 40)})
+    made = image_layout(policy, images)
     assert [(image.key, image.shape, image.largest, image.without) for image in made.images] == [
         ("far", (1, 24, 40), 20.0, 1.0),
         ("depth", (2, 24, 40), 10.0, 1.0),
     ]
-    (found,) = write_policy(policy, made, tmp_path, ["c99"])
-    assert found.largest_difference is not None
-    assert found.largest_difference < TOLERANCE
+    (result,) = write_policy(policy, made, tmp_path, ["c99"])
+    assert result.largest_difference is not None
+    assert result.largest_difference < TOLERANCE
     assert Layout.read(tmp_path) == replace(made, params=dict(made.params))
 
 
 @COMPILER
 def test_what_a_task_shows_goes_in_as_it_is(tmp_path: Path) -> None:
     """The pilot of a C file gives the actions of torch in the simulator, step by step."""
-    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
-    file = write_policy(policy, layout_for(policy), tmp_path, ["c99"], check=False)[0].file
+    policy = random_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    file = write_policy(policy, image_layout(policy), tmp_path, ["c99"], check=False)[0].file
     pilot = load_exported(file)
-    with task_with(num_envs=5) as task:
+    with image_task(num_envs=5) as task:
         observation, _ = task.reset()
         for _ in range(3):
             assert int(observation["depth"].unique().numel()) > 20
@@ -127,22 +129,22 @@ def test_what_a_task_shows_goes_in_as_it_is(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
-    blind = drawn_policy({"depth": IMAGE})
+    blind = random_policy({"depth": IMAGE})
     with pytest.raises(ConfigError, match=r"sees nothing but depth; .* Let it see observations too"):
-        layout_for(blind)
-    half = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
-    made = layout_for(half, {"depth": ImageCfg(dtype="float16")})
+        image_layout(blind)
+    half = random_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    made = image_layout(half, {"depth": ImageCfg(dtype="float16")})
     with pytest.raises(ConfigError, match=r"image 'depth': float16 has no type in C99. Export onnx or torchscript"):
         write_policy(half, made, tmp_path, ["c99"])
-    (found,) = write_policy(half, made, tmp_path, ["torchscript"])
-    assert found.largest_difference == 0.0
+    (result,) = write_policy(half, made, tmp_path, ["torchscript"])
+    assert result.largest_difference == 0.0
 
 
-def test_latents_are_a_vector_whose_encoder_is_written_beside(tmp_path: Path) -> None:
+def test_latents_are_a_vector_whose_encoder_is_a_second_file(tmp_path: Path) -> None:
     """The exported policy takes them as they are, and the encoder has a file of its own."""
-    policy = drawn_policy({"observations": (81,)})
+    policy = random_policy({"observations": (81,)})
     with task_registry.make_task("dce_navigation_task", num_envs=1, device="cpu") as task:
-        made = layout_of(policy, training(), task, name="latents", source="nowhere")
+        made = policy_layout(policy, training(), task, name="latents", source="nowhere")
     assert made.encoder == "collision_40x24"
     assert made.images == ()
     last = made.observation[-1]
@@ -160,7 +162,7 @@ def test_c_encoder_gives_what_torch_gives(tmp_path: Path, activation: str) -> No
     """Compiled with -Wall -Wextra -Werror -pedantic, of an image whose sides are no powers of two."""
     torch.manual_seed(2)
     cfg = AutoencoderCfg(rows=21, columns=38, latents=5, channels=(4, 6, 8), activation=activation)
-    seen = SeenCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
+    seen = EncoderImageCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
     encoder = Encoder(Autoencoder(cfg), seen, trained={})
     encoder.save(tmp_path / "small.pt")
     file = write_encoder(str(tmp_path / "small.pt"), tmp_path / "small_encoder.c")
@@ -180,8 +182,8 @@ def test_onnx_encoder_gives_what_torch_gives(tmp_path: Path) -> None:
 
 @COMPILER
 def test_header_says_how_an_image_is_written(tmp_path: Path) -> None:
-    policy = drawn_policy({"observations": OBSERVATIONS, "depth": IMAGE})
-    write_policy(policy, layout_for(policy), tmp_path, ["c99"], check=False)
+    policy = random_policy({"observations": OBSERVATIONS, "depth": IMAGE})
+    write_policy(policy, image_layout(policy), tmp_path, ["c99"], check=False)
     text = (tmp_path / "pixels.h").read_text()
     assert "depth: 1 x 24 x 40 pixels, row by row from the top, each as a share of 10 m, 1 at most" in text
     assert f"const unsigned char depth[{prod(IMAGE)}]" in text

@@ -11,24 +11,24 @@ from torch import Tensor
 
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.export import pilot
-from aerial_gym.export.encoder import runner_of, write_encoder
+from aerial_gym.export.encoder import make_runner, write_encoder
 from aerial_gym.export.export import FORMATS, write_policy
 from aerial_gym.export.layout import Layout
-from aerial_gym.export.module import FlownPolicy
+from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.export.pilot import COMPILER, load_exported
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import Encoder, SeenCfg
+from aerial_gym.sensors.encoder.file import Encoder, EncoderImageCfg
 from aerial_gym.sensors.encoder.network import ACTIVATIONS, Autoencoder, AutoencoderCfg
-from tests.unit.export.policies import TRANSFORMS, drawn_policy, layout, layout_with
-from tests.unit.export.test_images import IMAGE, OBSERVATIONS, layout_for
-from tests.unit.export.test_images import drawn_policy as drawn_image_policy
+from tests.unit.export.policies import TRANSFORMS, layout, make_layout, random_policy
+from tests.unit.export.test_images import IMAGE, OBSERVATIONS, image_layout
+from tests.unit.export.test_images import random_policy as drawn_image_policy
 
 NEEDS_C = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")
 BAD = (nan, inf, -inf)
 QUICK = ("c99", "torchscript")
 
 
-def rows_with(bad: float, width: int) -> Tensor:
+def make_rows(bad: float, width: int) -> Tensor:
     """Return observations (O + 1, O): in row i, entry i is ``bad``; the last row is finite."""
     rows = torch.randn(width + 1, width, generator=torch.Generator().manual_seed(1))
     rows[:width].diagonal().fill_(bad)
@@ -37,26 +37,26 @@ def rows_with(bad: float, width: int) -> Tensor:
 
 def check_bad_entries(file: Path, policy: Policy, made: Layout) -> None:
     """Check that each bad entry, of the observation or the memory, makes its own row NaN and no other."""
-    flown, step = FlownPolicy(policy, made), load_exported(file).step
+    flown, step = DeployablePolicy(policy, made), load_exported(file).step
     for bad in BAD:
-        seen = rows_with(bad, made.num_observations)
-        found = step(seen, torch.zeros(len(seen), made.memory))
-        assert all(out[:-1].isnan().all() for out in found)
-        assert all(out[-1].isfinite().all() for out in found)
+        seen = make_rows(bad, made.num_observations)
+        result = step(seen, torch.zeros(len(seen), made.memory))
+        assert all(out[:-1].isnan().all() for out in result)
+        assert all(out[-1].isfinite().all() for out in result)
         expected = flown(seen, *((torch.zeros(len(seen), made.memory),) if made.memory else ()))
-        for reference, out in zip(expected, found, strict=False):
+        for reference, out in zip(expected, result, strict=False):
             torch.testing.assert_close(out, reference, equal_nan=True, rtol=1e-4, atol=1e-4)
         if made.memory:
-            remembered = rows_with(bad, made.memory)
-            found = step(torch.zeros(len(remembered), made.num_observations), remembered)
-            assert all(out[:-1].isnan().all() and out[-1].isfinite().all() for out in found)
+            remembered = make_rows(bad, made.memory)
+            result = step(torch.zeros(len(remembered), made.num_observations), remembered)
+            assert all(out[:-1].isnan().all() and out[-1].isfinite().all() for out in result)
 
 
 @NEEDS_C
 @pytest.mark.parametrize("memory", [0, 5])
 @pytest.mark.parametrize("activation", list(ACTIVATIONS))
 def test_every_activation(activation: str, memory: int, tmp_path: Path) -> None:
-    policy = drawn_policy(activation=activation, memory=memory, normalize=activation != "elu")
+    policy = random_policy(activation=activation, memory=memory, normalize=activation != "elu")
     policy.body.layers[0].weight.data[:, 3] = 0.0  # torch: NaN * 0 = NaN, also of an entry that the network ignores
     made = layout(policy)
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):
@@ -67,8 +67,8 @@ def test_every_activation(activation: str, memory: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", list(TRANSFORMS))
 def test_every_transform(name: str, tmp_path: Path) -> None:
     """Also those that give a number for any action, such as the sideways speed of forward flight."""
-    policy = drawn_policy(activation="relu")
-    made = layout_with(policy, name)
+    policy = random_policy(activation="relu")
+    made = make_layout(policy, name)
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):
         check_bad_entries(written.file, policy, made)
 
@@ -81,8 +81,8 @@ def test_onnx(activation: str, memory: int, name: str, tmp_path: Path) -> None:
     """Each comparison of an ONNX file asks the same (``test_export.py``); here entry by entry, against torch."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    policy = drawn_policy(activation=activation, memory=memory)
-    made = layout_with(policy, name)
+    policy = random_policy(activation=activation, memory=memory)
+    made = make_layout(policy, name)
     (written,) = write_policy(policy, made, tmp_path, ["onnx"], check=False)
     check_bad_entries(written.file, policy, made)
 
@@ -95,7 +95,7 @@ def test_every_format_is_tested_here() -> None:
 def test_fast_math_does_not_remove_the_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Firmware is often compiled with -Ofast, under which ``isnan`` and comparisons with NaN mean nothing."""
     monkeypatch.setattr(pilot, "COMPILER", (*COMPILER, "-Ofast"))
-    policy = drawn_policy(activation="relu", memory=5)
+    policy = random_policy(activation="relu", memory=5)
     made = layout(policy)
     (written,) = write_policy(policy, made, tmp_path, ["c99"], check=False)
     check_bad_entries(written.file, policy, made)
@@ -104,7 +104,7 @@ def test_fast_math_does_not_remove_the_check(tmp_path: Path, monkeypatch: pytest
 @NEEDS_C
 def test_the_c_function_returns_an_error_until_the_memory_is_reset(tmp_path: Path) -> None:
     """The state after a bad step is bad: the caller keeps a copy of the state, or resets."""
-    policy = drawn_policy(memory=5)
+    policy = random_policy(memory=5)
     (written,) = write_policy(policy, layout(policy), tmp_path, ["c99"], check=False)
     driver = """#include "hover.h"
 int codes(float bad, int *out);
@@ -125,7 +125,7 @@ int codes(float bad, int *out) {
     return command[0] == command[0];
 }
 """
-    codes = pilot.compiled(written.file, driver).codes
+    codes = pilot.compile_library(written.file, driver).codes
     for bad in BAD:
         out = (ctypes.c_int * 5)()
         assert codes(ctypes.c_float(bad), out)
@@ -135,7 +135,7 @@ int codes(float bad, int *out) {
 @NEEDS_C
 def test_an_overflow_inside_is_no_command(tmp_path: Path) -> None:
     """Finite observations whose sums overflow: torch has infinity minus infinity, or infinity, before its limits."""
-    policy = drawn_policy(activation="relu", normalize=False)
+    policy = random_policy(activation="relu", normalize=False)
     made = layout(policy)
     seen = torch.full((1, made.num_observations), 3e38) * torch.tensor([1.0, -1.0] * 7)[: made.num_observations]
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):
@@ -148,7 +148,7 @@ def test_an_overflow_inside_is_no_command(tmp_path: Path) -> None:
 def test_pixels(tmp_path: Path) -> None:
     """A bad pixel of an image of floats, also one in the corner."""
     policy = drawn_image_policy({"observations": OBSERVATIONS, "depth": IMAGE}, activation="relu")
-    made = layout_for(policy, {"depth": ImageCfg(dtype="float32")})
+    made = image_layout(policy, {"depth": ImageCfg(dtype="float32")})
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):
         step = load_exported(written.file).step
         for bad in BAD:
@@ -164,7 +164,7 @@ def test_pixels(tmp_path: Path) -> None:
 @pytest.mark.parametrize("activation", ["relu", pytest.param("tanh", marks=pytest.mark.slow)])
 def test_latents(activation: str, tmp_path: Path) -> None:
     cfg = AutoencoderCfg(rows=21, columns=38, latents=5, channels=(4, 6), activation=activation)
-    seen = SeenCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
+    seen = EncoderImageCfg(model="pinhole", kind="range", rows=21, columns=38, max_range=10.0, hfov_deg=87.0)
     encoder = Encoder(Autoencoder(cfg), seen, trained={})
     encoder.save(tmp_path / "small.pt")
     endings = [".c", ".pt", *([".onnx"] if activation == "tanh" else [])]
@@ -173,6 +173,6 @@ def test_latents(activation: str, tmp_path: Path) -> None:
         for bad in BAD:
             images = torch.rand(3, 21, 38)
             images[0, 20, 37], images[1, 2, 3] = bad, bad
-            latents = runner_of(encoder, file)(images)
+            latents = make_runner(encoder, file)(images)
             assert latents[:2].isnan().all()
             assert latents[2].isfinite().all()

@@ -10,7 +10,7 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.interop import RecordedLaunch, compile_ahead, launches, start_warp
+from aerial_gym.interop import ReusableLaunch, compile_ahead, launches, start_warp
 from aerial_gym.interop.rows import RowFunction
 from tests.builders import simulation
 from tests.conftest import COMPILING_THREADS
@@ -64,7 +64,7 @@ def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, m
     monkeypatch.setattr(wp, "force_load", late)
     out = torch.full((3,), float("nan"))
     made = [
-        RecordedLaunch(_fill, dim=3, inputs=[value], outputs=[wp.from_torch(out)], device=cpu) for value in (1.0, 2.0)
+        ReusableLaunch(_fill, dim=3, inputs=[value], outputs=[wp.from_torch(out)], device=cpu) for value in (1.0, 2.0)
     ]
     assert not loaded
     threading.Timer(0.1, go.set).start()
@@ -76,14 +76,14 @@ def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, m
 
 def test_an_argument_is_replaced(cpu: wp.Device) -> None:
     out = torch.zeros(2)
-    launch = RecordedLaunch(_fill, dim=2, inputs=[1.0], outputs=[wp.from_torch(out)], device=cpu)
+    launch = ReusableLaunch(_fill, dim=2, inputs=[1.0], outputs=[wp.from_torch(out)], device=cpu)
     launch.set_param_at_index(0, 5.0)
     launch.launch()
     assert out.tolist() == [5.0, 5.0]
 
 
 def test_what_cannot_be_compiled_is_told_at_the_launch(cpu: wp.Device) -> None:
-    launch = RecordedLaunch(_wrong, dim=1, inputs=[], outputs=[wp.zeros(1, dtype=float, device=cpu)], device=cpu)
+    launch = ReusableLaunch(_wrong, dim=1, inputs=[], outputs=[wp.zeros(1, dtype=float, device=cpu)], device=cpu)
     with pytest.raises(Exception, match="length"):
         launch.launch()
 
@@ -93,12 +93,12 @@ def test_what_cannot_be_compiled_is_told_at_the_launch(cpu: wp.Device) -> None:
 def test_a_forked_process_compiles_with_workers_of_its_own(cpu: wp.Device) -> None:
     """Threads do not survive a fork: a child that waited for its parent's would wait for ever."""
     compile_ahead(_fill, cpu)
-    launches.wait_for(_fill, cpu)
+    launches.wait_for_kernel(_fill, cpu)
     child = os.fork()
     if child == 0:
         launches._begun.clear()
         compile_ahead(_fill, cpu)
-        launches.wait_for(_fill, cpu)
+        launches.wait_for_kernel(_fill, cpu)
         os._exit(7)
     until = time.monotonic() + 60.0
     while (ended := os.waitpid(child, os.WNOHANG))[0] == 0 and time.monotonic() < until:

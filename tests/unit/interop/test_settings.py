@@ -12,7 +12,7 @@ from aerial_gym import SimBuilder, task_registry
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.export import export_policy, load_exported
-from aerial_gym.interop import recorded, resolve_device, usual_settings
+from aerial_gym.interop import record_graph, resolve_device, usual_settings
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.rl_training import evaluate, load_policy, train
 from aerial_gym.rl_training.encoder.training import train_encoder
@@ -53,19 +53,19 @@ CHANGING = ("float64", "meta", "inference mode")
 """Settings that change what torch makes, one of each kind."""
 
 
-def test_settings_are_usual_inside_and_the_callers_outside() -> None:
+def test_settings_are_usual_inside_and_the_callers_elsewhere() -> None:
     @usual_settings
-    def made() -> Tensor:
-        return nested()
+    def make_tensor() -> Tensor:
+        return make_zeros()
 
     @usual_settings
-    def nested() -> Tensor:
+    def make_zeros() -> Tensor:
         return torch.zeros(1)
 
     for name, setting in SETTINGS.items():
         with setting():
             before = torch.zeros(1)
-            inner, after = made(), torch.zeros(1)
+            inner, after = make_tensor(), torch.zeros(1)
         assert (inner.dtype, inner.device.type, inner.is_inference()) == (torch.float32, "cpu", False), name
         assert (after.dtype, after.device, after.is_inference()) == (before.dtype, before.device, before.is_inference())
         assert not inner.requires_grad
@@ -76,10 +76,10 @@ def test_settings_are_usual_inside_and_the_callers_outside() -> None:
 
     with default_dtype(torch.float64), pytest.raises(KeyError, match="lost"):
         fails()
-    assert made().dtype is torch.float32
+    assert make_tensor().dtype is torch.float32
 
 
-def flown(robot: str, controller: str, env: str, backend: str, device: str = "cpu") -> dict[str, Tensor]:
+def fly(robot: str, controller: str, env: str, backend: str, device: str = "cpu") -> dict[str, Tensor]:
     """Return the content of the GTD after three steps and a look."""
     sim = simulation(robot, controller, env=env, device=device, backend=backend)
     sim.reset()
@@ -97,31 +97,31 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES)
 def test_simulations_are_the_same_under_all_settings(case: tuple[str, str, str, str]) -> None:
-    expected = flown(*case)
+    expected = fly(*case)
     for name in CHANGING:
         with SETTINGS[name]():
-            found = flown(*case, "cpu:0")
+            result = fly(*case, "cpu:0")
         for key, value in expected.items():
-            assert found[key].dtype is value.dtype, (name, key)
-            assert torch.equal(found[key].nan_to_num(), value.nan_to_num()), (name, key)
+            assert result[key].dtype is value.dtype, (name, key)
+            assert torch.equal(result[key].nan_to_num(), value.nan_to_num()), (name, key)
 
 
 @pytest.mark.parametrize("name", ["position_setpoint_task", "any_quadrotor_task"])
 def test_tasks_are_the_same_under_all_settings(name: str) -> None:
     """Actions are of the caller's default type; a task that was made under inference mode flies on outside it."""
 
-    def observed(task: object, seed: int) -> Tensor:
+    def observe(task: object, seed: int) -> Tensor:
         task.reset(seed=seed)  # type: ignore[attr-defined]
         for _ in range(3):
-            found = task.step(torch.zeros(2, task.num_actions, device="cpu"))  # type: ignore[attr-defined]
-        return found[0]["observations"].clone()
+            result = task.step(torch.zeros(2, task.num_actions, device="cpu"))  # type: ignore[attr-defined]
+        return result[0]["observations"].clone()
 
-    expected = observed(task_registry.make_task(name, num_envs=2, device="cpu", seed=0), 5)
+    expected = observe(task_registry.make_task(name, num_envs=2, device="cpu", seed=0), 5)
     for setting in CHANGING:
         with SETTINGS[setting]():
             task = task_registry.make_task(name, num_envs=2, device="cpu:0", seed=0)
-            assert torch.equal(observed(task, 5), expected), setting
-        assert torch.equal(observed(task, 5), expected), setting
+            assert torch.equal(observe(task, 5), expected), setting
+        assert torch.equal(observe(task, 5), expected), setting
 
 
 def test_every_entry_point_takes_the_usual_settings() -> None:
@@ -169,7 +169,7 @@ def test_a_graph_is_recorded_on_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(torch.cuda, "graph", graph)
     monkeypatch.setattr(torch.cuda, "Stream", lambda place: SimpleNamespace(device=place))
     second = torch.device("cuda", 1)
-    with recorded(SimpleNamespace(), second, errors="thread_local"):  # type: ignore[arg-type]
+    with record_graph(SimpleNamespace(), second, errors="thread_local"):  # type: ignore[arg-type]
         assert current[-1] == second
     assert seen == [(second, second, "thread_local")]
     assert current == [torch.device("cuda", 0)]

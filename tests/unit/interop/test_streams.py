@@ -11,10 +11,10 @@ from aerial_gym.interop import start_warp
 
 
 def test_a_home_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused() -> None:
+    def refuse() -> None:
         raise PermissionError(13, "Permission denied", "/home/x/.cache/warp")
 
-    monkeypatch.setattr(wp, "init", refused)
+    monkeypatch.setattr(wp, "init", refuse)
     with pytest.raises(StorageError, match="/home/x/.cache/warp.*WARP_CACHE_PATH"):
         start_warp()
 

@@ -9,7 +9,7 @@ from aerial_gym.interop import one_thread
 
 
 def threads() -> list[int]:
-    """Return how many threads each library of linear algebra takes, and torch, which is the last."""
+    """Return the number of threads of each linear-algebra library, and of torch as the last."""
     return [library["num_threads"] for library in threadpool_info()] + [torch.get_num_threads()]
 
 

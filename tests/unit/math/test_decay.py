@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerial_gym.math.decay import decaying_sum
+from aerial_gym.math.decay import exponential_sum
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.3, 0.999, 1.0])
@@ -14,5 +14,5 @@ def test_it_is_what_a_loop_over_rows_makes(rows: int, kept: float) -> None:
     before, expected = added.copy(), added[:1].copy()
     for row in added[1:]:
         expected = np.append(expected, (kept * expected[-1] + row)[None], axis=0)
-    np.testing.assert_allclose(decaying_sum(added, kept), expected, atol=1e-12)
+    np.testing.assert_allclose(exponential_sum(added, kept), expected, atol=1e-12)
     np.testing.assert_array_equal(added, before)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.math.rows import atan2, on_whole_vectors, times
+from aerial_gym.math.rows import atan2, make_batch_invariant, times
 
 COUNTS = (*range(1, 20), 63, 64, 65, 127, 130, 1000, 33001)
 NUM_ROWS = 40003
@@ -55,5 +55,5 @@ def test_a_function_of_others_is_given_whole_vectors() -> None:
     rows = numbers(192, dtype=torch.float32).abs()
     whole = torch.pow(rows, 1.3 * rows)
     for n in (1, 5, 63, 65):
-        function = on_whole_vectors(lambda a: torch.pow(a, 1.3 * a), n, rows.device)
+        function = make_batch_invariant(lambda a: torch.pow(a, 1.3 * a), n, rows.device)
         assert torch.equal(function(rows[:n]), whole[:n])

@@ -9,8 +9,8 @@ import torch
 from aerial_gym import SimBuilder, task_registry
 from aerial_gym.errors import CapabilityError, MissingDependencyError, UnknownNameError
 from aerial_gym.physics import BACKENDS, TorchBackend, WarpBackend
-from aerial_gym.physics.capabilities import Needs, choose_backend, needs_of, require
-from tests.physics.mixed_rotors import mixed_robot
+from aerial_gym.physics.capabilities import Needs, choose_backend, require, robot_needs
+from tests.physics.rotor_types import three_type_robot
 
 CPU = torch.device("cpu")
 
@@ -78,12 +78,12 @@ def test_a_backend_that_is_not_installed_names_its_extra(monkeypatch: pytest.Mon
 
 
 def test_both_backends_run_rotors_of_any_kind() -> None:
-    needs = needs_of(mixed_robot(), CPU, contact=True)
+    needs = robot_needs(three_type_robot(), CPU, contact=True)
     for name in ("torch", "warp"):
         require(BACKENDS.get(name)(), needs, name=name)
 
 
-def test_auto_takes_warp_unless_gradients_or_another_float_type_are_asked_for() -> None:
+def test_auto_takes_warp_unless_gradients_or_another_float_type_are_requested() -> None:
     assert isinstance(choose_backend("auto", needs=Needs(device=CPU)), WarpBackend)
     assert isinstance(choose_backend("auto", needs=Needs(device=CPU, gradients=True)), TorchBackend)
     assert isinstance(choose_backend("auto", needs=Needs(device=CPU, dtype=torch.float64)), TorchBackend)

@@ -80,7 +80,7 @@ def test_gtd_prints_its_schema() -> None:
     assert gtd.spec("speed").unit == "m/s"
 
 
-def test_an_entry_for_later_is_made_once_and_only_when_asked_for() -> None:
+def test_an_entry_for_later_is_made_once_and_only_when_requested() -> None:
     registry: Registry[list[int]] = Registry("list")
     made: list[int] = []
     registry.register_later("one", lambda: made.append(1) or [1], summary=lambda: "a one")

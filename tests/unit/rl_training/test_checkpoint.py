@@ -16,12 +16,12 @@ import torch
 from aerial_gym import task_registry
 from aerial_gym.errors import ConfigError, StorageError, TrainingError
 from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.interruption import interruptible
-from aerial_gym.rl_training.run.keeper import Keeper
 from aerial_gym.rl_training.run.progress import CURVE_COLUMNS, Progress
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import load_settings, settings_for
-from aerial_gym.rl_training.trainers.summaries import GuardedEvents
+from aerial_gym.rl_training.trainers.summaries import SafeEvents
 
 
 def payload() -> dict[str, Any]:
@@ -40,9 +40,9 @@ def test_a_checkpoint_comes_back_with_the_random_states(tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "a.pth", payload())
     expected = draws()
     draws()
-    found = checkpoint.load(tmp_path / "a.pth")
-    torch.testing.assert_close(found["model"]["weight"], torch.arange(500.0), rtol=0.0, atol=0.0)
-    checkpoint.restore_random_state(found["run"]["random"])
+    result = checkpoint.load(tmp_path / "a.pth")
+    torch.testing.assert_close(result["model"]["weight"], torch.arange(500.0), rtol=0.0, atol=0.0)
+    checkpoint.restore_random_state(result["run"]["random"])
     assert draws() == expected
 
 
@@ -82,11 +82,11 @@ def test_a_full_disk_leaves_the_old_checkpoints_and_is_said(tmp_path: Path, monk
     assert list(folder.checkpoint_folder.iterdir()) == [kept]
 
 
-def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_one_before(
+def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     folder = RunFolder(tmp_path)
-    assert folder.newest_whole() is None
+    assert folder.newest_readable() is None
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / ".checkpoint_7.pth.partial").write_bytes(b"torn by a kill")
     first, second, third = (folder.keep_checkpoint(steps, payload()) for steps in (9, 10, 11))
@@ -95,14 +95,14 @@ def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_one_before(
     assert not first.exists()
     third.write_bytes(third.read_bytes()[:100])
     with caplog.at_level(logging.WARNING):
-        found = folder.newest_whole()
-    assert found is not None
-    assert found[0] == second
+        result = folder.newest_readable()
+    assert result is not None
+    assert result[0] == second
     assert "damaged" in caplog.text
     assert third.with_name(third.name + ".damaged").exists()
     second.write_bytes(b"")
     with pytest.raises(ConfigError, match="Start a new run in another --out"):
-        folder.newest_whole()
+        folder.newest_readable()
 
 
 def test_a_resumed_curve_has_no_line_beyond_the_checkpoint_nor_a_torn_one(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
         if len(calls) == 2:
             full_disk(0)
 
-    events = GuardedEvents(SimpleNamespace(write_event=write, flush=lambda: None, close=lambda: None), "summaries")
+    events = SafeEvents(SimpleNamespace(write_event=write, flush=lambda: None, close=lambda: None), "summaries")
     events.write_event(1)
     events.check()
     events.write_event(2)
@@ -163,7 +163,7 @@ def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
 def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -> None:
     cfg, folder = load_settings(settings_for("rl_games", "position_setpoint_task")), RunFolder(tmp_path)
     task = task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu")
-    keeper = Keeper(cfg, folder, task, resumed=None)
+    keeper = CheckpointKeeper(cfg, folder, task, resumed=None)
     keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
     good = folder.last_checkpoint()
     with pytest.raises(

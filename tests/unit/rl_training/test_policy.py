@@ -97,7 +97,7 @@ def test_policy_is_the_mean_action_of_the_sample_factory_network(
     torch.testing.assert_close(policy({"observations": observation}), expected.detach(), atol=1e-6, rtol=1e-6)
 
 
-class Scripted:
+class ScriptPilot:
     """A function that flies, and what it was told to forget."""
 
     def __init__(self, function: Callable[[Mapping[str, torch.Tensor]], torch.Tensor]) -> None:
@@ -110,7 +110,7 @@ class Scripted:
         self.forgot.append(None if mask is None else int(mask.sum()))
 
 
-class ScriptedTask:
+class ScriptTask:
     """Four flights of 3 s at 2 steps a second, with distances that are known."""
 
     cfg = replace(task_registry.get("position_setpoint_task"), episode_len_steps=6)
@@ -145,18 +145,18 @@ class ScriptedTask:
 
 def test_evaluation_of_known_flights() -> None:
     seen = []
-    pilot = Scripted(lambda obs: obs["observations"][:, :1])
-    found = evaluate(pilot, ScriptedTask(), on_step=lambda step, steps: seen.append((step, steps)))  # type: ignore[arg-type]
+    pilot = ScriptPilot(lambda obs: obs["observations"][:, :1])
+    result = evaluate(pilot, ScriptTask(), on_step=lambda step, steps: seen.append((step, steps)))  # type: ignore[arg-type]
     assert pilot.forgot == [None, 0, 1, 0, 0, 0, 0]  # all at the start, then the row that crashed
     assert seen == [(i, 6) for i in range(1, 7)]
-    assert (found.num_starts, found.episode_s) == (4, 3.0)
-    assert found.crash_rate == pytest.approx(1 / 4)
-    assert found.success_rate == pytest.approx(2 / 4)
-    assert found.final_error_mean_m == pytest.approx((0.03 + 0.2 + 0.01) / 3)
-    assert found.final_error_max_m == pytest.approx(0.2)
-    assert found.settled_rate == pytest.approx(2 / 4)
-    assert found.settling_time_mean_s == pytest.approx((1.5 + 0.0) / 2)
-    assert found.return_mean == pytest.approx((6 + 6 + 2 + 6) / 4)
+    assert (result.num_starts, result.episode_s) == (4, 3.0)
+    assert result.crash_rate == pytest.approx(1 / 4)
+    assert result.success_rate == pytest.approx(2 / 4)
+    assert result.final_error_mean_m == pytest.approx((0.03 + 0.2 + 0.01) / 3)
+    assert result.final_error_max_m == pytest.approx(0.2)
+    assert result.settled_rate == pytest.approx(2 / 4)
+    assert result.settling_time_mean_s == pytest.approx((1.5 + 0.0) / 2)
+    assert result.return_mean == pytest.approx((6 + 6 + 2 + 6) / 4)
 
 
 def test_evaluation_of_a_race_tells_gates_and_times() -> None:
@@ -165,7 +165,7 @@ def test_evaluation_of_a_race_tells_gates_and_times() -> None:
     done, crash = torch.zeros(4, 6, dtype=torch.bool), torch.zeros(4, 6, dtype=torch.bool)
     done[0, 2], done[0, 4], done[1, 1], crash[2, 1] = True, True, True, True  # after 1.5 s and 1 s; a crash after 1 s
 
-    class Race(ScriptedTask):
+    class Race(ScriptTask):
         cfg = replace(task_registry.get("racing_task"), episode_len_steps=6)
 
         def step(self, actions: torch.Tensor):
@@ -174,31 +174,31 @@ def test_evaluation_of_a_race_tells_gates_and_times() -> None:
             told = {"successes": done[:, k], "crashes": crash[:, k], "gate_passed": gates[:, k]}
             return obs, reward, done[:, k] | crash[:, k], torch.zeros(4, dtype=torch.bool), told
 
-    found = evaluate(Scripted(lambda obs: obs["observations"][:, :1]), Race())  # type: ignore[arg-type]
-    assert (found.success_rate, found.crash_rate, found.timeout_rate) == (0.5, 0.25, 0.25)
-    assert found.gates_passed_mean == pytest.approx((2 + 2 + 0 + 0) / 4)
-    assert found.success_time_mean_s == pytest.approx((1.5 + 1.0) / 2)
+    result = evaluate(ScriptPilot(lambda obs: obs["observations"][:, :1]), Race())  # type: ignore[arg-type]
+    assert (result.success_rate, result.crash_rate, result.timeout_rate) == (0.5, 0.25, 0.25)
+    assert result.gates_passed_mean == pytest.approx((2 + 2 + 0 + 0) / 4)
+    assert result.success_time_mean_s == pytest.approx((1.5 + 1.0) / 2)
 
 
 def test_a_task_without_a_target_has_returns_alone() -> None:
     """What it is to be near has no meaning there; crashes and returns have."""
 
-    class Aimless(ScriptedTask):
+    class Aimless(ScriptTask):
         def step(self, actions: torch.Tensor):
             *rest, info = super().step(actions)
             return *rest, {"crashes": info["crashes"]}
 
-    found = evaluate(Scripted(lambda obs: obs["observations"][:, :1]), Aimless())  # type: ignore[arg-type]
-    assert (found.final_error_mean_m, found.settling_time_mean_s) == (None, None)
-    assert (found.gates_passed_mean, found.success_time_mean_s) == (None, None)
-    assert (found.settled_rate, found.success_rate) == (0.0, 0.0)
-    assert found.crash_rate == pytest.approx(1 / 4)
-    assert found.return_mean == pytest.approx((3 * 6 + 2) / 4)
+    result = evaluate(ScriptPilot(lambda obs: obs["observations"][:, :1]), Aimless())  # type: ignore[arg-type]
+    assert (result.final_error_mean_m, result.settling_time_mean_s) == (None, None)
+    assert (result.gates_passed_mean, result.success_time_mean_s) == (None, None)
+    assert (result.settled_rate, result.success_rate) == (0.0, 0.0)
+    assert result.crash_rate == pytest.approx(1 / 4)
+    assert result.return_mean == pytest.approx((3 * 6 + 2) / 4)
 
 
 def test_a_policy_on_another_device_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"is on meta, the task on cpu. Use load_policy\(..., device=task.device\)"):
-        evaluate(torch.nn.Linear(2, 1, device="meta"), ScriptedTask())  # type: ignore[arg-type]
+        evaluate(torch.nn.Linear(2, 1, device="meta"), ScriptTask())  # type: ignore[arg-type]
 
 
 def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:

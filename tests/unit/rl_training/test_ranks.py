@@ -10,7 +10,7 @@ import torch
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.rl_training import training as training_module
-from aerial_gym.rl_training.ranks import ALONE, Ranks, launched_rank, own_device
+from aerial_gym.rl_training.ranks import ALONE, Ranks, own_device, torchrun_rank
 from aerial_gym.rl_training.trainers.ppo import make_training
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.test_curriculum import CFG, make
@@ -29,7 +29,7 @@ def third_of_four(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 
 def test_each_process_takes_the_gpu_of_its_local_rank(third_of_four: pytest.MonkeyPatch) -> None:
-    assert launched_rank() == 2
+    assert torchrun_rank() == 2
     assert [own_device(name) for name in ("auto", "cuda", "cpu")] == ["cuda:2", "cuda:2", "cpu"]
     with pytest.raises(ConfigError, match="each of 4 processes takes a GPU of its own. Leave the number out"):
         own_device("cuda:0")
@@ -39,7 +39,7 @@ def test_each_process_takes_the_gpu_of_its_local_rank(third_of_four: pytest.Monk
 
 
 def test_a_single_process_keeps_what_it_gives() -> None:
-    assert launched_rank() == 0
+    assert torchrun_rank() == 0
     samples = torch.arange(6.0).view(3, 2)
     torch.testing.assert_close(ALONE.mean_(samples.clone()), samples)
     torch.testing.assert_close(ALONE.var_mean(samples), (torch.full((2,), 8 / 3), torch.tensor([2.0, 3.0])))
@@ -64,17 +64,17 @@ class Twins(Ranks):
 
 def test_a_training_of_twins_learns_as_one_and_counts_the_episodes_of_both() -> None:
     """Six episodes of one step end here, and six there: the twelve that the curriculum waits for."""
-    found = []
+    result = []
     for ranks in (ALONE, Twins(0, 2, joined=True)):
         task = make(curriculum=replace(CFG, check_after=12), episode_len_steps=1, success_radius=100.0)
         training = make_training(settings(6, horizon=1, num_minibatches=2), task, ranks=ranks)
         training.advance()
         assert task.curriculum is not None
-        found.append((task.curriculum.state(), training.learner.sums.tolist()[:2], training.env_steps))
+        result.append((task.curriculum.state(), training.learner.sums.tolist()[:2], training.env_steps))
         weights = torch.cat([each.detach().flatten() for each in training.learner.network.parameters()])
         if ranks is ALONE:
             alone = weights
-    assert found == [
+    assert result == [
         ({"level": 15, "finished": 6, "succeeded": 6}, [6.0, 6.0], 6),
         ({"level": 17, "finished": 0, "succeeded": 0}, [12.0, 12.0], 12),
     ]
@@ -83,7 +83,7 @@ def test_a_training_of_twins_learns_as_one_and_counts_the_episodes_of_both() -> 
 
 def test_a_trainer_of_one_process_refuses_several(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
-    monkeypatch.setattr(training_module, "joined_ranks", lambda device: nullcontext(Twins(0, 2, joined=True)))
+    monkeypatch.setattr(training_module, "join_ranks", lambda device: nullcontext(Twins(0, 2, joined=True)))
     cfg = load_settings(settings_for("sample_factory", "position_setpoint_task"))
     with pytest.raises(
         ConfigError, match="sample_factory learns in one process, and 2 were started. Leave torchrun out"

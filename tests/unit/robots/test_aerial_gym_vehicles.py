@@ -81,13 +81,13 @@ OCTAROTOR_MATRIX = (
 """``base_octarotor_config.allocation_matrix`` of the same; its own motors have a tenth of its torque ratio."""
 
 
-def matrix_of(robot: RobotCfg) -> torch.Tensor:
+def vehicle_matrix(robot: RobotCfg) -> torch.Tensor:
     return allocation_matrix(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), 9.81)[0]
 
 
 def test_the_derived_matrix_of_base_random_is_the_published_one() -> None:
     published = torch.tensor(RANDOM_MATRIX, dtype=torch.float64)
-    torch.testing.assert_close(matrix_of(ROBOTS.get("base_random")), published, rtol=0.0, atol=1e-7)
+    torch.testing.assert_close(vehicle_matrix(ROBOTS.get("base_random")), published, rtol=0.0, atol=1e-7)
 
 
 def test_the_derived_matrix_of_base_octarotor_is_the_published_one_at_its_torque_ratio() -> None:
@@ -97,19 +97,19 @@ def test_the_derived_matrix_of_base_octarotor_is_the_published_one_at_its_torque
     assert robot.rotor.torque_ratio == 0.01
     as_allocated = replace(robot, rotor=replace(robot.rotor, torque_ratio=0.1))
     published = torch.tensor(OCTAROTOR_MATRIX, dtype=torch.float64)
-    torch.testing.assert_close(matrix_of(as_allocated), published, rtol=0.0, atol=1e-6)
-    assert (matrix_of(robot) - published).abs().max() > 0.05
+    torch.testing.assert_close(vehicle_matrix(as_allocated), published, rtol=0.0, atol=1e-6)
+    assert (vehicle_matrix(robot) - published).abs().max() > 0.05
 
 
 @pytest.mark.parametrize("robot", ["base_octarotor", "base_random", "tilted_hexarotor", "omnidirectional_octarotor"])
 def test_fully_actuated_robots_push_and_turn_about_every_axis(robot: str) -> None:
     """Rank 6, with the smallest singular value a hundred times above round-off."""
-    size = torch.linalg.svdvals(matrix_of(ROBOTS.get(robot)))
+    size = torch.linalg.svdvals(vehicle_matrix(ROBOTS.get(robot)))
     assert size[5] > 0.01 * size[0]
 
 
 @pytest.mark.parametrize("robot", ["typhoon_hexarotor", "coaxial_octarotor", "racing_quadrotor"])
 def test_flat_robots_push_along_one_axis(robot: str) -> None:
-    matrix = matrix_of(ROBOTS.get(robot))
+    matrix = vehicle_matrix(ROBOTS.get(robot))
     assert int(torch.linalg.matrix_rank(matrix, rtol=1e-9)) == 4
     torch.testing.assert_close(matrix[:3].sum(1)[:2], torch.zeros(2, dtype=torch.float64))

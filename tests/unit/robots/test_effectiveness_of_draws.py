@@ -13,12 +13,12 @@ from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS
-from aerial_gym.control.effectiveness import actuation_of, allocation_matrix
+from aerial_gym.control.effectiveness import allocation_matrix, find_actuation
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
-from tests.physics.mixed_rotors import mixed_robot
+from tests.physics.rotor_types import three_type_robot
 
 QUAD = ROBOTS.get("base_quadrotor")
 DRAWN: dict[str, RandomizeCfg] = {
@@ -61,7 +61,7 @@ def make(
 
 
 @pytest.fixture(scope="module", params=["warp", "torch"])
-def drawn(request: pytest.FixtureRequest) -> EnvManager:
+def draw_env(request: pytest.FixtureRequest) -> EnvManager:
     return make(DRAWN, backend=request.param)
 
 
@@ -91,28 +91,28 @@ def maps(env: EnvManager) -> Tensor:
     return QUAD.rotor.thrust_map[2] * factor
 
 
-def expected_inverse(matrix: np.ndarray) -> np.ndarray:
+def reference_inverse(matrix: np.ndarray) -> np.ndarray:
     """Return the pseudo-inverse of thrust and torques with no column for lateral force, which the declared vehicle lacks."""
     return np.concatenate((np.zeros((matrix.shape[1], 2)), np.linalg.pinv(matrix[2:])), axis=1)
 
 
-def test_each_environment_has_the_pseudo_inverse_of_its_own_matrix(drawn: EnvManager) -> None:
+def test_each_environment_has_the_pseudo_inverse_of_its_own_matrix(draw_env: EnvManager) -> None:
     """To round-off of float32: the condition of the matrix with rows of length 1 times a few roundings of its entries."""
-    manager = drawn.robot_manager
+    manager = draw_env.robot_manager
     assert manager._update is not None
     assert manager._update.why_slow == ""
     for i, inverse in enumerate(manager.controller.allocation.inverse.double().numpy()):
-        matrix = effectiveness(drawn, i)
+        matrix = effectiveness(draw_env, i)
         scaled = matrix[2:] / np.linalg.norm(matrix[2:], axis=1, keepdims=True)
-        expected = expected_inverse(matrix)
+        expected = reference_inverse(matrix)
         error = np.abs(inverse - expected)[:, 2:].max(0) / np.abs(expected)[:, 2:].max(0)
         assert error.max() < 8 * np.finfo(np.float32).eps * np.linalg.cond(scaled) ** 2
     torch.testing.assert_close(
-        manager.controller.allocation.high.double(), maps(drawn) * 2.0 / QUAD.rotor.thrust_map[2]
+        manager.controller.allocation.high.double(), maps(draw_env) * 2.0 / QUAD.rotor.thrust_map[2]
     )
 
 
-def test_what_is_commanded_is_what_the_rotors_make(drawn: EnvManager) -> None:
+def test_what_is_commanded_is_what_the_rotors_make(draw_env: EnvManager) -> None:
     """Thrust and torques about hover, no rotor at a limit: exact with the actual effectiveness, and off by what is drawn
     without."""
     g = torch.Generator().manual_seed(0)
@@ -120,37 +120,35 @@ def test_what_is_commanded_is_what_the_rotors_make(drawn: EnvManager) -> None:
     wanted[:, 2] = QUAD.body.mass * 9.81
     wanted[:, 3:] = torch.tensor([0.03, 0.03, 0.003]) * (2.0 * torch.rand(6, 3, generator=g) - 1.0)
 
-    def made(env: EnvManager) -> np.ndarray:
+    def output_wrench(env: EnvManager) -> np.ndarray:
         speed = env.robot_manager.controller.allocation.speed_for_wrench(wanted).double()
         thrust = (maps(env) * speed.square()).numpy()
         return np.stack([effectiveness(env, i) @ thrust[i] for i in range(6)])
 
-    error = (made(drawn) - wanted.double().numpy())[:, 2:]
+    error = (output_wrench(draw_env) - wanted.double().numpy())[:, 2:]
     assert np.abs(error).max() < 1e-5
-    nominal = make(DRAWN, backend=drawn.sim_cfg.backend, effectiveness="nominal")
+    nominal = make(DRAWN, backend=draw_env.sim_cfg.backend, effectiveness="nominal")
     assert nominal.robot_manager.controller.allocation.rows == {}
-    error = (made(nominal) - wanted.double().numpy())[:, 2:]
+    error = (output_wrench(nominal) - wanted.double().numpy())[:, 2:]
     assert np.abs(error).max(0).min() > 1e-3
-    thrust = (
-        torch.linalg.pinv(torch.tensor([[1.0] * 4, *_declared_arms()], dtype=torch.float64)) @ wanted[:, 2:].double().T
-    )
+    thrust = torch.linalg.pinv(torch.tensor([[1.0] * 4, *_arm_rows()], dtype=torch.float64)) @ wanted[:, 2:].double().T
     thrust = maps(nominal) / QUAD.rotor.thrust_map[2] * thrust.T
     predicted = np.stack([effectiveness(nominal, i) @ thrust[i].numpy() for i in range(6)])
-    torch.testing.assert_close(made(nominal), predicted, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(output_wrench(nominal), predicted, atol=1e-5, rtol=1e-5)
 
 
-def _declared_arms() -> list[list[float]]:
+def _arm_rows() -> list[list[float]]:
     layout, ratio = QUAD.mounts.layout, QUAD.rotor.torque_ratio
     x, y, spin = [m.position[0] for m in layout], [m.position[1] for m in layout], [m.spin for m in layout]
     return [y, [-a for a in x], [-ratio * s for s in spin]]
 
 
-def test_a_reset_writes_the_rows_of_its_mask_alone(drawn: EnvManager) -> None:
+def test_a_reset_writes_the_rows_of_its_mask_alone(draw_env: EnvManager) -> None:
     """Here and in the backend; afterwards all is what building it anew gives, but for round-off of float32."""
-    manager = drawn.robot_manager
+    manager = draw_env.robot_manager
     targets = [*manager.controller.allocation.rows.values(), *manager.backend.parameter_targets()]
     before = [target.clone() for target in targets]
-    drawn.reset(MASK)
+    draw_env.reset(MASK)
     for old, new in zip(before, targets, strict=True):
         assert torch.equal(old[~MASK], new[~MASK])
     assert (before[0][MASK] != targets[0][MASK]).flatten(1).any(1).all()
@@ -172,9 +170,9 @@ def test_the_kernel_reads_no_number_that_is_zero_anyway() -> None:
     assert more == {"all": 4 * (4 + 2 + 1), "arms": 4 * 4}
 
 
-@pytest.mark.parametrize("what", ["rotor.time_constant", "battery"])
-def test_nothing_is_kept_where_nothing_differs(what: str) -> None:
-    cfg = {what: RandomizeCfg(low=0.9, high=1.1)} if what != "battery" else {}
+@pytest.mark.parametrize("label", ["rotor.time_constant", "battery"])
+def test_nothing_is_kept_where_nothing_differs(label: str) -> None:
+    cfg = {label: RandomizeCfg(low=0.9, high=1.1)} if label != "battery" else {}
     assert make(cfg).robot_manager.controller.allocation.rows == {}
 
 
@@ -209,7 +207,7 @@ def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("optimised")
+@pytest.mark.usefixtures("optimise_kernels")
 @pytest.mark.parametrize("backend", ["warp", "torch"])
 def test_an_environment_is_the_same_among_few_and_many(backend: str) -> None:
     few, many = make(DRAWN, 4, backend=backend), make(DRAWN, 64, backend=backend)
@@ -240,12 +238,12 @@ def test_rotors_of_any_kind_make_what_is_commanded() -> None:
         "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
         "mounts.*.position": RandomizeCfg(how="offset", low=-0.02, high=0.02, each_rotor=True),
     }
-    options = {"robot": mixed_robot(), "controller": "lee_rates_control"}
+    options = {"robot": three_type_robot(), "controller": "lee_rates_control"}
     env, fused = make(cfg, backend="torch", **options), make(cfg, backend="warp", **options)
     manager = env.robot_manager
     assert manager._update.why_slow == ""
     vehicle, allocation = manager.model.vehicle.to(torch.float64), manager.controller.allocation
-    asked = list(actuation_of(allocation_matrix(manager.declared, 9.81)[0]).axes)
+    asked = list(find_actuation(allocation_matrix(manager.declared, 9.81)[0]).axes)
     assert {2, 3, 4} <= set(asked)
     wanted = torch.tensor([[0.0, 0.0, 9.0, 0.05, -0.05, 0.01]]).expand(6, -1)
     state = allocation.speed_for_wrench(wanted).double()
@@ -281,10 +279,10 @@ def test_an_effect_of_the_robot_file_counts_without_draws() -> None:
     for x in (0.02, -0.01):
         env.gtd["effect_com_offset"][:, 0] = x
         env.robot_manager.refresh_model()
-        arms = np.array(_declared_arms())
+        arms = np.array(_arm_rows())
         matrix = np.stack((np.ones(4), arms[0], arms[1] + x, arms[2]))
-        found = env.robot_manager.controller.allocation.inverse[3, :, 2:]
-        torch.testing.assert_close(found.double().numpy(), np.linalg.inv(matrix), rtol=1e-5, atol=1e-5)
+        result = env.robot_manager.controller.allocation.inverse[3, :, 2:]
+        torch.testing.assert_close(result.double().numpy(), np.linalg.inv(matrix), rtol=1e-5, atol=1e-5)
 
 
 def test_gradients_in_float64_flow_through_it_and_are_those_of_differences() -> None:
@@ -292,21 +290,23 @@ def test_gradients_in_float64_flow_through_it_and_are_those_of_differences() -> 
     allocation = env.robot_manager.controller.allocation
     assert {rows.dtype for rows in allocation.rows.values()} == {torch.float64}
     for i, inverse in enumerate(allocation.inverse.numpy()):
-        found = effectiveness(env, i)[2:] @ inverse[:, 2:]
-        torch.testing.assert_close(found, np.eye(4), atol=2e-5, rtol=0)
+        result = effectiveness(env, i)[2:] @ inverse[:, 2:]
+        torch.testing.assert_close(result, np.eye(4), atol=2e-5, rtol=0)
     vehicle = env.robot_manager.backend._inner._model.vehicle
-    torch.testing.assert_close(allocation.rows_for(vehicle)["allocation"], allocation.inverse, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(
+        allocation.compute_rows(vehicle)["allocation"], allocation.inverse, rtol=1e-12, atol=1e-12
+    )
 
     def loss(action: Tensor) -> Tensor:
         env.restart(4)
         env.reset()
         for _ in range(3):
             env.step(action)
-        return env.traced["robot_linvel"].cos().sum() + env.traced["robot_body_angvel"].sin().sum()
+        return env.gradient_tensors["robot_linvel"].cos().sum() + env.gradient_tensors["robot_body_angvel"].sin().sum()
 
     action = 0.1 * torch.rand(2, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    (found,) = torch.autograd.grad(loss(action.requires_grad_()), action)
+    (result,) = torch.autograd.grad(loss(action.requires_grad_()), action)
     nudges = 1e-6 * torch.eye(8, dtype=torch.float64).view(8, 2, 4)
     with torch.no_grad():
         differences = torch.stack([loss(action + each) - loss(action - each) for each in nudges]).view(2, 4) / 2e-6
-    torch.testing.assert_close(found, differences, atol=1e-8, rtol=1e-6)
+    torch.testing.assert_close(result, differences, atol=1e-8, rtol=1e-6)

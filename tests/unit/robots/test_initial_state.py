@@ -9,9 +9,9 @@ from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse, quat_yaw
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import state_at_rest
-from aerial_gym.robots.derived import DerivedStates
 from aerial_gym.robots.initial_state import InitialState, StepBegin
-from aerial_gym.robots.noticed import Noticed
+from aerial_gym.robots.non_finite_rows import NonFiniteRows
+from aerial_gym.robots.secondary_states import SecondaryStates
 
 CFG = InitialStateCfg(
     position_ratio_low=(0.1, 0.2, 0.3),
@@ -26,7 +26,7 @@ CFG = InitialStateCfg(
 
 
 @dataclass(frozen=True)
-class Begun:
+class InitialCase:
     """Initial states with the numbers that they follow from."""
 
     initial: InitialState
@@ -37,7 +37,7 @@ class Begun:
         self.initial.reset(mask)
 
 
-def make(num_envs: int, seed: int = 0, noticed: Noticed | None = None):
+def make(num_envs: int, seed: int = 0, noticed: NonFiniteRows | None = None):
     random = Randomness(num_envs, seed=seed)
     state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
     derived = {name: torch.full((num_envs, width), torch.nan) for name, width in (
@@ -47,7 +47,7 @@ def make(num_envs: int, seed: int = 0, noticed: Noticed | None = None):
     initial = InitialState(
         CFG,
         state,
-        DerivedStates(state, **derived),
+        SecondaryStates(state, **derived),
         bounds=(torch.full((num_envs, 3), -2.0), torch.full((num_envs, 3), 4.0)),
         rest_speed=torch.tensor([1.0, 2.0, 3.0, 4.0]),
         actions=torch.ones(num_envs, 4),
@@ -55,7 +55,7 @@ def make(num_envs: int, seed: int = 0, noticed: Noticed | None = None):
         random=random,
         noticed=noticed,
     )
-    return state, derived, Begun(initial, random)
+    return state, derived, InitialCase(initial, random)
 
 
 def draws(num_envs: int = 20_000, seed: int = 0):
@@ -68,7 +68,7 @@ def test_every_quantity_is_uniform_in_its_range() -> None:
     """Mean and standard deviation of a uniform draw are (a + b)/2 and (b - a)/sqrt(12); 5 standard errors are allowed."""
     state, _ = draws()
     share = (state.position + 2.0) / 6.0
-    for name, found in (
+    for name, result in (
         ("position_ratio", share),
         ("euler", euler_from_quat(state.attitude)),
         ("lin_vel", state.lin_vel),
@@ -76,11 +76,11 @@ def test_every_quantity_is_uniform_in_its_range() -> None:
     ):
         low, high = torch.tensor(getattr(CFG, f"{name}_low")), torch.tensor(getattr(CFG, f"{name}_high"))
         width = high - low
-        assert (found >= low - 1e-5).all(), name
-        assert (found <= high + 1e-5).all(), name
-        error = 5.0 * width / (12.0 * len(found)) ** 0.5 + 1e-6
-        assert ((found.mean(0) - 0.5 * (low + high)).abs() <= error).all(), name
-        assert ((found.std(0) - width / 12.0**0.5).abs() <= error).all(), name
+        assert (result >= low - 1e-5).all(), name
+        assert (result <= high + 1e-5).all(), name
+        error = 5.0 * width / (12.0 * len(result)) ** 0.5 + 1e-6
+        assert ((result.mean(0) - 0.5 * (low + high)).abs() <= error).all(), name
+        assert ((result.std(0) - width / 12.0**0.5).abs() <= error).all(), name
     assert torch.equal(state.rotor_speed[7], torch.tensor([1.0, 2.0, 3.0, 4.0]))
 
 
@@ -108,26 +108,32 @@ def test_what_follows_from_the_motion_is_written_with_it() -> None:
         torch.testing.assert_close(derived[name], expected, rtol=1e-5, atol=1e-5, msg=name)
 
 
-def noticed(num_envs: int) -> Noticed:
+def make_record(num_envs: int) -> NonFiniteRows:
     """Return rows that ended in every way, with marks in all."""
-    made = Noticed.placeholder(state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32))
+    made = NonFiniteRows.placeholder(state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32))
     marks = torch.arange(num_envs, dtype=torch.int32)
     return replace(made, bits=marks % 2, episode_step=7 + marks, flags=(marks >= 0, marks >= 0))
 
 
 def test_a_reset_notices_what_ended_its_rows_and_clears_it_there_alone() -> None:
-    marked = noticed(4)
+    marked = make_record(4)
     _, _, begun = make(4, noticed=marked)
     begun.reset(torch.tensor([True, True, False, False]))
-    assert marked.found[:5].tolist() == [1, 1, -1, 8, 1]  # one row: environment 1, the episode before the first, step 8
+    assert marked.record[:5].tolist() == [
+        1,
+        1,
+        -1,
+        8,
+        1,
+    ]  # one row: environment 1, the episode before the first, step 8
     assert marked.bits.tolist() == [0, 0, 0, 1]
     assert marked.episode_step.tolist() == [0, 0, 9, 10]
     for flag in marked.flags:
         assert flag.tolist() == [False, False, True, True]
 
 
-def test_a_step_begins_with_its_action_whatever_its_layout_and_keeps_the_one_before() -> None:
-    marked, actions, before = noticed(3), torch.full((3, 2), 5.0), torch.zeros(3, 2)
+def test_a_step_begins_with_its_action_whatever_its_layout_and_keeps_the_earlier_one() -> None:
+    marked, actions, before = make_record(3), torch.full((3, 2), 5.0), torch.zeros(3, 2)
     begin = StepBegin(actions, before, marked)
     numbers = torch.arange(6.0)
     last = actions.clone()

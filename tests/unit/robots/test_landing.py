@@ -41,7 +41,7 @@ def test_a_robot_with_a_flat_shape_stands_where_it_lands(robot: str, backend: st
     assert turn.max() < 1e-2
 
 
-def test_a_sphere_rolls_on() -> None:
+def test_a_sphere_keeps_rolling() -> None:
     """Why there are flat shapes: base_quadrotor, a sphere as in the Aerial Gym Simulator, does not come to rest."""
     _, speed, turn = land("base_quadrotor", "warp")
     assert speed.min() > 0.1

@@ -14,8 +14,8 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.robots.tune import tune_robot
 from aerial_gym.sim2real.identify.selection.select import select_effects
-from aerial_gym.sim2real.judge.analysis import corrected_robot, not_testable
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.judge.analysis import correct_robot, not_testable
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 
 FILE = """
 extends: morphy
@@ -27,43 +27,47 @@ effects_source: test
 
 
 @pytest.fixture
-def dragged(tmp_path: Path) -> RobotCfg:
+def drag_robot(tmp_path: Path) -> RobotCfg:
     (tmp_path / "dragged.yaml").write_text(FILE)
     return robot_by_name(str(tmp_path / "dragged.yaml"))
 
 
-def test_a_robot_file_names_links(dragged: RobotCfg) -> None:
-    check_effects(dragged)
-    effects = robot_effects(dragged, num_envs=2, device=torch.device("cpu"), dtype=torch.float64)
+def test_a_robot_file_names_links(drag_robot: RobotCfg) -> None:
+    check_effects(drag_robot)
+    effects = robot_effects(drag_robot, num_envs=2, device=torch.device("cpu"), dtype=torch.float64)
     (law, params), _ = effects
     assert [parameter.name for parameter in law.parameters] == ["qx", "qz", "azimuth_1.qz", "base.qz"]
     assert params[1].tolist() == [0.002, 0.004, 0.01, 0.02]
 
 
-def test_what_takes_it_as_rigid_leaves_drag_of_links_out(dragged: RobotCfg) -> None:
-    assert list(effects_on_rigid(dragged)) == list(declared_params(dragged).effects) == ["quadratic_drag"]
-    effects = robot_effects(dragged, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
+def test_what_takes_it_as_rigid_leaves_drag_of_links_out(drag_robot: RobotCfg) -> None:
+    assert list(effects_on_rigid(drag_robot)) == list(params_from_robot(drag_robot).effects) == ["quadratic_drag"]
+    effects = robot_effects(drag_robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
     assert [effect.name for effect, _ in effects] == ["quadratic_drag"]
-    tune_robot(dragged, name="dragged", attitude=5.0, position=1.0, damping=0.8, dt=0.002)
+    tune_robot(drag_robot, name="dragged", attitude=5.0, position=1.0, damping=0.8, dt=0.002)
 
 
-def test_the_loop_lists_it_as_not_testable_and_keeps_it(dragged: RobotCfg) -> None:
-    selection, air = SimpleNamespace(not_testable={}, accepted=()), SimpleNamespace(wind=SimpleNamespace(untestable=""))
-    told = not_testable(selection, dragged, air)  # type: ignore[arg-type]
-    words = "acts on links where they are, and the vehicle is taken as rigid in its reference pose here"
-    assert told == dict.fromkeys(("link_drag", "link_buoyancy", "link_added_mass"), words)
+def test_the_loop_lists_it_as_not_testable_and_keeps_it(drag_robot: RobotCfg) -> None:
+    selection, air = (
+        SimpleNamespace(not_testable={}, effect_names=()),
+        SimpleNamespace(wind=SimpleNamespace(untestable=None)),
+    )
+    told = not_testable(selection, drag_robot, air)  # type: ignore[arg-type]
+    assert {name: finding.code for name, finding in told.items()} == dict.fromkeys(
+        ("link_drag", "link_buoyancy", "link_added_mass"), "acts_on_links"
+    )
     assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}  # type: ignore[arg-type]
     declared = SimpleNamespace(
-        robot=dragged, stated=dragged, train=SimpleNamespace(flights=[SimpleNamespace(name="f")])
+        robot=drag_robot, stated=drag_robot, train=SimpleNamespace(flights=[SimpleNamespace(name="f")])
     )
-    params = declared_params(dragged).with_effect("rotor_drag", torch.tensor([0.1, 0.2, 0.3]).numpy())
-    found = corrected_robot(declared, params, ["rotor_drag"])  # type: ignore[arg-type]
-    assert set(found.effects) == {"link_drag", "quadratic_drag", "rotor_drag"}
-    assert found.effects["link_drag"] == dragged.effects["link_drag"]
-    check_effects(found)
+    params = params_from_robot(drag_robot).with_effect("rotor_drag", torch.tensor([0.1, 0.2, 0.3]).numpy())
+    result = correct_robot(declared, params, ["rotor_drag"])  # type: ignore[arg-type]
+    assert set(result.effects) == {"link_drag", "quadratic_drag", "rotor_drag"}
+    assert result.effects["link_drag"] == drag_robot.effects["link_drag"]
+    check_effects(result)
 
 
-def test_it_cannot_be_asked_for() -> None:
+def test_it_cannot_be_requested() -> None:
     with pytest.raises(ConfigError, match="link_drag acts on links where they are.* cannot be asked for"):
         select_effects(None, None, None, lambda *_: None, candidates=("link_drag",))  # type: ignore[arg-type]
 

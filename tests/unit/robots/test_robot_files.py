@@ -30,14 +30,16 @@ def test_drags_are_those_of_the_sources_for_each_kilogram() -> None:
     np.testing.assert_allclose((drag["dx"], drag["dy"]), (0.544 * mass, 0.386 * mass), rtol=1e-12)
     robot = ROBOTS.get("base_quadrotor_braked_in_spin")
     rotor = robot.the_rotor("a test")
-    hover, kh = rotor.speed_at(0.25 * mass * STANDARD_GRAVITY), robot.effects["h_force_flapping"]["kh"]
+    hover, kh = rotor.speed_for_thrust(0.25 * mass * STANDARD_GRAVITY), robot.effects["h_force_flapping"]["kh"]
     np.testing.assert_allclose(4.0 * kh * hover / mass, 2.75e-3 / (0.5 * 0.17**2), rtol=1e-12)
 
 
 def test_speeds_and_offsets_are_those_of_the_sources() -> None:
     """PX4's x500 turns at 150 to 1000 rad/s; the ARPL flights tell offsets of 0.028 m."""
     rotor = ROBOTS.get("x500_px4").the_rotor("a test")
-    np.testing.assert_allclose([rotor.speed_at(thrust) for thrust in rotor.thrust_range], (150.0, 1000.0), rtol=1e-9)
+    np.testing.assert_allclose(
+        [rotor.speed_for_thrust(thrust) for thrust in rotor.thrust_range], (150.0, 1000.0), rtol=1e-9
+    )
     here, there = (
         np.array([m.position for m in ROBOTS.get(n).mounts.layout]) for n in ("crazyflie_2x_arpl", "crazyflie_21")
     )
@@ -51,8 +53,8 @@ def test_arms_creep_as_identified_per_inertia_of_a_point_mass() -> None:
     assert len(springs) == 4
     for spring in springs:
         assert spring is not None
-        found = (spring.stiffness, spring.damping, *(each.stiffness for each in spring.creep))
-        np.testing.assert_allclose(found, inertia * np.array((4877.9, 56.623, 3474.6, 1665.6, 656.34)), rtol=1e-12)
+        result = (spring.stiffness, spring.damping, *(each.stiffness for each in spring.creep))
+        np.testing.assert_allclose(result, inertia * np.array((4877.9, 56.623, 3474.6, 1665.6, 656.34)), rtol=1e-12)
 
 
 @pytest.mark.parametrize("rods", [4, 5, 6])

@@ -14,16 +14,16 @@ DEVICES = ["cpu", *(["cuda:0"] if torch.cuda.is_available() else [])]
 
 
 def reference(image: Tensor, cells: tuple[int, int], *, largest: float, empty: float) -> np.ndarray:
-    """Return what each cell holds, (E, R, C), cell by cell."""
+    """Return the nearest distance in each cell as a share of ``largest``, (E, R, C), by a loop over cells."""
     pixels = image[:, 0].cpu().numpy()
     size = [-(-n // parts) for n, parts in zip(pixels.shape[1:], cells, strict=True)]
-    found = np.full((len(pixels), *cells), empty, dtype=np.float32)
-    for env, row, column in np.ndindex(*found.shape):
+    result = np.full((len(pixels), *cells), empty, dtype=np.float32)
+    for env, row, column in np.ndindex(*result.shape):
         cell = pixels[env, row * size[0] : (row + 1) * size[0], column * size[1] : (column + 1) * size[1]]
         held = cell[cell >= 0.0]
         if held.size and held.min() < inf:
-            found[env, row, column] = held.min() / np.float32(largest)
-    return found
+            result[env, row, column] = held.min() / np.float32(largest)
+    return result
 
 
 @pytest.mark.parametrize("device", DEVICES)

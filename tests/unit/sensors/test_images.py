@@ -11,7 +11,7 @@ from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images, pixels, ray_kernels
-from aerial_gym.sensors.images import POISON, arrays_type, images_of
+from aerial_gym.sensors.images import POISON, arrays_type, sensor_images
 
 STEREO = StereoCfg(
     summary="every image that there is",
@@ -55,9 +55,9 @@ def test_a_pixel_that_sees_nothing_holds_what_the_table_says() -> None:
     images = make_images(STEREO, 2, device=torch.device("cpu"), poisoned=True)
     assert set(images) == set(IMAGES)
     RayCaster(STEREO, wall(30.0), images, **POSE, lin_vel=torch.zeros(2, 3), ang_vel=torch.zeros(2, 3)).cast()
-    for name, row in images_of(STEREO).items():
-        nothing = row.nothing(STEREO) if callable(row.nothing) else row.nothing
-        expected = torch.zeros(()) if nothing is None else torch.tensor(nothing)  # at rest at the origin
+    for name, row in sensor_images(STEREO).items():
+        empty = row.empty_pixel(STEREO) if callable(row.empty_pixel) else row.empty_pixel
+        expected = torch.zeros(()) if empty is None else torch.tensor(empty)  # at rest at the origin
         assert torch.equal(images[name], expected.to(images[name].dtype).expand_as(images[name])), name
 
 
@@ -78,7 +78,7 @@ def test_images_must_be_exactly_those_of_the_sensor() -> None:
 
 
 def test_a_kernel_has_arrays_for_the_images_of_its_sensor_alone() -> None:
-    struct = arrays_type(tuple(images_of(CAMERA)))()
+    struct = arrays_type(tuple(sensor_images(CAMERA)))()
     assert not hasattr(struct, "normals")
     assert hasattr(struct, "segmentation")
 
@@ -88,16 +88,16 @@ def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest
     row = Image(key="heading_pixels", unit="m", frame="sensor", meaning="x of the ray, distance", components=2)
     monkeypatch.setitem(IMAGES, "heading", row)
 
-    def make_write_pixel(outputs: pixels.Outputs) -> wp.Function:
+    def make_write_pixel(outputs: pixels.PixelOutputs) -> wp.Function:
         write_others, images_type = pixels.make_write_pixel(outputs), arrays_type(outputs.images)
 
         @wp.func
         def write_pixel(
             images: images_type,
-            limits: pixels.Limits,
-            noise: pixels.Noise,
+            limits: pixels.DistanceLimits,
+            noise: pixels.DistanceNoise,
             light: pixels.Light,
-            view: pixels.View,
+            view: pixels.SensorView,
             env: int,
             mount: int,
             seat: int,
@@ -119,13 +119,13 @@ def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest
     caster = manager.casters["camera"]
     caster.images["heading"].fill_(POISON[torch.float32])
     manager.capture()
-    found = gtd["heading_pixels"]
-    torch.testing.assert_close(found[0, 0, ..., 0], caster.direction[..., 0])
-    torch.testing.assert_close(found[..., 0] * found[..., 1], torch.full((2, 1, 6, 8), 3.0))
+    result = gtd["heading_pixels"]
+    torch.testing.assert_close(result[0, 0, ..., 0], caster.direction[..., 0])
+    torch.testing.assert_close(result[..., 0] * result[..., 1], torch.full((2, 1, 6, 8), 3.0))
     POSE["position"][:, 0] = 1.0
     manager.capture()
     POSE["position"][:, 0] = 0.0
-    torch.testing.assert_close(found[..., 0] * found[..., 1], torch.full((2, 1, 6, 8), 3.0))  # it is delayed too
+    torch.testing.assert_close(result[..., 0] * result[..., 1], torch.full((2, 1, 6, 8), 3.0))  # it is delayed too
     with pytest.raises(ShapeError, match="heading must be given exactly if the sensor has such an image: it is True"):
         SensorImages(distance=caster.images.distance, segmentation=caster.images.segmentation).check(
             CAMERA, 2, torch.device("cpu")

@@ -114,7 +114,7 @@ def test_equal_names_unknown_sensors_and_other_files_are_refused(tmp_path: Path)
         load_any_sensor(tmp_path / "odd.yaml")
 
 
-def test_a_camera_rolled_by_90_degrees_sees_the_left_below() -> None:
+def test_a_camera_rolled_by_90_degrees_sees_the_left_at_the_bottom() -> None:
     """Its y, image left, is the body's z; its z, image up, is minus the body's y: what lies at body +y is in the lower half."""
     ahead = [4.0, 0.0, 0.0]
     scene = boxes([ahead, [4.0, 2.0, 0.0], [4.0, 0.0, 2.0]])
@@ -154,12 +154,12 @@ def test_a_mount_in_the_nominal_place_changes_nothing() -> None:
         CAMERA, euler=(0.4, -0.3, 1.0), position_low=(0.0, -0.1, -0.2), position_high=(0.2, 0.3, 0.1),
         euler_low=(0.3, -0.4, 0.9), euler_high=(0.5, -0.2, 1.3),
     )  # fmt: skip
-    found = []
+    result = []
     for given in (None, pose(cfg.position, *cfg.euler)):
         sensors, _ = manager({"camera": cfg}, {"camera": given}, boxes([[4.0, 0.0, 0.0]], 16))
         sensors.reset(torch.ones(16, dtype=torch.bool))
-        found.append((sensors.casters["camera"].mount_position, sensors.casters["camera"].mount_attitude))
-    for plain, mounted in zip(*found, strict=True):
+        result.append((sensors.casters["camera"].mount_position, sensors.casters["camera"].mount_attitude))
+    for plain, mounted in zip(*result, strict=True):
         torch.testing.assert_close(plain, mounted, rtol=0.0, atol=3e-7)
 
 

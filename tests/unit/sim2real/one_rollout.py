@@ -20,5 +20,5 @@ def roll_out(
     **options: Any,
 ) -> RolloutErrors:
     """Return the open-loop errors of a model; arguments as for ``roll_out_models``."""
-    (found,) = roll_out_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
-    return found[""]
+    (result,) = roll_out_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
+    return result[""]

@@ -1,4 +1,4 @@
-"""The whole loop on exact flights with noise: a smoke test, no proof; ``tests/integration/test_undeclared.py`` has an
+"""The whole loop on exact flights with noise: a smoke test, no proof; ``tests/integration/test_loop_on_plant.py`` has an
 independent plant, ``tests/measured/test_idsia.py`` real flights."""
 
 import errno
@@ -27,11 +27,11 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.in_memory import judge_flights
-from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import list_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
+from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.report.run_folder import whole_folder
 from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -72,7 +72,7 @@ def run(folder: Path, call: list[str]) -> tuple[Path, str]:
     arguments = [text.replace(str(folder), str(gone)) for text in call]
     arguments[-2:-2] = [str(gone / "f9.csv")]
 
-    def without_files(*args: Any, **options: Any) -> Judged:
+    def without_files(*args: Any, **options: Any) -> LoopResult:
         shutil.rmtree(gone)
         return judge_flights(*args, **options)
 
@@ -267,7 +267,7 @@ def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, st
 
 
 @pytest.mark.slow
-def test_only_what_is_asked_for_is_looked_for(tmp_path: Path) -> None:
+def test_only_what_is_requested_is_searched(tmp_path: Path) -> None:
     """Drag and weaker rotors are hidden: with one of them asked for, the other is not named and not weighed."""
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
     for seed in range(3):
@@ -315,14 +315,14 @@ def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.Captu
 
 
 def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = replay(folder / "robot.yaml", [folder / "f3.csv"], folder / "replayed")
+    results = replay(folder / "robot.yaml", [folder / "f3.csv"], folder / "replayed")
     assert {path.name for path in (folder / "replayed").iterdir()} == {
         *("replay.json", "report.html", "residuals.csv", "profiles.csv", "run.json")
     }
-    assert found.evaluation.residual[0].value > 0.1
+    assert results.evaluation.residual[0].value > 0.1
     assert main(["replay", str(folder / "robot.yaml"), str(folder / "f3.csv"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(found.evaluation.residual[0].value)
+    assert printed["replay"]["specific_force"]["x"]["rms"] == pytest.approx(results.evaluation.residual[0].value)
 
 
 def test_a_replay_rolls_nothing_out_that_the_log_does_not_begin(folder: Path, tmp_path: Path) -> None:

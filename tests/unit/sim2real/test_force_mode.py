@@ -12,8 +12,8 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real import close_loop, replay
-from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
+from aerial_gym.sim2real.memory_loop import judge_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 TAU = 0.04
@@ -33,7 +33,7 @@ ROTORS = [f"rotor_{n}" for n in (1, 2, 3, 4)]
 COMMANDS = [f"cmd_{n}" for n in (1, 2, 3, 4)]
 
 
-def forced(seed: int, *, tau: float = TAU, late: int = 0, scale: float = 1.0, drag: float = 0.0) -> pd.DataFrame:
+def force_flight(seed: int, *, tau: float = TAU, late: int = 0, scale: float = 1.0, drag: float = 0.0) -> pd.DataFrame:
     """Return a flight in which held commands [N] lead to the thrusts that the path needs, through a lag and a dead time.
 
     The exact inverse of ``T' = (c - T) / tau`` over a row: ``c = T + (T_next - T) / (1 - exp(-dt / tau))``. Commands are read
@@ -49,10 +49,10 @@ def forced(seed: int, *, tau: float = TAU, late: int = 0, scale: float = 1.0, dr
     return table.iloc[: len(table) - 1 - late]
 
 
-def found(folder: Path, **hidden: float) -> dict:
+def run_loop(folder: Path, **hidden: float) -> dict:
     """Return the verdict of the loop on four flights that hide something."""
     (folder / "robot.yaml").write_text(dump_yaml(FORCED))
-    logs = [write(forced(40 + n, **hidden), folder / f"f{n}.csv") for n in range(4)]
+    logs = [write(force_flight(40 + n, **hidden), folder / f"f{n}.csv") for n in range(4)]
     close_loop(folder / "robot.yaml", logs[:3], logs[3:], folder / "out")
     return json.loads((folder / "out" / "verdict.json").read_text())
 
@@ -70,7 +70,7 @@ def test_the_hidden_effect_is_named(
     hidden: dict[str, float], name: str, params: dict[str, float], tmp_path: Path
 ) -> None:
     """By its name, within four standard deviations; what needs rotor speeds is not testable, and the reason says so."""
-    verdict = found(tmp_path, **hidden)
+    verdict = run_loop(tmp_path, **hidden)
     assert [effect["name"] for effect in verdict["effects"]] == [name]
     effect = verdict["effects"][0]
     for key, value in params.items():
@@ -84,7 +84,7 @@ def test_the_hidden_effect_is_named(
 
 def test_a_dead_time_is_replayed_from_commands_in_newtons(tmp_path: Path) -> None:
     """The declared model with the right delay leaves the noise; without it, clearly more angular acceleration."""
-    log = write(forced(50, late=3), tmp_path / "late.csv")
+    log = write(force_flight(50, late=3), tmp_path / "late.csv")
     left = []
     for effects in ({}, {"actuation_delay": {"delay": 0.03}}):
         robot = replace(FORCED, effects=effects, effects_source="test" if effects else "")
@@ -101,14 +101,14 @@ def test_measured_speeds_of_rotors_in_force_mode_are_refused(tmp_path: Path) -> 
         DataError, match=r"speeds.csv: has measured rotor speeds .* commands \(cmd_\* in N\), or declare"
     ):
         replay(tmp_path / "robot.yaml", [log], None)
-    table = forced(1)
+    table = force_flight(1)
     table[COMMANDS] = (table[COMMANDS] / 5.0).clip(0.0, 1.0)
     with pytest.raises(DataError, match=r"weight of the declared robot; it looks like a fraction .* convert them to N"):
         replay(tmp_path / "robot.yaml", [write(table, tmp_path / "throttle.csv")], None)
 
 
 def test_a_learned_residual_needs_rotor_speeds(tmp_path: Path) -> None:
-    logs = [write(forced(60 + n), tmp_path / f"f{n}.csv") for n in range(2)]
+    logs = [write(force_flight(60 + n), tmp_path / f"f{n}.csv") for n in range(2)]
     train, test = load_train_and_test(FORCED, logs[:1], logs[1:], mapping=None, bandwidth=10.0)
     with pytest.raises(ConfigError, match="effect learned_residual: its law does not hold for rotors in force mode"):
         judge_flights(FORCED, train, test, learn_residual=True)

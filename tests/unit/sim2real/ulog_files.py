@@ -42,7 +42,7 @@ def topics(table: pd.DataFrame) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
-def write_ulog(path: Path, found: dict[str, dict[str, np.ndarray]]) -> Path:
+def write_ulog(path: Path, result: dict[str, dict[str, np.ndarray]]) -> Path:
     """Write a ULog file by its specification (docs.px4.io, ULog file format): header, flags, formats, subscriptions, data."""
 
     def message(kind: str, payload: bytes) -> bytes:
@@ -50,7 +50,7 @@ def write_ulog(path: Path, found: dict[str, dict[str, np.ndarray]]) -> Path:
 
     text = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
     data: list[tuple[int, bytes]] = []
-    for number, (name, fields) in enumerate(found.items()):
+    for number, (name, fields) in enumerate(result.items()):
         keys = [key for key in fields if key != "timestamp"]
         plain = {key: key.replace("[", "_").replace("]", "").replace(".", "_") for key in keys}
         arrays = dict.fromkeys(key.split("[")[0] for key in keys if "[" in key and "." not in key)
@@ -66,6 +66,6 @@ def write_ulog(path: Path, found: dict[str, dict[str, np.ndarray]]) -> Path:
             (int(stamp), message("D", struct.pack("<HQ", number, int(stamp)) + struct.pack(f"<{len(keys)}f", *row)))
             for stamp, row in zip(fields["timestamp"], np.stack([fields[k] for k in keys], axis=1), strict=True)
         ]
-    text += b"".join(message("A", struct.pack("<BH", 0, number) + name.encode()) for number, name in enumerate(found))
+    text += b"".join(message("A", struct.pack("<BH", 0, number) + name.encode()) for number, name in enumerate(result))
     path.write_bytes(text + b"".join(part for _, part in sorted(data, key=lambda entry: entry[0])))
     return path

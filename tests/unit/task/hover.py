@@ -28,10 +28,10 @@ def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: obj
     if "policy" in changes:
         changes["observations"] = {"policy": changes.pop("policy")}
     cfg = replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
-    return built(cfg, num_envs, seed=seed, first_env=first_env)
+    return build_task(cfg, num_envs, seed=seed, first_env=first_env)
 
 
-def built(
+def build_task(
     cfg: TaskCfg,
     num_envs: int,
     *,
@@ -59,7 +59,7 @@ def built(
     return Task(cfg, env, capture=capture)
 
 
-def seeing(num_envs: int, **given: Any) -> Task:
+def camera_task(num_envs: int, **given: Any) -> Task:
     """Return a task with a small camera between obstacles, its raw images and their nearest distances, both with a past."""
     cfg = replace(
         task_registry.get("position_setpoint_task"),
@@ -69,7 +69,7 @@ def seeing(num_envs: int, **given: Any) -> Task:
         episode_len_steps=50,
     )
     small = replace(ROBOTS.get("base_quadrotor"), sensors=(SensorMountCfg(sensor="st_vl53l5cx", rate_hz=6.0),))
-    return built(cfg, num_envs, robot=small, **given)
+    return build_task(cfg, num_envs, robot=small, **given)
 
 
 def rich(num_envs: int, **given: Any) -> Task:
@@ -104,4 +104,4 @@ def rich(num_envs: int, **given: Any) -> Task:
             "there": TerminationCfg(term="at_target", kind="success", when="counts", params={"radius": 0.5}),
         },
     )
-    return built(cfg, num_envs, **given)
+    return build_task(cfg, num_envs, **given)

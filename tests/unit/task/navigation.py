@@ -8,7 +8,7 @@ from aerial_gym.task import Task
 from tests.builders import simulation
 
 
-def changed(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None = None, **changes: object) -> TaskCfg:
+def make_cfg(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None = None, **changes: object) -> TaskCfg:
     """Return a navigation task with changes; ``success_radius`` is that of its success."""
     if not camera:
         blind = tuple(entry for entry in cfg.observations["policy"] if entry.term != "nearest_in_cells")
@@ -21,6 +21,6 @@ def changed(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None =
 
 def make(num_envs: int = 6, *, seed: int = 0, camera: bool = False, **changes: object) -> Task:
     """Return it; without its camera, which takes most of its time, unless asked for."""
-    cfg = changed(task_registry.get("navigation_task"), camera=camera, **changes)  # type: ignore[arg-type]
+    cfg = make_cfg(task_registry.get("navigation_task"), camera=camera, **changes)  # type: ignore[arg-type]
     env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=num_envs, seed=seed)
     return Task(cfg, env)

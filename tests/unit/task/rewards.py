@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from aerial_gym.task import Task
-from aerial_gym.task.step.judge import Ends
+from aerial_gym.task.step.judge import EpisodeEnds
 
 
-def reward_of(task: Task, values: Mapping[str, Tensor], *, crash: Tensor | None = None) -> Tensor:
-    """Return what the terms of a task make of states, (E,), in their own type of numbers."""
+def term_reward(task: Task, values: Mapping[str, Tensor], *, crash: Tensor | None = None) -> Tensor:
+    """Return the reward of a task's terms for given states, (E,), in the float type of the states."""
     rows = len(values["robot_position"])
     no = torch.zeros(rows, dtype=torch.bool)
     ended = no if crash is None else crash
-    ends = Ends(crash=ended, success=no, terminated=ended, truncated=no, arrived=no, causes=[])
+    ends = EpisodeEnds(crash=ended, success=no, terminated=ended, truncated=no, arrived=no, causes=[])
     return task._judge._reward(values, ends)[1]

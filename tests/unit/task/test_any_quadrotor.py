@@ -13,8 +13,8 @@ from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
-from aerial_gym.task.rotor_range import mix_of_four, order_of_places, with_rotor_range
-from tests.repetitions import often
+from aerial_gym.task.rotor_range import quadrotor_mix, rotor_order, with_rotor_range
+from tests.repetitions import frequent_values
 
 NAME = "any_quadrotor_task"
 
@@ -51,10 +51,10 @@ def test_an_action_goes_to_the_rotor_at_its_place(robot: str) -> None:
     assert told.tolist() == [places.index(sign) for sign in signs]
 
 
-def test_places_are_counted_clockwise_from_the_nose_on() -> None:
+def test_places_are_counted_clockwise_from_the_nose() -> None:
     """A rotor at the nose is the first one, on whichever side of it rounding has put it; those of one direction keep order."""
-    assert order_of_places([(0.0, 1.0, 0.0), (1.0, 1e-9, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)]) == (3, 0, 1, 2)
-    assert order_of_places([(1.0, -1.0, 0.1), (1.0, -1.0, -0.1), (-1.0, -1.0, 0.0)]) == (0, 1, 2)
+    assert rotor_order([(0.0, 1.0, 0.0), (1.0, 1e-9, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)]) == (3, 0, 1, 2)
+    assert rotor_order([(1.0, -1.0, 0.1), (1.0, -1.0, -0.1), (-1.0, -1.0, 0.0)]) == (0, 1, 2)
 
 
 def test_a_vehicle_that_spins_away_is_lost_before_it_is_infinite() -> None:
@@ -91,14 +91,14 @@ def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> N
 
 @pytest.mark.parametrize("robot", ["base_quadrotor", "x500", "tinyprop"])
 def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -> None:
-    mix = torch.tensor(mix_of_four(ROBOTS.get(robot)))
-    order = order_of_places([mount.position for mount in ROBOTS.get(robot).mounts.layout])
+    mix = torch.tensor(quadrotor_mix(ROBOTS.get(robot)))
+    order = rotor_order([mount.position for mount in ROBOTS.get(robot).mounts.layout])
     torch.testing.assert_close(mix, torch.eye(4)[list(order)], rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("controller", "robot"),
-    often(
+    frequent_values(
         product(
             ("rotor_speed_control", "no_control"),
             ("typhoon_hexarotor", "base_octarotor", "tilted_hexarotor", "coaxial_octarotor", "morphy_stiff"),
@@ -123,8 +123,8 @@ def test_other_rotors_lift_and_turn_as_a_quadrotor_would(controller: str, robot:
     change = wrench - wrench[0]
     for row, axis, sign in ((1, 3, -1.0), (2, 4, 1.0), (3, 5, 1.0)):
         assert sign * float(change[row, axis]) > 0.0
-        others = change[row, [k for k in range(6) if k not in (2, axis)]]
-        assert float(others.abs().max()) < 0.1 * abs(float(change[row, axis]))
+        rest = change[row, [k for k in range(6) if k not in (2, axis)]]
+        assert float(rest.abs().max()) < 0.1 * abs(float(change[row, axis]))
 
 
 def test_what_cannot_turn_about_each_axis_is_refused() -> None:
@@ -135,7 +135,7 @@ def test_what_cannot_turn_about_each_axis_is_refused() -> None:
     )
     robot = replace(robot, mounts=replace(robot.mounts, layout=row))
     with pytest.raises(ConfigError, match="cannot lift this robot and turn it about each axis by itself"):
-        mix_of_four(robot)
+        quadrotor_mix(robot)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_what_cannot_turn_about_each_axis_is_refused() -> None:
 )
 def test_a_robot_that_is_told_joints_as_well_is_refused(robot: str, joints: str) -> None:
     """Whether its rotors are told thrusts or speeds."""
-    with pytest.raises(ConfigError, match=f"told {joints} of its .* position_setpoint_task_reconfigurable"):
+    with pytest.raises(ConfigError, match=f"also takes {joints} of its .* position_setpoint_task_reconfigurable"):
         task_registry.make_task(NAME, num_envs=2, device="cpu", robot=robot)
 
 

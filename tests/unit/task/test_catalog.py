@@ -41,10 +41,10 @@ def test_a_file_may_extend_a_registered_task(tmp_path: Path) -> None:
     file.write_text(
         "extends: tracking_task\nepisode_len_steps: 7\nrewards: {calm: null}\nobservations: {policy: [{term: attitude}]}\n"
     )
-    base, mine = task_registry.get("tracking_task"), task_registry.get(str(file))
-    assert (mine.episode_len_steps, mine.robot) == (7, base.robot)
-    assert list(mine.rewards) == [name for name in base.rewards if name != "calm"]
-    assert [entry.term for entry in mine.observations["policy"]] == ["attitude"]
+    base, own = task_registry.get("tracking_task"), task_registry.get(str(file))
+    assert (own.episode_len_steps, own.robot) == (7, base.robot)
+    assert list(own.rewards) == [name for name in base.rewards if name != "calm"]
+    assert [entry.term for entry in own.observations["policy"]] == ["attitude"]
 
 
 def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:

@@ -77,11 +77,11 @@ def test_the_number_of_obstacles_follows_the_successes_from_the_reset_in_which_t
 def test_failures_lower_it_and_the_difficulty_is_the_share_of_the_way() -> None:
     task = make(curriculum=replace(CFG, check_after=6, start_level=17), episode_len_steps=2, success_radius=1e-3)
     task.reset()
-    found = [float(task.values["difficulty"])]
+    result = [float(task.values["difficulty"])]
     for _ in range(6):
         task.step(HOVER.expand(6, 4))
-        found.append(float(task.values["difficulty"]))
-    assert found == pytest.approx([0.4, 0.4, 0.2, 0.2, 0.0, 0.0, 0.0])
+        result.append(float(task.values["difficulty"]))
+    assert result == pytest.approx([0.4, 0.4, 0.2, 0.2, 0.0, 0.0, 0.0])
 
 
 def test_processes_that_learn_together_decide_on_the_episodes_of_all() -> None:

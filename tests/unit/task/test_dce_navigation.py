@@ -4,7 +4,7 @@ import torch
 
 from aerial_gym import task_registry
 from aerial_gym.rl_training import settings_for
-from aerial_gym.sensors.encoder.file import load_encoder, shares_of
+from aerial_gym.sensors.encoder.file import load_encoder, normalize_image
 from aerial_gym.task.terms.actions import ACTIONS
 from tests.unit.sensors.encoder.encoders import coarse_camera
 
@@ -19,9 +19,9 @@ def test_layout_of_81_numbers_is_kept_without_noise() -> None:
         assert seen.shape == (4, 81)
         distance = (task.target_position - task.env.gtd["robot_position"]).norm(dim=-1)
         torch.testing.assert_close(seen[:, 3], 0.2 * distance, atol=1e-6, rtol=0.0)
-        latents = load_encoder(ENCODER)(shares_of(task.env.gtd["depth_range_pixels"][:, 0], coarse_camera()))
+        latents = load_encoder(ENCODER)(normalize_image(task.env.gtd["depth_range_pixels"][:, 0], coarse_camera()))
         torch.testing.assert_close(seen[:, 17:], latents, atol=1e-5, rtol=0.0)
-        assert all(entry.cfg.noise_std == 0.0 for entry in task.observed["observations"])
+        assert all(entry.cfg.noise_std == 0.0 for entry in task.observation_terms["observations"])
         assert int(task.env.gtd["curriculum_level"]) == 36
 
 

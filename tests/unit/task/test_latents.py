@@ -11,14 +11,14 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import load_settings, settings_for
-from aerial_gym.sensors.encoder.file import load_encoder, shares_of
-from tests.unit.sensors.encoder.encoders import ROBOT, coarse_camera, drawn_encoder
-from tests.unit.task.hover import built
+from aerial_gym.sensors.encoder.file import load_encoder, normalize_image
+from tests.unit.sensors.encoder.encoders import ROBOT, coarse_camera, random_encoder
+from tests.unit.task.hover import build_task
 
 
 @pytest.fixture
 def encoder(tmp_path: Path) -> str:
-    drawn_encoder().save(tmp_path / "encoder.pt")
+    random_encoder().save(tmp_path / "encoder.pt")
     return str(tmp_path / "encoder.pt")
 
 
@@ -29,7 +29,7 @@ def test_latents_stand_where_cells_stood(encoder: str) -> None:
     ) as task:
         observation, _ = task.reset()
         for _ in range(3):
-            expected = load_encoder(encoder)(shares_of(task.env.gtd["depth_range_pixels"][:, 0], coarse_camera()))
+            expected = load_encoder(encoder)(normalize_image(task.env.gtd["depth_range_pixels"][:, 0], coarse_camera()))
             assert observation["observations"].shape == (6, 81)
             torch.testing.assert_close(observation["observations"][:, 17:], expected, atol=1e-5, rtol=0.0)
             before = expected
@@ -61,7 +61,7 @@ def test_what_has_no_place_for_them_is_told(encoder: str) -> None:
 
 
 def _build(cfg: TaskCfg) -> None:
-    with built(cfg, 1):
+    with build_task(cfg, 1):
         pass
 
 
@@ -71,7 +71,7 @@ def test_run_folder_keeps_its_encoder(encoder: str, tmp_path: Path) -> None:
     RunFolder(tmp_path / "run").create(cfg)
     Path(encoder).unlink()
     (tmp_path / "run").rename(tmp_path / "moved")
-    found = RunFolder(tmp_path / "moved").config()
-    assert found.encoder == str(tmp_path / "moved" / "encoder.pt")
-    assert found.encoder is not None
-    load_encoder(found.encoder)
+    result = RunFolder(tmp_path / "moved").config()
+    assert result.encoder == str(tmp_path / "moved" / "encoder.pt")
+    assert result.encoder is not None
+    load_encoder(result.encoder)

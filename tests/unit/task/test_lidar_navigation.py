@@ -13,9 +13,9 @@ from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
-from tests.unit.task.hover import built
-from tests.unit.task.rewards import reward_of
-from tests.unit.task.test_navigation import distance_at
+from tests.unit.task.hover import build_task
+from tests.unit.task.rewards import term_reward
+from tests.unit.task.test_navigation import scene_distance
 
 NAME = "lidar_navigation_task"
 CFG = task_registry.get(NAME)
@@ -28,7 +28,7 @@ def make(num_envs: int = 4, **changes: object) -> Task:
     cfg = replace(CFG, robot="base_quadrotor_with_dome_lidar", observations=quiet)
     cfg = replace(cfg, **changes)  # type: ignore[arg-type]
     assert cfg.start is not None
-    return built(cfg, num_envs, robot=replace(ROBOTS.get(cfg.robot), initial_state=cfg.start))
+    return build_task(cfg, num_envs, robot=replace(ROBOTS.get(cfg.robot), initial_state=cfg.start))
 
 
 def put(task: Task, position: Tensor, *, yaw: float = 0.0) -> None:
@@ -90,7 +90,7 @@ def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
     behind = 0.0 if yaw == 0.0 else 1.0
     corner = torch.stack((low[:, 0] + behind * (high - low)[:, 0], low[:, 1], low[:, 2]), dim=-1)
     put(task, corner + torch.tensor([2.0 if yaw == 0.0 else -2.0, 3.0, 2.5]), yaw=yaw)
-    seen = task._observed()["observations"][:, 17:].view(2, 16, 20)
+    seen = task._observe()["observations"][:, 17:].view(2, 16, 20)
     square = cos(radians(0.5 * 90.0 / 47.5))
     torch.testing.assert_close(seen[:, 0], torch.full((2, 20), square / 1.95), rtol=1e-4, atol=0.0)
     aside = cos(radians(1.5))
@@ -169,9 +169,9 @@ def test_the_reward_is_the_published_formula(state: dict[str, Tensor], free: flo
     task = make(1)
     for difficulty, expected in ((0.0, free), (1.0, hard)):
         values = state | {"difficulty": torch.tensor(difficulty, dtype=torch.float64)}
-        assert reward_of(task, values).item() == pytest.approx(expected, abs=2e-6)
-        assert reward_of(task, values, crash=torch.tensor([True])).item() == -10.0
-    half = reward_of(task, state | {"difficulty": torch.tensor(0.5, dtype=torch.float64)}).item()
+        assert term_reward(task, values).item() == pytest.approx(expected, abs=2e-6)
+        assert term_reward(task, values, crash=torch.tensor([True])).item() == -10.0
+    half = term_reward(task, state | {"difficulty": torch.tensor(0.5, dtype=torch.float64)}).item()
     sizes = hard - 3.0 * free  # 3 at c = 1; at c = 0.5 it is 1
     assert half == pytest.approx(2.0 * free + sizes / 3.0, abs=2e-6)
 
@@ -205,7 +205,7 @@ def test_starts_have_any_heading_and_goals_keep_their_distance() -> None:
     share = (task.target_position - gtd["env_bounds_min"]) / (gtd["env_bounds_max"] - gtd["env_bounds_min"])
     low, high = torch.tensor([0.90, 0.15, 0.15]), torch.tensor([0.92, 0.80, 0.80])
     assert ((share >= low - 1e-5) & (share <= high + 1e-5)).all()
-    assert (distance_at(task, task.target_position) >= 0.4 - 2e-6).all()
+    assert (scene_distance(task, task.target_position) >= 0.4 - 2e-6).all()
 
 
 def test_the_curriculum_goes_from_25_to_70_rows_of_which_6_are_walls() -> None:

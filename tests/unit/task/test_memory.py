@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.task import Task
-from tests.unit.task.hover import rich, seeing
+from tests.unit.task.hover import camera_task, rich
 
 
 def fly(task: Task, first: int = 0, *, steps: int = 9) -> list[dict[str, Tensor]]:
     """Return all that a task gives; some episodes end on the way, by their number."""
-    found, number = [], torch.arange(first, first + task.num_envs)
+    results, number = [], torch.arange(first, first + task.num_envs)
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 4 == 0, task.cfg.episode_len_steps)
         actions = 0.3 * torch.sin(number.float().unsqueeze(-1) + step + torch.arange(4.0))
@@ -20,17 +20,17 @@ def fly(task: Task, first: int = 0, *, steps: int = 9) -> list[dict[str, Tensor]
         row = {"reward": reward, "terminated": terminated, "truncated": truncated} | info
         row |= {f"observed {name}": value for name, value in observation.items()}
         row |= {"command": task.env.gtd["robot_actions"], "target": task.target_position}
-        found.append({name: value.clone() for name, value in row.items()})
-    return found
+        results.append({name: value.clone() for name, value in row.items()})
+    return results
 
 
-def assert_same(found: list[dict[str, Tensor]], expected: list[dict[str, Tensor]], rows: slice) -> None:
-    for a, b in zip(found, expected, strict=True):
+def assert_same(result: list[dict[str, Tensor]], expected: list[dict[str, Tensor]], rows: slice) -> None:
+    for a, b in zip(result, expected, strict=True):
         assert a.keys() == b.keys()
         assert not [name for name in a if not torch.equal(a[name], b[name][rows])]
 
 
-MAKERS = pytest.mark.parametrize("maker", [rich, seeing])
+MAKERS = pytest.mark.parametrize("maker", [rich, camera_task])
 
 
 @MAKERS
@@ -47,7 +47,7 @@ def test_a_saved_state_goes_on_the_same_in_another_task(maker: Callable[..., Tas
 
 
 @MAKERS
-def test_a_reset_forgets_what_was_before(maker: Callable[..., Task]) -> None:
+def test_a_reset_forgets_what_came_earlier(maker: Callable[..., Task]) -> None:
     """With the same seed the same flight, whatever happened before."""
     task = maker(3, seed=1)
     task.reset(seed=1)

@@ -14,10 +14,12 @@ NAME, HOVER = "motor_failure_task", -0.387
 
 def draws(task: Task) -> list[torch.Tensor]:
     """Return rotor, factor and moment, each (E,)."""
-    return [task.env.draws()[f"effects.motor_failure.{what}"].flatten().clone() for what in ("motor", "scale", "time")]
+    return [
+        task.env.draws()[f"effects.motor_failure.{label}"].flatten().clone() for label in ("motor", "scale", "time")
+    ]
 
 
-def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment_on() -> None:
+def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment() -> None:
     """Told the same, rotors turn alike before; 0.3 s after, seven time constants, one has its share, to exp(-7.5)."""
     with task_registry.make_task(NAME, num_envs=200, device="cpu", seed=0) as task:
         task.reset()

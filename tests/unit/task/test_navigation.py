@@ -18,9 +18,9 @@ from aerial_gym.rl_training import evaluate
 from aerial_gym.task import Task
 from aerial_gym.task.terms.actions import forward_flight
 from aerial_gym.task.terms.observations import direction_vehicle
-from tests.repetitions import seldom
+from tests.repetitions import rare_values
 from tests.unit.task.navigation import make
-from tests.unit.task.rewards import reward_of
+from tests.unit.task.rewards import term_reward
 
 CFG = task_registry.get("navigation_task")
 assert CFG.command is not None
@@ -33,7 +33,7 @@ def noiseless() -> dict[str, object]:
     return {"observations": {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}}
 
 
-def state_at(
+def make_state(
     position: list[float],
     *,
     prev_distance: float,
@@ -66,31 +66,31 @@ def bells(d: float) -> float:
     ("state", "expected"),
     [
         # at the goal, nothing moved, level 0: 5 + 5 + 20/20
-        (state_at([0.0, 0.0, 0.0], prev_distance=0.0), 11.0),
+        (make_state([0.0, 0.0, 0.0], prev_distance=0.0), 11.0),
         # half a metre away and 0.2 m closer than before: + 10 * 0.2
-        (state_at([0.3, 0.0, -0.4], prev_distance=0.7), bells(0.5) + 2.0 + 19.5 / 20),
+        (make_state([0.3, 0.0, -0.4], prev_distance=0.7), bells(0.5) + 2.0 + 19.5 / 20),
         # 0.2 m further than before: - 20 * 0.2
-        (state_at([0.3, 0.0, -0.4], prev_distance=0.3), bells(0.5) - 4.0 + 19.5 / 20),
+        (make_state([0.3, 0.0, -0.4], prev_distance=0.3), bells(0.5) - 4.0 + 19.5 / 20),
         # the same at the highest level: three times
-        (state_at([0.3, 0.0, -0.4], prev_distance=0.3, difficulty=1.0), 3.0 * (bells(0.5) - 4.0 + 19.5 / 20)),
+        (make_state([0.3, 0.0, -0.4], prev_distance=0.3, difficulty=1.0), 3.0 * (bells(0.5) - 4.0 + 19.5 / 20)),
         # forward velocity changed by 1, upward by -1, yaw rate by 0.5, sideways does not count; level 0
         (
-            state_at(
+            make_state(
                 [0.0, 0.0, 0.0], prev_distance=0.0, actions=[2.0, 9.0, 0.0, 0.5], prev_actions=[1.0, 0.0, 1.0, 0.0]
             ),
             11.0 + 0.8 * (exp(-3.333) + exp(-5.0) + exp(-3.33 / 4) - 3.0),
         ),
         # half way up the levels: k = 2, and half of the penalties of the command's own size
         (
-            state_at([0.0, 0.0, 0.0], prev_distance=0.0, actions=[1.0, 9.0, -1.0, 0.5], difficulty=0.5),
+            make_state([0.0, 0.0, 0.0], prev_distance=0.0, actions=[1.0, 9.0, -1.0, 0.5], difficulty=0.5),
             2.0 * 11.0 + 0.5 * (0.1 * (exp(-0.3) - 1.0) + 1.5 * (exp(-1.0) - 1.0) + 1.5 * (exp(-0.5) - 1.0)),
         ),
     ],
 )
 def test_reward_is_the_published_formula(state: dict[str, Tensor], expected: float) -> None:
     task = make(1)
-    assert reward_of(task, state).item() == pytest.approx(expected, rel=1e-6)  # 1/3.5 has 7 digits in the file
-    assert reward_of(task, state, crash=torch.tensor([True])).item() == -100.0
+    assert term_reward(task, state).item() == pytest.approx(expected, rel=1e-6)  # 1/3.5 has 7 digits in the file
+    assert term_reward(task, state, crash=torch.tensor([True])).item() == -100.0
 
 
 @pytest.mark.parametrize(
@@ -103,8 +103,8 @@ def test_reward_is_the_published_formula(state: dict[str, Tensor], expected: flo
     ],
 )
 def test_actions_are_speed_inclination_and_yaw_rate(action: list[float], command: list[float]) -> None:
-    found = forward_flight(torch.tensor([action]), **CFG.action.params)  # type: ignore[arg-type]
-    torch.testing.assert_close(found, torch.tensor([command]), rtol=1e-6, atol=1e-6)
+    result = forward_flight(torch.tensor([action]), **CFG.action.params)  # type: ignore[arg-type]
+    torch.testing.assert_close(result, torch.tensor([command]), rtol=1e-6, atol=1e-6)
 
 
 def test_the_robot_does_what_the_action_says() -> None:
@@ -124,13 +124,13 @@ def test_the_robot_does_what_the_action_says() -> None:
 def test_direction_is_seen_from_the_heading_alone() -> None:
     """Facing +y (yaw 90 degrees), whatever the tilt: a goal at -x is on the left, one below stays below."""
     for tilt in (0.0, 0.4):
-        state = state_at([3.0, 0.0, 4.0], prev_distance=0.0, euler=(tilt, -tilt, radians(90.0)))
+        state = make_state([3.0, 0.0, 4.0], prev_distance=0.0, euler=(tilt, -tilt, radians(90.0)))
         expected = torch.tensor([[0.0, 0.6, -0.8]], dtype=torch.float64)
-        torch.testing.assert_close(direction_of(state), expected, rtol=0.0, atol=1e-9)
-    assert (direction_of(state_at([0.0, 0.0, 0.0], prev_distance=0.0)) == 0.0).all()
+        torch.testing.assert_close(target_direction(state), expected, rtol=0.0, atol=1e-9)
+    assert (target_direction(make_state([0.0, 0.0, 0.0], prev_distance=0.0)) == 0.0).all()
 
 
-def direction_of(state: dict[str, Tensor]) -> Tensor:
+def target_direction(state: dict[str, Tensor]) -> Tensor:
     return direction_vehicle(*(state[name] for name in ("target_position", "robot_position", "robot_orientation")))
 
 
@@ -171,8 +171,8 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
     assert next(iter(sensors.casters.values())).cfg.distance_scale == (10.0, 1.0)
 
 
-def distance_at(task: Task, points: Tensor) -> Tensor:
-    """Return how far the robot's collision spheres would be from the scene at points (E, 3) [m]."""
+def scene_distance(task: Task, points: Tensor) -> Tensor:
+    """Return the clearance of the robot's collision spheres at points (E, 3) [m], (E,)."""
     num = len(points)
     out = torch.full((num,), float("nan"))
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
@@ -183,7 +183,7 @@ def distance_at(task: Task, points: Tensor) -> Tensor:
 
 @pytest.mark.parametrize(
     "name",
-    seldom(
+    rare_values(
         (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).track is None),
         ("forest_env", "env_with_lidar_nav_obstacles", "landing_platform_env"),
     ),
@@ -199,9 +199,9 @@ def test_no_episode_starts_or_aims_inside_or_near_an_obstacle(name: str) -> None
             *_, terminated, truncated, _ = task.step(torch.tensor([-1.0, 0.0, 0.0, 0.0]).expand(250, 4))
             assert (terminated | truncated).all()
         goal = task.target_position
-        assert (distance_at(task, goal) >= clearance - ROUNDING).all()
+        assert (scene_distance(task, goal) >= clearance - ROUNDING).all()
         assert (task.env.gtd["robot_clearance"] >= clearance - ROUNDING).all()
-        now = distance_at(task, task.env.gtd["robot_position"].clone())  # also of what made room for the goal
+        now = scene_distance(task, task.env.gtd["robot_position"].clone())  # also of what made room for the goal
         torch.testing.assert_close(task.env.gtd["robot_clearance"], now, rtol=0.0, atol=ROUNDING)
         lower, upper = task.env.gtd["env_bounds_min"], task.env.gtd["env_bounds_max"]
         share = (goal - lower) / (upper - lower)
@@ -253,7 +253,7 @@ def test_each_episode_ends_as_success_crash_or_timeout() -> None:
     assert task.env.gtd["sim_steps"].tolist() == [0, 0, 1, 0]
 
 
-class Always:
+class ConstantPilot:
     """Flies one action."""
 
     def __init__(self, action: torch.Tensor) -> None:
@@ -268,7 +268,7 @@ class Always:
 
 def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
     """Robots that stay time out, unless everywhere is near enough; what flies full speed ahead meets the far wall."""
-    stay, ahead = (Always(torch.tensor([speed, 0.0, 0.0, 0.0])) for speed in (-1.0, 1.0))
+    stay, ahead = (ConstantPilot(torch.tensor([speed, 0.0, 0.0, 0.0])) for speed in (-1.0, 1.0))
     short = evaluate(stay, make(6, episode_len_steps=4))
     assert (short.success_rate, short.crash_rate, short.timeout_rate) == (0.0, 0.0, 1.0)
     assert short.success_radius_m == 1.0

@@ -14,10 +14,10 @@ from aerial_gym import task_registry
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.finite import NonFinite
-from aerial_gym.robots.watch import KEPT_STEPS
+from aerial_gym.robots.finite_watch import KEPT_STEPS
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 from tests.builders import simulation
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 
 BAD = 2
 """The row that is spoilt, of four."""
@@ -37,18 +37,18 @@ def make(backend: str = "auto") -> Task:
 
 def check(task: Task, actions: torch.Tensor, twin: Task) -> None:
     """Step both tasks; ``twin`` is healthy. The spoilt row ends with a finite reward; the others are those of the twin."""
-    found = task.step(actions)
+    result = task.step(actions)
     healthy = twin.step(torch.zeros(4, 4))
-    obs, reward, terminated, truncated, info = found
+    obs, reward, terminated, truncated, info = result
     assert info["non_finite"].tolist() == [False, False, True, False]
     assert terminated.tolist() == [False, False, True, False]
     assert not truncated.any()
     assert reward[BAD] == -20.0
     for tensor in (obs["observations"], reward, info["final_observation"], info["episode_return"], info["distance"]):
         assert tensor.isfinite().all()
-    others = torch.arange(4) != BAD
-    torch.testing.assert_close(obs["observations"][others], healthy[0]["observations"][others], rtol=0.0, atol=0.0)
-    torch.testing.assert_close(reward[others], healthy[1][others], rtol=0.0, atol=0.0)
+    rest = torch.arange(4) != BAD
+    torch.testing.assert_close(obs["observations"][rest], healthy[0]["observations"][rest], rtol=0.0, atol=0.0)
+    torch.testing.assert_close(reward[rest], healthy[1][rest], rtol=0.0, atol=0.0)
     assert all(task.env.gtd[key].isfinite().all() for key in ("robot_position", "robot_linvel", "rotor_speed"))
     assert task.env.gtd["non_finite"].sum() == 0  # forgotten with the reset
     after = task.step(torch.zeros(4, 4))
@@ -58,14 +58,14 @@ def check(task: Task, actions: torch.Tensor, twin: Task) -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "backend"), often(product((nan, inf), ("warp", "torch")), [(nan, "torch"), (inf, "warp")])
+    ("value", "backend"), frequent_values(product((nan, inf), ("warp", "torch")), [(nan, "torch"), (inf, "warp")])
 )
 def test_a_bad_action_or_state_ends_its_row_alone(backend: str, value: float, caplog: pytest.LogCaptureFixture) -> None:
-    for what in (NonFinite.ACTION, NonFinite.STATE):
+    for label in (NonFinite.ACTION, NonFinite.STATE):
         task, twin, actions = make(backend), make(backend), torch.zeros(4, 4)
         task.reset()
         twin.reset()
-        if what is NonFinite.ACTION:
+        if label is NonFinite.ACTION:
             actions[BAD, 1] = value
         else:
             task.env.gtd["robot_linvel"][BAD, 0] = value
@@ -74,7 +74,7 @@ def test_a_bad_action_or_state_ends_its_row_alone(backend: str, value: float, ca
         named = [r.getMessage() for r in caplog.records if "not finite" in r.getMessage()]
         assert len(named) == 1
         assert named[0].startswith("environment 2, episode 0, step 1: ")
-        assert str(what.name).lower() in named[0]
+        assert str(label.name).lower() in named[0]
         caplog.clear()
 
 
@@ -84,16 +84,16 @@ def test_a_bad_reward_or_observation_ends_its_row(
     """Both are functions of the state: here they break where a row is marked by its height."""
     reward, term = REWARDS.get("distance_bell"), OBSERVATIONS.get("position_error_world")
 
-    def spoilt(target_position, robot_position, *, height, width):
+    def spoil(target_position, robot_position, *, height, width):
         worth = reward.value(target_position, robot_position, height=height, width=width)
         return torch.where((robot_position[:, 2] > 1.0) & (robot_position[:, 2] < 7.0), nan, worth)
 
-    def broken(robot_position):
+    def break_rows(robot_position):
         return torch.where(robot_position[:, 2:] > 1.0, inf, robot_position)
 
-    for what, registry, entry in (
-        (NonFinite.REWARD, REWARDS, replace(reward, value=spoilt)),
-        (NonFinite.OBSERVATION, OBSERVATIONS, replace(term, value=broken)),
+    for label, registry, entry in (
+        (NonFinite.REWARD, REWARDS, replace(reward, value=spoil)),
+        (NonFinite.OBSERVATION, OBSERVATIONS, replace(term, value=break_rows)),
     ):
         with monkeypatch.context() as patch, caplog.at_level(logging.WARNING):
             patch.setitem(registry._entries, entry.name, entry)
@@ -106,7 +106,7 @@ def test_a_bad_reward_or_observation_ends_its_row(
         assert terminated[BAD]
         assert reward_of.isfinite().all()
         assert info["final_observation"].isfinite().all()
-        assert str(what.name).lower() in caplog.text
+        assert str(label.name).lower() in caplog.text
         caplog.clear()
 
 

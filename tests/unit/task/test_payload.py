@@ -32,10 +32,10 @@ def test_the_vehicle_belongs_a_link_above_the_place_of_the_load() -> None:
 def test_terms_of_the_load_are_their_formulas() -> None:
     place, target = torch.tensor([[0.0, 0.3, 0.0], [0.0, 0.0, 0.05]]), torch.zeros(2, 3)
     velocity, own = torch.tensor([[0.0, 0.0, 0.2], [0.09, 0.0, 0.0]]), torch.tensor([[0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
-    found = REWARDS.get("load_distance_bell").value(target, place, height=3.0, width=8.0)
-    torch.testing.assert_close(found, 3.0 * torch.tensor([-8.0 * 0.09, -8.0 * 0.0025]).exp())
-    found = REWARDS.get("load_slow").value(velocity, height=1.0, width=2.0)
-    torch.testing.assert_close(found, torch.tensor([-2.0 * 0.04, -2.0 * 0.0081]).exp())
+    result = REWARDS.get("load_distance_bell").value(target, place, height=3.0, width=8.0)
+    torch.testing.assert_close(result, 3.0 * torch.tensor([-8.0 * 0.09, -8.0 * 0.0025]).exp())
+    result = REWARDS.get("load_slow").value(velocity, height=1.0, width=2.0)
+    torch.testing.assert_close(result, torch.tensor([-2.0 * 0.04, -2.0 * 0.0081]).exp())
     held = TERMINATIONS.get("load_at_rest").value(target, place, velocity, distance=0.1, speed=0.1)
     assert held.tolist() == [False, True]
     away = OBSERVATIONS.get("load_offset_world").value(place, own)

@@ -26,7 +26,7 @@ def put(task: Task, *, above: float, speed: float, beside: float = 0.0) -> None:
     state.ang_vel.zero_()
 
 
-def told(num: int) -> Tensor:
+def hover_actions(num: int) -> Tensor:
     """Return the actions of thrust as heavy as the vehicle."""
     return torch.zeros(num, 4)
 
@@ -37,7 +37,7 @@ def test_the_target_stands_on_the_platform_and_drives_with_it() -> None:
         task.reset()
         for _ in range(5):
             before, velocity = task.target_position.clone(), task.values["target_velocity"].clone()
-            task.step(told(16))
+            task.step(hover_actions(16))
             torch.testing.assert_close(task.target_position, before + task.env.dt * velocity, atol=1e-5, rtol=0.0)
         assert task.target_position[:, 2].tolist() == pytest.approx([STANDS] * 16)
         speed = velocity.norm(dim=-1)
@@ -55,7 +55,7 @@ def test_a_touchdown_is_near_and_slow(speed: float, beside: float, ended: str) -
         put(task, above=0.005, speed=speed, beside=beside)
         task.values.own["previous_relative_velocity"].copy_(torch.tensor([0.0, 0.0, -speed]))
         for _ in range(6):
-            *_, info = task.step(told(4))
+            *_, info = task.step(hover_actions(4))
             if info["crashes"].any() or info["successes"].any():
                 break
         means = task.episode_means()
@@ -78,22 +78,22 @@ def test_an_asset_that_is_not_always_there_is_no_target() -> None:
         make_hover(2, command=CommandCfg(generator="asset", params={"name": "boat"}))
 
 
-def flown(num: int, backend: str, first: int = 0) -> tuple[Tensor, Tensor]:
-    """Return where robots are after ten steps over their platforms, (E, 3), and the k of their ground effect, (E,)."""
+def fly(num: int, backend: str, first: int = 0) -> tuple[Tensor, Tensor]:
+    """Return the robots' positions after ten steps over their platforms, (E, 3), and their ground-effect factors k, (E,)."""
     with task_registry.make_task(NAME, num_envs=num, device="cpu", seed=5, backend=backend, first_env=first) as task:
         task.reset()
         put(task, above=0.05, speed=0.0)
         for _ in range(10):
-            task.step(told(num))
+            task.step(hover_actions(num))
         assert (task.env.gtd["surface_height"] - 0.2).abs().max() < 1e-6
         return task.env.gtd["robot_position"].clone(), task.env.draws()["effects.ground_effect.k"].flatten().clone()
 
 
 def test_an_environment_is_the_same_alone_and_among_others_and_on_both_backends() -> None:
     """At 0.25 m over the platform thrust as heavy as the vehicle lifts it by ``a dt² n (n + 1) / 2``, a of its own k."""
-    many, k = flown(6, "warp")
-    assert torch.equal(flown(1, "warp", first=4)[0], many[4:5])
-    torch.testing.assert_close(flown(6, "torch")[0], many, atol=2e-6, rtol=0.0)
+    many, k = fly(6, "warp")
+    assert torch.equal(fly(1, "warp", first=4)[0], many[4:5])
+    torch.testing.assert_close(fly(6, "torch")[0], many, atol=2e-6, rtol=0.0)
     share = k * (0.0635 / (4.0 * 0.25)) ** 2
     lifted = 9.81 * share / (1.0 - share) * 0.01**2 * 10 * 11 / 2
     torch.testing.assert_close(many[:, 2] - (STANDS + 0.05), lifted, rtol=0.02, atol=1e-6)

@@ -59,14 +59,14 @@ def level(folder: Path, *changes: tuple[str, str], drawn: bool = False) -> str:
     return str(path)
 
 
-def environment_of(task: TaskCfg) -> EnvironmentCfg:
+def task_environment(task: TaskCfg) -> EnvironmentCfg:
     assert isinstance(task.env, EnvironmentCfg)
     return task.env
 
 
 def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
     task = task_registry.get(level(tmp_path))
-    env = environment_of(task)
+    env = task_environment(task)
     track, start = env.track, task.start
     assert track is not None
     assert start is not None
@@ -106,7 +106,7 @@ def test_a_level_is_flown(tmp_path: Path) -> None:
 def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
     """Gates and poles half a metre inside; the start anywhere."""
     task = task_registry.get(level(tmp_path, drawn=True))
-    track, start = environment_of(task).track, task.start
+    track, start = task_environment(task).track, task.start
     assert track is not None
     assert start is not None
     assert track.layout is not None
@@ -120,7 +120,7 @@ def test_what_is_not_drawn_is_as_it_is_listed(tmp_path: Path) -> None:
     text = Path(path).read_text(encoding="utf-8").partition("[env.randomizations")[0]
     Path(path).write_text(text, encoding="utf-8")
     task = task_registry.get(path)
-    track = environment_of(task).track
+    track = task_environment(task).track
     assert track is not None
     assert not task.randomize
     assert track.gate_position_low == track.gate_position_high == (0.0, 0.0, 0.0)
@@ -163,9 +163,9 @@ def test_disturbances_push_a_vehicle(tmp_path: Path) -> None:
             for _ in range(10):
                 task.step(torch.zeros(200, 4))
             ends.append(task.env.gtd["robot_linvel"].clone())
-    found = (ends[1] - ends[0]).square().mean(0).sqrt()
+    result = (ends[1] - ends[0]).square().mean(0).sqrt()
     expected = torch.tensor([0.1, 0.2, 0.3]) * (0.1 * 0.002 / 3.0) ** 0.5 / 0.0434
-    assert ((found / expected - 1.0).abs() < 5.0 / (2.0 * 200) ** 0.5).all()
+    assert ((result / expected - 1.0).abs() < 5.0 / (2.0 * 200) ** 0.5).all()
 
 
 def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:

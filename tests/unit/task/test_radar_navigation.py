@@ -11,8 +11,8 @@ from torch import Tensor
 from aerial_gym import task_registry
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.task import Task
-from tests.unit.task.hover import built
-from tests.unit.task.rewards import reward_of
+from tests.unit.task.hover import build_task
+from tests.unit.task.rewards import term_reward
 from tests.unit.task.test_lidar_navigation import CFG as LIDAR
 from tests.unit.task.test_lidar_navigation import at_the_goal
 from tests.unit.task.test_lidar_navigation import make as make_lidar
@@ -26,7 +26,7 @@ SHARE = 0.8
 def task() -> Task:
     """Return the task without noise of the state; all tests may move it on."""
     quiet = {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}
-    made = built(replace(CFG, observations=quiet), 16)
+    made = build_task(replace(CFG, observations=quiet), 16)
     made.reset()
     return made
 
@@ -95,7 +95,7 @@ def test_the_held_task_differs_by_what_lost_cells_show() -> None:
     assert cells.hold_steps == 20
     given = {"policy": (*state, replace(cells, hold_steps=0))}
     assert replace(held, observations=given, summary=CFG.summary, source=CFG.source) == CFG
-    made = built(held, 16)
+    made = build_task(held, 16)
     made.reset()
     for _ in range(3):
         obs, *_ = made.step(torch.zeros(16, 4))
@@ -108,13 +108,13 @@ def states(rows: int = 64) -> dict[str, Tensor]:
     """Return flights in all directions, about the goal and away from it."""
     generator = torch.Generator().manual_seed(0)
 
-    def drawn(*shape: int) -> Tensor:
+    def draw(*shape: int) -> Tensor:
         return torch.randn(rows, *shape, generator=generator, dtype=torch.float64)
 
-    found = {name: drawn(value.shape[1]) for name, value in at_the_goal().items() if value.ndim == 2}
-    found["robot_orientation"] /= found["robot_orientation"].norm(dim=-1, keepdim=True)
-    found |= {name: drawn().abs() for name in ("robot_clearance", "previous_clearance")} | {"target_yaw": drawn()}
-    return found | {name: torch.tensor(0.5, dtype=torch.float64) for name in ("step_time", "difficulty")}
+    result = {name: draw(value.shape[1]) for name, value in at_the_goal().items() if value.ndim == 2}
+    result["robot_orientation"] /= result["robot_orientation"].norm(dim=-1, keepdim=True)
+    result |= {name: draw().abs() for name in ("robot_clearance", "previous_clearance")} | {"target_yaw": draw()}
+    return result | {name: torch.tensor(0.5, dtype=torch.float64) for name in ("step_time", "difficulty")}
 
 
 @pytest.mark.slow
@@ -127,9 +127,9 @@ def test_the_reward_differs_from_the_lidar_tasks_by_the_direction_alone() -> Non
     away = (values["target_position"] - values["robot_position"]).square().sum(-1)
     cost = 2.0 * (torch.exp(-8.0 * forward**2) - 1.0) * (1.0 - torch.exp(-2.0 * away))
     expected = 2.0 * torch.where(forward < 0.0, cost, -cost)
-    found = reward_of(task(), values) - reward_of(make_lidar(1), values)
-    torch.testing.assert_close(found, expected, rtol=0.0, atol=1e-9)
-    assert float(found.abs().max()) > 3.0
+    result = term_reward(task(), values) - term_reward(make_lidar(1), values)
+    torch.testing.assert_close(result, expected, rtol=0.0, atol=1e-9)
+    assert float(result.abs().max()) > 3.0
 
 
 @pytest.mark.slow
@@ -138,7 +138,7 @@ def test_flight_ahead_costs_nothing(side: float, expected: float) -> None:
     """6 m away, straight to the goal at 2 m/s: 2 + 14/20, nose first; less 2 backwards."""
     state = at_the_goal(robot_position=[6.0 * side, 0.0, 0.0], robot_linvel=[-2.0 * side, 0.0, 0.0])
     values = state | {"difficulty": torch.tensor(0.0, dtype=torch.float64)}
-    assert reward_of(task(), values).item() == pytest.approx(expected, abs=2e-6)
+    assert term_reward(task(), values).item() == pytest.approx(expected, abs=2e-6)
 
 
 def test_it_is_trained_with_the_settings_of_the_lidar_task() -> None:
@@ -153,9 +153,9 @@ def test_the_held_radar_has_a_larger_memory_of_its_own_and_the_settings_of_the_l
         settings_for("ppo", name, device="meta") for name in ("radar_navigation_task_held", "lidar_navigation_task")
     )
     assert load_settings(own).task == "radar_navigation_task_held"
-    numbers, others = (load_settings(file).learner for file in (own, lidar))
-    assert replace(numbers, memory=others.memory, horizon=others.horizon) == others
-    assert (numbers.memory, numbers.horizon) == (2 * others.memory, 2 * others.horizon)
+    numbers, rest = (load_settings(file).learner for file in (own, lidar))
+    assert replace(numbers, memory=rest.memory, horizon=rest.horizon) == rest
+    assert (numbers.memory, numbers.horizon) == (2 * rest.memory, 2 * rest.horizon)
     assert settings_for("ppo", "radar_navigation_task_held", device="cpu") == settings_for(
         "ppo", "lidar_navigation_task", device="cpu"
     )

@@ -26,7 +26,7 @@ def put(task: Task, x: float, z: float) -> None:
     state.lin_vel.zero_()
 
 
-def step_to(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
+def move_robot(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
     put(task, x, z)
     *_, info = task.step(torch.tensor([[-0.375, 0.0, 0.0, 0.0]]).expand(task.num_envs, -1))  # the weight
     return info
@@ -39,13 +39,13 @@ def test_one_over_the_other_is_flown_through_back_and_forth() -> None:
         at_gate(task, UPPER)
         put(task, -4.4, 3.5)
         task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 3.5]))
-        assert step_to(task, -4.6, 3.5)["gate_passed"].all()
+        assert move_robot(task, -4.6, 3.5)["gate_passed"].all()
         assert (task.values["target_index"] == LOWER).all()
         assert task.target_position[0].tolist() == torch.tensor([-4.5, -6.0, 0.8]).tolist()
         torch.testing.assert_close(task.values["target_direction"][0], torch.tensor([1.0, 0.0]))
         torch.testing.assert_close(task.values["following_position"][0], torch.tensor([4.75, -0.9, 1.2]))
-        assert not step_to(task, -4.6, 0.8)["gate_passed"].any()  # down behind both
-        assert step_to(task, -4.4, 0.8)["gate_passed"].all()
+        assert not move_robot(task, -4.6, 0.8)["gate_passed"].any()  # down behind both
+        assert move_robot(task, -4.4, 0.8)["gate_passed"].all()
         assert (task.values["target_index"] == LOWER + 1).all()
 
 
@@ -54,10 +54,10 @@ def test_the_lower_one_is_not_passed_backwards_nor_at_the_height_of_the_upper_on
         task.reset()
         at_gate(task, LOWER)
         task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 0.8]))
-        info = step_to(task, -4.6, 0.8)
+        info = move_robot(task, -4.6, 0.8)
         assert not info["gate_passed"].any()
         assert not info["crashes"].any()
-        info = step_to(task, -4.4, 3.5)
+        info = move_robot(task, -4.4, 3.5)
         assert not info["gate_passed"].any()
         assert info["crashes"].all()  # beside the opening
 
@@ -67,13 +67,13 @@ def test_the_way_through_a_gate_is_told_three_ways_alike() -> None:
     with task_registry.make_task(NAME, num_envs=7, device="cpu", seed=0) as task:
         task.reset()
         task.values.own["first_gate"].copy_(torch.arange(7))
-        found = task._command.next_values({**dict(task.values), "begun": torch.ones(7, dtype=torch.bool)})
-    ahead = quat_rotate(found["target_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(7, 3))
-    torch.testing.assert_close(ahead[:, :2], found["target_direction"], atol=1e-6, rtol=0.0)
+        result = task._command.next_values({**dict(task.values), "begun": torch.ones(7, dtype=torch.bool)})
+    ahead = quat_rotate(result["target_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(7, 3))
+    torch.testing.assert_close(ahead[:, :2], result["target_direction"], atol=1e-6, rtol=0.0)
     torch.testing.assert_close(ahead[:, 2], torch.zeros(7))
-    assert torch.equal(found["following_position"][:-1], found["target_position"][1:])
-    assert torch.equal(found["following_direction"][:-1], found["target_direction"][1:])
-    assert torch.equal(found["following_position"][-1], found["target_position"][-1])  # the last one stays
+    assert torch.equal(result["following_position"][:-1], result["target_position"][1:])
+    assert torch.equal(result["following_direction"][:-1], result["target_direction"][1:])
+    assert torch.equal(result["following_position"][-1], result["target_position"][-1])  # the last one stays
 
 
 def test_episodes_of_a_training_begin_behind_any_gate_but_the_last_and_those_of_an_evaluation_do_not() -> None:

@@ -8,7 +8,7 @@ import torch
 
 from aerial_gym import task_registry
 from aerial_gym.task import Task
-from tests.unit.task.rewards import reward_of
+from tests.unit.task.rewards import term_reward
 
 
 def make(num_envs: int = 8, *, seed: int = 0, **changes: object) -> Task:
@@ -96,7 +96,7 @@ def test_a_step_neither_keeps_nor_changes_the_action_tensor() -> None:
     assert (task.env.gtd["robot_actions"] == 5.0).all()
 
 
-def state_at(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> dict[str, torch.Tensor]:
+def make_state(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> dict[str, torch.Tensor]:
     rows = {
         "target_position": [0.0] * 3,
         "robot_position": position,
@@ -127,9 +127,9 @@ ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]
 def test_reward_is_the_published_formula(
     position: list[float], attitude: list[float], ang_vel: list[float], expected: float
 ) -> None:
-    task, state = make(1), state_at(position, attitude=attitude, ang_vel=ang_vel)
-    assert reward_of(task, state).item() == pytest.approx(expected, rel=1e-12)
-    assert reward_of(task, state, crash=torch.tensor([True])).item() == -20.0
+    task, state = make(1), make_state(position, attitude=attitude, ang_vel=ang_vel)
+    assert term_reward(task, state).item() == pytest.approx(expected, rel=1e-12)
+    assert term_reward(task, state, crash=torch.tensor([True])).item() == -20.0
 
 
 def test_leaving_the_context_releases_the_simulation() -> None:

@@ -10,7 +10,7 @@ from aerial_gym.physics.articulated.articulation import Articulation
 
 
 @cache
-def held_of(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
+def make_held_type(num_joints: int, params_type: Any, rotor_vector: Any) -> Any:
     """Return the ``wp.struct`` of quantities that are constant over a step.
 
     It has the tangent of drives and dry friction, ``bounded_value - bounded_slope v`` at the final rate v, and the effort of
@@ -50,7 +50,7 @@ def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
         return total
 
     @wp.func
-    def creep_on(crept: dashpots, pos: joints, dt: float) -> dashpots:
+    def advance_creep(crept: dashpots, pos: joints, dt: float) -> dashpots:
         after = crept
         for i in range(wp.static(num_creep)):
             for k in range(wp.static(num_joints)):
@@ -58,7 +58,7 @@ def make_creep(articulation: Articulation) -> tuple[wp.Function, wp.Function]:
                 after[place] = pos[k] + (crept[place] - pos[k]) * wp.exp(-dt / time[i, k])
         return after
 
-    return pull, creep_on
+    return pull, advance_creep
 
 
 def make_effort(articulation: Articulation, k: int, held_type: Any) -> wp.Function:

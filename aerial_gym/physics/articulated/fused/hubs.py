@@ -15,7 +15,7 @@ from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.model import Model
 
 
-def blown_links(model: Model) -> tuple[int, ...]:
+def hub_links(model: Model) -> tuple[int, ...]:
     """Return the indices of links with effects on their rotors."""
     articulation = model.articulation
     assert articulation is not None
@@ -30,13 +30,13 @@ def make_hubs(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
     that of the base; its angular velocity and the velocity of its origin at the start of the step. Vectors are in axes of the
     base. Result: thrusts including effects on this link, and the further wrench at its origin, axes of the link.
     """
-    return {link: _make_link_hubs(model, joints, link) for link in blown_links(model)}
+    return {link: _make_link_hubs(model, joints, link) for link in hub_links(model)}
 
 
 def _make_link_hubs(model: Model, joints: JointTypes, link: int) -> wp.Function:
     articulation, general = model.articulation, not model.vehicle.plain
     assert articulation is not None
-    rotors = articulation.rotors_of(link)
+    rotors = articulation.link_rotors(link)
     whole, part = rotor_types(model.vehicle.num_rotors, general), rotor_types(len(rotors), general)
     loads = make_loads(model, upright=model.vehicle.upright, num_rotors=len(rotors), acts=lambda effect: effect.at_hubs)
     vehicle_type, part_type, vector, held_type = whole.vehicle, part.vehicle, whole.vector, joints.held

@@ -21,7 +21,7 @@ def symmetric(of: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def crossed(lever: wp.vec3, of: wp.mat33) -> wp.mat33:
+def skew_product(lever: wp.vec3, of: wp.mat33) -> wp.mat33:
     """Return ``skew(lever) of``, without the products with zeros."""
     return wp.matrix_from_cols(
         wp.cross(lever, wp.vec3(of[0, 0], of[1, 0], of[2, 0])),
@@ -43,7 +43,7 @@ def plus(a: Inertia, b: Inertia) -> Inertia:
 
 
 @wp.func
-def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
+def rigid_inertia(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin_vel: wp.vec3) -> Inertia:
     """Return the inertia of one rigid link.
 
     Args:
@@ -65,11 +65,11 @@ def inertia_of(mass: float, com: wp.vec3, about: wp.mat33, ang_vel: wp.vec3, lin
 
 
 @wp.func
-def accelerated(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: wp.vec3) -> Inertia:
+def add_acceleration(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: wp.vec3) -> Inertia:
     """Return the inertia of one rigid link with its own velocity-dependent acceleration.
 
     Args:
-        own: Result of ``inertia_of``.
+        own: Result of ``rigid_inertia``.
         mass: [kg].
         com: Centre of mass from the link's origin [m].
         bend: Angular acceleration [rad/s²].
@@ -83,7 +83,9 @@ def accelerated(own: Inertia, mass: float, com: wp.vec3, bend: wp.vec3, swing: w
 
 
 @wp.func
-def beside(own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp.vec3, torque: wp.vec3) -> Inertia:
+def add_resistance(
+    own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp.vec3, torque: wp.vec3
+) -> Inertia:
     """Add further inertia at a centre of mass, and a wrench there.
 
     Args:
@@ -104,7 +106,7 @@ def beside(own: Inertia, push: wp.mat33, turn: wp.mat33, com: wp.vec3, force: wp
 
 
 @wp.func
-def com_of(own: Inertia) -> wp.vec3:
+def center_of_mass(own: Inertia) -> wp.vec3:
     """Return the centre of mass of one rigid link from its origin [m]."""
     return (1.0 / own.push[0, 0]) * wp.vec3(own.mixed[2, 1], own.mixed[0, 2], own.mixed[1, 0])
 
@@ -113,9 +115,9 @@ def com_of(own: Inertia) -> wp.vec3:
 def carry(of: Inertia, lever: wp.vec3) -> Inertia:
     """Shift an inertia to another origin, from which the first is at ``lever``."""
     after = Inertia()
-    after.mixed = of.mixed + crossed(lever, of.push)
-    turned = of.turn + crossed(lever, wp.transpose(of.mixed))
-    after.turn = symmetric(turned + wp.transpose(crossed(lever, wp.transpose(after.mixed))))
+    after.mixed = of.mixed + skew_product(lever, of.push)
+    turned = of.turn + skew_product(lever, wp.transpose(of.mixed))
+    after.turn = symmetric(turned + wp.transpose(skew_product(lever, wp.transpose(after.mixed))))
     after.push = of.push
     after.torque = of.torque + wp.cross(lever, of.force)
     after.force = of.force

@@ -12,12 +12,12 @@ import warp as wp
 
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn, solve_motion, unit_quat, vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.bounded_efforts import ROUNDS
-from aerial_gym.physics.articulated.fused.bounded import make_bounded
+from aerial_gym.physics.articulated.complementarity import ROUNDS
+from aerial_gym.physics.articulated.fused.effort_limits import make_bounded
 from aerial_gym.physics.articulated.fused.efforts import make_creep
-from aerial_gym.physics.articulated.fused.hubs import blown_links, make_hubs
-from aerial_gym.physics.articulated.fused.inertia import Inertia, com_of, inertia_of, plus
-from aerial_gym.physics.articulated.fused.on_links import make_on_links, touched_links
+from aerial_gym.physics.articulated.fused.hubs import hub_links, make_hubs
+from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass, plus, rigid_inertia
+from aerial_gym.physics.articulated.fused.link_effects import effect_links, make_on_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
@@ -26,7 +26,7 @@ from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.loads import make_loads, make_wind
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import Packing, num_values, types_of, values_type
+from aerial_gym.physics.fused.packing import Packing, model_types, num_values, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
 from aerial_gym.physics.model import Model
@@ -79,7 +79,7 @@ def make_base(articulation: Articulation, vehicle_type: Any) -> wp.Function:
         com = (mass * vehicle.com - moment) / own
         about = vehicle.inertia - mass * (lever * lever) - links  # about the origin
         own_lever = wp.skew(com)
-        return inertia_of(own, com, about + own * (own_lever * own_lever), ang_vel, lin_vel)
+        return rigid_inertia(own, com, about + own * (own_lever * own_lever), ang_vel, lin_vel)
 
     return base
 
@@ -97,15 +97,15 @@ def make_jointed_kernel(
     articulation = model.articulation
     assert articulation is not None
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
-    in_air = bool(touched_links(model) or blown_links(model))
-    general, types = not model.vehicle.plain, types_of(model)
+    in_air = bool(effect_links(model) or hub_links(model))
+    general, types = not model.vehicle.plain, model_types(model)
     joints = joint_types(articulation.num_joints, values_type(model) if in_air else None, types.vector)
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
     action_type = vector_type(law.num_actions + articulation.num_driven)
     drive_type = vector_type(max(articulation.num_driven, 1))
     prepare = preparation(law.prepare, law.num_actions)
     law_part, drive_part = _make_split(law.num_actions, articulation.num_driven)
-    remembers, law_remembers = bool(model.effects.remembering), law.make_stateful_step is not None
+    remembers, law_remembers = bool(model.effects.names_with_memory), law.make_stateful_step is not None
     begin = make_begin(model) if remembers else None
     memories_type = memory_type(effects=remembers, law=law_remembers)
     remembered_command = (
@@ -122,7 +122,7 @@ def make_jointed_kernel(
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
     base_in_air, wind = air.get(0), make_wind(model) if in_air else None
     base, floating = make_base(articulation, vehicle_type), articulation.tree.floating
-    bounded, rubs, ahead = make_bounded(articulation), articulation.rubs, articulation.looks_ahead
+    bounded, rubs, ahead = make_bounded(articulation), articulation.rubs, articulation.solves_limits
     ask, sides, tangent, fits = bounded.ask, bounded.sides, bounded.tangent, bounded.fits
     line_search, driven, rubbing, pushes = bounded.line_search, bounded.driven, bounded.rubbing, bounded.pushes
     (pull, creep_on), num_creep = make_creep(articulation), articulation.num_creep
@@ -161,13 +161,23 @@ def make_jointed_kernel(
                 own.torque -= wp.spatial_bottom(more) + wp.cross(vehicle.com, push)
             if wp.static(base_in_air is not None):
                 own = base_in_air(
-                    own, wp.identity(n=3, dtype=float), com_of(own), w_0, move, w, move, wp.vec3(), wp.vec3(), given, dt
+                    own,
+                    wp.identity(n=3, dtype=float),
+                    center_of_mass(own),
+                    w_0,
+                    move,
+                    w,
+                    move,
+                    wp.vec3(),
+                    wp.vec3(),
+                    given,
+                    dt,
                 )
             turn, rise = solve(plus(carried, own))
         return vel + dt * way_back(kept, turn, rise), turn, rise
 
     @wp.func
-    def bounded_step(
+    def solve_limits(
         vehicle: vehicle_type, more: wp.spatial_vector, held: wp.vec3, pos: joint_vector, vel: joint_vector,
         asked: joint_vector, given: held_type, thrusts: vector, drags: vector, w: wp.vec3, move: wp.vec3, dt: float,
     ):  # fmt: skip
@@ -244,7 +254,7 @@ def make_jointed_kernel(
         if wp.static(num_creep > 0):
             given.crept = pull(crept)
         if wp.static(ahead):
-            rates, turn, rise, half_w = bounded_step(
+            rates, turn, rise, half_w = solve_limits(
                 vehicle, more, held, pos, vel, ask(pos, drives), given, thrusts, drags, w, move, dt
             )
         else:

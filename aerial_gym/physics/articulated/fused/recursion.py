@@ -21,8 +21,8 @@ import warp as wp
 
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.articulated.articulation import Articulation
-from aerial_gym.physics.articulated.fused.efforts import held_of, make_effort
-from aerial_gym.physics.articulated.fused.inertia import Inertia, accelerated, carry, inertia_of, plus
+from aerial_gym.physics.articulated.fused.efforts import make_effort, make_held_type
+from aerial_gym.physics.articulated.fused.inertia import Inertia, add_acceleration, carry, plus, rigid_inertia
 from aerial_gym.physics.fused.types import RotorTypes
 
 
@@ -36,7 +36,7 @@ class JointTypes:
 
 
 def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTypes:
-    """Return the types for a number of joints, with that of ``efforts.held_of``."""
+    """Return the types for a number of joints, with that of ``efforts.make_held_type``."""
     vector, rows = vector_type(num_joints), wp.types.matrix(shape=(num_joints, 3), dtype=wp.float32)
     fields = {
         "free": vector,  # acceleration of the joint for a parent without acceleration
@@ -46,7 +46,7 @@ def joint_types(num_joints: int, params_type: Any, rotor_vector: Any) -> JointTy
         "lever": rows,  # origin of the link from that of its parent [m]
     }
     struct = wp.struct(type("WayBack", (), {"__annotations__": fields, "__module__": __name__}))
-    return JointTypes(vector, struct, held_of(num_joints, params_type, rotor_vector))
+    return JointTypes(vector, struct, make_held_type(num_joints, params_type, rotor_vector))
 
 
 def make_recursion(
@@ -67,19 +67,19 @@ def make_recursion(
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
     links = [_make_link(articulation, k, types, joints, air, hubs) for k in range(articulation.num_joints)]
-    inward, back = _make_nothing(types, joints)
+    inward, back = _make_leaf(types, joints)
     into: dict[int, wp.Function] = {}
     out: dict[int, wp.Function] = {}
     for k in reversed(range(articulation.num_joints)):  # children have larger indices
         into[k] = links[k](_children(articulation, k + 1, into, inward, True))
         revolute = articulation.tree.joints[k].kind == "revolute"
-        out[k] = _make_back(k, revolute, joints, _children(articulation, k + 1, out, back, False))
+        out[k] = _make_outward(k, revolute, joints, _children(articulation, k + 1, out, back, False))
     way_in = _children(articulation, 0, into, inward, True)
     way_back = _children(articulation, 0, out, back, False)
     base_rotors = make_rotors(articulation, 0, types, joints, hubs.get(0))
 
     @wp.func
-    def all_in(
+    def sweep_inward(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, ang_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, dt: float,
     ):  # fmt: skip
@@ -93,27 +93,27 @@ def make_recursion(
         return carried, kept
 
     @wp.func
-    def all_back(kept: back_type, turn: wp.vec3, push: wp.vec3) -> vector:
+    def sweep_outward(kept: back_type, turn: wp.vec3, push: wp.vec3) -> vector:
         return way_back(kept, turn, push, vector())
 
-    return all_in, all_back
+    return sweep_inward, sweep_outward
 
 
 def _children(
-    articulation: Articulation, link: int, functions: dict[int, wp.Function], nothing: wp.Function, way_in: bool
+    articulation: Articulation, link: int, functions: dict[int, wp.Function], leaf: wp.Function, way_in: bool
 ) -> wp.Function:
     """Return the functions of all joints on a link as one, or ``nothing`` without joints, which avoids additions of zero."""
     carried = [functions[k] for k in articulation.tree.children(link)]
-    return reduce(_beside_in if way_in else _beside_back, carried) if carried else nothing
+    return reduce(_join_inward if way_in else _join_outward, carried) if carried else leaf
 
 
-def _make_nothing(types: RotorTypes, joints: JointTypes) -> tuple[wp.Function, wp.Function]:
+def _make_leaf(types: RotorTypes, joints: JointTypes) -> tuple[wp.Function, wp.Function]:
     """Return both functions of a link without children."""
     vector, back_type, vehicle_type = joints.vector, joints.way_back, types.vehicle
     held_type = joints.held
 
     @wp.func
-    def nothing_in(
+    def leaf_inward(
         vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
         thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
         lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float,
@@ -122,15 +122,15 @@ def _make_nothing(types: RotorTypes, joints: JointTypes) -> tuple[wp.Function, w
         return Inertia(), kept
 
     @wp.func
-    def nothing_back(kept: back_type, turn: wp.vec3, push: wp.vec3, found: vector) -> vector:
-        return found
+    def leaf_outward(kept: back_type, turn: wp.vec3, push: wp.vec3, joint_acc: vector) -> vector:
+        return joint_acc
 
-    return nothing_in, nothing_back
+    return leaf_inward, leaf_outward
 
 
-def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
+def _join_inward(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
-    def both_in(
+    def join_inward(
         vehicle: Any, pos: Any, vel: Any, swing_vel: Any, held: Any,
         thrusts: Any, drags: Any, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3,
         ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float, kept: Any,
@@ -145,24 +145,24 @@ def _beside_in(rest: wp.Function, one: wp.Function) -> wp.Function:
         )  # fmt: skip
         return plus(first, second), kept_both
 
-    return both_in
+    return join_inward
 
 
-def _beside_back(rest: wp.Function, one: wp.Function) -> wp.Function:
+def _join_outward(rest: wp.Function, one: wp.Function) -> wp.Function:
     @wp.func
-    def both_back(kept: Any, turn: wp.vec3, push: wp.vec3, found: Any):
-        return one(kept, turn, push, rest(kept, turn, push, found))
+    def join_outward(kept: Any, turn: wp.vec3, push: wp.vec3, joint_acc: Any):
+        return one(kept, turn, push, rest(kept, turn, push, joint_acc))
 
-    return both_back
+    return join_outward
 
 
-def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function) -> wp.Function:
+def _make_outward(k: int, revolute: bool, joints: JointTypes, carried: wp.Function) -> wp.Function:
     """Return the outward pass through one joint and its link's children."""
     vector, back_type = joints.vector, joints.way_back
 
     @wp.func
-    def joint_back(kept: back_type, turn: wp.vec3, push: wp.vec3, found: vector) -> vector:
-        after = found
+    def joint_outward(kept: back_type, turn: wp.vec3, push: wp.vec3, joint_acc: vector) -> vector:
+        after = joint_acc
         by_turn = wp.vec3(kept.by_turn[k, 0], kept.by_turn[k, 1], kept.by_turn[k, 2])
         by_push = wp.vec3(kept.by_push[k, 0], kept.by_push[k, 1], kept.by_push[k, 2])
         lever = wp.vec3(kept.lever[k, 0], kept.lever[k, 1], kept.lever[k, 2])
@@ -177,7 +177,7 @@ def _make_back(k: int, revolute: bool, joints: JointTypes, carried: wp.Function)
             own_push = own_push + acc * axis
         return carried(kept, own_turn, own_push, after)
 
-    return joint_back
+    return joint_outward
 
 
 def _make_link(
@@ -196,7 +196,7 @@ def _make_link(
     if not revolute:
         offset = offset + reference * own_axis
     com = wp.vec3(*(articulation.link_com[k] - articulation.origins[k + 1]).tolist())  # from the origin of the link
-    in_air, ahead = air.get(k + 1), articulation.looks_ahead
+    in_air, ahead = air.get(k + 1), articulation.solves_limits
     damped, felt = in_air is not None, any(articulation.tree.moves[link][k] for link in (*air, *hubs))
     mass = float(articulation.link_mass[k])
     inertia = wp.mat33(*articulation.link_inertia[k].flatten().tolist())
@@ -205,9 +205,9 @@ def _make_link(
     effort = make_effort(articulation, k, held_type)
     rotors = make_rotors(articulation, k + 1, types, joints, hubs.get(k + 1))
 
-    def around(carried: wp.Function) -> wp.Function:
+    def wrap_children(carried: wp.Function) -> wp.Function:
         @wp.func
-        def link_in(
+        def link_inward(
             vehicle: vehicle_type, pos: vector, vel: vector, swing_vel: vector, held: held_type,
             thrusts: types.vector, drags: types.vector, rotation: wp.mat33, place: wp.vec3, ang_vel_0: wp.vec3,
             lin_vel_0: wp.vec3, ang_vel: wp.vec3, lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, dt: float,
@@ -252,8 +252,8 @@ def _make_link(
                 about = wp.mat33()
                 if wp.static(has_inertia):
                     about = turned * inertia * wp.transpose(turned)
-                own = inertia_of(wp.static(mass), turned * com, about, turn, move)
-                own = accelerated(own, wp.static(mass), turned * com, bent, swung)
+                own = rigid_inertia(wp.static(mass), turned * com, about, turn, move)
+                own = add_acceleration(own, wp.static(mass), turned * com, bent, swung)
                 if wp.static(carries):
                     own = plus(whole, own)
                 whole = own
@@ -287,9 +287,9 @@ def _make_link(
                 after.lever[k, i] = lever[i]
             return carry(beyond, lever), after
 
-        return link_in
+        return link_inward
 
-    return around
+    return wrap_children
 
 
 def make_rotors(
@@ -323,7 +323,7 @@ def make_rotors(
         return rotor
 
     total = none
-    for number in articulation.rotors_of(link):
+    for number in articulation.link_rotors(link):
         total = with_rotor(total, number)
 
     @wp.func

@@ -1,4 +1,4 @@
-"""Effects on rotor commands: a delay, and a change of the speeds that commands lead to."""
+"""Effects on rotor commands: a delay, and a change of the rotor speed that a command requests."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -33,7 +33,7 @@ class DelayEffect(Effect):
 
 
 class CommandEffect(Effect):
-    """A change of the rotor speeds that commands lead to."""
+    """A change of the rotor speed that a command requests, such as by battery voltage or a motor failure."""
 
     acts_on = "actuation"
     twin, order = "warp_command", 7

@@ -32,12 +32,10 @@ class FluidEffect(Effect):
 
     @abstractmethod
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
-        """Return the equivalent force [N] and torque [N m], (E, 6), body axes.
-
-        They accelerate the body alone as all forces accelerate body and fluid.
+        """Return the wrench without weight that gives the body alone the acceleration of body and fluid, (E, 6), body axes.
 
         Args:
-            wrench: Force and torque of all else but gravity, body axes, (E, 6).
+            wrench: Force and torque of all other causes without gravity, body axes, (E, 6).
             condition: State and surroundings.
             gravity: Downward acceleration of free fall [m/s²].
             params: (E, P).

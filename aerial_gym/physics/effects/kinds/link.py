@@ -16,7 +16,7 @@ class LinkEffect(Effect):
     """A damping of each link by its motion through the air.
 
     The force at the centre of mass of a link is ``-D_i u_i`` per axis of the link, with u its velocity through the air. The
-    torque follows from its angular velocity likewise. A step takes D at its start and u at its end: stable for every D.
+    torque has the same form in its angular velocity. With D from the start of a step and u from its end, it is always stable.
     """
 
     acts_on = "wrench"
@@ -37,7 +37,7 @@ class LinkEffect(Effect):
         """Return the twin of ``damping`` for one link; None if the effect does not act on it.
 
         Args:
-            link: Its number; 0 is the base.
+            link: Index of the link; 0 is the base.
 
         Returns:
             A ``wp.func`` (velocity: wp.spatial_vector, params: vector of P) -> D, ``wp.spatial_vector``.
@@ -67,7 +67,7 @@ class LinkWrenchEffect(Effect):
         """Return the twin of ``wrench`` for one link; None if the effect does not act on it.
 
         Args:
-            link: Its number; 0 is the base.
+            link: Index of the link; 0 is the base.
 
         Returns:
             A ``wp.func`` (up: wp.vec3, params: vector of P) -> force and torque, ``wp.spatial_vector``.
@@ -97,7 +97,7 @@ class LinkFluidEffect(Effect):
         """Return the twin of ``added_mass`` for one link; None if the effect does not act on it.
 
         Args:
-            link: Its number; 0 is the base.
+            link: Index of the link; 0 is the base.
 
         Returns:
             A ``wp.func`` (params: vector of P) -> masses and inertias, ``wp.spatial_vector``.

@@ -39,7 +39,7 @@ class LoadEffect(Effect):
 
     @abstractmethod
     def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the force of the load on the body origin [N], world, (E, 3), and n'' [1/s²], (E, 3), for ``load`` (E, 6)."""
+        """Return the load's force on the origin [N], world, (E, 3), and n'' [1/s²], (E, 3); ``load`` is (n, n'), (E, 6)."""
 
     def warp_pull(self, suspension: type) -> wp.Function | None:
         """Return the twin of ``pull``; None: torch only.

@@ -20,7 +20,7 @@ class RotorEffect(Effect):
 
     @abstractmethod
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
-        """Return the thrust [N], (E, R), that is added to that of the rotors, ``condition.rotor_thrust``."""
+        """Return the change of each rotor's thrust [N], (E, R), which is added to ``condition.rotor_thrust``."""
 
     def warp_thrust(self, condition: type, hub: type) -> wp.Function | None:
         """Return the twin of ``thrust`` for one rotor; None: torch only.

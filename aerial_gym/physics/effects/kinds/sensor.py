@@ -15,7 +15,7 @@ class ImuEffect(Effect):
 
     @abstractmethod
     def measure(self, specific_force: Tensor, ang_vel: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the measured specific force [m/s²] and angular velocity [rad/s] of true ones, body, each (E, 3)."""
+        """Return the measured specific force [m/s²] and angular velocity [rad/s] for the true ones, body, each (E, 3)."""
 
 
 class RotorSensorEffect(Effect):
@@ -25,8 +25,8 @@ class RotorSensorEffect(Effect):
 
     @abstractmethod
     def measure(self, rotor_speed: Tensor, params: Tensor) -> Tensor:
-        """Return the measured rotor speeds [rad/s], (E, R), of true ones."""
+        """Return the measured rotor speeds [rad/s], (E, R), for the true ones."""
 
     @abstractmethod
     def true_speed(self, measured: Tensor, params: Tensor) -> Tensor:
-        """Return the true rotor speeds [rad/s], (E, R), of measured ones: the inverse of ``measure``."""
+        """Return the true rotor speeds [rad/s], (E, R), for the measured ones: the inverse of ``measure``."""

@@ -9,7 +9,7 @@ from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
 
 
 class WindEffect(Effect):
-    """A wind."""
+    """A velocity of the air that depends on the position."""
 
     acts_on = "environment"
     twin, order = "warp_wind", 0

@@ -17,7 +17,7 @@ from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.softness import solver_numbers
 from aerial_gym.physics.mujoco.solid_bodies import check_solids
-from aerial_gym.physics.mujoco.trees import Trees, template
+from aerial_gym.physics.mujoco.trees import MujocoTrees, template
 
 
 class Rollouts:
@@ -104,7 +104,7 @@ class Rollouts:
             model.body_mass[places], model.body_ipos[places], model.body_inertia[places], axes = of_model
             model.body_iquat[places], model.opt.gravity[:] = axes, fall
 
-    def refer_contacts_to(self, changed: list[int], places: list[int], mass: Tensor) -> None:
+    def scale_contacts(self, changed: list[int], places: list[int], mass: Tensor) -> None:
         """Scale the contacts of bodies in some models by the whole mass [kg], (K,), instead of that of one link."""
         for k, whole in zip(changed, mass.tolist(), strict=True):
             self.models[k].body_invweight0[places, 0] = 1.0 / whole
@@ -168,7 +168,7 @@ class RolloutBodies(Bodies):
         return end[:, self._rollouts.pose], end[:, self._rollouts.twist]
 
 
-class RolloutTrees(Trees):
+class RolloutTrees(MujocoTrees):
     """A MuJoCo model for each environment."""
 
     backend = "mujoco"
@@ -199,7 +199,7 @@ class RolloutTrees(Trees):
 
     def _compile(self, envs: list[int], tree: Tree, dt: float) -> dict[int, Any]:
         """Compile template models of some environments; each kind is compiled once."""
-        mujoco, kinds, found = load("mujoco", backend="mujoco"), {}, {}
+        mujoco, kinds, models = load("mujoco", backend="mujoco"), {}, {}
         for env in envs:
             kind = (
                 ()
@@ -212,8 +212,8 @@ class RolloutTrees(Trees):
                 if self._cfg is not None:
                     numbers = solver_numbers(self._cfg, dt)
                     model.geom_solref[:], model.geom_solimp[:] = model.pair_solref[:], model.pair_solimp[:] = numbers
-            found[env] = copy(kinds[kind])
-        return found
+            models[env] = copy(kinds[kind])
+        return models
 
     def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
         self._renew()
@@ -233,7 +233,7 @@ class RolloutTrees(Trees):
         self._rollouts.write_bodies(changed, self._places, mass, com, inertia, down)
         self._rollouts.settle(changed)
         if self._touches:
-            self._rollouts.refer_contacts_to(changed, self._places, mass.sum(dim=-1))
+            self._rollouts.scale_contacts(changed, self._places, mass.sum(dim=-1))
 
     def _write_armature(self, changed: list[int], armature: Tensor) -> None:
         for k, row in zip(changed, armature.numpy(), strict=True):

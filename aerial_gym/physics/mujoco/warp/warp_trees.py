@@ -15,13 +15,13 @@ from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.physics.articulated.tree import Tree
 from aerial_gym.physics.mujoco.bodies import load, principal_axes
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.trees import Trees, template
+from aerial_gym.physics.mujoco.trees import MujocoTrees, template
 
 _WRITTEN = ("body_mass", "body_subtreemass", "body_ipos", "body_inertia", "body_iquat", "dof_armature")
 """Arrays of MuJoCo's model with a row for each environment."""
 
 
-class WarpTrees(Trees):
+class WarpTrees(MujocoTrees):
     """One model with parameters for each environment, and all environments in one set of launches."""
 
     backend = "mujoco_warp"

@@ -11,30 +11,30 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.candidates.nuisance import Nuisance
+from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
+    InChannels,
+    Part,
+    drop_zero_channels,
+    moments_by_channel,
+    num_columns,
+    weighted_moments,
+)
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
-    change_along,
+    correct_derivatives,
+    directional_change,
     effect_jacobian,
-    exact_along,
     tolerance_jacobian,
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
-from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, scales
-from aerial_gym.sim2real.identify.least_squares.weighted import (
-    InChannels,
-    Part,
-    moments_by_channel,
-    weighted_moments,
-    where_moved,
-    width_of,
-)
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, scales
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-Structures = Callable[[list[Array], dict[str, list[list[InChannels]]]], Sequence[Nuisance]]
+Structures = Callable[[list[Array], dict[str, list[list[InChannels]]]], Sequence[NuisanceColumns]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ class Tangent:
         return [part.of_channels(range(channels)) for part in self.columns]
 
 
-def tangents_about(
+def linearise_candidates(
     predictor: Predictor,
     declared: ModelParams,
     present: ModelParams,
@@ -119,14 +119,16 @@ def tangents_about(
 
     Arguments as for ``build_library``.
     """
-    found, base = list[Tangent](), predictor.predict(present)
+    candidates, base = list[Tangent](), predictor.predict(present)
     for name, params in origins(declared, present, accepted, skipped, predictor.robot):
         named = params is present
         columns = effect_jacobian(predictor, params, (name,), base if named else predictor.predict(params))
         if all(np.isfinite(part).all() for part in columns):  # otherwise the load swings over the top in this model
-            found.append(Tangent(name=name, named=named, start=params.effects[name], columns=where_moved(columns)))
+            candidates.append(
+                Tangent(name=name, named=named, start=params.effects[name], columns=drop_zero_channels(columns))
+            )
     give_back_memory()
-    return found
+    return candidates
 
 
 def build_library(
@@ -165,23 +167,23 @@ def build_library(
         parts: Number of parts of each flight.
     """
     if tangents is None:
-        tangents = tangents_about(predictor, declared, present, accepted, skipped)
+        tangents = linearise_candidates(predictor, declared, present, accepted, skipped)
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     candidates, width = list[Candidate](), 0
     derivatives, own = list[Sequence[Part]](), dict[str, list[list[InChannels]]]()
     for tangent in tangents:
         name, named, columns = tangent.name, tangent.named, tangent.columns
-        neutral, scale = neutral_of(name, declared, predictor.robot), scales((name,))
+        neutral, scale = neutral_params(name, declared, predictor.robot), scales((name,))
         if named:  # back to neutral
             step = (tangent.start - neutral) / scale
             exact = [part.astype(np.float64) for part in tangent.whole(len(predictor.channels))]
             change = [b - n for b, n in zip(base, predictor.predict(present.with_effect(name, neutral)), strict=True)]
-            exact_along(exact, step, change)
-            residuals = [r + change_along(c, step) for r, c in zip(residuals, exact, strict=True)]
-            columns = where_moved(exact)
+            correct_derivatives(exact, step, change)
+            residuals = [r + directional_change(c, step) for r, c in zip(residuals, exact, strict=True)]
+            columns = drop_zero_channels(exact)
         free = [k for k in range(scale.size) if is_number(name, k) and not (named and (name, k) in frozen)]
-        low, high = (((bound - neutral) / scale)[free] for bound in bounds_of(predictor.robot, (name,)))
+        low, high = (((bound - neutral) / scale)[free] for bound in parameter_bounds(predictor.robot, (name,)))
         places = np.array(free, dtype=int) + width
         candidates.append(Candidate(name=name, named=named, columns=places, low=low, high=high, start=tangent.start))
         derivatives.append(columns)
@@ -214,7 +216,7 @@ def build_library(
         candidates=tuple(candidates),
         moments=moments,
         weight=weight if by_channel else UNIT,
-        tolerances=np.arange(width, width_of(flights[0])),
+        tolerances=np.arange(width, num_columns(flights[0])),
         tangents=tangents,
     )
 
@@ -223,16 +225,16 @@ def origins(
     declared: ModelParams, present: ModelParams, accepted: Sequence[str], skipped: Collection[str], robot: RobotCfg
 ) -> list[tuple[str, ModelParams]]:
     """Return each candidate with the model of its linearisation, the present one for accepted effects."""
-    found = []
+    candidates = []
     for name in (name for name in EFFECTS if EFFECTS.get(name).is_selectable):
         if name in accepted:
-            found.append((name, present))
+            candidates.append((name, present))
         if name in skipped and name not in accepted:
             continue
         for params in starts(name, present, declared, robot):
             if name not in accepted or (has_rotor(name) and params.effects[name][0] != present.effects[name][0]):
-                found.append((name, params))
-    return found
+                candidates.append((name, params))
+    return candidates
 
 
 def starts(name: str, params: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
@@ -252,20 +254,20 @@ def has_rotor(name: str) -> bool:
     return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
 
 
-def neutral_of(name: str, declared: ModelParams, robot: RobotCfg) -> Array:
+def neutral_params(name: str, declared: ModelParams, robot: RobotCfg) -> Array:
     """Return the parameters at which an effect changes nothing: declared ones, else its neutral values."""
     if name in declared.effects:
         return declared.effects[name]
     return np.array(EFFECTS.get(name).neutral(robot), dtype=float)
 
 
-def seen_candidates(library: Library) -> tuple[Candidate, ...]:
+def observable_candidates(library: Library) -> tuple[Candidate, ...]:
     """Return the candidates without weakly identifiable parameters (deviation above one scale); accepted ones are complete."""
     product = np.einsum("c,bckl->kl", library.weight, library.moments.product)
-    found = []
+    candidates = []
     for candidate in library.candidates:
         if candidate.named or not candidate.columns.size:
-            found.append(candidate)
+            candidates.append(candidate)
             continue
         # Accepted effects are omitted, since a candidate that could replace one would seem unidentifiable.
         columns = np.concatenate((candidate.columns, library.tolerances))
@@ -273,5 +275,5 @@ def seen_candidates(library: Library) -> tuple[Candidate, ...]:
         bread = np.linalg.inv(product[np.ix_(columns, columns)] + np.diag(precision))
         kept = np.diag(bread)[: candidate.columns.size] <= 1.0
         columns, low, high = candidate.columns[kept], candidate.low[kept], candidate.high[kept]
-        found.append(replace(candidate, columns=columns, low=low, high=high))
-    return tuple(candidate for candidate in found if candidate.columns.size)
+        candidates.append(replace(candidate, columns=columns, low=low, high=high))
+    return tuple(candidate for candidate in candidates if candidate.columns.size)

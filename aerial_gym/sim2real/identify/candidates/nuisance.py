@@ -18,16 +18,16 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.structure import (
     IN_WORLD,
     CommonLines,
-    features_of,
-    forces_of,
-    in_axes_of,
-    motion_of,
-    rows_of,
+    flight_rows,
+    force_places,
+    motion_features,
+    rotate_residuals,
+    structure_features,
 )
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import InChannels
 from aerial_gym.sim2real.identify.least_squares.derivatives import single
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
-from aerial_gym.sim2real.identify.least_squares.weighted import InChannels
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -40,7 +40,7 @@ OF_FLIGHTS = "flight"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Nuisance:
+class NuisanceColumns:
     """Columns of one kind of structure in one channel."""
 
     kind: str
@@ -110,18 +110,20 @@ class Nuisances:
             most: Largest offsets of single flights in each channel, (C,).
         """
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
-        self._lines = CommonLines(times, [motion_of(flight, time) for flight, time in zip(flights, times, strict=True)])
+        self._lines = CommonLines(
+            times, [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]
+        )
         self._shapes = list[_Shape]()
-        alone, force = [np.ones((time.size, 1)) for time in times], forces_of(channels)
-        turns = [Rotation.from_quat(f.attitude[rows_of(f, time)]) for f, time in zip(flights, times, strict=True)]
+        alone, force = [np.ones((time.size, 1)) for time in times], force_places(channels)
+        turns = [Rotation.from_quat(f.attitude[flight_rows(f, time)]) for f, time in zip(flights, times, strict=True)]
         world = [[turn.apply(axis, inverse=True) for turn in turns] for axis in np.eye(3)]
-        for kind, features in features_of(flights, times).items():
+        for kind, features in structure_features(flights, times).items():
             functions = _standard(features)
             if kind in IN_WORLD:  # a force at a place has a mean; for others, effects explain the mean
                 functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
             if not functions[0].shape[1]:
                 continue  # constant voltage
-            seen = in_axes_of(kind, flights, times, declared, channels)
+            seen = rotate_residuals(kind, flights, times, declared, channels)
             for place, channel in enumerate(channels):
                 moved, axes = (place,), alone
                 if kind in IN_WORLD and place in force:  # world axis in body coordinates
@@ -131,14 +133,16 @@ class Nuisances:
                     _Shape(kind=kind, channel=channel.name, size=size, functions=functions, moved=moved, axes=axes)
                 )
 
-    def beside(self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[InChannels]]]) -> list[Nuisance]:
+    def project_out(
+        self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[InChannels]]]
+    ) -> list[NuisanceColumns]:
         """Return the structures without the parts that effects can produce.
 
         Args:
             present: Residuals of the present model, (T, C), which give the frequencies of tones.
             effects: Derivatives by the parameters of each effect, (T, C, any), at each of its starts.
         """
-        found = []
+        matrices = []
         for shape in self._shapes:
             rivals = [part for name in effects if shape.kind in EFFECTS.get(name).follows for part in effects[name]]
             along = [
@@ -148,15 +152,15 @@ class Nuisances:
                 ]
                 for own in rivals
             ]
-            beyond = zip(_beyond(shape.functions, along), shape.axes, strict=True)
+            beyond = zip(_orthogonal_part(shape.functions, along), shape.axes, strict=True)
             columns = single([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
             parts = [InChannels(values=values, channels=shape.moved, width=values.shape[2]) for values in columns]
-            found.append(Nuisance(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
-        return [*found, *_offsets(self._channels, present, self._most), *self._tones(present)]
+            matrices.append(NuisanceColumns(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
+        return [*matrices, *_offsets(self._channels, present, self._most), *self._tones(present)]
 
-    def _tones(self, present: Sequence[Array]) -> list[Nuisance]:
+    def _tones(self, present: Sequence[Array]) -> list[NuisanceColumns]:
         """Return the strongest common tone of each channel, with a separate phase in each flight."""
-        found, times = [], self._times
+        matrices, times = [], self._times
         for place, channel in enumerate(self._channels):
             line = self._lines.find([part[:, place] for part in present])
             if line is None:
@@ -166,20 +170,22 @@ class Nuisances:
                 turn = 2.0 * np.pi * line[0] * time
                 waves = size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))[:, None]
                 columns.append(_of_one(number, len(times), waves, place))
-            found.append(Nuisance(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0]))
-        return found
+            matrices.append(
+                NuisanceColumns(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0])
+            )
+        return matrices
 
 
-def offsets_of(structures: Sequence[Nuisance], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
+def flight_offsets(structures: Sequence[NuisanceColumns], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
     """Return the flight offsets among some structures; ``weight``: weight of a row of each channel, (C,)."""
     own = {structure.channel: (structure.size, structure.most) for structure in structures if structure.of_flights}
     size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
     return OwnOffsets(size=size, weight=weight, most=most)
 
 
-def functions_of(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
+def structure_functions(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
     """Return functions of place, heading, time or another variable, with mean 0 and RMS 1 over all flights, (T, F)."""
-    return _standard(features_of(flights, times)[kind])
+    return _standard(structure_features(flights, times)[kind])
 
 
 def _standard(features: Sequence[Array]) -> list[Array]:
@@ -191,7 +197,7 @@ def _standard(features: Sequence[Array]) -> list[Array]:
     return np.split(kept, np.cumsum([len(part) for part in features])[:-1])
 
 
-def _beyond(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> list[Array]:
+def _orthogonal_part(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> list[Array]:
     """Return functions (T, F) minus their least-squares fit by effects (T, any)."""
     if not effects:
         return list(functions)
@@ -214,7 +220,7 @@ def most_of_flights(predictor: Predictor, tolerated: Array) -> Array:
     return np.hypot(tolerated, force * predictor.tolerances.acc_of_flight)
 
 
-def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[Nuisance]:
+def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[NuisanceColumns]:
     """Return an offset per flight in each channel, for example after a battery change or a sensor's warm-up.
 
     The unit is the standard deviation of the flights' mean residuals, at most ``most`` (C,).
@@ -222,15 +228,15 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
     if len(present) < 2:
         return []
     sizes = np.minimum(np.std([part.mean(axis=0) for part in present], axis=0, ddof=1), most)
-    found = []
+    matrices = []
     for place, (channel, size, limit) in enumerate(zip(channels, sizes.tolist(), most.tolist(), strict=True)):
         if not size:
             continue
         columns = []
         for number, part in enumerate(present):
             columns.append(_of_one(number, len(present), np.full((len(part), 1, 1), size), place))
-        found.append(Nuisance(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
-    return found
+        matrices.append(NuisanceColumns(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
+    return matrices
 
 
 def _of_one(flight: int, flights: int, values: Array, channel: int) -> InChannels:
@@ -243,7 +249,9 @@ def _rms(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def beyond_structures(structures: Sequence[Nuisance], residuals: Sequence[Array], weights: Weighting) -> list[Array]:
+def beyond_structures(
+    structures: Sequence[NuisanceColumns], residuals: Sequence[Array], weights: Weighting
+) -> list[Array]:
     """Return residuals (T, C) minus the structures, fitted channel by channel with unit normal priors."""
     left = [part.copy() for part in residuals]
     for place, weight in enumerate(weights.weight):

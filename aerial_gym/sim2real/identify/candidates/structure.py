@@ -62,22 +62,22 @@ def find_structure(
     """Return the strongest structure in the chosen channels; ``none`` for a single flight or a small share."""
     if len(flights) < 2 or not chosen:
         return Structure()
-    found = [Structure()]
-    for kind, columns in features_of(flights, times).items():
-        left, total = _left_out_squares(columns, in_axes_of(kind, flights, times, residuals, channels))
+    results = [Structure()]
+    for kind, columns in structure_features(flights, times).items():
+        left, total = _left_out_squares(columns, rotate_residuals(kind, flights, times, residuals, channels))
         shares = 1.0 - left / np.maximum(total, 1e-300)
         best = max(chosen, key=lambda index: shares[index])
-        found.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
-    lines = CommonLines(times, [motion_of(f, t) for f, t in zip(flights, times, strict=True)])
+        results.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
+    lines = CommonLines(times, [motion_features(f, t) for f, t in zip(flights, times, strict=True)])
     for index in chosen:
         line = lines.find([r[:, index] for r in residuals])
         if line is not None:
-            found.append(Structure(kind="periodic", channel=channels[index].name, freq_hz=line[0], share=line[1]))
-    best = max(found, key=lambda structure: structure.share)
+            results.append(Structure(kind="periodic", channel=channels[index].name, freq_hz=line[0], share=line[1]))
+    best = max(results, key=lambda structure: structure.share)
     return best if best.share >= LEAST_SHARE else Structure()
 
 
-def in_axes_of(
+def rotate_residuals(
     kind: str,
     flights: Sequence[Flight],
     times: Sequence[Array],
@@ -90,48 +90,48 @@ def in_axes_of(
     return [world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
 
 
-def forces_of(channels: Sequence[Channel]) -> tuple[int, ...]:
+def force_places(channels: Sequence[Channel]) -> tuple[int, ...]:
     """Return the indices of the specific forces x, y and z; empty if one is missing."""
-    found = tuple(place for place, channel in enumerate(channels) if channel.kind == "specific_force")
-    return found if len(found) == 3 else ()
+    results = tuple(place for place, channel in enumerate(channels) if channel.kind == "specific_force")
+    return results if len(results) == 3 else ()
 
 
 def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
     """Return the residual with specific forces rotated to world axes, (T, C)."""
-    force = list(forces_of(channels))
+    force = list(force_places(channels))
     if not force:
         return residual
     turned = residual.copy()
-    turned[:, force] = Rotation.from_quat(flight.attitude[rows_of(flight, time)]).apply(residual[:, force])
+    turned[:, force] = Rotation.from_quat(flight.attitude[flight_rows(flight, time)]).apply(residual[:, force])
     return turned
 
 
-def rows_of(flight: Flight, time: Array) -> Indices:
+def flight_rows(flight: Flight, time: Array) -> Indices:
     """Return the row indices of a flight at times [s], (T,)."""
     return np.round(time * flight.rate).astype(int)
 
 
-def features_of(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
+def structure_features(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
     """Return candidate regressors by kind, (T, any) of each flight, for the kinds that all flights have."""
-    pairs = [(flight, rows_of(flight, time)) for flight, time in zip(flights, times, strict=True)]
-    found = {"time": [np.stack((time, time**2), axis=1) for time in times]}
+    pairs = [(flight, flight_rows(flight, time)) for flight, time in zip(flights, times, strict=True)]
+    results = {"time": [np.stack((time, time**2), axis=1) for time in times]}
     if all(flight.position is not None for flight in flights):
-        found["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
+        results["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
     turns = [Rotation.from_quat(flight.attitude[rows]) for flight, rows in pairs]
     if not any(flight.attitude_integrated for flight in flights):  # an integrated gyro has no heading reference
         ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
-        found["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
+        results["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
     if all(flight.lin_vel is not None for flight in flights):
         speeds = [
             turn.apply(flight.lin_vel[rows], inverse=True)
             for turn, (flight, rows) in zip(turns, pairs, strict=True)
             if flight.lin_vel is not None
         ]
-        found["velocity"] = [np.concatenate((v, v * np.abs(v), v**2), axis=1) for v in speeds]
+        results["velocity"] = [np.concatenate((v, v * np.abs(v), v**2), axis=1) for v in speeds]
     if all(flight.battery is not None for flight in flights):
         volts = [flight.battery[rows, None] for flight, rows in pairs if flight.battery is not None]
-        found["voltage"] = [np.concatenate((v, v**2), axis=1) for v in volts]
-    return found
+        results["voltage"] = [np.concatenate((v, v**2), axis=1) for v in volts]
+    return results
 
 
 def _spread(places: Sequence[Array]) -> list[Array]:
@@ -165,9 +165,9 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tup
     return left, total
 
 
-def motion_of(flight: Flight, time: Array) -> Array:
+def motion_features(flight: Flight, time: Array) -> Array:
     """Return angular and linear velocity, (T, 3 or 6), to reject lines that the motion causes."""
-    rows = rows_of(flight, time)
+    rows = flight_rows(flight, time)
     parts = [part[rows] for part in (flight.ang_vel, flight.lin_vel) if part is not None]
     return np.concatenate(parts, axis=1)
 

@@ -11,7 +11,11 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.replay.rotor_commands import missing_in_logs, too_coarse, too_steady
+from aerial_gym.sim2real.predict.replay.rotor_commands import (
+    absent_quantity,
+    low_voltage_variation,
+    slow_command_period,
+)
 from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
 
 
@@ -22,9 +26,9 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
         return Finding("no_inertial_sensor", name)
     if effect.told_by_torques and not all(flight.gyro for flight in flights):
         return Finding("torques_not_compared", name)
-    if reason := missing_in_logs(effect, flights) or lacks_of_scene(name, flights) or lacks_of_air(name, flights):
+    if reason := absent_quantity(effect, flights) or lacks_of_scene(name, flights) or lacks_of_air(name, flights):
         return reason
-    if reason := too_steady(effect, train) or too_coarse(effect, robot, train):
+    if reason := low_voltage_variation(effect, train) or slow_command_period(effect, robot, train):
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)
@@ -37,11 +41,11 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
 
 def at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:
     """Return the parameters of an effect at a bound other than neutral, a sign of another cause."""
-    effect, found = EFFECTS.get(name), []
+    effect, reasons = EFFECTS.get(name), []
     rows = zip(effect.parameters, effect.bounds(robot), params.effects[name], neutral, strict=True)
     for parameter, bounds, value, start in rows:
         near = 1e-3 * parameter.scale
         ends = [bound for bound in bounds if abs(value - bound) <= near]
         if parameter.kind == "number" and ends and abs(start - ends[0]) > near:
-            found.append(parameter.name)
-    return found
+            reasons.append(parameter.name)
+    return reasons

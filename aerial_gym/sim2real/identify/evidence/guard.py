@@ -20,9 +20,9 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences, posterior
-from aerial_gym.sim2real.identify.evidence.linear import LinearFit, candidates_of, normal_of
+from aerial_gym.sim2real.identify.evidence.linear import LinearFit, make_candidates, make_normal
 from aerial_gym.sim2real.identify.evidence.search import Sets
-from aerial_gym.sim2real.identify.least_squares.covariance import shown
+from aerial_gym.sim2real.identify.least_squares.covariance import is_identifiable
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 
 FEWEST_PARTS = 4
@@ -68,25 +68,25 @@ class Guard:
 
     def __init__(self, library: Library, sets: Sets) -> None:
         """Store the posterior over sets of a candidate library."""
-        self._sets, self._candidates = sets, candidates_of(library)
-        self._parts = [normal_of(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
-        self._whole = normal_of(library)
+        self._sets, self._candidates = sets, make_candidates(library)
+        self._parts = [make_normal(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
+        self._whole = make_normal(library)
         self._support: dict[Model, dict[int, Support]] = {}
 
-    def held(self, model: Model) -> Model:
+    def drop_unsupported(self, model: Model) -> Model:
         """Return a set after removal of its least supported candidate, repeated until all hold.
 
         Structures are included: a residual that does not repeat in other flights has none.
         """
-        while (found := self.of(model)) and not all(one.holds for one in found.values()):
-            weakest = min(found, key=lambda k: found[k].robust_log_odds)
+        while (by_name := self.support(model)) and not all(one.holds for one in by_name.values()):
+            weakest = min(by_name, key=lambda k: by_name[k].robust_log_odds)
             model = tuple(k for k in model if k != weakest)
         return model
 
-    def of(self, model: Model) -> dict[int, Support]:
+    def support(self, model: Model) -> dict[int, Support]:
         """Return the support of each candidate of a set."""
         if model not in self._support:
-            values = self._sets.log_posterior_of([model, *(tuple(k for k in model if k != gone) for gone in model)])
+            values = self._sets.log_posteriors([model, *(tuple(k for k in model if k != gone) for gone in model)])
             odds = dict(zip(model, (values[0] - values[1:]).tolist(), strict=True))
             step = posterior(self._candidates, self._whole, model).step
             self._support[model] = supports(self._candidates, self._whole, self._parts, step, odds)
@@ -100,8 +100,8 @@ def supports_of_fit(fit: LinearFit, step: Array, log_names: float) -> dict[str, 
         reduced, once, [fit.model, *(tuple(k for k in fit.model if k != gone) for gone in fit.model)]
     )
     odds = dict(zip(fit.model, (values[0] - values[1:] - log_names).tolist(), strict=True))
-    found = supports(fit.candidates, fit.whole, fit.parts, step, odds)
-    return {fit.candidates.exclusive[k]: one for k, one in found.items()}
+    by_name = supports(fit.candidates, fit.whole, fit.parts, step, odds)
+    return {fit.candidates.exclusive[k]: one for k, one in by_name.items()}
 
 
 def supports(
@@ -109,26 +109,26 @@ def supports(
 ) -> dict[int, Support]:
     """Return the support of each candidate of a set, given its most probable ``step`` and log odds."""
     model = tuple(log_odds)
-    columns, count = candidates.columns_of(model)
+    columns, count = candidates.set_columns(model)
     precision = np.ones(columns.size)
     precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
     weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
-    told = shown(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
+    told = is_identifiable(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
     scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
     robust = covariance @ (scatter(scores) + np.diag(precision)) @ covariance
-    found = {}
+    by_name = {}
     for k, odds in log_odds.items():
         own = np.flatnonzero(np.isin(columns, candidates.columns[k]))
         block = np.ix_(own, own)
-        found[k] = Support(
+        by_name[k] = Support(
             log_odds=float(odds),
             wald=float(step[own] @ np.linalg.solve(covariance[block], step[own])),
             overdispersion=float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size,
             size=own.size,
             shown=bool(told[own].any()),
         )
-    return found
+    return by_name
 
 
 def scatter(scores: Array) -> Array:

@@ -61,9 +61,9 @@ class Normal:
             constant=self.constant - other.constant,
         )
 
-    def beside(self, columns: Indices, kept: Indices) -> "Normal":
+    def integrate_out(self, columns: Indices, kept: Indices) -> "Normal":
         """Return the sums of the ``kept`` columns, with others integrated out exactly over their normal priors."""
-        return Integrated(self, columns, kept).sums(kept)
+        return MarginalSums(self, columns, kept).sums(kept)
 
     def marginal(self, columns: Indices) -> "Normal":
         """Return all sums with some columns integrated out and set to zero.
@@ -72,7 +72,7 @@ class Normal:
         """
         kept = np.setdiff1d(np.arange(self.gradient.size), columns)
         reduced, product, gradient = (
-            self.beside(columns, kept),
+            self.integrate_out(columns, kept),
             np.zeros_like(self.product),
             np.zeros_like(self.gradient),
         )
@@ -80,7 +80,7 @@ class Normal:
         return Normal(product=product, gradient=gradient, constant=reduced.constant)
 
 
-class Integrated:
+class MarginalSums:
     """Sums with some columns integrated out exactly over their normal priors."""
 
     def __init__(self, normal: Normal, columns: Indices, kept: Indices) -> None:
@@ -101,7 +101,7 @@ class Integrated:
             product=product - across.T @ across, gradient=gradient - across.T @ self._right, constant=self._constant
         )
 
-    def sums_without(self, gone: Indices, kept: Indices) -> Normal:
+    def restore_columns(self, gone: Indices, kept: Indices) -> Normal:
         """Return the sums of ``kept`` columns if the integrated columns ``gone`` are removed from the model after all.
 
         Conditioning them on zero is exact: it lowers the likelihood by their steps over their covariance.
@@ -147,6 +147,16 @@ class Posterior:
     """Log likelihood of the best parameters, with the priors of deviations and structures but not of effects."""
 
 
+EMPTY_POSTERIOR = Posterior(
+    columns=np.zeros(0, dtype=np.int64),
+    step=np.zeros(0),
+    covariance=np.zeros((0, 0)),
+    log_evidence=-np.inf,
+    log_likelihood=-np.inf,
+)
+"""Posterior of a fit whose prediction is not finite."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
     """Candidates of which sets consist."""
@@ -172,7 +182,7 @@ class Candidates:
     structures: frozenset[int] = frozenset()
     """Candidates that are structures; their columns have normal priors like tolerances."""
 
-    def columns_of(self, model: Model) -> tuple[Indices, int]:
+    def set_columns(self, model: Model) -> tuple[Indices, int]:
         """Return the columns of a set, effects first and tolerances last, and the number that belongs to effects."""
         own = [self.columns[k] for k in model if k not in self.structures]
         rest = [self.columns[k] for k in model if k in self.structures]
@@ -191,9 +201,9 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     multiply the evidence by the posterior's share within them over the prior's. This is exact for a single parameter with a
     normal prior. For an unobservable parameter it gives 0.56 instead of 1, the coverage of a Cauchy density by the normal.
     """
-    columns, count = candidates.columns_of(model)
+    columns, count = candidates.set_columns(model)
     effects, start = np.arange(columns.size)[None] < count, np.zeros((1, columns.size))
-    alone = normal.beside(columns[count:], columns[:count])  # normal priors have a constant precision
+    alone = normal.integrate_out(columns[count:], columns[:count])  # normal priors have a constant precision
     start[:, :count] = _most_probable(alone.product[None], alone.gradient[None], effects[:, :count])
     step, covariance, log_evidence = _laplace(
         candidates,
@@ -222,37 +232,37 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
     """
     alone = np.array([bool(model) and candidates.structures.issuperset(model) for model in models])
     places = [
-        candidates.columns_of(model if own else tuple(k for k in model if k not in candidates.structures))[0]
+        candidates.set_columns(model if own else tuple(k for k in model if k not in candidates.structures))[0]
         for model, own in zip(models, alone, strict=True)
     ]
     places = [columns[: columns.size - candidates.tolerances.size] for columns in places]
-    widths, found = np.array([columns.size for columns in places]), np.empty(len(models))
+    widths, results = np.array([columns.size for columns in places]), np.empty(len(models))
     beside: dict[Model, list[int]] = {}
     for row, model in enumerate(models):
         shared = () if alone[row] else tuple(k for k in model if k in candidates.structures)
         beside.setdefault(shared, []).append(row)
     products, gradients = {}, {}
     wanted = {one: np.unique(np.concatenate([places[row] for row in rows])) for one, rows in beside.items()}
-    for structures, reduced in _without(candidates, normal, wanted).items():
+    for structures, reduced in _marginal_sums(candidates, normal, wanted).items():
         for row in beside[structures]:
             own = np.searchsorted(wanted[structures], places[row])
             products[row], gradients[row] = reduced.product[own[:, None], own], reduced.gradient[own]
-            found[row] = reduced.constant
+            results[row] = reduced.constant
     free = replace(candidates, low=np.append(candidates.low, -np.inf), high=np.append(candidates.high, np.inf))
     for chunk in np.array_split(np.argsort(widths, kind="stable"), -(-len(models) // AT_ONCE)):
         width = int(widths[chunk[-1]])
         product, gradient = np.zeros((chunk.size, width, width)), np.zeros((chunk.size, width))
-        which = np.full((chunk.size, width), normal.gradient.size)
+        indices = np.full((chunk.size, width), normal.gradient.size)
         for place, row in enumerate(chunk.tolist()):
             size = int(widths[row])
             product[place, :size, :size], gradient[place, :size] = products[row], gradients[row]
-            which[place, :size] = places[row]
-        effects = (which < normal.gradient.size) & ~alone[chunk, None]
-        found[chunk] += _laplace(free, product, gradient, which, effects)[2]
-    return found
+            indices[place, :size] = places[row]
+        effects = (indices < normal.gradient.size) & ~alone[chunk, None]
+        results[chunk] += _laplace(free, product, gradient, indices, effects)[2]
+    return results
 
 
-def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indices]) -> dict[Model, Normal]:
+def _marginal_sums(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indices]) -> dict[Model, Normal]:
     """Return the sums of the ``wanted`` columns with each set of structures, and the tolerances, integrated out.
 
     Many sets differ by one structure. So the set nearest to most is integrated out, then single structures are added or
@@ -263,25 +273,25 @@ def _without(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indi
         for less in _one_less(one):
             larger.setdefault(less, []).append(one)
     beside = {one: [one, *larger.get(one, []), *_one_less(one)] for one in wanted}
-    count = Counter(other for others in beside.values() for other in others)
+    count = Counter(other for rivals in beside.values() for other in rivals)
     alike: dict[Model, list[Model]] = {}
-    for one, others in beside.items():
-        alike.setdefault(max(others, key=count.__getitem__), []).append(one)
-    found: dict[Model, Normal] = {}
+    for one, rivals in beside.items():
+        alike.setdefault(max(rivals, key=count.__getitem__), []).append(one)
+    results: dict[Model, Normal] = {}
     for centre, sets in alike.items():
         own = {one: _columns(candidates, set(one).symmetric_difference(centre)) for one in sets}
         kept = np.unique(np.concatenate([*own.values(), *(wanted[one] for one in sets)]))
-        shared = Integrated(normal, _joined(candidates, centre), kept)
+        shared = MarginalSums(normal, _structure_columns(candidates, centre), kept)
         for one, columns in own.items():
             if len(one) > len(centre):
                 both = np.arange(columns.size + wanted[one].size)
                 sums = shared.sums(np.concatenate((columns, wanted[one])))
-                found[one] = sums.beside(both[: columns.size], both[columns.size :])
+                results[one] = sums.integrate_out(both[: columns.size], both[columns.size :])
             elif len(one) < len(centre):
-                found[one] = shared.sums_without(columns, wanted[one])
+                results[one] = shared.restore_columns(columns, wanted[one])
             else:
-                found[one] = shared.sums(wanted[one])
-    return found
+                results[one] = shared.sums(wanted[one])
+    return results
 
 
 def _columns(candidates: Candidates, model: Iterable[int]) -> Indices:
@@ -289,7 +299,7 @@ def _columns(candidates: Candidates, model: Iterable[int]) -> Indices:
     return np.concatenate([*(candidates.columns[k] for k in model), np.zeros(0)]).astype(np.int64)
 
 
-def _joined(candidates: Candidates, structures: Model) -> Indices:
+def _structure_columns(candidates: Candidates, structures: Model) -> Indices:
     """Return the columns of some structures and of the tolerances."""
     return np.concatenate((_columns(candidates, structures), candidates.tolerances))
 
@@ -343,11 +353,13 @@ def _laplace(
         low, high = candidates.low[columns[bounded]], candidates.high[columns[bounded]]
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[bounded])
         away = step[bounded]
-        within[bounded] = _log_normal_between((low - away) / std, (high - away) / std) - _log_cauchy_between(low, high)
+        within[bounded] = _log_normal_interval((low - away) / std, (high - away) / std) - _log_cauchy_interval(
+            low, high
+        )
     return step, covariance, log_likelihood + log_prior + log_volume + within.sum(axis=1)
 
 
-def _log_normal_between(low: Array, high: Array) -> Array:
+def _log_normal_interval(low: Array, high: Array) -> Array:
     """Return the log probability of a standard normal variable between two bounds."""
     flip = low > 0.0  # the lower tail is accurate
     low, high = np.where(flip, -high, low), np.where(flip, -low, high)
@@ -355,6 +367,6 @@ def _log_normal_between(low: Array, high: Array) -> Array:
     return top + np.log1p(-np.exp(np.minimum(bottom - top, -1e-15)))
 
 
-def _log_cauchy_between(low: Array, high: Array) -> Array:
+def _log_cauchy_interval(low: Array, high: Array) -> Array:
     """Return the log probability of a standard Cauchy variable between two bounds."""
     return np.log((np.arctan(high) - np.arctan(low)) / np.pi)

@@ -9,11 +9,11 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.library import Library
 from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, Fit, normal_equations
-from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, ModelFit, normal_equations
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, scales
 
 
-def candidates_of(library: Library) -> Candidates:
+def make_candidates(library: Library) -> Candidates:
     """Return the candidates of a library as columns with bounds."""
     width = int(library.tolerances[-1]) + 1
     low, high = np.full(width, -np.inf), np.full(width, np.inf)
@@ -35,7 +35,7 @@ def candidates_of(library: Library) -> Candidates:
     )
 
 
-def normal_of(library: Library, blocks: slice = slice(None)) -> Normal:
+def make_normal(library: Library, blocks: slice = slice(None)) -> Normal:
     """Return the weighted normal equations over some blocks."""
     product = library.moments.product[blocks]
     alone = product.shape[:2] == (1, 1) and library.weight[0] == 1.0  # avoids a copy
@@ -63,7 +63,7 @@ class LinearFit:
         return tuple(range(len(self.candidates.columns)))
 
 
-def linear_about(fit: Fit, neutral: Sequence[Array]) -> LinearFit:
+def linearise(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     """Return the linear model about a fit, with parameters relative to neutral.
 
     Args:
@@ -73,7 +73,7 @@ def linear_about(fit: Fit, neutral: Sequence[Array]) -> LinearFit:
     free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)
     if fit.effects:
-        away[: fit.num_effect_params] = (params_of(fit.params, fit.effects) - np.concatenate(neutral)) / scales(
+        away[: fit.num_effect_params] = (parameter_row(fit.params, fit.effects) - np.concatenate(neutral)) / scales(
             fit.effects
         )
     here, every = away[free], np.arange(fit.moments.count.size)

@@ -37,13 +37,13 @@ class Sets:
         names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
         return float(np.log(max(1, len(names))))
 
-    def log_posterior_of(self, models: Iterable[Model]) -> Array:
+    def log_posteriors(self, models: Iterable[Model]) -> Array:
         """Return the log posterior of sets up to a constant, (M,); minus infinity for exclusive candidates."""
         keys = [tuple(sorted(model)) for model in models]
         new = [key for key in dict.fromkeys(keys) if key not in self.log_posterior and self._possible(key)]
         if new:
-            found = log_evidences(self.candidates, self.normal, new)
-            for key, value in zip(new, found.tolist(), strict=True):
+            log_sums = log_evidences(self.candidates, self.normal, new)
+            for key, value in zip(new, log_sums.tolist(), strict=True):
                 self.log_posterior[key] = value - self.log_names * len(key)
         return np.array([self.log_posterior.get(key, -np.inf) for key in keys])
 
@@ -64,11 +64,11 @@ class Sets:
 
     def inclusion(self) -> dict[str, float]:
         """Return the posterior inclusion probability of each effect by name."""
-        found = dict.fromkeys(self.candidates.exclusive, 0.0)
+        log_sums = dict.fromkeys(self.candidates.exclusive, 0.0)
         for model, probability in self.probabilities().items():
             for k in model:
-                found[self.candidates.exclusive[k]] += probability
-        return found
+                log_sums[self.candidates.exclusive[k]] += probability
+        return log_sums
 
 
 MOST_STARTS = 3
@@ -83,22 +83,22 @@ def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = 
     """
     reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
     sets, places = Sets(candidates=reduced, normal=once), range(len(candidates.columns))
-    sets.log_posterior_of([(), *combinations(places, 1), *combinations(places, 2)])
+    sets.log_posteriors([(), *combinations(places, 1), *combinations(places, 2)])
     first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
     for start in (*starts, *first):
-        _climb(sets, tuple(sorted(start)), (steps_from,))
-    _climb(sets, sets.best, (steps_from, swaps_in))
+        _climb(sets, tuple(sorted(start)), (single_changes,))
+    _climb(sets, sets.best, (single_changes, single_swaps))
     return sets
 
 
 def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[Model]]]) -> None:
     """Move to the best neighbour of a set while it is more probable; try the kinds of change in order."""
     count = len(sets.candidates.columns)
-    here = float(sets.log_posterior_of([model])[0])
+    here = float(sets.log_posteriors([model])[0])
     while True:
         for way in ways:
             neighbours = way(model, count)
-            values = sets.log_posterior_of(neighbours)
+            values = sets.log_posteriors(neighbours)
             if values.size and values.max() > here:
                 model, here = neighbours[int(values.argmax())], float(values.max())
                 break
@@ -106,13 +106,13 @@ def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[
             return
 
 
-def steps_from(model: Model, count: int) -> list[Model]:
+def single_changes(model: Model, count: int) -> list[Model]:
     """Return the sets with one candidate more or less."""
     more = [tuple(sorted((*model, k))) for k in range(count) if k not in model]
     return more + [tuple(k for k in model if k != gone) for gone in model]
 
 
-def swaps_in(model: Model, count: int) -> list[Model]:
+def single_swaps(model: Model, count: int) -> list[Model]:
     """Return the sets with one candidate replaced by another."""
-    others = [k for k in range(count) if k not in model]
-    return [tuple(sorted((*(k for k in model if k != gone), other))) for gone in model for other in others]
+    absent = [k for k in range(count) if k not in model]
+    return [tuple(sorted((*(k for k in model if k != gone), other))) for gone in model for other in absent]

@@ -8,7 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, best_step, normal_equations, prior_precision
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    ModelFit,
+    best_step,
+    normal_equations,
+    prior_precision,
+)
 from aerial_gym.sim2real.statistics import FEWEST_FLIGHTS, half_width_of_scatter, normal_quantile
 
 NORMAL_95 = normal_quantile(0.975)
@@ -65,7 +70,7 @@ class Uncertainty:
         return np.clip(together / np.outer(deviation, deviation), -1.0, 1.0)
 
 
-def shown(covariance: Array) -> Flags:
+def is_identifiable(covariance: Array) -> Flags:
     """Return the identifiable parameters (P,), with a standard deviation of at most one scale in the covariance (P, P).
 
     The covariance has weak priors, so that only flights and tolerances count.
@@ -73,7 +78,7 @@ def shown(covariance: Array) -> Flags:
     return np.diag(covariance) <= 1.0
 
 
-def uncertainty(fit: Fit, weight: Array) -> Uncertainty:
+def uncertainty(fit: ModelFit, weight: Array) -> Uncertainty:
     """Return the uncertainty of the fitted effects, jointly with deviations within the tolerances.
 
     ``A = sum w J J^T + P`` over effects and deviations, with the inverse prior variance P; ``s = sum w J r`` are scores of a

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
+from aerial_gym.sim2real.identify.least_squares.parameters import (
+    is_number,
+    parameter_bounds,
+    parameter_row,
+    scales,
+    with_params,
+)
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -42,12 +48,12 @@ def effect_jacobian(
 
     Columns in ``beside`` (rows, C, N) are appended.
     """
-    here, scale = params_of(params, effects), scales(effects)
-    highest = bounds_of(predictor.robot, effects)[1]
+    here, scale = parameter_row(params, effects), scales(effects)
+    highest = parameter_bounds(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
     width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
-    found = [column_by_column(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
-    for columns, more in zip(found, behind, strict=True):
+    matrices = [column_by_column(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
+    for columns, more in zip(matrices, behind, strict=True):
         columns[:, :, width:] = more
     for k, owner in enumerate(owners):
         if not is_number(*owner):
@@ -56,9 +62,9 @@ def effect_jacobian(
         there = here.copy()
         there[k] += step
         moved = predictor.predict(with_params(predictor.robot, params, effects, there))
-        for column, m, b in zip(found, moved, base, strict=True):
+        for column, m, b in zip(matrices, moved, base, strict=True):
             column[:, :, k] = (m - b) * (scale[k] / step)
-    return found
+    return matrices
 
 
 def tolerance_jacobian(
@@ -71,17 +77,17 @@ def tolerance_jacobian(
     """
     half = np.zeros(predictor.num_tolerances) if params.deviation is None else 0.5 * params.deviation
     base = predictor.predict(replace(params, deviation=half if half.any() else None))
-    found = [column_by_column(b, predictor.num_tolerances, dtype) for b in base]
+    matrices = [column_by_column(b, predictor.num_tolerances, dtype) for b in base]
     for k in range(predictor.num_tolerances):
         deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
         moved = predictor.predict(replace(params, deviation=deviation))
-        for column, m, b in zip(found, moved, base, strict=True):
+        for column, m, b in zip(matrices, moved, base, strict=True):
             column[:, :, k] = (m - b) / STEP
     give_back_memory()
-    return found
+    return matrices
 
 
-def tolerated(tolerance: Derivatives, num_rotors: int) -> Array:
+def tolerance_rms(tolerance: Derivatives, num_rotors: int) -> Array:
     """Return the RMS residual in each channel from the tolerances of the vehicle alone, (C,).
 
     ``tolerance``: derivatives by all tolerances, (rows, C, N) of each flight.
@@ -90,12 +96,12 @@ def tolerated(tolerance: Derivatives, num_rotors: int) -> Array:
     return np.sqrt(np.concatenate([(part[:, :, vehicle] ** 2).sum(axis=2) for part in tolerance]).mean(axis=0))
 
 
-def change_along(columns: NDArray[np.floating], step: Array) -> Array:
+def directional_change(columns: NDArray[np.floating], step: Array) -> Array:
     """Return the linear change of a flight's prediction (rows, C) for derivatives (rows, C, P) and a step (P,)."""
     return np.tensordot(step, columns.T, axes=1).T
 
 
-def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> None:
+def correct_derivatives(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> None:
     """Apply Broyden's update: change derivatives (rows, C, k) least to give ``change`` (rows, C) over a ``step`` (k).
 
     For example, the effect of a lag from 0 to 0.06 s differs much from the derivative at 0.06 s.
@@ -107,7 +113,7 @@ def exact_along(columns: Sequence[Array], step: Array, change: Sequence[Array]) 
         return
     along = step / (step @ step)
     for own, moved in zip(columns, change, strict=True):
-        missed = moved - change_along(own, step)
+        missed = moved - directional_change(own, step)
         for k in np.flatnonzero(along):
             own[:, :, k] += along[k] * missed
 

@@ -13,12 +13,18 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, effect_jacobian, exact_along
+from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import DerivativeSums, NuisanceSums, cross_product
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, of_flights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
-from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside, Weighted, product_of
-from aerial_gym.sim2real.identify.least_squares.within_bounds import minimum_within
+from aerial_gym.sim2real.identify.least_squares.parameters import (
+    is_number,
+    parameter_bounds,
+    parameter_row,
+    scales,
+    with_params,
+)
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -50,7 +56,7 @@ NOTHING_LEFT = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class ModelFit:
     """A fitted model with its linearisation."""
 
     effects: tuple[str, ...]
@@ -97,7 +103,7 @@ class Fit:
         """Return the indices of the fitted effect parameters and the tolerances."""
         return np.concatenate((self.free_effects, np.arange(self.num_effect_params, self.low.size)))
 
-    def columns_of(self, effect: str) -> Indices:
+    def effect_columns(self, effect: str) -> Indices:
         """Return the indices of an effect's parameters."""
         return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
 
@@ -106,7 +112,7 @@ class Fit:
 class Goal:
     """Stopping rule of a fit."""
 
-    worth: Callable[[Fit], float] = lambda _: np.inf
+    worth: Callable[[ModelFit], float] = lambda _: np.inf
     """Value of a fit, or of its best subset of effects, under its linear model."""
 
     least: float = -np.inf
@@ -115,36 +121,36 @@ class Goal:
     enough: float = NOTHING_LEFT
     """Log likelihood that fresh derivatives may still promise at the end; the value includes it."""
 
-    def missed(self, fit: Fit, more: float) -> bool:
+    def is_out_of_reach(self, fit: ModelFit, more: float) -> bool:
         """Return whether a fit cannot reach ``least`` even with ``more`` log likelihood than its derivatives promise."""
         return np.isfinite(more) and np.isfinite(self.least) and self.worth(fit) + more < self.least
 
 
-def prior_precision(fit: Fit) -> Array:
+def prior_precision(fit: ModelFit) -> Array:
     """Return the inverse prior variance of each parameter, (K,): 1 for tolerances, nearly 0 for effects."""
     precision = np.ones(fit.low.size)
     precision[: fit.num_effect_params] = WEAK_PRIOR**-2
     return precision
 
 
-def normal_equations(fit: Fit, weight: Array, blocks: Indices | None = None) -> tuple[Array, Array]:
+def normal_equations(fit: ModelFit, weight: Array, blocks: Indices | None = None) -> tuple[Array, Array]:
     """Return ``sum w J J^T`` (K, K) and ``sum w J r`` (K,) over some blocks."""
     chosen = slice(None) if blocks is None else blocks
     product = np.einsum("c,bckl->kl", weight, fit.moments.product[chosen])
     return product, np.einsum("c,bck->k", weight, fit.moments.gradient[chosen])
 
 
-def best_step(fit: Fit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
+def best_step(fit: ModelFit, weight: Array, free: Indices, blocks: Indices | None = None) -> Array:
     """Return the step (K,) that minimises the weighted squares plus the prior, within the bounds; 0 where not free."""
-    return solve_within(fit, *normal_equations(fit, weight, blocks), free)
+    return solve_bounded_step(fit, *normal_equations(fit, weight, blocks), free)
 
 
-def solve_within(fit: Fit, product: Array, gradient: Array, free: Indices) -> Array:
+def solve_bounded_step(fit: ModelFit, product: Array, gradient: Array, free: Indices) -> Array:
     """Return the bounded solution (K,) of the normal equations with the prior; 0 where not free."""
     step = np.zeros(fit.low.size)
     if free.size:
         a = product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free])
-        step[free] = minimum_within(a, gradient[free], fit.low[free], fit.high[free])
+        step[free] = minimise_in_bounds(a, gradient[free], fit.low[free], fit.high[free])
     return step
 
 
@@ -155,29 +161,29 @@ def linearise(
     tolerance: Derivatives,
     *,
     offsets: OwnOffsets | None = None,
-) -> Fit:
+) -> ModelFit:
     """Return the linearised fit at a point, given the derivatives by the tolerances, (rows, C, N) of each flight.
 
     ``offsets`` of flights are integrated out. Flights are treated one by one to save memory.
     """
     predicted = predictor.predict(params)
     own, length = effect_jacobian(predictor, params, effects, predicted), block_length(predictor.times)
-    found = []
+    steps = []
     for time, m, p, *parts in zip(predictor.times, predictor.measured, predicted, own, tolerance, strict=True):
         residuals, jacobians = [m - p], [np.concatenate(parts, axis=2)]
         if offsets is not None:
-            residuals, jacobians = offsets.taken_out(residuals), offsets.taken_out(jacobians)
-        found.append(block_moments([time], residuals, jacobians, length=length))
-    return fit_of_moments(predictor.robot, effects, params, of_flights(found))
+            residuals, jacobians = offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians)
+        steps.append(block_moments([time], residuals, jacobians, length=length))
+    return fit_of_moments(predictor.robot, effects, params, of_flights(steps))
 
 
-def fit_at(
+def linearise_fit(
     predictor: Predictor,
     effects: tuple[str, ...],
     params: ModelParams,
     residuals: list[Array],
     jacobians: Sequence[Array],
-) -> Fit:
+) -> ModelFit:
     """Return the linearised fit at a point from its residuals and their derivatives (rows, C, K)."""
     moments = block_moments(predictor.times, residuals, jacobians)
     return fit_of_moments(predictor.robot, effects, params, moments)
@@ -189,12 +195,12 @@ def fit_of_moments(
     params: ModelParams,
     moments: Moments,
     frozen: Frozen = frozenset(),
-) -> Fit:
+) -> ModelFit:
     """Return the linearised fit at a point from its moments, with effect parameters first."""
-    here, scale = params_of(params, effects), scales(effects)
-    lowest, highest = bounds_of(robot, effects)
+    here, scale = parameter_row(params, effects), scales(effects)
+    lowest, highest = parameter_bounds(robot, effects)
     farthest = np.full(moments.gradient.shape[2] - here.size, FARTHEST_DEVIATION)
-    return Fit(
+    return ModelFit(
         effects=effects,
         params=params,
         moments=moments,
@@ -209,13 +215,13 @@ def fit_effects(
     predictor: Predictor,
     effects: tuple[str, ...],
     start: ModelParams,
-    beside: Beside,
+    beside: NuisanceSums,
     *,
     frozen: Frozen = frozenset(),
     derivatives: Derivatives | None = None,
     fresh: bool = False,
     goal: Goal = Goal(),
-) -> tuple[Fit, list[Array], float]:
+) -> tuple[ModelFit, list[Array], float]:
     """Return a Gauss-Newton fit of effects, its derivatives, and the log likelihood that it may have missed beyond these.
 
     Steps that overshoot are halved. Tolerances and structures are fitted jointly but are not part of the result. The moments
@@ -250,12 +256,12 @@ def fit_effects(
         if not np.isfinite(cost):
             return fit, own, np.inf
         whole, moved = best_step(fit, UNIT, fit.free_all), None
-        promised = 0.5 * cost - _left_after(fit, whole)
+        promised = 0.5 * cost - _linear_cost(fit, whole)
         more = _more(promised, 0.5 * (first - cost), fresh=fresh)
-        if (fresh or steps > 1) and goal.missed(fit, more):
+        if (fresh or steps > 1) and goal.is_out_of_reach(fit, more):
             return fit, own, more
         if promised >= (goal.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
-            step, here = whole[: fit.num_effect_params], params_of(params, effects)
+            step, here = whole[: fit.num_effect_params], parameter_row(params, effects)
             for share in SHARES:
                 gone = share * step
                 there = with_params(predictor.robot, params, effects, here + scales(effects) * gone)
@@ -263,7 +269,7 @@ def fit_effects(
                 if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
                     wrong = abs(promised - 0.5 * (cost - new_cost)) if share == 1.0 else np.inf
                     off = wrong if fresh or steps == 0 else off + wrong
-                    exact_along(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
+                    correct_derivatives(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
                     params, residuals, cost, steps, fresh = there, moved, new_cost, steps + 1, False
                     break
             else:
@@ -282,7 +288,7 @@ def _more(promised: float, gained: float, *, fresh: bool) -> float:
     return more if np.isfinite(more) else np.inf
 
 
-def _left_after(fit: Fit, step: Array) -> float:
+def _linear_cost(fit: ModelFit, step: Array) -> float:
     """Return the negative log likelihood and tolerance prior after a step (K,) in the linear model."""
     product, gradient = normal_equations(fit, UNIT)
     prior = float(np.square(step[fit.num_effect_params :]).sum())
@@ -290,12 +296,12 @@ def _left_after(fit: Fit, step: Array) -> float:
     return 0.5 * (square + prior)
 
 
-def misfit(beside: Beside, residuals: Sequence[Array]) -> float:
+def misfit(beside: NuisanceSums, residuals: Sequence[Array]) -> float:
     """Return the weighted squares plus prior, minimised over the nuisance columns; infinite for non-finite residuals."""
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
-    one = Weighted([[part[:, :, None]] for part in residuals], beside.offsets)
-    square, gradient = float(product_of(one, one)[0, 0]), product_of(one, beside.columns)[0]
+    one = DerivativeSums([[part[:, :, None]] for part in residuals], beside.offsets)
+    square, gradient = float(cross_product(one, one)[0, 0]), cross_product(one, beside.columns)[0]
     product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
-    step = minimum_within(product, gradient, -far, far) if far.size else gradient
+    step = minimise_in_bounds(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)

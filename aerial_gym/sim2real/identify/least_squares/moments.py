@@ -42,24 +42,24 @@ class Moments:
     flight: Indices
     """Flight of each block, (B,)."""
 
-    def squares_after(self, step: Array) -> Array:
+    def block_squares(self, step: Array) -> Array:
         """Return ``sum (r - J d)²`` of each block, (B, C), for parameter steps d per block, (B, K)."""
         linear = np.einsum("bck,bk->bc", self.gradient, step)
         change = np.einsum("bckl,bl->bck", self.product, step)
         return self.square - 2.0 * linear + np.einsum("bck,bk->bc", change, step)
 
-    def joined(self, label: Indices) -> "Moments":
+    def merge_labels(self, label: Indices) -> "Moments":
         """Return the sums over blocks of equal label, in ascending order of labels; ``label`` is (B,)."""
         labels, first, place = np.unique(label, return_index=True, return_inverse=True)
 
-        def joined(values: Array) -> Array:
+        def merge_labels(values: Array) -> Array:
             return np.stack([values[place == k].sum(axis=0) for k in range(labels.size)])
 
         return Moments(
-            count=joined(self.count),
-            square=joined(self.square),
-            gradient=joined(self.gradient),
-            product=joined(self.product),
+            count=merge_labels(self.count),
+            square=merge_labels(self.square),
+            gradient=merge_labels(self.gradient),
+            product=merge_labels(self.product),
             flight=self.flight[first],
         )
 
@@ -117,7 +117,7 @@ def block_moments(
     length = block_length(times) if length is None else length
     blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length)]
     num_channels, width = residuals[0].shape[1], jacobians[0].shape[2]
-    found = Moments(
+    moments = Moments(
         count=np.array([float(rows.size) for _, rows in blocks]),
         square=np.empty((len(blocks), num_channels)),
         gradient=np.empty((len(blocks), num_channels, width)),
@@ -126,20 +126,20 @@ def block_moments(
     )
     for block, (flight, rows) in enumerate(blocks):
         r, j = residuals[flight][rows], jacobians[flight][rows].transpose(1, 2, 0)  # (C, K, rows)
-        found.square[block] = (r**2).sum(axis=0)
-        found.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
-        np.matmul(j, j.transpose(0, 2, 1), out=found.product[block])
-    return found
+        moments.square[block] = (r**2).sum(axis=0)
+        moments.gradient[block] = (j @ r.T[:, :, None])[:, :, 0]
+        np.matmul(j, j.transpose(0, 2, 1), out=moments.product[block])
+    return moments
 
 
-def of_flights(found: Sequence[Moments]) -> Moments:
+def of_flights(moments: Sequence[Moments]) -> Moments:
     """Return the sums of all flights, concatenated in order."""
     return Moments(
-        count=np.concatenate([one.count for one in found]),
-        square=np.concatenate([one.square for one in found]),
-        gradient=np.concatenate([one.gradient for one in found]),
-        product=np.concatenate([one.product for one in found]),
-        flight=np.repeat(np.arange(len(found)), [one.count.size for one in found]),
+        count=np.concatenate([one.count for one in moments]),
+        square=np.concatenate([one.square for one in moments]),
+        gradient=np.concatenate([one.gradient for one in moments]),
+        product=np.concatenate([one.product for one in moments]),
+        flight=np.repeat(np.arange(len(moments)), [one.count.size for one in moments]),
     )
 
 
@@ -158,7 +158,7 @@ class Weighting:
         """Return the weight of one row, (C,)."""
         return self.effective / self.variance
 
-    def where_left(self, mean_square: Array) -> Array:
+    def weight_limit(self, mean_square: Array) -> Array:
         """Return the weight of one row, (C,), limited by the mean square of other flights' residuals.
 
         Args:
@@ -167,7 +167,7 @@ class Weighting:
         return self.effective / np.maximum(self.variance, mean_square)
 
 
-def weights_from(residuals: Sequence[Array]) -> Weighting:
+def inverse_variance_weights(residuals: Sequence[Array]) -> Weighting:
     """Return the channel weights from residuals, each (rows, C)."""
     rows = np.array([r.shape[0] for r in residuals], dtype=float)
     shares = np.stack([effective_share(r) for r in residuals])

@@ -35,7 +35,7 @@ class OwnOffsets:
         """Return whether any channel has offsets."""
         return bool(self.size.any())
 
-    def taken_out(self, parts: Sequence[Array]) -> list[Array]:
+    def remove_offsets(self, parts: Sequence[Array]) -> list[Array]:
         """Return residuals (rows, C), or derivatives (rows, C, K), minus the share of their flight means."""
         if not self.any:
             return list(parts)

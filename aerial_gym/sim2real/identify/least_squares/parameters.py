@@ -20,12 +20,12 @@ def scales(effects: Sequence[str]) -> Array:
     return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
 
 
-def params_of(params: ModelParams, effects: Sequence[str]) -> Array:
+def parameter_row(params: ModelParams, effects: Sequence[str]) -> Array:
     """Return the parameters of some effects as a vector."""
     return np.concatenate([params.effects[name] for name in effects]) if effects else np.zeros(0)
 
 
-def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
+def parameter_bounds(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
     """Return the lower and upper bounds of the effects' parameters as vectors."""
     pairs = [pair for name in effects for pair in EFFECTS.get(name).bounds(robot)]
     return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
@@ -33,7 +33,7 @@ def bounds_of(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Array]:
 
 def with_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
     """Return the model with new parameters, clipped to their bounds."""
-    clipped, start = np.clip(values, *bounds_of(robot, effects)), 0
+    clipped, start = np.clip(values, *parameter_bounds(robot, effects)), 0
     for name in effects:
         width = len(EFFECTS.get(name).parameters)
         params = params.with_effect(name, clipped[start : start + width])

@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, change_along, exact_along
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import weighted_moments
+from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, directional_change
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting, weights_from
-from aerial_gym.sim2real.identify.least_squares.parameters import params_of, scales, with_params
-from aerial_gym.sim2real.identify.least_squares.weighted import weighted_moments
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, inverse_variance_weights
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, scales, with_params
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -32,23 +32,23 @@ def weighting(
     """
     params = start
     predicted = predictor.predict(params)
-    found = weights_from([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
+    weights = inverse_variance_weights([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
     ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
     for _ in range(3):
         residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
         flights = list(zip(own, *linear, strict=True))
-        moments = weighted_moments(predictor.times, residuals, flights, found.weight)
+        moments = weighted_moments(predictor.times, residuals, flights, weights.weight)
         give_back_memory()
         fit = fit_of_moments(predictor.robot, effects, params, moments)
         step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
         left = residuals
         for part, along in zip((own, *linear), (step, *steps), strict=True):
-            left = [r - change_along(columns, along) for r, columns in zip(left, part, strict=True)]
+            left = [r - directional_change(columns, along) for r, columns in zip(left, part, strict=True)]
         if not all(np.isfinite(part).all() for part in left):
             break  # step beyond a pendulum's range: keep the previous weights
-        found = weights_from(left if beyond is None else beyond(left, found))
-        here = params_of(params, effects)
+        weights = inverse_variance_weights(left if beyond is None else beyond(left, weights))
+        here = parameter_row(params, effects)
         params = with_params(predictor.robot, params, effects, here + scales(effects) * step)
         before, predicted = predicted, predictor.predict(params)
-        exact_along(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
-    return found
+        correct_derivatives(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
+    return weights

@@ -1,1 +1,1 @@
-"""Which effects the flights ask for, and how surely."""
+"""Bayesian selection of effects: the most probable set, its inclusion probabilities, and rivals."""

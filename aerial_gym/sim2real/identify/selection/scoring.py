@@ -1,4 +1,4 @@
-"""How much better one model predicts flights that its fit has not seen, and when that counts.
+"""Cross-validation: the gain of one model over another on flights left out of the fit, and the limits for its acceptance.
 
 Letters: B blocks of time, C channels, K parameters.
 """
@@ -12,14 +12,14 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit
-from aerial_gym.sim2real.identify.least_squares.leave_out import steps_without
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit
+from aerial_gym.sim2real.identify.least_squares.leave_out import leave_out_steps
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, folds
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.statistics import student_above
+from aerial_gym.sim2real.statistics import student_tail
 
 LEAST_SCORE = 3.0
-"""Two models are told apart only by a log likelihood that differs so much: one is 20 times likelier.
+"""Least difference in log likelihood that distinguishes two models: one is 20 times as likely.
 
 Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
 """
@@ -27,45 +27,45 @@ Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
-    """When what is fitted counts: in the selection, on flights left out, on rollouts."""
+    """Limits for the acceptance of effects in the selection, on flights left out, and on rollouts."""
 
     significance: float = 0.001
-    """Largest probability that noise and tolerances alone show such parameters."""
+    """Largest p-value of an accepted effect against noise and tolerances alone."""
 
     left_out_significance: float = 0.01
-    """Largest probability that the gain on flights left out is chance."""
+    """Largest p-value of an accepted gain on flights left out."""
 
     flights_better: float = 0.75
-    """Least share of flights left out that it must predict better, and that it must not harm in any channel."""
+    """Least share of flights left out that a model must predict better, and in which no channel may become worse."""
 
     material: float = 0.05
-    """Least relative fall of the left-out residual (rms) in its best channel."""
+    """Least relative fall of the left-out residual (rms) in the best channel."""
 
     visible: float = 0.5
-    """What it takes off that channel must be this share of what the tolerances of the vehicle may add there."""
+    """Least fall of that channel's residual (rms), as a share of the residual that the tolerances cause there."""
 
     harmless: float = 0.02
-    """Largest relative rise of the left-out residual (rms) of a channel that is no harm."""
+    """Largest relative rise of a channel's left-out residual (rms) that counts as harmless."""
 
     forgiven: float = 0.1
-    """Share of its whole gain in log likelihood that an effect may lose in a channel, and it is no harm."""
+    """Largest harmless loss of log likelihood in a channel, as a share of the total gain."""
 
     def __post_init__(self) -> None:
-        """Raise ``ConfigError`` if what is material is no share."""
+        """Raise ``ConfigError`` if ``material`` is not in [0, 1)."""
         if not 0.0 <= self.material < 1.0:
             raise ConfigError(f"material = {self.material}: must lie in [0, 1), a share of a residual")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scored:
-    """A fitted model and how it predicts flights that it has not seen."""
+class FitScore:
+    """A fitted model with its squared residuals on flights left out of the fit."""
 
-    fit: Fit
-    """With the sums of whole flights."""
+    fit: ModelFit
+    """The fit, with its sums merged by flight."""
 
     spread: Uncertainty
     left_out: Array
-    """Sums of squares of each block, predicted by the fit without its flight, (B, C)."""
+    """Sum of squared residuals of each block under the fit without its flight, (B, C)."""
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -73,19 +73,19 @@ class Scored:
         return self.fit.effects
 
     def rms(self) -> Array:
-        """Return the left-out residual of each channel, (C,)."""
+        """Return the left-out residual (rms) of each channel, (C,)."""
         return np.sqrt(self.left_out.sum(axis=0) / self.fit.moments.count.sum())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gain:
-    """What one model gains over another on flights left out."""
+    """Gain of one model over another on flights left out."""
 
     score: float
-    """In log likelihood."""
+    """Gain in log likelihood."""
 
     p_value: float
-    """Probability of such a gain where there is none."""
+    """Probability of a gain this large by chance."""
 
     flights_better: float
     """Share of the flights that are predicted better, among those in which anything changes."""
@@ -100,18 +100,18 @@ class Gain:
     """Whether the residual of each channel rises over all flights."""
 
     visible: tuple[bool, ...]
-    """Whether what falls in each channel is more than the tolerances of the vehicle may hide."""
+    """Whether the fall in each channel exceeds the share ``Criteria.visible`` of the residual that tolerances cause."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
-    """Leaves out one flight after the other and compares models by it."""
+    """Cross-validation that leaves out one flight after the other."""
 
     count: Array
     """Rows of each block of time, (B,)."""
 
     flight: Indices
-    """Which flight a block is from, (B,)."""
+    """Index of the flight of each block, (B,)."""
 
     weights: Weighting
     criteria: Criteria
@@ -121,18 +121,18 @@ class LeftOut:
 
     @property
     def fold(self) -> Indices:
-        """Return what is left out together: the flight of each block, or the quarter of a single flight, (B,)."""
+        """Return the fold of each block: its flight, or a quarter of a single flight, (B,)."""
         return folds(self.flight)
 
-    def squares(self, fit: Fit) -> Array:
-        """Return the squares (B, C) of each fold under the fit of the others, of effects and of what tolerances allow."""
-        return fit.moments.squares_after(steps_without(fit, self.weights.weight, fit.free_all, self.fold))
+    def squares(self, fit: ModelFit) -> Array:
+        """Return the squared residuals (B, C) of each fold after a fit of effects and tolerances to the other folds."""
+        return fit.moments.block_squares(leave_out_steps(fit, self.weights.weight, fit.free_all, self.fold))
 
     def gain(self, less: Array, more: Array) -> Gain:
-        """Return what one set of left-out squares (B, C) gains over another.
+        """Return the gain of the larger model, by left-out squares (B, C) of the smaller (``less``) and larger (``more``) one.
 
-        Score: ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples; its p-value from the same
-        sum of each block and the scatter between blocks.
+        The score is ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples each. The p-value is that
+        of a t-test on the same sums of the blocks.
         """
         count, effective = self.count, self.weights.effective
         folds = [self.fold == part for part in np.unique(self.fold)]
@@ -145,7 +145,7 @@ class LeftOut:
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
             score=self._score(less, more, count),
-            p_value=student_above(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1)),
+            p_value=student_tail(blocks.mean() / max(spread, 1e-300), max(blocks.size - 1, 1)),
             flights_better=float(np.mean([total > 0.0 for total in totals])),
             falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
             harmed=tuple(np.mean(rises, axis=0).tolist()),
@@ -155,17 +155,17 @@ class LeftOut:
 
     def objections(self, gain: Gain) -> list[Finding]:
         """Return the reasons why a gain on flights left out does not count."""
-        rules, found = self.criteria, []
+        rules, gains = self.criteria, []
         if gain.p_value > rules.left_out_significance:
-            found.append(Finding("gain_by_chance", "", {"p_value": gain.p_value}))
+            gains.append(Finding("gain_by_chance", "", {"p_value": gain.p_value}))
         if gain.flights_better < rules.flights_better:
-            found.append(Finding("few_flights_better", "", {"share": gain.flights_better}))
+            gains.append(Finding("few_flights_better", "", {"share": gain.flights_better}))
         if max(fall * seen for fall, seen in zip(gain.falls, gain.visible, strict=True)) < rules.material:
-            found.append(Finding("gain_small", "", {"share": max(*gain.falls, 0.0)}))
-        return [*found, *self.harms(gain)]
+            gains.append(Finding("gain_small", "", {"share": max(*gain.falls, 0.0)}))
+        return [*gains, *self.harms(gain)]
 
     def harms(self, gain: Gain) -> list[Finding]:
-        """Return the channel in which a model is worse than the one before."""
+        """Return the channel that is harmed most, over all flights or in too many of them; empty if none is."""
         if any(gain.worse):
             place = int(np.argmin(np.where(gain.worse, gain.falls, np.inf)))
             return [Finding("channel_worse", self.channels[place].name, {"share": -gain.falls[place]})]
@@ -179,30 +179,30 @@ class LeftOut:
         return float((0.5 * samples * _log_ratio(less.sum(axis=0), more.sum(axis=0))).sum())
 
     def _changes(self, less: Array, more: Array) -> bool:
-        """Return whether squares (B, C) differ in any channel by more than is harmless: still air shows no drag."""
+        """Return whether squares (B, C) differ in any channel by more than ``harmless``; hover, for example, shows no drag."""
         return bool(
             np.any(np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0))) > 2.0 * np.log1p(self.criteria.harmless))
         )
 
     def _rises(self, less: Array, more: Array, count: Array) -> Flags:
-        """Return in which channels squares (B, C) rise by more than is harmless, than tolerances cause, than is forgiven."""
+        """Return whether the squares (B, C) of each channel rise harmfully, (C,); see ``rises``."""
         return rises(
             less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria
         )
 
 
 def rises(less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria) -> Flags:
-    """Return in which channels one sum of squares is harmfully larger than another, (..., C).
+    """Return whether an effect makes the sum of squares of each channel harmfully larger, (..., C).
 
-    Harmful is what is more than a small share of the residual, more than what the tolerances of the vehicle cause, and not
-    paid for many times by what other channels gain: no effect that is there makes a channel worse in the long run, but the
-    fit of a large one may spoil a small channel by what the model still lacks.
+    A rise is harmful if it exceeds a small share of the residual, the residual that the tolerances cause, and a small share of
+    the total gain. A real effect makes no channel worse in the long run. But the fit of a large one may harm a small channel
+    as long as the model lacks other effects.
 
     Args:
-        less: Squares of the model without the effect, (..., C).
-        more: With it, (..., C).
-        rows: Over which they are summed, (...).
-        effective: Independent samples of a row of each channel, (C,).
+        less: Sum of squares of the model without the effect, (..., C).
+        more: Sum of squares of the model with it, (..., C).
+        rows: Number of rows in each sum, (...).
+        effective: Independent samples per row of each channel, (C,).
         tolerated: Residual (rms) that the tolerances cause in each channel, (C,).
         criteria: The limits.
     """

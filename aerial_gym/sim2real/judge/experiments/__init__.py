@@ -1,1 +1,1 @@
-"""What to fly next: manoeuvres and what they would show."""
+"""Design of experiments: the manoeuvre that distinguishes tied effects or shows an unseen one."""

@@ -1,10 +1,10 @@
-"""What to fly next: the manoeuvre that tells effects apart, or shows one that no flight has shown.
+"""Design of experiments: the manoeuvre that distinguishes tied effects, or shows an effect that no flight has shown.
 
-Every manoeuvre of the catalogue is flown by the declared vehicle, with the noise that the flights at hand have. If one model
-is true and another one is fitted to the manoeuvre, together with what the vehicle may be off within its tolerances, the
-log likelihood that the fit falls short of the truth is the expected score: half the weighted squares that remain. It is what
-the Fisher information says, with the first model's prediction taken whole and the second one's about its fit.
-Letters: M manoeuvres, K parameters.
+The declared vehicle flies every manoeuvre of the catalogue in simulation, with the noise of the given flights. One model is
+taken as true, and another is fitted to its prediction together with the tolerances. The expected score is the loss in log
+likelihood of that fit: half the weighted squares that remain. It generalises the Fisher information: the true model's
+prediction is exact, and only the fitted model is linear.
+Letters: M manoeuvres.
 """
 
 from collections.abc import Sequence
@@ -21,16 +21,16 @@ from aerial_gym.sim2real.identify.candidates.library import starts
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    Fit,
+    ModelFit,
     best_step,
-    fit_at,
+    linearise_fit,
     normal_equations,
     prior_precision,
 )
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
-from aerial_gym.sim2real.identify.stages import Declared
+from aerial_gym.sim2real.identify.stages import LoopSetup
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -38,24 +38,24 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.dataset import ROWS_PER_BAND
 
 SLOWEST_HZ = 100.0
-"""Rows per second of a manoeuvre, at least."""
+"""Least rate of a manoeuvre's rows [Hz]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Advice:
-    """A manoeuvre and what it would tell."""
+    """The best manoeuvre for one question, with its expected score."""
 
     fly: str | None
-    """Words for it; None if nothing in the catalogue tells."""
+    """Name of the manoeuvre; None if none of the catalogue reaches ``LEAST_SCORE``."""
 
     tells: tuple[str, ...]
-    """Effects that it tells apart, or the one that it shows."""
+    """Effects that it distinguishes, or the one that it shows."""
 
     score: float
-    """Expected gain in log likelihood per 10 s of flight; of the best manoeuvre, also where that is too little."""
+    """Expected gain in log likelihood per 10 s of the best manoeuvre, even if it is too small."""
 
     hover: float
-    """The same in hover, to compare."""
+    """The same in hover, for comparison."""
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -69,10 +69,10 @@ class Advice:
 
 
 class Catalogue:
-    """The manoeuvres that a vehicle can fly, with the sensors and the noise of the flights at hand."""
+    """The manoeuvres that a vehicle can fly, with the sensors and the noise of the given flights."""
 
     def __init__(self, train: Predictor, selection: SelectionResult) -> None:
-        """Take the predictor of the training flights, whose log says what is measured."""
+        """Take the predictor of the training flights; the first flight states which sensors are logged."""
         rate = max(SLOWEST_HZ, ROWS_PER_BAND * train.bandwidth)
         flights = [fly(name, train.robot, train.flights[0], rate=rate) for name in MANOEUVRES]
         self.flights = [flight for flight in flights if flight is not None]
@@ -85,31 +85,31 @@ class Catalogue:
         self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
 
     def tell(self, one: tuple[ModelParams, Sequence[str]], other: tuple[ModelParams, Sequence[str]]) -> Array:
-        """Return the expected score per 10 s of each manoeuvre, (M,): the lesser of either model true and the other fitted.
+        """Return the smaller expected score per 10 s of the two cases in which either model is true, (M,).
 
         Each model is given by its parameters and the names of the effects that may be fitted.
         """
         return np.minimum(self.falls_short(one[0], *other), self.falls_short(other[0], *one))
 
     def falls_short(self, truth: ModelParams, fitted: ModelParams, effects: Sequence[str]) -> Array:
-        """Return by how much a model of some fitted effects falls short of the truth in each manoeuvre, per 10 s, (M,)."""
+        """Return the expected loss in log likelihood per 10 s of a fitted model against the true one, (M,)."""
         fit = self._fit(self.predictor.predict(truth), fitted, tuple(effects))
         scores = []
         for index in range(len(self.flights)):
             blocks = np.flatnonzero(fit.moments.flight == index)
             step = best_step(fit, self.weight, fit.free_all, blocks)
-            squares = fit.moments.squares_after(np.tile(step, (fit.moments.flight.size, 1)))[blocks].sum(axis=0)
+            squares = fit.moments.block_squares(np.tile(step, (fit.moments.flight.size, 1)))[blocks].sum(axis=0)
             scores.append(0.5 * float(self.weight @ squares + prior_precision(fit) @ step**2))
         return np.multiply(np.maximum(scores, 0.0), self._spans)
 
     def show(self, name: str, final: ModelParams, effects: Sequence[str], declared: ModelParams) -> Array:
-        """Return the expected score per 10 s of each manoeuvre, (M,), of an effect of moderate size over none.
+        """Return the expected score per 10 s of a moderate effect over none in each manoeuvre, (M,).
 
-        Moderate is the scale of its best-seen parameter; the other effects and the tolerances are fitted beside it.
+        Its best-determined parameter has a change of one scale. Other effects and the tolerances are fitted too.
         """
         params = starts(name, final, declared, self.predictor.robot)[0]
         fit = self._fit(self.predictor.predict(params), params, (*effects, name))
-        own = [k for k in fit.columns_of(name) if is_number(*fit.owners[k])]
+        own = [k for k in fit.effect_columns(name) if is_number(*fit.owners[k])]
         scores = []
         for index in range(len(self.flights)):
             product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
@@ -119,25 +119,25 @@ class Catalogue:
             scores.append(0.5 / best)
         return np.multiply(scores, self._spans)
 
-    def _fit(self, truth: list[Array], params: ModelParams, effects: tuple[str, ...]) -> Fit:
+    def _fit(self, truth: list[Array], params: ModelParams, effects: tuple[str, ...]) -> ModelFit:
         base = self.predictor.predict(params)
         own = effect_jacobian(self.predictor, params, effects, base)
         jacobians = [np.concatenate(pair, axis=2) for pair in zip(own, self._tolerance, strict=True)]
         residuals = [t - b for t, b in zip(truth, base, strict=True)]
-        return fit_at(self.predictor, effects, params, residuals, jacobians)
+        return linearise_fit(self.predictor, effects, params, residuals, jacobians)
 
     def advise(self, scores: Array, tells: tuple[str, ...]) -> Advice:
-        """Return the manoeuvre with the best score."""
+        """Return the manoeuvre with the highest score; without a name if that is below ``LEAST_SCORE``."""
         best = int(np.argmax(scores))
         name = self.flights[best].name if scores[best] >= LEAST_SCORE else None
         still = next((place for place, flight in enumerate(self.flights) if flight.name == "hover"), best)
         return Advice(fly=name, tells=tells, score=float(scores[best]), hover=float(scores[still]))
 
 
-def what_tells(catalogue: Catalogue, selection: SelectionResult, tied: dict[str, list[Rival]]) -> Advice | None:
-    """Return the manoeuvre that tells all tied effects apart best; None if there are none.
+def manoeuvre_for_ties(catalogue: Catalogue, selection: SelectionResult, tied: dict[str, list[Rival]]) -> Advice | None:
+    """Return the manoeuvre whose lowest score over all tied pairs is highest; None if there are none.
 
-    ``tied`` has the effects that cannot be told from each accepted one.
+    ``tied`` has the rivals of each accepted effect that fit the flights equally well.
     """
     final, scores, names = selection.final, [], []
     for name, rivals in tied.items():
@@ -149,42 +149,47 @@ def what_tells(catalogue: Catalogue, selection: SelectionResult, tied: dict[str,
 
 
 def showable(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
-    """Return the effects that the flights do not show and that others of this vehicle could."""
+    """Return the effects that these flights do not show, but other flights of this vehicle could."""
     return [
         name
         for name in selection.not_testable
-        if name not in selection.accepted and not lacks(name, robot, flights) and fits_vehicle(name, selection, robot)
+        if name not in selection.effect_names
+        and not lacks(name, robot, flights)
+        and fits_vehicle(name, selection, robot)
     ]
 
 
 def fits_vehicle(name: str, selection: SelectionResult, robot: RobotCfg) -> bool:
-    """Return whether a vehicle may have an effect: soft arms only where its file or the flights give it some."""
+    """Return whether a vehicle may have an effect; soft arms need such an effect in its file or among the named ones."""
     if not isinstance(EFFECTS.get(name), ArmJoint):
         return True
-    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.accepted))
+    return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.effect_names))
 
 
-def what_shows(
+def manoeuvres_for_effects(
     catalogue: Catalogue, selection: SelectionResult, declared: ModelParams, hidden: Sequence[str]
 ) -> dict[str, Advice]:
-    """Return the manoeuvre that shows each of some effects which the flights do not show."""
+    """Return the manoeuvre that shows each hidden effect best."""
     final = selection.final
     scores = {name: catalogue.show(name, final.fit.params, final.effects, declared) for name in hidden}
     return {name: catalogue.advise(score, (name,)) for name, score in scores.items()}
 
 
-def what_to_fly(
-    declared: Declared, selection: SelectionResult, open_to: Sequence[str]
+def recommend_manoeuvres(
+    declared: LoopSetup, selection: SelectionResult, open_to: Sequence[str]
 ) -> tuple[Advice | None, dict[str, Advice]]:
-    """Return the manoeuvre that tells tied candidates apart, and those that show what the flights do not.
+    """Return the manoeuvre that distinguishes tied effects, and one for each effect that the flights do not show.
 
-    ``open_to`` names effects that the test flights ask for and the training flights do not show.
+    ``open_to`` names effects that would explain the test residual and that training flights do not show.
     """
     train = declared.train
-    tied = {name: selection.ties_of(name) for name in selection.accepted}
+    tied = {name: selection.effect_ties(name) for name in selection.effect_names}
     hidden = list(dict.fromkeys((*showable(selection, train.robot, train.flights), *open_to)))
     if not any(tied.values()) and not hidden:
         return None, {}
     catalogue = Catalogue(train, selection)
-    tells, shows = what_tells(catalogue, selection, tied), what_shows(catalogue, selection, declared.params, hidden)
+    tells, shows = (
+        manoeuvre_for_ties(catalogue, selection, tied),
+        manoeuvres_for_effects(catalogue, selection, declared.params, hidden),
+    )
     return tells or next((shows[name] for name in open_to), None), shows

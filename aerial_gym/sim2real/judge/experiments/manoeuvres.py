@@ -1,9 +1,9 @@
-"""Manoeuvres in closed form, and the flights that the declared vehicle would make of them.
+"""Manoeuvres in closed form, and the flight of the declared vehicle along each.
 
-A multirotor is flat in position and heading: attitude and thrust follow from the acceleration, torques from the turn, rotor
-speeds from both by the inverse allocation. Drag is left out: what a manoeuvre shows hangs on where it goes, hardly on the
-few per cent of thrust that drag takes. Source of flatness: Mellinger, Kumar (2011), Minimum snap trajectory generation and
-control for quadrotors, section III. Letters: T rows, R rotors.
+A multirotor is differentially flat in position and heading. Attitude and thrust follow from the acceleration, torques from the
+angular acceleration, and rotor speeds from the inverse allocation. Drag is neglected: it takes a few per cent of the thrust,
+and hardly changes which effects a manoeuvre excites. Source of flatness: Mellinger, Kumar (2011), Minimum snap trajectory
+generation and control for quadrotors, section III. Letters: T rows, R rotors.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
+from aerial_gym.sim2real.logs.checks.conventions import body_rate
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.recording import AT_REST
 from aerial_gym.sim2real.logs.signals import continuous_quaternion, lowpass
@@ -31,24 +31,24 @@ SPAN_S = 10.0
 """Length of a manoeuvre [s]."""
 
 LEAD_S = 1.0
-"""Flown before and after, and cut off, so that derivatives have no ends."""
+"""Time before and after a manoeuvre that is cut off, against end effects of the derivatives [s]."""
 
 BAND_HZ = 30.0
-"""Derivatives are taken below it [Hz]: far above what the paths hold."""
+"""Low-pass of the derivatives [Hz], far above the frequencies of the paths."""
 
 HEIGHT = 5.0
-"""Above the ground where height does not matter [m]."""
+"""Height above the ground where it does not matter [m]."""
 
 
 def _wave(time: Array, size: float | Array, period: float) -> Array:
     return size * np.sin(2.0 * np.pi * time / period)
 
 
-def _still(time: Array) -> Array:
+def _hover_course(time: Array) -> Array:
     return np.zeros_like(time)
 
 
-def _at(x: Array, y: Array, z: Array, heading: Array | None = None) -> tuple[Array, Array]:
+def _course(x: Array, y: Array, z: Array, heading: Array | None = None) -> tuple[Array, Array]:
     return np.stack((x, y, z), axis=1), np.zeros_like(x) if heading is None else heading
 
 
@@ -60,38 +60,48 @@ def _steps(time: Array, size: float, every: float) -> Array:
 
 def _circle(time: Array, turns: float) -> tuple[Array, Array]:
     angle = 1.5 * time
-    return _at(2.0 * np.cos(angle), 2.0 * np.sin(angle), _still(time) + HEIGHT, turns * angle)
+    return _course(2.0 * np.cos(angle), 2.0 * np.sin(angle), _hover_course(time) + HEIGHT, turns * angle)
 
 
 MANOEUVRES: dict[str, Path] = {
-    "hover": lambda t: _at(_still(t), _still(t), _still(t) + HEIGHT),
-    "climb and descend, up to 2 m/s": lambda t: _at(_still(t), _still(t), HEIGHT + _wave(t, 1.6, 5.0)),
-    "jump up and down by a few centimetres, thrust up and down by a third": lambda t: _at(
-        _still(t), _still(t), HEIGHT + _wave(t, 0.08, 1.0)
+    "hover": lambda t: _course(_hover_course(t), _hover_course(t), _hover_course(t) + HEIGHT),
+    "climb and descend, up to 2 m/s": lambda t: _course(
+        _hover_course(t), _hover_course(t), HEIGHT + _wave(t, 1.6, 5.0)
     ),
-    "sweep forwards and back, up to 3 m/s": lambda t: _at(_wave(t, 2.4, 5.0), _still(t), _still(t) + HEIGHT),
-    "sweep from side to side, up to 3 m/s": lambda t: _at(_still(t), _wave(t, 2.4, 5.0), _still(t) + HEIGHT),
-    "sweep along both axes, slow and then fast, up to 5 m/s": lambda t: _at(
-        _wave(t, 0.4 * t, 5.0), _wave(t + 1.0, 0.4 * t, 5.0), _still(t) + HEIGHT
+    "jump up and down by a few centimetres, thrust up and down by a third": lambda t: _course(
+        _hover_course(t), _hover_course(t), HEIGHT + _wave(t, 0.08, 1.0)
+    ),
+    "sweep forwards and back, up to 3 m/s": lambda t: _course(
+        _wave(t, 2.4, 5.0), _hover_course(t), _hover_course(t) + HEIGHT
+    ),
+    "sweep from side to side, up to 3 m/s": lambda t: _course(
+        _hover_course(t), _wave(t, 2.4, 5.0), _hover_course(t) + HEIGHT
+    ),
+    "sweep along both axes, slow and then fast, up to 5 m/s": lambda t: _course(
+        _wave(t, 0.4 * t, 5.0), _wave(t + 1.0, 0.4 * t, 5.0), _hover_course(t) + HEIGHT
     ),
     "circle at 3 m/s, heading held": lambda t: _circle(t, 0.0),
     "circle at 3 m/s, nose first": lambda t: _circle(t, 1.0),
-    "hover and turn the heading in steps of 90 degrees, a second each": lambda t: _at(
-        _still(t), _still(t), _still(t) + HEIGHT, _steps(t, 0.5 * np.pi, 2.0)
+    "hover and turn the heading in steps of 90 degrees, a second each": lambda t: _course(
+        _hover_course(t), _hover_course(t), _hover_course(t) + HEIGHT, _steps(t, 0.5 * np.pi, 2.0)
     ),
-    "rock quickly in roll and pitch (doublets of 15 to 20 degrees)": lambda t: _at(
-        _wave(t, 0.08, 1.0), _wave(t, 0.07, 0.9), _still(t) + HEIGHT
+    "rock quickly in roll and pitch (doublets of 15 to 20 degrees)": lambda t: _course(
+        _wave(t, 0.08, 1.0), _wave(t, 0.07, 0.9), _hover_course(t) + HEIGHT
     ),
-    "sweep forwards and back, the same path at four headings": lambda t: _at(
-        _wave(t, 1.0, 2.5), _still(t), _still(t) + HEIGHT, _steps(t, 0.5 * np.pi, 2.5)
+    "sweep forwards and back, the same path at four headings": lambda t: _course(
+        _wave(t, 1.0, 2.5), _hover_course(t), _hover_course(t) + HEIGHT, _steps(t, 0.5 * np.pi, 2.5)
     ),
-    "come down to 0.15 m above the ground and up again": lambda t: _at(
-        _still(t), _still(t), 0.75 - 0.6 * np.cos(2.0 * np.pi * t / 5.0)
+    "come down to 0.15 m above the ground and up again": lambda t: _course(
+        _hover_course(t), _hover_course(t), 0.75 - 0.6 * np.cos(2.0 * np.pi * t / 5.0)
     ),
-    "climb from 1 m to 9 m and descend": lambda t: _at(_still(t), _still(t), HEIGHT - 4.0 * np.cos(0.2 * np.pi * t)),
-    "hover until the battery is empty": lambda t: _at(_still(t), _still(t), _still(t) + HEIGHT),
+    "climb from 1 m to 9 m and descend": lambda t: _course(
+        _hover_course(t), _hover_course(t), HEIGHT - 4.0 * np.cos(0.2 * np.pi * t)
+    ),
+    "hover until the battery is empty": lambda t: _course(
+        _hover_course(t), _hover_course(t), _hover_course(t) + HEIGHT
+    ),
 }
-"""What a pilot or a script can fly, by the words that a report uses."""
+"""Paths that a pilot or a script can fly, by their name in reports."""
 
 
 def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | None:
@@ -108,7 +118,7 @@ def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | No
     velocity = _derivative(position, rate)
     force = _derivative(velocity, rate) + AT_REST
     attitude = continuous_quaternion(_attitude(force, heading).as_quat())
-    ang_vel = body_rate_of(attitude, rate, BAND_HZ)
+    ang_vel = body_rate(attitude, rate, BAND_HZ)
     thrust = _thrusts(robot, np.linalg.norm(force, axis=1), ang_vel, rate)
     kept = (time >= 0.0) & (time < SPAN_S - 0.5 / rate)
     low, high = np.array([rotor.thrust_range for rotor in robot.rotor_types]).T  # each (R,)
@@ -158,7 +168,7 @@ def _attitude(force: Array, heading: Array) -> Rotation:
 
 
 def _thrusts(robot: RobotCfg, lift: Array, ang_vel: Array, rate: float) -> Array:
-    """Return the rotors' thrusts [N], (T, R), for a specific force along body z (T,) and a turn (T, 3)."""
+    """Return the rotors' thrusts [N], (T, R), for a specific force along body z (T,) and an angular velocity (T, 3)."""
     inertia = np.array(robot.body.inertia)
     torque = _derivative(ang_vel, rate) @ inertia + np.cross(ang_vel, ang_vel @ inertia)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)

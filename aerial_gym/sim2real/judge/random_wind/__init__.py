@@ -1,1 +1,1 @@
-"""Random wind: is what remains a wind that wanders as ``gusts`` do."""
+"""Random wind: the test whether gusts cause the remaining residual, and the fit of their process."""

@@ -1,8 +1,8 @@
-"""Random wind: whether what no other effect explains is wind that wanders as ``gusts`` do, and how strongly.
+"""Random wind: the test whether the remaining residual of the specific force is caused by ``gusts``, and their size.
 
-A random wind predicts no row and lowers no residual. It shows in what the residual looks like: through the drag of the model
-the specific force that is left over becomes the wind which would make it, along world axes; if that is an
-Ornstein-Uhlenbeck process and nothing else (``wind_process``), it is called gusts. Letters: T rows, C channels, P features.
+A random wind predicts no row and lowers no residual, so only the statistics of the residual show it. The derivative of the
+model's drag turns the residual of the specific force into an equivalent wind along world axes. If that wind is an
+Ornstein-Uhlenbeck process and nothing else, it is called gusts. Letters: T rows, C channels, P features.
 """
 
 from collections.abc import Sequence
@@ -19,15 +19,15 @@ from aerial_gym.sim2real.judge.decision import Decision
 from aerial_gym.sim2real.judge.outcome import NOT_SHOWN, NOTHING_NAMED
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
-    Series,
+    WindSeries,
     fit_process,
     log_spread,
     p_value_of_noise,
     p_values_of_rivals,
     process_covariance,
 )
-from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, declared_params_of
-from aerial_gym.sim2real.logs.flights import Flight, had_by_all
+from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, declaration
+from aerial_gym.sim2real.logs.flights import Flight, common_values
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -40,33 +40,33 @@ LEAST_RESPONSE = 0.02
 """Least acceleration per wind along every axis [1/s]: with less, noise of 0.02 m/s² looks like a wind of 1 m/s."""
 
 LEAST_P_VALUE = 0.001
-"""Gusts are refused if what they must not show has a smaller probability than this by chance."""
+"""Gusts are refused if the p-value of any property that they cannot have is smaller."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RandomWind:
-    """What the residual says about gusts."""
+    """Fitted or declared gusts, with the objections to them."""
 
     std: float = 0.0
-    """Standard deviation of each axis [m/s]."""
+    """Standard deviation of the wind along each axis [m/s]."""
 
     corr_time: float = 1.0
     """Correlation time [s]."""
 
     spread: tuple[float, float] = (0.0, 0.0)
-    """Standard deviation of the logarithm of both."""
+    """Standard deviations of the logarithms of ``std`` and ``corr_time``."""
 
     p_value: float = 1.0
-    """Probability that noise alone looks like this."""
+    """P-value of the process against white noise alone."""
 
     objections: tuple[Finding, ...] = ()
-    """Reasons why it is not called gusts."""
+    """Reasons why the residual is not called gusts."""
 
     untestable: Finding | None = None
-    """Reason why gusts cannot be looked for; None if they can."""
+    """Reason why the flights cannot show gusts; None if they can."""
 
     @property
-    def accepted(self) -> bool:
+    def is_accepted(self) -> bool:
         """Whether the flights show gusts."""
         return self.std > 0.0 and not self.objections and self.untestable is None
 
@@ -77,20 +77,20 @@ class RandomWind:
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Notes on gusts: their effect on the noise floor, or the objections to them."""
-        if self.accepted:
+        if self.is_accepted:
             return (Finding("gusts_are_random", NAME),)
         return (refusal("gusts_refused", NAME, self.objections),) if self.objections else ()
 
     def decision(self, made: Decision) -> Decision:
         """Return a decision with accepted gusts among its candidates."""
-        if not self.accepted:
+        if not self.is_accepted:
             return made
         if made.kind not in NOTHING_NAMED:
             return replace(made, candidates=(*made.candidates, NAME))
         rest = made.findings if made.kind == NOT_SHOWN else (Finding("gusts_reach_floor", NAME),)
         return Decision(kind="explained", candidates=(NAME,), findings=rest)
 
-    def named(self, robot: RobotCfg) -> NamedEffect:
+    def as_effect(self, robot: RobotCfg) -> NamedEffect:
         """Return the gusts as an effect of the verdict."""
         std = {key: value * s for (key, value), s in zip(self.params().items(), self.spread, strict=True)}
         confidence = min(1.0 - self.p_value, MOST_CONFIDENT)
@@ -101,26 +101,26 @@ class RandomWind:
             noise_std=std,
             frozen=(),
             confidence=float(confidence),
-            declared=declared_params_of(NAME, robot),
+            declared=declaration(NAME, robot),
         )
 
     def adds(self, predictor: Predictor, params: ModelParams) -> Array:
-        """Return what such a wind adds to the residual (rms) of each channel of some flights, (C,)."""
+        """Return the rms that the wind adds to the residual of each channel below the bandwidth, (C,)."""
         response = np.concatenate(wind_response(predictor, params))
         inside = float(process_covariance(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
         return self.std * np.sqrt(inside * np.mean((response**2).sum(axis=2), axis=0))
 
 
-def declared_wind(robot: RobotCfg) -> RandomWind:
-    """Return the gusts that a robot file declares; none, with a std of 0, if it does not."""
+def wind_declaration(robot: RobotCfg) -> RandomWind:
+    """Return the gusts that a robot file declares; a std of 0 if it declares none."""
     if NAME not in robot.effects:
         return RandomWind()
     return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
 
 
 def with_random(params: ModelParams, wind: RandomWind) -> ModelParams:
-    """Return a model as it stands in a robot file: with the random wind, if there is one."""
-    return params.with_effect(NAME, np.array(list(wind.params().values()))) if wind.accepted else params
+    """Return a model with the random wind among its effects, if it is accepted."""
+    return params.with_effect(NAME, np.array(list(wind.params().values()))) if wind.is_accepted else params
 
 
 def find_random_wind(
@@ -132,15 +132,15 @@ def find_random_wind(
     tolerated: Array,
     remaining: Flags,
 ) -> RandomWind:
-    """Return what the residual of some flights says about gusts.
+    """Return the gusts fitted to the remaining residual, with the reasons why they are refused or not testable.
 
     Args:
         predictor: Training flights.
-        params: Model with everything that was found, and deviations within the tolerances.
-        criteria: When what is found counts.
+        params: The final model, with the best deviations within the tolerances.
+        criteria: Limits for an accepted effect.
         floor: Noise floor (rms) of each channel, (C,); None where the logs are too slow to tell.
         tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
-        remaining: Whether more than noise and tolerances remains in a channel, (C,).
+        remaining: Whether the residual of each channel exceeds noise and tolerances, (C,).
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == "specific_force"]
     if floor is None:
@@ -154,30 +154,30 @@ def find_random_wind(
         return RandomWind()
     series = wind_series(predictor, params, response, places)
     fit = fit_process(series)
-    found = RandomWind(
+    results = RandomWind(
         std=fit.std, corr_time=fit.corr_time, spread=log_spread(series, fit), p_value=p_value_of_noise(series, fit)
     )
-    added = found.adds(predictor, params)
+    added = results.adds(predictor, params)
     share = 1.0 - floor / np.sqrt(floor**2 + added**2)
     seen = added > criteria.visible * tolerated
     objections = []
-    if found.p_value > criteria.significance:
-        objections.append(Finding("may_be_noise", NAME, {"p_value": found.p_value}))
+    if results.p_value > criteria.significance:
+        objections.append(Finding("may_be_noise", NAME, {"p_value": results.p_value}))
     if max((share * seen)[places]) < criteria.material:
         objections.append(Finding("adds_too_little", NAME))
-    if not CORR_TIMES[0] * 1.5 < found.corr_time < 2.0 * max(flight.time[-1] for flight in predictor.flights):
-        objections.append(Finding("wrong_corr_time", NAME, {"corr_time_s": found.corr_time}))
+    if not CORR_TIMES[0] * 1.5 < results.corr_time < 2.0 * max(flight.time[-1] for flight in predictor.flights):
+        objections.append(Finding("wrong_corr_time", NAME, {"corr_time_s": results.corr_time}))
     p_values = p_values_of_rivals(series, fit)
     objections += [
         Finding("rival_process", NAME, {"process": process, "p_value": p})
         for process, p in p_values.items()
         if p < LEAST_P_VALUE
     ]
-    return replace(found, objections=tuple(objections))
+    return replace(results, objections=tuple(objections))
 
 
 def wind_response(predictor: Predictor, params: ModelParams) -> list[Array]:
-    """Return the derivative of the predicted channels of each flight by a wind along world axes, (T, C, 3)."""
+    """Return the derivative of each flight's predicted channels with respect to wind along world axes, (T, C, 3)."""
     still = params.effects.get("constant_wind", np.zeros(3))
     base, columns = predictor.predict(params.with_effect("constant_wind", still)), []
     for axis in range(3):
@@ -186,8 +186,10 @@ def wind_response(predictor: Predictor, params: ModelParams) -> list[Array]:
     return [np.stack([column[flight] for column in columns], axis=2) for flight in range(len(base))]
 
 
-def wind_series(predictor: Predictor, params: ModelParams, response: Sequence[Array], places: Sequence[int]) -> Series:
-    """Return the wind behind the residual of the specific force (channels ``places``)."""
+def wind_series(
+    predictor: Predictor, params: ModelParams, response: Sequence[Array], places: Sequence[int]
+) -> WindSeries:
+    """Return the wind that would cause the residual of the specific force (channels ``places``)."""
     stride = max(1, round(1.0 / (predictor.bandwidth * float(np.median(np.diff(predictor.times[0]))))))
     rows = [np.arange(0, time.size, stride) for time in predictor.times]
     residuals = predictor.residuals(params)
@@ -196,30 +198,30 @@ def wind_series(predictor: Predictor, params: ModelParams, response: Sequence[Ar
         for gain, left, kept in zip(response, residuals, rows, strict=True)
     ]
     times = [time[kept] for time, kept in zip(predictor.times, rows, strict=True)]
-    parts = [features_of(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
-    return Series(
+    parts = [force_features(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
+    return WindSeries(
         wind=wind,
-        features=had_by_all(parts),
+        features=common_values(parts),
         step=float(np.median(np.diff(times[0]))),
         bandwidth=predictor.bandwidth,
     )
 
 
-def features_of(flight: Flight, time: Array) -> dict[str, Array]:
-    """Return what a force other than that of gusts may follow, (T, P) by name."""
+def force_features(flight: Flight, time: Array) -> dict[str, Array]:
+    """Return quantities that gusts do not depend on, but other causes of a force may, (T, P) by name."""
     rows = np.minimum(np.round(time * flight.rate).astype(int), flight.num_rows - 1)
     turn = Rotation.from_quat(flight.attitude[rows])
     ahead = turn.apply([1.0, 0.0, 0.0])
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
-    found = {
+    results = {
         "heading": np.stack([wave(k * yaw) for k in (1, 2, 3) for wave in (np.cos, np.sin)], axis=1),
         "time in flight": np.stack((time, time**2, time**3), axis=1),
         "attitude": turn.apply([0.0, 0.0, 1.0]),
     }
     if flight.lin_vel is not None:
         velocity = flight.lin_vel[rows]
-        found["velocity"] = np.concatenate((velocity, velocity * np.linalg.norm(velocity, axis=1)[:, None]), axis=1)
+        results["velocity"] = np.concatenate((velocity, velocity * np.linalg.norm(velocity, axis=1)[:, None]), axis=1)
     if flight.position is not None:
         x, y, z = flight.position[rows].T
-        found["position"] = np.stack((x, y, z, x * x, y * y, z * z, x * y, y * z, x * z), axis=1)
-    return found
+        results["position"] = np.stack((x, y, z, x * x, y * y, z * z, x * y, y * z, x * z), axis=1)
+    return results

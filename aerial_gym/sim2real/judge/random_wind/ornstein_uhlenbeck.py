@@ -1,7 +1,7 @@
-"""An Ornstein-Uhlenbeck process with white noise, fitted to series of wind, and what such series must not look like.
+"""An Ornstein-Uhlenbeck process with white noise, fitted to series of wind, and tests against other processes.
 
-By maximum likelihood: the covariance of the process below the band of the comparison, plus white noise along each axis, about
-an unknown mean of each flight and axis. Letters: F flights, T rows, S series (one axis of one flight), P features.
+The fit has maximum likelihood. Its covariance is that of the low-passed process plus white noise along each axis, about an
+unknown mean of each flight and axis. Letters: F flights, T rows, S series (one axis of one flight), P features.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,49 +13,49 @@ from scipy import optimize
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.statistics import chi_square_above, normal_above
+from aerial_gym.sim2real.statistics import chi_square_tail, normal_tail
 
 LAGS = 20
-"""Innovations are held against each other over so many samples."""
+"""Number of lags in the autocorrelation test of the innovations."""
 
 LINES = 300
-"""Frequencies of the integral over what a low-pass takes away."""
+"""Number of frequencies in the integral over the power that the low-pass removes."""
 
 NUDGE = 1e-6
 """Difference step of the logarithms of parameters."""
 
 CORR_TIMES = (0.05, 100.0)
-"""Correlation times that are tried [s]."""
+"""Bounds of the fitted correlation time [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
-    """The wind that would make the residual, at steps long enough for the noise to be white."""
+class WindSeries:
+    """The wind that would cause the residual, at time steps at which the noise is white."""
 
     wind: list[Array]
-    """Of each flight [m/s], world, (T, 3)."""
+    """Wind of each flight [m/s], world, (T, 3)."""
 
     features: dict[str, list[Array]]
-    """What gusts do not depend on, by name, of each flight, (T, P)."""
+    """Quantities that gusts do not depend on, by name, of each flight, (T, P)."""
 
     step: float
-    """Between rows [s]."""
+    """Time between rows [s]."""
 
     bandwidth: float
-    """[Hz]."""
+    """Bandwidth of the comparison [Hz]."""
 
 
 def process_covariance(corr_time: float, bandwidth: float, lags: Array) -> Array:
     """Return the covariance of a low-passed Ornstein-Uhlenbeck process of unit variance at some lags [s].
 
-    ``exp(-t / T)`` less what the low-pass of gain H takes away, ``int 4 T (1 - H²) cos(2 pi f t) / (1 + (2 pi f T)²) df``.
+    It is ``exp(-t / T) - int 4 T (1 - H²) cos(2 pi f t) / (1 + (2 pi f T)²) df``, with H the gain of the low-pass.
     Source: Uhlenbeck, Ornstein (1930), On the theory of the Brownian motion, with the theorem of Wiener and Khinchin.
     """
     last = 10.0
     frequency = (np.arange(LINES) + 0.5) * (last * bandwidth / LINES)
     density = 4.0 * corr_time / (1.0 + (2.0 * np.pi * frequency * corr_time) ** 2)
     taken = density * (1.0 - lowpass_gain(frequency, bandwidth) ** 2) * (last * bandwidth / LINES)
-    near = lags * bandwidth <= 10.0  # further on nothing is taken, and the sum over lines would come again after 30
+    near = lags * bandwidth <= 10.0  # the integral is 0 beyond; the sum over lines repeats after 30
     covariance = np.exp(-lags / corr_time)
     covariance[near] -= np.cos(2.0 * np.pi * np.outer(lags[near], frequency)) @ taken
     covariance[lags == 0.0] -= 1.0 - 2.0 / np.pi * np.arctan(2.0 * np.pi * last * bandwidth * corr_time)
@@ -72,14 +72,14 @@ class ProcessFit:
     """White noise of each axis [m/s], (3,)."""
 
     likelihood: float
-    """Its logarithm, of the series without their means."""
+    """Restricted log likelihood, with the means of the series integrated out."""
 
 
 Process = tuple[float, float, Array]
 """Standard deviation, correlation time [s] and noise of each axis, (3,)."""
 
 
-def log_likelihoods(series: Series, processes: Sequence[Process], *, axes: Sequence[int] = (0, 1, 2)) -> Array:
+def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: Sequence[int] = (0, 1, 2)) -> Array:
     """Return the restricted log likelihood of all series along some axes under each of some processes."""
     rows = np.array([len(wind) for wind in series.wind])
     values = np.zeros((len(axes), rows.max(), len(rows) + 1))
@@ -87,7 +87,7 @@ def log_likelihoods(series: Series, processes: Sequence[Process], *, axes: Seque
     for flight, wind in enumerate(series.wind):
         values[:, : len(wind), flight] = wind.T[list(axes)]
     covariance = np.stack([covariances(series, *process)[list(axes)] for process in processes])  # (processes, axes, T)
-    white, variance = whitened_rows(covariance, values)
+    white, variance = whiten_rows(covariance, values)
     white, one = white[..., :-1], white[..., -1:]
     inside = np.arange(len(values[0]))[:, None] < rows
     mean, weight = ((one * part * inside).sum(axis=2) for part in (white, one))
@@ -95,24 +95,24 @@ def log_likelihoods(series: Series, processes: Sequence[Process], *, axes: Seque
     return -0.5 * (left + (np.log(variance)[..., None] * inside).sum(axis=2)).sum(axis=(1, 2))
 
 
-def covariances(series: Series, std: float, corr_time: float, noise: Array) -> Array:
+def covariances(series: WindSeries, std: float, corr_time: float, noise: Array) -> Array:
     """Return the covariance of process and noise along each axis at every lag, (3, T)."""
     rows = max(len(wind) for wind in series.wind)
-    found = np.tile(std**2 * process_covariance(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1))
-    found[:, 0] += noise**2
-    return found
+    results = np.tile(std**2 * process_covariance(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1))
+    results[:, 0] += noise**2
+    return results
 
 
-def whitened_rows(covariance: Array, values: Array) -> tuple[Array, Array]:
-    """Return the errors (..., T, K) of the best prediction of each row from those before it, over their std, and variances.
+def whiten_rows(covariance: Array, values: Array) -> tuple[Array, Array]:
+    """Return the one-step prediction errors divided by their std, (..., T, K), and their variances, (..., T).
 
     Args:
-        covariance: Of stationary processes at each lag, (..., T).
+        covariance: Covariance of stationary processes at each lag, (..., T).
         values: Columns (..., T, K) of such processes.
 
     Source:
-        Durbin (1960), The fitting of time-series models, Review of the International Statistical Institute 28: as a Cholesky
-        factor of the covariance would whiten them, in T steps of T numbers for all columns.
+        Durbin (1960), The fitting of time-series models, Review of the International Statistical Institute 28. The result
+        equals whitening by a Cholesky factor of the covariance, in T steps of T numbers for all columns.
     """
     rows = covariance.shape[-1]
     error, variance = np.empty((*covariance.shape, values.shape[-1])), np.empty_like(covariance)
@@ -127,7 +127,7 @@ def whitened_rows(covariance: Array, values: Array) -> tuple[Array, Array]:
     return error / np.sqrt(variance)[..., None], variance
 
 
-def fit_process(series: Series) -> ProcessFit:
+def fit_process(series: WindSeries) -> ProcessFit:
     """Return the process of maximum likelihood, one for all axes and flights, with the noise of each axis."""
     jump = np.sqrt(np.mean([np.mean(np.diff(wind, axis=0) ** 2, axis=0) for wind in series.wind], axis=0) / 2.0)
     size = np.sqrt(np.mean([wind.var(axis=0).mean() for wind in series.wind]))
@@ -140,18 +140,18 @@ def fit_process(series: Series) -> ProcessFit:
         return float(costs[0]), (costs[1:] - costs[0]) / NUDGE
 
     bounds, options = list(zip(low, high, strict=True)), {"ftol": 1e-8}
-    found = optimize.minimize(cost_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-    std, corr_time, *noise = np.exp(found.x)
-    return ProcessFit(std=float(std), corr_time=float(corr_time), noise=np.array(noise), likelihood=-float(found.fun))
+    results = optimize.minimize(cost_and_slope, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+    std, corr_time, *noise = np.exp(results.x)
+    return ProcessFit(std=float(std), corr_time=float(corr_time), noise=np.array(noise), likelihood=-float(results.fun))
 
 
-def _costs(series: Series, points: Sequence[Array]) -> Array:
+def _costs(series: WindSeries, points: Sequence[Array]) -> Array:
     """Return the negative log likelihood at logarithms of std, correlation time and noise, (5,) each."""
     processes = [(float(one[0]), float(one[1]), one[2:]) for one in np.exp(points)]
     return -log_likelihoods(series, processes)
 
 
-def log_spread(series: Series, fit: ProcessFit) -> tuple[float, float]:
+def log_spread(series: WindSeries, fit: ProcessFit) -> tuple[float, float]:
     """Return the standard deviation of log std and log corr_time, from the curvature of the likelihood."""
     centre = np.log(np.array([fit.std, fit.corr_time, *fit.noise]))
     step, size = 0.02 * np.eye(centre.size), centre.size
@@ -166,17 +166,17 @@ def log_spread(series: Series, fit: ProcessFit) -> tuple[float, float]:
     return float(np.sqrt(max(variance[0], 0.0))), float(np.sqrt(max(variance[1], 0.0)))
 
 
-def p_value_of_noise(series: Series, fit: ProcessFit) -> float:
-    """Return the probability that white noise along each axis alone has such a likelihood ratio."""
+def p_value_of_noise(series: WindSeries, fit: ProcessFit) -> float:
+    """Return the p-value of the process against white noise alone along each axis, by the likelihood ratio."""
     rows = sum(len(wind) - 1 for wind in series.wind)
     squares = np.sum([((wind - wind.mean(axis=0)) ** 2).sum(axis=0) for wind in series.wind], axis=0)
     alone = float(log_likelihoods(series, [(0.0, 1.0, np.sqrt(squares / rows))])[0])
-    return chi_square_above(2.0 * (fit.likelihood - alone), 2)
+    return chi_square_tail(2.0 * (fit.likelihood - alone), 2)
 
 
-def p_values_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
-    """Return the p-value of each other process that the wind may be: gusts look as much like it by chance this often."""
-    innovations, whiten = whitened(series, fit)
+def p_values_of_rivals(series: WindSeries, fit: ProcessFit) -> dict[str, float]:
+    """Return a p-value for each other process: the probability that gusts resemble it as closely by chance."""
+    innovations, whiten = compute_innovations(series, fit)
     return {
         "memory": p_value_of_memory(innovations),
         "line": p_value_of_line(innovations),
@@ -187,29 +187,31 @@ def p_values_of_rivals(series: Series, fit: ProcessFit) -> dict[str, float]:
     }
 
 
-def whitened(series: Series, fit: ProcessFit) -> tuple[list[Array], Callable[[list[Array]], list[list[Array]]]]:
-    """Return the innovations of each flight, (T, 3), without the mean, and what makes features comparable to them."""
+def compute_innovations(
+    series: WindSeries, fit: ProcessFit
+) -> tuple[list[Array], Callable[[list[Array]], list[list[Array]]]]:
+    """Return the whitened wind of each flight without its mean, (T, 3), and a function that whitens features alike."""
     covariance = covariances(series, fit.std, fit.corr_time, fit.noise)
 
-    def centred(values: Array, axis: int) -> Array:
-        white, _ = whitened_rows(covariance[axis, : len(values)], np.column_stack((values, np.ones(len(values)))))
+    def subtract_mean(values: Array, axis: int) -> Array:
+        white, _ = whiten_rows(covariance[axis, : len(values)], np.column_stack((values, np.ones(len(values)))))
         white, mean = white[:, :-1], white[:, -1]
         return white - np.outer(mean, mean @ white) / (mean @ mean)
 
     def whiten(features: list[Array]) -> list[list[Array]]:
-        return [[centred(x, axis) for axis in range(3)] for x in features]
+        return [[subtract_mean(x, axis) for axis in range(3)] for x in features]
 
     innovations = [
-        np.column_stack([centred(wind[:, axis : axis + 1], axis) for axis in range(3)]) for wind in series.wind
+        np.column_stack([subtract_mean(wind[:, axis : axis + 1], axis) for axis in range(3)]) for wind in series.wind
     ]
     return innovations, whiten
 
 
 def p_value_of_memory(innovations: Sequence[Array]) -> float:
-    """Return the p-value of such a mean autocorrelation of all series: each one's is that of noise without its mean.
+    """Return the p-value of the autocorrelation over ``LAGS`` lags, summed over all series.
 
-    What all have in common counts: single series of a hundred rows stray by more than a chi² says.
-    Source: Ljung, Box (1978), On a measure of lack of fit, eq. 1.3, for the mean; Moran (1948), Biometrika 35, for its centre.
+    The sum is tested, as the statistic of one series of a hundred rows exceeds a chi² too often.
+    Source: Ljung, Box (1978), On a measure of lack of fit, eq. 1.3; for the mean under noise: Moran (1948), Biometrika 35.
     """
     lag = np.arange(1, LAGS + 1)
     total, variance = np.zeros(LAGS), np.zeros(LAGS)
@@ -220,29 +222,29 @@ def p_value_of_memory(innovations: Sequence[Array]) -> float:
             lagged = np.array([column[k:] @ column[:-k] for k in lag]) / (column @ column)
             total += rows * (lagged - centre)
             variance += rows * (rows - lag) / (rows + 2.0)
-    return chi_square_above((total**2 / variance).sum(), LAGS - 2)
+    return chi_square_tail((total**2 / variance).sum(), LAGS - 2)
 
 
 def p_value_of_line(innovations: Sequence[Array]) -> float:
-    """Return the p-value of the highest line of the mean spectrum; of each line, twice the sum is chi² with 2 S degrees.
+    """Return the p-value of the highest line of the summed spectrum; twice each sum is chi² with 2 S degrees of freedom.
 
     Source: Fisher (1929), Tests of significance in harmonic analysis, for many series of known variance.
     """
     rows = min(len(part) for part in innovations)
     spectra = [np.abs(np.fft.rfft(part[:rows], axis=0)[1:-1]) ** 2 / (rows * part.var(axis=0)) for part in innovations]
     lines = np.concatenate(spectra, axis=1)
-    highest = chi_square_above(2.0 * lines.sum(axis=1).max(), 2 * lines.shape[1])
+    highest = chi_square_tail(2.0 * lines.sum(axis=1).max(), 2 * lines.shape[1])
     return float(-np.expm1(len(lines) * np.log1p(-min(highest, 1.0 - 1e-16))))
 
 
 def p_value_of_shape(innovations: Sequence[Array]) -> float:
-    """Return the p-value of such an excess kurtosis of normal numbers: of variance 24 / n."""
+    """Return the p-value of the excess kurtosis, which has the variance 24 / n for n normal numbers."""
     both = np.concatenate([(part / part.std(axis=0)).ravel() for part in innovations])
-    return 2.0 * normal_above(abs(np.mean(both**4) - 3.0) / np.sqrt(24.0 / both.size))
+    return 2.0 * normal_tail(abs(np.mean(both**4) - 3.0) / np.sqrt(24.0 / both.size))
 
 
-def p_value_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
-    """Return the p-value of the likelihood ratio of a std for each axis, or for each flight, over one for all."""
+def p_value_of_unequal(series: WindSeries, fit: ProcessFit, between: str) -> float:
+    """Return the p-value of the likelihood ratio of a separate std for each axis, or each flight, over a common one."""
     if between == "axes":
         parts = [(series, (axis,)) for axis in range(3)]
     else:
@@ -252,16 +254,16 @@ def p_value_of_unequal(series: Series, fit: ProcessFit, between: str) -> float:
     centre, gained = float(np.log(fit.std)), 0.0
     for part, axes in parts:
 
-        def cost(value: float, part: Series = part, axes: tuple[int, ...] = axes) -> float:
+        def cost(value: float, part: WindSeries = part, axes: tuple[int, ...] = axes) -> float:
             return -float(log_likelihoods(part, [(float(np.exp(value)), fit.corr_time, fit.noise)], axes=axes)[0])
 
         best = optimize.fminbound(cost, centre - 4.0, centre + 2.0, xtol=0.01)
         gained += cost(centre) - cost(float(np.asarray(best)))
-    return chi_square_above(2.0 * gained, len(parts) - 1)
+    return chi_square_tail(2.0 * gained, len(parts) - 1)
 
 
 def p_value_of_following(features: list[list[Array]], innovations: Sequence[Array]) -> float:
-    """Return the p-value of what features explain: along each axis with the same coefficients in all flights."""
+    """Return the p-value of the variance that features explain, with coefficients for each axis shared by all flights."""
     explained, freedom = 0.0, 0
     for axis in range(3):
         x = np.concatenate([part[axis] for part in features])
@@ -271,4 +273,4 @@ def p_value_of_following(features: list[list[Array]], innovations: Sequence[Arra
         kept = left[:, values > 1e-6]
         explained += float(((kept.T @ y) ** 2).sum()) / float(y.var())
         freedom += kept.shape[1]
-    return chi_square_above(explained, freedom)
+    return chi_square_tail(explained, freedom)

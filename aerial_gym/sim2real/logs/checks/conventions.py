@@ -20,7 +20,7 @@ from aerial_gym.sim2real.logs.checks.rotors import check_rotors
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
-from aerial_gym.sim2real.logs.recording import AT_REST, NORM_OFF, FlightLog, part_of, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, NORM_OFF, FlightLog, sample_rate, take_rows
 from aerial_gym.sim2real.logs.signals import lowpass
 
 SHORTEST_S = 2.0
@@ -60,11 +60,11 @@ def check_time(log: FlightLog) -> None:
     span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
     if span < SHORTEST_S:
         raise DataError(f"{log.path}: lasts {span:.3g} s, needs at least {SHORTEST_S:g} s; is t in seconds?")
-    if rate_of(log) < LOWEST_RATE_HZ:
+    if sample_rate(log) < LOWEST_RATE_HZ:
         unit = _unit_of_time(log)
         remedy = f"t is in {unit} by the motion: give time unit: {unit} in a mapping file" if unit else "log faster"
         raise DataError(
-            f"{log.path}: has {rate_of(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; {remedy}"
+            f"{log.path}: has {sample_rate(log):.3g} rows per second, needs at least {LOWEST_RATE_HZ:g}; {remedy}"
         )
 
 
@@ -97,10 +97,10 @@ def without_bad_quaternions(log: FlightLog) -> FlightLog:
     if bad.mean() <= MOST_BAD:
         values = {"rows": int(bad.sum()), "total": bad.size, "times_s": log.time[bad][:SHOWN].tolist()}
         note = Finding("rows_without_quaternion", "", values)
-        log = part_of(log, ~bad)
+        log = take_rows(log, ~bad)
         return replace(log, notes=(*log.notes, note))
     raise DataError(
-        f"{log.where(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
+        f"{log.row_name(row)}: the attitude quaternion {np.round(log.attitude[row], 4).tolist()} has norm "
         f"{norm[row]:.4g}, must be 1; check that q_x, q_y, q_z, q_w hold a quaternion"
     )
 
@@ -124,16 +124,16 @@ def _rms(values: Array) -> float:
 
 def _inner(log: FlightLog) -> slice:
     """Return the compared rows: all but half a second at either end."""
-    edge = round(0.5 * rate_of(log))
+    edge = round(0.5 * sample_rate(log))
     return slice(edge, -edge)
 
 
 def _slow(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
     """Return the low-passed signal, or its derivative, at the compared rows."""
-    return lowpass(values, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=derivative)[_inner(log)]
+    return lowpass(values, sample_rate(log), CHECK_BANDWIDTH_HZ, derivative=derivative)[_inner(log)]
 
 
-def body_rate_of(attitude: Array, rate: float, bandwidth: float) -> Array:
+def body_rate(attitude: Array, rate: float, bandwidth: float) -> Array:
     """Return the angular velocity [rad/s], body, (T, 3), of quaternions (T, 4): ``2 q* q'`` (Sola 2017, eq. 198)."""
     smooth = lowpass(attitude, rate, bandwidth)
     x, y, z, w = smooth.T
@@ -166,21 +166,25 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
         return
 
     def differs(quaternion: Array) -> tuple[float, Array]:
-        rate = body_rate_of(quaternion, rate_of(log), CHECK_BANDWIDTH_HZ)[_inner(log)]
+        rate = body_rate(quaternion, sample_rate(log), CHECK_BANDWIDTH_HZ)[_inner(log)]
         return _rms(rate - measured) / max(size, _rms(rate)), rate
 
     miss, rate = differs(log.attitude)
     if miss < WORST_AGREEMENT:
         return
-    others = {text: differs(read(log.attitude))[0] for text, read in READINGS.items()}
+    alternatives = {text: differs(read(log.attitude))[0] for text, read in READINGS.items()}
     slope = float((rate * measured).sum() / (measured * measured).sum())
     degrees = UNITS["deg/s"]
     if _rms(rate - degrees * measured) < 0.5 * _rms(rate) and abs(slope / degrees - 1.0) < 0.5:
-        others["omega is in degrees per second"] = 0.0
-    others["omega is in world axes"] = _rms(attitude[_inner(log)].apply(rate) - measured) / size
-    others["omega is in axes x forward, y right, z down"] = _rms(rate * (1.0, -1.0, -1.0) - measured) / size
-    best = min(others, key=lambda text: others[text])
-    guess = f"it looks as if {best}" if others[best] < 0.6 * miss else "check order, direction, axes and units of both"
+        alternatives["omega is in degrees per second"] = 0.0
+    alternatives["omega is in world axes"] = _rms(attitude[_inner(log)].apply(rate) - measured) / size
+    alternatives["omega is in axes x forward, y right, z down"] = _rms(rate * (1.0, -1.0, -1.0) - measured) / size
+    best = min(alternatives, key=lambda text: alternatives[text])
+    guess = (
+        f"it looks as if {best}"
+        if alternatives[best] < 0.6 * miss
+        else "check order, direction, axes and units of both"
+    )
     raise DataError(
         f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
         f"{guess}; correct the columns or declare it in a mapping file"
@@ -283,7 +287,7 @@ def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
         velocity = log.lin_vel
     if velocity is None:
         assert log.position is not None
-        velocity = lowpass(log.position, rate_of(log), CHECK_BANDWIDTH_HZ, derivative=True)
+        velocity = lowpass(log.position, sample_rate(log), CHECK_BANDWIDTH_HZ, derivative=True)
     return _slow(velocity, log, derivative=True)
 
 
@@ -294,17 +298,17 @@ def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None
     miss = _rms(motion - felt) / max(size, QUIET_FORCE)
     if miss < WORST_AGREEMENT:
         return
-    others = {
+    alternatives = {
         "world axes there are north, east, down": motion[:, [1, 0, 2]] * (1.0, 1.0, -1.0),
         "z is down there": motion * (1.0, 1.0, -1.0),
     }
     if log.lin_vel is not None:
-        others["v is in body axes"] = _motion(log, attitude.apply(log.lin_vel))
+        alternatives["v is in body axes"] = _motion(log, attitude.apply(log.lin_vel))
     across = motion[:, 0] * felt[:, 1] - motion[:, 1] * felt[:, 0]
     angle = float(np.arctan2(across.sum(), (motion[:, :2] * felt[:, :2]).sum()))
     way = f"x and y there must be turned by {np.degrees(angle):.0f} deg about z to be those of the attitude"
-    others[way] = Rotation.from_euler("z", angle).apply(motion)
-    misses = {text: _rms(other - felt) / size for text, other in others.items()}
+    alternatives[way] = Rotation.from_euler("z", angle).apply(motion)
+    misses = {text: _rms(other - felt) / size for text, other in alternatives.items()}
     best = min(misses, key=lambda text: misses[text])
     if misses[best] < 0.5 * miss:
         name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"

@@ -18,7 +18,7 @@ MOST_SHARED = 0.1
 """Largest accepted share of equal rows: noise-free simulations start alike, and coarse sensors repeat on the ground."""
 
 
-class SeenLogs:
+class LogRegister:
     """Logs of one run, each compared with all earlier ones."""
 
     def __init__(self) -> None:
@@ -33,8 +33,8 @@ class SeenLogs:
         """
         for other in self._logs:
             names = [name for name in READINGS if getattr(log, name) is not None and getattr(other, name) is not None]
-            mine, others = (self._readings(one, names or ["attitude"]) for one in (log, other))
-            share = len(mine & others) / min(len(mine), len(others))
+            own_readings, other_readings = (self._readings(one, names or ["attitude"]) for one in (log, other))
+            share = len(own_readings & other_readings) / min(len(own_readings), len(other_readings))
             if share > MOST_SHARED:
                 raise DataError(
                     f"{log.path}: {share:.0%} of the measurements are those of {other.path}, value by value, and a copy is no "

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
 
@@ -51,14 +51,14 @@ class ImuErrors:
 
     def findings(self) -> list[Finding]:
         """Return findings on significant and material errors; unobservable axes have half width None."""
-        unit, found = {"gyro": "rad_s", "accelerometer": "m_s2"}[self.sensor], []
+        unit, notes = {"gyro": "rad_s", "accelerometer": "m_s2"}[self.sensor], []
         sure = np.abs(np.concatenate((self.bias, self.angle, [self.delay]))) > self.half_width
 
         def half_widths(part: slice, scale: float = 1.0) -> list[float | None]:
             return [scale * value if np.isfinite(value) else None for value in self.half_width[part].tolist()]
 
         def note(code: str, **values: object) -> None:
-            found.append(Finding(code, "", {"sensor": self.sensor, **values}))
+            notes.append(Finding(code, "", {"sensor": self.sensor, **values}))
 
         if np.any(sure[:3] & (np.abs(self.bias) > MATERIAL[self.sensor])):
             bias = {f"bias_{unit}": self.bias.tolist(), f"half_width_{unit}": half_widths(slice(0, 3))}
@@ -68,7 +68,7 @@ class ImuErrors:
             note("sensor_turned", angle_deg=angle, half_width_deg=half_widths(slice(3, 6), float(np.degrees(1.0))))
         if sure[6] and abs(self.delay) > MATERIAL["clock"]:
             note("sensor_late", late_ms=1e3 * self.delay, half_width_ms=1e3 * float(self.half_width[6]))
-        return found
+        return notes
 
 
 def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
@@ -77,15 +77,15 @@ def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
     The log has equal time steps. The gyro is compared with the attitude's derivative. The accelerometer is compared with
     the derivative of velocity plus gravity, in body axes.
     """
-    rate = rate_of(log)
-    found = []
+    rate = sample_rate(log)
+    notes = []
     if log.ang_vel is not None:
-        found.append(_fit_errors("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
+        notes.append(_fit_errors("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)
-        found.append(_fit_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
-    return [errors for errors in found if errors is not None]
+        notes.append(_fit_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
+    return [errors for errors in notes if errors is not None]
 
 
 def attitude_rate(attitude: Array, rate: float) -> Array:

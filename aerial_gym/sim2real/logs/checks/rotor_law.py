@@ -11,8 +11,8 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.checks.units import SURE
-from aerial_gym.sim2real.logs.declared_rotors import followed, lift
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.rotor_model import lift, simulate_lag
 from aerial_gym.sim2real.statistics import student_quantile
 
 WINDOW_S = 0.25
@@ -30,7 +30,7 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is None or log.specific_force is None:
             continue
-        states = values if name == "rotor" else followed(robot, values, rate_of(log))
+        states = values if name == "rotor" else simulate_lag(robot, values, sample_rate(log))
         low, high = relative_slope(log, lift(robot, states), on_ground)
         if high >= 1.0 / WRONG and low <= WRONG:
             continue
@@ -48,18 +48,18 @@ def relative_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tu
     Both sides have errors, so the slope lies between the two regressions (see ``units``). 0 to infinity: not observable.
     """
     assert log.specific_force is not None
-    rows = max(1, round(WINDOW_S * rate_of(log)))
+    rows = max(1, round(WINDOW_S * sample_rate(log)))
     count = len(thrust) // rows
 
     def means(values: Array) -> Array:
         return values[: count * rows].reshape(count, rows, -1).mean(axis=1)
 
-    others = [np.ones((count, 1))]
+    regressors = [np.ones((count, 1))]
     if log.lin_vel is not None:
         speed = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)
-        others += [means(speed[:, 2:]), means(np.sum(speed[:, :2] ** 2, axis=1))]
+        regressors += [means(speed[:, 2:]), means(np.sum(speed[:, :2] ** 2, axis=1))]
     flies = np.full(count, True) if on_ground is None else means(on_ground.astype(float))[:, 0] == 0.0
-    causes = np.concatenate(others, axis=1)[flies]
+    causes = np.concatenate(regressors, axis=1)[flies]
     pair = np.column_stack((np.linalg.norm(means(log.specific_force), axis=1), means(thrust)))[flies]
     free = len(pair) - causes.shape[1] - 1
     if free < FEWEST:

@@ -16,7 +16,7 @@ from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.logs.checks.conventions import WORST_AGREEMENT
 from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ
-from aerial_gym.sim2real.logs.recording import FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
 MOST_ROTORS = 6
@@ -30,12 +30,12 @@ def check_order(log: FlightLog, robot: RobotCfg) -> None:
     """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better."""
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
         return
-    rate = rate_of(log)
+    rate = sample_rate(log)
     edge, stride = edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
 
     def slow(values: Array, *, derivative: bool = False) -> Array:
-        found = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride]
-        return found - found.mean(axis=0)
+        filtered = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride]
+        return filtered - filtered.mean(axis=0)
 
     inertia = np.array(robot.body.inertia)
     turning = slow(log.ang_vel, derivative=True)

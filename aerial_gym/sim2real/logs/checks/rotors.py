@@ -12,9 +12,9 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.rotor_model import lift
 
 
 def check_rotors(log: FlightLog, robot: RobotCfg) -> None:

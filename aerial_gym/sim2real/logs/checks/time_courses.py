@@ -35,15 +35,15 @@ def check_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
     rows = rows[(rows > 0) & (rows < log.time.size)]
     if not rows.size:
         return
-    passed, found = np.diff(log.time), motion_errors(log, 1)
+    passed, motion = np.diff(log.time), motion_errors(log, 1)
     lags = np.rint(passed[rows - 1] / np.median(passed)).astype(int).clip(1, log.time.size - 1)
     for row, lag in zip(rows.tolist(), lags.tolist(), strict=True):
         first = np.arange(log.time.size - lag)
-        others = ~((first[:, None] < rows) & (rows <= first[:, None] + lag)).any(axis=1)
+        unaffected = ~((first[:, None] < rows) & (rows <= first[:, None] + lag)).any(axis=1)
         for name, errors in motion_errors(log, lag).items():
-            if others.any() and found[name][row - 1] > APART * np.quantile(errors[others], 1.0 - SURPRISE):
+            if unaffected.any() and motion[name][row - 1] > APART * np.quantile(errors[unaffected], 1.0 - SURPRISE):
                 raise DataError(
-                    f"{log.where(row)}: the clock was set back there, and the {name} is discontinuous: rows "
+                    f"{log.row_name(row)}: the clock was set back there, and the {name} is discontinuous: rows "
                     "are missing, or another flight begins; cut the log there and give both parts as flights"
                 )
 
@@ -58,7 +58,7 @@ def check_one_course(log: FlightLog) -> None:
     if log.time.size < first + WINDOW_ROWS or len(names) < 2:
         return
     lagged = {name: np.stack([errors[lag][name][first - lag :] for lag in (1, *LAGS)]) for name in names}
-    moved = _motion_over(log, first)
+    moved = _motion_rates(log, first)
     for chooser in names:
         best = 1 + np.argmin(lagged[chooser][1:], axis=0)
         for name in names:
@@ -67,7 +67,7 @@ def check_one_course(log: FlightLog) -> None:
             if name != chooser and apart.any():
                 row = first + int(np.argmax(apart)) * WINDOW_ROWS
                 raise DataError(
-                    f"{log.where(row)}: from there on rows of two flights alternate: the clock was set back, and "
+                    f"{log.row_name(row)}: from there on rows of two flights alternate: the clock was set back, and "
                     "the rows were sorted by time; give the log in the order in which it was written"
                 )
 
@@ -80,14 +80,14 @@ def motion_errors(log: FlightLog, lag: int) -> dict[str, Array]:
     passed = (log.time[lag:] - log.time[:-lag])[:, None]
     attitude = Rotation.from_quat(log.attitude)
     turned = (attitude[:-lag].inv() * attitude[lag:]).as_rotvec()
-    found = {"attitude": turned - _mean_rate(log.ang_vel, lag, turned) * passed}
+    motion = {"attitude": turned - _mean_rate(log.ang_vel, lag, turned) * passed}
     if log.position is not None:
         moved = log.position[lag:] - log.position[:-lag]
-        found["position"] = moved - _mean_rate(log.lin_vel, lag, moved) * passed
+        motion["position"] = moved - _mean_rate(log.lin_vel, lag, moved) * passed
     if log.lin_vel is not None:
         gained = log.lin_vel[lag:] - log.lin_vel[:-lag]
-        found["velocity"] = gained - _mean_rate(_acceleration(log), lag, gained) * passed
-    return {name: np.linalg.norm(values, axis=1) for name, values in found.items()}
+        motion["velocity"] = gained - _mean_rate(_acceleration(log), lag, gained) * passed
+    return {name: np.linalg.norm(values, axis=1) for name, values in motion.items()}
 
 
 def _acceleration(log: FlightLog) -> Array | None:
@@ -102,7 +102,7 @@ def _mean_rate(rate: Array | None, lag: int, like: Array) -> Array:
     return np.zeros_like(like) if rate is None else 0.5 * (rate[lag:] + rate[:-lag])
 
 
-def _motion_over(log: FlightLog, rows: int) -> dict[str, Array]:
+def _motion_rates(log: FlightLog, rows: int) -> dict[str, Array]:
     """Return the distance moved over ``rows`` rows at the measured rate, (T - rows,), by quantity; repeats err by less."""
     passed = log.time[rows:] - log.time[:-rows]
     rates = {"attitude": log.ang_vel, "position": log.lin_vel, "velocity": _acceleration(log)}

@@ -17,16 +17,16 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, rate_of
+from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
-from aerial_gym.sim2real.statistics import normal_above, student_quantile
+from aerial_gym.sim2real.statistics import normal_tail, student_quantile
 
 AXES = np.arange(3)
 
 WINDOW_S = 0.5
 """Window length [s]; errors of different windows count as independent."""
 
-SURE = normal_above(4.0)
+SURE = normal_tail(4.0)
 """Error probability of a refusal per axis, small because each log has six axes."""
 
 CLEARLY = 10.0
@@ -72,36 +72,36 @@ class Relation:
     """Squared correlation of each pair of axes, (3,)."""
 
     @property
-    def told(self) -> Flags:
+    def axis_significance(self) -> Flags:
         """Return the axes with a certain sign and size of the factor, (3,)."""
         return self.low > 0.0
 
     @property
-    def moved(self) -> Flags:
+    def axis_swaps(self) -> Flags:
         """Return the axes that follow another axis of the cause, (3,)."""
         return np.array(self.order) != np.arange(3)
 
     @property
-    def turned(self) -> Flags:
+    def sign_flips(self) -> Flags:
         """Return the axes with inverted sign, (3,)."""
-        return self.told & (self.factor < 0.0) & (self.share > SHARED)
+        return self.axis_significance & (self.factor < 0.0) & (self.share > SHARED)
 
     @property
-    def scaled(self) -> Flags:
+    def unit_errors(self) -> Flags:
         """Return the axes whose factor differs from 1 and is nearest to that of a mistaken unit, (3,)."""
-        size = np.log(np.where(self.told, np.abs(self.factor), 1.0))
+        size = np.log(np.where(self.axis_significance, np.abs(self.factor), 1.0))
         unit = np.argmin(np.abs(size[:, None] - WRONG), axis=1) > 0
         return self.sure & unit
 
     @property
     def sure(self) -> Flags:
         """Return the axes whose ``|factor|`` differs significantly from 1, (3,)."""
-        return self.told & ((self.low > 1.0) | (self.high < 1.0))
+        return self.axis_significance & ((self.low > 1.0) | (self.high < 1.0))
 
     @property
     def off(self) -> Flags:
         """Return the axes with a wrong order, sign or unit, (3,)."""
-        return self.moved | self.turned | self.scaled
+        return self.axis_swaps | self.sign_flips | self.unit_errors
 
 
 def relate(effect: Array, cause: Array) -> Relation | None:
@@ -147,15 +147,15 @@ def check_units(log: FlightLog) -> list[Finding]:
     if velocity is None or place is None:
         return []
     way = _steps(log, place)
-    found = relate(way, _sums(log, velocity))
-    if found is None or not found.off.any():
-        return _notes(found)
+    relation = relate(way, _sums(log, velocity))
+    if relation is None or not relation.off.any():
+        return _notes(relation)
     both = "velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z)"
     start = f"{log.path}: {both} contradict each other; it looks as if"
     body = relate(way, _sums(log, Rotation.from_quat(log.attitude).apply(velocity)))
-    if body is not None and body.told.sum() >= found.told.sum() and not body.off.any():
+    if body is not None and body.axis_significance.sum() >= relation.axis_significance.sum() and not body.off.any():
         raise DataError(f"{start} v is in body axes: turn it into world axes")
-    raise DataError(f"{start} {_ways_out(found, _culprits(found, log))}")
+    raise DataError(f"{start} {_ways_out(relation, _culprits(relation, log))}")
 
 
 def check_growth(log: FlightLog) -> None:
@@ -169,14 +169,14 @@ def check_growth(log: FlightLog) -> None:
     if by is None:
         return
     names = " and ".join({"v": "velocity", "p": "position"}[letter] for letter in letters)
-    if by.turned.any():
-        columns = " and ".join(_columns([letter], by.turned) for letter in letters)
+    if by.sign_flips.any():
+        columns = " and ".join(_columns([letter], by.sign_flips) for letter in letters)
         raise DataError(
             f"{log.path}: {names} contradict acc and attitude; it looks as if {columns} have the wrong sign: multiply the "
             "columns by -1"
         )
-    if by.told.sum() >= 2 and np.array_equal(by.scaled, by.told):
-        ways = "; ".join(_unit(letter, by, _pooled(by), 1.0 / _pooled(by)) for letter in letters)
+    if by.axis_significance.sum() >= 2 and np.array_equal(by.unit_errors, by.axis_significance):
+        ways = "; ".join(_unit(letter, by, _pool_factor(by), 1.0 / _pool_factor(by)) for letter in letters)
         raise DataError(f"{log.path}: the change of {names} contradicts acc and attitude; it looks as if {ways}")
 
 
@@ -186,27 +186,29 @@ def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
     if values is None or log.specific_force is None:
         return None
     if letter == "p":
-        values = lowpass(values, rate_of(log), min(DERIVED_HZ, DERIVED_BAND * rate_of(log)), derivative=True)
+        values = lowpass(values, sample_rate(log), min(DERIVED_HZ, DERIVED_BAND * sample_rate(log)), derivative=True)
     felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST
     return relate(_steps(log, values), _sums(log, felt))
 
 
 def _steps(log: FlightLog, values: Array) -> Array:
     """Return the changes of values (T, 3) over each window, (N, 3)."""
-    return np.diff(values[:: max(1, round(WINDOW_S * rate_of(log)))], axis=0)
+    return np.diff(values[:: max(1, round(WINDOW_S * sample_rate(log)))], axis=0)
 
 
 def _sums(log: FlightLog, values: Array) -> Array:
     """Return the integral of values (T, 3) over each window, (N, 3)."""
-    return _steps(log, cumulative_trapezoid(values, dx=1.0 / rate_of(log), axis=0, initial=0.0))
+    return _steps(log, cumulative_trapezoid(values, dx=1.0 / sample_rate(log), axis=0, initial=0.0))
 
 
-def _culprits(found: Relation, log: FlightLog) -> list[str]:
+def _culprits(relation: Relation, log: FlightLog) -> list[str]:
     """Return the letters of the wrong quantities: v, p, or both if the accelerometer is inconclusive."""
 
     def agrees(letter: str) -> bool:
         other = _by_accelerometer(log, letter)
-        return other is not None and bool(np.all(other.told[found.off]) and not other.off[found.off].any())
+        return other is not None and bool(
+            np.all(other.axis_significance[relation.off]) and not other.off[relation.off].any()
+        )
 
     wrong = [letter for letter in ("v", "p") if not agrees(letter)]
     return wrong or ["v", "p"]
@@ -217,31 +219,31 @@ def _columns(letters: list[str], axes: Flags) -> str:
     return " or ".join(", ".join(f"{letter}_{'xyz'[axis]}" for axis in np.flatnonzero(axes)) for letter in letters)
 
 
-def _ways_out(found: Relation, letters: list[str]) -> str:
+def _ways_out(relation: Relation, letters: list[str]) -> str:
     """Return the probable errors of position or velocity with the mapping entries that correct them."""
     said: list[str] = []
-    if found.moved.any():
-        names = ", ".join("xyz"[axis] for axis in found.order)
+    if relation.axis_swaps.any():
+        names = ", ".join("xyz"[axis] for axis in relation.order)
         said.append(
             f"the axes of {' or '.join(letters)} were exchanged: name its columns in the order {names} in a "
             "mapping file"
         )
-    if found.turned.any():
-        said.append(f"{_columns(letters, found.turned)} have the wrong sign: multiply each column by -1")
-    if found.scaled.any():
-        factor = _pooled(found)
-        said.append(_unit("v" if factor < 1.0 else "p", found, factor, min(factor, 1.0 / factor)))
+    if relation.sign_flips.any():
+        said.append(f"{_columns(letters, relation.sign_flips)} have the wrong sign: multiply each column by -1")
+    if relation.unit_errors.any():
+        factor = _pool_factor(relation)
+        said.append(_unit("v" if factor < 1.0 else "p", relation, factor, min(factor, 1.0 / factor)))
     return "; and ".join(said)
 
 
-def _pooled(found: Relation) -> float:
-    return float(np.exp(np.mean(np.log(np.abs(found.factor[found.scaled])))))
+def _pool_factor(relation: Relation) -> float:
+    return float(np.exp(np.mean(np.log(np.abs(relation.factor[relation.unit_errors])))))
 
 
-def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
+def _unit(letter: str, relation: Relation, factor: float, mends: float) -> str:
     """Return the probable unit of a quantity's columns with a wrong factor, with the mapping entry that corrects it."""
     units, name = (VELOCITY_UNITS, "lin_vel") if letter == "v" else (POSITION_UNITS, "position")
-    columns = _columns([letter], (found.low < factor * (1.0 + FITS)) & (found.high > factor * (1.0 - FITS)))
+    columns = _columns([letter], (relation.low < factor * (1.0 + FITS)) & (relation.high > factor * (1.0 - FITS)))
     best = min(units, key=lambda unit: abs(np.log(mends / UNITS[unit])))
     if abs(np.log(mends / UNITS[best])) < FITS:
         return f"{columns} were in {best} (factor {mends:.3g}): give {name} unit: {best} in a mapping file"
@@ -249,13 +251,15 @@ def _unit(letter: str, found: Relation, factor: float, mends: float) -> str:
     return f"{columns} need a factor of {mends:.3g}, which is no known unit: {way}"
 
 
-def _notes(found: Relation | None) -> list[Finding]:
-    if found is None:
+def _notes(relation: Relation | None) -> list[Finding]:
+    if relation is None:
         return []
-    material = found.sure & (np.abs(np.log(np.where(found.told, np.abs(found.factor), 1.0))) > MATERIAL)
+    material = relation.sure & (
+        np.abs(np.log(np.where(relation.axis_significance, np.abs(relation.factor), 1.0))) > MATERIAL
+    )
     if not material.any():
         return []
     axes = np.flatnonzero(material).tolist()
-    factor, low, high = (1.0 / values[axes] for values in (np.abs(found.factor), found.high, found.low))
+    factor, low, high = (1.0 / values[axes] for values in (np.abs(relation.factor), relation.high, relation.low))
     values = {"axes": ["xyz"[axis] for axis in axes], "factor": factor.tolist()}
     return [Finding("velocity_factor", "", {**values, "low": low.tolist(), "high": high.tolist()})]

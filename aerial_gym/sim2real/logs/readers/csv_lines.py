@@ -80,13 +80,13 @@ def find_header(lines: Iterable[str], time: str) -> CsvHeader | None:
         time: Name of the time column; a comment that contains it is a header, as numpy writes it.
     """
     for line in lines:
-        header = _header_in(line.lstrip(" \t#") if REMARK.match(line) else line)
+        header = _find_header(line.lstrip(" \t#") if REMARK.match(line) else line)
         if header.names and (time in header.names or not REMARK.match(line)):
             return header
     return None
 
 
-def _header_in(line: str) -> CsvHeader:
+def _find_header(line: str) -> CsvHeader:
     separator = max(SEPARATORS, key=lambda mark: len(split_fields(line, mark)))
     if len(split_fields(line, separator)) < 2:
         separator = SPACES
@@ -96,7 +96,7 @@ def _header_in(line: str) -> CsvHeader:
     return CsvHeader(names=tuple(names), separator=separator)
 
 
-def lines_of(path: Path) -> list[str]:
+def read_lines(path: Path) -> list[str]:
     """Return the lines of a text file.
 
     Raises:

@@ -15,9 +15,9 @@ import pandas as pd
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.csv_lines import find_header, lines_of
+from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, checked_stamps, seconds_of
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, check_stamps, stamp_seconds
 
 FEW_DIGITS = 20
 """Time has too few digits if more than one row in so many repeats the time before."""
@@ -32,7 +32,7 @@ LARGEST = 1e9
 def csv_rows(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
     """Return the rows with valid time stamps, their time [s], (T,), and the corrected times of clock steps [s]."""
     table = without_copies(read_table(path, layout, notes), notes)
-    stamps = checked_stamps(stamps_of(table, layout, str(path)), str(path))
+    stamps = check_stamps(read_stamps(table, layout, str(path)), str(path))
     notes.extend(stamps.late_note(table.index[stamps.late].to_numpy(dtype=int).tolist()))
     table = table.iloc[stamps.order]
     bad = table.index[~stamps.kept]
@@ -51,7 +51,7 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
     Raises:
         DataError: If the file has no usable table with the mapped columns.
     """
-    lines = lines_of(path)
+    lines = read_lines(path)
     source = iter(enumerate(lines, start=1))
     header = find_header((line for _, line in source), layout.time.columns[0])
     rows = [] if header is None else [(n, header.row(line)) for n, line in source if not header.is_remark(line)]
@@ -125,15 +125,15 @@ def _note_rows(code: str, lines: Sequence[int], total: int, notes: list[Finding]
 
 def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
     """Return the column names of a quantity, with ``{n}`` expanded to the numbers in the file."""
-    pattern, found = "".join(quantity.columns[:1]), []
+    pattern, matrix = "".join(quantity.columns[:1]), []
     if len(quantity.columns) > 1 or "{n}" not in pattern:
         return list(quantity.columns)
-    while (name := pattern.replace("{n}", str(len(found) + 1))) in known:
-        found.append(name)
-    return found
+    while (name := pattern.replace("{n}", str(len(matrix) + 1))) in known:
+        matrix.append(name)
+    return matrix
 
 
-def columns_of(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) -> list[str]:
+def quantity_columns(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) -> list[str]:
     """Return the columns of a quantity in the file; empty if all of them are missing or empty."""
     names = _names(quantity, list(table.columns))
     present = [column for column in names if column in table.columns and not bool(table[column].isna().all())]
@@ -155,12 +155,12 @@ def without_copies(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
     return table.drop(index=table.index[copies])
 
 
-def stamps_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
+def read_stamps(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     """Return the logged time stamps [s], NaN where empty; refuse a missing column or too few digits."""
     column = layout.time.columns[0]
     if column not in table.columns or bool(table[column].isna().all()):
         raise DataError(not_there(column, list(table.columns), path))
-    stamps = seconds_of(table[column].to_numpy(), UNITS[layout.time.unit])
+    stamps = stamp_seconds(table[column].to_numpy(), UNITS[layout.time.unit])
     steps = np.diff(stamps[np.isfinite(stamps)])
     still = int(np.sum(steps == 0.0))
     if still * FEW_DIGITS > stamps.size and np.all(steps >= 0.0):
@@ -171,14 +171,14 @@ def stamps_of(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     return stamps
 
 
-def column_in(table: pd.DataFrame, column: str, path: str) -> Array:
+def require_column(table: pd.DataFrame, column: str, path: str) -> Array:
     """Return a required column (T,) without gaps."""
     if column not in table.columns:
         raise DataError(not_there(column, list(table.columns), path))
-    return numbers_in(table, [column], ColumnsCfg(columns=(column,)), np.zeros(len(table)), path, [])[:, 0]
+    return read_numbers(table, [column], ColumnsCfg(columns=(column,)), np.zeros(len(table)), path, [])[:, 0]
 
 
-def numbers_in(
+def read_numbers(
     table: pd.DataFrame,
     columns: list[str],
     quantity: ColumnsCfg,
@@ -193,20 +193,20 @@ def numbers_in(
 
     ``gaps``: keep NaN; ``held``: fill with the value before instead of a straight line.
     """
-    found, filled = np.empty((len(table), len(columns))), 0
+    matrix, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
         numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=np.float64)
         if gaps:
-            found[:, index] = numbers
+            matrix[:, index] = numbers
             continue
-        found[:, index] = _fill(
+        matrix[:, index] = _fill(
             numbers, quantity, time, lambda row, name=column: f"{path}, line {table.index[row]}: {name}", held=held
         )
         filled += int(np.isnan(numbers).sum())
     if filled:
         values = {"fields": filled, "first": columns[0], "last": columns[-1], "held": held}
         notes.append(Finding("fields_filled", "", values))
-    return found
+    return matrix
 
 
 def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[int], str], *, held: bool) -> Array:

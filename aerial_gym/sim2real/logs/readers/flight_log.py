@@ -19,12 +19,12 @@ from aerial_gym.sim2real.logs.checks.conventions import without_bad_quaternions
 from aerial_gym.sim2real.logs.checks.time_courses import check_clock_steps
 from aerial_gym.sim2real.logs.readers.csv_table import (
     LARGEST,
-    column_in,
-    columns_of,
     csv_rows,
     mapping_hint,
     not_there,
-    numbers_in,
+    quantity_columns,
+    read_numbers,
+    require_column,
 )
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping
 from aerial_gym.sim2real.logs.readers.ulog import ulog_table
@@ -56,24 +56,24 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
     layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[Finding]()
     if ulog:
         table, clock_steps = ulog_table(Path(path), notes)
-        time = column_in(table, layout.time.columns[0], str(path)) * UNITS[layout.time.unit]
+        time = require_column(table, layout.time.columns[0], str(path)) * UNITS[layout.time.unit]
     else:
         table, time, clock_steps = csv_rows(Path(path), layout, notes)
     values: dict[str, Array] = {}
     for name, quantity in layout.quantities().items():
         if name == "time":
             continue
-        columns = columns_of(table, quantity, name, str(path))
+        columns = quantity_columns(table, quantity, name, str(path))
         if columns:
             gaps, held = name == "other_position", name == "rotor_command"
             try:
-                raw = numbers_in(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
+                raw = read_numbers(table, columns, quantity, time, str(path), notes, gaps=gaps, held=held)
             except DataError as error:
                 if name != "battery":
                     raise
                 notes.append(Finding("battery_left_out", "", {"error": str(error)}))
                 continue
-            values[name] = _converted(raw, table, quantity, str(path)) * UNITS[quantity.unit]
+            values[name] = _convert(raw, table, quantity, str(path)) * UNITS[quantity.unit]
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
                 raise DataError(
                     f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
@@ -90,7 +90,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
     _require(values, layout, list(table.columns), str(path), notes, hover=hover)
     battery = _volts(values.pop("battery", None), time, notes)
     heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
-    wind = _known_wind(Path(path), layout, notes)
+    wind = _layout_wind(Path(path), layout, notes)
     command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
     log = FlightLog(
         path=str(path),
@@ -132,7 +132,7 @@ def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
     return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)
 
 
-def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
+def _convert(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
     """Return ``offset + gain (raw * times / over)^power``, and 0 where raw is 0, repeated per rotor, (T, columns)."""
     if quantity.plain:
         return raw
@@ -140,7 +140,7 @@ def _converted(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str)
     for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
         if column is None:
             continue
-        other = column_in(table, column, path)
+        other = require_column(table, column, path)
         if np.any(other <= 0.0):
             row = int(np.argmax(other <= 0.0))
             raise DataError(f"{path}, line {table.index[row]}: {column} = {other[row]:g}, must be > 0")
@@ -181,16 +181,16 @@ def _companion(path: Path, layout: LogMapping, time: Array, notes: list[Finding]
     return None
 
 
-def _known_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[float, float, float] | None:
+def _layout_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[float, float, float] | None:
     """Return the wind [m/s], world ENU, that the mapping declares for this file name; None without one."""
-    found = [text for text in layout.wind if text in path.stem]
-    if len(found) > 1:
-        raise DataError(f"{path}: the mapping declares the wind of {' and of '.join(found)}; make the texts differ")
-    if not found:
+    matches = [text for text in layout.wind if text in path.stem]
+    if len(matches) > 1:
+        raise DataError(f"{path}: the mapping declares the wind of {' and of '.join(matches)}; make the texts differ")
+    if not matches:
         if layout.wind:
             notes.append(Finding("wind_not_declared"))
         return None
-    x, y, z = layout.wind[found[0]]
+    x, y, z = layout.wind[matches[0]]
     wind = (y, x, -z) if layout.world_frame == "ned" else (x, y, z)
     notes.append(Finding("wind_declared", "", {"wind_m_s": list(wind)}))
     return wind

@@ -44,7 +44,7 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
     Raises:
         DataError: If the file is unreadable or not text.
     """
-    file, part, start = _opened(path), b"", b""
+    file, part, start = _open(path), b"", b""
     with ExitStack() as files:
         files.enter_context(file)
         while True:
@@ -56,10 +56,10 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
             elif not more and not follow:
                 break
             elif not more:
-                known, start = start, _start_of(file)
+                known, start = start, _file_start(file)
                 if _is_replaced(path, file) or not start.startswith(known):
                     files.close()
-                    file, part, start = files.enter_context(_opened(path)), b"", b""
+                    file, part, start = files.enter_context(_open(path)), b"", b""
                     yield None
                 else:
                     time.sleep(POLL_S)
@@ -67,7 +67,7 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
         yield part.decode("utf-8-sig", errors="replace")
 
 
-def _opened(path: Path) -> BinaryIO:
+def _open(path: Path) -> BinaryIO:
     """Return a text file opened for reading at its start."""
     if path.is_dir():
         raise DataError(f"{path}: is a folder. Give a flight log (CSV), or - for rows from stdin")
@@ -83,7 +83,7 @@ def _opened(path: Path) -> BinaryIO:
     return file
 
 
-def _start_of(file: BinaryIO) -> bytes:
+def _file_start(file: BinaryIO) -> bytes:
     """Return the first bytes of the part already read; empty for a pipe."""
     if not file.seekable():
         return b""

@@ -39,7 +39,7 @@ class _Run:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blocks:
+class RowBlocks:
     """Disordered rows of a log."""
 
     order: Indices
@@ -52,7 +52,7 @@ class Blocks:
     """Rows in blocks with wrong stamps."""
 
 
-def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
+def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:
     """Return the late blocks and the blocks with wrong stamps.
 
     Args:
@@ -63,7 +63,7 @@ def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
     finite = np.flatnonzero(np.isfinite(stamps))
     steps = np.diff(stamps[finite])
     if not np.any(steps > 0.0) or np.all(steps > 0.0):
-        return Blocks(order=order, late=order[:0], wrong=order[:0])
+        return RowBlocks(order=order, late=order[:0], wrong=order[:0])
     step = float(np.median(steps[steps > 0.0]))
     runs = _runs(stamps, finite, step)
     number = 1
@@ -71,12 +71,12 @@ def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
         back = runs[number - 1].last - runs[number].first
         if back < 0.0 or any(0.0 < period - back <= gap_limit(step) for period in periods):
             number += 1
-        elif group := _exchanged(runs, number, JOINT_STEPS * step):
+        elif group := _find_exchange(runs, number, JOINT_STEPS * step):
             start, stop = group
             late.append(int(runs[number].rows[0]))
             runs[start:stop] = sorted(runs[start:stop], key=lambda run: run.first)
             number = stop
-        elif group := _displaced(runs, number, step):
+        elif group := _find_wrong_stamps(runs, number, step):
             start, stop = group
             wrong += [run.rows for run in runs[start:stop]]
             number = stop + 1
@@ -85,7 +85,7 @@ def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> Blocks:
     if late:
         head = order[: int(min(run.rows[0] for run in runs))]
         order = np.concatenate((head, *(run.rows for run in runs)))
-    return Blocks(order=order, late=np.asarray(late, dtype=int), wrong=np.concatenate(wrong))
+    return RowBlocks(order=order, late=np.asarray(late, dtype=int), wrong=np.concatenate(wrong))
 
 
 def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
@@ -93,23 +93,23 @@ def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
     time = stamps[finite]
     joined = (np.diff(time) > 0.0) & (np.diff(time) <= SPLIT_STEPS * step * np.diff(finite))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], joined.astype(int), [0]))))
-    found: list[tuple[int, int]] = []
+    spans: list[tuple[int, int]] = []
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        previous = found[-1] if found else None
+        previous = spans[-1] if spans else None
         gap = finite[first] - finite[previous[1]] if previous else 0
         if previous and 0.0 < time[first] - time[previous[1]] <= SPLIT_STEPS * step * gap:
-            found[-1] = (previous[0], last)  # only bad stamps between them
+            spans[-1] = (previous[0], last)  # only bad stamps between them
         else:
-            found.append((first, last))
-    starts = [int(finite[first]) for first, _ in found]
+            spans.append((first, last))
+    starts = [int(finite[first]) for first, _ in spans]
     stops = [*starts[1:], stamps.size]
     return [
         _Run(float(time[first]), float(time[last]), int(finite[last]), np.arange(start, stop))
-        for (first, last), start, stop in zip(found, starts, stops, strict=True)
+        for (first, last), start, stop in zip(spans, starts, stops, strict=True)
     ]
 
 
-def _exchanged(runs: list[_Run], number: int, joint: float) -> tuple[int, int] | None:
+def _find_exchange(runs: list[_Run], number: int, joint: float) -> tuple[int, int] | None:
     """Return the slice of runs that sorting by stamps puts in order; None if uncertain.
 
     The step back is before run ``number``. Sorted, the runs must not overlap, and time must continue to the run after
@@ -134,7 +134,7 @@ def _exchanged(runs: list[_Run], number: int, joint: float) -> tuple[int, int] |
     return start, stop
 
 
-def _displaced(runs: list[_Run], number: int, step: float) -> tuple[int, int] | None:
+def _find_wrong_stamps(runs: list[_Run], number: int, step: float) -> tuple[int, int] | None:
     """Return the slice of runs with wrong stamps: without them time advances one usual step per row.
 
     Candidates lie before the step back at run ``number`` or after it; the one with fewer rows is taken.

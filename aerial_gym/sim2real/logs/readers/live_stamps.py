@@ -44,7 +44,7 @@ class LiveStamps:
         stamp = float(row[place])
         if self._last is not None and 0.0 < stamp - self._last <= self._limit:
             self.end(place)
-            return [self._passed(row, place)]
+            return [self._accept(row, place)]
         if self._doubtful and not 0.0 < stamp - self._doubtful[-1][place] <= self._limit:
             self.end(place)
         if stamp != stamp:  # NaN
@@ -58,7 +58,7 @@ class LiveStamps:
             self._shift += self._last - float(good[0][place]) + (median(self._steps) if self._steps else 0.0)
             self.steps += 1
             self._holes = []
-        return [self._passed(one, place) for one in good]
+        return [self._accept(one, place) for one in good]
 
     def end(self, place: int) -> None:
         """Reject the held rows."""
@@ -75,7 +75,7 @@ class LiveStamps:
         """Return the longest time step that needs no confirmation [s]."""
         return gap_limit(median(self._steps)) if self._steps else LONGEST_GAP_S
 
-    def _passed(self, row: Array, place: int) -> Array:
+    def _accept(self, row: Array, place: int) -> Array:
         """Return a valid row with corrected time, and store its stamp."""
         stamp = float(row[place])
         if self._last is None:  # the first rows may follow a gap for a late block

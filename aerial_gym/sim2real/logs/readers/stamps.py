@@ -80,7 +80,7 @@ class ClockStep:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckedStamps:
+class StampCheck:
     """Corrected time of a log without its bad stamps."""
 
     time: Array
@@ -106,14 +106,14 @@ class CheckedStamps:
         return [Finding("blocks_ordered", "", values)]
 
 
-def seconds_of(stamps: ArrayLike, unit: float) -> Array:
+def stamp_seconds(stamps: ArrayLike, unit: float) -> Array:
     """Return the stamps in seconds, (T,); unsigned integers beyond half their range are wrapped negative numbers."""
-    found = np.asarray(stamps)
-    signed = found.view(np.int64) if found.dtype == np.uint64 else found
+    results = np.asarray(stamps)
+    signed = results.view(np.int64) if results.dtype == np.uint64 else results
     return signed.astype(np.float64) * unit
 
 
-def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
+def check_stamps(stamps: Array, path: str) -> StampCheck:
     """Return the corrected time of the rows with a valid stamp.
 
     Args:
@@ -137,7 +137,7 @@ def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
         )
     step = float(np.median(steps[steps > 0.0] / np.diff(rows)[steps > 0.0]))
     kept[rows[_is_far(stamps[rows], rows, step)]] = False
-    while (bad := _is_near(stamps[kept], np.flatnonzero(kept), step)).any():
+    while (bad := _is_slightly_off(stamps[kept], np.flatnonzero(kept), step)).any():
         kept[np.flatnonzero(kept)[bad]] = False
     time, clock_steps = _with_one_clock(stamps, kept, step)
     bad = int(np.sum(~kept)) + len(clock_steps)
@@ -146,7 +146,7 @@ def checked_stamps(stamps: Array, path: str) -> CheckedStamps:
             f"{path}: {bad} of {kept.size} time stamps are missing, equal or out of order; write the rows in the order in "
             "which they were measured, each with its own time"
         )
-    return CheckedStamps(order=blocks.order, late=blocks.late, time=time, kept=kept, steps=tuple(clock_steps))
+    return StampCheck(order=blocks.order, late=blocks.late, time=time, kept=kept, steps=tuple(clock_steps))
 
 
 def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
@@ -169,19 +169,19 @@ def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
     return far & (np.abs(late - late[around]) > limit).all(axis=0)
 
 
-def _is_near(stamps: Array, rows: Indices, step: float) -> Flags:
+def _is_slightly_off(stamps: Array, rows: Indices, step: float) -> Flags:
     """Return the slightly disordered stamps (K,); of each disordered group those furthest off.
 
     If the lateness is lower after the group than before, the clock was set back and none of them is bad.
     """
-    found, late = np.zeros(rows.size, dtype=bool), stamps - step * rows
+    results, late = np.zeros(rows.size, dtype=bool), stamps - step * rows
     off = np.abs(late - ndimage.median_filter(late, size=2 * NEAR_ROWS + 1, mode="mirror"))
     labels, count = ndimage.label(_out_of_order(stamps, NEAR_ROWS))  # pyright: ignore[reportGeneralTypeIssues]
     for (group,) in ndimage.find_objects(labels)[:count]:
         first, last = max(0, group.start - 1), min(group.stop, rows.size - 1)
         if late[first] - late[last] <= PERMANENT * step * (group.stop - group.start):
-            found[group] = off[group] >= FURTHEST * off[group].max()
-    return found
+            results[group] = off[group] >= FURTHEST * off[group].max()
+    return results
 
 
 def _out_of_order(stamps: Array, width: int) -> Flags:
@@ -194,7 +194,7 @@ def _out_of_order(stamps: Array, width: int) -> Flags:
 def _with_one_clock(stamps: Array, kept: Flags, step: float) -> tuple[Array, list[ClockStep]]:
     """Return the kept stamps without backward clock steps, and the steps; time continues by a usual step."""
     rows = np.flatnonzero(kept)
-    time, found = stamps[rows], list[ClockStep]()
+    time, results = stamps[rows], list[ClockStep]()
     for row in (np.flatnonzero(np.diff(time) <= 0.0) + 1).tolist():
         before, after = float(stamps[rows[row - 1]]), float(stamps[rows[row]])
         back, passed = before - after, step * float(rows[row] - rows[row - 1])
@@ -202,5 +202,7 @@ def _with_one_clock(stamps: Array, kept: Flags, step: float) -> tuple[Array, lis
         shift = COUNTERS_S[counter] if counter else back + passed
         time[row:] += shift
         doubt = bool(counter) and shift - back > JOINT_STEPS * passed
-        found.append(ClockStep(row=row, before=before, after=after, shift=shift, counter=counter, may_be_restart=doubt))
-    return time, found
+        results.append(
+            ClockStep(row=row, before=before, after=after, shift=shift, counter=counter, may_be_restart=doubt)
+        )
+    return time, results

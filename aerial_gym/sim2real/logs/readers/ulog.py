@@ -19,8 +19,8 @@ import pandas as pd
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.stamps import SHOWN, CheckedStamps, ClockStep, checked_stamps, seconds_of
-from aerial_gym.sim2real.logs.signals import signs_of
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCheck, check_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.signals import quaternion_signs
 
 Topics = Mapping[str, Mapping[str, Array]]
 
@@ -59,7 +59,7 @@ SLOWEST_CLOCK_HZ = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
+class TopicSamples:
     """Usable samples of a topic."""
 
     time: Array
@@ -120,13 +120,13 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
         reference = _series(topics, "vehicle_attitude", notes)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    found = {"vehicle_attitude": reference}
+    tables = {"vehicle_attitude": reference}
     for name in TOPICS.keys() & topics.keys() - {"vehicle_attitude"}:
         try:
-            found[name] = _on_clock_of(reference, _series(topics, name, notes), name)
+            tables[name] = _align_clock(reference, _series(topics, name, notes), name)
         except DataError as error:
             notes.append(Finding("topic_left_out", "", {"topic": name, "error": str(error)}))
-    series = _with_common_steps({name: found[name] for name in TOPICS if name in found and found[name].columns})
+    series = _with_common_steps({name: tables[name] for name in TOPICS if name in tables and tables[name].columns})
     clocks = [n for n in CLOCKS if n in series and (series[n].step < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")]
     clock = max(clocks, key=lambda name: series[name].step)
     rows, columns = series[clock].time, {}
@@ -140,7 +140,7 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
                 column if name == clock else _on_clock(rows, one.time, column, series[clock].step, held=held)
             )
         if name != "battery_status":
-            covered = _covered(rows, one.time, one.step)
+            covered = _is_covered(rows, one.time, one.step)
             if np.mean(~covered) > MOST_UNCOVERED:
                 left_out = {"rows": int(np.sum(~covered)), "total": rows.size, "topic": name}
                 notes.append(Finding("rows_without_topic", "", left_out))
@@ -150,7 +150,7 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
     return table, tuple(float(attitude.time[step.row]) for step in attitude.steps)
 
 
-def _series(topics: Topics, name: str, notes: list[Finding]) -> Series:
+def _series(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
     """Return the usable samples of a topic; no columns if it holds none.
 
     Raises:
@@ -164,9 +164,9 @@ def _series(topics: Topics, name: str, notes: list[Finding]) -> Series:
     if name in ("esc_status", "actuator_outputs"):  # unused entries are 0 in every row
         values = {label: column for label, column in values.items() if np.any(column != 0.0)}
     if not values:
-        return Series(time=np.zeros(0), columns={}, steps=())
+        return TopicSamples(time=np.zeros(0), columns={}, steps=())
     whole = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    checked = _checked_time(topic, f"topic {name}")
+    checked = _topic_time(topic, f"topic {name}")
     notes.extend(checked.late_note(checked.late.tolist(), topic=name))
     whole, values = whole[checked.order], {label: column[checked.order] for label, column in values.items()}
     good = whole[checked.kept]
@@ -177,14 +177,14 @@ def _series(topics: Topics, name: str, notes: list[Finding]) -> Series:
         notes.append(Finding("samples_with_bad_stamps", "", left_out))
     if name == "vehicle_attitude":
         notes.extend(step.finding("sample", step.row, topic=name) for step in checked.steps)
-        signs = signs_of(np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1))
+        signs = quaternion_signs(np.stack([values[f"q_{axis}"] for axis in "wxyz"], axis=1))
         values = {label: column * signs for label, column in values.items()}
     steps = tuple(replace(step, row=int(good[: step.row].sum())) for step in checked.steps)
     columns = {label: column[checked.kept][good] for label, column in values.items()}
-    return Series(time=checked.time[good], columns=columns, steps=steps)
+    return TopicSamples(time=checked.time[good], columns=columns, steps=steps)
 
 
-def _checked_time(topic: Mapping[str, Array], name: str) -> CheckedStamps:
+def _topic_time(topic: Mapping[str, Array], name: str) -> StampCheck:
     """Return the sampling time of a topic, or its publication time if the former is on another clock or unusable."""
     published, sampled = (topic.get(name) for name in ("timestamp", "timestamp_sample"))
     stamps = [stamp for stamp in (sampled, published) if stamp is not None]
@@ -193,14 +193,14 @@ def _checked_time(topic: Mapping[str, Array], name: str) -> CheckedStamps:
         if np.median((latency >= 0) & (latency < LONGEST_LATENCY_US)) == 0.0:
             stamps.reverse()
     try:
-        return checked_stamps(seconds_of(stamps[0], 1e-6), name)
+        return check_stamps(stamp_seconds(stamps[0], 1e-6), name)
     except DataError:
         if len(stamps) == 1:
             raise
-        return checked_stamps(seconds_of(stamps[1], 1e-6), name)
+        return check_stamps(stamp_seconds(stamps[1], 1e-6), name)
 
 
-def _on_clock_of(reference: Series, one: Series, name: str) -> Series:
+def _align_clock(reference: TopicSamples, one: TopicSamples, name: str) -> TopicSamples:
     """Return a topic moved by multiples of ``WRAP_S`` onto the reference clock.
 
     Raises:
@@ -222,17 +222,17 @@ def _on_clock_of(reference: Series, one: Series, name: str) -> Series:
     return shifted
 
 
-def _with_common_steps(series: dict[str, Series]) -> dict[str, Series]:
+def _with_common_steps(series: dict[str, TopicSamples]) -> dict[str, TopicSamples]:
     """Return the topics with equal clock corrections: the least of each step, which the fastest topic resolves best."""
     shifts = np.array([[step.shift for step in one.set_back] for one in series.values()])
     least = shifts.min(axis=0)
-    found = dict[str, Series]()
+    tables = dict[str, TopicSamples]()
     for (name, one), own in zip(series.items(), shifts, strict=True):
         time = one.time.copy()
         for step, excess in zip(one.set_back, own - least, strict=True):
             time[step.row :] -= excess
-        found[name] = replace(one, time=time)
-    return found
+        tables[name] = replace(one, time=time)
+    return tables
 
 
 def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:
@@ -251,7 +251,7 @@ def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: boo
     return np.where(last - first >= 2, mean + shift * slope, line)
 
 
-def _covered(rows: Array, time: Array, step: float) -> Flags:
+def _is_covered(rows: Array, time: Array, step: float) -> Flags:
     """Return the rows between two samples at most ``REACH`` usual steps apart, (T,)."""
     after = np.searchsorted(time, rows, side="left")
     inside = (after < time.size) & ((after > 0) | (time[0] == rows))

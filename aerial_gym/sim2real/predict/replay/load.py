@@ -60,7 +60,7 @@ class Link:
     load: Array
     """Direction n and rate n' [1/s], world, (T, 6)."""
 
-    def at(self, times: Array) -> Array:
+    def interpolate(self, times: Array) -> Array:
         """Return direction and rate at other times, (W, 6), by linear interpolation with ``|n| = 1``."""
         load = np.stack([np.interp(times, self.time, column) for column in self.load.T], axis=1)
         direction = load[:, :3] / np.linalg.norm(load[:, :3], axis=1, keepdims=True)
@@ -83,7 +83,7 @@ class LoadReplay:
             count = int(np.ceil(max(self._spans) / STEP_S)) + 1
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
             self._acceleration = torch.from_numpy(np.stack([self._motion(flight) for flight in flights], axis=1))
-            self._start = torch.stack([self._hanging(place, flight) for place, flight in enumerate(flights)])
+            self._start = torch.stack([self._rest_link(place, flight) for place, flight in enumerate(flights)])
             hanging = self._start[:, :3]
             self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
             self._axes[:, 2] = hanging
@@ -128,7 +128,7 @@ class LoadReplay:
         slow = lowpass(flight.lin_vel, flight.rate, min(BAND, DERIVED_BAND * flight.rate), derivative=True)
         return np.stack([np.interp(self._time, flight.time, column) for column in slow.T], axis=1)
 
-    def _hanging(self, place: int, flight: Flight) -> Tensor:
+    def _rest_link(self, place: int, flight: Flight) -> Tensor:
         """Return the link at rest along the initial apparent gravity, (6,)."""
         rows = self._time <= min(SETTLED_S, flight.time[-1])
         apparent = -self._acceleration[torch.from_numpy(rows), place].mean(dim=0)
@@ -146,8 +146,8 @@ class LoadReplay:
                 np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
                 for t, rows in zip(self._times, values, strict=True)
             ]
-            found = np.stack(columns, axis=1)
-            self._missed, self._felt = values, (torch.from_numpy(found), found.tobytes())
+            links = np.stack(columns, axis=1)
+            self._missed, self._felt = values, (torch.from_numpy(links), links.tobytes())
         return self._felt
 
     def _find_start(self, model: Model, missed: Tensor) -> Tensor:
@@ -159,7 +159,7 @@ class LoadReplay:
         prior = torch.tensor(START_STD, dtype=torch.float64).pow(-2)
         side_by_side = self._acceleration[: 2 * max(self._num_found) + 1].repeat(1, 5, 1)
         for count in self._num_found:
-            start, acceleration = self._started(moved).flatten(0, 1), side_by_side[: 2 * count + 1]
+            start, acceleration = self._perturb_rest(moved).flatten(0, 1), side_by_side[: 2 * count + 1]
             force = swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
             pulled = force.unflatten(1, (5, num_flights)) / model.vehicle.mass[0]  # (K + 1, 5, F, 3)
             left = (missed[: count + 1] - pulled[:, 0]) * weight[: count + 1]
@@ -167,9 +167,9 @@ class LoadReplay:
             normal = torch.einsum("kafi,kbfi->fab", slope, slope) + torch.diag(prior)
             pull = torch.einsum("kafi,kfi->fa", slope, left) - prior * moved[0]
             moved = moved + torch.linalg.solve(normal, pull)
-        return self._started(moved[0])
+        return self._perturb_rest(moved[0])
 
-    def _started(self, numbers: Tensor) -> Tensor:
+    def _perturb_rest(self, numbers: Tensor) -> Tensor:
         """Return links (any, F, 6) displaced from rest by two angles and two rates (any, F, 4)."""
         first, second, hanging = self._axes.unbind(1)
         moved = hanging + numbers[..., :1] * first + numbers[..., 1:2] * second

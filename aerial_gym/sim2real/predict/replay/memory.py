@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 import torch
 from torch import Tensor
 
-from aerial_gym.physics.answers import Answers
+from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import Effect, RotorSensorEffect
 from aerial_gym.physics.effects.by_kind import EffectsByKind
-from aerial_gym.physics.effects.track import Track
+from aerial_gym.physics.effects.track import FlightTrack
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.arrays import Array
@@ -19,7 +19,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.rows.batches import one_row
 
 
-def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
+def effects_with_memory(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
     """Yield the effects whose memory ``Effect.replay`` computes, with their parameters.
 
     ``RotorReplay`` handles the memory of effects on commands and ``LoadReplay`` that of a load. Random wind has no replay.
@@ -29,17 +29,19 @@ def remembering(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
             yield effect, params
 
 
-def track_of(flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0) -> Track:
+def make_track(
+    flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0
+) -> FlightTrack:
     """Return the track that drives memory along a flight; arguments as the fields of ``Track``."""
     stands = flight.on_ground is not None and bool(flight.on_ground[0])
-    return Track(vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled)
+    return FlightTrack(vehicle=vehicle, rotor_speed=rotor_speed, step=step, begins_on_ground=stands, settled=settled)
 
 
-def remembered_along(
+def replay_memory(
     model: Model,
     flights: Sequence[Flight],
     speeds: Sequence[Array | None] | None,
-    answers: Answers[Track],
+    answers: EffectCache[FlightTrack],
     *,
     settled: float,
 ) -> dict[str, list[Tensor]]:
@@ -52,17 +54,17 @@ def remembered_along(
         answers: Stored results.
         settled: Initial angle of soft arms as a share of their rest angle, if a log begins in the air.
     """
-    found = list(remembering(model.effects))
-    if not found:
+    effects = list(effects_with_memory(model.effects))
+    if not effects:
         return {}
     vehicle, led = one_row(model.vehicle, 0), speeds or [None] * len(flights)
     tracks = [
-        track_of(flight, vehicle, true_speed(flight, model, own), 1.0 / flight.rate, settled=settled)
+        make_track(flight, vehicle, true_speed(flight, model, own), 1.0 / flight.rate, settled=settled)
         for flight, own in zip(flights, led, strict=True)
     ]
     return {
         effect.name: [answers.ask(effect.replay, track, params[:1], place=k) for k, track in enumerate(tracks)]
-        for effect, params in found
+        for effect, params in effects
     }
 
 

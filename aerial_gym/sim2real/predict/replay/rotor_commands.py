@@ -17,19 +17,19 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, VehicleEffect
-from aerial_gym.physics.effects.one_rotor import declared_lag
+from aerial_gym.physics.effects.one_rotor import nominal_lag
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.flights import Flight, names_of
+from aerial_gym.sim2real.logs.flights import Flight, flight_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.tolerances import Deviated
+from aerial_gym.sim2real.predict.tolerances import VehicleDeviation
 
 LEAST_VARIATION = 0.01
 """Least relative variation of the voltage that is distinguishable from a constant factor."""
 
 
-def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
+def commands_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
     """Return the target speeds at the start and in the rest of each row [rad/s], (T, R) each, and the first part's share.
 
     A command holds until the next row. Before the first command arrives, its value is assumed.
@@ -48,13 +48,13 @@ def arriving_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> tu
     late = flight.rate * sum(float(effect.delay(params)) for effect, params in model.effects[DelayEffect])
     whole = int(late)
     place = torch.arange(flight.num_rows) - whole
-    earlier, later = (_led_to(flight, model, moved[(place - more).clamp_min(0)]) for more in (1, 0))
+    earlier, later = (_target_speed(flight, model, moved[(place - more).clamp_min(0)]) for more in (1, 0))
     return earlier, later, late - whole
 
 
 def mean_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> Array:
-    """Return the mean target speeds over each row [rad/s], (T, R); ``shift`` as in ``arriving_commands``."""
-    earlier, later, share = arriving_commands(flight, model, shift=shift)
+    """Return the mean target speeds over each row [rad/s], (T, R); ``shift`` as in ``commands_with_delay``."""
+    earlier, later, share = commands_with_delay(flight, model, shift=shift)
     return (share * earlier + (1.0 - share) * later).numpy()
 
 
@@ -63,7 +63,7 @@ def is_commanded(flights: Sequence[Flight]) -> bool:
     return all(flight.rotor_command is not None for flight in flights)
 
 
-def with_arriving_commands(off: Deviated, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
+def with_arriving_commands(off: VehicleDeviation, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
     """Return the flights with commands as they arrive at the rotors, so that windows include those in transit."""
     acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
     model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])
@@ -76,11 +76,11 @@ def acts_on_commands(name: str) -> bool:
     return isinstance(EFFECTS.get(name), CommandEffect | DelayEffect)
 
 
-def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
+def _target_speed(flight: Flight, model: Model, command: Tensor) -> Tensor:
     """Return the target speeds of commands (T, R) at the voltage of their rows."""
     command = stop_in_dead_band(model.vehicle, command)
     for effect, params in model.effects[CommandEffect]:
-        if lacking := missing_in_logs(effect, [flight]):
+        if lacking := absent_quantity(effect, [flight]):
             where = lacking.values["flights"]
             raise DataError(
                 f"effect {effect.name}: {where}: without battery voltage; log it in volts (column vbat), or leave the effect "
@@ -92,15 +92,15 @@ def _led_to(flight: Flight, model: Model, command: Tensor) -> Tensor:
     return command
 
 
-def missing_in_logs(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+def absent_quantity(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding on a logged quantity that an effect needs and flights lack; None if all are there."""
     without = [flight for flight in flights if flight.battery is None]
     if "battery" in effect.logged and without:
-        return Finding("logs_lack", effect.name, {"flights": names_of(without, flights), "need": "battery"})
+        return Finding("logs_lack", effect.name, {"flights": flight_names(without, flights), "need": "battery"})
     return None
 
 
-def too_steady(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+def low_voltage_variation(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding if the voltage of all flights varies too little to identify an effect; else None."""
     if "battery" not in effect.logged:
         return None
@@ -112,7 +112,7 @@ def too_steady(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
     return Finding("voltage_too_steady", effect.name, {"share": float((high - low) / middle)})
 
 
-def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
+def slow_command_period(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding if the time between commands exceeds the rotor lag, so an actuation effect is not identifiable.
 
     Rotors then also follow commands between the logged rows, and a fitted lag would compensate for these.
@@ -120,7 +120,7 @@ def too_coarse(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Fi
     rates = [flight.rate for flight in flights if flight.rotor_command is not None]
     if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
         return None
-    row, lag = 1.0 / min(rates), min(declared_lag(robot))
+    row, lag = 1.0 / min(rates), min(nominal_lag(robot))
     if row < lag:
         return None
     return Finding("commands_too_coarse", effect.name, {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag})

@@ -86,7 +86,7 @@ def follow_commands(
 ) -> Tensor:
     """Return the rotor speeds at the rows of all flights in sequence [rad/s], float64, (N, R).
 
-    The law is ``rotors.lag_speed``, with ``slew_rates`` that of ``rotor_lag.limited_lag`` for speeds of either sign.
+    The law is ``rotors.lag_speed``, with ``slew_rates`` that of ``rotor_lag.slew_limited_lag`` for speeds of either sign.
 
     Args:
         first: Speeds at the first row of each flight [rad/s], float64, (F, R).

@@ -14,7 +14,7 @@ from aerial_gym.physics import Model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.replay.rotor_commands import arriving_commands
+from aerial_gym.sim2real.predict.replay.rotor_commands import commands_with_delay
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 
 REMEMBERED = 8
@@ -63,7 +63,7 @@ class RotorReplay:
         result: list[Array | None] = [None] * len(self._flights)
         if not self._members:
             return result
-        arriving = [arriving_commands(self._flights[index], model, shift=shift) for index in self._members]
+        arriving = [commands_with_delay(self._flights[index], model, shift=shift) for index in self._members]
         earlier, later, shares = zip(*arriving, strict=True)
         table = follow_commands(
             torch.stack([self._first(index, sensors) for index in self._members]),

@@ -15,7 +15,7 @@ MOST_ROWS = 16000
 """Most rows per batch; larger ones exceed the processor's cache and are slower per row."""
 
 
-def together(rows: Sequence[int]) -> list[slice]:
+def group_flights(rows: Sequence[int]) -> list[slice]:
     """Return the batches of consecutive flights, given their numbers of rows: at most MOST_ROWS, or one longer flight."""
     ends = [0]
     for index in range(1, len(rows)):

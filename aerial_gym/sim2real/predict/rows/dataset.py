@@ -14,13 +14,13 @@ from torch import Tensor
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_of
+from aerial_gym.sim2real.logs.checks.conventions import body_rate
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.nonzero import not_zero
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
-from aerial_gym.sim2real.predict.scene import heights, other_along
+from aerial_gym.sim2real.predict.scene import heights, other_vehicle_track
 
 ROWS_PER_BAND = 5.0
 """Rate of the evaluated rows in bandwidths."""
@@ -42,7 +42,7 @@ SETTLE_S = 0.5
 """Time dropped at the start if rotor speeds are simulated from commands [s]."""
 
 
-def thinned(flight: Flight, bandwidth: float) -> int:
+def thin_rows(flight: Flight, bandwidth: float) -> int:
     """Return the thinning factor of a log: log rows per evaluated row."""
     return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
@@ -69,8 +69,8 @@ class Dataset:
             every_row: Whether to keep all rows of the log instead of thinning them to the band.
         """
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
-        self.stride = [1 if every_row else thinned(f, bandwidth) for f in flights]
-        self.kept = [self._kept_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
+        self.stride = [1 if every_row else thin_rows(f, bandwidth) for f in flights]
+        self.kept = [self._evaluation_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
         self.measured = [self._measure(index) for index in range(len(flights))]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
         states = [self._state_rows(index) for index in range(len(flights))]
@@ -81,14 +81,16 @@ class Dataset:
         ends = np.cumsum([0, *(time.size for time in self.times)])
         self.kept_spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
         self.row_times = [flight.time[::stride] for flight, stride in zip(flights, self.stride, strict=True)]
-        others = [torch.from_numpy(other_along(f)[::s]) for f, s in zip(flights, self.stride, strict=True)]
+        other_positions = [
+            torch.from_numpy(other_vehicle_track(f)[::s]) for f, s in zip(flights, self.stride, strict=True)
+        ]
         rows = [state["attitude"].shape[0] for state in states]
-        self.heights, self.other = heights(flights, rows), torch.cat(others)
+        self.heights, self.other = heights(flights, rows), torch.cat(other_positions)
         self.simulated = all(flight.rotor_speed is None for flight in flights)
         turning = [(i, rotor) for i, rotor in enumerate(rotors) if rotor is not None]
-        self.speed = torch.cat([self.thinned(i, rotor.speed) for i, rotor in turning]) if turning else None
+        self.speed = torch.cat([self.thin_rows(i, rotor.speed) for i, rotor in turning]) if turning else None
         self.unsure_speed = (
-            torch.cat([self._of_modes(i, rotor, self.thinned) for i, rotor in turning], dim=1) if turning else None
+            torch.cat([self._of_modes(i, rotor, self.thin_rows) for i, rotor in turning], dim=1) if turning else None
         )
 
         accelerometers = all(flight.specific_force is not None for flight in flights)
@@ -102,13 +104,13 @@ class Dataset:
         self.felt_force_kept = torch.cat(kept)
         self.acceleration = torch.cat([self._derivative(i, "lin_vel") for i in range(len(flights))])
         self.ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
-        self.spin_up = torch.cat([self.derivative_of(i, rotor.speed) for i, rotor in turning]) if turning else None
+        self.spin_up = torch.cat([self.differentiate(i, rotor.speed) for i, rotor in turning]) if turning else None
         self.unsure_spin_up = (
-            torch.cat([self._of_modes(i, rotor, self.derivative_of) for i, rotor in turning], dim=1)
+            torch.cat([self._of_modes(i, rotor, self.differentiate) for i, rotor in turning], dim=1)
             if turning
             else None
         )
-        implied = (self._implied_force, self._implied_jerk, self._implied_rate)
+        implied = (self._kinematic_force, self._kinematic_jerk, self._kinematic_rate)
         self._implied = np.concatenate(
             [np.concatenate([of(i).T for i in range(len(flights))], axis=1) for of in implied]
         )
@@ -140,13 +142,13 @@ class Dataset:
         ``late``: delay of each flight [s]; None: no delay.
         """
         moving = np.flatnonzero(not_zero(columns, axis=1))
-        found = np.zeros((len(columns), self.kept_spans[-1].stop))
+        matrix = np.zeros((len(columns), self.kept_spans[-1].stop))
         for index, (span, to) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
             stride = self.stride[index]
             rate, seconds = self.flights[index].rate / stride, 0.0 if late is None else late[index]
             slow = lowpass_columns(columns[moving, span], rate, self.bandwidth, late=seconds)
-            found[moving, to] = slow[:, self.kept[index] // stride]
-        return found
+            matrix[moving, to] = slow[:, self.kept[index] // stride]
+        return matrix
 
     def _measure(self, index: int) -> Array:
         """Return the measured channels of a flight in the band, (rows kept, C)."""
@@ -165,7 +167,7 @@ class Dataset:
             parts.append(lowpass(values, flight.rate, self.bandwidth, derivative=derivative)[self.kept[index]])
         return np.concatenate(parts, axis=1)
 
-    def _kept_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
+    def _evaluation_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
         """Return the log rows of the residuals: multiples of the stride, without the ends and ground contacts."""
         edge = edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
@@ -191,14 +193,14 @@ class Dataset:
         if values is None:
             unknown = FAR_ABOVE if name == "position" else np.zeros(3)
             values = np.tile(unknown, (self.flights[index].num_rows, 1))
-        return self.thinned(index, values)
+        return self.thin_rows(index, values)
 
     def _derivative(self, index: int, name: str) -> Tensor:
         """Return the derivative of a quantity at the rows of a flight, (E, any); 0 if it was not logged."""
         values = getattr(self.flights[index], name)
-        return self.derivative_of(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
+        return self.differentiate(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
 
-    def derivative_of(self, index: int, values: Array) -> Tensor:
+    def differentiate(self, index: int, values: Array) -> Tensor:
         """Return the derivative of values in all log rows at the rows of a flight, (E, any)."""
         slow = lowpass(values, self.flights[index].rate, self._wide(index), derivative=True)
         return torch.from_numpy(np.ascontiguousarray(slow[:: self.stride[index]]))
@@ -208,14 +210,14 @@ class Dataset:
         flight = self.flights[index]
         return PREFILTER * flight.rate / self.stride[index] if flight.gyro else self.bandwidth
 
-    def _implied_force(self, index: int) -> Tensor:
+    def _kinematic_force(self, index: int) -> Tensor:
         """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): the reading of an ideal accelerometer."""
         acceleration = self.acceleration[self.spans[index]].clone()
         acceleration[:, 2] += STANDARD_GRAVITY
         attitude = self._thin(index, "attitude")
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), acceleration)
 
-    def _implied_jerk(self, index: int) -> Tensor:
+    def _kinematic_jerk(self, index: int) -> Tensor:
         """Return ``R^T v''`` [m/s³], body, (E, 3): the derivative of the implied force with respect to the velocity's delay."""
         acceleration = self.acceleration[self.spans[index]].numpy()
         rate = self.flights[index].rate / self.stride[index]
@@ -223,13 +225,13 @@ class Dataset:
         attitude = self._thin(index, "attitude")
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), jerk)
 
-    def _implied_rate(self, index: int) -> Tensor:
+    def _kinematic_rate(self, index: int) -> Tensor:
         """Return the angular velocity implied by the attitude [rad/s], body, (E, 3)."""
         flight = self.flights[index]
-        rate = body_rate_of(flight.attitude, flight.rate, self._wide(index))
+        rate = body_rate(flight.attitude, flight.rate, self._wide(index))
         return torch.from_numpy(np.ascontiguousarray(rate[:: self.stride[index]]))
 
-    def thinned(self, index: int, values: Array) -> Tensor:
+    def thin_rows(self, index: int, values: Array) -> Tensor:
         """Return values at every n-th row, low-passed below half the new rate."""
         stride = self.stride[index]
         if stride > 1:

@@ -16,9 +16,9 @@ from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.model import Model
 from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.predict.rows.band_response import InBand, Late, split_columns
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.rows.in_band import InBand, Late, columns_of
-from aerial_gym.sim2real.predict.tolerances import Sensed
+from aerial_gym.sim2real.predict.tolerances import SensorDeviation
 
 Columns = list[Array]
 
@@ -33,12 +33,12 @@ class Reading:
     offset: Tensor
     turn: Tensor
 
-    def of(self, rows: Tensor) -> Tensor:
+    def apply(self, rows: Tensor) -> Tensor:
         """Return the readings for true rows (E, 3)."""
         return times(rows, self.turn) + self.offset
 
 
-def imu_of(model: Model) -> tuple[Reading, Reading]:
+def imu_from_model(model: Model) -> tuple[Reading, Reading]:
     """Return the readings of accelerometer and gyro under a model's sensor errors, constant in all rows."""
     numbers = imu_errors([(effect, params[:1]) for effect, params in model.effects[ImuEffect]]).view(2, 4, 3)
     accelerometer, gyro = (Reading(offset=part[0], turn=part[1:]) for part in numbers)
@@ -53,7 +53,7 @@ class ImuReading:
         self.data, self._in_band = data, in_band
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
-    def clock(self, logged: Sensed) -> list[float]:
+    def clock(self, logged: SensorDeviation) -> list[float]:
         """Return the delays of rotor speeds, accelerometer, gyro, attitude and velocity on the prediction's clock [s].
 
         This clock is that of the logged rotor speeds, or of the commands, which have no delay.
@@ -62,7 +62,7 @@ class ImuReading:
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]
 
-    def late(self, logged: Sensed) -> Late:
+    def late(self, logged: SensorDeviation) -> Late:
         """Return the delays of force and rotation in each flight on that clock.
 
         Without an accelerometer the force is derived in the axes of the attitude, and has its delay.
@@ -71,7 +71,9 @@ class ImuReading:
         force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
         return Late(force=force, gyro=(gyro,) * len(force))
 
-    def read(self, model: Model, found: Accelerations, logged: Sensed, seeming: Tensor | None) -> dict[str, Columns]:
+    def read(
+        self, model: Model, accelerations: Accelerations, logged: SensorDeviation, seeming: Tensor | None
+    ) -> dict[str, Columns]:
         """Return the sensor readings by kind of channel, three columns (T,) each.
 
         Args:
@@ -80,12 +82,12 @@ class ImuReading:
             logged: Sensor errors of the deviations within the tolerances.
             seeming: Apparent addition to the angular acceleration by correlated noise [rad/s²], (T, 3); None: zero.
         """
-        felt, force, torque = self.data.felt_force_kept, found.specific_force, found.ang_acc
+        felt, force, torque = self.data.felt_force_kept, accelerations.specific_force, accelerations.ang_acc
         if logged.imu_place.any():
-            force = force + felt * self._in_band.felt_at(logged.imu_place, self.late(logged)).T
+            force = force + felt * self._in_band.lever_response(logged.imu_place, self.late(logged)).T
         if model.effects[ImuEffect]:
-            of_force, of_rate = imu_of(model)
-            force, torque = torch.where(felt, of_force.of(force), force), times(torque, of_rate.turn)
+            of_force, of_rate = imu_from_model(model)
+            force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)
         if seeming is not None:
             torque = torque + seeming
         turn = quat_to_matrix(logged.turn) if logged.attitude.any() else None
@@ -100,15 +102,15 @@ class ImuReading:
             # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
             force = force + more
-            pairs = zip(implied["kinematic_force"], columns_of(more), strict=True)
+            pairs = zip(implied["kinematic_force"], split_columns(more), strict=True)
             implied = {**implied, "kinematic_force": [one + other for one, other in pairs]}
         return {
-            "specific_force": columns_of(force + logged.acc_bias * felt),
-            "angular_acceleration": columns_of(torque),  # a constant error has no derivative
+            "specific_force": split_columns(force + logged.acc_bias * felt),
+            "angular_acceleration": split_columns(torque),  # a constant error has no derivative
             **implied,
         }
 
-    def _read_of_kinematics(self, model: Model, logged: Sensed, turn: Tensor | None) -> dict[str, Columns]:
+    def _read_of_kinematics(self, model: Model, logged: SensorDeviation, turn: Tensor | None) -> dict[str, Columns]:
         """Return the kinematic channels with sensor errors, cached for all models with equal errors."""
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
         own = (logged.acc_bias, logged.gyro_bias, logged.delays)
@@ -122,12 +124,12 @@ class ImuReading:
             if turn is not None:
                 force, rate = times(force, turn.T), times(rate, turn.T)
             if errs:
-                of_force, of_rate = imu_of(model)
-                force, rate = of_force.of(force), of_rate.of(rate)
+                of_force, of_rate = imu_from_model(model)
+                force, rate = of_force.apply(force), of_rate.apply(rate)
             bias = logged.acc_bias * self.data.felt_force_kept
             self._of_kinematics[key] = {
-                "kinematic_force": columns_of(force + bias),
-                "kinematic_rate": columns_of(rate + logged.gyro_bias),
+                "kinematic_force": split_columns(force + bias),
+                "kinematic_rate": split_columns(rate + logged.gyro_bias),
             }
             while len(self._of_kinematics) > READINGS:
                 self._of_kinematics.popitem(last=False)

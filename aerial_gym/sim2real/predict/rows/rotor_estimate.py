@@ -32,9 +32,9 @@ from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEf
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import without_line
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.spectra import density_of, filtered, noise_above, segment_length
+from aerial_gym.sim2real.predict.rows.spectra import apply_gain, noise_level, power_density, segment_length
 
 ORDER = (2, 3, 4, 5, 0, 1)
 """Order of forces and torques in the construction of rotor modes: thrust, roll, pitch, yaw, then forces along x and y,
@@ -72,21 +72,23 @@ def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float
         flights: Measured flights.
         bandwidth: Bandwidth of the comparison [Hz].
     """
-    model = rotors_of(robot)
+    model = rotor_vehicle(robot)
     led = RotorReplay(flights).speeds(model, 0.0, model.effects[RotorSensorEffect])
     made = allocation_matrix(model.vehicle, STANDARD_GRAVITY)[0].numpy()
-    found = [_estimate(flight, commanded, made, bandwidth) for flight, commanded in zip(flights, led, strict=True)]
-    return [as_measured(flight) if one is None else one for flight, one in zip(flights, found, strict=True)]
+    estimates = [_estimate(flight, commanded, made, bandwidth) for flight, commanded in zip(flights, led, strict=True)]
+    return [as_measured(flight) if one is None else one for flight, one in zip(flights, estimates, strict=True)]
 
 
-def rotors_of(robot: RobotCfg) -> Model:
+def rotor_vehicle(robot: RobotCfg) -> Model:
     """Return the declared vehicle with only those effects that change the rotors' response to commands."""
     kinds = (VehicleEffect, DelayEffect, CommandEffect, RotorSensorEffect)
     effects = {
-        name: params for name, params in declared_params(robot).effects.items() if isinstance(EFFECTS.get(name), kinds)
+        name: params
+        for name, params in params_from_robot(robot).effects.items()
+        if isinstance(EFFECTS.get(name), kinds)
     }
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    return build_model(vehicle, effects_at(ModelParams(effects=effects), 1))
+    return build_model(vehicle, expand_effects(ModelParams(effects=effects), 1))
 
 
 def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) -> RotorEstimate | None:
@@ -102,8 +104,8 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
     if speed is None:
         return None
     base = np.broadcast_to(speed.mean(axis=0), speed.shape)
-    frequency, density = density_of(speed - base if led is None else speed - led, rate)
-    noise = noise_above(frequency, density, bandwidth, rate)
+    frequency, density = power_density(speed - base if led is None else speed - led, rate)
+    noise = noise_level(frequency, density, bandwidth, rate)
     if noise is None or not noise[0].all():
         return None
     level, lines = noise
@@ -111,17 +113,17 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
     modes = _modes(made * root)
     moved, around = (speed - base) / root @ modes, np.zeros_like(speed)
     if led is not None:
-        density = density_of(moved, rate)[1]
+        density = power_density(moved, rate)[1]
         in_band = density[(frequency > 0.0) & (frequency <= bandwidth)].mean(axis=0)
         noisy = in_band - 1.0 < 1.0  # motion below noise, which is 1 here
         around[:, noisy] = ((led - base) / root @ modes)[:, noisy]
         moved = moved - around
-    density, segments = density_of(moved, rate)[1], _segments(len(speed), rate)
+    density, segments = power_density(moved, rate)[1], _segments(len(speed), rate)
     shares = [_share_of_motion(one, segments, 1.0 / np.sqrt(segments * lines)) for one in density.T]
     share, spread = (np.stack(parts, axis=1) for parts in zip(*shares, strict=True))
     left = without_line(moved.T).T
-    expected = around + moved - left + filtered(left, frequency, share, rate)
-    unsure = filtered(left, frequency, spread, rate)
+    expected = around + moved - left + apply_gain(left, frequency, share, rate)
+    unsure = apply_gain(left, frequency, spread, rate)
     return RotorEstimate(
         speed=base + expected @ modes.T * root, unsure=unsure.T[:, :, None] * (modes.T * root)[:, None, :]
     )

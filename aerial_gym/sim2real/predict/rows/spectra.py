@@ -27,14 +27,14 @@ def segment_length(rows: int, rate: float) -> int:
     return min(rows, round(SEGMENT_S * rate))
 
 
-def density_of(values: Array, rate: float) -> tuple[Array, Array]:
+def power_density(values: Array, rate: float) -> tuple[Array, Array]:
     """Return the frequencies [Hz], (L,), and the density of each column (T, any), flat for white noise."""
     length = segment_length(len(values), rate)
     frequency, density = welch(values, rate, length)
-    return frequency, density / _seen_without_line(length)[:, None]
+    return frequency, density / _visible_share(length)[:, None]
 
 
-def _seen_without_line(length: int) -> Array:
+def _visible_share(length: int) -> Array:
     """Return the gain of Welch's density for white noise, (L,), reduced by the removal of straight lines.
 
     For white noise x, line k is ``v_k (x - P x)`` with the projection P on straight lines and the windowed wave v_k. Its mean
@@ -46,7 +46,7 @@ def _seen_without_line(length: int) -> Array:
     return 1.0 - lost / (window @ window)
 
 
-def noise_above(frequency: Array, density: Array, bandwidth: float, rate: float) -> tuple[Array, float] | None:
+def noise_level(frequency: Array, density: Array, bandwidth: float, rate: float) -> tuple[Array, float] | None:
     """Return the noise density of each column, (K,), and the least number of lines in its mean; None for a slow log.
 
     It is the mean density of the quietest octave above the band [Hz], since white noise nowhere exceeds the total.
@@ -59,7 +59,7 @@ def noise_above(frequency: Array, density: Array, bandwidth: float, rate: float)
     return np.min(means, axis=0), (OCTAVE - 1.0) * float(places[0])
 
 
-def filtered(values: Array, frequency: Array, gain: Array, rate: float) -> Array:
+def apply_gain(values: Array, frequency: Array, gain: Array, rate: float) -> Array:
     """Return columns (T, R) filtered with a gain (L, R) by frequency, without phase shift."""
     mirrored = np.concatenate((values, values[::-1]))
     at = fft.rfftfreq(len(mirrored), 1.0 / rate)

@@ -16,10 +16,10 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics import build_model, vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.flight import link_damping, link_fluid, link_wrenches
-from aerial_gym.physics.articulated.link_fluid import entrained
+from aerial_gym.physics.articulated.link_fluid import add_fluid
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
@@ -28,7 +28,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import csv_rows
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import edge_rows, interpolated, lowpass, uniform_log
+from aerial_gym.sim2real.logs.signals import edge_rows, interpolate, lowpass, uniform_log
 
 SLOW = 0.05
 """Velocity scale v of dry friction, as a share of the joint rate's standard deviation."""
@@ -74,10 +74,10 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: joint angles have empty or non-numeric fields; cut the log, or fill them")
-    return course_of(robot, log, interpolated(log.time, time, angles), bandwidth=bandwidth)
+    return joint_course(robot, log, interpolate(log.time, time, angles), bandwidth=bandwidth)
 
 
-def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
+def joint_course(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
     """Return the joint motion and efforts for logged joint angles [rad], (T, D).
 
     Args:
@@ -89,7 +89,7 @@ def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float
     Raises:
         DataError: If the log has neither accelerometer nor velocity, no gyro, or no rotors.
     """
-    rate = checked_rate(log, bandwidth)
+    rate = require_rate(log, bandwidth)
     assert log.ang_vel is not None
 
     def slow(values: Array, *, derivatives: int = 0) -> Array:
@@ -132,7 +132,7 @@ def course_of(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float
     )
 
 
-def checked_rate(log: FlightLog, bandwidth: float) -> float:
+def require_rate(log: FlightLog, bandwidth: float) -> float:
     """Return the sample rate of a log; raise ``DataError`` if it is too low or the body's motion is missing.
 
     Raises:
@@ -150,20 +150,20 @@ def checked_rate(log: FlightLog, bandwidth: float) -> float:
 
 def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
     """Return the joint efforts (T, D) for a motion and its accelerations (T, 6 + D), by inverse dynamics."""
-    model, links, wrench = pushed_links(robot, state, rotors)
+    model, links, wrench = apply_link_wrenches(robot, state, rotors)
     articulation = model.articulation
     assert articulation is not None
     damping = link_damping(model, articulation, links, state)
     if damping is not None:
         wrench = wrench + damping.start_wrench(links)
-    found = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
+    results = equations(articulation.tree, links, state, gravity=STANDARD_GRAVITY, wrench=wrench)
     fluid = link_fluid(model, links, state)
     if fluid is not None:
-        found = entrained(articulation.tree, found, state.attitude, fluid)
-    return ((found.mass @ acc.unsqueeze(-1)).squeeze(-1) - found.force)[:, 6:]
+        results = add_fluid(articulation.tree, results, state.attitude, fluid)
+    return ((results.mass @ acc.unsqueeze(-1)).squeeze(-1) - results.force)[:, 6:]
 
 
-def pushed_links(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
+def apply_link_wrenches(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tuple[Model, Links, torch.Tensor]:
     """Return the articulated model, its links, and the wrenches of rotors and effects on each link, (T, L, 6).
 
     Link drag and entrained fluid are excluded, as they depend on further quantities.
@@ -176,7 +176,7 @@ def pushed_links(robot: RobotCfg, state: TreeState, rotors: torch.Tensor) -> tup
     num_rows = len(rotors)
     vehicle = vehicle_from_config(robot, num_envs=num_rows, dtype=torch.float64)
     effects = robot_effects(robot, num_envs=num_rows, device=torch.device("cpu"), dtype=torch.float64)
-    articulation = articulation_of(robot, like=vehicle.mass)
+    articulation = build_articulation(robot, like=vehicle.mass)
     assert articulation is not None
     model = build_model(vehicle, effects, gravity=STANDARD_GRAVITY, ceiling_height=1e3, articulation=articulation)
     wrench = link_wrenches(model, articulation, state, rotors, torch.zeros_like(rotors))
@@ -191,8 +191,8 @@ def rotor_states(robot: RobotCfg, log: FlightLog) -> Array:
         raise DataError(f"{log.path}: holds neither speeds nor commands of the rotors")
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     command = torch.from_numpy(log.rotor_command).unsqueeze(1)
-    state, found, step = command[0], [], float(np.median(np.diff(log.time)))
+    state, results, step = command[0], [], float(np.median(np.diff(log.time)))
     for row in command:
-        found.append(state[0])
+        results.append(state[0])
         state = follow_command(vehicle, state, row, step)
-    return torch.stack(found).numpy()
+    return torch.stack(results).numpy()

@@ -12,19 +12,19 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.joint import SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.judge.analysis import Judged
+from aerial_gym.sim2real.json_values import plain, select_fields
+from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
-from aerial_gym.sim2real.logs.readers.csv_lines import find_header, lines_of
+from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
-from aerial_gym.sim2real.plain import fields_of, plain
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.joints.angle_logs import JointResult, LogJointFit, fit_flown_joints, require_joints
+from aerial_gym.sim2real.teststand.joints.body_motion_fit import fit_hidden_joints
 from aerial_gym.sim2real.teststand.joints.courses import read_course
-from aerial_gym.sim2real.teststand.joints.flown import FlownJoint, FoundJoint, fit_flown_joints, joints_of
-from aerial_gym.sim2real.teststand.joints.hidden import fit_hidden_joints
-from aerial_gym.sim2real.teststand.joints.swing import ride_of
-from aerial_gym.sim2real.teststand.report import Study, Table
+from aerial_gym.sim2real.teststand.joints.swing import body_motion
+from aerial_gym.sim2real.teststand.report import ReportTable, Study
 from aerial_gym.sim2real.teststand.studies import change, interval
 
 BANDWIDTH_HZ = 15.0
@@ -35,11 +35,11 @@ OF_RATE = 0.199
 
 
 @dataclass(frozen=True, kw_only=True)
-class FoundJoints:
+class FlightJointStudy:
     """Results for the joints of a robot."""
 
-    joints: tuple[FoundJoint, ...]
-    logged: tuple[FlownJoint, ...]
+    joints: tuple[JointResult, ...]
+    logged: tuple[LogJointFit, ...]
     """Full results per joint with logged angles."""
 
     channels: dict[str, tuple[Rms, Rms]]
@@ -48,7 +48,7 @@ class FoundJoints:
     left_out: tuple[Finding, ...]
 
     @property
-    def named(self) -> tuple[FoundJoint, ...]:
+    def joint_changes(self) -> tuple[JointResult, ...]:
         """Return the joints that differ from their declaration."""
         return tuple(joint for joint in self.joints if joint.changed)
 
@@ -67,63 +67,63 @@ class FoundJoints:
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
-        return {"joints": plain(self.logged or self.joints), **fields_of(self, "left_out", "channels")}
+        return {"joints": plain(self.logged or self.joints), **select_fields(self, "left_out", "channels")}
 
-    def corrected(self, robot: RobotCfg, source: str) -> RobotCfg:
+    def correct_robot(self, robot: RobotCfg, source: str) -> RobotCfg:
         """Return the robot with corrected joint springs."""
-        if robot.joints is None or not self.named:
+        if robot.joints is None or not self.joint_changes:
             return robot
-        springs = {joint.name: joint.spring for joint in self.named}
+        springs = {joint.name: joint.spring for joint in self.joint_changes}
         layout = tuple(replace(one, spring=springs.get(one.name, one.spring)) for one in robot.joints.layout)
         return replace(robot, joints=replace(robot.joints, layout=layout, source=f"{robot.joints.source}; {source}"))
 
-    def told_in(self, judged: Judged) -> Judged:
+    def add_to_verdict(self, judged: LoopResult) -> LoopResult:
         """Return the result of the closed loop with these joints in its verdict and robot."""
         kind = judged.verdict.verdict
         verdict = replace(
             judged.verdict,
-            verdict="explained" if self.named and kind in NOTHING_NAMED else kind,
-            joint_findings=tuple(joint.finding for joint in self.named),
+            verdict="explained" if self.joint_changes and kind in NOTHING_NAMED else kind,
+            joint_findings=tuple(joint.finding for joint in self.joint_changes),
             joints=tuple(joint.as_mapping() for joint in self.joints),
             notes=(*self.notes, *judged.verdict.notes),
         )
         return replace(
-            judged, verdict=verdict, corrected=self.corrected(judged.corrected, "aerial-gym close-loop --joints")
+            judged, verdict=verdict, corrected=self.correct_robot(judged.corrected, "aerial-gym close-loop --joints")
         )
 
 
 def find_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float = BANDWIDTH_HZ, progress: Progress = silent
-) -> FoundJoints:
+) -> FlightJointStudy:
     """Return the passive joints' parameters fitted to logs in the package's own layout.
 
     Raises:
         ConfigError: If the robot has no joints, or one that requires logged angles.
         DataError: If a log lacks required data.
     """
-    joints_of(robot)
+    require_joints(robot)
     if any(_has_angles(path) for path in flights):
         logged, left_out = fit_flown_joints(robot, [read_course(path, robot, bandwidth=bandwidth) for path in flights])
-        return FoundJoints(
+        return FlightJointStudy(
             joints=tuple(_in_short(robot, joint) for joint in logged),
             logged=tuple(logged),
             channels={},
             left_out=tuple(left_out),
         )
-    rides = [ride_of(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
+    rides = [body_motion(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
     fit = fit_hidden_joints(robot, rides, bandwidth=bandwidth, progress=progress)
-    return FoundJoints(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
+    return FlightJointStudy(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
 
 
 def _has_angles(path: Path) -> bool:
-    header = find_header(lines_of(path), "t")
+    header = find_header(read_lines(path), "t")
     return header is not None and any(name.startswith("joint_") for name in header.names)
 
 
-def _in_short(robot: RobotCfg, joint: FlownJoint) -> FoundJoint:
-    declared = next(one.spring for one in joints_of(robot).layout if one.name == joint.name) or SpringCfg()
+def _in_short(robot: RobotCfg, joint: LogJointFit) -> JointResult:
+    declared = next(one.spring for one in require_joints(robot).layout if one.name == joint.name) or SpringCfg()
     params = joint.laws[joint.chosen].params
-    return FoundJoint(
+    return JointResult(
         name=joint.name,
         changed=joint.changed,
         declared={
@@ -138,30 +138,32 @@ def study_flown_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float, progress: Progress = silent
 ) -> Study:
     """Return a study of the passive joints' laws from flights; raises the errors of ``find_joints``."""
-    found = find_joints(robot, flights, bandwidth=bandwidth, progress=progress)
+    study = find_joints(robot, flights, bandwidth=bandwidth, progress=progress)
     names = ", ".join(path.name for path in flights)
-    corrected = found.corrected(robot, f"aerial-gym identify joints: {names}")
-    named = "; ".join(f"{joint.name}: {what}" for joint in found.named for what in joint.changed) or "nothing"
+    corrected = study.correct_robot(robot, f"aerial-gym identify joints: {names}")
+    named = (
+        "; ".join(f"{joint.name}: {change}" for joint in study.joint_changes for change in joint.changed) or "nothing"
+    )
     parts = (
         "Errors are those of the joint effort below the bandwidth"
-        if found.logged
+        if study.logged
         else "No log has joint angles: all joints are fitted to the motion of the body below the bandwidth"
     )
     return Study(
         title="Joints in flight",
         intro=f"Differences from the declaration: {named}. {parts}. Flights, or parts of a single one, are left out in turn.",
-        mapping={"bandwidth_hz": bandwidth, **found.as_mapping()},
-        tables=_logged_tables(found.logged) if found.logged else _hidden_tables(found),
+        mapping={"bandwidth_hz": bandwidth, **study.as_mapping()},
+        tables=_tables_with_angles(study.logged) if study.logged else _tables_without_angles(study),
         notes=(
-            *found.left_out,
-            Finding("links_as_declared") if found.logged else Finding("thrust_scale_fitted"),
+            *study.left_out,
+            Finding("links_as_declared") if study.logged else Finding("thrust_scale_fitted"),
             Finding("intervals_of_flights"),
         ),
         files={"robot.yaml": dump_yaml(corrected)},
     )
 
 
-def _logged_tables(joints: Sequence[FlownJoint]) -> tuple[Table, ...]:
+def _tables_with_angles(joints: Sequence[LogJointFit]) -> tuple[ReportTable, ...]:
     rows = tuple(
         (
             joint.name,
@@ -174,36 +176,36 @@ def _logged_tables(joints: Sequence[FlownJoint]) -> tuple[Table, ...]:
         for joint in joints
     )
     head = ("joint", "differs", "law", "declared, error [N m]", "fitted, held-out error [N m]", "change")
-    return Table(title="Joints", head=head, rows=rows), *(_numbers(joint) for joint in joints)
+    return ReportTable(title="Joints", head=head, rows=rows), *(_numbers(joint) for joint in joints)
 
 
-def _numbers(joint: FlownJoint) -> Table:
+def _numbers(joint: LogJointFit) -> ReportTable:
     rows = [
         (law.name + " (chosen)" * (law.name == joint.chosen), name, interval(value))
         for law in joint.laws.values()
         for name, value in law.params.items()
     ]
     head = ("law", "parameter [N m, rad, s]", "95 %")
-    return Table(title=f"Candidates for {joint.name}", head=head, rows=tuple(rows))
+    return ReportTable(title=f"Candidates for {joint.name}", head=head, rows=tuple(rows))
 
 
-def _hidden_tables(found: FoundJoints) -> tuple[Table, ...]:
+def _tables_without_angles(study: FlightJointStudy) -> tuple[ReportTable, ...]:
     numbers = tuple(
         (joint.name, name, f"{joint.declared[name]:.4g}", interval(value), "yes" if name in joint.changed else "no")
-        for joint in found.joints
+        for joint in study.joints
         for name, value in joint.params.items()
     )
     felt = tuple(
         (name, interval(before), interval(after), change(before.value, after.value))
-        for name, (before, after) in found.channels.items()
+        for name, (before, after) in study.channels.items()
     )
     return (
-        Table(
+        ReportTable(
             title="Joints",
             head=("joint", "parameter [N m, rad, s]", "declared", "fitted, 95 %", "differs"),
             rows=numbers,
         ),
-        Table(
+        ReportTable(
             title="Motion of the body",
             head=("channel [m/s², rad/s²]", "declared, error", "fitted, held-out error", "change"),
             rows=felt,

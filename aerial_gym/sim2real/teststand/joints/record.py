@@ -11,14 +11,14 @@ from scipy.integrate import odeint
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
-from aerial_gym.sim2real.plain import plain
+from aerial_gym.sim2real.json_values import plain
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     PARSIMONY,
     CurveFit,
     Estimate,
+    cross_validation_error,
     fit_curve,
-    held_out_error,
     left_out,
     rms,
 )
@@ -160,8 +160,8 @@ class JointStudy:
 def spans(time: Array, error: Array) -> dict[str, float]:
     """Return RMS and largest error [rad] of a record, and the RMS in and after its first second."""
     early = time < SHOWN_SPANS_S[0][1]
-    found = {"rms": rms(error), "rms_first_second": rms(error[early]), "largest": float(np.abs(error).max())}
-    return found | {"rms_after_first_second": rms(error[~early])}
+    errors = {"rms": rms(error), "rms_first_second": rms(error[early]), "largest": float(np.abs(error).max())}
+    return errors | {"rms_after_first_second": rms(error[~early])}
 
 
 def release_record(bench: Bench, *, release: float = 0.0) -> Release:
@@ -259,7 +259,7 @@ def fit_joint(record: Release) -> JointStudy:
     forecast = {}
     for name in laws:
         error = _fit(name, record, ~late).residual[late]
-        forecast[name] = held_out_error(error, np.arange(error.size) // max(1, error.size // 20))
+        forecast[name] = cross_validation_error(error, np.arange(error.size) // max(1, error.size // 20))
     return JointStudy(
         record=record,
         published=record.angle - joint_angle(record, law),

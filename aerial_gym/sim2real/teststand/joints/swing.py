@@ -20,13 +20,13 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.math.quaternion import quat_normalize, quat_rotate_inverse
 from aerial_gym.physics.articulated.dynamics import equations
-from aerial_gym.physics.articulated.joint_laws import Limits, Spring
+from aerial_gym.physics.articulated.joint_laws import JointLimits, Spring
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.effects import EFFECTS, LinkFluidEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.teststand.joints.courses import checked_rate, pushed_links, rotor_states
+from aerial_gym.sim2real.teststand.joints.courses import apply_link_wrenches, require_rate, rotor_states
 
 CHANNELS = ("force x", "force y", "force z", "rotation x", "rotation y", "rotation z")
 """Specific force [m/s²] and angular acceleration [rad/s²]."""
@@ -65,7 +65,7 @@ class Ride:
     """Measured ``CHANNELS`` in the band, (T, 6)."""
 
 
-def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
+def body_motion(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
     """Return the motion of the body from a log at equal time steps.
 
     Raises:
@@ -77,7 +77,7 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
             f"identify joints: {fluids[0]} cannot be simulated without logged joint angles. Log them (columns joint_NAME), or "
             "remove the effect"
         )
-    rate = checked_rate(log, bandwidth)
+    rate = require_rate(log, bandwidth)
     assert log.ang_vel is not None
 
     def rows(values: Array | None) -> Tensor:
@@ -102,7 +102,7 @@ def ride_of(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
         joint_pos=joints,
         joint_vel=torch.zeros_like(joints),
     )
-    wrench = pushed_links(robot, base, rows(rotor_states(robot, log)))[2]
+    wrench = apply_link_wrenches(robot, base, rows(rotor_states(robot, log)))[2]
     felt = np.concatenate((lowpass(force, rate, bandwidth), turned), axis=1)
     return Ride(name=log.name, rate=rate, base=base, wrench=wrench, felt=felt)
 
@@ -122,7 +122,7 @@ class Swing:
         self.rides, self.bandwidth, self.rate = tuple(rides), bandwidth, rides[0].rate
         self.warm, self.held = round(SETTLE_S * self.rate), round(DAMPED_S * self.rate)
         first = TreeState(**{name: rows[:1] for name, rows in vars(rides[0].base).items()})
-        model, links, _ = pushed_links(robot, first, torch.zeros(1, robot.num_rotors).double())
+        model, links, _ = apply_link_wrenches(robot, first, torch.zeros(1, robot.num_rotors).double())
         assert model.articulation is not None
         self._articulation = model.articulation
         self._links = Links(mass=links.mass[:1], com=links.com[:1], inertia=links.inertia[:1])
@@ -156,8 +156,8 @@ class Swing:
         angle, rate = spread.spring.rest, torch.zeros_like(spread.spring.rest)
         felt, angles, rates = [], [], []
 
-        def row(k: int) -> Row:
-            return Row(motion={name: value[k] for name, value in base.items()}, wrench=scale * wrench[k])
+        def row(k: int) -> SwingState:
+            return SwingState(motion={name: value[k] for name, value in base.items()}, wrench=scale * wrench[k])
 
         start = end = here = row(0)
         count = self._steps(laws, here)
@@ -165,8 +165,8 @@ class Swing:
         for k in range(count * len(wrench)):
             if k % count == 0:
                 start, end = here, row(min(k // count + 1, len(wrench) - 1))
-            there = end if count == 1 else start.towards(end, (k % count + 1) / count)
-            middle, held = here.towards(there, 0.5), k < count * self.held
+            there = end if count == 1 else start.interpolate(end, (k % count + 1) / count)
+            middle, held = here.interpolate(there, 0.5), k < count * self.held
             feels, first = self._accelerations(here, spread, angle, rate, held)
             if k % count == 0 and k >= count * self.warm:
                 felt.append(feels)
@@ -191,7 +191,7 @@ class Swing:
             start += count
         return parts, torch.stack(angles), torch.stack(rates)
 
-    def _steps(self, laws: "Laws", here: "Row") -> int:
+    def _steps(self, laws: "Laws", here: "SwingState") -> int:
         """Return the number of integration steps per row that the fastest joint needs."""
         own = {name: value[:1] for name, value in here.motion.items()}
         rest = laws.spring.rest[:1]
@@ -203,34 +203,34 @@ class Swing:
         return max(1, ceil(quickest / self.rate / QUICKEST))
 
     def _accelerations(
-        self, row: "Row", laws: "Laws", angle: Tensor, rate: Tensor, held: bool
+        self, row: "SwingState", laws: "Laws", angle: Tensor, rate: Tensor, held: bool
     ) -> tuple[Tensor, Tensor]:
         """Return the body's specific force and angular acceleration, (E, 6), and the joint accelerations, (E, D)."""
         state = TreeState(position=row.motion["lin_vel"], joint_pos=angle, joint_vel=rate, **row.motion)
-        found = equations(
+        results = equations(
             self._articulation.tree,
             self._links,
             state,
             gravity=STANDARD_GRAVITY,
             wrench=row.wrench,
-            effort=laws.effort_at(angle, rate, held=held),
+            effort=laws.joint_effort(angle, rate, held=held),
         )
-        moved = torch.linalg.solve(found.mass, found.force)
+        moved = torch.linalg.solve(results.mass, results.force)
         up = quat_rotate_inverse(row.motion["attitude"], _up(len(angle)))
         return torch.cat((moved[:, :3] + STANDARD_GRAVITY * up, moved[:, 3:6]), dim=-1), moved[:, 6:]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class SwingState:
     """Body motion and link wrenches at one instant."""
 
     motion: dict[str, Tensor]
     wrench: Tensor
 
-    def towards(self, other: "Row", share: float) -> "Row":
+    def interpolate(self, other: "SwingState", share: float) -> "SwingState":
         """Return the linear interpolation to another instant at a share."""
         motion = {name: torch.lerp(value, other.motion[name], share) for name, value in self.motion.items()}
-        return Row(motion=motion, wrench=torch.lerp(self.wrench, other.wrench, share))
+        return SwingState(motion=motion, wrench=torch.lerp(self.wrench, other.wrench, share))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,7 +238,7 @@ class Laws:
     """Joint laws of several parameter sets, as tensors (B, D)."""
 
     spring: Spring
-    ends: Limits
+    ends: JointLimits
     friction: Tensor
     """Dry friction [N m]."""
 
@@ -259,17 +259,17 @@ class Laws:
 
         return Laws(
             spring=Spring(**spread(self.spring)),
-            ends=Limits(**spread(self.ends)),
+            ends=JointLimits(**spread(self.ends)),
             friction=self.friction.repeat_interleave(count, dim=0),
             slow=self.slow.repeat_interleave(count, dim=0),
         )
 
-    def effort_at(self, angle: Tensor, rate: Tensor, *, held: bool = False) -> Tensor:
+    def joint_effort(self, angle: Tensor, rate: Tensor, *, held: bool = False) -> Tensor:
         """Return the joint efforts [N m], (B, D); ``held``: with the initial extra damping."""
-        spring = self.spring.effort_at(angle, rate)
-        found = spring.value + self.ends.effort_at(angle, rate).value
-        found = found - self.friction * rate / (rate.square() + self.slow.square()).sqrt()
-        return found - DAMPED_BY * spring.stiffness * rate if held else found
+        spring = self.spring.evaluate_effort(angle, rate)
+        results = spring.value + self.ends.evaluate_effort(angle, rate).value
+        results = results - self.friction * rate / (rate.square() + self.slow.square()).sqrt()
+        return results - DAMPED_BY * spring.stiffness * rate if held else results
 
 
 def _up(number: int) -> Tensor:

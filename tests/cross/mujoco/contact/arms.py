@@ -7,7 +7,7 @@ from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import Drive, Spring
 from aerial_gym.physics.articulated.motion import move_links, place_links
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
-from aerial_gym.physics.ground import LinkShape, LinkShapes
+from aerial_gym.physics.ground import LinkContacts, LinkShape
 from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
 from tests.physics.vehicles import F64
@@ -48,16 +48,14 @@ def weights(arm_com: float) -> Links:
     )
 
 
-def at(height: float, **others: tuple[float, float, float]) -> TreeState:
-    rows = {"lin_vel": (0.0, 0.0, 0.0), "ang_vel": (0.0, 0.0, 0.0), "attitude": (0.0, 0.0, 0.0, 1.0)} | others
+def arm_state(height: float, **remaining: tuple[float, float, float]) -> TreeState:
+    rows = {"lin_vel": (0.0, 0.0, 0.0), "ang_vel": (0.0, 0.0, 0.0), "attitude": (0.0, 0.0, 0.0, 1.0)} | remaining
     state = {name: torch.tensor([row], dtype=F64) for name, row in rows.items()}
-    nothing = torch.zeros(1, 2, dtype=F64)
-    return TreeState(
-        position=torch.tensor([[0.0, 0.0, height]], dtype=F64), joint_pos=nothing, joint_vel=nothing, **state
-    )
+    empty = torch.zeros(1, 2, dtype=F64)
+    return TreeState(position=torch.tensor([[0.0, 0.0, height]], dtype=F64), joint_pos=empty, joint_vel=empty, **state)
 
 
-class Rig:
+class ContactRig:
     """Two arms on a base, in steps; sums up what the ground gave."""
 
     def __init__(
@@ -65,7 +63,7 @@ class Rig:
         tree: Tree,
         links: Links,
         law: Spring,
-        on_links: LinkShapes,
+        on_links: LinkContacts,
         spheres,
         *,
         dt: float,
@@ -81,8 +79,8 @@ class Rig:
     def step(self, state: TreeState, *, driven: bool = False) -> TreeState:
         """Take a step; ``driven`` with a drive of the spring's numbers in its place."""
         own = {"stiffness": self.law.stiffness, "damping": self.law.damping, "position": self.law.rest}
-        nothing = {name: torch.zeros_like(self.law.rest) for name in ("rate", "effort")}
-        drive = Drive(**own, **nothing, limit=torch.full_like(self.law.rest, 1e3)) if driven else None
+        empty = {name: torch.zeros_like(self.law.rest) for name in ("rate", "effort")}
+        drive = Drive(**own, **empty, limit=torch.full_like(self.law.rest, 1e3)) if driven else None
         state = self.bodies.move(
             self.tree,
             self.links,
@@ -116,7 +114,7 @@ class Rig:
         return float(energy), quat_rotate(state.attitude, (mass * velocity).sum(1))
 
 
-def shape_on(link: int, radius: float, half: tuple[float, float, float]) -> LinkShape:
+def link_shape(link: int, radius: float, half: tuple[float, float, float]) -> LinkShape:
     return LinkShape(link=link, center=MIDDLE, attitude=(0.0, 0.0, 0.0, 1.0), half=half, radius=radius)
 
 

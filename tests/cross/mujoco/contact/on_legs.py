@@ -24,8 +24,8 @@ LEGS = ", ".join(
 STANDING = replace(ENVIRONMENTS.get("landing_env"), contact=ContactCfg(friction=0.7, crash_speed=2.0))
 
 
-def build(robot: str | RobotCfg, env: EnvironmentCfg = STANDING, backend: str = "mujoco", **others) -> EnvManager:
-    return simulation(robot, env=env, backend=backend, **{"num_envs": 2} | others)
+def build(robot: str | RobotCfg, env: EnvironmentCfg = STANDING, backend: str = "mujoco", **rest) -> EnvManager:
+    return simulation(robot, env=env, backend=backend, **{"num_envs": 2} | rest)
 
 
 def put(sim: EnvManager, place: torch.Tensor) -> None:

@@ -21,15 +21,15 @@ SINKING = STANDING.contact.sinking / 4.0
 """Depth of each of four legs [m]."""
 
 
-def tables(*shapes: ShapeCfg, count: int = 1, contact: ContactCfg | None = None, **others) -> EnvironmentCfg:
+def tables(*shapes: ShapeCfg, count: int = 1, contact: ContactCfg | None = None, **rest) -> EnvironmentCfg:
     """Return an environment with tables, their middles at the height of the ground, between 0.5 m one way and the other."""
     corner = {"position_ratio_low": (0.4, 0.4, 0.0), "position_ratio_high": (0.6, 0.6, 0.0)}
-    asset = AssetCfg(name="table", shapes=shapes, count=count, **(corner | others))
+    asset = AssetCfg(name="table", shapes=shapes, count=count, **(corner | rest))
     return replace(STANDING, assets=(asset,), contact=contact or STANDING.contact)
 
 
 def tops(sim) -> torch.Tensor:
-    """Return how high the first obstacle of each environment reaches [m], (E,)."""
+    """Return the top height of the first obstacle in each environment [m], (E,)."""
     return torch.tensor((0.2, 0.4))[sim.asset_manager.scene.shape_index[:, 0].long()]
 
 
@@ -74,7 +74,7 @@ def test_a_fast_touch_of_an_obstacle_is_a_crash(on_legs: str) -> None:
     assert let_go(sim, 0.45).tolist() == [False, True]
 
 
-def test_a_platform_carries_a_robot_up_and_along(on_legs: str) -> None:
+def test_a_platform_carries_a_robot_up_and_sideways(on_legs: str) -> None:
     """At its speed, without slip; friction reaches that after ``v / (mu g)``, the weight is what the force is."""
     velocity = (0.3, 0.0, 0.2)
     motion = MotionCfg(kind="twist", lin_vel_low=velocity, lin_vel_high=velocity)
@@ -135,7 +135,7 @@ def test_a_mesh_and_a_compound_carry_as_the_box_that_they_are(on_legs: str, tmp_
 
 
 @pytest.mark.parametrize("moves", [False, True])
-def test_an_environment_among_obstacles_is_bit_for_bit_the_same_alone_and_when_it_goes_on(
+def test_an_environment_among_obstacles_is_bit_for_bit_the_same_alone_and_when_it_continues(
     on_legs: str, moves: bool
 ) -> None:
     """Environment 1 in a batch of two and by itself, and a batch of other tables that goes on from what the first has saved."""

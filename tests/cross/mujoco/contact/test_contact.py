@@ -13,17 +13,17 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics import BACKENDS, EFFECTS, Ground, TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.mujoco.softness import softening
-from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, OnGround, robot_with, start
-from tests.physics.vehicles import F64, lopsided_robot
+from aerial_gym.physics.mujoco.softness import contact_softness
+from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, GroundRig, make_robot, start
+from tests.physics.vehicles import F64, asymmetric_robot
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
 
 ROUGH = ContactCfg(friction=0.5)
 
 
-def on_ground(cfg: ContactCfg | None, state, **options) -> OnGround:
-    return OnGround(BACKENDS.get("mujoco")(), cfg, state, **options)
+def on_ground(cfg: ContactCfg | None, state, **options) -> GroundRig:
+    return GroundRig(BACKENDS.get("mujoco")(), cfg, state, **options)
 
 
 @pytest.mark.parametrize("dt", [pytest.param(0.001, marks=pytest.mark.slow), 0.004, 0.02])
@@ -59,7 +59,7 @@ def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> N
 
     Free flight of semi-implicit Euler keeps them to ``g dt v / 2`` per mass, here less than 2 %.
     """
-    robot = lopsided_robot()
+    robot = asymmetric_robot()
     attitude = quat_from_euler(torch.tensor([[0.4, -0.3, 0.2]], dtype=F64))
     first = start(height=0.4, attitude=attitude, lin_vel=(0.5, 0.0, -1.0), ang_vel=(2.0, -1.0, 1.0))
     rig = on_ground(ROUGH, first, spheres=FEET, robot=robot)
@@ -67,8 +67,8 @@ def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> N
     energies = []
     for _ in range(round(2.0 / dt)):
         w, v, up = rig.state.ang_vel[0], rig.state.lin_vel[0], rig.state.position[0, 2]
-        v = v + _turned(rig.state.attitude, torch.linalg.cross(w, vehicle.com[0]))
-        up = up + _turned(rig.state.attitude, vehicle.com[0])[2]
+        v = v + _rotate(rig.state.attitude, torch.linalg.cross(w, vehicle.com[0]))
+        up = up + _rotate(rig.state.attitude, vehicle.com[0])[2]
         kinetic = 0.5 * vehicle.mass[0] * v.square().sum() + 0.5 * w @ vehicle.inertia[0] @ w
         energies.append((kinetic + vehicle.mass[0] * GRAVITY * up).item())
         rig.run(dt, dt)
@@ -77,7 +77,7 @@ def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> N
     assert rig.state.ang_vel.norm() < 1e-2
 
 
-def _turned(attitude: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
+def _rotate(attitude: torch.Tensor, vector: torch.Tensor) -> torch.Tensor:
     return quat_rotate(attitude, vector.unsqueeze(0))[0]
 
 
@@ -94,7 +94,7 @@ def test_a_sliding_vehicle_stops_where_coulomb_says() -> None:
 def test_what_sticks_creeps_as_slowly_as_the_impedance_ratio_says() -> None:
     """A force F on n contacts moves them at ``F / m / (n r 2 zeta sqrt(K / s))``, r = 100, s the softening of the step."""
     dt, wind, drag = 0.002, 4.0, 0.3
-    vehicle = vehicle_from_config(robot_with(), num_envs=1, dtype=F64)
+    vehicle = vehicle_from_config(make_robot(), num_envs=1, dtype=F64)
     rows = [(EFFECTS.get("constant_wind"), (wind, 0.0, 0.0)), (EFFECTS.get("rotor_drag"), (drag, drag, drag))]
     model = build_model(vehicle, [(effect, torch.tensor([row], dtype=F64)) for effect, row in rows])
     level = torch.tensor([(x, y, r, r) for x, y, _, r in FEET])
@@ -103,7 +103,7 @@ def test_what_sticks_creeps_as_slowly_as_the_impedance_ratio_says() -> None:
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, GRAVITY)
     backend.allocate(model, law, integrator="euler", ground=ground)
     backend.step(state, torch.zeros(1, 4, dtype=F64), dt, 500)
-    expected = wind * drag / MASS / (4 * 100.0 * 2.0 * sqrt(ROUGH.stiffness / softening(ROUGH, dt)))
+    expected = wind * drag / MASS / (4 * 100.0 * 2.0 * sqrt(ROUGH.stiffness / contact_softness(ROUGH, dt)))
     assert 0.2 < wind * drag / (MASS * GRAVITY) < ROUGH.friction
     assert state.lin_vel[0, 0].item() == pytest.approx(expected, rel=0.01)
 
@@ -116,7 +116,7 @@ def test_only_a_fast_touch_is_a_crash() -> None:
     assert (rig.impulse[:, 2] > 0.0).all()
 
 
-def test_a_ground_that_does_not_push_is_told_and_fallen_through() -> None:
+def test_a_ground_that_does_not_push_is_reported_and_passed() -> None:
     rig = on_ground(None, start(2, height=torch.tensor((0.3, 5.0), dtype=F64)))
     rig.run(0.5, 0.01)
     assert rig.crashes.tolist() == [True, False]
@@ -126,7 +126,7 @@ def test_a_ground_that_does_not_push_is_told_and_fallen_through() -> None:
 
 def test_environments_touch_alone_as_in_a_batch_and_centres_of_mass_move_their_feet() -> None:
     """Bit for bit; with an offset centre of mass the level feet still stand at the height at which the plane holds them."""
-    robot = robot_with(com=(0.03, -0.02, 0.05))
+    robot = make_robot(com=(0.03, -0.02, 0.05))
     heights = (0.03, 0.05, 0.2)
     batch = on_ground(ROUGH, start(3, height=torch.tensor(heights, dtype=F64)), spheres=FEET, robot=robot)
     batch.run(0.8, 0.002)
@@ -136,7 +136,7 @@ def test_environments_touch_alone_as_in_a_batch_and_centres_of_mass_move_their_f
         assert torch.equal(alone.state.position[0], batch.state.position[env])
         assert torch.equal(alone.impulse[0], batch.impulse[env])
     feet = [
-        (batch.state.position[0] + _turned(batch.state.attitude[:1], torch.tensor((x, y, z), dtype=F64)))[2] - r
+        (batch.state.position[0] + _rotate(batch.state.attitude[:1], torch.tensor((x, y, z), dtype=F64)))[2] - r
         for x, y, z, r in FEET
     ]
     loads = -ROUGH.stiffness * MASS * torch.stack(feet)
@@ -152,7 +152,7 @@ def test_a_landing_at_an_angle_ends_where_it_does_in_torch() -> None:
     """Two laws of the same spring, damper and friction: 1 % of the path, 3 % of the speed before rolling sets in."""
     ends = []
     for backend in (TorchBackend(), BACKENDS.get("mujoco")()):
-        rig = OnGround(backend, ROUGH, start(height=0.15, lin_vel=(1.0, 0.4, 0.0)))
+        rig = GroundRig(backend, ROUGH, start(height=0.15, lin_vel=(1.0, 0.4, 0.0)))
         rig.run(0.5, 1e-3)
         ends.append(rig.state)
     path = ends[0].position[0, :2].norm()

@@ -11,10 +11,10 @@ import torch
 from scipy.optimize import brentq
 
 from aerial_gym.errors import CapabilityError
-from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.joints.touching import shapes_on_links
+from aerial_gym.robots.joints.joint_contact import shapes_on_links
 from tests.cross.mujoco.contact.arms import (
     ARM,
     ARM_MASS,
@@ -23,10 +23,10 @@ from tests.cross.mujoco.contact.arms import (
     HINGES,
     MASS,
     MIDDLE,
+    ContactRig,
     G,
-    Rig,
-    at,
-    shape_on,
+    arm_state,
+    link_shape,
     springs,
     two_arms,
     weights,
@@ -42,8 +42,8 @@ def test_a_vehicle_on_its_arms_bends_and_sinks_as_springs_say(dt: float, damping
     """A foot each: m g = 2 K m depth; of an arm the hinge carries ``(M g L / 2 - m_a g l) cos q``, here up."""
     stiffness = 2.0
     tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
-    rig = Rig(tree, links, springs(stiffness, damping), LinkShapes(links=(1, 2)), FEET, dt=dt, friction=0.0)
-    state = rig.run(at(0.03), span)
+    rig = ContactRig(tree, links, springs(stiffness, damping), LinkContacts(links=(1, 2)), FEET, dt=dt, friction=0.0)
+    state = rig.run(arm_state(0.03), span)
     moment = 0.5 * MASS * G * ARM - ARM_MASS * G * 0.1
     up = brentq(lambda q: stiffness * q - moment * cos(q), 0.0, 1.0)
     assert state.joint_pos.tolist() == [pytest.approx([-up, -up], rel=1e-4)]
@@ -73,9 +73,9 @@ def test_links_that_are_pressed_together_overlap_as_two_springs_say(
     """
     stiffness, rest = 30.0, 0.05
     tree, links = two_arms("prismatic", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), 0.05), weights(0.0)
-    on = LinkShapes(links=(), shapes=(shape_on(1, radius, half), shape_on(2, radius, half)), pairs=((0, 1),))
-    rig = Rig(tree, links, springs(stiffness, 1.0, (rest, rest)), on, (), dt=0.002, gravity=0.0)
-    state = rig.run(at(1.0), 0.6)
+    on = LinkContacts(links=(), shapes=(link_shape(1, radius, half), link_shape(2, radius, half)), pairs=((0, 1),))
+    rig = ContactRig(tree, links, springs(stiffness, 1.0, (rest, rest)), on, (), dt=0.002, gravity=0.0)
+    state = rig.run(arm_state(1.0), 0.6)
     force = stiffness * (rest - state.joint_pos[0, 0].item())
     overlap = 2.0 * (state.joint_pos[0, 0].item() - 0.03)  # faces of half widths 0.02 m meet after 0.03 m each
     assert overlap == pytest.approx(2.0 * force / (CFG.stiffness * MASS * contacts), rel=1e-2)
@@ -87,17 +87,17 @@ def test_links_that_are_pressed_together_overlap_as_two_springs_say(
 
 def test_shapes_that_are_no_pair_pass_through_each_other() -> None:
     tree, links = two_arms("prismatic", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), 0.05), weights(0.0)
-    on = LinkShapes(links=(), shapes=(shape_on(1, 0.02, MIDDLE), shape_on(2, 0.02, MIDDLE)))
-    rig = Rig(tree, links, springs(30.0, 1.0, (0.05, 0.05)), on, (), dt=0.002, gravity=0.0)
-    state = rig.run(at(1.0), 1.0)
+    on = LinkContacts(links=(), shapes=(link_shape(1, 0.02, MIDDLE), link_shape(2, 0.02, MIDDLE)))
+    rig = ContactRig(tree, links, springs(30.0, 1.0, (0.05, 0.05)), on, (), dt=0.002, gravity=0.0)
+    state = rig.run(arm_state(1.0), 1.0)
     assert state.joint_pos.tolist() == [pytest.approx([0.05, 0.05], abs=1e-4)]
 
 
 def test_a_fall_on_an_arm_gains_no_energy_and_the_ground_gives_what_momentum_lacks() -> None:
     """It comes down with one arm first, at 1 m/s; what semi-implicit steps of 1 ms err by is some percent of the motion."""
     tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
-    rig = Rig(tree, links, springs(2.0, 0.002), LinkShapes(links=(1, 2)), FEET, dt=0.001)
-    state = at(0.05, lin_vel=(0.1, 0.0, -1.0), attitude=(0.0, sin(0.05), 0.0, cos(0.05)))
+    rig = ContactRig(tree, links, springs(2.0, 0.002), LinkContacts(links=(1, 2)), FEET, dt=0.001)
+    state = arm_state(0.05, lin_vel=(0.1, 0.0, -1.0), attitude=(0.0, sin(0.05), 0.0, cos(0.05)))
     most, momentum = rig.energy_and_momentum(state)
     first, energy, final = most, most, momentum
     for _ in range(800):
@@ -113,26 +113,26 @@ def test_a_fall_on_an_arm_gains_no_energy_and_the_ground_gives_what_momentum_lac
 def test_contacts_push_a_drive_as_they_push_a_spring_of_its_numbers() -> None:
     """The same step but for rounding: what touches is pushed at the rates of its start."""
     tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
-    rig = Rig(tree, links, springs(2.0, 0.02), LinkShapes(links=(1, 2)), FEET, dt=0.002)
-    ours = theirs = at(0.02, lin_vel=(0.1, 0.0, -1.0), ang_vel=(0.0, 3.0, 1.0))
+    rig = ContactRig(tree, links, springs(2.0, 0.02), LinkContacts(links=(1, 2)), FEET, dt=0.002)
+    actual = reference = arm_state(0.02, lin_vel=(0.1, 0.0, -1.0), ang_vel=(0.0, 3.0, 1.0))
     for _ in range(50):
-        ours, theirs = rig.step(ours), rig.step(theirs, driven=True)
+        actual, reference = rig.step(actual), rig.step(reference, driven=True)
     assert rig.impulse[0, 2] > 0.1
-    for name, values in vars(ours).items():
-        torch.testing.assert_close(getattr(theirs, name), values, rtol=0.0, atol=1e-9)
+    for name, values in vars(actual).items():
+        torch.testing.assert_close(getattr(reference, name), values, rtol=0.0, atol=1e-9)
 
 
 def test_without_a_touch_it_flies_as_without_a_ground() -> None:
     tree, links, law = two_arms("revolute", HINGES, 0.05), weights(0.1), springs(2.0, 0.02)
-    start = replace(at(50.0, ang_vel=(1.0, 2.0, 0.5)), joint_vel=torch.tensor([[3.0, -1.0]], dtype=F64))
-    rig = Rig(tree, links, law, LinkShapes(links=(1, 2)), FEET, dt=0.002)
+    start = replace(arm_state(50.0, ang_vel=(1.0, 2.0, 0.5)), joint_vel=torch.tensor([[3.0, -1.0]], dtype=F64))
+    rig = ContactRig(tree, links, law, LinkContacts(links=(1, 2)), FEET, dt=0.002)
     free = RolloutTrees(tree, 1, 0.002)
-    ours = theirs = start
+    actual = reference = start
     for _ in range(200):
-        ours = rig.step(ours)
-        theirs = free.move(tree, links, [law], theirs, 0.002, gravity=G, wrench=torch.zeros(1, 3, 6, dtype=F64))
-    for name, values in vars(theirs).items():
-        torch.testing.assert_close(getattr(ours, name), values, rtol=0.0, atol=1e-12)
+        actual = rig.step(actual)
+        reference = free.move(tree, links, [law], reference, 0.002, gravity=G, wrench=torch.zeros(1, 3, 6, dtype=F64))
+    for name, values in vars(reference).items():
+        torch.testing.assert_close(getattr(actual, name), values, rtol=0.0, atol=1e-12)
     assert rig.impulse.abs().max() < 1e-12
 
 

@@ -14,7 +14,7 @@ import torch
 
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.mujoco.softness import solver_numbers
 from aerial_gym.physics.solids import Solid, Solids
 from tests.cross.mujoco.contact.arms import (
@@ -24,9 +24,9 @@ from tests.cross.mujoco.contact.arms import (
     HINGES,
     MASS,
     MIDDLE,
-    Rig,
-    at,
-    shape_on,
+    ContactRig,
+    arm_state,
+    link_shape,
     springs,
     two_arms,
     weights,
@@ -39,7 +39,9 @@ BLOCK = Solid(kind="box", size=(2.0, 2.0, 0.5))
 CUBE = tuple(product((-0.5, 0.5), repeat=3))
 
 
-def around(*solids: Solid, places, attitudes=((0.0, 0.0, 0.0, 1.0),), twists=(0.0,) * 6, moves: bool = False) -> Solids:
+def place_solids(
+    *solids: Solid, places, attitudes=((0.0, 0.0, 0.0, 1.0),), twists=(0.0,) * 6, moves: bool = False
+) -> Solids:
     """Return obstacles of one part each, in one environment."""
     count = torch.arange(len(solids), dtype=torch.int32)[None]
     state = torch.zeros(1, len(solids), 13, dtype=F64)
@@ -48,42 +50,44 @@ def around(*solids: Solid, places, attitudes=((0.0, 0.0, 0.0, 1.0),), twists=(0.
     return Solids(table=solids, part=count, carrier=count, state=state, moves=moves)
 
 
-def feet_on(solids: Solids | None) -> LinkShapes:
+def foot_shapes(solids: Solids | None) -> LinkContacts:
     """Return the feet of ``FEET`` as what touches obstacles."""
-    shapes = tuple(replace(shape_on(k, 0.01, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
-    return LinkShapes(links=(1, 2), shapes=() if solids is None else shapes, solids=solids)
+    shapes = tuple(replace(link_shape(k, 0.01, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
+    return LinkContacts(links=(1, 2), shapes=() if solids is None else shapes, solids=solids)
 
 
-def rig_on(solids: Solids | None, *, height: float = -inf, friction: float = 0.5, damping: float = 0.02) -> Rig:
+def make_rig(
+    solids: Solids | None, *, height: float = -inf, friction: float = 0.5, damping: float = 0.02
+) -> ContactRig:
     tree, links, law = two_arms("revolute", HINGES, 0.05), weights(0.1), springs(2.0, damping)
-    return Rig(tree, links, law, feet_on(solids), FEET, dt=0.002, height=height, friction=friction)
+    return ContactRig(tree, links, law, foot_shapes(solids), FEET, dt=0.002, height=height, friction=friction)
 
 
 STOPS = 1e-4
 """By which share accelerations differ where MuJoCo's solver stops: what it minimises is then 1e-8 above the least."""
 
 
-def assert_same(ours: TreeState, theirs: TreeState, bound: float) -> None:
-    for name, values in vars(theirs).items():
-        torch.testing.assert_close(getattr(ours, name), values, rtol=0.0, atol=bound, msg=name)
+def assert_same(actual: TreeState, reference: TreeState, bound: float) -> None:
+    for name, values in vars(reference).items():
+        torch.testing.assert_close(getattr(actual, name), values, rtol=0.0, atol=bound, msg=name)
 
 
-TUMBLING = at(0.06, lin_vel=(0.3, 0.1, -1.0), ang_vel=(0.5, 1.0, 2.0))
+TUMBLING = arm_state(0.06, lin_vel=(0.3, 0.1, -1.0), ang_vel=(0.5, 1.0, 2.0))
 
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_a_fall_onto_a_box_is_that_onto_ground_at_its_top(moves: bool) -> None:
     """Until spring, damper and friction have done with it; to rounding, but for the solver where the box is a heavy body."""
-    ground, box = rig_on(None, height=0.0), rig_on(around(BLOCK, places=[(0.3, -0.2, 2.0)], moves=moves))
-    theirs = TUMBLING
-    ours = replace(theirs, position=theirs.position + torch.tensor([[0.0, 0.0, 2.5]], dtype=F64))
+    ground, box = make_rig(None, height=0.0), make_rig(place_solids(BLOCK, places=[(0.3, -0.2, 2.0)], moves=moves))
+    engine_value = TUMBLING
+    package_value = replace(engine_value, position=engine_value.position + torch.tensor([[0.0, 0.0, 2.5]], dtype=F64))
     for _ in range(150):
-        ours, theirs = box.step(ours), ground.step(theirs)
+        package_value, engine_value = box.step(package_value), ground.step(engine_value)
         force = ground.bodies.impulse
         torch.testing.assert_close(box.bodies.impulse, force, rtol=0.0, atol=STOPS * MASS if moves else 1e-12)
     assert ground.impulse[0, 2] > 0.3
-    down = replace(ours, position=ours.position - torch.tensor([[0.0, 0.0, 2.5]], dtype=F64))
-    assert_same(down, theirs, STOPS if moves else 1e-12)
+    down = replace(package_value, position=package_value.position - torch.tensor([[0.0, 0.0, 2.5]], dtype=F64))
+    assert_same(down, engine_value, STOPS if moves else 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -102,11 +106,11 @@ def test_arms_press_on_obstacles_as_springs_say(solid: Solid) -> None:
     stiffness, rest, radius, gap = 30.0, 0.05, 0.02, 0.01
     tree, links = two_arms("prismatic", ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)), 0.05), weights(0.0)
     aside = 0.05 + radius + gap + 0.5
-    shapes = (shape_on(1, radius, MIDDLE), shape_on(2, radius, MIDDLE))
-    solids = around(solid, solid, places=[(aside, 0.0, 1.0), (-aside, 0.0, 1.0)])
-    on = LinkShapes(links=(), shapes=shapes, solids=solids)
-    rig = Rig(tree, links, springs(stiffness, 1.0, (rest, rest)), on, (), dt=0.002, gravity=0.0, height=-inf)
-    state = rig.run(at(1.0), 0.6)
+    shapes = (link_shape(1, radius, MIDDLE), link_shape(2, radius, MIDDLE))
+    solids = place_solids(solid, solid, places=[(aside, 0.0, 1.0), (-aside, 0.0, 1.0)])
+    on = LinkContacts(links=(), shapes=shapes, solids=solids)
+    rig = ContactRig(tree, links, springs(stiffness, 1.0, (rest, rest)), on, (), dt=0.002, gravity=0.0, height=-inf)
+    state = rig.run(arm_state(1.0), 0.6)
     overlap = state.joint_pos[0] - gap
     force = stiffness * (rest - state.joint_pos[0])
     torch.testing.assert_close(overlap, force / (CFG.stiffness * MASS), rtol=1e-3, atol=0.0)
@@ -117,7 +121,7 @@ def test_arms_press_on_obstacles_as_springs_say(solid: Solid) -> None:
 def test_a_part_pushes_where_its_compound_carries_it() -> None:
     """Two blocks in one obstacle, turned by a quarter about x and shifted: the upper face is where geometry says."""
     solids = replace(
-        around(
+        place_solids(
             replace(BLOCK, size=(0.5, 0.5, 2.0), position=(0.0, 0.7, 0.0)),
             Solid(kind="sphere", size=(0.1, 0.0, 0.0), position=(0.0, 0.0, 5.0)),
             places=[(0.0, 0.0, 3.0), (0.0, 0.0, 0.0)],
@@ -125,8 +129,8 @@ def test_a_part_pushes_where_its_compound_carries_it() -> None:
         ),
         carrier=torch.zeros(1, 2, dtype=torch.int32),
     )
-    rig = rig_on(solids, friction=0.0, damping=0.2)  # y of the obstacle is up: the face is 0.7 + 0.5 above its origin
-    state = rig.run(at(4.25), 1.5)
+    rig = make_rig(solids, friction=0.0, damping=0.2)  # y of the obstacle is up: the face is 0.7 + 0.5 above its origin
+    state = rig.run(arm_state(4.25), 1.5)
     foot = state.position[0, 2] - ARM * torch.sin(state.joint_pos[0]) - 0.01
     torch.testing.assert_close(4.2 - foot, torch.full_like(foot, CFG.sinking / 2.0), rtol=1e-3, atol=0.0)
 
@@ -134,16 +138,18 @@ def test_a_part_pushes_where_its_compound_carries_it() -> None:
 def test_what_moves_with_a_box_falls_on_it_as_on_one_at_rest() -> None:
     """Galilei: box and vehicle both faster by V, which shifts all positions by V t and changes no force, friction included."""
     velocity = torch.tensor([0.7, -0.4, 0.5], dtype=F64)
-    rest = rig_on(around(BLOCK, places=[(0.0, 0.0, -0.5)]))
-    moving = around(BLOCK, places=[(0.0, 0.0, -0.5)], twists=[(*velocity.tolist(), 0.0, 0.0, 0.0)], moves=True)
-    carried = rig_on(moving)
-    theirs = TUMBLING
-    ours = replace(theirs, lin_vel=theirs.lin_vel + velocity)
+    rest = make_rig(place_solids(BLOCK, places=[(0.0, 0.0, -0.5)]))
+    moving = place_solids(BLOCK, places=[(0.0, 0.0, -0.5)], twists=[(*velocity.tolist(), 0.0, 0.0, 0.0)], moves=True)
+    carried = make_rig(moving)
+    engine_value = TUMBLING
+    package_value = replace(engine_value, lin_vel=engine_value.lin_vel + velocity)
     for _ in range(150):
-        ours, theirs = carried.step(ours), rest.step(theirs)
+        package_value, engine_value = carried.step(package_value), rest.step(engine_value)
         moving.state[0, 0, :3] += rest.bodies.dt * velocity
-    at_rest = replace(ours, position=ours.position - 0.3 * velocity, lin_vel=ours.lin_vel - velocity)
-    assert_same(at_rest, theirs, STOPS)
+    at_rest = replace(
+        package_value, position=package_value.position - 0.3 * velocity, lin_vel=package_value.lin_vel - velocity
+    )
+    assert_same(at_rest, engine_value, STOPS)
     assert rest.impulse[0, 2] > 0.3
 
 
@@ -160,7 +166,7 @@ def test_parts_move_as_their_poses_do() -> None:
         moved = state.clone()
         moved[..., :3] += t * state[..., 7:10]
         moved[..., 3:7] = quat_multiply(quat_exp(t * state[..., 10:]), state[..., 3:7])
-        return Solids(table=table, part=part, carrier=carrier, state=moved).of_parts()
+        return Solids(table=table, part=part, carrier=carrier, state=moved).part_motion()
 
     position, attitude, lin_vel, ang_vel = at_time(0.0)
     before, after = at_time(-0.5 * h), at_time(0.5 * h)
@@ -209,20 +215,20 @@ def test_it_moves_as_a_model_of_mujoco_that_was_written_by_hand() -> None:
     data = mujoco.MjData(model)
     data.qvel[:6] = (0.3, 0.1, -1.0, 0.5, 1.0, 2.0)
     tilt = np.array([0.0998, 0.0, 0.0, 0.995]) / np.hypot(0.995, 0.0998)
-    solids = around(
+    solids = place_solids(
         BLOCK,
         Solid(kind="cylinder", size=(0.05, 0.3, 0.0)),
         places=[(0.1, 0.2, -0.55), (0.25, 0.0, 0.0)],
         attitudes=[tuple(tilt), (0.0, 0.0, 0.0, 1.0)],
     )
     tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
-    rig = Rig(tree, links, springs(0.0, 0.002), feet_on(solids), FEET, dt=0.002, height=-inf)
+    rig = ContactRig(tree, links, springs(0.0, 0.002), foot_shapes(solids), FEET, dt=0.002, height=-inf)
     state, touches = TUMBLING, 0
     for _ in range(200):
         mujoco.mj_step(model, data)
         touches += data.ncon
         state = rig.step(state)
-        found = torch.cat((state.position, state.lin_vel, state.ang_vel, state.joint_pos, state.joint_vel), dim=-1)
+        result = torch.cat((state.position, state.lin_vel, state.ang_vel, state.joint_pos, state.joint_vel), dim=-1)
         expected = (*data.qpos[:3], *data.qvel[:6], *data.qpos[7:], *data.qvel[6:])
-        np.testing.assert_allclose(found[0].numpy(), expected, rtol=0.0, atol=1e-7)
+        np.testing.assert_allclose(result[0].numpy(), expected, rtol=0.0, atol=1e-7)
     assert touches > 20

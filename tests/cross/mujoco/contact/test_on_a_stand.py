@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.solids import Solid
 from tests.cross.mujoco.contact.arms import (
     ARM,
@@ -25,16 +25,16 @@ from tests.cross.mujoco.contact.arms import (
     HINGES,
     MASS,
     MIDDLE,
+    ContactRig,
     G,
-    Rig,
-    at,
-    shape_on,
+    arm_state,
+    link_shape,
     springs,
     two_arms,
     weights,
 )
 from tests.cross.mujoco.contact.on_legs import FILE, LEGS, build, let_go, put
-from tests.cross.mujoco.contact.test_obstacles import around, feet_on
+from tests.cross.mujoco.contact.test_obstacles import foot_shapes, place_solids
 from tests.physics.vehicles import F64
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
@@ -43,16 +43,18 @@ HANGING = torch.tensor([[0.0, torch.pi / 2.0]], dtype=F64)
 ARM_WEIGHT, COM = ARM_MASS * G, 0.1
 
 
-def on_a_stand(on: LinkShapes, *, height: float = -inf, stiffness: float = 0.0, gravity: float = G) -> Rig:
+def on_a_stand(on: LinkContacts, *, height: float = -inf, stiffness: float = 0.0, gravity: float = G) -> ContactRig:
     tree = replace(two_arms("revolute", HINGES, 0.05), floating=False)
     law = springs(stiffness, 0.02)
-    return Rig(tree, weights(COM), law, on, FEET, dt=0.002, friction=0.0, height=height, gravity=gravity)
+    return ContactRig(tree, weights(COM), law, on, FEET, dt=0.002, friction=0.0, height=height, gravity=gravity)
 
 
 def test_arms_that_fall_on_the_ground_rest_on_it_at_the_angle_of_their_height() -> None:
     """Each foot carries ``m_a g l / L``, and the ground's impulse is both; the stand carries the rest, and stays."""
-    rig = on_a_stand(LinkShapes(links=(1, 2)), height=0.4)
-    first = replace(at(0.5), lin_vel=torch.ones(1, 3, dtype=F64), ang_vel=torch.ones(1, 3, dtype=F64))  # it has none
+    rig = on_a_stand(LinkContacts(links=(1, 2)), height=0.4)
+    first = replace(
+        arm_state(0.5), lin_vel=torch.ones(1, 3, dtype=F64), ang_vel=torch.ones(1, 3, dtype=F64)
+    )  # it has none
     state = rig.run(first, 2.0)
     force = ARM_WEIGHT * COM / ARM
     depth = force / (CFG.stiffness * MASS)
@@ -75,17 +77,17 @@ def test_a_wall_stops_a_pendulum_at_the_angle_of_geometry(turned: bool) -> None:
     place = torch.tensor([[3.0, -2.0, 1.5]], dtype=F64) * turned
     middle = place + quat_rotate(attitude, torch.tensor([[face - 0.02, 0.0, -0.1]], dtype=F64))
     wall = Solid(kind="box", size=(0.02, 0.5, 0.5))
-    rig = on_a_stand(feet_on(around(wall, places=middle.tolist(), attitudes=attitude.tolist())))
-    state = rig.run(replace(at(0.0), position=place, attitude=attitude, joint_pos=HANGING), 2.0)
+    rig = on_a_stand(foot_shapes(place_solids(wall, places=middle.tolist(), attitudes=attitude.tolist())))
+    state = rig.run(replace(arm_state(0.0), position=place, attitude=attitude, joint_pos=HANGING), 2.0)
 
     def overlap(q: torch.Tensor) -> torch.Tensor:
         return ARM_WEIGHT * COM / (ARM * torch.tan(q)) / (CFG.stiffness * MASS)
 
-    def beyond(q: float) -> float:
+    def excess(q: float) -> float:
         angle = torch.tensor(q, dtype=F64)
         return float(0.05 + ARM * torch.cos(angle) - 0.01 - face + overlap(angle))
 
-    stop = brentq(beyond, 0.5, 1.5)
+    stop = brentq(excess, 0.5, 1.5)
     assert state.joint_pos.tolist() == [pytest.approx([stop, torch.pi / 2.0], abs=1e-6)]
     force = overlap(torch.tensor(stop, dtype=F64)) * CFG.stiffness * MASS
     expected = quat_rotate(attitude, torch.tensor([[float(force), 0.0, 0.0]], dtype=F64))
@@ -98,40 +100,42 @@ def test_arms_of_a_stand_push_each_other() -> None:
     The hinge moment ``k (rest - q)`` is what force at the feet and weight at an angle give back.
     """
     stiffness, rest = 0.5, torch.pi / 2.0 + 0.5
-    shapes = tuple(replace(shape_on(k, 0.04, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
-    on = LinkShapes(links=(), shapes=shapes, pairs=((0, 1),))
+    shapes = tuple(replace(link_shape(k, 0.04, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
+    on = LinkContacts(links=(), shapes=shapes, pairs=((0, 1),))
     tree = replace(two_arms("revolute", HINGES, 0.05), floating=False)
-    rig = Rig(tree, weights(COM), springs(stiffness, 0.05, (rest, rest)), on, (), dt=0.002, height=-inf)
+    rig = ContactRig(tree, weights(COM), springs(stiffness, 0.05, (rest, rest)), on, (), dt=0.002, height=-inf)
     down = torch.full((1, 2), torch.pi / 2.0, dtype=F64)
-    state = rig.run(replace(at(1.0), joint_pos=down), 3.0)
+    state = rig.run(replace(arm_state(1.0), joint_pos=down), 3.0)
 
-    def beyond(q: float) -> float:
+    def excess(q: float) -> float:
         angle = torch.tensor(q, dtype=F64)
         overlap = 0.08 - 2.0 * (0.05 + ARM * torch.cos(angle))
         force = 0.5 * CFG.stiffness * MASS * overlap
         moment = stiffness * (rest - angle) + ARM_WEIGHT * COM * torch.cos(angle)
         return float(moment - force * ARM * torch.sin(angle))
 
-    meet = brentq(beyond, torch.pi / 2.0, torch.pi / 2.0 + 0.4)
+    meet = brentq(excess, torch.pi / 2.0, torch.pi / 2.0 + 0.4)
     assert state.joint_pos.tolist() == [pytest.approx([meet, meet], abs=1e-5)]
     assert rig.bodies.impulse.norm() < 1e-9
 
 
 def test_without_a_touch_it_swings_as_the_engine_of_this_package_has_it() -> None:
     """A tilted stand among an obstacle far away, beside ``implicit_euler``; drives and friction left out."""
-    rig = on_a_stand(feet_on(around(Solid(kind="box", size=(1.0, 1.0, 1.0)), places=[(9.0, 0.0, 0.0)])), stiffness=1.0)
+    rig = on_a_stand(
+        foot_shapes(place_solids(Solid(kind="box", size=(1.0, 1.0, 1.0)), places=[(9.0, 0.0, 0.0)])), stiffness=1.0
+    )
     attitude = quat_from_euler(torch.tensor([[0.4, -0.7, 1.2]], dtype=F64))
-    start = replace(at(2.0), attitude=attitude, joint_vel=torch.tensor([[3.0, -1.0]], dtype=F64))
-    ours: TreeState = start
-    theirs: TreeState = start
+    start = replace(arm_state(2.0), attitude=attitude, joint_vel=torch.tensor([[3.0, -1.0]], dtype=F64))
+    actual: TreeState = start
+    reference: TreeState = start
     for _ in range(50):
-        ours = rig.step(ours)
-        theirs = implicit_euler(
-            rig.tree, rig.links, [rig.law], theirs, 0.002, gravity=G, wrench=torch.zeros(1, 3, 6, dtype=F64)
+        actual = rig.step(actual)
+        reference = implicit_euler(
+            rig.tree, rig.links, [rig.law], reference, 0.002, gravity=G, wrench=torch.zeros(1, 3, 6, dtype=F64)
         )
-    torch.testing.assert_close(ours.joint_pos, theirs.joint_pos, rtol=0.0, atol=1e-9)
-    torch.testing.assert_close(ours.joint_vel, theirs.joint_vel, rtol=0.0, atol=1e-9)
-    assert (ours.joint_pos - start.joint_pos).abs().max() > 0.01
+    torch.testing.assert_close(actual.joint_pos, reference.joint_pos, rtol=0.0, atol=1e-9)
+    torch.testing.assert_close(actual.joint_vel, reference.joint_vel, rtol=0.0, atol=1e-9)
+    assert (actual.joint_pos - start.joint_pos).abs().max() > 0.01
     assert not rig.impulse.any()
 
 

@@ -11,8 +11,8 @@ from benchmarks.control.robot_table import table_robots
 LEVEL = {"robot_orientation": torch.tensor([[0.0, 0.0, 0.0, 1.0]]), "robot_body_angvel": torch.zeros(1, 3)}
 
 
-def told(robot: str) -> list[float]:
-    """Return what the drives of a level robot that does not turn are told."""
+def drive_commands(robot: str) -> list[float]:
+    """Return the drive commands for a level robot with zero angular velocity."""
     actions = torch.zeros(1, 9)
     Drives(ROBOTS.get(robot), 0.01).hold(LEVEL, actions)  # type: ignore[arg-type]
     return actions[0].tolist()
@@ -21,10 +21,10 @@ def told(robot: str) -> list[float]:
 def test_drives_hold_the_reference_pose_and_a_tail_what_turns_it_by_nothing() -> None:
     """A square bends by a right angle at each corner; the tail leans by atan(k / L). Those without drives are told nothing."""
     torch.testing.assert_close(
-        told("snakey_position"), [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0], rtol=1e-6, atol=0
+        drive_commands("snakey_position"), [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0], rtol=1e-6, atol=0
     )
-    torch.testing.assert_close(told("tilt_tricopter"), [*[0.0] * 8, 0.1012477], rtol=1e-5, atol=0)
-    assert told("morphy") == told("x500") == [0.0] * 9
+    torch.testing.assert_close(drive_commands("tilt_tricopter"), [*[0.0] * 8, 0.1012477], rtol=1e-5, atol=0)
+    assert drive_commands("morphy") == drive_commands("x500") == [0.0] * 9
 
 
 def test_robots_that_bend_fly_beside_rigid_ones_but_not_on_a_stand() -> None:

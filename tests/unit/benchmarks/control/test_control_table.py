@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.control import control_table
-from benchmarks.control.control_flights import Flight
+from benchmarks.control.control_flights import ControlFlight
 from benchmarks.control.control_table import (
     BEGIN,
     END,
@@ -21,7 +21,7 @@ from benchmarks.control.control_table import (
     wind_table,
 )
 
-FLIGHT = Flight(
+FLIGHT = ControlFlight(
     robot="magpie", controller="magpie_position_control", law="position", sim="base_sim", error=0.0058, settling_s=4.7,
     overshoot=0.0, tilt_rad=0.1, wind_error=0.4946, wind_largest=0.51, limit_share=0.92, limit_settling_s=inf,
     limit_overshoot=0.046, limit_error=180.0, response=(0.5, 1.0),
@@ -50,10 +50,10 @@ def test_steps_by_robot_with_lost_vehicles_and_refusals() -> None:
 
 def test_controllers_are_compared_over_their_robots_at_each_sim() -> None:
     law = replace(FLIGHT, controller="lee_position_control", limit_error=0.0)
-    others = [replace(law, robot=f"r{i}", settling_s=2.0 + i, overshoot=0.01 * i, error=0.1 * i) for i in range(3)]
-    lost = replace(others[0], sim="base_sim_2ms", limit_error=11.0)
+    rest = [replace(law, robot=f"r{i}", settling_s=2.0 + i, overshoot=0.01 * i, error=0.1 * i) for i in range(3)]
+    lost = replace(rest[0], sim="base_sim_2ms", limit_error=11.0)
     foreign = replace(FLIGHT, robot="lmf2", error=9.0)
-    rows = controllers_table([*others, lost, foreign]).splitlines()
+    rows = controllers_table([*rest, lost, foreign]).splitlines()
     assert rows[2:] == ["| `lee_position_control` | 3 | 0.2 m (`r2`) | 3, 2% | 2, 0%, 1 lost | - |"]
 
 
@@ -73,7 +73,7 @@ def test_robots_with_joints_by_the_number_of_controllers_that_lose_them() -> Non
     assert joints_table([held, fell]).splitlines()[-1] == "| `morphy` | 2 | 1 | 1 | 1 | 0.091 |"
 
 
-def wet(flight: Flight) -> Flight:
+def wet(flight: ControlFlight) -> ControlFlight:
     return replace(flight, wind_error=nan, wind_largest=nan)
 
 

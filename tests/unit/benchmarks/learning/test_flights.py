@@ -20,13 +20,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def test_flights_end_with_their_episodes(run: str) -> None:
     """A row is finite up to its end and NaN behind it; who crashed ended before the time was over."""
-    found = flights.flown(run, 8)
-    known = ~found.offset[..., 0].isnan()
+    result = flights.fly(run, 8)
+    known = ~result.offset[..., 0].isnan()
     assert bool((known[:, 1:] <= known[:, :-1]).all())
-    assert torch.equal(known, ~found.speed.isnan())
-    assert found.dt == pytest.approx(0.01)
-    assert bool((known.sum(1)[found.crashed] < 500).all())
-    assert float(found.offset[:, 0].norm(dim=-1).max()) < 8.0
+    assert torch.equal(known, ~result.speed.isnan())
+    assert result.dt == pytest.approx(0.01)
+    assert bool((known.sum(1)[result.crashed] < 500).all())
+    assert float(result.offset[:, 0].norm(dim=-1).max()) < 8.0
 
 
 def test_a_row_for_each_run(run: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

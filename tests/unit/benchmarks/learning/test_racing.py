@@ -11,7 +11,7 @@ from aerial_gym import task_registry
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.task import Task
 from benchmarks.learning.racing import BenchRacing, _line
-from tests.unit.export.policies import drawn_policy
+from tests.unit.export.policies import random_policy
 
 
 def make_short(make: Callable[..., Task], level: str, **options: int | str) -> Task:
@@ -24,8 +24,8 @@ def make_short(make: Callable[..., Task], level: str, **options: int | str) -> T
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> BenchRacing:
     """With a policy of random weights in place of one that was trained."""
-    found = (drawn_policy(56), load_settings(settings_for("ppo", "racing_task")))
-    monkeypatch.setattr("aerial_gym.rl_training.policies.load.load_policy", lambda source, device: found)
+    result = (random_policy(56), load_settings(settings_for("ppo", "racing_task")))
+    monkeypatch.setattr("aerial_gym.rl_training.policies.load.load_policy", lambda source, device: result)
     monkeypatch.setattr(task_registry, "make_task", partial(make_short, task_registry.make_task))
     return BenchRacing(policy=Path("nowhere"), levels=("racing_task",), num_envs=21)
 

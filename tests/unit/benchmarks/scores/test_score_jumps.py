@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.logs.recording import FlightLog
-from benchmarks.scores.score_jumps import Score, jumps_streamed, largest_share, stops_streamed, told
+from benchmarks.scores.score_jumps import Score, jump_notes, jumps_streamed, largest_share, stops_streamed
 
 
 def swing(seconds: float = 16.0, rate: float = 100.0) -> FlightLog:
@@ -40,14 +40,14 @@ def test_what_has_no_size_has_no_error() -> None:
 def test_jumps_and_stops_of_a_quiet_flight_are_told_in_time() -> None:
     """A fix that moves by 1 m and returns, known to the noise of half seconds; a position that repeats itself."""
     jumps = jumps_streamed([swing()], 1.0, np.random.default_rng(1))
-    assert (jumps.flights, jumps.found, jumps.soon, jumps.others) == (1, 1, 1, 0)
+    assert (jumps.flights, jumps.result, jumps.soon, jumps.rest) == (1, 1, 1, 0)
     assert len(jumps.off) == 2
     assert max(jumps.off) < 5e-3
     stays = jumps_streamed([swing()], 1.0, np.random.default_rng(1), returns=False)
-    assert (stays.found, stays.soon, stays.others) == (1, 1, 0)
+    assert (stays.result, stays.soon, stays.rest) == (1, 1, 0)
     assert len(stays.off) == 1
     stops = stops_streamed([swing()], "position", np.random.default_rng(1))
-    assert (stops.found, stops.soon, stops.others) == (1, 1, 0)
+    assert (stops.result, stops.soon, stops.rest) == (1, 1, 0)
     assert stops_streamed([swing()], "specific_force", np.random.default_rng(1)).flights == 0
 
 
@@ -59,7 +59,7 @@ def test_the_largest_difference_passes_one_where_a_jump_is_told() -> None:
     for size, whether in ((1.0, True), (0.12, False)):
         moved = replace(log, position=log.position + noise + (log.time > 8.0)[:, None] * (size, 0.0, 0.0))
         assert largest_share(moved) > 0.2
-        assert (largest_share(moved) > 1.0) == bool(told(moved)) == whether
+        assert (largest_share(moved) > 1.0) == bool(jump_notes(moved)) == whether
 
 
 @pytest.mark.parametrize("delay", [9.99, 10.0])

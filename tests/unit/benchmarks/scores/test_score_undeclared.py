@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.scores import score_undeclared
+from benchmarks.scores.score_table import clopper_pearson, markdown, right_line, share
 from benchmarks.scores.score_undeclared import CLASSIC, Job, judge, plan_jobs, run_jobs
-from benchmarks.scores.undeclared_table import clopper_pearson, markdown, right_line, share
 from benchmarks.undeclared import EFFECTS, UNKNOWN
 
 CLEAN = {"specific_force": {"unit": "m/s²", "x": {"rms": 3.0, "noise_floor": 2.0}}}
@@ -41,24 +41,24 @@ def verdict(kind: str, **params: dict[str, tuple[float, float]]) -> dict:
     ],
 )
 def test_verdicts_are_judged(hidden: list[str], kind: str, named: list[str], expected: str) -> None:
-    found = judge(verdict(kind, **{name: {} for name in named}), {name: {} for name in hidden})
-    assert found["judgement"] == expected
-    assert found["right"] == (expected in ("right", "quiet"))
-    assert found["before_over_floor"] == 1.5
+    result = judge(verdict(kind, **{name: {} for name in named}), {name: {} for name in hidden})
+    assert result["judgement"] == expected
+    assert result["right"] == (expected in ("right", "quiet"))
+    assert result["before_over_floor"] == 1.5
 
 
-def test_an_ambiguous_verdict_that_offers_the_hidden_effect_is_near() -> None:
+def test_an_ambiguous_verdict_that_offers_the_hidden_effect_is_close() -> None:
     for candidates, expected in ((["weak_motor", "com_offset"], "near"), (["weak_motor", "motor_tilt"], "missed")):
-        found = judge({**verdict("ambiguous"), "candidates": candidates}, {"com_offset": {}})
-        assert found["judgement"] == expected
+        result = judge({**verdict("ambiguous"), "candidates": candidates}, {"com_offset": {}})
+        assert result["judgement"] == expected
 
 
 def test_parameters_are_compared_in_standard_deviations() -> None:
     """1.0 and 3.0 standard deviations away: one of two inside; a parameter without a deviation does not count."""
     given = verdict("explained", com_offset={"x": (0.006, 0.001), "y": (0.002, 0.001), "z": (0.1, 0.0)})
-    found = judge(given, {"com_offset": {"x": 0.007, "y": -0.001, "z": 0.0}})
-    assert (found["inside"], found["intervals"]) == (1, 2)
-    assert found["worst_z"] == pytest.approx(3.0)
+    result = judge(given, {"com_offset": {"x": 0.007, "y": -0.001, "z": 0.0}})
+    assert (result["inside"], result["intervals"]) == (1, 2)
+    assert result["worst_z"] == pytest.approx(3.0)
 
 
 def test_clopper_pearson_has_its_closed_forms() -> None:
@@ -81,7 +81,7 @@ def flags(**changes: object) -> argparse.Namespace:
     return args
 
 
-def test_cases_are_those_that_were_asked_for() -> None:
+def test_cases_are_those_that_were_requested() -> None:
     """By default the first six effects and a plain control for each seed, as it was; all, pairs and unknown add theirs."""
     jobs = plan_jobs(flags())
     assert [job.hidden for job in jobs[:7]] == [(), *((name,) for name in CLASSIC)]
@@ -106,17 +106,17 @@ def fake_row(job: Job) -> dict[str, object]:
     return {**row, "features": list(job.features), **judge(given, truth), "fly_s": 1.0, "loop_s": 2.0}
 
 
-def test_an_interrupted_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows that were kept are not made again; a failed case is; no file is left half written."""
     jobs, made = plan_jobs(flags(effects=["rotor_drag"], seeds=[1, 2])), []
 
-    def scored(job: Job) -> dict[str, object]:
+    def score_job(job: Job) -> dict[str, object]:
         made.append(job)
         if len(made) == 3:
             raise KeyboardInterrupt
         return {**fake_row(job), **({"error": "DataError: x", "right": False} if len(made) == 2 else {})}
 
-    monkeypatch.setattr(score_undeclared, "score", scored)
+    monkeypatch.setattr(score_undeclared, "score", score_job)
     with pytest.raises(KeyboardInterrupt):
         list(run_jobs(jobs, processes=1, out=tmp_path))
     assert [path.name for path in tmp_path.iterdir()] == [f"{jobs[0].key}.json"]
@@ -157,10 +157,10 @@ def test_the_command_prints_and_writes(
 
 def test_a_sheared_wind_is_compared_at_one_height() -> None:
     """3 m/s at 2 m with an exponent of 0.25 are 3 x 5^0.25 = 4.486 m/s at 10 m; an exponent off by 0.01 moves that by 1.6 %."""
-    found = verdict("explained", wind_shear={"x": (3.0, 0.0), "y": (0.0, 0.1), "exponent": (0.25, 0.01)})
-    found["effects"][0]["params"]["z_ref"] = 2.0
+    result = verdict("explained", wind_shear={"x": (3.0, 0.0), "y": (0.0, 0.1), "exponent": (0.25, 0.01)})
+    result["effects"][0]["params"]["z_ref"] = 2.0
     truth = {"wind_shear": {"x": 4.486, "y": 0.0, "z_ref": 10.0, "exponent": 0.24}}
-    rows = {row["name"]: row for row in judge(found, truth)["parameters"]}
+    rows = {row["name"]: row for row in judge(result, truth)["parameters"]}
     assert rows["x"]["value"] == pytest.approx(4.486, abs=1e-3)
     assert rows["x"]["std"] == pytest.approx(4.486 * 0.01609, rel=1e-3)
     assert rows["y"]["std"] == pytest.approx(0.1 * 5.0**0.25, rel=1e-3)

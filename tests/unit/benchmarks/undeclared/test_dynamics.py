@@ -1,6 +1,6 @@
 """The truth plant: integration, sensors, logs and cases. It referees the identification.
 
-``tests/cross/test_undeclared_plant.py`` compares its accelerations with those of the package.
+``tests/cross/test_truth_plant.py`` compares its accelerations with those of the package.
 """
 
 import ast
@@ -14,14 +14,14 @@ import yaml
 
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.__main__ import main
-from benchmarks.undeclared.cases import flights_of, plan_all
+from benchmarks.undeclared.cases import list_flights, plan_all
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
 from benchmarks.undeclared.effects import resolve, split
 from benchmarks.undeclared.logs import COLUMNS, late
-from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, Nuisance, disturb
-from benchmarks.undeclared.sensors import NOISELESS, Noise, Sensors
-from benchmarks.undeclared.simulate import CONTROL_RATE, Record, fly, summarise
-from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, Vehicle
+from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, PlantNuisance, disturb
+from benchmarks.undeclared.sensors import NOISELESS, PlantNoise, PlantSensors
+from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly, summarise
+from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, PlantVehicle
 
 SETTLE = 1.0
 """Hover before the flights of these tests [s]; shorter than in a case, to save time."""
@@ -30,7 +30,7 @@ NO_DRAG = replace(DECLARED, linear_drag=np.zeros(3))
 IDLE = np.zeros((1, 4))
 
 
-def still(*, flights: int = 1, rotor: float = 0.0, vehicle: Vehicle = DECLARED) -> Array:
+def level_state(*, flights: int = 1, rotor: float = 0.0, vehicle: PlantVehicle = DECLARED) -> Array:
     """Return level states at rest at the origin, heading along x, with the given rotor speed."""
     state = rest_state(vehicle, np.zeros((flights, 3)), np.zeros(flights))
     state[:, ROTOR] = rotor
@@ -44,16 +44,16 @@ def run(plant: Plant, state: Array, command: Array, *, span: float, dt: float) -
     return state
 
 
-def tumbling() -> Array:
+def tumble_state() -> Array:
     """Return a state in air with every component at work."""
-    state = still(rotor=1100.0)
+    state = level_state(rotor=1100.0)
     state[:, VEL], state[:, RATE], state[:, ROTOR] = (2.0, -1.0, 0.5), (3.0, -4.0, 2.0), (900.0, 1200.0, 1300.0, 1000.0)
     return state
 
 
 def test_free_fall_is_a_parabola() -> None:
     """Without thrust and drag p = v0 t - g t^2 / 2 and v = v0 - g t, which Runge-Kutta meets to round-off."""
-    state = still()
+    state = level_state()
     state[:, VEL] = (1.0, -2.0, 3.0)
     end = run(Plant(NO_DRAG), state, IDLE, span=0.5, dt=0.01)
     np.testing.assert_allclose(end[0, POS], (0.5, -1.0, 1.5 - 0.125 * GRAVITY), rtol=0.0, atol=1e-12)
@@ -61,7 +61,7 @@ def test_free_fall_is_a_parabola() -> None:
 
 
 def _spin(dt: float) -> tuple[Array, float, Array]:
-    state = still()
+    state = level_state()
     state[:, RATE] = (9.0, -6.0, 4.0)
     end = run(Plant(NO_DRAG), state, IDLE, span=0.64, dt=dt)
     rate = end[0, RATE]
@@ -86,7 +86,7 @@ def test_torque_free_rotation_conserves_momentum_and_energy_with_order_four() ->
 
 def test_torque_free_rotation_turns_the_right_way() -> None:
     """A body turning about +z by a quarter carries its x axis to world +y."""
-    state = still()
+    state = level_state()
     state[:, RATE] = (0.0, 0.0, 0.5 * np.pi)
     end = run(Plant(replace(NO_DRAG, inertia=np.diag([2e-3, 3e-3, 4e-3]))), state, IDLE, span=1.0, dt=0.001)
     np.testing.assert_allclose(rotation(end)[0, :, 0], (0.0, 1.0, 0.0), rtol=0.0, atol=1e-9)
@@ -96,25 +96,27 @@ def test_torque_free_rotation_turns_the_right_way() -> None:
 def test_rotor_lag_is_the_exponential(start: float, target: float, tau: float) -> None:
     """w = target + (start - target) exp(-t / tau), tau_up rising and tau_down falling; Runge-Kutta to (dt / tau)^4."""
     plant = Plant(replace(NO_DRAG, tau_up=0.03, tau_down=0.05))
-    end = run(plant, still(rotor=start), np.full((1, 4), target), span=0.06, dt=0.0005)
+    end = run(plant, level_state(rotor=start), np.full((1, 4), target), span=0.06, dt=0.0005)
     expected = target + (start - target) * np.exp(-0.06 / tau)
     np.testing.assert_allclose(end[0, ROTOR], expected, rtol=(0.0005 / tau) ** 4)
 
 
 def test_flight_of_a_batch_equals_the_flight_alone() -> None:
     """Rows do not know each other."""
-    plant, states = Plant(DECLARED), np.concatenate((still(rotor=900.0), tumbling(), still()))
+    plant, states = Plant(DECLARED), np.concatenate((level_state(rotor=900.0), tumble_state(), level_state()))
     command = np.full((3, 4), 1200.0)
     together = run(plant, states, command, span=0.02, dt=0.0005)
     alone = run(plant, states[1:2], command[:1], span=0.02, dt=0.0005)
     np.testing.assert_allclose(together[1:2], alone, rtol=1e-13, atol=1e-13)
 
 
-def _record(true: Vehicle, declared: Vehicle, *, num_train: int, num_test: int, span: float, noise: Noise) -> tuple:
-    flights = flights_of(num_train, num_test)
+def _record(
+    true: PlantVehicle, declared: PlantVehicle, *, num_train: int, num_test: int, span: float, noise: PlantNoise
+) -> tuple:
+    flights = list_flights(num_train, num_test)
     reference = plan_all(flights, seed=5, duration_s=span, settle_s=SETTLE)
     streams = [np.random.default_rng([5, i]) for i in range(len(flights))]
-    sensors = Sensors(noise, NO_BIAS, streams, len(reference.yaw))
+    sensors = PlantSensors(noise, NO_BIAS, streams, len(reference.yaw))
     return fly(true=true, declared=declared, reference=reference, sensors=sensors), reference
 
 
@@ -135,7 +137,7 @@ def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -
     """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free."""
     params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)
     declared, true = split(DECLARED, params)
-    record, reference = _record(true, declared, num_train=2, num_test=1, span=3.0, noise=Noise())
+    record, reference = _record(true, declared, num_train=2, num_test=1, span=3.0, noise=PlantNoise())
     first = round(SETTLE * CONTROL_RATE)
     for flight in summarise(record, reference, declared=declared, first=first):
         assert flight.rms_position_error < 0.15
@@ -155,7 +157,7 @@ def test_training_flights_excite_every_axis() -> None:
     assert np.all(reference.excite[400:, 0].std(axis=0) > (0.3, 0.3, 0.2, 0.5))
 
 
-def test_logged_command_is_held_from_its_row_on() -> None:
+def test_logged_command_is_held_from_its_row() -> None:
     """Between rows each rotor follows the exponential towards the command of the earlier row."""
     record, _ = _record(DECLARED, DECLARED, num_train=1, num_test=0, span=1.0, noise=NOISELESS)
     rotor, command = record.measured["rotor"][:-1], record.command[:-1]
@@ -165,9 +167,9 @@ def test_logged_command_is_held_from_its_row_on() -> None:
 
 def test_sensor_noise_has_the_stated_size() -> None:
     """Sample minus truth has the declared standard deviation, within 5 / sqrt(2 N) of it."""
-    noise, state = Noise(), np.concatenate((tumbling(), still(rotor=1000.0)))
-    sensors = Sensors(noise, NO_BIAS, [np.random.default_rng(i) for i in (1, 2)], 3000)
-    exact = Sensors(NOISELESS, NO_BIAS, [np.random.default_rng(0)] * 2, 1).sample(0, Plant(DECLARED), state)
+    noise, state = PlantNoise(), np.concatenate((tumble_state(), level_state(rotor=1000.0)))
+    sensors = PlantSensors(noise, NO_BIAS, [np.random.default_rng(i) for i in (1, 2)], 3000)
+    exact = PlantSensors(NOISELESS, NO_BIAS, [np.random.default_rng(0)] * 2, 1).sample(0, Plant(DECLARED), state)
     samples = [sensors.sample(i, Plant(DECLARED), state) for i in range(3000)]
     close = {"rel": 5.0 / np.sqrt(2 * 3000 * 6)}
     for name, std in (
@@ -187,7 +189,7 @@ def test_sensor_noise_has_the_stated_size() -> None:
 
 def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between_flights() -> None:
     """One rotation for all flights, a bias for each beside the common one, and the other errors as without them."""
-    plain, aligned = disturb(DECLARED, Nuisance(), seed=5)
+    plain, aligned = disturb(DECLARED, PlantNuisance(), seed=5)
     vehicle, bias = disturb(DECLARED, TRACKED, seed=5, num_flights=3)
     assert (vehicle.mass, vehicle.tau_up) == (plain.mass, plain.tau_up)
     np.testing.assert_array_equal(bias.gyro, aligned.gyro)
@@ -196,9 +198,9 @@ def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between
     assert np.all(np.abs(bias.acc - aligned.acc) <= 2.0 * TRACKED.acc_of_flight)
     assert 0.0 < np.abs(bias.attitude).max() <= 2.0 * TRACKED.attitude
 
-    state = np.repeat(tumbling(), 3, axis=0)
+    state = np.repeat(tumble_state(), 3, axis=0)
     as_body, as_tracked = (
-        Sensors(NOISELESS, one, [np.random.default_rng(k) for k in range(3)], 1).sample(0, Plant(vehicle), state)
+        PlantSensors(NOISELESS, one, [np.random.default_rng(k) for k in range(3)], 1).sample(0, Plant(vehicle), state)
         for one in (NO_BIAS, bias)
     )
     np.testing.assert_allclose(as_tracked.acc - as_body.acc, bias.acc, atol=1e-12)
@@ -213,7 +215,7 @@ def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between
 def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None:
     """What it reads is the derivative of the velocity of its place, without gravity, times its scale."""
     plant, place, scale = Plant(DECLARED), np.array([0.03, -0.02, 0.05]), np.array([0.02, -0.01, 0.03])
-    state, dt = tumbling(), 1e-5
+    state, dt = tumble_state(), 1e-5
 
     def velocity(state: np.ndarray) -> np.ndarray:
         lever = np.cross(state[:, RATE], place)
@@ -224,27 +226,29 @@ def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None
     felt = (felt[:, None, :] @ rotation(state))[:, 0]
     np.testing.assert_allclose(plant.specific_force(state, place), felt, rtol=1e-6, atol=1e-6)
     bias = replace(NO_BIAS, imu_place=place, acc_scale=scale)
-    sensors = Sensors(NOISELESS, bias, [np.random.default_rng(0)], 1)
+    sensors = PlantSensors(NOISELESS, bias, [np.random.default_rng(0)], 1)
     np.testing.assert_allclose(sensors.sample(0, plant, state).acc, (1.0 + scale) * felt, rtol=1e-6, atol=1e-6)
 
 
-def test_what_is_late_in_a_log_is_what_was_measured_before() -> None:
+def test_what_is_late_in_a_log_is_what_was_measured_earlier() -> None:
     """Whole samples are moved as they are, half ones lie between; the position goes with the rotation."""
     time = np.arange(20.0)[:, None]
     shapes = {"rotor": (4,), "acc": (3,), "rate": (3,), "rotation": (3, 3), "velocity": (3,), "position": (3,)}
     measured = {
         name: np.broadcast_to(time.reshape(20, 1, *(1,) * len(of)), (20, 1, *of)) for name, of in shapes.items()
     }
-    record = Record(measured=measured, **dict.fromkeys(("command", "state", "position", "voltage", "surroundings")))
-    found = late(record, np.array([2.0, 0.5, -1.0, 3.0, 0.0]) / CONTROL_RATE).measured
+    record = PlantRecord(
+        measured=measured, **dict.fromkeys(("command", "state", "position", "voltage", "surroundings"))
+    )
+    result = late(record, np.array([2.0, 0.5, -1.0, 3.0, 0.0]) / CONTROL_RATE).measured
     delays = {"rotor": 2.0, "acc": 0.5, "rate": -1.0, "rotation": 3.0, "velocity": 0.0, "position": 3.0}
     for name, samples in delays.items():
-        np.testing.assert_allclose(found[name][4:-2], measured[name][4:-2] - samples, rtol=1e-12)
+        np.testing.assert_allclose(result[name][4:-2], measured[name][4:-2] - samples, rtol=1e-12)
 
 
 def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
     """Every number moves by at most two standard deviations, beside a hidden offset by the same."""
-    cfg = Nuisance()
+    cfg = PlantNuisance()
     vehicle, bias = disturb(DECLARED, cfg, seed=1)
     assert 0.0 < abs(vehicle.mass / DECLARED.mass - 1.0) <= 2.0 * cfg.mass
     assert np.all(np.abs(vehicle.thrust_coeff / DECLARED.thrust_coeff - 1.0) <= 2.0 * cfg.thrust_coeff)
@@ -325,7 +329,7 @@ def test_same_seed_same_files(tmp_path: Path) -> None:
     assert made["a"] == made["b"]
     values = [resolve({"constant_wind": "moderate"}, declared=DECLARED, seed=seed) for seed in (7, 8)]
     assert json.loads(made["a"][2])["effects"] == values[0] != values[1]
-    paths = [plan_all(flights_of(4, 3), seed=seed, duration_s=1.0).position for seed in (7, 8)]
+    paths = [plan_all(list_flights(4, 3), seed=seed, duration_s=1.0).position for seed in (7, 8)]
     assert np.all(np.abs(paths[0] - paths[1]).max(axis=(0, 2)) > 0.0)
 
 

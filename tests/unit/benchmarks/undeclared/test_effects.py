@@ -1,6 +1,6 @@
 """The truth plant: loads on cables and soft arms, gusts, sensors, unknown forces and drawn parameters.
 
-``tests/cross/test_undeclared_plant.py`` compares its accelerations with those of the package.
+``tests/cross/test_truth_plant.py`` compares its accelerations with those of the package.
 """
 
 from dataclasses import replace
@@ -11,26 +11,26 @@ import pytest
 import yaml
 
 from benchmarks.undeclared import EFFECTS, FEATURES, UNKNOWN, make_case
-from benchmarks.undeclared.cases import flights_of, fly_case, plan_all
+from benchmarks.undeclared.cases import fly_case, list_flights, plan_all
 from benchmarks.undeclared.catalog import SIZES
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
-from benchmarks.undeclared.effects import features_of, resolve, split
+from benchmarks.undeclared.effects import flight_features, resolve, split
 from benchmarks.undeclared.extra import NEUTRAL, Extra
 from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant, make_plant
 from benchmarks.undeclared.logs import vehicle_document
 from benchmarks.undeclared.nuisance import NO_BIAS
-from benchmarks.undeclared.sensors import NOISELESS, Sensors
+from benchmarks.undeclared.sensors import NOISELESS, PlantSensors
 from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, summarise
 from benchmarks.undeclared.surroundings import (
     FULL_VOLTAGE,
     RESISTANCE,
     VOLTAGE_PER_CHARGE,
     Battery,
-    Surroundings,
+    PlantSurroundings,
     companion,
     gusts,
 )
-from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, ROTOR_RADIUS, Array, Vehicle
+from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, ROTOR_RADIUS, Array, PlantVehicle
 
 BARE = replace(DECLARED, linear_drag=np.zeros(3), inertia=np.diag([2e-3, 3e-3, 4e-3]))
 HOVER = DECLARED.hover_speed()
@@ -39,11 +39,11 @@ SPEED = 1000.0
 """Of all rotors in the closed forms below [rad/s]."""
 
 
-def having(vehicle: Vehicle = BARE, **extra: object) -> Vehicle:
+def set_extra(vehicle: PlantVehicle = BARE, **extra: object) -> PlantVehicle:
     return replace(vehicle, extra=replace(NEUTRAL, **extra))
 
 
-def hidden(vehicle: Vehicle = BARE, **effects: dict[str, float]) -> Vehicle:
+def hide_effects(vehicle: PlantVehicle = BARE, **effects: dict[str, float]) -> PlantVehicle:
     """Return the vehicle with effects applied as a case does it."""
     return split(vehicle, resolve(effects, declared=vehicle, seed=0))[1]
 
@@ -62,19 +62,21 @@ def loads(plant: Plant, state: Array) -> tuple[Array, Array]:
     return force, vehicle.inertia @ slope[0, RATE] + np.cross(rate, vehicle.inertia @ rate)
 
 
-def added(vehicle: Vehicle, state: Array, surroundings: Surroundings | None = None) -> tuple[Array, Array]:
-    """Return what a vehicle feels beyond the bare one."""
+def effect_force(
+    vehicle: PlantVehicle, state: Array, surroundings: PlantSurroundings | None = None
+) -> tuple[Array, Array]:
+    """Return the difference of force and moment between a vehicle and the same one without hidden effects."""
     full, bare = loads(FullPlant(vehicle, surroundings), state), loads(Plant(replace(vehicle, extra=NEUTRAL)), state)
     return full[0] - bare[0], full[1] - bare[1]
 
 
-def tumbling() -> Array:
+def tumble_state() -> Array:
     state = level(height=0.4)
     state[:, VEL], state[:, RATE], state[:, ROTOR] = (2.0, -1.0, 0.5), (3.0, -4.0, 2.0), (900.0, 1200.0, 1300.0, 1000.0)
     return state
 
 
-def everything() -> FullPlant:
+def full_plant() -> FullPlant:
     """Return a plant with all forces and torques at work at once."""
     extra = Extra(
         h_force=5e-5,
@@ -95,10 +97,10 @@ def everything() -> FullPlant:
 
 def test_neutral_extras_change_nothing() -> None:
     """The full plant without extras has the derivative of the plain one, to round-off, and is not used for it."""
-    state, command = tumbling(), np.full((1, 4), 1100.0)
+    state, command = tumble_state(), np.full((1, 4), 1100.0)
     expected = Plant(DECLARED).derivative(state, command)
     np.testing.assert_allclose(FullPlant(DECLARED).derivative(state, command), expected, rtol=1e-12, atol=1e-12)
-    assert type(make_plant(DECLARED, Surroundings(ceiling=9.0))) is Plant
+    assert type(make_plant(DECLARED, PlantSurroundings(ceiling=9.0))) is Plant
 
 
 def test_values_of_the_first_effects_are_fixed() -> None:
@@ -119,11 +121,11 @@ def test_values_of_the_first_effects_are_fixed() -> None:
 
 def test_full_step_has_order_four() -> None:
     """The error falls with dt^4, within 0.15, with every smooth load at work and time in the equations."""
-    start = everything().rest(tumbling())
+    start = full_plant().rest(tumble_state())
     start[:, CABLE_RATE] = (0.5, -0.3, 0.0)
 
     def end(steps: int) -> Array:
-        plant, state, command = everything(), start, np.full((1, 4), 1600.0)
+        plant, state, command = full_plant(), start, np.full((1, 4), 1600.0)
         for _ in range(steps):
             state = plant.step(state, command, 0.04 / steps)
         return state[0, : CABLE.start]
@@ -152,7 +154,7 @@ def test_rotors_follow_the_command_of_that_long_ago(delay: float) -> None:
 
 def test_rotor_speed_follows_the_voltage() -> None:
     """Steady speed n = cmd (1 + gain (V / 16 - 1)): at 14.4 V and gain 0.5, 5 % less."""
-    plant = FullPlant(hidden(battery_sag={"gain": 0.5}))
+    plant = FullPlant(hide_effects(battery_sag={"gain": 0.5}))
     plant.begin(0, np.array([14.4, 16.0]))
     state = level(flights=2)
     state[:, ROTOR] = np.array([[950.0], [1000.0]])
@@ -175,7 +177,7 @@ def test_battery_gives_the_power_and_loses_the_charge() -> None:
 def test_slung_load_swings_at_the_frequency_of_the_pair() -> None:
     """w = sqrt(g / l (1 + M / m)): back after a period and opposite after half of it, to the square of the angle."""
     mass, length, angle = 0.15, 0.8, 0.01
-    plant = FullPlant(having(slung=(mass, length, 0.0)))
+    plant = FullPlant(set_extra(slung=(mass, length, 0.0)))
     speed = np.sqrt((0.75 + mass) * GRAVITY / 4 / 1.45e-6)
     state = plant.rest(level(rotor=speed))
     state[0, CABLE] = (np.sin(angle), 0.0, -np.cos(angle))
@@ -194,7 +196,7 @@ def test_slung_load_keeps_momentum_and_damping_takes_energy() -> None:
     """
     mass, length, span = 0.15, 0.8, 0.5
     for damping in (0.0, 0.05):
-        plant = FullPlant(having(slung=(mass, length, damping)))
+        plant = FullPlant(set_extra(slung=(mass, length, damping)))
         state = plant.rest(level(rotor=0.0))
         state[0, CABLE_RATE] = (2.0, 1.0, 0.0)
         before = (0.75 + mass) * state[0, VEL] + mass * length * state[0, CABLE_RATE]
@@ -213,7 +215,7 @@ SOFT = {"compliance": 1.5, "tau": 0.05, "hinge": 0.4}
 def test_elements_of_an_arm_approach_their_load_and_add_up() -> None:
     """From straight, under held thrust: ``C f l (1 - exp(-t / tau))`` each, and the wrench is that of the sum of angles."""
     slow = {**SOFT, "tau": 2.0}
-    plant = FullPlant(hidden(joint_spring=SOFT, joint_creep=slow))
+    plant = FullPlant(hide_effects(joint_spring=SOFT, joint_creep=slow))
     state = np.hstack((level(), np.zeros((1, 8))))
     for _ in range(200):
         state = plant.step(state, state[:, ROTOR], 0.0005)
@@ -227,7 +229,7 @@ def test_elements_of_an_arm_approach_their_load_and_add_up() -> None:
 def test_a_second_joint_further_out_bends_the_rest_of_the_arm() -> None:
     """The moment about the inner joint is that of the shorter lever ``a + b cos h2`` once the outer one has turned by h2."""
     inner, outer = {**SOFT, "hinge": 0.2}, {**SOFT, "hinge": 0.7}
-    plant = FullPlant(hidden(joint_spring=outer, joint_creep=inner))
+    plant = FullPlant(hide_effects(joint_spring=outer, joint_creep=inner))
     state = np.hstack((level(), np.zeros((1, 8))))
     state[0, 22:26] = 0.4  # of the outer joint
     reach = np.hypot(0.085, 0.08)
@@ -238,7 +240,7 @@ def test_a_second_joint_further_out_bends_the_rest_of_the_arm() -> None:
 
 
 def test_soft_arms_and_a_load_share_the_state() -> None:
-    plant = FullPlant(hidden(joint_spring=SOFT, slung_payload={"mass": 0.1, "length": 0.7, "damping": 0.02}))
+    plant = FullPlant(hide_effects(joint_spring=SOFT, slung_payload={"mass": 0.1, "length": 0.7, "damping": 0.02}))
     state = plant.rest(level(flights=2))
     assert state.shape == (2, 32)
     np.testing.assert_allclose(state[:, CABLE], [[0.0, 0.0, -1.0]] * 2)
@@ -251,33 +253,33 @@ def test_gusts_have_their_spread_and_memory() -> None:
     error = np.sqrt(2.0 / 3000.0)
     assert series.var() == pytest.approx(2.25, rel=5.0 * error)
     for lag, expected in ((200, np.exp(-1.0)), (100, np.exp(-0.5)), (1200, np.exp(-6.0))):
-        found = (series[lag:] * series[:-lag]).mean() / series.var()
-        assert found == pytest.approx(expected, abs=5.0 * error)
+        result = (series[lag:] * series[:-lag]).mean() / series.var()
+        assert result == pytest.approx(expected, abs=5.0 * error)
     assert abs(series.mean()) < 5.0 * 1.5 * error
 
 
 def test_gusts_push_through_drag() -> None:
     """A gust of 2 m/s along world x on a vehicle at rest: force d 2 along x; the next sample has its own."""
     series = np.array([[[2.0, 0.0, 0.0]], [[0.0, -1.0, 0.0]]])
-    plant = FullPlant(replace(BARE, linear_drag=np.full(3, 0.2)), Surroundings(gust=series))
+    plant = FullPlant(replace(BARE, linear_drag=np.full(3, 0.2)), PlantSurroundings(gust=series))
     still = loads(Plant(BARE), level())[0]
     np.testing.assert_allclose(loads(plant, level())[0] - still, (0.4, 0.0, 0.0), atol=1e-12)
     plant.begin(1, np.array([16.0]))
     np.testing.assert_allclose(loads(plant, level())[0] - still, (0.0, -0.2, 0.0), atol=1e-12)
 
 
-def test_another_vehicle_stays_above() -> None:
-    case_flights = features_of(["downwash"], ())
+def test_another_vehicle_stays_higher() -> None:
+    case_flights = flight_features(["downwash"], ())
     assert case_flights == ("battery", "other")
-    reference = plan_all(flights_of(2, 0), seed=3, duration_s=3.0)
+    reference = plan_all(list_flights(2, 0), seed=3, duration_s=3.0)
     for flight in (0, 1):
         path = companion(reference, flight, CONTROL_RATE, np.random.default_rng(1))
         assert np.all(path[:, 2] > reference.position[:, flight, 2] + 0.9)
     assert np.ptp(path[:, :2], axis=0).max() == 0.0  # the second one hovers
 
 
-def _read(vehicle: Vehicle, state: Array) -> object:
-    sensors = Sensors(NOISELESS, NO_BIAS, [np.random.default_rng(0)], 1, extra=vehicle.extra)
+def _read(vehicle: PlantVehicle, state: Array) -> object:
+    sensors = PlantSensors(NOISELESS, NO_BIAS, [np.random.default_rng(0)], 1, extra=vehicle.extra)
     return sensors.sample(0, make_plant(vehicle), state)
 
 
@@ -285,19 +287,19 @@ def test_turned_imu_sees_gravity_from_the_other_side() -> None:
     """Hover, IMU rolled by +a: acc = g (0, sin a, cos a); pitched: g (-sin a, 0, cos a); yawed, a roll rate p reads
     p (cos a, -sin a, 0). Attitude is not of the IMU and stays."""
     state, a = level(rotor=HOVER), 0.1
-    rolled = _read(hidden(imu_misalignment={"roll": a}), state)
+    rolled = _read(hide_effects(imu_misalignment={"roll": a}), state)
     np.testing.assert_allclose(rolled.acc[0], GRAVITY * np.array([0.0, np.sin(a), np.cos(a)]), atol=1e-12)
-    pitched = _read(hidden(imu_misalignment={"pitch": a}), state)
+    pitched = _read(hide_effects(imu_misalignment={"pitch": a}), state)
     np.testing.assert_allclose(pitched.acc[0], GRAVITY * np.array([-np.sin(a), 0.0, np.cos(a)]), atol=1e-12)
     state[:, RATE] = (2.0, 0.0, 0.0)
-    yawed = _read(hidden(imu_misalignment={"yaw": a}), state)
+    yawed = _read(hide_effects(imu_misalignment={"yaw": a}), state)
     np.testing.assert_allclose(yawed.rate[0], 2.0 * np.array([np.cos(a), -np.sin(a), 0.0]), atol=1e-12)
     np.testing.assert_array_equal(yawed.rotation, rotation(state))
 
 
 def test_biases_and_rotor_scale_are_in_the_readings_only() -> None:
     bias = {"ax": 0.1, "ay": -0.2, "az": 0.3, "gx": 0.01, "gy": -0.02, "gz": 0.03}
-    read = _read(hidden(imu_bias=bias, rotor_speed_scale={"scale": 1.05}), level(rotor=HOVER))
+    read = _read(hide_effects(imu_bias=bias, rotor_speed_scale={"scale": 1.05}), level(rotor=HOVER))
     np.testing.assert_allclose(read.acc[0], (0.1, -0.2, GRAVITY + 0.3), atol=1e-12)
     np.testing.assert_allclose(read.rate[0], (0.01, -0.02, 0.03), atol=1e-15)
     np.testing.assert_allclose(read.rotor[0], 1.05 * HOVER, rtol=1e-12)
@@ -305,7 +307,11 @@ def test_biases_and_rotor_scale_are_in_the_readings_only() -> None:
 
 def test_unknown_periodic_force() -> None:
     """F sin(2 pi f t) along body x: after half a period v = F / (m pi f), after a whole one none."""
-    plant, state, half = FullPlant(hidden(unknown_periodic={"force": 0.3, "freq": 7.0})), level(rotor=0.0), 0.5 / 7.0
+    plant, state, half = (
+        FullPlant(hide_effects(unknown_periodic={"force": 0.3, "freq": 7.0})),
+        level(rotor=0.0),
+        0.5 / 7.0,
+    )
     for expected in (0.3 / (0.75 * np.pi * 7.0), 0.0):
         for _ in range(50):
             state = plant.step(state, np.zeros((1, 4)), half / 50)
@@ -314,8 +320,8 @@ def test_unknown_periodic_force() -> None:
 
 def test_unknown_attraction_is_largest_at_its_radius_and_has_a_potential() -> None:
     """Force F towards the centre at one radius; |v|² / 2 m - F r exp((1 - d²) / 2) + m g z is constant."""
-    vehicle = hidden(unknown_position={"x": 1.0, "z": 5.0, "force": 0.4, "radius": 1.0})
-    np.testing.assert_allclose(added(vehicle, level())[0], (0.4, 0.0, 0.0), atol=1e-12)
+    vehicle = hide_effects(unknown_position={"x": 1.0, "z": 5.0, "force": 0.4, "radius": 1.0})
+    np.testing.assert_allclose(effect_force(vehicle, level())[0], (0.4, 0.0, 0.0), atol=1e-12)
     plant, state = FullPlant(vehicle), level(rotor=0.0)
 
     def energy(state: Array) -> float:
@@ -331,13 +337,13 @@ def test_unknown_attraction_is_largest_at_its_radius_and_has_a_potential() -> No
 
 def test_unknown_fading_and_heading() -> None:
     """Thrust loses (1 - 1/e) of the loss in one time constant; the side force is largest at its heading, none opposite."""
-    plant, state = FullPlant(hidden(unknown_time={"loss": 0.2, "time": 8.0})), level(rotor=HOVER)
+    plant, state = FullPlant(hide_effects(unknown_time={"loss": 0.2, "time": 8.0})), level(rotor=HOVER)
     plant.begin(round(8.0 * CONTROL_RATE), np.array([16.0]))
     assert loads(plant, state)[0][2] / WEIGHT == pytest.approx(1.0 - 0.2 * (1.0 - np.exp(-1.0)))
-    vehicle = hidden(unknown_heading={"force": 0.3, "heading": 0.5})
+    vehicle = hide_effects(unknown_heading={"force": 0.3, "heading": 0.5})
     for yaw, force in ((0.5, 0.3), (0.5 + np.pi / 3, 0.15), (0.5 + np.pi, 0.0)):
         state = rest_state(BARE, np.zeros((1, 3)), np.array([yaw]))
-        np.testing.assert_allclose(added(vehicle, state)[0], (0.0, force, 0.0), atol=1e-12)
+        np.testing.assert_allclose(effect_force(vehicle, state)[0], (0.0, force, 0.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", [*list(EFFECTS)[6:], *UNKNOWN])
@@ -405,7 +411,7 @@ def test_flights_have_the_features_they_need(tmp_path: Path) -> None:
 
 
 def test_shear_flights_have_heights_that_differ() -> None:
-    heights = [f.lowest for f in flights_of(4, 3, features_of(["wind_shear"], ()))]
+    heights = [f.lowest for f in list_flights(4, 3, flight_features(["wind_shear"], ()))]
     assert max(heights[:4]) / min(heights[:4]) > 10.0
     assert max(heights[4:]) / min(heights[4:]) > 10.0
 
@@ -428,7 +434,7 @@ def test_wrong_requests_are_refused(effects: dict, features: tuple[str, ...], me
 )
 def test_effects_need_their_surroundings(name: str, message: str) -> None:
     with pytest.raises(ValueError, match=f"{name}: {message}"):
-        FullPlant(hidden(**{name: "large"}))
+        FullPlant(hide_effects(**{name: "large"}))
 
 
 @pytest.mark.usefixtures("coarser_plant")

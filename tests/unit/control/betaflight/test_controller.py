@@ -14,7 +14,7 @@ from aerial_gym.config.controller import RateLoopCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.betaflight.controller import BetaflightController
-from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mixed, weakening
+from aerial_gym.control.betaflight.loop import actual_rate, integral_share, mix_signals, throttle_attenuation
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest, vehicle_from_config
@@ -32,7 +32,7 @@ PLAIN = BetaflightCfg(
 )  # fmt: skip
 
 
-def law_of(own: BetaflightCfg | None = None, robot: RobotCfg = RACER, dt: float = DT) -> BetaflightController:
+def make_law(own: BetaflightCfg | None = None, robot: RobotCfg = RACER, dt: float = DT) -> BetaflightController:
     cfg = CONTROLLERS.get(NAME)
     cfg = cfg if own is None else replace(cfg, betaflight=own)
     law = make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt)
@@ -40,7 +40,7 @@ def law_of(own: BetaflightCfg | None = None, robot: RobotCfg = RACER, dt: float 
     return law
 
 
-def still(ang_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> BodyState:
+def rest_state(ang_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> BodyState:
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
     state.ang_vel[:] = torch.tensor(ang_vel, dtype=F64)
     return state
@@ -50,20 +50,20 @@ def run(
     law: BetaflightController, actions: list[list[float]], states: list[BodyState] | None = None
 ) -> tuple[torch.Tensor, LawMemory]:
     """Return motor signals, 0 to 1, of each run, (T, R), and the last memory."""
-    memory, found = fresh_law_memory(law.needs, 1, still().position), []
+    memory, result = fresh_law_memory(law.needs, 1, rest_state().position), []
     for k, action in enumerate(actions):
-        state = still() if states is None else states[k]
+        state = rest_state() if states is None else states[k]
         command, memory = law.command(state, torch.tensor([action], dtype=F64), memory)
-        found.append(((command - law._low) / law._span)[0])
-    return torch.stack(found), memory
+        result.append(((command - law._low) / law._span)[0])
+    return torch.stack(result), memory
 
 
 def test_actual_rates_are_those_of_the_public_calculators() -> None:
     """Default 70, 670, 0: 35 + 600 / 4 = 185 deg/s at half stick, 670 at full; expo 0.5 halves the square and adds x⁶ / 2."""
     stick = torch.tensor([[0.5, 1.0, -0.5]], dtype=F64)
     center, largest = (torch.full((1, 3), radians(value), dtype=F64) for value in (70.0, 670.0))
-    found = actual_rate(stick, center, largest, torch.zeros(1, 3, dtype=F64)).rad2deg()
-    torch.testing.assert_close(found, torch.tensor([[185.0, 670.0, -185.0]], dtype=F64))
+    result = actual_rate(stick, center, largest, torch.zeros(1, 3, dtype=F64)).rad2deg()
+    torch.testing.assert_close(result, torch.tensor([[185.0, 670.0, -185.0]], dtype=F64))
     bent = actual_rate(stick, center, largest, torch.full((1, 3), 0.5, dtype=F64)).rad2deg()
     half = 35.0 + 600.0 * (0.5 * 0.25 + 0.5 * 0.5**6)
     torch.testing.assert_close(bent, torch.tensor([[half, 670.0, -half]], dtype=F64))
@@ -75,8 +75,8 @@ def test_actual_rates_are_those_of_the_public_calculators() -> None:
 
 
 def test_sticks_ask_for_their_rates() -> None:
-    rates = law_of(replace(PLAIN, p_roll=45.0))
-    sticks = law_of(replace(PLAIN, p_roll=45.0, rates_type="ACTUAL"))
+    rates = make_law(replace(PLAIN, p_roll=45.0))
+    sticks = make_law(replace(PLAIN, p_roll=45.0, rates_type="ACTUAL"))
     assert sticks.action_names[1].startswith("roll stick")
     by_rate, _ = run(rates, [[0.0, radians(185.0), 0.0, 0.0]])
     by_stick, _ = run(sticks, [[0.0, 0.5, 0.0, 0.0]])
@@ -85,15 +85,17 @@ def test_sticks_ask_for_their_rates() -> None:
 
 def test_a_gain_is_worth_what_its_scale_says() -> None:
     """P = 45, 100 deg/s: 45 * 0.032029 * 100 = 144 thousandths of the range, up on the left and down on the right."""
-    signal, _ = run(law_of(replace(PLAIN, p_roll=45.0)), [[0.0, radians(100.0), 0.0, 0.0]])
-    hover, _ = run(law_of(PLAIN), [[0.0, 0.0, 0.0, 0.0]])
+    signal, _ = run(make_law(replace(PLAIN, p_roll=45.0)), [[0.0, radians(100.0), 0.0, 0.0]])
+    hover, _ = run(make_law(PLAIN), [[0.0, 0.0, 0.0, 0.0]])
     left = torch.tensor([1.0 if m.position[1] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
     torch.testing.assert_close(signal - hover, (0.1441305 * left).unsqueeze(0), atol=1e-6, rtol=0.0)
 
 
 def test_throttle_zero_is_the_weight() -> None:
-    law = law_of()
-    command, _ = law.command(still(), torch.zeros(1, 4, dtype=F64), fresh_law_memory(law.needs, 1, still().position))
+    law = make_law()
+    command, _ = law.command(
+        rest_state(), torch.zeros(1, 4, dtype=F64), fresh_law_memory(law.needs, 1, rest_state().position)
+    )
     lift = rotor_thrust(law.allocation.vehicle, command).sum()
     assert lift == pytest.approx(RACER.body.mass * 9.81)
 
@@ -102,13 +104,13 @@ def test_feed_forward_and_derivative_are_slopes() -> None:
     """A wanted rate that grows by 3 rad/s² and a body that does, with F = 100 and D = 30: shares of 3 times their worth."""
     steps = 4
     told = [[0.0, 3.0 * DT * k, 0.0, 0.0] for k in range(steps)]
-    hover, _ = run(law_of(PLAIN), [[0.0] * 4])
-    forward, _ = run(law_of(replace(PLAIN, f_roll=100.0)), told)
+    hover, _ = run(make_law(PLAIN), [[0.0] * 4])
+    forward, _ = run(make_law(replace(PLAIN, f_roll=100.0)), told)
     left = torch.tensor([1.0 if m.position[1] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
     torch.testing.assert_close(forward[0], hover[0])
     torch.testing.assert_close(forward[1:] - hover, (300.0 * SCALES["f"] * left).expand(steps - 1, -1))
-    turning = [still((3.0 * DT * k, 0.0, 0.0)) for k in range(steps)]
-    slowed, _ = run(law_of(replace(PLAIN, d_roll=30.0, tpa_rate=0.0)), [[0.0] * 4] * steps, turning)
+    turning = [rest_state((3.0 * DT * k, 0.0, 0.0)) for k in range(steps)]
+    slowed, _ = run(make_law(replace(PLAIN, d_roll=30.0, tpa_rate=0.0)), [[0.0] * 4] * steps, turning)
     torch.testing.assert_close(slowed[1:] - hover, (-90.0 * SCALES["d"] * left).expand(steps - 1, -1))
 
 
@@ -116,9 +118,10 @@ def test_feed_forward_and_derivative_are_slopes() -> None:
 def test_filters_have_their_cutoffs(kind: str, size: float | None) -> None:
     """A sine at 60 Hz through a gyro filter of 60 Hz: ``1 / sqrt 2`` of a biquad; of PT1 what its recursion gives at 1 kHz,
     which is within 20 % of that. A constant passes, from the first sample on."""
-    law = law_of(replace(PLAIN, p_roll=45.0, p_pitch=45.0, gyro_lpf1_type=kind, gyro_lpf1_static_hz=60.0))
+    law = make_law(replace(PLAIN, p_roll=45.0, p_pitch=45.0, gyro_lpf1_type=kind, gyro_lpf1_static_hz=60.0))
     wave = [
-        still((sqrt(2.0) * 0.01 * float(torch.sin(torch.tensor(2 * pi * 0.06 * k))), 0.01, 0.0)) for k in range(500)
+        rest_state((sqrt(2.0) * 0.01 * float(torch.sin(torch.tensor(2 * pi * 0.06 * k))), 0.01, 0.0))
+        for k in range(500)
     ]
     signal, _ = run(law, [[0.0] * 4] * 500, wave)
     torch.testing.assert_close(signal.sum(-1), signal.sum(-1)[:1].expand(500), atol=1e-9, rtol=0.0)
@@ -126,12 +129,12 @@ def test_filters_have_their_cutoffs(kind: str, size: float | None) -> None:
     left = torch.tensor([1.0 if m.position[1] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
     front = torch.tensor([1.0 if m.position[0] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
     roll, pitch = (signal * left).mean(-1) / (45.0 * SCALES["p"]), (signal * front).mean(-1) / (45.0 * SCALES["p"])
-    found = float(roll[-250:].square().mean().sqrt()) / 0.01
+    result = float(roll[-250:].square().mean().sqrt()) / 0.01
     share = DT / (DT + 1.0 / (2.0 * pi * 60.0))
     turn = 2.0 * pi * 0.06
     recursion = share / sqrt(1.0 - 2.0 * (1.0 - share) * torch.cos(torch.tensor(turn)).item() + (1.0 - share) ** 2)
-    assert found == pytest.approx(recursion if size is None else size, rel=1e-3)
-    assert found == pytest.approx(sqrt(0.5), rel=0.2)
+    assert result == pytest.approx(recursion if size is None else size, rel=1e-3)
+    assert result == pytest.approx(sqrt(0.5), rel=0.2)
     torch.testing.assert_close(pitch, pitch[:1].expand(500), atol=1e-9, rtol=0.0)
     assert abs(float(pitch[0])) == pytest.approx(0.01)
 
@@ -140,9 +143,9 @@ def test_the_integral_grows_by_its_gain_and_rests_where_the_wanted_rate_changes(
     """Error of 0.1 rad/s for 10 runs: 10 * 80 * worth * 0.1 * dt. Relaxed, a step of 2 rad/s (115 deg/s) lets it rest until the
     low-pass of 15 Hz has come within 40 deg/s: ``ln(115 / 40) / (2 pi 15) = 11 ms``."""
     free = replace(PLAIN, i_roll=80.0)
-    _, memory = run(law_of(free), [[0.0, 0.1, 0.0, 0.0]] * 10)
+    _, memory = run(make_law(free), [[0.0, 0.1, 0.0, 0.0]] * 10)
     assert float(memory.numbers[0, 0]) == pytest.approx(10 * 80.0 * SCALES["i"] * 0.1 * DT)
-    relaxed = law_of(replace(free, iterm_relax="RP"))
+    relaxed = make_law(replace(free, iterm_relax="RP"))
     told = [[0.0, 0.0, 0.0, 0.0]] + [[0.0, 2.0, 0.0, 0.0]] * 40
     resting = []
     for runs in range(2, 41):
@@ -154,19 +157,19 @@ def test_the_integral_grows_by_its_gain_and_rests_where_the_wanted_rate_changes(
 
 def test_a_yaw_integral_gain_counts_two_and_a_half_times() -> None:
     """An error of 0.1 rad/s for 10 ms with I = 80: 80 * 0.244381 * 5.729578 * 0.01 = 1.120160 thousandths; 2.800400 for yaw."""
-    law = law_of(replace(PLAIN, i_roll=80.0, i_pitch=80.0, i_yaw=80.0))
+    law = make_law(replace(PLAIN, i_roll=80.0, i_pitch=80.0, i_yaw=80.0))
     _, memory = run(law, [[0.0, 0.1, 0.1, 0.1]] * 10)
     expected = torch.tensor([1.120160e-3, 1.120160e-3, 2.800400e-3], dtype=F64)
     torch.testing.assert_close(memory.numbers[0, :3], expected, rtol=1e-6, atol=0.0)
 
 
 def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> None:
-    nothing = torch.zeros(1, 3, dtype=F64)
+    empty = torch.zeros(1, 3, dtype=F64)
     for used, share in ((0.5, 1.0), (0.85, 1.0), (0.925, 0.5), (1.0, 0.0), (1.3, 0.0)):
-        found = integral_share(nothing, torch.full((1, 1), used, dtype=F64), 0.85)
-        torch.testing.assert_close(found, torch.tensor([[1.0, 1.0, share]], dtype=F64))
-        assert bool((integral_share(nothing, torch.full((1, 1), used, dtype=F64), 1.0) == 1.0).all())
-    law = law_of(replace(PLAIN, i_roll=8000.0, iterm_limit=100.0))
+        result = integral_share(empty, torch.full((1, 1), used, dtype=F64), 0.85)
+        torch.testing.assert_close(result, torch.tensor([[1.0, 1.0, share]], dtype=F64))
+        assert bool((integral_share(empty, torch.full((1, 1), used, dtype=F64), 1.0) == 1.0).all())
+    law = make_law(replace(PLAIN, i_roll=8000.0, iterm_limit=100.0))
     _, memory = run(law, [[0.0, 1.0, 0.0, 0.0]] * 200)
     assert float(memory.numbers[0, 0]) == pytest.approx(0.1)
 
@@ -192,8 +195,8 @@ def test_without_airmode_corrections_shrink_below_half_throttle(
     throttle: float, mix: tuple[float, ...], signal: tuple[float, ...]
 ) -> None:
     """Worked by hand from ``applyMixerAdjustment`` of Betaflight 4.3 to 4.5."""
-    found, used = mixed(torch.full((1, 4), throttle, dtype=F64), torch.tensor([mix], dtype=F64), airmode=False)
-    torch.testing.assert_close(found, torch.tensor([signal], dtype=F64))
+    result, used = mix_signals(torch.full((1, 4), throttle, dtype=F64), torch.tensor([mix], dtype=F64), airmode=False)
+    torch.testing.assert_close(result, torch.tensor([signal], dtype=F64))
     assert float(used) == pytest.approx(max(mix) - min(mix))
 
 
@@ -215,8 +218,8 @@ def test_the_mixer_is_betaflights_at_random_inputs() -> None:
         throttle = float(torch.rand(1, generator=g, dtype=F64))
         mix = torch.randn(motors, generator=g, dtype=F64) * 0.4 + (0.6 if case % 7 == 0 else 0.0)
         airmode = case % 3 == 0
-        found, _ = mixed(torch.full((1, motors), throttle, dtype=F64), mix.unsqueeze(0), airmode=airmode)
-        torch.testing.assert_close(found[0], torch.tensor(legacy_mixer(throttle, mix.tolist(), airmode), dtype=F64))
+        result, _ = mix_signals(torch.full((1, motors), throttle, dtype=F64), mix.unsqueeze(0), airmode=airmode)
+        torch.testing.assert_close(result[0], torch.tensor(legacy_mixer(throttle, mix.tolist(), airmode), dtype=F64))
 
 
 def test_without_airmode_zero_throttle_holds_the_integrals_at_zero() -> None:
@@ -224,7 +227,7 @@ def test_without_airmode_zero_throttle_holds_the_integrals_at_zero() -> None:
     own = replace(PLAIN, i_roll=80.0, i_yaw=80.0)
     told = [[-0.5, 0.1, 0.0, 0.1]] * 5
     for airmode, kept in ((False, False), (True, True)):
-        law = law_of(replace(own, airmode=airmode))
+        law = make_law(replace(own, airmode=airmode))
         assert bool((run(law, told)[1].numbers[0, [0, 2]] > 0.0).all())
         assert bool((run(law, [*told, [-1.0, 0.1, 0.0, 0.1]])[1].numbers[0, [0, 2]] > 0.0).all()) is kept
 
@@ -232,7 +235,7 @@ def test_without_airmode_zero_throttle_holds_the_integrals_at_zero() -> None:
 def test_in_the_loop_airmode_turns_the_vehicle_at_no_throttle() -> None:
     """Thrust 0 and 100 deg/s with P = 45: the differences of the signals are those at hover; without it half of them."""
     for airmode, share in ((True, 1.0), (False, 0.5)):
-        law = law_of(replace(PLAIN, p_roll=45.0, airmode=airmode))
+        law = make_law(replace(PLAIN, p_roll=45.0, airmode=airmode))
         signal, _ = run(law, [[-1.0, radians(100.0), 0.0, 0.0]])
         assert float(signal.max() - signal.min()) == pytest.approx(share * 2 * 0.1441305, abs=1e-6)
 
@@ -240,12 +243,12 @@ def test_in_the_loop_airmode_turns_the_vehicle_at_no_throttle() -> None:
 def test_attenuation_begins_at_its_breakpoint() -> None:
     """65 % at full throttle from 1350 on: at 1675 half of it."""
     for throttle, factor in ((0.2, 1.0), (0.35, 1.0), (0.675, 0.675), (1.0, 0.35)):
-        found = weakening(torch.full((1, 4), throttle, dtype=F64), 0.65, 0.35)
-        assert float(found) == pytest.approx(factor)
+        result = throttle_attenuation(torch.full((1, 4), throttle, dtype=F64), 0.65, 0.35)
+        assert float(result) == pytest.approx(factor)
 
 
 def test_corrections_are_limited() -> None:
-    signal, _ = run(law_of(replace(PLAIN, p_roll=1000.0, pidsum_limit=100.0)), [[0.0, 3.0, 0.0, 0.0]])
+    signal, _ = run(make_law(replace(PLAIN, p_roll=1000.0, pidsum_limit=100.0)), [[0.0, 3.0, 0.0, 0.0]])
     assert float(signal.max() - signal.min()) == pytest.approx(0.2)
 
 
@@ -261,10 +264,12 @@ def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
     own = BetaflightCfg(i_roll=0.0, i_pitch=0.0, i_yaw=0.0)
     for axis in range(3):
         action = torch.zeros(1, 4, dtype=F64)
-        hover = law_of(own).rotor_command(still(), action)
+        hover = make_law(own).rotor_command(rest_state(), action)
         action[0, 1 + axis] = size
-        expected = pid.rotor_command(still(), action) - hover
-        torch.testing.assert_close(law_of(own).rotor_command(still(), action) - hover, expected, rtol=1e-3, atol=1e-9)
+        expected = pid.rotor_command(rest_state(), action) - hover
+        torch.testing.assert_close(
+            make_law(own).rotor_command(rest_state(), action) - hover, expected, rtol=1e-3, atol=1e-9
+        )
 
 
 def with_rotor_lag(seconds: float) -> RobotCfg:
@@ -303,12 +308,12 @@ def test_what_it_cannot_fly_is_refused_by_name() -> None:
         ("base_random", "motors turn in one direction"),
     ):
         with pytest.raises(ConfigError, match=words):
-            law_of(robot=ROBOTS.get(robot))
+            make_law(robot=ROBOTS.get(robot))
     attitude = replace(CONTROLLERS.get("lee_attitude_control"), betaflight=BetaflightCfg())
     with pytest.raises(ConfigError, match="Betaflight's rate loop follows body rates only"):
         make_controller(attitude, vehicle_from_config(RACER, num_envs=1), 9.81, dt=DT)
-    with pytest.raises(ConfigError, match=r"gyro_lpf1_static_hz = 600: must be below half of the 1000 Hz"):
-        law_of(BetaflightCfg(gyro_lpf1_type="BIQUAD", gyro_lpf1_static_hz=600.0))
+    with pytest.raises(ConfigError, match=r"gyro_lpf1_static_hz = 600: must be below half of the loop's 1000 Hz"):
+        make_law(BetaflightCfg(gyro_lpf1_type="BIQUAD", gyro_lpf1_static_hz=600.0))
     with pytest.raises(ConfigError, match="tpa_mode = 'X': must be D or PD"):
         BetaflightCfg(tpa_mode="X")
     with pytest.raises(ConfigError, match="px4 and betaflight are 2 autopilots"):

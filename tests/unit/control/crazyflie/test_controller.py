@@ -21,7 +21,7 @@ from aerial_gym.control.crazyflie.controller import (
     PidController,
 )
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
-from aerial_gym.control.gains import derived_inclination
+from aerial_gym.control.gains import derive_inclination
 from aerial_gym.control.reduced_attitude import up_axis
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_rotate
@@ -37,7 +37,7 @@ MELLINGER, PID = "crazyflie_mellinger_control", "crazyflie_pid_control"
 BRESCIANINI, LEE = "crazyflie_brescianini_control", "crazyflie_lee_control"
 
 
-def law_of(name: str, robot: RobotCfg = X500, dt: float = DT, **changes):
+def make_law(name: str, robot: RobotCfg = X500, dt: float = DT, **changes):
     cfg = replace(CONTROLLERS.get(name), **changes)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     return make_controller(cfg, vehicle, 9.81, dt=dt, control=robot.control)
@@ -49,22 +49,22 @@ def at_rest(turn: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: tuple[floa
     return replace(state, attitude=attitude, ang_vel=ang_vel)
 
 
-def at_rest_with(robot: RobotCfg) -> BodyState:
+def rest_state(robot: RobotCfg) -> BodyState:
     """Return a level body with the rotors of a robot."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     return state_at_rest(1, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
 
 
-def wish_of(law: BrescianiniController, state: BodyState, *, yaw: float = 0.0) -> torch.Tensor:
+def brescianini_demand(law: BrescianiniController, state: BodyState, *, yaw: float = 0.0) -> torch.Tensor:
     """Return thrust [N] and body rates [rad/s] that Brescianini's law asks for to be at the origin with a yaw [rad]."""
     still = torch.zeros(1, 3, dtype=F64)
     target = FlatTarget(
         position=still, velocity=still, acceleration=still, yaw=torch.tensor([yaw], dtype=F64), rates=still
     )
-    return brescianini.lean(state, target, law.gains, gravity=9.81, max_inclination=1.0)
+    return brescianini.outer_loop(state, target, law.gains, gravity=9.81, max_inclination=1.0)
 
 
-def told(law, state: BodyState, action: list[float]) -> torch.Tensor:
+def run_law(law, state: BodyState, action: list[float]) -> torch.Tensor:
     memory = fresh_law_memory(law.needs, 1, state.position)
     return law.command(state, torch.tensor([action], dtype=F64), memory)[0]
 
@@ -76,12 +76,12 @@ def fly(
     plant = replace(robot, body=replace(robot.body, mass=heavier * robot.body.mass))
     backend, state = TorchBackend(), at_rest()
     backend.allocate(build_model(vehicle_from_config(plant, num_envs=1, dtype=F64)), law, integrator="euler")
-    state.rotor_speed.fill_(robot.rotor.speed_at(robot.body.mass * 9.81 / 4))
-    found = []
+    state.rotor_speed.fill_(robot.rotor.speed_for_thrust(robot.body.mass * 9.81 / 4))
+    result = []
     for _ in range(round(seconds / 0.1)):
         backend.step(state, torch.tensor([action], dtype=F64), dt, round(0.1 / dt))
-        found.append(BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()}))
-    return found
+        result.append(BodyState(**{name: tensor.clone() for name, tensor in vars(state).items()}))
+    return result
 
 
 @pytest.mark.parametrize("name", [MELLINGER, BRESCIANINI])
@@ -90,11 +90,11 @@ def test_with_derived_gains_they_are_the_geometric_law(name: str, turn: tuple[fl
     """Turns, rates and distances of 1e-4: the speeds of ``lee_position_control``, but for terms of second order."""
     state = at_rest(turn, tuple(3.0 * x for x in turn))
     state.lin_vel[0] = torch.tensor([-2e-4, 1e-4, 1e-4], dtype=F64)
-    found = told(law_of(name), state, [1e-4, -2e-4, 1e-4, 0.0])
-    lee = law_of("lee_position_control").rotor_command(state, torch.tensor([[1e-4, -2e-4, 1e-4, 0.0]], dtype=F64))
-    hover = X500.rotor.speed_at(X500.body.mass * 9.81 / 4)
+    result = run_law(make_law(name), state, [1e-4, -2e-4, 1e-4, 0.0])
+    lee = make_law("lee_position_control").rotor_command(state, torch.tensor([[1e-4, -2e-4, 1e-4, 0.0]], dtype=F64))
+    hover = X500.rotor.speed_for_thrust(X500.body.mass * 9.81 / 4)
     assert float((lee - hover).abs().max()) > 1e-3
-    torch.testing.assert_close(found, lee, atol=0, rtol=2e-8)
+    torch.testing.assert_close(result, lee, atol=0, rtol=2e-8)
 
 
 FIRMWARES_RATES = {
@@ -106,9 +106,9 @@ FIRMWARES_RATES = {
 
 
 @pytest.mark.parametrize("name", [MELLINGER, PID, LEE, BRESCIANINI])
-def test_a_crazyflie_flies_with_what_it_comes_with(name: str) -> None:
+def test_a_crazyflie_flies_with_its_own_numbers(name: str) -> None:
     """At its own rates, 500 and 100 Hz, the numbers of the robot file (``test_registered_flights.py`` flies it)."""
-    law = law_of(name, TUNED, **FIRMWARES_RATES[name])
+    law = make_law(name, TUNED, **FIRMWARES_RATES[name])
     assert law.timing.law == (1 if name in (MELLINGER, LEE) else 5)
     assert law.timing.loop == 1
     if isinstance(law, MellingerController):
@@ -139,7 +139,7 @@ def test_a_crazyflie_flies_with_what_it_comes_with(name: str) -> None:
 )
 def test_integrals_hold_a_weight_that_nobody_declared(changes: dict, ends: bool) -> None:
     """3 % more weight: ``K_v K_p e = 0.03 g`` of lift stays without the integral."""
-    law = law_of(PID, dt=0.02, **changes)
+    law = make_law(PID, dt=0.02, **changes)
     assert isinstance(law, PidController)
     sunk = -float(fly(law, X500, 10.0, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0, 2])
     if ends:
@@ -159,8 +159,8 @@ def test_integrals_hold_a_weight_that_nobody_declared(changes: dict, ends: bool)
 def test_a_reset_gives_no_kick(name: str, changes: dict) -> None:
     """The first command of a body that leans and turns is that without differences; the next one is not."""
     state, action = at_rest((0.05, 0.02, 0.3), (0.3, -0.2, 0.1)), [0.0, 0.0, 0.0, 0.0]
-    with_it, without = law_of(name, **changes), law_of(name)
-    torch.testing.assert_close(told(with_it, state, action), told(without, state, action), atol=1e-9, rtol=0)
+    with_it, without = make_law(name, **changes), make_law(name)
+    torch.testing.assert_close(run_law(with_it, state, action), run_law(without, state, action), atol=1e-9, rtol=0)
     later = replace(state, ang_vel=1.1 * state.ang_vel)
     ends = []
     for law in (with_it, without):
@@ -171,53 +171,53 @@ def test_a_reset_gives_no_kick(name: str, changes: dict) -> None:
     assert float((ends[0] - ends[1]).abs().max()) > 1e-3
 
 
-def test_what_is_far_below_does_not_turn_it_over() -> None:
+def test_what_is_far_below_does_not_flip_it() -> None:
     """2 m down at 1.25 N/m is more than a Crazyflie weighs: as the firmware has it the thrust would point down."""
-    end = fly(law_of(MELLINGER, TUNED), TUNED, 1.0, [0.0, 0.0, -2.0, 0.0])
+    end = fly(make_law(MELLINGER, TUNED), TUNED, 1.0, [0.0, 0.0, -2.0, 0.0])
     assert all(float(state.attitude[0, 3]) > 0.99 for state in end)
     assert float(end[-1].position[0, 2]) < -0.5
 
 
 @pytest.mark.slow
-def test_brescianini_leans_within_the_inclination_for_what_is_far_below() -> None:
+def test_brescianini_leans_within_the_inclination_for_a_far_lower_setpoint() -> None:
     """2 m down at 1 / (0.3 s)² is more than any weight: without the limit it would turn over to thrust downwards."""
-    law = law_of(BRESCIANINI, TUNED)
+    law = make_law(BRESCIANINI, TUNED)
     assert isinstance(law, BrescianiniController)
     leant = [quat_rotate(s.attitude, up_axis(s.position))[0, 2] for s in fly(law, TUNED, 1.5, [0.5, 0.0, -2.0, 0.0])]
-    largest = derived_inclination(law.allocation.vehicle, law.allocation, 9.81)
+    largest = derive_inclination(law.allocation.vehicle, law.allocation, 9.81)
     assert 0.3 < acos(float(min(leant))) < largest + 0.05
 
 
 def test_brescianini_has_derived_thrust_limits() -> None:
     """The largest thrust of the rotors where the body almost lies, a tenth of the weight where it is upside down."""
-    law = law_of(BRESCIANINI)
+    law = make_law(BRESCIANINI)
     assert isinstance(law, BrescianiniController)
-    lying, upside_down = (float(wish_of(law, at_rest((roll, 0.0, 0.0)))[0, 0]) for roll in (1.55, 3.0))
+    lying, upside_down = (float(brescianini_demand(law, at_rest((roll, 0.0, 0.0)))[0, 0]) for roll in (1.55, 3.0))
     assert lying == pytest.approx(float(law.allocation.high.sum()), rel=1e-9)
     assert upside_down == pytest.approx(0.1 * X500.body.mass * 9.81, rel=1e-12)
 
 
 def test_brescianini_holds_thrust_and_rates_for_its_rate_loop() -> None:
     """At 100 Hz over 500 Hz a new attitude is seen by every fifth run, new body rates by each."""
-    law = law_of(BRESCIANINI, **FIRMWARES_RATES[BRESCIANINI])
+    law = make_law(BRESCIANINI, **FIRMWARES_RATES[BRESCIANINI])
     states = [at_rest((0.1 * k, 0.0, 0.0), (0.0, 0.1 * (k == 3), 0.0)) for k in range(6)]
-    memory, found = fresh_law_memory(law.needs, 1, states[0].position), []
+    memory, result = fresh_law_memory(law.needs, 1, states[0].position), []
     for state in states:
         command, memory = law.command(state, torch.zeros(1, 4, dtype=F64), memory)
-        found.append(command)
-    same = [bool(torch.equal(a, b)) for a, b in pairwise(found)]
+        result.append(command)
+    same = [bool(torch.equal(a, b)) for a, b in pairwise(result)]
     assert same == [True, True, False, False, False]
     assert law.rest_memory(torch.zeros(4, dtype=F64)).tolist() == pytest.approx([X500.body.mass * 9.81, 0.0, 0.0, 0.0])
-    assert torch.equal(found[4], found[0])
+    assert torch.equal(result[4], result[0])
 
 
 def test_brescianini_flies_vehicles_that_are_no_crazyflie() -> None:
     """Six rotors, and four of which none turns it about z: the derived share of the heading is none."""
     for robot in ("typhoon_hexarotor", "neural_fly_quad"):
         cfg = ROBOTS.get(robot)
-        law = law_of(BRESCIANINI, cfg)
+        law = make_law(BRESCIANINI, cfg)
         assert isinstance(law, BrescianiniController)
-        lift = rotor_thrust(law.allocation.vehicle, told(law, at_rest_with(cfg), [0.0] * 4)).sum()
+        lift = rotor_thrust(law.allocation.vehicle, run_law(law, rest_state(cfg), [0.0] * 4)).sum()
         assert float(lift) == pytest.approx(cfg.body.mass * 9.81, rel=1e-9)
     assert float(law.gains.mixing[0]) == float(law.gains.rate[0, 2]) == 0.0
 
@@ -230,9 +230,9 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
         ("neural_fly_quad", "do not turn it about each axis"),
     ):
         with pytest.raises(ConfigError, match=rf"four rotors in an X .*{why}.*Take lee_position_control"):
-            law_of(name, ROBOTS.get(robot))
+            make_law(name, ROBOTS.get(robot))
     with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers control position only"):
-        law_of(name, law="velocity")
+        make_law(name, law="velocity")
     with pytest.raises(ConfigError, match="are 2 autopilots"):
         replace(CONTROLLERS.get(MELLINGER), crazyflie_pid=CrazyfliePidCfg())
     with pytest.raises(ConfigError, match="no rate loop to reach"):
@@ -247,7 +247,7 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
 
 def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
     with pytest.raises(ConfigError, match="law 'velocity': the Crazyflie's controllers control position only"):
-        law_of(BRESCIANINI, law="velocity")
+        make_law(BRESCIANINI, law="velocity")
     with pytest.raises(ConfigError, match=r"BrescianiniCfg.mixing_factor = 1.5: must be from 0 to 1"):
         BrescianiniCfg(mixing_factor=1.5)
     with pytest.raises(ConfigError, match=r"BrescianiniCfg.coll_min = 2.0: must be below coll_max = 2.0"):
@@ -270,9 +270,9 @@ def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
 def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
     """No torque about z is asked for, and nothing is infinite."""
     robot = replace(X500, control=replace(X500.control, attitude_frequency=(5.0, 5.0, 0.0)))
-    law = law_of(name, robot)
-    turned = told(law, at_rest((0.0, 0.0, 0.5), (0.0, 0.0, 0.4)), [0.0] * 4)
-    torch.testing.assert_close(turned, told(law, at_rest(), [0.0] * 4), rtol=1e-9, atol=0)
+    law = make_law(name, robot)
+    turned = run_law(law, at_rest((0.0, 0.0, 0.5), (0.0, 0.0, 0.4)), [0.0] * 4)
+    torch.testing.assert_close(turned, run_law(law, at_rest(), [0.0] * 4), rtol=1e-9, atol=0)
 
 
 def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -> None:
@@ -282,10 +282,10 @@ def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -
     """
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     kept, left = (
-        fly(law_of(LEE, dt=0.02, **own), plant, span, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0].abs()
+        fly(make_law(LEE, dt=0.02, **own), plant, span, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0].abs()
         for own, span in (({"crazyflie_lee": CrazyflieLeeCfg(Kpos_I=(0.2, 0.2, 0.2))}, 20.0), ({}, 8.0))
     )
-    stiffness = law_of(LEE, dt=0.02).gains.lee.position[0, 2]
+    stiffness = make_law(LEE, dt=0.02).gains.lee.position[0, 2]
     assert float(left[2]) == pytest.approx(0.03 * 9.81 / float(stiffness), rel=0.01)
     assert float(left[0]) > 0.02
     assert float(kept[0] / left[0]) < 0.05
@@ -296,7 +296,7 @@ def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
     """Of what a shifted centre of mass leaves along x less than a tenth; its limit takes half of the torque at hover."""
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     own = CrazyflieLeeCfg(KI=(1.0, 1.0, 0.1))
-    laws = law_of(LEE, dt=0.02, crazyflie_lee=own), law_of(LEE, dt=0.02)
+    laws = make_law(LEE, dt=0.02, crazyflie_lee=own), make_law(LEE, dt=0.02)
     kept, left = (
         float(fly(law, plant, span, [0.0] * 4, dt=0.02)[-1].position[0, 0].abs())
         for law, span in zip(laws, (15.0, 8.0), strict=True)

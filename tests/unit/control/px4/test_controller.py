@@ -17,7 +17,7 @@ from aerial_gym.config.loader import build
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.filters.biquad import butterworth, filtered, notch
+from aerial_gym.control.filters.biquad import apply_filter, butterworth, notch
 from aerial_gym.control.px4.controller import Px4Controller
 from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
 from aerial_gym.errors import ConfigError
@@ -38,7 +38,7 @@ PX4_DEFAULTS = replace(GAZEBO.control.px4, IMU_GYRO_CUTOFF=40.0)
 """With its gyro filter too."""
 
 
-def law_of(
+def make_law(
     name: str,
     robot: RobotCfg = X500,
     *,
@@ -65,7 +65,7 @@ def fly(
     cfg = cfg if px4 is None else replace(cfg, px4=px4)
     backend.allocate(build_model(vehicle, pairs), make_controller(cfg, vehicle, 9.81, dt=dt), integrator="rk4")
     state = state_at_rest(1, vehicle.num_rotors, device=CPU, dtype=torch.float32)
-    state.rotor_speed.fill_(robot.rotor.speed_at(robot.body.mass * 9.81 / vehicle.num_rotors))
+    state.rotor_speed.fill_(robot.rotor.speed_for_thrust(robot.body.mass * 9.81 / vehicle.num_rotors))
     states = []
     for _ in range(round(span / 0.1)):
         backend.step(state, torch.tensor([action]), dt, round(0.1 / dt))
@@ -88,9 +88,9 @@ def test_the_thrust_curve_is_undone(factor: float) -> None:
     torch.testing.assert_close(factor * signal**2 + (1.0 - factor) * signal, share, atol=1e-15, rtol=0)
 
 
-def test_rotors_follow_the_curve_that_the_autopilot_believes_in() -> None:
+def test_rotors_follow_the_curve_that_the_autopilot_assumes() -> None:
     """With THR_MDL_FAC = 0 thrust grows with the signal: hover thrust u gives 150 + 850 u = 689 rad/s, the hover speed."""
-    law = law_of("px4_rate_control", GAZEBO, px4=PX4_DEFAULTS)
+    law = make_law("px4_rate_control", GAZEBO, px4=PX4_DEFAULTS)
     hover = float(law.gains.position.hover[0, 0])
     speed = sqrt(1.656 * 9.81 / 4 / 8.54858e-6)
     assert hover == pytest.approx((speed - 150.0) / 850.0)
@@ -108,13 +108,13 @@ def test_the_gyro_filter_has_its_cutoff() -> None:
     kept, begins, out = torch.zeros(1, 6, dtype=F64), torch.ones(1, 1, dtype=torch.bool), []
     for k in range(500):
         sample = torch.tensor([[torch.sin(torch.tensor(2 * pi * cutoff * k / rate, dtype=F64)), 0.7, 0.0]], dtype=F64)
-        found, kept = filtered(sample, kept, begins, filter)
+        result, kept = apply_filter(sample, kept, begins, filter)
         begins = torch.zeros_like(begins)
-        out.append(found[0])
-    sine, constant, nothing = torch.stack(out).unbind(-1)
+        out.append(result[0])
+    sine, constant, empty = torch.stack(out).unbind(-1)
     assert float(sine[-125:].square().mean().sqrt() * sqrt(2.0)) == pytest.approx(sqrt(0.5), rel=1e-9)
     torch.testing.assert_close(constant, torch.full_like(constant, 0.7), atol=1e-12, rtol=0)
-    assert not nothing.any()
+    assert not empty.any()
 
 
 def test_a_notch_stops_its_frequency_and_is_as_wide_as_told() -> None:
@@ -139,7 +139,7 @@ def test_a_notch_stops_its_frequency_and_is_as_wide_as_told() -> None:
 def test_notches_act_on_the_body_rates_before_the_low_pass() -> None:
     """A shaking in the middle of either notch changes no command once both are at rest, and one beside them does."""
     px4 = Px4Cfg(IMU_GYRO_CUTOFF=60.0, IMU_GYRO_NF0_FRQ=87.0, IMU_GYRO_NF1_FRQ=150.0, IMU_GYRO_NF1_BW=10.0)
-    law, end = law_of("px4_rate_control", px4=replace(px4, MC_ROLLRATE_I=0.0)), []
+    law, end = make_law("px4_rate_control", px4=replace(px4, MC_ROLLRATE_I=0.0)), []
     for frequency in (87.0, 150.0, 120.0):
         state, memory, commands = state_at_rest(1, 4, device=CPU, dtype=F64), None, []
         memory = fresh_law_memory(law.needs, 1, state.position)
@@ -159,7 +159,7 @@ def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
         CONTROLLERS.get("pid_rates_control"), vehicle_from_config(X500, num_envs=1, dtype=F64), 9.81, dt=0.002
     )
     torch.testing.assert_close(
-        law_of("px4_rate_control").rotor_command(state, action), pid.rotor_command(state, action)
+        make_law("px4_rate_control").rotor_command(state, action), pid.rotor_command(state, action)
     )
 
 
@@ -187,11 +187,13 @@ def test_speeds_and_tilt_have_their_limits() -> None:
 def test_parameters_belong_to_the_robot() -> None:
     """What a robot file says under ``control: px4:`` is taken, unless the controller has parameters of its own."""
     control = build(ControlCfg, {"px4": {"MC_ROLL_P": 7.0, "source": "flown"}}, where="here")
-    assert float(law_of("px4_attitude_control", control=control).gains.attitude[0, 0]) == 7.0
-    slower = law_of("px4_attitude_control", px4=Px4Cfg(rate_hz=250.0), control=control)
+    assert float(make_law("px4_attitude_control", control=control).gains.attitude[0, 0]) == 7.0
+    slower = make_law("px4_attitude_control", px4=Px4Cfg(rate_hz=250.0), control=control)
     assert float(slower.gains.attitude[0, 0]) == 7.0
     assert slower.timing.loop == 2
-    assert float(law_of("px4_attitude_control", px4=Px4Cfg(MC_ROLL_P=5.0), control=control).gains.attitude[0, 0]) == 5.0
+    assert (
+        float(make_law("px4_attitude_control", px4=Px4Cfg(MC_ROLL_P=5.0), control=control).gains.attitude[0, 0]) == 5.0
+    )
     with pytest.raises(ConfigError, match=r"MC_ROLL_PP.*MC_ROLL_P"):
         build(ControlCfg, {"px4": {"MC_ROLL_PP": 7.0}}, where="here")
 
@@ -200,19 +202,19 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
     cfg = CONTROLLERS.get("px4_position_control")
     for robot in ("base_octarotor", "base_random"):
         with pytest.raises(ConfigError, match="some push down at this vehicle's hover"):
-            law_of("px4_position_control", ROBOTS.get(robot))
+            make_law("px4_position_control", ROBOTS.get(robot))
     with pytest.raises(ConfigError, match="law 'pose': not in PX4's cascade"):
         make_controller(replace(cfg, law="pose"), vehicle_from_config(X500, num_envs=1), 9.81, dt=0.002)
     with pytest.raises(ConfigError, match=r"hover thrust 0.203 must be between MPC_THR_MIN = 0.3"):
-        law_of("px4_position_control", px4=Px4Cfg(MPC_THR_MIN=0.3))
+        make_law("px4_position_control", px4=Px4Cfg(MPC_THR_MIN=0.3))
     with pytest.raises(ConfigError, match=r"IMU_GYRO_CUTOFF = 40: must be below half of the 50 Hz"):
-        law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_CUTOFF=40.0), dt=0.02)
+        make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_CUTOFF=40.0), dt=0.02)
     with pytest.raises(ConfigError, match=r"IMU_GYRO_NF1_FRQ = 300: must be below half of the 500 Hz"):
-        law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF1_FRQ=300.0))
+        make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF1_FRQ=300.0))
     with pytest.raises(ConfigError, match=r"IMU_GYRO_NF0_BW = 260: must be below half of the 500 Hz"):
-        law_of("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF0_FRQ=50.0, IMU_GYRO_NF0_BW=260.0))
+        make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF0_FRQ=50.0, IMU_GYRO_NF0_BW=260.0))
     with pytest.raises(ConfigError, match="Px4Cfg.rate_hz = 300 Hz"):
-        law_of("px4_rate_control", px4=Px4Cfg(rate_hz=300.0))
+        make_law("px4_rate_control", px4=Px4Cfg(rate_hz=300.0))
     with pytest.raises(ConfigError, match="has gains and a rate loop of its own"):
         ControllerCfg(summary="-", law="rates", px4=Px4Cfg(), rate_loop=RateLoopCfg())
     for bad in (

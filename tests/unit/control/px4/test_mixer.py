@@ -12,13 +12,13 @@ from torch import Tensor
 
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.px4.mixer import Mixed, make_mixer, mix
+from aerial_gym.control.px4.mixer import MixerOutput, make_mixer, mix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import state_at_rest, vehicle_from_config
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.robots import ROBOTS
-from tests.repetitions import seldom
+from tests.repetitions import rare_values
 
 F64 = torch.float64
 UNIT_TEST = torch.tensor(
@@ -30,7 +30,7 @@ QUADROTOR = UNIT_TEST / torch.tensor([0.25 * 2**0.5, 0.25 * 2**0.5, 5.0, 0.25])
 """The same, normalised."""
 
 
-def mixed(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, low: float = 0.0) -> Mixed:
+def mix_row(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, low: float = 0.0) -> MixerOutput:
     rows = columns.to(F64).unsqueeze(0)
     return mix(rows, torch.tensor([wanted], dtype=F64), torch.full(rows.shape[:2], low, dtype=F64), airmode=airmode)
 
@@ -48,7 +48,7 @@ def mixed(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, low
 )
 def test_it_tells_which_torque_is_not_given(wanted: list[float], airmode: int, short: list[int]) -> None:
     """In the last one no thrust makes room for the pitch: motors are cut off, and what else is wanted counts as not given."""
-    torch.testing.assert_close(mixed(wanted, airmode).short, torch.tensor([short], dtype=F64))
+    torch.testing.assert_close(mix_row(wanted, airmode).short, torch.tensor([short], dtype=F64))
 
 
 def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
@@ -67,7 +67,7 @@ def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
 
 
 @pytest.mark.parametrize(
-    ("airmode", "num_rotors"), seldom([(a, n) for n in (4, 6) for a in (0, 1, 2)], ((0, 4), (2, 4), (1, 6)))
+    ("airmode", "num_rotors"), rare_values([(a, n) for n in (4, 6) for a in (0, 1, 2)], ((0, 4), (2, 4), (1, 6)))
 )
 def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
     """1,000 random commands, many of them beyond limits, to rounding; six motors have random parts, weak ones among them."""
@@ -95,8 +95,8 @@ def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
     ):  # pragma: no cover
         k = wp.tid()
         torque = wp.vec3(wanted[k][0], wanted[k][1], wanted[k][2])
-        found, missing = mixer(params, wp.vec3(1.0, 1.0, 1.0), 1.0, torque, wanted[k][3])
-        thrust[k] = found
+        result, missing = mixer(params, wp.vec3(1.0, 1.0, 1.0), 1.0, torque, wanted[k][3])
+        thrust[k] = result
         signs[k] = missing
 
     thrust, signs = wp.zeros(1000, dtype=vector, device="cpu"), wp.zeros(1000, dtype=wp.vec3, device="cpu")

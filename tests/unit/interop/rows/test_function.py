@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows import RowFunction, UntraceableError, trace, tracing
+from aerial_gym.interop.rows import RowFunction, UntraceableError, row_trace, trace
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
 
 ROWS = 5
@@ -64,14 +64,14 @@ def test_kernels_do_what_torch_does(rows: tuple[Tensor, Tensor]) -> None:
     """Within 4 ulp of the terms, which are of order one; NaN, infinities and truth values exactly; all in one kernel."""
     table = {**POINTWISE, **MOVING}
 
-    def everything(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+    def call_all(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
         return tuple(function(a, b) for function in table.values())
 
-    for (name, function), found in zip(table.items(), RowFunction(everything, rows)(*rows), strict=True):
+    for (name, function), result in zip(table.items(), RowFunction(call_all, rows)(*rows), strict=True):
         expected = function(*rows)
-        assert found.dtype == expected.dtype, name
+        assert result.dtype == expected.dtype, name
         torch.testing.assert_close(
-            found, expected, atol=2e-6, rtol=2e-6, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
+            result, expected, atol=2e-6, rtol=2e-6, equal_nan=True, msg=lambda m, n=name: f"{n}: {m}"
         )
 
 
@@ -90,32 +90,32 @@ def test_integers_and_shared_numbers() -> None:
     function = RowFunction(ends, (steps, done, level))
     for share in (0.5, 0.25):
         level.fill_(share)
-        for found, expected in zip(function(steps, done, level), ends(steps, done, level), strict=True):
-            assert found.dtype == expected.dtype
-            assert torch.equal(found, expected)
+        for result, expected in zip(function(steps, done, level), ends(steps, done, level), strict=True):
+            assert result.dtype == expected.dtype
+            assert torch.equal(result, expected)
 
 
 def test_limits_of_integers_are_not_asked_for_nan() -> None:
     """``x != x`` of an integer is a warning of the compiler, shown to whoever makes the task."""
     steps, other = torch.tensor([-3, 1, 12], dtype=torch.int32), torch.tensor([2, 0, 9], dtype=torch.int32)
 
-    def limited(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+    def limit(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
         return a.clamp(0, 5), torch.maximum(a, b), torch.minimum(a, b)
 
-    function = RowFunction(limited, (steps, other))
+    function = RowFunction(limit, (steps, other))
     assert "!=" not in function.code
-    for found, expected in zip(function(steps, other), limited(steps, other), strict=True):
-        assert found.dtype == expected.dtype
-        assert torch.equal(found, expected)
+    for result, expected in zip(function(steps, other), limit(steps, other), strict=True):
+        assert result.dtype == expected.dtype
+        assert torch.equal(result, expected)
 
 
 def test_results_are_written_where_asked_even_over_an_input() -> None:
     total, reward, kept = torch.tensor([1.0, 2.0]), torch.tensor([0.5, -1.0]), torch.full((2,), nan)
     function = RowFunction(lambda t, r: (t + r, torch.where(r < 0.0, 0.0, t + r)), (total, reward))
-    found, over = function(total, reward, out=(kept, total))
-    assert found is kept
+    result, over = function(total, reward, out=(kept, total))
+    assert result is kept
     assert over is total
-    assert found.tolist() == [1.5, 1.0]
+    assert result.tolist() == [1.5, 1.0]
     assert total.tolist() == [1.5, 0.0]
 
 
@@ -148,10 +148,10 @@ REFUSED: dict[str, tuple[Callable[[Tensor], object], str]] = {
     "other rows": (lambda a: a.flip(0), "mixes rows"),
     "first row": (lambda a: a + a[0], "mixes rows"),
     "product of rows": (lambda a: a[:, :1] + a[:, 0], "mixes rows"),
-    "cumsum": (lambda a: a.cumsum(0), "torch.cumsum is none of the operations"),
+    "cumsum": (lambda a: a.cumsum(0), "torch.cumsum is not a supported operation"),
     "random": (lambda a: a + torch.rand(3), "torch.rand draws random numbers"),
     "elsewhere": (lambda a: a * ELSEWHERE, "not among its arguments"),
-    "in place": (lambda a: a.add_(1.0), "torch.add_ is none of the operations"),
+    "in place": (lambda a: a.add_(1.0), "torch.add_ is not a supported operation"),
     "rounded division": (lambda a: torch.div(a, 2.0, rounding_mode="floor"), "rounding_mode"),
     "no rows": (lambda a: torch.ones(3), "does not have a row"),
     "error": (lambda a: a.nothing, "AttributeError"),
@@ -179,8 +179,8 @@ def test_tracing_loads_no_compiler() -> None:
     assert out.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("shape", [(3,), (tracing.ROWS, 2)])
+@pytest.mark.parametrize("shape", [(3,), (row_trace.ROWS, 2)])
 def test_a_number_below_zero_is_no_scalar(shape: tuple[int, ...]) -> None:
     """As an operation that moves numbers and takes some from each other would leave it, in one row or in all."""
     with pytest.raises(UntraceableError, match="mixes rows"):
-        tracing._unmarked(torch.full(shape, -1))
+        row_trace._remove_marks(torch.full(shape, -1))

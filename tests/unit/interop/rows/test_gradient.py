@@ -24,19 +24,19 @@ def test_gradients_are_those_of_torch(rows: tuple[Tensor, Tensor]) -> None:
     table = {name: function for name, function in table.items() if function(*rows).requires_grad}
     assert len(table) > 20
 
-    def everything(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+    def call_all(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
         return tuple(function(a, b) for function in table.values())
 
-    found = DifferentiableRows(everything, rows)(*rows)
+    results = DifferentiableRows(call_all, rows)(*rows)
     generator = torch.Generator().manual_seed(2)
-    for name, result in zip(table, found, strict=True):
+    for name, result in zip(table, results, strict=True):
         expected = table[name](*rows)
         seed = torch.randn(expected.shape, generator=generator)
-        ours = torch.autograd.grad(result, rows, seed, retain_graph=True)
-        theirs = torch.autograd.grad(expected, rows, seed, allow_unused=True)
-        for mine, other in zip(ours, theirs, strict=True):
-            other = torch.zeros_like(mine) if other is None else other
-            torch.testing.assert_close(mine, other, atol=1e-5, rtol=1e-5, msg=lambda m, n=name: f"{n}: {m}")
+        actual = torch.autograd.grad(result, rows, seed, retain_graph=True)
+        reference = torch.autograd.grad(expected, rows, seed, allow_unused=True)
+        for local, other in zip(actual, reference, strict=True):
+            other = torch.zeros_like(local) if other is None else other
+            torch.testing.assert_close(local, other, atol=1e-5, rtol=1e-5, msg=lambda m, n=name: f"{n}: {m}")
 
 
 def test_tensors_from_elsewhere_are_read_at_every_call(rows: tuple[Tensor, Tensor]) -> None:
@@ -47,17 +47,17 @@ def test_tensors_from_elsewhere_are_read_at_every_call(rows: tuple[Tensor, Tenso
     def function(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
         return (a * a * shared + b * own.unsqueeze(-1),)
 
-    ours = DifferentiableRows(function, rows, lifts=True)
+    actual = DifferentiableRows(function, rows, lifts=True)
     for _ in range(2):
-        (found,), (expected,) = ours(*rows), function(*rows)
-        torch.testing.assert_close(found, expected)
-        grads = torch.autograd.grad(found.sum(), rows, retain_graph=True)
-        for mine, theirs in zip(grads, torch.autograd.grad(expected.sum(), rows), strict=True):
-            torch.testing.assert_close(mine, theirs)
+        (results,), (expected,) = actual(*rows), function(*rows)
+        torch.testing.assert_close(results, expected)
+        grads = torch.autograd.grad(results.sum(), rows, retain_graph=True)
+        for local, reference in zip(grads, torch.autograd.grad(expected.sum(), rows), strict=True):
+            torch.testing.assert_close(local, reference)
         shared[0] *= 2.0
         own += 1.0
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
-        found.sum().backward()
+        results.sum().backward()
 
 
 @pytest.mark.parametrize(
@@ -77,8 +77,8 @@ def test_numbers_that_are_no_floats_have_no_gradient(rows: tuple[Tensor, Tensor]
         return a * level * steps.unsqueeze(-1), steps + 1, a[:, 0] > 0.0
 
     scaled, more, above = DifferentiableRows(function, (rows[0], steps, level))(rows[0], steps, level)
-    (found,) = torch.autograd.grad(scaled.sum(), rows[0])
-    assert torch.equal(found, (0.5 * steps.float()).unsqueeze(-1).expand(ROWS, 3))
+    (results,) = torch.autograd.grad(scaled.sum(), rows[0])
+    assert torch.equal(results, (0.5 * steps.float()).unsqueeze(-1).expand(ROWS, 3))
     assert more.tolist() == [1, 2, 3, 4, 5]
     assert not more.requires_grad
     assert not above.requires_grad

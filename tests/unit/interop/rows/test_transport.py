@@ -15,13 +15,13 @@ from aerial_gym.interop.rows.transport import LARGEST
 from aerial_gym.interop.streams import BLOCK_DIM
 
 
-def moved(a: Tensor, quad: Tensor) -> tuple[Tensor, ...]:
+def transform_rows(a: Tensor, quad: Tensor) -> tuple[Tensor, ...]:
     """Return rows of 2, 3, 4, 13 and more than ``LARGEST`` numbers, a flag, and two mirrored over what they come from."""
     wide = torch.cat([a] * (LARGEST // 13 + 1), dim=-1)
     return a[:, :2], a[:, 4:7], a[:, 5:9], quad, a + 1.0, wide, a[:, 0] > 100.0, a.flip(-1), quad.flip(-1)
 
 
-def poisoned(num_rows: int, width: int, device: str, *, gap: int, shift: int) -> tuple[Tensor, Tensor]:
+def poison(num_rows: int, width: int, device: str, *, gap: int, shift: int) -> tuple[Tensor, Tensor]:
     """Return memory full of NaN, and rows in it that lie ``gap`` numbers apart, the first after ``shift`` numbers."""
     memory = torch.full((shift + num_rows * (width + gap),), nan, device=device)
     return memory, memory[shift:].view(num_rows, width + gap)[:, :width]
@@ -32,23 +32,23 @@ def check_transport(num_rows: int, device: str) -> None:
     numbers = torch.arange(num_rows * 13.0, device=device).view(num_rows, 13)
     for gap, shift in ((0, 0), (0, 1), (3, 0), (9, 1)):
         memory, (a, quad) = [], (numbers, -numbers[:, 9:])
-        wanted = moved(a, quad)
+        wanted = transform_rows(a, quad)
         out: list[Tensor] = []
         for result in wanted:
             if result.dtype == torch.bool:
                 out.append(torch.zeros_like(result))
                 memory.append(out[-1])
             else:
-                whole, rows = poisoned(num_rows, result.shape[1], device, gap=gap, shift=shift)
+                whole, rows = poison(num_rows, result.shape[1], device, gap=gap, shift=shift)
                 memory.append(whole)
                 out.append(rows)
         out[-2].copy_(a)
         out[-1].copy_(quad)
-        RowFunction(moved, (out[-2], out[-1]))(out[-2], out[-1], out=out)
-        for i, (found, expected, whole) in enumerate(zip(out, wanted, memory, strict=True)):
-            assert torch.equal(found, expected), (i, gap, shift)
-            found.zero_()
-            assert int(whole.isnan().sum()) == whole.numel() - found.numel(), (i, gap, shift)
+        RowFunction(transform_rows, (out[-2], out[-1]))(out[-2], out[-1], out=out)
+        for i, (results, expected, whole) in enumerate(zip(out, wanted, memory, strict=True)):
+            assert torch.equal(results, expected), (i, gap, shift)
+            results.zero_()
+            assert int(whole.isnan().sum()) == whole.numel() - results.numel(), (i, gap, shift)
 
 
 @pytest.mark.parametrize("num_rows", [1, 33])
@@ -60,9 +60,9 @@ def test_a_block_has_room_for_all_rows_that_are_staged() -> None:
     """48 KB of shared memory for 64 threads: of three rows of 100 numbers one is staged, and a narrow one beside it."""
     numbers = torch.rand(5, 100)
     rows = RowFunction(lambda a: (a + 1.0, a + 2.0, a + 3.0, a[:, :7] + 4.0), [numbers])
-    found = rows(numbers)
+    results = rows(numbers)
     widths = [int(width) for width in re.findall(r"store_row\(out_\d, row, vector_(\d+)", rows.code)]
     assert widths == [100, 7]
     assert sum(width | 1 for width in widths) * 4 * BLOCK_DIM <= 48 * 1024
     for k in range(3):
-        assert torch.equal(found[k], numbers + (k + 1.0))
+        assert torch.equal(results[k], numbers + (k + 1.0))

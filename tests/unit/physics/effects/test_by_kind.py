@@ -13,7 +13,7 @@ def some() -> EffectsByKind:
     return EffectsByKind((EFFECTS.get(name), torch.full((2, 3), float(i))) for i, name in enumerate(names))
 
 
-def names_of(effects: EffectsByKind) -> list[str]:
+def effect_names(effects: EffectsByKind) -> list[str]:
     return [effect.name for effect, _ in effects]
 
 
@@ -30,20 +30,20 @@ def test_forces_come_by_kind_and_the_load_last() -> None:
     assert [effect.name for effect, _ in forces] == ["constant_wind", "rotor_drag", "quadratic_drag", "slung_payload"]
     assert [float(params[0, 0]) for _, params in forces] == [2.0, 1.0, 3.0, 0.0]
     assert LoadEffect.order == max(effect.order or 0 for effect in map(EFFECTS.get, EFFECTS))
-    assert some().remembering == ("slung_payload",)
+    assert some().names_with_memory == ("slung_payload",)
 
 
 def test_changes_make_others() -> None:
     effects = some()
-    assert names_of(effects.exclude(LoadEffect)) == ["rotor_drag", "constant_wind", "quadratic_drag"]
-    assert names_of(effects.plus(EFFECTS.get("gusts"), torch.zeros(2, 2)))[-1] == "gusts"
+    assert effect_names(effects.exclude(LoadEffect)) == ["rotor_drag", "constant_wind", "quadratic_drag"]
+    assert effect_names(effects.plus(EFFECTS.get("gusts"), torch.zeros(2, 2)))[-1] == "gusts"
     doubled = effects.with_params(lambda effect, params: params * (2.0 if isinstance(effect, WindEffect) else 1.0))
     assert [float(params[0, 0]) for _, params in doubled] == [0.0, 1.0, 4.0, 3.0]
-    assert names_of(effects) == names_of(doubled)
+    assert effect_names(effects) == effect_names(doubled)
 
 
 def test_an_effect_has_a_twin_where_its_kind_needs_one() -> None:
-    class Untwinned(RotorDrag):
+    class TorchEffect(RotorDrag):
         warp_wrench = WrenchEffect.warp_wrench
 
     class Learning(RotorDrag):
@@ -53,7 +53,7 @@ def test_an_effect_has_a_twin_where_its_kind_needs_one() -> None:
 
     assert RotorDrag().has_twin
     assert EFFECTS.get("com_offset").has_twin  # costs nothing in a step
-    assert not Untwinned().has_twin
+    assert not TorchEffect().has_twin
     assert not Learning().has_twin  # what it remembers has no twin
 
 

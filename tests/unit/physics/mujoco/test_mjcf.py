@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import torch
 
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
-from aerial_gym.physics.ground import LinkShapes
+from aerial_gym.physics.ground import LinkContacts
 from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
 from aerial_gym.physics.solids import Solid, Solids
 
@@ -19,13 +19,13 @@ LINKS = Links(
 )
 
 
-def written(**options):
+def write_tree(**options):
     return ElementTree.fromstring(write_mjcf(TREE, LINKS, gravity=9.81, dt=0.1, **options))
 
 
 def test_numbers_are_those_of_one_environment_in_the_order_of_mujoco() -> None:
     """Quaternions wxyz; inertia xx, yy, zz, xy, xz, yz; gravity down."""
-    root = written(env=1)
+    root = write_tree(env=1)
     arm = root.find("worldbody/body/body")
     assert arm is not None
     assert arm.get("quat") == "0.7 0.5 -0.5 0.1"
@@ -39,8 +39,8 @@ def test_numbers_are_those_of_one_environment_in_the_order_of_mujoco() -> None:
 
 
 def test_without_a_floor_nothing_touches_and_with_one_points_have_a_size() -> None:
-    assert written().find("option/flag[@contact='disable']") is not None
-    root = written(floor=Floor(height=-0.5, spheres=((0.1, 0.0, 0.0, 0.0),), friction=0.4))
+    assert write_tree().find("option/flag[@contact='disable']") is not None
+    root = write_tree(floor=Floor(height=-0.5, spheres=((0.1, 0.0, 0.0, 0.0),), friction=0.4))
     assert root.find("option/flag[@contact='disable']") is None
     plane, foot = root.find("worldbody/geom"), root.find("worldbody/body/geom")
     assert plane is not None
@@ -56,8 +56,8 @@ def test_obstacles_are_bodies_of_their_environment_all_of_one_size() -> None:
     solids = Solids(table=table, part=part, carrier=torch.zeros_like(part), state=torch.zeros(2, 1, 13))
     for env, kinds in enumerate((["box", "cylinder"], ["cylinder", "sphere"])):
         for moves in (False, True):
-            on = LinkShapes(links=(), solids=replace(solids, moves=moves))
-            root = written(env=env, floor=Floor(height=-inf, spheres=(), friction=0.4, on_links=on))
+            on = LinkContacts(links=(), solids=replace(solids, moves=moves))
+            root = write_tree(env=env, floor=Floor(height=-inf, spheres=(), friction=0.4, on_links=on))
             bodies = root.findall("worldbody/body")[1:]
             geoms = [geom for body in bodies for geom in body.iter("geom")]
             assert [geom.get("type") for geom in geoms] == kinds

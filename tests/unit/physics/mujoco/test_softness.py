@@ -3,7 +3,7 @@
 import pytest
 
 from aerial_gym.config.contact import ContactCfg
-from aerial_gym.physics.mujoco.softness import softening, solver_numbers
+from aerial_gym.physics.mujoco.softness import contact_softness, solver_numbers
 
 
 def test_short_steps_have_the_very_spring_and_damper() -> None:
@@ -25,7 +25,7 @@ def test_no_motion_is_too_fast_for_its_step(dt: float, sinking: float, damping_r
     cfg = ContactCfg(friction=0.5, sinking=sinking, damping_ratio=damping_ratio)
     (stiffness, damping), (impedance, *_) = solver_numbers(cfg, dt)
     assert 1e-4 <= impedance <= 1.0 - 1e-4
-    if softening(cfg, dt) > 1e-4:
+    if contact_softness(cfg, dt) > 1e-4:
         assert dt * -damping / impedance <= 1.0 + 1e-9
         assert dt**2 * -stiffness / impedance <= 0.25 + 1e-9
         if damping_ratio >= 1.0 and impedance > 1e-4:

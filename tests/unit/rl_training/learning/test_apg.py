@@ -12,11 +12,11 @@ from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning.apg import Apg, check_differentiable, window_return
 from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.learning.objective import bounded
+from aerial_gym.rl_training.learning.objective import clamp_action
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.apg import make_training
 from aerial_gym.task import Task
-from tests.unit.task.hover import built
+from tests.unit.task.hover import build_task
 
 F64 = torch.float64
 GAMMA = 0.9
@@ -29,7 +29,7 @@ def settings(num_envs: int = 32, **apg: object) -> TrainingCfg:
     return replace(cfg, apg=replace(cfg.apg, **{"horizon": 8} | apg))  # type: ignore[arg-type]
 
 
-def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_go_on() -> None:
+def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_continue() -> None:
     """Against the definition, episode by episode: gamma^k r, and gamma^n V at the end of the window or of a truncated one."""
     generator = torch.Generator().manual_seed(0)
     steps, rows = 9, 40
@@ -45,8 +45,8 @@ def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_go_on(
             if (ended[t, row] or t == steps - 1) and not terminated[t, row]:
                 expected[row] += GAMMA**k * float(value[t, row])
             k = 0 if ended[t, row] else k
-    found = window_return(reward, value, terminated, ended, discount=GAMMA)
-    torch.testing.assert_close(found, expected, atol=1e-12, rtol=0.0)
+    result = window_return(reward, value, terminated, ended, discount=GAMMA)
+    torch.testing.assert_close(result, expected, atol=1e-12, rtol=0.0)
 
 
 @pytest.mark.parametrize("resets", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -54,8 +54,8 @@ def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
     """With respect to weights of the policy, by central differences in float64; with resets, each row ends in the window."""
     cfg = settings(3, horizon=6, bound_coef=1e-3, terminal_value=True)
     limit = 4 if resets else 500
-    task = built(replace(task_registry.get(cfg.task), episode_len_steps=limit), 3, gradients=F64)
-    learner = learner_of(cfg, task)
+    task = build_task(replace(task_registry.get(cfg.task), episode_len_steps=limit), 3, gradients=F64)
+    learner = make_learner(cfg, task)
     state = learner.generator.get_state()
 
     def loss() -> Tensor:
@@ -84,7 +84,7 @@ def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
             assert float(gradient.reshape(-1)[place]) == pytest.approx(difference, rel=1e-6, abs=1e-9)
 
 
-def learner_of(cfg: TrainingCfg, task: Task) -> Apg:
+def make_learner(cfg: TrainingCfg, task: Task) -> Apg:
     """Return a learner in float64 whose value depends on what it sees."""
     network = make_network(cfg, task)
     torch.manual_seed(0)
@@ -115,9 +115,9 @@ def test_beyond_the_bound_an_action_may_come_back_and_go_no_further() -> None:
     """Loss slopes of both signs inside, above and below; what is not finite is 0."""
     action = torch.tensor([[0.5, 2.0, 2.0, -2.0, -2.0, 0.0]], requires_grad=True)
     slope = torch.tensor([[-3.0, -3.0, 3.0, -3.0, 3.0, float("nan")]])
-    found = bounded(action)
-    (gradient,) = torch.autograd.grad(found, action, slope)
-    assert found.tolist() == [[0.5, 1.0, 1.0, -1.0, -1.0, 0.0]]
+    result = clamp_action(action)
+    (gradient,) = torch.autograd.grad(result, action, slope)
+    assert result.tolist() == [[0.5, 1.0, 1.0, -1.0, -1.0, 0.0]]
     assert gradient.tolist() == [[-3.0, 0.0, 3.0, -3.0, 0.0, 0.0]]
 
 
@@ -186,7 +186,7 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
     ):
         make_training(cfg, task)
     drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}
-    task = built(replace(task_registry.get(cfg.task), randomize=drawn), 2, gradients=torch.float32)
+    task = build_task(replace(task_registry.get(cfg.task), randomize=drawn), 2, gradients=torch.float32)
     with pytest.raises(
         CapabilityError, match=r"draws body.mass at resets, .* Take them out of randomize, or train with ppo"
     ):

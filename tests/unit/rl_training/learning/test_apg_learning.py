@@ -29,7 +29,7 @@ def test_seconds_of_training_bring_the_robot_to_its_target() -> None:
         assert before.final_error_mean_m is None or before.final_error_mean_m > 1.0
         for _ in range(UPDATES):
             training.advance()
-        found = evaluate(policy, fresh)
-    assert found.crash_rate == 0.0
-    assert found.final_error_mean_m is not None
-    assert found.final_error_mean_m < 0.25
+        result = evaluate(policy, fresh)
+    assert result.crash_rate == 0.0
+    assert result.final_error_mean_m is not None
+    assert result.final_error_mean_m < 0.25

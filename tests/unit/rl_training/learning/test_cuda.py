@@ -8,10 +8,10 @@ import torch
 
 from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.ranks import ALONE, Ranks, joined_ranks
-from aerial_gym.rl_training.trainers.own import LOOK_EVERY, OwnTraining
+from aerial_gym.rl_training.ranks import ALONE, Ranks, join_ranks
+from aerial_gym.rl_training.trainers.native import LOOK_EVERY, NativeTraining
 from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
 from tests.unit.rl_training.learning.test_distill import settings as distillation
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a G
 @pytest.mark.parametrize(
     ("fused", "memory"), [(True, 0), (False, 0), (False, 16)], ids=["kernels", "operations", "recurrent"]
 )
-def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_goes_on(fused: bool, memory: int) -> None:
+def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_continues(fused: bool, memory: int) -> None:
     """With one seed the same, and after a checkpoint too, but for the order in which a GPU sums.
 
     A rounding of the last bit grows with every update of a flight: the bound is on the weights after 16 iterations, which
@@ -38,7 +38,7 @@ def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_goes_on(fused: bool, me
                 training.load(state)
             for _ in range(looks):
                 training.advance()
-            assert training._repeat.captured
+            assert training._repeat.is_captured
             assert type(training.learner).__name__ == ("FusedPpo" if fused else "Ppo")
             return training.state(), float(training.learner.sums[0])
 
@@ -63,14 +63,14 @@ def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatc
         with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
             training = make_training(cfg, task, ranks=ranks)
             training.advance()
-            assert training._repeat.captured
+            assert training._repeat.is_captured
             return training.state()["model"]
 
     alone = train(ALONE)
     variables = {"RANK": "0", "LOCAL_RANK": "0", "WORLD_SIZE": "1", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    with joined_ranks("cuda") as ranks:
+    with join_ranks("cuda") as ranks:
         assert (ranks.size, ranks.joined) == (1, True)
         told = train(ranks)
     for name, tensor in alone.items():
@@ -81,13 +81,13 @@ def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatc
 def test_a_distillation_is_a_graph(memory: int) -> None:
     """Student and teacher in it, both with a memory or without; after as many steps the student is nearer."""
     cfg = replace(distillation(256, memory=memory, learning_rate=5e-3), device="cuda", max_env_steps=10**6)
-    seen = BodyCfg(shapes={"observations": (13,)}, hidden_layers=(16,), memory=memory)
+    seen = NetworkBodyCfg(shapes={"observations": (13,)}, hidden_layers=(16,), memory=memory)
     with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
         teacher = Policy(seen, task.num_actions).to("cuda").requires_grad_(False)
-        training = OwnTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))
+        training = NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))
         training.advance()
         first = training.gauges()["difference"]
         for _ in range(10):
             training.advance()
-        assert training._repeat.captured
+        assert training._repeat.is_captured
         assert training.gauges()["difference"] < first

@@ -13,14 +13,14 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.policies.body import BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.load import load_policy
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.distill import make_training
 from aerial_gym.rl_training.training import train
 from aerial_gym.task import Task
-from tests.unit.task.hover import built
+from tests.unit.task.hover import build_task
 
 SENSED = tuple(ObservationCfg(term=term) for term in ("position_error_world", "attitude"))
 
@@ -35,13 +35,13 @@ def settings(num_envs: int = 64, **distill: object) -> TrainingCfg:
 def hover(**changes: int) -> Task:
     """The position task, with a group that lacks velocities."""
     cfg = task_registry.get("position_setpoint_task")
-    return built(replace(cfg, observations={**cfg.observations, "sensed": SENSED}, **changes), 64)  # type: ignore[arg-type]
+    return build_task(replace(cfg, observations={**cfg.observations, "sensed": SENSED}, **changes), 64)  # type: ignore[arg-type]
 
 
 def damping() -> Policy:
     """A teacher whose actions are a function of everything, velocities above all."""
     teacher = Policy(
-        BodyCfg(shapes={"observations": (13,)}, hidden_layers=(13,), activation="tanh", normalize=False), 4
+        NetworkBodyCfg(shapes={"observations": (13,)}, hidden_layers=(13,), activation="tanh", normalize=False), 4
     )
     with torch.no_grad():
         layer = teacher.body.layers[0]

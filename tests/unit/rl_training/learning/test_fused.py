@@ -13,7 +13,7 @@ pytest.importorskip("triton", reason="triton is not installed: it comes with tor
 if not torch.cuda.is_available() and os.environ.get("TRITON_INTERPRET") != "1":
     pytest.skip("needs a GPU, or TRITON_INTERPRET=1", allow_module_level=True)
 
-from aerial_gym.rl_training.learning.fused import FusedPpo, why_not_fused
+from aerial_gym.rl_training.learning.fused import FusedPpo, fusion_refusal
 from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.task import task_registry
@@ -47,7 +47,7 @@ def test_gradient_values_and_actions_are_those_of_torch(
         max_grad_norm=1e9,
     )
     cfg = replace(cfg, task=name, device=DEVICE)
-    found = {}
+    result = {}
     with task_registry.make_task(cfg.task, num_envs=24, device=DEVICE, seed=0, capture=False) as task:
         network = make_network(cfg, task)
         torch.nn.init.normal_(network.value_head.weight, std=0.5, generator=torch.Generator(DEVICE).manual_seed(1))
@@ -77,23 +77,23 @@ def test_gradient_values_and_actions_are_those_of_torch(
             with torch.no_grad():
                 acts = learner._act(observation, flown.memory, flown.begins[0], noise)[:3]
                 values = learner._values(prepared, final, flown)[:2]
-            found[name] = {
+            result[name] = {
                 "gradient": gradient[0].detach(), "numbers": gradient[1].detach(),
                 **dict(zip(("mean", "action", "command"), acts, strict=True)),
                 **dict(zip(("values", "finals"), values, strict=True)),
             }  # fmt: skip
-    for name, expected in found["plain"].items():
+    for name, expected in result["plain"].items():
         size = float(expected.abs().max())
         assert size > 0.0, name
-        torch.testing.assert_close(found["fused"][name], expected, atol=RELATIVE * size, rtol=0.0, msg=name)
+        torch.testing.assert_close(result["fused"][name], expected, atol=RELATIVE * size, rtol=0.0, msg=name)
 
 
 def test_what_does_not_fit_into_kernels_is_told() -> None:
     cfg = settings(8, hidden_layers=(24, 24))
     with task_registry.make_task(cfg.task, num_envs=8, device="cpu", seed=0, capture=False) as task:
         network = make_network(cfg, task)
-        assert why_not_fused(cfg.ppo, network, torch.device("cpu")) == "no GPU"
-        assert "16, 32, 64" in str(why_not_fused(cfg.ppo, network, torch.device("cuda")))
+        assert fusion_refusal(cfg.ppo, network, torch.device("cpu")) == "no GPU"
+        assert "16, 32, 64" in str(fusion_refusal(cfg.ppo, network, torch.device("cuda")))
         ppo = replace(cfg.ppo, separate_value_network=False)
-        assert "share layers" in str(why_not_fused(ppo, network, torch.device("cuda")))
-        assert why_not_fused(settings().ppo, network, torch.device("cuda")) is None
+        assert "share layers" in str(fusion_refusal(ppo, network, torch.device("cuda")))
+        assert fusion_refusal(settings().ppo, network, torch.device("cuda")) is None

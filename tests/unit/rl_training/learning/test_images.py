@@ -13,12 +13,12 @@ from aerial_gym.rl_training.learning.ppo import Ppo
 from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
 from aerial_gym.rl_training.trainers.ppo import make_training
 from tests.unit.rl_training.learning.test_ppo import settings
-from tests.unit.task.hover import seeing
+from tests.unit.task.hover import camera_task
 
 ENVS, LENGTH = 32, 4
 
 
-class Point:
+class ColumnTask:
     """A bright column stands left or right in the image; an action costs the square of its distance to -0.8 or 0.8."""
 
     num_envs, num_actions, device = ENVS, 1, torch.device("cpu")
@@ -31,13 +31,13 @@ class Point:
     def _draw(self) -> Tensor:
         return torch.randint(0, 2, (ENVS,), generator=self.generator)
 
-    def _seen(self) -> dict[str, Tensor]:
+    def _observe(self) -> dict[str, Tensor]:
         image = torch.zeros(ENVS, 1, 8, 12, dtype=torch.uint8)
         image[torch.arange(ENVS), 0, :, 2 + 7 * self.side] = 255
         return {"observations": torch.zeros(ENVS, 2), "depth": image}
 
     def reset(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        return self._seen(), {}
+        return self._observe(), {}
 
     def stagger(self) -> None:
         """The ages are staggered from the start."""
@@ -49,14 +49,14 @@ class Point:
         info = {"final_observation": torch.zeros(ENVS, 2), "episode_return": reward, "episode_length": self.age}
         self.age = torch.where(ended, 0, self.age)
         self.side = torch.where(ended, self._draw(), self.side)
-        return self._seen(), reward, torch.zeros_like(ended), ended, info
+        return self._observe(), reward, torch.zeros_like(ended), ended, info
 
 
 def late_cost(keys: tuple[str, ...]) -> float:
     """Return the mean cost of an action after 40 iterations, exploration included."""
     cfg = settings(ENVS, policy_keys=keys, horizon=8, num_minibatches=2, hidden_layers=(16,), initial_std=0.3)
     cfg = replace(cfg, ppo=replace(cfg.ppo, num_epochs=4, discount=0.9, max_learning_rate=5e-3, min_std=0.01))
-    task = Point()
+    task = ColumnTask()
     learner = Ppo(cfg, task, make_network(cfg, task))  # type: ignore[arg-type]
     learner.begin()
     for _ in range(40):
@@ -76,7 +76,7 @@ def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_be
     """The policy sees bytes of two images, the critic floats; the checkpoint flies without the critic."""
     keys = {"policy_keys": ("observations", "depth"), "critic_keys": ("observations", "exact")}
     cfg = settings(8, memory=6, horizon=4, num_minibatches=2, num_epochs=1, hidden_layers=(8,), **keys)
-    with seeing(8, capture=False) as task:
+    with camera_task(8, capture=False) as task:
         training = make_training(cfg, task)
         for _ in range(2):
             training.advance()

@@ -28,11 +28,11 @@ class Recall:
     def _draw(self) -> Tensor:
         return 0.8 * (2.0 * torch.randint(0, 2, (ENVS,), generator=self.generator) - 1.0)
 
-    def _seen(self) -> dict[str, Tensor]:
+    def _observe(self) -> dict[str, Tensor]:
         return {"observations": torch.where(self.age == 0, self.shown, 0.0).unsqueeze(-1)}
 
     def reset(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        return self._seen(), {}
+        return self._observe(), {}
 
     def stagger(self) -> None:
         """The ages are staggered from the start."""
@@ -44,7 +44,7 @@ class Recall:
         info = {"final_observation": torch.zeros(ENVS, 1), "episode_return": reward, "episode_length": self.age}
         self.age = torch.where(ended, 0, self.age)
         self.shown = torch.where(ended, self._draw(), self.shown)
-        return self._seen(), reward, ended, torch.zeros_like(ended), info
+        return self._observe(), reward, ended, torch.zeros_like(ended), info
 
 
 def late_cost(memory: int) -> float:

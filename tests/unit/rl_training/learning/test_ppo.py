@@ -12,8 +12,8 @@ from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning import adam
 from aerial_gym.rl_training.learning.adam import FlatAdam
 from aerial_gym.rl_training.learning.network import make_network
-from aerial_gym.rl_training.learning.objective import beyond_bounds, generalized_advantages
-from aerial_gym.rl_training.learning.ppo import Ppo, adapted_rate, clipped_objective, squared_error
+from aerial_gym.rl_training.learning.objective import bound_excess, generalized_advantages
+from aerial_gym.rl_training.learning.ppo import Ppo, adapt_rate, clipped_objective, squared_error
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.ppo import make_training
 from aerial_gym.task import task_registry
@@ -44,8 +44,8 @@ def test_advantages_are_the_sum_of_discounted_errors_up_to_the_end_of_the_episod
                 expected[t, row] += (GAMMA * LAMBDA) ** (k - t) * error
                 if ended[k, row]:
                     break
-    found = generalized_advantages(reward, value, after, terminated, ended, discount=GAMMA, decay=LAMBDA)
-    torch.testing.assert_close(found, expected, atol=1e-13, rtol=0.0)
+    result = generalized_advantages(reward, value, after, terminated, ended, discount=GAMMA, decay=LAMBDA)
+    torch.testing.assert_close(result, expected, atol=1e-13, rtol=0.0)
 
 
 def test_a_truncated_episode_is_worth_what_follows_and_a_terminated_one_is_not() -> None:
@@ -71,10 +71,10 @@ def test_the_objective_is_clipped_on_the_side_that_would_gain(
     ratio: float, advantage: float, objective: float, slope: float
 ) -> None:
     log_ratio = torch.tensor(ratio).log().requires_grad_()
-    found = clipped_objective(log_ratio, torch.tensor(advantage), clip_range=0.2)
-    found.backward()
+    result = clipped_objective(log_ratio, torch.tensor(advantage), clip_range=0.2)
+    result.backward()
     assert log_ratio.grad is not None
-    torch.testing.assert_close((found.detach(), log_ratio.grad), (torch.tensor(objective), torch.tensor(slope)))
+    torch.testing.assert_close((result.detach(), log_ratio.grad), (torch.tensor(objective), torch.tensor(slope)))
 
 
 def test_values_and_bounds_are_penalised_by_hand_worked_amounts() -> None:
@@ -82,13 +82,13 @@ def test_values_and_bounds_are_penalised_by_hand_worked_amounts() -> None:
     torch.testing.assert_close(squared_error(value, target, old, clip_range=None), torch.tensor([1.0, 1.0]))
     # 0 may rise to 0.2 only: (0.2 - 2)^2 = 3.24; 2.9 may rise to 3.1, so that 3 counts
     torch.testing.assert_close(squared_error(value, target, old, clip_range=0.2), torch.tensor([3.24, 1.0]))
-    torch.testing.assert_close(beyond_bounds(torch.tensor([[1.0, -1.4], [-0.2, 1.6]])), torch.tensor([0.09, 0.25]))
+    torch.testing.assert_close(bound_excess(torch.tensor([[1.0, -1.4], [-0.2, 1.6]])), torch.tensor([0.09, 0.25]))
 
 
 def test_the_rate_follows_the_divergence_between_its_limits() -> None:
     def rate(divergence: float, *, now: float = 1e-3) -> float:
-        found = adapted_rate(torch.tensor(now), torch.tensor(divergence), threshold=0.01, highest=torch.tensor(5e-3))
-        return float(found)
+        result = adapt_rate(torch.tensor(now), torch.tensor(divergence), threshold=0.01, highest=torch.tensor(5e-3))
+        return float(result)
 
     assert rate(0.021) == pytest.approx(1e-3 / 1.5)
     assert rate(0.01) == pytest.approx(1e-3)
@@ -114,11 +114,11 @@ def test_flat_adam_is_torchs_adam_behind_a_limit_of_the_norm(scale: float, monke
         (scale * networks[1](inputs).square().mean()).backward()
         torch.nn.utils.clip_grad_norm_(networks[1].parameters(), 1.0)
         reference.step()
-    for ours, theirs in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
-        torch.testing.assert_close(ours, theirs, atol=2e-7, rtol=1e-5)
+    for actual, engine_value in zip(networks[0].parameters(), networks[1].parameters(), strict=True):
+        torch.testing.assert_close(actual, engine_value, atol=2e-7, rtol=1e-5)
 
 
-class Counting:
+class StepCounter:
     """Two environments that count their steps: row 0 is truncated after 3, row 1 crashes after 2. The observation is the
 
     count, the reward is 1, and the last observation is told apart from the first one of the next episode.
@@ -154,7 +154,7 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
     """With a critic that gives ten times the count: V(final) of row 0 is 30; the first of its next episode would be 0."""
     cfg = settings(2, horizon=4, gae_lambda=1.0, discount=0.9, normalize_observation=False, normalize_value=False)
     cfg = replace(cfg, ppo=replace(cfg.ppo, hidden_layers=(1,), activation="relu", reward_scale=1.0, num_minibatches=1))
-    task = Counting()
+    task = StepCounter()
     network = make_network(cfg, task)  # type: ignore[arg-type]
     assert network.own_body is not None
     layer = network.own_body.layers[0]
@@ -199,4 +199,4 @@ def test_settings_that_other_trainers_do_not_know_are_refused() -> None:
 
 def test_a_key_that_the_task_does_not_have_is_refused() -> None:
     with pytest.raises(ConfigError, match="has no observation 'depth'. Known: observations"):
-        make_network(settings(policy_keys=("observations", "depth")), Counting())  # type: ignore[arg-type]
+        make_network(settings(policy_keys=("observations", "depth")), StepCounter())  # type: ignore[arg-type]

@@ -9,12 +9,12 @@ import torch
 from aerial_gym import task_registry
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers import apg, ppo
-from aerial_gym.rl_training.trainers.own import OwnTraining
+from aerial_gym.rl_training.trainers.native import NativeTraining
 from aerial_gym.task import Task
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 from tests.unit.rl_training.learning import test_apg, test_ppo
 
-Make = Callable[[TrainingCfg, Task], OwnTraining[Any]]
+Make = Callable[[TrainingCfg, Task], NativeTraining[Any]]
 
 TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
     "ppo, separate": (test_ppo.settings(), ppo.make_training),
@@ -29,7 +29,7 @@ TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
 }
 
 
-@pytest.mark.parametrize("name", often(TRAININGS, ("ppo, recurrent and shared", "apg, with a critic")))
+@pytest.mark.parametrize("name", frequent_values(TRAININGS, ("ppo, recurrent and shared", "apg, with a critic")))
 def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(name: str) -> None:
     cfg, make = TRAININGS[name]
     chosen = {"differentiable": True} if cfg.trainer == "apg" else {"capture": False}

@@ -10,11 +10,11 @@ from torch.distributions import Independent, Normal, kl_divergence
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
-from aerial_gym.rl_training.policies.body import Body, BodyCfg
+from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.policies.normalizer import EPSILON, OUTLIER, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.policies.recurrent import along
+from aerial_gym.rl_training.policies.recurrent import unroll
 
 
 def randn(*shape: int, seed: int = 0) -> Tensor:
@@ -61,17 +61,17 @@ def test_a_normaliser_is_the_same_after_it_was_saved_and_loaded() -> None:
 
 def test_the_distribution_is_that_of_torch() -> None:
     mean, log_std, action, noise = randn(6, 4), 0.3 * randn(4, seed=1), randn(6, 4, seed=2), randn(6, 4, seed=3)
-    ours, theirs = Gaussian(mean, log_std), Independent(Normal(mean, log_std.exp()), 1)
-    torch.testing.assert_close(ours.log_prob(action), theirs.log_prob(action))
-    torch.testing.assert_close(ours.entropy().expand(6), theirs.entropy())
-    torch.testing.assert_close(ours.sample(noise), mean + log_std.exp() * noise)
+    actual, engine_value = Gaussian(mean, log_std), Independent(Normal(mean, log_std.exp()), 1)
+    torch.testing.assert_close(actual.log_prob(action), engine_value.log_prob(action))
+    torch.testing.assert_close(actual.entropy().expand(6), engine_value.entropy())
+    torch.testing.assert_close(actual.sample(noise), mean + log_std.exp() * noise)
     old_mean, old_log_std = randn(6, 4, seed=4), 0.3 * randn(4, seed=5)
-    expected = kl_divergence(Independent(Normal(old_mean, old_log_std.exp()), 1), theirs)
-    torch.testing.assert_close(ours.divergence_from(old_mean, old_log_std), expected)
+    expected = kl_divergence(Independent(Normal(old_mean, old_log_std.exp()), 1), engine_value)
+    torch.testing.assert_close(actual.divergence(old_mean, old_log_std), expected)
 
 
-def recurrent() -> BodyCfg:
-    return BodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6)
+def recurrent() -> NetworkBodyCfg:
+    return NetworkBodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6)
 
 
 def test_a_sequence_is_its_steps_one_by_one_with_the_memory_emptied_where_episodes_begin() -> None:
@@ -107,13 +107,13 @@ def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: s
         memory = cell(seen[t], torch.where(begins[t].unsqueeze(-1), 0.0, memory))
         loss = loss + (memory * weight[t]).sum()
     expected = torch.autograd.grad(loss, wanted)
-    found = torch.autograd.grad((along(cell, seen, first, begins) * weight).sum(), wanted)
-    for ours, reference in zip(found, expected, strict=True):
-        torch.testing.assert_close(ours, reference, atol=1e-5, rtol=1e-5)
+    result = torch.autograd.grad((unroll(cell, seen, first, begins) * weight).sum(), wanted)
+    for actual, reference in zip(result, expected, strict=True):
+        torch.testing.assert_close(actual, reference, atol=1e-5, rtol=1e-5)
 
 
 def test_errors_go_back_through_a_sequence_up_to_where_the_episode_began() -> None:
-    body = Body(BodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6, normalize=False))
+    body = NetworkBody(NetworkBodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6, normalize=False))
     seen, begins = randn(6, 2, 5).requires_grad_(), torch.zeros(6, 2, dtype=torch.bool)
     begins[3, 1] = True
     features, _ = body.sequence({"observations": seen}, torch.zeros(2, 6), begins)
@@ -156,7 +156,9 @@ def test_memories_of_policy_and_critic_stand_apart(shared: bool) -> None:
 
 def test_a_critic_sees_its_own_keys_and_what_both_see_is_normalised_alike() -> None:
     both, more = {"observations": (5,)}, {"observations": (5,), "critic": (3,)}
-    network = ActorCritic(Policy(BodyCfg(shapes=both, hidden_layers=(8,)), 2), BodyCfg(shapes=more, hidden_layers=(8,)))
+    network = ActorCritic(
+        Policy(NetworkBodyCfg(shapes=both, hidden_layers=(8,)), 2), NetworkBodyCfg(shapes=more, hidden_layers=(8,))
+    )
     torch.nn.init.normal_(network.value_head.weight)
     observation = {"observations": 3.0 + randn(4, 6, 5), "critic": randn(4, 6, 3, seed=1)}
     network.count(observation)
@@ -178,7 +180,7 @@ def test_a_critic_sees_its_own_keys_and_what_both_see_is_normalised_alike() -> N
 
 def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to_1() -> None:
     shapes = {"observations": (3,), "depth": (1, 24, 40)}
-    body = Body(BodyCfg(shapes=shapes, hidden_layers=(8,)))
+    body = NetworkBody(NetworkBodyCfg(shapes=shapes, hidden_layers=(8,)))
     images = torch.randint(0, 256, (2, 5, 1, 24, 40), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     seen, empty, begins = randn(2, 5, 3), torch.zeros(5, 0), torch.zeros(2, 5, dtype=torch.bool)
     features, _ = body.sequence({"observations": seen, "depth": images}, empty, begins)
@@ -197,4 +199,4 @@ def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to
 
 def test_keys_that_are_neither_vectors_nor_images_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"observation 'grid' has shape \(2, 3\): must be a vector"):
-        Body(BodyCfg(shapes={"grid": (2, 3)}, hidden_layers=(8,)))
+        NetworkBody(NetworkBodyCfg(shapes={"grid": (2, 3)}, hidden_layers=(8,)))

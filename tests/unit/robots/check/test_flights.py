@@ -15,10 +15,10 @@ from aerial_gym.robots.check.flights import STEP_RANGE
 def test_published_gains_are_stable_up_to_the_linear_limit() -> None:
     """magpie has gains of its own, whatever the time step; the search is to 1 % of it, with a gain margin of 6 dB."""
     robot, controller = ROBOTS.get("magpie"), CONTROLLERS.get("lee_attitude_control")
-    found = largest_stable_step(robot, controller, name="lee_attitude_control")
+    result = largest_stable_step(robot, controller, name="lee_attitude_control")
     loop = ClosedLoop(robot, controller, gravity=9.81, integrator="euler", names=("magpie", "lee_attitude_control"))
-    assert found.largest_s == pytest.approx(loop.largest_firm_dt(1.0), rel=0.02)
-    assert not found.at_least
+    assert result.largest_s == pytest.approx(loop.largest_firm_dt(1.0), rel=0.02)
+    assert not result.at_least
 
 
 def test_a_slow_integrator_is_not_taken_for_unfit(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,13 +34,13 @@ def test_a_slow_integrator_is_not_taken_for_unfit(monkeypatch: pytest.MonkeyPatc
         ),
     )
     monkeypatch.setattr(flights, "STEP_RANGE", (0.01, 0.02))
-    found = largest_stable_step(robot, CONTROLLERS.get("px4_position_control"), name="it")
-    assert (found.largest_s, found.at_least, found.little_margin) == (0.02, True, False)
+    result = largest_stable_step(robot, CONTROLLERS.get("px4_position_control"), name="it")
+    assert (result.largest_s, result.at_least, result.little_margin) == (0.02, True, False)
 
 
 def test_derived_gains_follow_the_time_step() -> None:
-    found = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("lee_attitude_control"), name="it")
-    assert (found.largest_s, found.at_least) == (STEP_RANGE[1], True)
+    result = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("lee_attitude_control"), name="it")
+    assert (result.largest_s, result.at_least) == (STEP_RANGE[1], True)
 
 
 @pytest.mark.slow
@@ -49,8 +49,8 @@ def test_gains_that_hold_nothing_have_no_step() -> None:
     robot = ROBOTS.get("magpie")
     assert robot.control.gains is not None
     loose = replace(robot.control, gains=replace(robot.control.gains, rate=(0.0, 0.0, 0.0388)))
-    found = largest_stable_step(replace(robot, control=loose), CONTROLLERS.get("lee_attitude_control"), name="it")
-    assert (found.largest_s, found.refused) == (None, None)
+    result = largest_stable_step(replace(robot, control=loose), CONTROLLERS.get("lee_attitude_control"), name="it")
+    assert (result.largest_s, result.refused) == (None, None)
 
 
 def test_gusts_are_left_out_and_a_hung_load_is_not() -> None:
@@ -61,8 +61,8 @@ def test_gusts_are_left_out_and_a_hung_load_is_not() -> None:
 
 
 def test_a_controller_that_holds_nothing_is_refused() -> None:
-    found = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("no_control"), name="no_control")
-    assert found.refused == "commands rotors, and holds nothing"
+    result = largest_stable_step(ROBOTS.get("lmf1"), CONTROLLERS.get("no_control"), name="no_control")
+    assert result.refused == "commands rotors, and holds nothing"
 
 
 @pytest.mark.slow
@@ -72,9 +72,9 @@ def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_res
     """The heading counts, which no rotor turns: with the sign of its law changed the servo runs away from it."""
     robot, controller = ROBOTS.get("tilt_tricopter"), CONTROLLERS.get("lee_attitude_control")
     assert largest_stable_step(robot, controller, name="it").at_least
-    servo = flights.tail_of(robot, 0.1, 9.81)
+    servo = flights.make_tail(robot, 0.1, 9.81)
     assert servo is not None
-    monkeypatch.setattr(flights, "tail_of", lambda *_: replace(servo, heading=-servo.heading))
+    monkeypatch.setattr(flights, "make_tail", lambda *_: replace(servo, heading=-servo.heading))
     monkeypatch.setattr(flights, "STEP_RANGE", (0.05, 0.1))
-    found = largest_stable_step(robot, controller, name="it")
-    assert (found.largest_s, found.refused) == (None, None)
+    result = largest_stable_step(robot, controller, name="it")
+    assert (result.largest_s, result.refused) == (None, None)

@@ -13,7 +13,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import RobotReport, check_robot
 
 
-def report_of(robot: RobotCfg) -> RobotReport:
+def make_report(robot: RobotCfg) -> RobotReport:
     return check_robot(robot, name="it", controllers=())
 
 
@@ -26,7 +26,7 @@ def test_a_flat_quadrotor_is_what_is_worked_out_by_hand() -> None:
 
     Downwards there is the same room as the weight, upwards more, and it is the lesser that is given both ways.
     """
-    report, hover = report_of(ROBOTS.get("lmf1")), 1.235 * 9.81 / 4.0
+    report, hover = make_report(ROBOTS.get("lmf1")), 1.235 * 9.81 / 4.0
     assert report.hover_thrust_n == pytest.approx((hover,) * 4)
     assert report.hover_share == pytest.approx(hover / 20.0)
     assert report.thrust_to_weight == pytest.approx(20.0 / hover)
@@ -46,14 +46,14 @@ def test_the_rotor_that_ends_an_axis_is_named() -> None:
     weak, strong = (replace(robot.rotor, thrust_range=(0.0, most)) for most in (3.2, 20.0))
     layout = tuple(replace(mount, rotor="weak" if i == 2 else "strong") for i, mount in enumerate(robot.mounts.layout))
     mounts, rotors = replace(robot.mounts, layout=layout), {"weak": weak, "strong": strong}
-    report = report_of(replace(robot, mounts=mounts, rotor=None, rotors=rotors))
+    report = make_report(replace(robot, mounts=mounts, rotor=None, rotors=rotors))
     assert report.first_at_limit == (None, None, 3, 3, 3, 3)
     assert report.thrust_to_weight == pytest.approx(4.0 * 3.2 / (1.235 * 9.81))
 
 
 def test_only_tilted_rotors_push_sideways() -> None:
     """About 30 degrees each: with one newton of hover thrust per rotor some of them at most half of that to the side."""
-    flat, tilted = (report_of(ROBOTS.get(name)) for name in ("typhoon_hexarotor", "tilted_hexarotor"))
+    flat, tilted = (make_report(ROBOTS.get(name)) for name in ("typhoon_hexarotor", "tilted_hexarotor"))
     assert (flat.rank, tilted.rank) == (4, 6)
     assert flat.force_n[:2] == (0.0, 0.0)
     assert min(tilted.force_n[:2]) > 0.2 * tilted.mass_kg * 9.81
@@ -63,7 +63,7 @@ def test_only_tilted_rotors_push_sideways() -> None:
 def test_a_centre_of_mass_beyond_the_rotors_cannot_hover() -> None:
     """0.05 m before the front rotors, 0.25 m before the rear ones: 0.05 f + 0.25 b = 0, 2 f + 2 b = m g, so b = -m g / 8."""
     robot = ROBOTS.get("lmf1")
-    report = report_of(replace(robot, body=replace(robot.body, com=(0.15, 0.0, 0.0))))
+    report = make_report(replace(robot, body=replace(robot.body, com=(0.15, 0.0, 0.0))))
     assert len(report.problems) == 2
     assert "rotor 2 must give -1.51 N, but its limits are 0 to 20 N" in report.problems[0]
     assert report.stable_steps == ()
@@ -73,7 +73,7 @@ def test_a_torque_that_nothing_takes_away_is_a_problem() -> None:
     """Three rotors that spin one way turn the vehicle by m g k."""
     robot = ROBOTS.get("lmf1")
     places = ((0.1, 0.0, 0.0), (-0.05, 0.0866, 0.0), (-0.05, -0.0866, 0.0))
-    report = report_of(with_mounts(robot, *(MountCfg(position=place, spin=1) for place in places)))
+    report = make_report(with_mounts(robot, *(MountCfg(position=place, spin=1) for place in places)))
     assert len(report.problems) == 2
     assert "a torque about z of -0.606 N m is left over" in report.problems[0]  # 0.05 m of 1.235 * 9.81 N
     assert "lift and torque about z come only together" in report.problems[1]
@@ -83,16 +83,16 @@ def test_a_torque_that_nothing_takes_away_is_a_problem() -> None:
 def test_numbers_in_other_units_are_noticed() -> None:
     robot = ROBOTS.get("racing_quadrotor")
     assert robot.rotor is not None
-    assert report_of(robot).warnings == ()
+    assert make_report(robot).warnings == ()
     inertia = tuple(tuple(1e3 * n for n in row) for row in robot.body.inertia)
     in_grams = replace(robot, body=replace(robot.body, inertia=inertia))
-    assert "radius of gyration 1.82 m, but the vehicle reaches" in report_of(in_grams).warnings[0]
+    assert "radius of gyration 1.82 m, but the vehicle reaches" in make_report(in_grams).warnings[0]
     per_turn = replace(robot, rotor=replace(robot.rotor, thrust_map=(0.0, 0.0, 1.562522e-6 / 39.4784)))
-    assert "tips would move at 931 m/s, faster than sound" in report_of(per_turn).warnings[0]
+    assert "tips would move at 931 m/s, faster than sound" in make_report(per_turn).warnings[0]
     wide = replace(robot, rotor=replace(robot.rotor, radius=0.08))
-    assert "propellers 1 and 3 overlap by 0.01 m" in report_of(wide).warnings[0]
+    assert "propellers 1 and 3 overlap by 0.01 m" in make_report(wide).warnings[0]
     heavy = replace(robot, body=replace(robot.body, mass=2.8))
-    assert "thrust to weight is 1.24" in report_of(heavy).warnings[0]
+    assert "thrust to weight is 1.24" in make_report(heavy).warnings[0]
 
 
 def test_what_cannot_be_is_refused_with_a_way_out() -> None:
@@ -109,7 +109,7 @@ def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
 
     What it gives is the optimum of a linear program: thrusts within their limits, the tail within its angles (0.7 rad).
     """
-    report = report_of(ROBOTS.get("tilt_tricopter"))
+    report = make_report(ROBOTS.get("tilt_tricopter"))
     arm, ratio, weight = 0.2460732, 0.025, 1.592 * 9.81
     angle = atan(ratio / arm)
     tail = weight / (3.0 * cos(angle) + 2.0 * ratio * sin(angle) / arm)
@@ -125,7 +125,7 @@ def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
     pitch = [-side[1], -side[1], arm, ratio]
     yaw = [-ratio, ratio, -ratio, arm]
     servo = [[0.0, 0.0, -tan(0.7), 1.0], [0.0, 0.0, -tan(0.7), -1.0]]  # within the range both ways
-    for axis, found in enumerate((report.force_n[2], *report.torque_n_m)):
+    for axis, result in enumerate((report.force_n[2], *report.torque_n_m)):
         step = -np.eye(4)[:, [axis]]
         most = [
             linprog(
@@ -138,4 +138,4 @@ def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
             ).x[4]
             for way in (1.0, -1.0)
         ]
-        assert found == pytest.approx(min(most), rel=1e-6)
+        assert result == pytest.approx(min(most), rel=1e-6)

@@ -107,12 +107,12 @@ def write(folder: Path, **models: str) -> Path:
 def cf2x() -> str:
     """Return a Crazyflie in an X: a base, four propellers without mass that stand where their inertial frames do, and a link
     that marks the centre of mass."""
-    nothing = '<mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+    empty = '<mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
     own = '<mass value="0.027"/><inertia ixx="1.4e-5" ixy="0" ixz="0" iyy="1.4e-5" iyz="0" izz="2.17e-5"/>'
     shape = '<collision><geometry><cylinder radius="0.06" length="0.025"/></geometry></collision>'
     places = {f"prop{i}": xy for i, xy in enumerate(("0.028 0.028", "-0.028 0.028", "-0.028 -0.028", "0.028 -0.028"))}
     massless = "".join(
-        f'<link name="{name}_link"><inertial><origin xyz="{xy} 0"/>{nothing}</inertial></link><joint name="{name}_joint" '
+        f'<link name="{name}_link"><inertial><origin xyz="{xy} 0"/>{empty}</inertial></link><joint name="{name}_joint" '
         f'type="fixed"><parent link="base_link"/><child link="{name}_link"/></joint>'
         for name, xy in {**places, "center_of_mass": "0 0"}.items()
     )

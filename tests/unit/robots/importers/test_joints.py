@@ -16,7 +16,7 @@ from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.articulated.articulation import articulation_of
+from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.robots import ROBOTS
@@ -104,27 +104,29 @@ def snakey() -> str:
     return f'<robot name="snakey">{KEEP}{"".join(text)}</robot>'  # fmt: skip
 
 
-def imported(folder: Path, text: str, rotors_of: str, spins: tuple[int, ...] = (1, -1, 1, -1)) -> tuple[RobotCfg, Path]:
+def import_text(
+    folder: Path, text: str, rotors_of: str, spins: tuple[int, ...] = (1, -1, 1, -1)
+) -> tuple[RobotCfg, Path]:
     path = folder / "robot.urdf"
     path.write_text(text)
     return import_robot(path, RotorHints(rotors_of=ROBOTS.get(rotors_of), spins=spins, joints=True)).robot, path
 
 
-def ours(robot: RobotCfg, angle: np.ndarray):
+def package_dynamics(robot: RobotCfg, angle: np.ndarray):
     """Return mass matrix (6 + D, 6 + D), origins (L, 3) and centres of mass (L, 3) of links."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    bends = articulation_of(robot, like=vehicle.mass)
+    bends = build_articulation(robot, like=vehicle.mass)
     assert bends is not None
     state = TreeState.at_rest(1, bends.num_joints, like=vehicle.mass.unsqueeze(-1))
     state = TreeState(**{**vars(state), "joint_pos": torch.from_numpy(angle).unsqueeze(0)})
-    found = equations(bends.tree, bends.links(vehicle), state, gravity=9.81)
-    return found.mass[0].numpy(), found.places.com[0].numpy()
+    result = equations(bends.tree, bends.links(vehicle), state, gravity=9.81)
+    return result.mass[0].numpy(), result.places.com[0].numpy()
 
 
 @pytest.mark.parametrize(("make", "like", "count"), [(morphy, "morphy_stiff", 8), (snakey, "snakey", 6)])
 def test_mass_matrix_and_centres_are_those_of_mujoco(make, like, count, tmp_path: Path) -> None:
     """On a base that is held, as MuJoCo loads a URDF: 1e-9 at the reference pose and four others."""
-    robot, path = imported(tmp_path, make(), like)
+    robot, path = import_text(tmp_path, make(), like)
     assert robot.joints is not None
     assert len(robot.joints.layout) == count
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -136,25 +138,25 @@ def test_mass_matrix_and_centres_are_those_of_mujoco(make, like, count, tmp_path
         mujoco.mj_forward(model, data)
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
-        mass, com = ours(robot, angle)
-        theirs = full[np.ix_(order, order)]
-        np.testing.assert_allclose(mass[6:, 6:], theirs, atol=1e-9 * np.abs(theirs).max())
+        mass, com = package_dynamics(robot, angle)
+        reference = full[np.ix_(order, order)]
+        np.testing.assert_allclose(mass[6:, 6:], reference, atol=1e-9 * np.abs(reference).max())
         for k, cfg in enumerate(robot.joints.layout, 1):
             body = model.jnt_bodyid[model.joint(cfg.name).id]
-            weights = [b for b in range(model.nbody) if _welded_to(model, b, body)]
+            weights = [b for b in range(model.nbody) if _is_welded(model, b, body)]
             total = sum(model.body_mass[b] for b in weights)
             centre = sum(model.body_mass[b] * data.xipos[b] for b in weights) / total
             np.testing.assert_allclose(com[k], centre, atol=1e-9)
 
 
-def _welded_to(model, body: int, root: int) -> bool:
+def _is_welded(model, body: int, root: int) -> bool:
     while body != root and body > 0 and model.body_jntnum[body] == 0:
         body = model.body_parentid[body]
     return body == root
 
 
-def test_limits_damping_friction_rotors_and_shapes_are_taken_over(tmp_path: Path) -> None:
-    robot, _ = imported(tmp_path, morphy(), "morphy_stiff")
+def test_limits_damping_friction_rotors_and_shapes_are_imported(tmp_path: Path) -> None:
+    robot, _ = import_text(tmp_path, morphy(), "morphy_stiff")
     assert robot.joints is not None
     elevation, azimuth = robot.joints.layout[0], next(j for j in robot.joints.layout if j.name == "azimuth_0")
     assert elevation.spring is not None
@@ -211,8 +213,8 @@ def test_an_mjcf_with_two_joints_on_a_body_a_slide_and_a_spring(tmp_path: Path) 
     """The whole mass matrix of a base that flies, level, to 1e-9; springs, ends and friction as in the file."""
     path = tmp_path / "robot.xml"
     path.write_text(MJCF)
-    found = import_robot(path, RotorHints(lag=0.03, joints=True))
-    robot = found.robot
+    result = import_robot(path, RotorHints(lag=0.03, joints=True))
+    robot = result.robot
     assert robot.joints is not None
     assert robot.joints.names == ("swing", "turn", "slide")
     swing, turn, slide = robot.joints.layout
@@ -221,7 +223,7 @@ def test_an_mjcf_with_two_joints_on_a_body_a_slide_and_a_spring(tmp_path: Path) 
     assert swing.ends is not None
     assert (swing.spring.stiffness, swing.spring.rest, swing.spring.friction) == (0.4, 0.1, 0.003)
     assert (swing.ends.low, swing.ends.high, turn.reference, slide.kind) == (-0.5, 0.6, 0.2, "prismatic")
-    assert any("servo" in note for note in found.notes)
+    assert any("servo" in note for note in result.notes)
     assert [shape.link for shape in robot.collision.shapes] == ["turn"]
     model = mujoco.MjModel.from_xml_path(str(path))
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
@@ -231,7 +233,7 @@ def test_an_mjcf_with_two_joints_on_a_body_a_slide_and_a_spring(tmp_path: Path) 
         mujoco.mj_forward(model, data)
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
-        np.testing.assert_allclose(ours(robot, angle)[0], full, atol=1e-9 * np.abs(full).max())
+        np.testing.assert_allclose(package_dynamics(robot, angle)[0], full, atol=1e-9 * np.abs(full).max())
 
 
 def test_what_cannot_be_taken_over_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,8 +124,8 @@ def test_gravity_compensation_on_a_joint_stays_on_its_link(tmp_path: Path) -> No
 
 
 def test_equal_delays_are_an_effect(tmp_path: Path) -> None:
-    found = read(tmp_path, vehicle('ctrlrange="0 6" delay="0.01" nsample="10"'))
-    assert found.robot.effects["actuation_delay"] == {"delay": 0.01}
+    result = read(tmp_path, vehicle('ctrlrange="0 6" delay="0.01" nsample="10"'))
+    assert result.robot.effects["actuation_delay"] == {"delay": 0.01}
 
 
 @pytest.mark.parametrize(
@@ -173,9 +173,9 @@ def test_a_joint_that_moves_a_thrust_line_is_a_loss(joint: str, tilts: bool, tmp
     if tilts:
         with pytest.raises(ConfigError):
             read(tmp_path, text)
-    found = read(tmp_path, text, RotorHints(lag=0.04, accept_losses=True))
-    assert found.robot.num_rotors == 4
-    assert sum("j" in re.split(r"\W+", note) for note in found.notes) == (joint != "")
+    result = read(tmp_path, text, RotorHints(lag=0.04, accept_losses=True))
+    assert result.robot.num_rotors == 4
+    assert sum("j" in re.split(r"\W+", note) for note in result.notes) == (joint != "")
     if "ball" not in joint and joint:
         bent = read(tmp_path, text, RotorHints(lag=0.04, joints=True)).robot
         assert bent.joints is not None
@@ -194,9 +194,9 @@ def test_a_fan_beside_the_vehicle_is_no_rotor_of_it(tmp_path: Path) -> None:
     text = text.replace(
         "</actuator>", '<motor name="blower" site="fan" gear="1 0 0 0 0 0" ctrlrange="0 9"/></actuator>'
     )
-    found = read(tmp_path, text)
-    assert found.robot.num_rotors == 4
-    assert any("blower" in note for note in found.notes)
+    result = read(tmp_path, text)
+    assert result.robot.num_rotors == 4
+    assert any("blower" in note for note in result.notes)
 
 
 def test_armature_of_the_free_joint_is_mass_without_weight(tmp_path: Path) -> None:

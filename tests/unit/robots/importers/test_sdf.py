@@ -52,11 +52,15 @@ def body_alone(folder: Path, base: str, **kwargs) -> tuple[float, np.ndarray, np
     mass = body.mass - 0.04
     com = (body.mass * np.array(body.com) - sum(m * r for m, r, _ in weights)) / mass
 
-    def about(m: float, r: np.ndarray) -> np.ndarray:
+    def shift_inertia(m: float, r: np.ndarray) -> np.ndarray:
         lever = r - np.array(body.com)
         return m * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
-    return mass, com, np.array(body.inertia) - sum(j + about(m, r) for m, r, j in weights) - about(mass, com)
+    return (
+        mass,
+        com,
+        np.array(body.inertia) - sum(j + shift_inertia(m, r) for m, r, j in weights) - shift_inertia(mass, com),
+    )
 
 
 # ------------------------------------------------------------------------------------------------ masses
@@ -75,9 +79,9 @@ def body_alone(folder: Path, base: str, **kwargs) -> tuple[float, np.ndarray, np
 )
 def test_absent_numbers_are_the_defaults_of_the_format(base: str, mass: float, moments, tmp_path: Path) -> None:
     """SDF's own: 1 kg, and 1 kg m² about each axis."""
-    found = body_alone(tmp_path, base)
-    assert found[0] == pytest.approx(mass)
-    np.testing.assert_allclose(found[2], np.diag(moments), atol=1e-9)
+    result = body_alone(tmp_path, base)
+    assert result[0] == pytest.approx(mass)
+    np.testing.assert_allclose(result[2], np.diag(moments), atol=1e-9)
 
 
 def shape(kind: str, more: str = "", density: float | None = None, pose: str = "") -> str:
@@ -85,16 +89,16 @@ def shape(kind: str, more: str = "", density: float | None = None, pose: str = "
     return f'<collision name="c">{pose}{told}<geometry><{kind}>{more}</{kind}></geometry></collision>'
 
 
-def revolved(radius: Callable[[float], float], low: float, high: float) -> tuple[float, float, float, float]:
+def revolution_solid(radius: Callable[[float], float], low: float, high: float) -> tuple[float, float, float, float]:
     """Return volume, height of the centre, and moments across and along of a solid of revolution, slice by slice."""
 
-    def over(height: Callable[[float], float]) -> float:
+    def slice_integral(height: Callable[[float], float]) -> float:
         return quad(lambda z: pi * radius(z) ** 2 * height(z), low, high, epsabs=1e-14, limit=400)[0]
 
-    volume = over(lambda z: 1.0)
-    middle = over(lambda z: z) / volume
-    across = over(lambda z: 0.25 * radius(z) ** 2 + (z - middle) ** 2)
-    return volume, middle, across, over(lambda z: 0.5 * radius(z) ** 2)
+    volume = slice_integral(lambda z: 1.0)
+    middle = slice_integral(lambda z: z) / volume
+    across = slice_integral(lambda z: 0.25 * radius(z) ** 2 + (z - middle) ** 2)
+    return volume, middle, across, slice_integral(lambda z: 0.5 * radius(z) ** 2)
 
 
 R, L = 0.06, 0.25
@@ -115,7 +119,7 @@ REVOLVED = {
 def test_solids_weigh_what_their_slices_weigh(kind: str, tmp_path: Path) -> None:
     """Against a numerical integration along the axis; a cone's tip is up, and its origin half way."""
     sizes, radius, half = REVOLVED[kind]
-    volume, height, across, along = revolved(radius, -half, half)
+    volume, height, across, along = revolution_solid(radius, -half, half)
     mass, com, inertia = body_alone(tmp_path, '<inertial auto="true"/>' + shape(kind, sizes, 300.0))
     assert mass == pytest.approx(300.0 * volume, rel=1e-7)
     np.testing.assert_allclose(com, (0.0, 0.0, height), atol=1e-7)
@@ -140,10 +144,10 @@ def test_an_automatic_inertial_takes_density_and_mass(
     inertial_tag: str, density: float | None, mass: float, tmp_path: Path
 ) -> None:
     """A box of 9 litres: of its own density, else of the inertial's, else of water; a given mass scales it."""
-    found = body_alone(tmp_path, inertial_tag + shape("box", BOX, density))
-    assert found[0] == pytest.approx(mass)
-    np.testing.assert_allclose(found[1], 0.0, atol=1e-12)
-    np.testing.assert_allclose(found[2], mass / 12.0 * np.diag((0.1, 0.1, 0.18)), atol=1e-9)
+    result = body_alone(tmp_path, inertial_tag + shape("box", BOX, density))
+    assert result[0] == pytest.approx(mass)
+    np.testing.assert_allclose(result[1], 0.0, atol=1e-12)
+    np.testing.assert_allclose(result[2], mass / 12.0 * np.diag((0.1, 0.1, 0.18)), atol=1e-9)
 
 
 def test_an_automatic_inertial_of_a_mesh_in_its_own_unit(tmp_path: Path) -> None:
@@ -203,7 +207,7 @@ def frame(pose: str, more: str = "", degrees: str = "") -> str:
     return f'<frame name="f" {more}><pose {degrees}>{pose}</pose></frame>'
 
 
-def nested(content: str, more: str = "") -> str:
+def nest_model(content: str, more: str = "") -> str:
     return f'<model name="n" {more}><pose>0 .2 0 0 0 0</pose>{content}</model>'
 
 
@@ -215,9 +219,9 @@ def nested(content: str, more: str = "") -> str:
         (frame("0 0 .1 0 0 0", 'attached_to="base"') + P.format('relative_to="f"'), (0.1, 0.0, 0.1)),
         (frame("0 0 0 0 0 90", degrees='degrees="true"') + P.format('relative_to="f"'), (0.0, 0.1, 0.0)),
         (ON_JOINT + P.format('relative_to="j"'), (0.1, 0.2, 0.0)),
-        (nested(P.format("")), (0.1, 0.2, 0.0)),
-        (nested(P.format(""), 'placement_frame="p"'), (0.0, 0.2, 0.0)),
-        (nested(frame("0 0 .3 0 0 0") + HEAVY) + P.format('relative_to="n::f"'), (0.1, 0.2, 0.3)),
+        (nest_model(P.format("")), (0.1, 0.2, 0.0)),
+        (nest_model(P.format(""), 'placement_frame="p"'), (0.0, 0.2, 0.0)),
+        (nest_model(frame("0 0 .3 0 0 0") + HEAVY) + P.format('relative_to="n::f"'), (0.1, 0.2, 0.3)),
     ],
 )
 def test_a_link_stands_where_its_frames_put_it(more: str, place, tmp_path: Path) -> None:
@@ -254,11 +258,11 @@ def test_the_vehicle_of_a_world_is_the_model_with_motors(tmp_path: Path) -> None
     ground = '<model name="ground"><static>true</static><link name="l"/></model>'
     sun = "<include><uri>https://server/sun</uri></include>"
     model = vehicle().removeprefix('<sdf version="1.11">').removesuffix("</sdf>")
-    found = import_robot(
+    result = import_robot(
         write(tmp_path, world=f'<sdf version="1.9"><world name="w">{ground}{sun}{model}</world></sdf>')
     )
-    assert found.robot.body.mass == pytest.approx(1.04)
-    assert any("ground" in note for note in found.notes)
+    assert result.robot.body.mass == pytest.approx(1.04)
+    assert any("ground" in note for note in result.notes)
 
 
 def test_a_missing_vehicle_is_named_and_not_what_stands_beside_it(tmp_path: Path) -> None:
@@ -283,14 +287,14 @@ def test_numbers_that_a_motor_does_not_give_are_the_plugins(tmp_path: Path) -> N
     text = vehicle()
     for name, value in IRIS_MOTOR.items():
         text = text.replace(f"<{name}>{value}</{name}>", "")
-    found = read(tmp_path, text)
-    rotor = found.robot.the_rotor("a test")
+    result = read(tmp_path, text)
+    rotor = result.robot.the_rotor("a test")
     assert rotor.thrust_map == (0.0, 0.0, 8.54858e-06)
     assert rotor.torque_ratio == 0.016
     assert (rotor.time_constant_up, rotor.time_constant_down) == (0.0125, 0.025)
     assert rotor.thrust_range[1] == pytest.approx(8.54858e-06 * 838.0**2)
-    assert found.robot.effects["h_force_flapping"]["kh"] == 1e-4
-    assert len([line for line in found.assumed if "plugin" in line]) == len(IRIS_MOTOR) - 1
+    assert result.robot.effects["h_force_flapping"]["kh"] == 1e-4
+    assert len([line for line in result.assumed if "plugin" in line]) == len(IRIS_MOTOR) - 1
 
 
 # ------------------------------------------------------------------------------------------------ losses and names
@@ -335,8 +339,8 @@ def test_wings_and_tilting_joints_are_losses(
 def test_a_gimbal_and_a_fixed_arm_are_no_losses(tmp_path: Path) -> None:
     fixed = TILT.format("0 1 0").replace("revolute", "fixed")
     assert import_robot(write(tmp_path, m=vehicle(more=fixed, parent="arm"))).robot.num_rotors == 4
-    found = import_robot(write(tmp_path, m=vehicle(more=GIMBAL)))
-    assert any("gimbal" in note for note in found.notes)
+    result = import_robot(write(tmp_path, m=vehicle(more=GIMBAL)))
+    assert any("gimbal" in note for note in result.notes)
 
 
 def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(

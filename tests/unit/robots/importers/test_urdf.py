@@ -28,16 +28,16 @@ def read(folder: Path, text: str, hints: RotorHints = HINTS) -> Imported:
 
 def test_properties_become_effects(tmp_path: Path) -> None:
     """Ground effect, drag across and along the rotors, and the downwash 1 m below: 2000 (0.02 / 4)² N, 0.1 m wide."""
-    found = read(tmp_path, cf2x().replace(OLD, NEW))
-    effects = found.robot.effects
+    result = read(tmp_path, cf2x().replace(OLD, NEW))
+    effects = result.robot.effects
     assert effects["ground_effect"] == {"k": 10.0}
     assert effects["h_force_flapping"] == {"kh": 8e-7, "kf": 0.0}
     assert effects["axial_inflow"] == {"ka": 9e-7}
     assert effects["downwash"] == pytest.approx({"force": 0.05, "sigma": 0.1})
-    assert found.robot.the_rotor("a test").radius == 0.02
-    assert found.robot.effects_source
-    assert sum("max_speed_kmh" in note and "arm" in note for note in found.notes) == 1
-    assert not any("drag_coeff" in note or "gnd_eff" in note for note in found.notes)
+    assert result.robot.the_rotor("a test").radius == 0.02
+    assert result.robot.effects_source
+    assert sum("max_speed_kmh" in note and "arm" in note for note in result.notes) == 1
+    assert not any("drag_coeff" in note or "gnd_eff" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(
@@ -50,10 +50,10 @@ def test_properties_become_effects(tmp_path: Path) -> None:
     ],
 )
 def test_properties_that_are_no_effect_are_named(attributes: str, named, tmp_path: Path) -> None:
-    found = read(tmp_path, cf2x().replace(OLD, attributes))
-    assert found.robot.effects == {}
+    result = read(tmp_path, cf2x().replace(OLD, attributes))
+    assert result.robot.effects == {}
     for name in named:
-        assert sum(name in note for note in found.notes) == 1
+        assert sum(name in note for note in result.notes) == 1
 
 
 def test_one_drag_coefficient_counts_along_all_axes(tmp_path: Path) -> None:
@@ -64,9 +64,9 @@ def test_one_drag_coefficient_counts_along_all_axes(tmp_path: Path) -> None:
 def test_properties_are_named_where_another_robot_gives_the_rotors(tmp_path: Path) -> None:
     from aerial_gym.robots import ROBOTS
 
-    found = read(tmp_path, cf2x(), RotorHints(spins=(1, -1, 1, -1), rotors_of=ROBOTS.get("crazyflie_21")))
-    assert found.robot.effects == {}
-    assert sum("kf" in note and "drag_coeff" in note for note in found.notes) == 1
+    result = read(tmp_path, cf2x(), RotorHints(spins=(1, -1, 1, -1), rotors_of=ROBOTS.get("crazyflie_21")))
+    assert result.robot.effects == {}
+    assert sum("kf" in note and "drag_coeff" in note for note in result.notes) == 1
 
 
 ARM = (
@@ -75,7 +75,7 @@ ARM = (
 )
 
 
-def tilting(kind: str = "revolute", axis: str = "0 1 0") -> str:
+def tilt_arm(kind: str = "revolute", axis: str = "0 1 0") -> str:
     """Return the Crazyflie with its first propeller on an arm that turns."""
     limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
     arm = (
@@ -96,9 +96,9 @@ FIXED_WING = WING.replace("libLiftDragPlugin", "librotors_gazebo_fw_dynamics_plu
 @pytest.mark.parametrize(
     "text",
     [
-        tilting(),
-        tilting(axis="0 0 1"),
-        tilting("prismatic", "0 0 1"),
+        tilt_arm(),
+        tilt_arm(axis="0 0 1"),
+        tilt_arm("prismatic", "0 0 1"),
         cf2x().replace("</robot>", f"{WING}</robot>"),
         cf2x().replace("</robot>", f"{FIXED_WING}</robot>"),
     ],
@@ -124,7 +124,7 @@ def test_a_floating_joint_to_a_world_without_mass_is_free_flight(tmp_path: Path)
 
 
 def test_a_joint_that_moves_is_no_loss(tmp_path: Path) -> None:
-    robot = read(tmp_path, tilting(), RotorHints(spins=(1, -1, 1, -1), lag=0.05, joints=True)).robot
+    robot = read(tmp_path, tilt_arm(), RotorHints(spins=(1, -1, 1, -1), lag=0.05, joints=True)).robot
     assert robot.joints is not None
     assert [mount.link for mount in robot.mounts.layout] == ["tilt", "base", "base", "base"]
 
@@ -132,7 +132,7 @@ def test_a_joint_that_moves_is_no_loss(tmp_path: Path) -> None:
 def test_rotors_are_in_the_order_of_the_links(tmp_path: Path) -> None:
     """Also those further from the root: spins are given in that order."""
     hints = RotorHints(spins=(1, -1, 1, -1), lag=0.05, accept_losses=True)
-    flat, deep = (read(tmp_path, text, hints).robot.mounts.layout for text in (cf2x(), tilting()))
+    flat, deep = (read(tmp_path, text, hints).robot.mounts.layout for text in (cf2x(), tilt_arm()))
     assert [mount.position for mount in deep] == [mount.position for mount in flat]
 
 
@@ -140,7 +140,7 @@ def test_a_link_without_gravity_is_carried(tmp_path: Path) -> None:
     off = '<gazebo reference="base_link"><turnGravityOff>true</turnGravityOff></gazebo>'
     with pytest.raises(ConfigError):  # nothing is left to lift, and the rotors' lowest thrust is 0
         read(tmp_path, cf2x().replace("</robot>", f"{off}{WING}</robot>"))
-    arm = tilting("fixed").replace("</robot>", off.replace("base_link", "arm") + "</robot>")
+    arm = tilt_arm("fixed").replace("</robot>", off.replace("base_link", "arm") + "</robot>")
     robot = read(tmp_path, arm).robot
     assert robot.effects["buoyancy"]["force"] == pytest.approx(0.001 * 9.81)
 

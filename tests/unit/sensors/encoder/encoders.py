@@ -5,7 +5,7 @@ import torch
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import sensor_by_name
-from aerial_gym.sensors.encoder.file import Encoder, seen_by
+from aerial_gym.sensors.encoder.file import Encoder, encoder_image
 from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
 
 ROBOT = "base_quadrotor_with_coarse_camera"
@@ -13,14 +13,14 @@ ROBOT = "base_quadrotor_with_coarse_camera"
 
 def coarse_camera() -> RangeSensorCfg:
     """Return the sensor of ``ROBOT``."""
-    found = sensor_by_name(str(ROBOTS.get(ROBOT).sensors[0]))
-    assert isinstance(found, RangeSensorCfg)
-    return found
+    result = sensor_by_name(str(ROBOTS.get(ROBOT).sensors[0]))
+    assert isinstance(result, RangeSensorCfg)
+    return result
 
 
-def drawn_encoder(*, latents: int = 64, seed: int = 0) -> Encoder:
+def random_encoder(*, latents: int = 64, seed: int = 0) -> Encoder:
     """Return an encoder of random weights for the coarse camera."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = Autoencoder(AutoencoderCfg(rows=24, columns=40, latents=latents, channels=(4, 8)))
-    return Encoder(network, seen_by(coarse_camera()), trained={"robot": ROBOT})
+    return Encoder(network, encoder_image(coarse_camera()), trained={"robot": ROBOT})

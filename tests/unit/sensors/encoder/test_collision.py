@@ -12,37 +12,37 @@ from aerial_gym.sensors.encoder.collision import collision_distance
 RADIUS, LARGEST = 0.3, 50.0
 
 
-def row_of(*angles: float) -> Tensor:
+def ray_row(*angles: float) -> Tensor:
     """Return unit rays in the plane of x and y at some angles [rad], (1, W, 3)."""
     at = torch.tensor(angles, dtype=torch.float64)
     return torch.stack((at.cos(), at.sin(), torch.zeros_like(at)), dim=-1).unsqueeze(0)
 
 
-def flown(distances: list[float], *angles: float, radius: float = RADIUS) -> Tensor:
+def nearest_collision(distances: list[float], *angles: float, radius: float = RADIUS) -> Tensor:
     seen = torch.tensor(distances, dtype=torch.float64).view(1, 1, -1)
-    return collision_distance(seen, row_of(*angles), radius=radius, largest=LARGEST)[0, 0]
+    return collision_distance(seen, ray_row(*angles), radius=radius, largest=LARGEST)[0, 0]
 
 
 def test_ball_touches_a_point_where_its_centre_is_a_radius_away() -> None:
     """|p - t u| = r with p on the second ray: t = p.u - sqrt(r² - |p x u|²) is the smaller root."""
     point, angle = 2.0, 0.1
-    t, own = flown([LARGEST, point], 0.0, angle)
-    place = point * row_of(angle)[0, 0]
-    assert float((place - t * row_of(0.0)[0, 0]).norm()) == pytest.approx(RADIUS, abs=1e-12)
+    t, own = nearest_collision([LARGEST, point], 0.0, angle)
+    place = point * ray_row(angle)[0, 0]
+    assert float((place - t * ray_row(0.0)[0, 0]).norm()) == pytest.approx(RADIUS, abs=1e-12)
     assert t < point
     assert float(own) == pytest.approx(point - RADIUS, abs=1e-12)
 
 
 def test_ball_passes_a_point_that_is_further_beside_its_way_than_its_radius() -> None:
     """|p| sin(angle) = 0.31 > 0.3: nothing is touched; at 0.29 it is."""
-    assert float(flown([LARGEST, 0.31 / 0.5], 0.0, torch.pi / 6)[0]) == LARGEST
-    assert float(flown([LARGEST, 0.29 / 0.5], 0.0, torch.pi / 6)[0]) < 0.6
+    assert float(nearest_collision([LARGEST, 0.31 / 0.5], 0.0, torch.pi / 6)[0]) == LARGEST
+    assert float(nearest_collision([LARGEST, 0.29 / 0.5], 0.0, torch.pi / 6)[0]) < 0.6
 
 
 def test_points_behind_are_left_behind_and_points_within_the_ball_stop_it() -> None:
     """A point 120 degrees beside the ray, 0.32 m away, lies closer to its line than r, but the ball moves away from it."""
-    assert float(flown([LARGEST, 0.32], 0.0, 2.0 * torch.pi / 3)[0]) == LARGEST
-    assert float(flown([LARGEST, 0.25], 0.0, 2.0 * torch.pi / 3)[0]) == 0.0
+    assert float(nearest_collision([LARGEST, 0.32], 0.0, 2.0 * torch.pi / 3)[0]) == LARGEST
+    assert float(nearest_collision([LARGEST, 0.25], 0.0, 2.0 * torch.pi / 3)[0]) == 0.0
 
 
 def test_ball_stops_a_radius_before_a_wall() -> None:

@@ -8,25 +8,25 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg, divergence, negative_evidence
 
 
-def drawn(*shape: int, seed: int = 0) -> torch.Tensor:
+def draw(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
 def test_divergence_is_that_of_normal_distributions() -> None:
-    mean, log_variance = drawn(5, 3), drawn(5, 3, seed=1)
+    mean, log_variance = draw(5, 3), draw(5, 3, seed=1)
     expected = kl_divergence(Normal(mean, (0.5 * log_variance).exp()), Normal(0.0, 1.0)).sum(-1)
     torch.testing.assert_close(divergence(mean, log_variance), expected, atol=1e-12, rtol=0.0)
 
 
 def test_evidence_is_that_of_the_deviation_which_explains_best() -> None:
     """Per image ``-ln p = P/2 (ln(2 pi sigma²) + 1)`` where sigma² is the mean square; the constant is left out."""
-    images, decoded = drawn(4, 6, 5), drawn(4, 6, 5, seed=1)
-    nothing = torch.zeros(4, 2, dtype=torch.float64)
+    images, decoded = draw(4, 6, 5), draw(4, 6, 5, seed=1)
+    empty = torch.zeros(4, 2, dtype=torch.float64)
     sigma = (images - decoded).square().mean().sqrt()
     likelihood = Normal(decoded, sigma).log_prob(images).flatten(1).sum(-1).mean()
     constant = 0.5 * 30 * (torch.log(torch.tensor(2.0 * torch.pi, dtype=torch.float64)) + 1.0)
-    found = negative_evidence(images, decoded, nothing, nothing)
-    torch.testing.assert_close(found + constant, -likelihood, atol=1e-9, rtol=0.0)
+    result = negative_evidence(images, decoded, empty, empty)
+    torch.testing.assert_close(result + constant, -likelihood, atol=1e-9, rtol=0.0)
     for other in (0.9, 1.1):  # no other deviation explains them better
         worse = Normal(decoded, other * sigma).log_prob(images).flatten(1).sum(-1).mean()
         assert worse < likelihood

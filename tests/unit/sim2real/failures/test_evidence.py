@@ -17,7 +17,7 @@ from aerial_gym.sim2real.failures.rotor_work import RotorWork
 LEAST, SHARE, LENGTH = 0.003, 0.7, 0.1
 
 
-def work_of(seed: int, blocks: int = 24, rotors: int = 3, columns: int = 2) -> RotorWork:
+def make_work(seed: int, blocks: int = 24, rotors: int = 3, columns: int = 2) -> RotorWork:
     """Return blocks with noise alone, whose numbers mean nothing."""
     rng = np.random.default_rng(seed)
     own = 1.0 + 0.2 * rng.standard_normal((blocks, rotors))
@@ -47,14 +47,14 @@ def least_squares(evidence: Evidence, rotor: int, column: np.ndarray | None) -> 
     base = np.vstack((columns, penalty))
     beside = ends - base @ np.linalg.lstsq(base, ends, rcond=None)[0]
     a, b = np.column_stack((base, ends)), np.concatenate((target, zeros))
-    found = np.linalg.lstsq(a, b, rcond=None)[0]
-    return float(np.sum((b - a @ found) ** 2)), float(found[-1]), float(beside @ beside)
+    result = np.linalg.lstsq(a, b, rcond=None)[0]
+    return float(np.sum((b - a @ result) ** 2)), float(result[-1]), float(beside @ beside)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_sums_give_the_least_squares_of_every_onset_of_a_change(seed: int) -> None:
     """Change, squares and log odds as by solving each of the K R problems from its rows, but for the ridge of a change."""
-    work = work_of(seed)
+    work = make_work(seed)
     evidence = Evidence(work, LEAST)
     onsets = evidence.changes("motor_failure", SHARE)
     none = [least_squares(evidence, rotor, None)[0] for rotor in range(3)]
@@ -72,7 +72,7 @@ def test_sums_give_the_least_squares_of_every_onset_of_a_change(seed: int) -> No
 
 
 def test_sums_give_every_beginning_and_end_of_a_brown_out() -> None:
-    work = work_of(5)
+    work = make_work(5)
     evidence = Evidence(work, LEAST)
     onsets = evidence.brown_outs("brown_out", SHARE)
     for begin, lasting in ((6, 3), (10, 1), (9, LONGEST)):
@@ -86,9 +86,9 @@ def test_sums_give_every_beginning_and_end_of_a_brown_out() -> None:
 
 
 def test_sums_give_every_onset_of_a_rotor_that_sticks() -> None:
-    work = work_of(6)
+    work = make_work(6)
     evidence = Evidence(work, LEAST)
-    onsets = evidence.stuck("stuck_rotor", SHARE)
+    onsets = evidence.freeze_odds("stuck_rotor", SHARE)
     for onset in (5, 12, 22):
         for rotor in range(3):
             early = Evidence(work.rows(slice(0, onset)), LEAST)
@@ -110,13 +110,13 @@ def test_log_evidence_is_the_integral_over_the_parameter() -> None:
     change = along / (inner + variance / scale**2)
     rss = count * variance - 2.0 * change * along + change**2 * inner
     prior = Prior(away=np.array(change), scale=scale, normal=True)
-    found = log_evidence(variance, np.array(rss / count), count, prior, np.array(inner))
+    result = log_evidence(variance, np.array(rss / count), count, prior, np.array(inner))
     exact = 0.5 * along**2 / variance / (inner + variance / scale**2) - 0.5 * np.log1p(inner * scale**2 / variance)
-    assert float(found) == pytest.approx(exact, abs=1e-3)
+    assert float(result) == pytest.approx(exact, abs=1e-3)
 
 
 def test_too_little_before_or_after_is_no_onset() -> None:
-    odds = Evidence(work_of(7), LEAST).changes("motor_failure").log_odds
+    odds = Evidence(make_work(7), LEAST).changes("motor_failure").log_odds
     assert np.isneginf(odds[:FEWEST_BEFORE]).all()
     assert np.isneginf(odds[24 - FEWEST_AFTER["speed"] + 1 :]).all()
     assert np.isfinite(odds[FEWEST_BEFORE : 24 - FEWEST_AFTER["speed"] + 1]).all()

@@ -7,9 +7,9 @@ import pytest
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, least_log_odds, same_in_all, until_failure
-from aerial_gym.sim2real.failures.scan import _risen
+from aerial_gym.sim2real.failures.scan import _lag_response
 from aerial_gym.sim2real.logs.flights import Flight
-from tests.unit.sim2real.failures.test_evidence import work_of
+from tests.unit.sim2real.failures.test_evidence import make_work
 from tests.unit.sim2real.flat_flights import ROBOT
 
 
@@ -92,8 +92,10 @@ def test_the_limit_is_that_of_blocks_between_false_alarms() -> None:
 
 def test_a_change_rises_in_blocks_as_the_lag_lets_it() -> None:
     """The mean over a block of ``1 - exp(-(t - t0) / lag)``, by a sum over 10,000 instants."""
-    work, begin = work_of(1), np.array([0.53, 0.6])
+    work, begin = make_work(1), np.array([0.53, 0.6])
     at = work.time[:, None] + work.length * (np.arange(10000) + 0.5) / 10000
     for row, start in enumerate(begin):
         since = np.clip(at - start, 0.0, None)
-        np.testing.assert_allclose(_risen(work, begin)[row], (1.0 - np.exp(-since / work.lag)).mean(axis=1), atol=1e-7)
+        np.testing.assert_allclose(
+            _lag_response(work, begin)[row], (1.0 - np.exp(-since / work.lag)).mean(axis=1), atol=1e-7
+        )

@@ -9,9 +9,9 @@ import pytest
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import RotorWork
-from aerial_gym.sim2real.failures.scan import causes_of, sum_of_odds
+from aerial_gym.sim2real.failures.scan import rank_causes, sum_of_odds
 from aerial_gym.sim2real.failures.sensor_faults import SensorFault
-from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, Watch
+from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -20,55 +20,55 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 ONSET, LEFT = 6.0, 0.9
 
 
-def failing() -> pd.DataFrame:
+def failure_table() -> pd.DataFrame:
     """Return a flight whose second rotor gives 0.9 of its thrust from 6 s on: it turns faster for what it gives."""
     table = flight(3, noise=1.0)
     table.loc[table["t"] >= ONSET, "rotor_2"] /= np.sqrt(LEFT)
     return table
 
 
-def told_of(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> list[Alarm]:
-    """Return what is told of some rows of a table."""
-    watch = Watch(ROBOT, list(table.columns))
-    return [alarm for row in table.to_numpy()[kept] for alarm in watch.add(row)] + watch.ended()
+def run_watch(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> list[Alarm]:
+    """Return the alarms of a watch over some rows of a table."""
+    watch = FlightWatch(ROBOT, list(table.columns))
+    return [alarm for row in table.to_numpy()[kept] for alarm in watch.add(row)] + watch.finish()
 
 
 def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
     """Looks are half a second apart, an onset needs blocks after it, and a name needs two seconds."""
-    suspected, named = told_of(failing())
+    suspected, named = run_watch(failure_table())
     assert (suspected.stage, named.stage) == (SUSPECTED, NAMED)
     assert ONSET < suspected.told_s < ONSET + 1.6
     assert ONSET + SETTLED_S <= named.told_s < ONSET + SETTLED_S + 0.6
-    found = named.failure
-    assert (found.name, found.params["motor"]) == ("weak_motor", 2.0)
-    assert found.params["scale"] == pytest.approx(LEFT, abs=4.0 * found.std["scale"])
-    assert found.params["time"] == pytest.approx(ONSET, abs=4.0 * found.std["time"])
-    assert named.as_mapping()["delay_s"] == pytest.approx(named.told_s - found.time)
+    result = named.failure
+    assert (result.name, result.params["motor"]) == ("weak_motor", 2.0)
+    assert result.params["scale"] == pytest.approx(LEFT, abs=4.0 * result.std["scale"])
+    assert result.params["time"] == pytest.approx(ONSET, abs=4.0 * result.std["time"])
+    assert named.as_mapping()["delay_s"] == pytest.approx(named.told_s - result.time)
 
 
 def test_the_whole_flight_tells_the_same(tmp_path: Path) -> None:
-    log = read_flight_log(write(failing(), tmp_path / "a.csv"))
-    found = FailureFinder(ROBOT).find_first(complete_flight(log))
-    assert found is not None
-    assert (found.name, found.params["motor"]) == ("weak_motor", 2.0)
-    assert found.params["scale"] == pytest.approx(LEFT, abs=4.0 * found.std["scale"])
+    log = read_flight_log(write(failure_table(), tmp_path / "a.csv"))
+    result = FailureFinder(ROBOT).find_first(complete_flight(log))
+    assert result is not None
+    assert (result.name, result.params["motor"]) == ("weak_motor", 2.0)
+    assert result.params["scale"] == pytest.approx(LEFT, abs=4.0 * result.std["scale"])
 
 
 def test_a_flight_without_a_failure_tells_nothing() -> None:
-    assert told_of(flight(3, noise=1.0)) == []
+    assert run_watch(flight(3, noise=1.0)) == []
 
 
 def test_a_log_that_ends_early_names_what_is_suspected() -> None:
-    table = failing()
-    alarms = told_of(table, np.asarray(table["t"] < ONSET + 1.8))
+    table = failure_table()
+    alarms = run_watch(table, np.asarray(table["t"] < ONSET + 1.8))
     assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
     assert alarms[1].told_s < ONSET + 1.8
 
 
 def test_a_gap_begins_anew() -> None:
     """What was before it is forgotten: the rotor that gives less after it does so all along."""
-    table = failing()
-    assert told_of(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET))) == []
+    table = failure_table()
+    assert run_watch(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET))) == []
 
 
 def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
@@ -76,7 +76,7 @@ def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
     table = flight(3, noise=1.0)
     there = (table["t"] >= ONSET) & (table["t"] < ONSET + 2.0)
     table.loc[there, "p_x"] += 1.0
-    alarms = told_of(table)
+    alarms = run_watch(table)
     assert [alarm.failure.name for alarm in alarms] == ["position_jump"] * 2
     for alarm, time, size in zip(alarms, (ONSET, ONSET + 2.0), (1.0, -1.0), strict=True):
         assert alarm.failure.time == pytest.approx(time, abs=0.05)
@@ -96,7 +96,7 @@ def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns
     table = flight(3, noise=1.0)
     gone = (table["t"] >= ONSET) & (table["t"] < ONSET + 1.5)
     table.loc[gone, columns] = np.nan if empty else table.loc[~gone & (table["t"] < ONSET), columns].to_numpy()[-1]
-    (alarm,) = told_of(table)
+    (alarm,) = run_watch(table)
     assert isinstance(alarm.failure, SensorFault)
     assert (alarm.failure.name, alarm.failure.sensor) == ("sensor_dropout", sensor)
     assert alarm.failure.time == pytest.approx(ONSET, abs=0.01)
@@ -111,7 +111,7 @@ def test_a_sensor_that_never_comes_back_is_told_once() -> None:
         table["t"] < ONSET, ["v_x", "v_y", "v_z"]
     ].to_numpy()[-1]
     table.loc[(table["t"] > 8.0) & (table["t"] < 9.0), ["omega_x", "omega_y", "omega_z"]] *= 1e-3
-    (alarm,) = told_of(table)
+    (alarm,) = run_watch(table)
     assert (alarm.failure.name, alarm.failure.params["time"]) == ("sensor_dropout", pytest.approx(ONSET, abs=0.01))
 
 
@@ -120,7 +120,7 @@ def test_a_position_is_watched_again_after_it_stood_still() -> None:
     columns, gone = ["p_x", "p_y", "p_z"], (table["t"] >= 4.0) & (table["t"] < 5.0)
     table.loc[gone, columns] = table.loc[table["t"] < 4.0, columns].to_numpy()[-1]
     table.loc[table["t"] >= 11.0, "p_y"] -= 2.0
-    stopped, jumped = told_of(table)
+    stopped, jumped = run_watch(table)
     assert (stopped.failure.name, jumped.failure.name) == ("sensor_dropout", "position_jump")
     assert jumped.failure.time == pytest.approx(11.0, abs=0.05)
     assert jumped.failure.params["y"] == pytest.approx(-2.0, abs=0.05)
@@ -129,7 +129,7 @@ def test_a_position_is_watched_again_after_it_stood_still() -> None:
 def test_a_jump_is_told_after_a_gap_and_none_is_made_of_the_gap() -> None:
     table = flight(3, noise=1.0, seconds=14.0)
     table.loc[table["t"] >= 11.0, "p_z"] += 1.0
-    (alarm,) = told_of(table, np.asarray((table["t"] < 4.0) | (table["t"] > 4.6)))
+    (alarm,) = run_watch(table, np.asarray((table["t"] < 4.0) | (table["t"] > 4.6)))
     assert alarm.failure.name == "position_jump"
     assert alarm.failure.time == pytest.approx(11.0, abs=0.05)
     assert alarm.failure.params["z"] == pytest.approx(1.0, abs=0.02)
@@ -138,24 +138,24 @@ def test_a_jump_is_told_after_a_gap_and_none_is_made_of_the_gap() -> None:
 def test_what_cannot_be_watched_is_refused() -> None:
     columns = list(flight(3, seconds=1.0).columns)
     with pytest.raises(DataError, match="no column 'omega_x'"):
-        Watch(ROBOT, [column for column in columns if column != "omega_x"])
+        FlightWatch(ROBOT, [column for column in columns if column != "omega_x"])
     with pytest.raises(DataError, match="neither rotor_1"):
-        Watch(ROBOT, [column for column in columns if not column.startswith("rotor")])
-    watch = Watch(ROBOT, columns)
+        FlightWatch(ROBOT, [column for column in columns if not column.startswith("rotor")])
+    watch = FlightWatch(ROBOT, columns)
     with pytest.raises(DataError, match="a row has 3 fields"):
         watch.add([1.0, 2.0, 3.0])
 
 
 def test_bad_rows_change_nothing_that_is_told() -> None:
     """Absurd, zero, missing and repeated stamps, rows without attitude: the same alarms within a few rows."""
-    table = failing()
+    table = failure_table()
     bad = table.copy()
     bad.loc[[300, 700, 1300], "t"] = [99.0, 0.0, np.nan]
     bad.loc[900, ["q_x", "q_y", "q_z", "q_w"]] = 0.0
     bad.loc[1000, "t"] = bad.loc[999, "t"]
-    watch = Watch(ROBOT, list(bad.columns))
-    alarms = [alarm for row in bad.to_numpy() for alarm in watch.add(row)] + watch.ended()
-    clean = told_of(table)
+    watch = FlightWatch(ROBOT, list(bad.columns))
+    alarms = [alarm for row in bad.to_numpy() for alarm in watch.add(row)] + watch.finish()
+    clean = run_watch(table)
     assert [alarm.stage for alarm in alarms] == [alarm.stage for alarm in clean]
     assert alarms[-1].failure.params["motor"] == clean[-1].failure.params["motor"]
     assert alarms[-1].failure.time == pytest.approx(clean[-1].failure.time, abs=0.05)
@@ -164,20 +164,20 @@ def test_bad_rows_change_nothing_that_is_told() -> None:
 
 def test_a_clock_that_is_set_back_in_flight_is_followed() -> None:
     """The failure is named as much later as it is without the step."""
-    table = failing().assign(t=lambda rows: rows["t"] - 2.0 * (rows.index >= 600))
-    watch = Watch(ROBOT, list(table.columns))
-    alarms = [alarm for row in table.to_numpy() for alarm in watch.add(row)] + watch.ended()
+    table = failure_table().assign(t=lambda rows: rows["t"] - 2.0 * (rows.index >= 600))
+    watch = FlightWatch(ROBOT, list(table.columns))
+    alarms = [alarm for row in table.to_numpy() for alarm in watch.add(row)] + watch.finish()
     assert (watch.bad_rows, watch.clock_steps) == (0, 1)
     assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
     assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
 
 
-def test_a_late_block_of_rows_is_left_out_while_the_watch_goes_on() -> None:
+def test_a_late_block_of_rows_is_left_out_while_the_watch_continues() -> None:
     """Two blocks of 40 rows in exchanged order before the failure: the later one is missed, and no clock was set back."""
-    table, rows = failing(), np.arange(len(failing()))
+    table, rows = failure_table(), np.arange(len(failure_table()))
     rows[400:480] = np.roll(rows[400:480], 40)
-    watch = Watch(ROBOT, list(table.columns))
-    alarms = [alarm for row in table.to_numpy()[rows] for alarm in watch.add(row)] + watch.ended()
+    watch = FlightWatch(ROBOT, list(table.columns))
+    alarms = [alarm for row in table.to_numpy()[rows] for alarm in watch.add(row)] + watch.finish()
     assert (watch.bad_rows, watch.clock_steps) == (40, 0)
     assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
     assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
@@ -203,5 +203,5 @@ def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:
             own=own,
             beside=np.stack((own, rng.standard_normal(own.shape)), axis=-1),
         )
-        passed += sum_of_odds(causes_of([work], Tolerances(thrust=1e-3))) > np.log(20.0 * blocks)
+        passed += sum_of_odds(rank_causes([work], Tolerances(thrust=1e-3))) > np.log(20.0 * blocks)
     assert passed <= 19

@@ -13,13 +13,13 @@ from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.learned import OUTPUTS, Learned, _Trainer, judge_on_test, train_residual
-from aerial_gym.sim2real.identify.least_squares.moments import block_moments, weights_from
+from aerial_gym.sim2real.identify.learned import OUTPUTS, ResidualFit, _Trainer, judge_on_test, train_residual
+from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.physics.vehicles import random_network
@@ -30,7 +30,7 @@ CUBIC = 0.08
 FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
 
 
-def flown(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path], Path]:
+def fly(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path], Path]:
     """Return three training flights and a test flight."""
     paths = [
         write(flight(20 + n, noise=1.0, seconds=seconds, rate=100.0, cubic=cubic), folder / f"f{n}.csv")
@@ -39,40 +39,40 @@ def flown(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Pat
     return paths[:3], paths[3]
 
 
-def predictor_of(flights: list[Flight]) -> Predictor:
+def make_predictor(flights: list[Flight]) -> Predictor:
     return Predictor(
         ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances()
     )  # fmt: skip
 
 
-def left_out_of(predictor: Predictor) -> LeftOut:
+def make_judge(predictor: Predictor) -> LeftOut:
     """Return the judge of a loop without effects."""
-    residuals = predictor.residuals(declared_params(ROBOT))
+    residuals = predictor.residuals(params_from_robot(ROBOT))
     blocks = block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals])
     return LeftOut(
         count=blocks.count,
         flight=blocks.flight,
-        weights=weights_from(residuals),
+        weights=inverse_variance_weights(residuals),
         criteria=Criteria(),
         channels=predictor.channels,
         tolerated=np.full(len(predictor.channels), 0.02),
     )
 
 
-def learn(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[Learned, list[Flight]]:
-    train, test = flown(folder, cubic, seconds=seconds)
+def learn(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[ResidualFit, list[Flight]]:
+    train, test = fly(folder, cubic, seconds=seconds)
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
-    predictor, params = predictor_of(fit), declared_params(ROBOT)
-    learned = train_residual(predictor, params, left_out_of(predictor))
-    return judge_on_test(learned, predictor_of(held), params, None), held
+    predictor, params = make_predictor(fit), params_from_robot(ROBOT)
+    learned = train_residual(predictor, params, make_judge(predictor))
+    return judge_on_test(learned, make_predictor(held), params, None), held
 
 
 @pytest.fixture(scope="module")
-def cubic(tmp_path_factory: pytest.TempPathFactory) -> tuple[Learned, list[Flight]]:
+def cubic(tmp_path_factory: pytest.TempPathFactory) -> tuple[ResidualFit, list[Flight]]:
     return learn(tmp_path_factory.mktemp("cubic"), CUBIC)
 
 
-def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tuple[Learned, list[Flight]]) -> None:
+def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tuple[ResidualFit, list[Flight]]) -> None:
     """At least four fifths of the force's mean square are taken on the test flight; the torque, which is noise, stays zero."""
     learned, held = cubic
     assert learned.effect is not None
@@ -81,33 +81,33 @@ def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tup
     assert learned.cfg is not None
     assert learned.cfg.limit[3:] == (0.0, 0.0, 0.0)
     assert 0 <= learned.rows_outside < 0.1 * learned.rows
-    params, with_it = declared_params(ROBOT), replace(declared_params(ROBOT), learned=learned.effect)
+    params, with_it = params_from_robot(ROBOT), replace(params_from_robot(ROBOT), learned=learned.effect)
     errors = [roll_out(ROBOT, held, p, horizons=(0.1, 0.5), given_attitude=True).velocity for p in (params, with_it)]
     rms = [np.sqrt(np.mean(np.square(e), axis=0)) for e in errors if e is not None]
     assert (rms[1] < 0.5 * rms[0]).all()
 
 
-def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[Learned, list[Flight]]) -> None:
+def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[ResidualFit, list[Flight]]) -> None:
     learned, held = cubic
     assert learned.cfg is not None
     far = tuple(tuple(100.0 * number for number in row) for row in learned.cfg.whitening)
     narrow = replace(learned, cfg=replace(learned.cfg, whitening=far))
-    judged = judge_on_test(narrow, predictor_of(held), declared_params(ROBOT), None)
+    judged = judge_on_test(narrow, make_predictor(held), params_from_robot(ROBOT), None)
     assert judged.rows_outside == judged.rows > 0
     assert set(judged.gaps.values()) == {0.0}
 
 
 def test_training_repeats_itself(tmp_path: Path) -> None:
     """Same rows and seed, same numbers; torque is J times acceleration."""
-    train, test = flown(tmp_path, CUBIC)
+    train, test = fly(tmp_path, CUBIC)
     fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0)
-    predictor = predictor_of(fit)
-    trainer = _Trainer(predictor, declared_params(ROBOT), left_out_of(predictor), 0)
+    predictor = make_predictor(fit)
+    trainer = _Trainer(predictor, params_from_robot(ROBOT), make_judge(predictor), 0)
     first = trainer.train(0.01)
     np.testing.assert_array_equal(first.flat(), trainer.train(0.01).flat())
     constant = replace(first, output=0.0 * first.output, offset=torch.eye(6, dtype=torch.float64)[4])
-    turning = trainer.cfg_of(constant).output.bias  # J times the rms of angular acceleration y
-    rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(declared_params(ROBOT)))[:, 4] ** 2))
+    turning = trainer.network_config(constant).output.bias  # J times the rms of angular acceleration y
+    rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(params_from_robot(ROBOT)))[:, 4] ** 2))
     np.testing.assert_allclose(turning, (0.0, 0.0, 0.0, 0.0, 2.4e-3 * rms, 0.0), rtol=1e-5)
 
 
@@ -120,15 +120,15 @@ def test_noise_is_not_learned(tmp_path: Path) -> None:
 
 
 def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path: Path) -> None:
-    train, test = flown(tmp_path, CUBIC)
+    train, test = fly(tmp_path, CUBIC)
     fit, _ = load_train_and_test(ROBOT, train, [test], None, 10.0)
-    predictor = predictor_of(fit)
-    judge = left_out_of(predictor)
-    again = declared_params(replace(ROBOT, learned_residual=random_network(4)))
+    predictor = make_predictor(fit)
+    judge = make_judge(predictor)
+    again = params_from_robot(replace(ROBOT, learned_residual=random_network(4)))
     with pytest.raises(ConfigError, match="already has a learned_residual"):
         train_residual(predictor, again, judge)
     predictor.flights = tuple(replace(f, lin_vel=None) for f in fit)
-    assert train_residual(predictor, declared_params(ROBOT), judge).objections == (Finding("no_velocity"),)
+    assert train_residual(predictor, params_from_robot(ROBOT), judge).objections == (Finding("no_velocity"),)
 
 
 @pytest.mark.slow
@@ -137,16 +137,16 @@ def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
 
     Only drag is looked for, to save time.
     """
-    train, test = flown(tmp_path, CUBIC)
+    train, test = fly(tmp_path, CUBIC)
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT), encoding="utf-8")
     out = tmp_path / "out"
     effects = ("rotor_drag", "quadratic_drag")
-    found = close_loop(tmp_path / "robot.yaml", train, [test], out, effects=effects, learn_residual=True)
+    result = close_loop(tmp_path / "robot.yaml", train, [test], out, effects=effects, learn_residual=True)
     verdict = json.loads((out / "verdict.json").read_text())
     assert verdict["verdict"] == "unexplained"
     *named, last = verdict["effects"]
     assert named
-    assert [effect["name"] for effect in named] == [effect.name for effect in found.effects]
+    assert [effect["name"] for effect in named] == [effect.name for effect in result.effects]
     assert (last["name"], last["params"]) == ("learned_residual", {})
     assert last["share_of_gap"]["specific_force.y"] > 0.3
     assert last["rows_outside"] <= last["rows"]
@@ -154,7 +154,7 @@ def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     assert robot.learned_residual is not None
     assert "f0, f1, f2" in robot.learned_residual.source
     held = load_train_and_test(ROBOT, train, [test], None, 10.0)[1]
-    residual = np.concatenate(predictor_of(held).residuals(declared_params(robot)))
+    residual = np.concatenate(make_predictor(held).residuals(params_from_robot(robot)))
     after = [verdict["after"]["specific_force"][axis]["rms"] for axis in "xyz"]
     np.testing.assert_allclose(np.sqrt(np.mean(residual[:, :3] ** 2, axis=0)), after, rtol=1e-9)
     for report in ("report.md", "report.html"):

@@ -7,11 +7,11 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.select import Rival
-from aerial_gym.sim2real.judge.ablation import Ablation, rejection, solid_below
+from aerial_gym.sim2real.judge.ablation import Ablation, rejection, reliable_band
 from aerial_gym.sim2real.judge.evaluation import gap_closed
 from aerial_gym.sim2real.judge.verdict import immaterial
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
-from tests.unit.sim2real.fitted_sets import fitted
+from tests.unit.sim2real.set_fits import make_fit
 
 
 def test_the_gap_closed_is_the_share_of_what_lies_above_the_floor() -> None:
@@ -64,10 +64,10 @@ def worth(residual: tuple[float, float, float], rollout: tuple[float, float, flo
 def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(
     residual: tuple, rollout: tuple, material: bool | None
 ) -> None:
-    found = worth(residual, rollout)
-    assert found.material is material
+    result = worth(residual, rollout)
+    assert result.material is material
     value, low, high = residual
-    assert found.as_mapping()["residual"] == {"channel": "specific_force.y", "rises": value, "interval": [low, high]}
+    assert result.as_mapping()["residual"] == {"channel": "specific_force.y", "rises": value, "interval": [low, high]}
 
 
 def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> None:
@@ -88,7 +88,7 @@ def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> Non
 )
 def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octaves: tuple, edge: float | None) -> None:
     """5 % of the rms are 9.75 % of the power."""
-    assert solid_below(octaves, 10.0, 0.05) == edge
+    assert reliable_band(octaves, 10.0, 0.05) == edge
 
 
 @pytest.mark.parametrize(
@@ -101,5 +101,5 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
     ],
 )
 def test_why_a_rival_is_not_the_one_is_said(log_odds: float, wider: bool, because: Finding) -> None:
-    rival = Rival(effect="wind_shear", fitted=fitted("wind_shear"), log_odds=log_odds, wider=wider)
+    rival = Rival(effect="wind_shear", fitted=make_fit("wind_shear"), log_odds=log_odds, wider=wider)
     assert rejection("constant_wind", rival) == because

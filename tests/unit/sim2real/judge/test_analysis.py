@@ -7,28 +7,28 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisance
+from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.analysis import (
     about_logs,
-    corrected_robot,
+    correct_robot,
     open_notes,
     own_notes,
-    strained_notes,
+    strain_notes,
     surrogate_notes,
 )
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import hover
+from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_selection
 
 RANDOM = {"gusts": {"std": 1.5, "corr_time": 0.8}, "random_force": {"x": 0.1, "y": 0.1, "z": 0.2, "hold": 0.01}}
 FORCES = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
 
 
-def notes_of(size: float, left: list[float]) -> list[Finding]:
+def mass_notes(size: float, left: list[float]) -> list[Finding]:
     """Return the notes where the mass is off by ``size`` deviations, which leaves such forces in place of 0.2 m/s²."""
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("mass")] = size
@@ -38,7 +38,7 @@ def notes_of(size: float, left: list[float]) -> list[Finding]:
     model, least = SimpleNamespace(effects={}), Criteria().material
     unexplained = SimpleNamespace(deviation=deviation, left=[np.outer([1.0, -1.0], left)])
     named = SimpleNamespace(residual=[SimpleNamespace(value=0.2)] * 3)
-    return strained_notes(declared, model, least, unexplained, named)  # type: ignore[arg-type]
+    return strain_notes(declared, model, least, unexplained, named)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -52,16 +52,16 @@ def test_of_a_strained_tolerance_it_is_said_what_it_changes(
     left: list[float], changed: dict[str, tuple[float, float]]
 ) -> None:
     """Better and worse, and not what changes by less than is material; nothing where no tolerance is strained."""
-    first, last = notes_of(4.0, left)
+    first, last = mass_notes(4.0, left)
     assert first == Finding("tolerance_strained", "mass", {"deviation_std": 4.0})
     assert last.code == ("strained_changes" if changed else "strained_changes_little")
     errors = {row["channel"]: (row["with_m_s2"], row["without_m_s2"]) for row in last.values.get("errors", ())}
     assert errors == {channel: pytest.approx(pair) for channel, pair in changed.items()}
-    assert notes_of(2.0, left) == []
+    assert mass_notes(2.0, left) == []
 
 
 def logs(count: int, *, band: float) -> SimpleNamespace:
-    """Return what is declared beside flights of 50 and more rows per second, asked to be compared below 10 Hz."""
+    """Return stand-ins of flights with rates of 50, 51, ... Hz, and a requested bandwidth of 10 Hz."""
     flights = [SimpleNamespace(name=f"f{n}", notes=(), rate=50.0 + n) for n in range(count)]
     return SimpleNamespace(
         flights=flights, bandwidth=band, asked_bandwidth=10.0, train=SimpleNamespace(flights=flights)
@@ -79,8 +79,8 @@ def logs(count: int, *, band: float) -> SimpleNamespace:
 )
 def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
     """Three flights, compared as far as was asked, are worth no note."""
-    found = about_logs(logs(count, band=band))  # type: ignore[arg-type]
-    assert {note.code: note.values for note in found} == told
+    result = about_logs(logs(count, band=band))  # type: ignore[arg-type]
+    assert {note.code: note.values for note in result} == told
 
 
 def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
@@ -91,31 +91,31 @@ def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
 
 
 def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
-    chosen = chosen_of(fitted(), surrogates={"thrust_coefficient": "time"})
-    (note,) = surrogate_notes(selection_of(chosen))
+    chosen = make_choice(make_fit(), surrogates={"thrust_coefficient": "time"})
+    (note,) = surrogate_notes(make_selection(chosen))
     assert note == Finding("stands_in", "thrust_coefficient", {"structure": "time"})
-    assert surrogate_notes(selection_of(chosen_of(fitted()))) == []
+    assert surrogate_notes(make_selection(make_choice(make_fit()))) == []
 
 
 def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> None:
     """An offset of flights in the best set, none of a structure that follows the place."""
-    own = Nuisance(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
-    (note,) = own_notes(selection_of(chosen_of(fitted(structures=(own, PLACE)))))
+    own = NuisanceColumns(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
+    (note,) = own_notes(make_selection(make_choice(make_fit(structures=(own, PLACE)))))
     assert (note.code, note.values) == (
         "offsets_sizes",
         {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]},
     )
-    assert own_notes(selection_of(chosen_of(fitted(structures=(PLACE,))))) == []
+    assert own_notes(make_selection(make_choice(make_fit(structures=(PLACE,))))) == []
 
 
 def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:
     """No row is predicted with it, and what is found in its place replaces it."""
     robot = replace(ROBOT, effects={**RANDOM, "rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.0}}, effects_source="test")
     declared = SimpleNamespace(robot=robot, stated=robot, train=SimpleNamespace(flights=[hover("a", 5.0)]))
-    params = declared_params(robot).with_effect("payload_mass", np.array([0.02]))
-    found = corrected_robot(declared, params, ["payload_mass"]).effects  # type: ignore[arg-type]
-    assert {name: found[name] for name in RANDOM} == RANDOM
-    assert {"rotor_drag", "payload_mass"} == set(found) - set(RANDOM)
+    params = params_from_robot(robot).with_effect("payload_mass", np.array([0.02]))
+    result = correct_robot(declared, params, ["payload_mass"]).effects  # type: ignore[arg-type]
+    assert {name: result[name] for name in RANDOM} == RANDOM
+    assert {"rotor_drag", "payload_mass"} == set(result) - set(RANDOM)
     params = params.with_effect("gusts", np.array([2.0, 0.5]))
-    found = corrected_robot(declared, params, ["payload_mass", "gusts"]).effects  # type: ignore[arg-type]
-    assert found["gusts"] == {"std": 2.0, "corr_time": 0.5}
+    result = correct_robot(declared, params, ["payload_mass", "gusts"]).effects  # type: ignore[arg-type]
+    assert result["gusts"] == {"std": 2.0, "corr_time": 0.5}

@@ -7,8 +7,8 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.structure import Structure
-from aerial_gym.sim2real.identify.selection.in_part import RivalInPart
-from aerial_gym.sim2real.judge.answer import Answer, answer, meaning
+from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
+from aerial_gym.sim2real.judge.answer import VerdictAnswer, answer, meaning
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict
@@ -32,7 +32,7 @@ def outcome(quantity: str, value: float, width: float = 0.01) -> Outcome:
     return Outcome(quantity=quantity, rise=Rise(value=value, low=value - width, high=value + width), least=0.05)
 
 
-def named(name: str = "com_offset", **more: Any) -> NamedEffect:
+def make_named_effect(name: str = "com_offset", **more: Any) -> NamedEffect:
     numbers = {"params": {"x": 0.004, "y": 0.0}, "std": {"x": 1e-4, "y": 1e-4}, "noise_std": {}, "frozen": ()}
     return NamedEffect(name=name, confidence=0.99, **numbers | more)
 
@@ -58,7 +58,7 @@ def verdict(kind: str, **more: Any) -> Verdict:
     return cast("Verdict", SimpleNamespace(verdict=kind, corrects=corrects, **parts))
 
 
-def codes(parts: Answer) -> list[list[str]]:
+def codes(parts: VerdictAnswer) -> list[list[str]]:
     return [[finding.code for finding in part] for part in parts.parts.values()]
 
 
@@ -68,7 +68,7 @@ def codes(parts: Answer) -> list[list[str]]:
         ("none", {}, [["declared_explains"], [], [], ["keep_declared"]]),
         ("none", {"open_points": (Finding("floor_unknown"),)}, [["effects_none"], [], ["floor_unknown"], ["log_faster"]]),
         ("not shown", {"open_points": (Finding("left_open"),)}, [["effects_none"], [], ["left_open"], ["train_like_test"]]),
-        ("ambiguous", {"effects": (named(ties=("weak_motor",)),)}, [["effect_found"], [], [], ["weigh_or_log"]]),
+        ("ambiguous", {"effects": (make_named_effect(ties=("weak_motor",)),)}, [["effect_found"], [], [], ["weigh_or_log"]]),
         ("explained", {"joint_findings": (Finding("joint_found", "arm0"),)},
          [["joint_found", "declared_explains"], [], [], ["load_robot_file"]]),
     ],
@@ -89,7 +89,12 @@ def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
     }
     became = tuple(outcome(quantity, rise) for quantity, rise in changes.items())
     statement = answer(
-        verdict("explained", effects=(named(),), outcomes=became, after=model(0.1, 0.8, 1, 1.3, 0.03, 1.1, 0.01, 1, 1))
+        verdict(
+            "explained",
+            effects=(make_named_effect(),),
+            outcomes=became,
+            after=model(0.1, 0.8, 1, 1.3, 0.03, 1.1, 0.01, 1, 1),
+        )
     )
     (gain,), (harm,) = statement.gain, statement.open
     errors = [(row["quantity"], row.get("after_m_s2", row.get("after_rad_s2"))) for row in gain.values["errors"]]
@@ -106,10 +111,13 @@ def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
 
 @pytest.mark.parametrize(("rise", "step"), [(0.2, "keep_declared_for_harm"), (-0.001, "load_robot_file")])
 def test_no_gain_is_claimed_without_one(rise: float, step: str) -> None:
-    statement = answer(verdict("explained", effects=(named(),), outcomes=(outcome("specific_force.x", rise),)))
+    statement = answer(
+        verdict("explained", effects=(make_named_effect(),), outcomes=(outcome("specific_force.x", rise),))
+    )
     assert [one.code for one in (*statement.gain, *statement.next)] == ["no_error_falls", step]
     codes_of_meaning = [
-        one.code for one in meaning(verdict("explained", effects=(named(),), outcomes=statement.gain and ()))
+        one.code
+        for one in meaning(verdict("explained", effects=(make_named_effect(),), outcomes=statement.gain and ()))
     ]
     assert "correction_helps" not in codes_of_meaning
 
@@ -127,13 +135,13 @@ def test_an_unexplained_error_leads_with_its_size_over_the_noise_floor() -> None
 
 def test_the_manoeuvre_that_decides_is_the_next_step() -> None:
     advice = Advice(fly="hover", tells=("com_offset", "weak_motor"), score=9.0, hover=1.0)
-    statement = answer(verdict("ambiguous", effects=(named(ties=("weak_motor",)),), manoeuvre=advice))
+    statement = answer(verdict("ambiguous", effects=(make_named_effect(ties=("weak_motor",)),), manoeuvre=advice))
     assert statement.next == (Finding("fly", "hover", {"tells": ["com_offset", "weak_motor"]}),)
 
 
 def test_a_parameter_that_may_be_another_effect_is_not_stated_as_found() -> None:
     rival = RivalInPart(effect="com_offset", parameter="x", other="motor_tilt", params={}, log_odds=0.1)
-    effect = named(in_part=(rival,))
+    effect = make_named_effect(in_part=(rival,))
     assert "x_m" not in effect.finding.values
     assert "y_m" in effect.finding.values
     assert "parameter_tied" in [one.code for one in answer(verdict("explained", effects=(effect,))).open]

@@ -24,9 +24,9 @@ def parts() -> dict[str, list[Part]]:
         times=[np.arange(600) / 30.0] * 2,
         residuals=lambda model: [rows * (FACTORS[name] if model else 1.0) for name, rows in before.items()],
     )
-    nothing = SimpleNamespace(rollouts={})
+    empty = SimpleNamespace(rollouts={})
     floors = [np.array([0.05, 0.04, 0.03]), None]
-    return by_flight(predictor, (0, 1), (nothing, nothing), floors, least=0.05, seed=0)  # type: ignore[arg-type]
+    return by_flight(predictor, (0, 1), (empty, empty), floors, least=0.05, seed=0)  # type: ignore[arg-type]
 
 
 def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Part]]) -> None:

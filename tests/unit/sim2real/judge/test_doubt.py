@@ -8,7 +8,7 @@ from aerial_gym.sim2real.judge.doubt import Left
 ROWS, CHANNELS, PARAMETERS = 12, 2, 3
 
 
-def left_of(jacobian: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> Left:
+def make_remainder(jacobian: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> Left:
     return Left(
         square=(residual**2).sum(axis=0),
         gradient=np.einsum("rck,rc->ck", jacobian, residual),
@@ -27,8 +27,8 @@ def test_the_density_is_that_of_a_normal_residual_with_unknown_parameters() -> N
     flat, rows = residual.ravel(), jacobian.reshape(-1, PARAMETERS)
     whole = multivariate_normal(cov=noise + rows @ np.linalg.inv(precision) @ rows.T).logpdf(flat)
     alone = multivariate_normal(cov=noise).logpdf(np.zeros(flat.size))
-    found = left_of(jacobian, residual, precision).log_density(weight)
-    np.testing.assert_allclose(found, whole - alone, rtol=1e-10)
+    result = make_remainder(jacobian, residual, precision).log_density(weight)
+    np.testing.assert_allclose(result, whole - alone, rtol=1e-10)
 
 
 def test_what_training_knows_test_flights_cannot_move() -> None:
@@ -36,7 +36,7 @@ def test_what_training_knows_test_flights_cannot_move() -> None:
     rng = np.random.default_rng(5)
     jacobian, weight = rng.normal(size=(200, CHANNELS, PARAMETERS)), np.array([4.0, 4.0])
     residual = jacobian @ np.array([0.5, -1.0, 0.7]) + 0.5 * rng.normal(size=(200, CHANNELS))
-    loose, tight = (left_of(jacobian, residual, k * np.eye(PARAMETERS)) for k in (1.0, 1e6))
+    loose, tight = (make_remainder(jacobian, residual, k * np.eye(PARAMETERS)) for k in (1.0, 1e6))
     assert loose.log_density(weight) - tight.log_density(weight) > 100.0
     np.testing.assert_allclose(loose.best(weight), [0.5, -1.0, 0.7], atol=0.1)
     assert np.abs(tight.best(weight)).max() < 0.01

@@ -25,8 +25,8 @@ def outcome(quantity: str, value: float, low: float, high: float, horizon: float
     ],
 )
 def test_a_change_is_called_what_its_interval_shows(rise: tuple, state: str, suspect: bool) -> None:
-    found = outcome("x", *rise)
-    assert (found.state, found.suspect) == (state, suspect)
+    result = outcome("x", *rise)
+    assert (result.state, result.suspect) == (state, suspect)
 
 
 def test_an_outcome_of_a_rollout_has_its_horizon_in_its_name() -> None:

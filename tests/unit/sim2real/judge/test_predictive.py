@@ -12,16 +12,16 @@ from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise
-from aerial_gym.sim2real.identify.least_squares.moments import weights_from
+from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
-from aerial_gym.sim2real.judge.unexplained import Unexplained, find_unexplained
+from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, find_unexplained
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -31,7 +31,7 @@ from tests.unit.sim2real.predict.test_scene import hover
 INERTIA = {f"angular_acceleration.{axis}" for axis in "xyz"}
 
 
-def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_near_it_between() -> None:
+def test_the_quantile_is_exact_for_one_direction_and_for_equal_ones_and_close_to_it_otherwise() -> None:
     """One direction: chi-square of 1; n equal ones: of n. Else against 200,000 draws, 5 % (their own scatter is 2 %)."""
     one = quantile_of_squares(np.diag([4.0, 0.0])[None], np.diag([9.0, 1.0]), 0.001)
     np.testing.assert_allclose(one, 36.0 * 10.827566, rtol=1e-6)
@@ -51,13 +51,13 @@ def test_the_quantile_allows_for_a_size_that_is_estimated() -> None:
     rng = np.random.default_rng(1)
     known, size = rng.standard_normal((400_000, 3)), rng.chisquare(6, 400_000) / 6
     ratio = ((known[:, :2] ** 2).sum(axis=1) + known[:, 2] ** 2) / (2.0 + size) * 3.0
-    found = quantile_of_squares(np.eye(3)[None], np.eye(3), 0.01, estimated=1, freedom=6)
-    assert found[0] == pytest.approx(np.quantile(ratio, 0.99), rel=0.1)
+    result = quantile_of_squares(np.eye(3)[None], np.eye(3), 0.01, estimated=1, freedom=6)
+    assert result[0] == pytest.approx(np.quantile(ratio, 0.99), rel=0.1)
     none = quantile_of_squares(np.eye(3)[None], np.diag([1.0, 1.0, 0.0]), 0.01, estimated=1, freedom=1)
     np.testing.assert_allclose(none, 9.2103404, rtol=1e-6)
 
 
-def judged(
+def judge_flight(
     folder,
     inertia: float,
     *,
@@ -67,8 +67,8 @@ def judged(
     own: Mapping[str, float] = MappingProxyType({}),
     most: float = 0.15,
     more: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> Unexplained:
-    """Return what is left of a flight whose inertia is declared wrongly by a factor, with a drag, after flights without it.
+) -> ResidualExcess:
+    """Return the residual excess of a test flight with drag after training flights without it; the inertia is off by a factor.
 
     ``own``: how large offsets of single flights seem, and ``most`` may be; ``more`` is felt along x in the last, at a time [s].
     """
@@ -96,16 +96,16 @@ def judged(
         Predictor(robot, part, bandwidth=10.0, channels=channels, tolerances=sizes)
         for part in (flights[:3], flights[3:])
     )
-    declared = declared_params(robot)
+    declared = params_from_robot(robot)
     tolerance = tolerance_jacobian(train, declared)
-    weights = weights_from(train.residuals(declared))
+    weights = inverse_variance_weights(train.residuals(declared))
     fit = linearise(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
     selection = SimpleNamespace(
         final=SimpleNamespace(fit=fit, spread=SimpleNamespace(columns=(), std=())),
         weights=weights,
         criteria=Criteria(),
-        accepted=(),
+        effect_names=(),
         surrogates={},
         looked_for=looked_for,
         own_offsets=OwnOffsets(
@@ -125,10 +125,10 @@ def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tm
     """An inertia that is off by two deviations shows once the vehicle turns: within its tolerance, not unexplained,
     and said. After training that moves it is found, and nothing is left."""
     with one_thread():
-        found = judged(tmp_path, 1.04, still=True)
-        assert found.channels == ()
-        assert set(found.left_open) & INERTIA
-        moved = judged(tmp_path, 1.04, still=False)
+        result = judge_flight(tmp_path, 1.04, still=True)
+        assert result.channels == ()
+        assert set(result.left_open) & INERTIA
+        moved = judge_flight(tmp_path, 1.04, still=False)
     assert (moved.channels, moved.left_open) == ((), ())
 
 
@@ -140,7 +140,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances(acc_bias=1e-6))
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     fit = linearise(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
-    weights = weights_from(predictor.residuals(params))
+    weights = inverse_variance_weights(predictor.residuals(params))
 
     def limit(std: float) -> np.ndarray:
         spread = SimpleNamespace(columns=np.array([0]), std=np.array([std]))
@@ -163,11 +163,11 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
 def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_show(tmp_path) -> None:
     """An inertia that is off by 25 %: more than tolerances, and ``inertia_error`` would make it, which rest does not show."""
     with one_thread():
-        found = judged(tmp_path, 1.25, still=True)
-    assert set(found.channels) & INERTIA
-    assert found.open_to[0] == "inertia_error"
+        result = judge_flight(tmp_path, 1.25, still=True)
+    assert set(result.channels) & INERTIA
+    assert result.open_to[0] == "inertia_error"
     with one_thread():
-        asked = judged(tmp_path, 1.25, still=True, looked_for=("rotor_drag",))
+        asked = judge_flight(tmp_path, 1.25, still=True, looked_for=("rotor_drag",))
     assert "inertia_error" not in asked.open_to
 
 
@@ -175,11 +175,11 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
 def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_not(tmp_path) -> None:
     """0.2 m/s² along x in the test flight alone: nothing new where offsets of flights scatter by 0.1, and they move nothing."""
     with one_thread():
-        alone = judged(tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2))
-        as_others = judged(
+        alone = judge_flight(tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2))
+        as_others = judge_flight(
             tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2), own={"specific_force.x": 0.1}
         )
-        moving = judged(
+        moving = judge_flight(
             tmp_path, 1.0, still=False, more=lambda time: 0.3 * np.sin(5.0 * time), own={"specific_force.x": 0.1}
         )
     assert "specific_force.x" in alone.channels
@@ -193,8 +193,8 @@ def test_offsets_that_are_alike_by_chance_say_little_and_none_is_larger_than_it_
     """0.2 m/s² in the test flight beside 0.03 in three others: with two degrees of freedom no news, unless 0.04 is the most."""
     own, more = {"specific_force.x": 0.03}, lambda time: np.full(time.size, 0.2)
     with one_thread():
-        few = judged(tmp_path, 1.0, still=False, more=more, own=own)
-        bounded = judged(tmp_path, 1.0, still=False, more=more, own=own, most=0.04)
+        few = judge_flight(tmp_path, 1.0, still=False, more=more, own=own)
+        bounded = judge_flight(tmp_path, 1.0, still=False, more=more, own=own, most=0.04)
     assert (few.channels, few.of_flights) == ((), ("specific_force.x",))
     assert "specific_force.x" in bounded.channels
 
@@ -203,9 +203,9 @@ def test_offsets_that_are_alike_by_chance_say_little_and_none_is_larger_than_it_
 def test_what_training_shows_is_not_open(tmp_path) -> None:
     """A drag of the test flights alone, 1 N s/m, after training that moves without any: training rules every effect out."""
     with one_thread():
-        found = judged(tmp_path, 1.0, still=False, drag=1.0)
-    assert "specific_force.x" in found.channels
-    assert found.open_to == ()
+        result = judge_flight(tmp_path, 1.0, still=False, drag=1.0)
+    assert "specific_force.x" in result.channels
+    assert result.open_to == ()
     with one_thread():
-        rested = judged(tmp_path, 1.0, still=True, drag=1.0)
+        rested = judge_flight(tmp_path, 1.0, still=True, drag=1.0)
     assert "rotor_drag" in rested.open_to

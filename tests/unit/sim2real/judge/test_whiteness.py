@@ -12,21 +12,21 @@ FORCE, TURN = Channel(kind="specific_force", axis="x"), Channel(kind="angular_ac
 
 
 def low_passed(values: np.ndarray, *, derivative: bool = False) -> np.ndarray:
-    """Return what a comparison keeps of noise at ten times the band: rows at three times the band."""
+    """Return noise sampled at ten times the band, low-passed and decimated to three times the band as in a comparison."""
     return lowpass(values, 100.0, BAND, derivative=derivative)[::3][10:-10]
 
 
 def test_noise_is_called_noise_as_often_as_stated() -> None:
     """400 residuals of two flights: p is uniform, also of a differentiated sensor."""
     rng = np.random.default_rng(0)
-    found = []
+    result = []
     for _ in range(200):
         noise = [rng.standard_normal((1000, 1)) for _ in range(2)]
         both = [np.hstack((low_passed(n), low_passed(n, derivative=True))) for n in noise]
         times = [0.03 * np.arange(len(rows)) for rows in both]
-        found += [w.probability for w in whiteness(times, both, (FORCE, TURN), BAND)]
+        result += [w.probability for w in whiteness(times, both, (FORCE, TURN), BAND)]
     for share in (0.05, 0.2, 0.5):
-        assert np.mean(np.array(found) < share) == pytest.approx(
+        assert np.mean(np.array(result) < share) == pytest.approx(
             share, abs=4.0 * np.sqrt(share * (1 - share) / 400) + 0.02
         )
 
@@ -36,10 +36,10 @@ def test_what_is_no_noise_is_told_and_where_it_lies(kind: str) -> None:
     rng, time = np.random.default_rng(1), 0.03 * np.arange(400)
     own = np.sin(2.0 * np.pi * 7.0 * time) if kind == "line" else np.sin(2.0 * np.pi * 0.3 * time)
     values = rng.standard_normal((400, 1)) + own[:, None]
-    (found,) = whiteness([time], [values], (FORCE,), BAND)
-    assert found.probability < WHITE
-    assert not found.white
-    assert int(np.argmax(found.octaves)) == (3 if kind == "line" else 0)
+    (result,) = whiteness([time], [values], (FORCE,), BAND)
+    assert result.probability < WHITE
+    assert not result.white
+    assert int(np.argmax(result.octaves)) == (3 if kind == "line" else 0)
 
 
 def test_a_sine_lies_in_its_octave_with_its_power_and_gaps_split_flights() -> None:

@@ -32,16 +32,16 @@ def late(values: np.ndarray, rows: float) -> np.ndarray:
 @pytest.mark.parametrize("offset", [-4.0, pytest.param(0.0, marks=pytest.mark.slow), 3.3])
 def test_an_offset_of_the_rotor_log_is_found_with_its_spread(offset: float) -> None:
     """Drag along z and a lever arm must not look like an offset; a thrust that is off by 5 % neither. z is normal."""
-    rng, found = np.random.default_rng(2), []
+    rng, result = np.random.default_rng(2), []
     for _ in range(200):
         thrust, climb, turning = 3.0 * noise(rng, 3.0), 2.0 * noise(rng, 0.5), 5.0 * noise(rng, 3.0)
         measured = 9.81 + 0.95 * thrust - 0.3 * climb + 0.004 * turning + 0.08 * rng.standard_normal(TIME.size)
-        others = np.stack((climb, turning), axis=1)
-        found.append(offset_curve(measured, 9.81 + late(thrust, -offset), others, RATE, BAND).offset)
+        rest = np.stack((climb, turning), axis=1)
+        result.append(offset_curve(measured, 9.81 + late(thrust, -offset), rest, RATE, BAND).offset)
     if offset == 0.0:
-        assert all(one == ClockOffset() for one in found)
+        assert all(one == ClockOffset() for one in result)
         return
-    z = np.array([(one.rows - offset) / one.std for one in found])
+    z = np.array([(one.rows - offset) / one.std for one in result])
     assert abs(z.mean()) < 4.0 / np.sqrt(200)
     assert 0.85 < z.std() < 1.25
 
@@ -93,7 +93,7 @@ def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:
     """A log that cannot tell is moved as the others are; those without an offset, or without commands, say nothing."""
     rng, kept = np.random.default_rng(8), np.exp(-1.0 / (RATE * 0.04))
 
-    def logged(size: float) -> FlightLog:
+    def make_log(size: float) -> FlightLog:
         command = 900.0 + size * noise(rng, 15.0)
         speed = command.copy()
         for row in range(1, TIME.size):
@@ -101,7 +101,7 @@ def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:
         speed = np.roll(speed + rng.standard_normal(TIME.size), -4)
         return log(TIME, rotor_speed=speed[:, None], rotor_command=command[:, None])
 
-    clear, vague = [logged(40.0) for _ in range(2)], logged(0.1)
+    clear, vague = [make_log(40.0) for _ in range(2)], make_log(0.1)
     ahead, none = ClockOffset(rows=4.0, std=0.1), ClockOffset()
     assert commands_share_clock([vague], [ahead], 0.04)
     assert not commands_share_clock([*clear, vague], [ahead] * 3, 0.04)
@@ -123,7 +123,7 @@ def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
     assert offset_curve(measured, 9.81 + thrust, np.zeros((TIME.size, 0)), RATE, BAND).offset == ClockOffset()
 
 
-def heard(rng: np.random.Generator, offset: float, *, size: float) -> OffsetCurve:
+def make_curve(rng: np.random.Generator, offset: float, *, size: float) -> OffsetCurve:
     """Return the curve of a flight whose thrust varies by 0.5 ``size`` m/s², beside noise of 0.08 m/s²."""
     thrust = 3.0 * size * noise(rng, 3.0)
     measured = 9.81 + thrust + 0.08 * rng.standard_normal(TIME.size)
@@ -132,7 +132,10 @@ def heard(rng: np.random.Generator, offset: float, *, size: float) -> OffsetCurv
 
 def test_a_flight_that_hardly_varies_is_moved_as_the_others_are() -> None:
     rng = np.random.default_rng(7)
-    loud, quiet = [heard(rng, 4.0, size=1.0) for _ in range(3)], [heard(rng, 4.0, size=0.03) for _ in range(2)]
+    loud, quiet = (
+        [make_curve(rng, 4.0, size=1.0) for _ in range(3)],
+        [make_curve(rng, 4.0, size=0.03) for _ in range(2)],
+    )
     assert all(one.offset == ClockOffset() for one in quiet)
     offsets = common_offsets([*loud, *quiet], 5)
     assert len({(offset.rows, offset.std) for offset in offsets}) == 1
@@ -142,27 +145,31 @@ def test_a_flight_that_hardly_varies_is_moved_as_the_others_are() -> None:
 
 def test_a_flight_that_speaks_for_its_own_clock_keeps_it() -> None:
     rng = np.random.default_rng(8)
-    loud, unmoved = [heard(rng, 4.0, size=1.0) for _ in range(2)], heard(rng, 0.0, size=1.0)
+    loud, unmoved = [make_curve(rng, 4.0, size=1.0) for _ in range(2)], make_curve(rng, 0.0, size=1.0)
     assert common_offsets([*loud, unmoved], 3)[2] == ClockOffset()
-    apart = [heard(rng, 4.0, size=1.0), heard(rng, 7.0, size=1.0), heard(rng, 4.0, size=0.03)]
+    apart = [make_curve(rng, 4.0, size=1.0), make_curve(rng, 7.0, size=1.0), make_curve(rng, 4.0, size=0.03)]
     assert common_offsets(apart, 3) == [one.offset for one in apart]
-    assert common_offsets([heard(rng, 0.0, size=1.0) for _ in range(2)], 2) == [ClockOffset(), ClockOffset()]
+    assert common_offsets([make_curve(rng, 0.0, size=1.0) for _ in range(2)], 2) == [ClockOffset(), ClockOffset()]
 
 
 def test_a_common_lead_is_a_time_not_a_number_of_rows() -> None:
     rng = np.random.default_rng(9)
-    loud, quiet = heard(rng, 4.0, size=1.0), heard(rng, 4.0, size=0.03)
+    loud, quiet = make_curve(rng, 4.0, size=1.0), make_curve(rng, 4.0, size=0.03)
     faster = OffsetCurve(rate=2.0 * quiet.rate, left=np.repeat(quiet.left, 2)[:-1], samples=quiet.samples)
     slow, fast = common_offsets([loud, faster], 2)
     assert fast.rows == pytest.approx(2.0 * slow.rows)
     assert fast.std == pytest.approx(2.0 * slow.std)
 
 
-def test_flights_that_judge_do_not_move_those_that_are_learnt_from() -> None:
+def test_flights_that_judge_do_not_move_those_for_training() -> None:
     rng = np.random.default_rng(10)
-    quiet, test = [heard(rng, 4.0, size=0.03) for _ in range(2)], heard(rng, 4.0, size=1.0)
+    quiet, test = [make_curve(rng, 4.0, size=0.03) for _ in range(2)], make_curve(rng, 4.0, size=1.0)
     assert common_offsets([*quiet, test], 2) == [ClockOffset(), ClockOffset(), test.offset]
-    train, other, silent = heard(rng, 4.0, size=1.0), heard(rng, -6.0, size=1.0), heard(rng, 4.0, size=0.03)
+    train, other, silent = (
+        make_curve(rng, 4.0, size=1.0),
+        make_curve(rng, -6.0, size=1.0),
+        make_curve(rng, 4.0, size=0.03),
+    )
     offsets = common_offsets([train, other, silent], 1)
     for offset, expected in zip(offsets, (train.offset, other.offset, train.offset), strict=True):
         assert (offset.rows, offset.std) == pytest.approx(
@@ -177,10 +184,10 @@ def test_what_late_sensors_explain_as_well_is_no_other_clock(offset: float, move
     Even odds of a normal deviation of ``s = 3 sqrt(2)`` ms and of any within 50 ms: ``s sqrt(2 ln(100 / (s sqrt(2 pi))))`` is
     9.0 ms.
     """
-    curve = heard(np.random.default_rng(11), offset, size=1.0)
+    curve = make_curve(np.random.default_rng(11), offset, size=1.0)
     assert curve.offset.rows == pytest.approx(offset, abs=0.2)
-    (found,), expected = common_offsets([curve], 1), curve.offset if moved else ClockOffset()
-    assert (found.rows, found.std) == pytest.approx((expected.rows, expected.std), rel=1e-12)
+    (result,), expected = common_offsets([curve], 1), curve.offset if moved else ClockOffset()
+    assert (result.rows, result.std) == pytest.approx((expected.rows, expected.std), rel=1e-12)
     limits = [time for time in np.arange(5.0, 15.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0)]
     assert min(limits) == pytest.approx(9.0, abs=0.11)
     assert not ClockOffset(rows=10.0, std=5.0).is_a_clock(1000.0)
@@ -189,13 +196,13 @@ def test_what_late_sensors_explain_as_well_is_no_other_clock(offset: float, move
 def test_where_flights_contradict_each_other_an_offset_must_be_clear() -> None:
     """Of odds of 20 to 1 the limit is ``s sqrt(2 ln(20 * 100 / (s sqrt(2 pi))))``, 13.7 ms: 10.8 ms of one of two stay."""
     rng = np.random.default_rng(12)
-    still, moved = heard(rng, 0.0, size=1.0), heard(rng, 2.2, size=1.0)
+    still, moved = make_curve(rng, 0.0, size=1.0), make_curve(rng, 2.2, size=1.0)
     assert common_offsets([moved], 1)[0].rows == pytest.approx(2.2, abs=0.2)  # between rows a parabola
     assert common_offsets([moved, still], 2) == [ClockOffset(), ClockOffset()]
     assert common_offsets([moved, still], 1)[0].rows == pytest.approx(
         2.2, abs=0.2
     )  # what only judges contradicts nothing
-    far = heard(rng, 3.2, size=1.0)
+    far = make_curve(rng, 3.2, size=1.0)
     assert common_offsets([far, still], 2) == [far.offset, ClockOffset()]
     limits = [time for time in np.arange(5.0, 20.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0, 20.0)]
     assert min(limits) == pytest.approx(13.7, abs=0.11)

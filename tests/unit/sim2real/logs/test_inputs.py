@@ -27,22 +27,22 @@ def spoil(path: Path) -> None:
 
 def test_a_flight_that_cannot_be_used_is_left_out_and_said_so(logs: list[Path]) -> None:
     spoil(logs[1])
-    found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
-    assert [one.name for one in found.train] == ["f0", "f2"]
-    assert [one.name for one in found.test] == ["f3"]
-    (note,) = found.left_out
+    result = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
+    assert [one.name for one in result.train] == ["f0", "f2"]
+    assert [one.name for one in result.test] == ["f3"]
+    (note,) = result.left_out
     assert note.code == "flight_left_out"
     assert note.values["error"].startswith(f"{logs[1]}, line 102: omega_y is empty")
-    assert found.digests == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in logs}
+    assert result.digests == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in logs}
 
 
 def test_a_flight_that_turns_otherwise_than_declared_is_left_out_too(logs: list[Path]) -> None:
     """The order of the rotors is looked at last, when clocks are set."""
     table = pd.read_csv(logs[0])
     write(table.rename(columns={"rotor_1": "rotor_2", "rotor_2": "rotor_1"}), logs[0])
-    found = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
-    assert [one.name for one in found.train] == ["f1", "f2"]
-    assert "the probable order is rotor_2, rotor_1" in found.left_out[0].values["error"]
+    result = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
+    assert [one.name for one in result.train] == ["f1", "f2"]
+    assert "the probable order is rotor_2, rotor_1" in result.left_out[0].values["error"]
 
 
 def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import HORIZONS_S
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -46,54 +46,54 @@ def on_ground(table: pd.DataFrame, rows: int, *, idle: float, at: int = 0) -> pd
     return ground
 
 
-def joined(parts: list[pd.DataFrame], folder: Path) -> Path:
+def join_parts(parts: list[pd.DataFrame], folder: Path) -> Path:
     whole = pd.concat(parts, ignore_index=True)
     whole["t"] = np.arange(len(whole)) / RATE
     return write(whole, folder / "a.csv")
 
 
-def loaded(parts: list[pd.DataFrame], folder: Path) -> Flight:
-    return load_flight(joined(parts, folder), ROBOT, mapping=None, bandwidth=10.0)
+def load_parts(parts: list[pd.DataFrame], folder: Path) -> Flight:
+    return load_flight(join_parts(parts, folder), ROBOT, mapping=None, bandwidth=10.0)
 
 
-def stood(parts: list[pd.DataFrame], folder: Path, *, lift_off: float) -> NDArray[np.bool_] | None:
+def ground_rows(parts: list[pd.DataFrame], folder: Path, *, lift_off: float) -> NDArray[np.bool_] | None:
     """Return the rows on the ground of pieces that need not fit together."""
     mapping = replace(find_mapping("aerial_gym"), lift_off_m=lift_off)
-    return rows_on_ground(read_flight_log(joined(parts, folder), mapping=mapping), ROBOT)
+    return rows_on_ground(read_flight_log(join_parts(parts, folder), mapping=mapping), ROBOT)
 
 
 @pytest.mark.parametrize("idle", [0.0, 200.0])
 def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_path: Path, idle: float) -> None:
     """All but a few rows at the touch, where low-passed thrust is that of neither; none of the flight."""
-    found = loaded([on_ground(table, 150, idle=idle), table, on_ground(table, 150, idle=idle, at=-1)], tmp_path)
-    assert found.on_ground is not None
+    results = load_parts([on_ground(table, 150, idle=idle), table, on_ground(table, 150, idle=idle, at=-1)], tmp_path)
+    assert results.on_ground is not None
     inner = np.r_[0:130, len(table) + 170 : len(table) + 300]
-    assert found.on_ground[inner].all()
-    assert not found.on_ground[160 : 140 + len(table)].any()
-    assert "on_ground" in [note.code for note in found.notes]
-    channels = find_channels([found])
-    predictor = Predictor(ROBOT, [found], bandwidth=5.0, channels=channels, tolerances=Tolerances())
-    residual = predictor.residuals(declared_params(ROBOT))[0]
+    assert results.on_ground[inner].all()
+    assert not results.on_ground[160 : 140 + len(table)].any()
+    assert "on_ground" in [note.code for note in results.notes]
+    channels = find_channels([results])
+    predictor = Predictor(ROBOT, [results], bandwidth=5.0, channels=channels, tolerances=Tolerances())
+    residual = predictor.residuals(params_from_robot(ROBOT))[0]
     assert np.abs(residual[:, 2]).max() < 0.5  # standing, it would be g
 
 
 def test_a_flight_that_never_stands_has_no_such_rows(table: pd.DataFrame, tmp_path: Path) -> None:
-    assert loaded([table], tmp_path).on_ground is None
+    assert load_parts([table], tmp_path).on_ground is None
 
 
 def test_a_height_at_which_it_stood_is_the_ground_and_a_lower_one_is_none(table: pd.DataFrame, tmp_path: Path) -> None:
     """It stands on a table 5 m high, skims it, and flies far below as well: there nothing but its rotors carries it."""
     stands, skims = on_ground(table, 150, idle=200.0).assign(p_z=5.0), table[:100].assign(p_z=5.01)
-    found = stood([stands, skims, table.assign(p_z=table["p_z"] - 3.0)], tmp_path, lift_off=0.02)
-    assert found is not None
-    assert found[:250].all()
-    assert not found[250:].any()
+    results = ground_rows([stands, skims, table.assign(p_z=table["p_z"] - 3.0)], tmp_path, lift_off=0.02)
+    assert results is not None
+    assert results[:250].all()
+    assert not results[250:].any()
 
 
 def test_a_low_slow_hover_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
     """A hover that hardly moves lies within a centimetre of the lowest place of its log, and is flown by its rotors."""
     hover = on_ground(table, 400, idle=np.sqrt(0.6 * 9.81 / 4.8e-6)).assign(p_z=0.8)
-    assert stood([hover, table], tmp_path, lift_off=0.01) is None
+    assert ground_rows([hover, table], tmp_path, lift_off=0.01) is None
 
 
 def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd
     share = np.exp(-2.0 * np.arange(30) / RATE / lag)
     cut[["acc_x", "acc_y", "acc_z"]] *= share[:, None]
     cut["v_z"] = 9.81 * np.cumsum(share - 1.0) / RATE
-    path = joined([log, cut], tmp_path)
+    path = join_parts([log, cut], tmp_path)
     assert rows_on_ground(read_flight_log(path), slow) is None
     assert (
         rows_on_ground(read_flight_log(path), quick) is not None
@@ -117,23 +117,23 @@ def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd
 def test_the_ground_is_found_without_an_accelerometer(table: pd.DataFrame, tmp_path: Path) -> None:
     """The velocity tells as well that it does not fall."""
     whole = pd.concat([on_ground(table, 150, idle=200.0), table], ignore_index=True)
-    found = loaded([whole.drop(columns=["acc_x", "acc_y", "acc_z"])], tmp_path)
-    assert found.on_ground is not None
-    assert found.on_ground[20:130].all()
-    assert not found.on_ground[160:].any()
+    results = load_parts([whole.drop(columns=["acc_x", "acc_y", "acc_z"])], tmp_path)
+    assert results.on_ground is not None
+    assert results.on_ground[20:130].all()
+    assert not results.on_ground[160:].any()
 
 
 def test_a_drop_with_idle_rotors_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
     """Nothing carries a vehicle that falls: its accelerometer reads next to nothing."""
     falling = on_ground(table, 60, idle=100.0, at=-1)
     falling[["acc_x", "acc_y", "acc_z"]] *= 0.01
-    assert loaded([table, falling], tmp_path).on_ground is None
+    assert load_parts([table, falling], tmp_path).on_ground is None
 
 
 def test_a_log_of_a_vehicle_on_the_ground_is_refused(table: pd.DataFrame, tmp_path: Path) -> None:
     ground = on_ground(table, 4000, idle=200.0, at=-1)
     with pytest.raises(DataError, match=r"stands on the ground in 8\d% of the rows: .* cut the log to the flight"):
-        loaded([table, ground], tmp_path)
+        load_parts([table, ground], tmp_path)
 
 
 def test_a_hop_is_compared_where_it_is_long_enough_and_refused_where_it_is_not(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.logs.flights import mended_log
+from aerial_gym.sim2real.logs.flights import repair_log
 from aerial_gym.sim2real.logs.position_jumps import (
     LIMIT,
     Offset,
@@ -17,7 +17,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 RATE = 50.0
 
 
-def flown(seed: int, *, noise: float = 0.01, bias: float = 0.05, seconds: float = 30.0) -> FlightLog:
+def fly(seed: int, *, noise: float = 0.01, bias: float = 0.05, seconds: float = 30.0) -> FlightLog:
     """Return a log of a vehicle that circles at up to 3 m/s and stops, with noise and a velocity that is a little off."""
     rng, time = np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE
     turn = 1.5 * np.clip(time - 5.0, 0.0, None)
@@ -42,13 +42,13 @@ def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -
     return FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=position, lin_vel=log.lin_vel)
 
 
-def told(log: FlightLog) -> list[tuple[np.ndarray, float]]:
+def jump_notes(log: FlightLog) -> list[tuple[np.ndarray, float]]:
     """Return size and time of each jump that notes tell."""
-    found = []
+    result = []
     for note in log.notes:
         assert note.code == "position_jump"
-        found.append((np.array(note.values["size_m"]), note.values["start_s"]))
-    return found
+        result.append((np.array(note.values["size_m"]), note.values["start_s"]))
+    return result
 
 
 def test_steps_are_least_squares_beside_a_slope() -> None:
@@ -64,12 +64,12 @@ def test_steps_are_least_squares_beside_a_slope() -> None:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_fix_that_moves_and_returns_is_found_and_taken_out(seed: int) -> None:
     """Two metres for four seconds of a turn, and a step that stays; times within a row, sizes within four deviations."""
-    clean = flown(seed)
+    clean = fly(seed)
     steps = {9.0: (2.0, -1.0, 0.5), 13.0: (-2.0, 1.0, -0.5), 22.0: (0.0, 0.0, 1.5)}
     mended = mend_position_jumps(with_steps(clean, steps))
-    found = told(mended)
-    assert len(found) == 3
-    for (size, time), (at, truth) in zip(found, steps.items(), strict=True):
+    result = jump_notes(mended)
+    assert len(result) == 3
+    for (size, time), (at, truth) in zip(result, steps.items(), strict=True):
         assert abs(time - at) < 1.5 / RATE
         np.testing.assert_allclose(size, truth, atol=0.06)
     assert mended.position is not None
@@ -80,51 +80,51 @@ def test_a_fix_that_moves_and_returns_is_found_and_taken_out(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_nothing_jumps_where_nothing_does(seed: int) -> None:
     """Motion, noise, a velocity that is off all along, and positions known to a millimetre are no jumps."""
-    for log in (flown(seed), flown(seed, noise=0.001), flown(seed, noise=0.0, bias=0.3), flown(seed, seconds=4.0)):
+    for log in (fly(seed), fly(seed, noise=0.001), fly(seed, noise=0.0, bias=0.3), fly(seed, seconds=4.0)):
         assert mend_position_jumps(log) is log
 
 
 def test_a_velocity_that_leaps_is_no_jump_and_one_derived_from_a_jump_hides_none() -> None:
     """Rows that came late make a derived velocity three times too large for a moment; a fix that moves makes a spike of it."""
-    late = flown(6, noise=0.001)
+    late = fly(6, noise=0.001)
     assert late.lin_vel is not None
     late.lin_vel[700:704] *= 3.0
     assert mend_position_jumps(late) is late
-    log = with_steps(flown(7, noise=0.001), {10.0: (0.5, 0.0, 0.0)})
+    log = with_steps(fly(7, noise=0.001), {10.0: (0.5, 0.0, 0.0)})
     assert log.position is not None
     velocity = np.gradient(log.position, 1.0 / RATE, axis=0)
     derived = FlightLog(path="log.csv", time=log.time, attitude=log.attitude, position=log.position, lin_vel=velocity)
-    ((size, time),) = told(mend_position_jumps(derived))
+    ((size, time),) = jump_notes(mend_position_jumps(derived))
     assert abs(time - 10.0) <= 1.5 / RATE
     assert size[0] == pytest.approx(0.5, abs=0.02)
 
 
 def test_a_slow_jump_is_one_and_too_many_are_left() -> None:
     """A step over three rows is told once, from its first row to its last; a position that jumps all the time is not mended."""
-    log = with_steps(flown(3), {10.0: (1.0, 0.0, 0.0), 10.1: (1.0, 0.0, 0.0), 10.2: (1.0, 0.0, 0.0)})
-    ((size, time),) = told(mend_position_jumps(log))
+    log = with_steps(fly(3), {10.0: (1.0, 0.0, 0.0), 10.1: (1.0, 0.0, 0.0), 10.2: (1.0, 0.0, 0.0)})
+    ((size, time),) = jump_notes(mend_position_jumps(log))
     assert abs(time - 10.1) <= 0.15
     assert size[0] == pytest.approx(3.0, abs=0.1)
-    many = with_steps(flown(4, seconds=120.0), {float(at): (3.0 * (-1) ** at, 0.0, 0.0) for at in range(10, 110, 4)})
+    many = with_steps(fly(4, seconds=120.0), {float(at): (3.0 * (-1) ** at, 0.0, 0.0) for at in range(10, 110, 4)})
     left = mend_position_jumps(many)
     assert left.notes[-1].code == "position_jumps_left"
     np.testing.assert_array_equal(left.position, many.position)
 
 
 def test_a_log_is_read_without_its_jumps() -> None:
-    mended = mended_log(with_steps(flown(8), {12.0: (0.0, 2.0, 0.0)}))
+    mended = repair_log(with_steps(fly(8), {12.0: (0.0, 2.0, 0.0)}))
     assert "position_jump" in [note.code for note in mended.notes]
     assert mended.position is not None
     assert np.abs(np.diff(mended.position, axis=0)).max() < 0.2
 
 
 def test_without_a_velocity_nothing_is_told() -> None:
-    log = with_steps(flown(5), {10.0: (2.0, 0.0, 0.0)})
+    log = with_steps(fly(5), {10.0: (2.0, 0.0, 0.0)})
     alone = FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=log.position)
     assert mend_position_jumps(alone) is alone
 
 
-def known(x: float, y: float, z: float, *, std: float = 0.001) -> Offset:
+def make_offset(x: float, y: float, z: float, *, std: float = 0.001) -> Offset:
     return Offset(size=np.array((x, y, z)), variance=np.full(3, std**2))
 
 
@@ -132,10 +132,10 @@ def known(x: float, y: float, z: float, *, std: float = 0.001) -> Offset:
     ("offset", "told"),
     [
         (Offset(), False),
-        (known(0.11, -0.11, 0.11), True),
-        (known(-0.11, 0.11, -0.11), False),
-        (known(0.22, -0.22, 0.22), False),
-        (known(0.11, -0.11, 0.11, std=0.004), False),
+        (make_offset(0.11, -0.11, 0.11), True),
+        (make_offset(-0.11, 0.11, -0.11), False),
+        (make_offset(0.22, -0.22, 0.22), False),
+        (make_offset(0.11, -0.11, 0.11, std=0.004), False),
     ],
 )
 def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: Offset, told: bool) -> None:
@@ -143,11 +143,11 @@ def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: 
     rng = np.random.default_rng(1)
     left = 0.006 * rng.standard_normal((1000, 3))
     left[600:] += (-0.11, 0.11, -0.11)
-    found = largest_jump(left, 1.0 / RATE, offset)
-    assert (found is not None) == told
-    if found is not None:
-        assert abs(found.first - 600) <= 1
-        np.testing.assert_allclose(found.size, (-0.11, 0.11, -0.11), atol=0.02)
+    result = largest_jump(left, 1.0 / RATE, offset)
+    assert (result is not None) == told
+    if result is not None:
+        assert abs(result.first - 600) <= 1
+        np.testing.assert_allclose(result.size, (-0.11, 0.11, -0.11), atol=0.02)
 
 
 def test_noise_takes_nothing_back() -> None:
@@ -155,7 +155,7 @@ def test_noise_takes_nothing_back() -> None:
     rng = np.random.default_rng(2)
     for _ in range(200):
         left = 0.006 * rng.standard_t(4, (1000, 3))
-        assert largest_jump(left, 1.0 / RATE, known(0.11, -0.11, 0.11)) is None
+        assert largest_jump(left, 1.0 / RATE, make_offset(0.11, -0.11, 0.11)) is None
 
 
 def test_the_odds_of_a_return() -> None:
@@ -170,7 +170,7 @@ def test_the_odds_of_a_return() -> None:
 
 def test_jumps_that_took_each_other_back_leave_nothing_to_return() -> None:
     """What is left of them is at most what a jump is not told by, or the least jump."""
-    assert known(LIMIT * 0.011, 0.0, 0.0, std=0.01).sure
-    assert not known(LIMIT * 0.009, 0.0, 0.0, std=0.01).sure
-    assert not known(0.09, 0.0, 0.0, std=1e-6).sure
+    assert make_offset(LIMIT * 0.011, 0.0, 0.0, std=0.01).sure
+    assert not make_offset(LIMIT * 0.009, 0.0, 0.0, std=0.01).sure
+    assert not make_offset(0.09, 0.0, 0.0, std=1e-6).sure
     assert not Offset().sure

@@ -7,13 +7,13 @@ from scipy import signal
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import (
+    apply_lag,
     continuous_quaternion,
     edge_rows,
-    interpolated,
-    lagged,
+    interpolate,
     lowpass,
     lowpass_gain,
-    signs_of,
+    quaternion_signs,
     uniform_log,
     welch,
     without_line,
@@ -39,8 +39,8 @@ def test_what_comes_later_is_the_same_wave_at_another_time(frequency: float) -> 
     """By 13 ms, 2.6 rows: sin goes to H sin of then, at the edge of the band as within it; 1 % leaks from the ends."""
     angle, gain = 2.0 * np.pi * frequency * TIME + 0.4, lowpass_gain(np.array([frequency]), BAND)[0]
     then = 2.0 * np.pi * frequency * (TIME - 0.013) + 0.4
-    found = lowpass(np.sin(angle)[:, None], RATE, BAND, late=0.013)[INNER, 0]
-    assert np.abs(found - gain * np.sin(then)[INNER]).max() < 0.01
+    result = lowpass(np.sin(angle)[:, None], RATE, BAND, late=0.013)[INNER, 0]
+    assert np.abs(result - gain * np.sin(then)[INNER]).max() < 0.01
     slope = lowpass(np.sin(angle)[:, None], RATE, BAND, derivative=True, late=0.013)[INNER, 0]
     turn = 2.0 * np.pi * frequency
     assert np.abs(slope - gain * turn * np.cos(then)[INNER]).max() < 0.01 * turn
@@ -66,9 +66,9 @@ def test_quaternions_become_unit_and_continuous() -> None:
     rng = np.random.default_rng(1)
     angle = np.cumsum(0.05 * rng.standard_normal(300))
     smooth = np.stack((np.sin(angle), 0 * angle, 0 * angle, np.cos(angle)), axis=1)
-    found = continuous_quaternion(1.01 * smooth * rng.choice((-1.0, 1.0), (300, 1)))
-    assert (found[1:] * found[:-1]).sum(axis=1).min() > 0.9
-    np.testing.assert_allclose(np.abs((found * smooth).sum(axis=1)), 1.0)
+    result = continuous_quaternion(1.01 * smooth * rng.choice((-1.0, 1.0), (300, 1)))
+    assert (result[1:] * result[:-1]).sum(axis=1).min() > 0.9
+    np.testing.assert_allclose(np.abs((result * smooth).sum(axis=1)), 1.0)
 
 
 def log(time: np.ndarray, **values: np.ndarray) -> FlightLog:
@@ -80,13 +80,13 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
     time = np.arange(0.0, 4.0, 0.01)
     time[1:-1] += 0.004 * np.sin(np.arange(1, time.size - 1))
     step = np.where(time < 2.0, 100.0, 300.0)[:, None]
-    found = uniform_log(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
-    assert np.ptp(np.diff(found.time)) < 1e-12
-    assert found.position is not None
-    assert found.rotor_command is not None
-    np.testing.assert_allclose(found.position[:, 1], 2.0 * found.time, atol=1e-12)
-    assert set(np.unique(found.rotor_command)) == {100.0, 300.0}
-    assert found.notes[0].code == "steps_resampled"
+    result = uniform_log(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
+    assert np.ptp(np.diff(result.time)) < 1e-12
+    assert result.position is not None
+    assert result.rotor_command is not None
+    np.testing.assert_allclose(result.position[:, 1], 2.0 * result.time, atol=1e-12)
+    assert set(np.unique(result.rotor_command)) == {100.0, 300.0}
+    assert result.notes[0].code == "steps_resampled"
     with pytest.raises(DataError, match=r"0\.5 s after the row before, where 0\.01 s are usual; cut the log there"):
         uniform_log(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
 
@@ -116,16 +116,16 @@ def test_a_lag_is_summed_as_row_by_row(kept: float) -> None:
     expected = [start]
     for row in values[:-1]:
         expected.append(kept * expected[-1] + (1.0 - kept) * row)
-    np.testing.assert_allclose(lagged(values, kept, start), expected, atol=1e-13)
+    np.testing.assert_allclose(apply_lag(values, kept, start), expected, atol=1e-13)
 
 
 def test_signs_take_every_jump_out_of_a_quaternion() -> None:
     turned = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.1, -1.0], [0.0, 0.0, 0.2, -1.0], [0.0, 0.0, -0.3, 1.0]])
-    assert signs_of(turned).tolist() == [1.0, -1.0, -1.0, 1.0]
+    assert quaternion_signs(turned).tolist() == [1.0, -1.0, -1.0, 1.0]
 
 
 def test_columns_run_in_straight_lines_between_rows() -> None:
-    found = interpolated(
+    result = interpolate(
         np.array([0.5, 1.5]), np.array([0.0, 1.0, 2.0]), np.array([[0.0, 4.0], [2.0, 2.0], [2.0, 0.0]])
     )
-    assert found.tolist() == [[1.0, 3.0], [2.0, 1.0]]
+    assert result.tolist() == [[1.0, 3.0], [2.0, 1.0]]

@@ -15,27 +15,27 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.rigid_body import Acting, acting_in
+from aerial_gym.physics.rigid_body import ForceBreakdown, force_breakdown
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, normal_equations
-from aerial_gym.sim2real.identify.least_squares.moments import weights_from
+from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor, square_of_slow_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out_models
-from aerial_gym.sim2real.predict.rows.batches import together
-from aerial_gym.sim2real.predict.rows.dataset import thinned
-from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensed
+from aerial_gym.sim2real.predict.rows.batches import group_flights
+from aerial_gym.sim2real.predict.rows.dataset import thin_rows
+from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_deviation
 from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
-from tests.repetitions import often
+from tests.repetitions import frequent_values
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 from tests.unit.sim2real.one_rollout import roll_out
 
@@ -47,24 +47,24 @@ def load(folder: Path, **options: float) -> Flight:
     return complete_flight(uniform_log(read_flight_log(path)))
 
 
-def residual(found: Flight, params: ModelParams, **options: bool) -> np.ndarray:
-    channels = find_channels([found])
-    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
+def residual(result: Flight, params: ModelParams, **options: bool) -> np.ndarray:
+    channels = find_channels([result])
+    predictor = Predictor(ROBOT, [result], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
     return predictor.residuals(params)[0]
 
 
 def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
     """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
-    found = load(tmp_path)
-    left = residual(found, declared_params(ROBOT))
+    results = load(tmp_path)
+    left = residual(results, params_from_robot(ROBOT))
     assert np.abs(left[:, :3]).max() < 0.02
     assert np.abs(left[:, 3:]).max() < 0.05
 
 
 def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_path: Path) -> None:
-    found = load(tmp_path, drag=0.25)
-    params = declared_params(ROBOT)
-    without, withdrag = residual(found, params), residual(found, params.with_effect("rotor_drag", np.full(3, 0.25)))
+    results = load(tmp_path, drag=0.25)
+    params = params_from_robot(ROBOT)
+    without, withdrag = residual(results, params), residual(results, params.with_effect("rotor_drag", np.full(3, 0.25)))
     assert np.sqrt((without[:, :2] ** 2).mean()) > 0.2
     assert np.abs(withdrag[:, :3]).max() < 0.02
 
@@ -74,7 +74,7 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
     wind, drag = np.array([-3.2, 2.4, 0.0]), 0.15
     blind = load(tmp_path, drag=drag, wind=tuple(wind))
     told = replace(blind, wind=tuple(wind))
-    params = declared_params(ROBOT).with_effect("rotor_drag", np.full(3, drag))
+    params = params_from_robot(ROBOT).with_effect("rotor_drag", np.full(3, drag))
     assert np.abs(residual(told, params)[:, :3]).max() < 0.02
     push = drag * np.linalg.norm(wind) / ROBOT.body.mass
     left = np.linalg.norm(residual(blind, params)[:, :3], axis=1)
@@ -92,42 +92,42 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
     np.testing.assert_allclose(unknown.position[:, 0], expected, atol=0.03)
 
 
-def test_rows_on_the_ground_are_not_compared_nor_flown_over(tmp_path: Path) -> None:
+def test_rows_on_the_ground_are_not_compared_nor_rolled_out(tmp_path: Path) -> None:
     """Rows within two periods of the band of a touch are left out, and windows of 1 s clear of it; others are as they were."""
-    found = load(tmp_path)
-    on_ground = np.zeros(found.num_rows, dtype=bool)
+    results = load(tmp_path)
+    on_ground = np.zeros(results.num_rows, dtype=bool)
     on_ground[1000:1100] = True
-    touched = replace(found, on_ground=on_ground)
-    channels = find_channels([found])
+    touched = replace(results, on_ground=on_ground)
+    channels = find_channels([results])
     one, other = (
-        Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (found, touched)
+        Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (results, touched)
     )
     near = 2.0 / BAND + 0.005  # and one row
     clear = (one.times[0] < 5.0 - near - 1e-9) | (one.times[0] > 5.495 + near + 1e-9)
     np.testing.assert_allclose(other.times[0], one.times[0][clear])
     np.testing.assert_allclose(other.residuals(ModelParams())[0], one.residuals(ModelParams())[0][clear], atol=1e-12)
-    start = find_windows([touched], 1.0).row / found.rate
+    start = find_windows([touched], 1.0).row / results.rate
     assert not np.any((start > 3.99) & (start < 5.49))
-    assert {4.6, 5.1} <= set((find_windows([found], 1.0).row / found.rate).tolist())
+    assert {4.6, 5.1} <= set((find_windows([results], 1.0).row / results.rate).tolist())
 
 
 def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> None:
     """A jolt in rows on the ground would raise it."""
-    found = load(tmp_path, noise=1.0, seconds=20.0)
-    assert found.specific_force is not None
-    on_ground = np.zeros(found.num_rows, dtype=bool)
+    results = load(tmp_path, noise=1.0, seconds=20.0)
+    assert results.specific_force is not None
+    on_ground = np.zeros(results.num_rows, dtype=bool)
     on_ground[1000:1050] = True
-    jolted = found.specific_force.copy()
+    jolted = results.specific_force.copy()
     jolted[on_ground] += np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
-    channels = find_channels([found])
+    channels = find_channels([results])
     floors = {}
     for name, force, mask in (
-        ("clean", found.specific_force, None),
+        ("clean", results.specific_force, None),
         ("masked", jolted, on_ground),
         ("all", jolted, None),
     ):
         floor = noise_floor(
-            ROBOT, [replace(found, specific_force=force, on_ground=mask)], ModelParams(), channels, bandwidth=BAND
+            ROBOT, [replace(results, specific_force=force, on_ground=mask)], ModelParams(), channels, bandwidth=BAND
         )
         assert floor is not None
         floors[name] = floor[:3]
@@ -135,7 +135,7 @@ def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> No
     assert (floors["all"] > 3.0 * floors["clean"]).all()
 
 
-def test_without_a_position_there_is_no_ground_near(tmp_path: Path) -> None:
+def test_without_a_position_there_is_no_ground_nearby(tmp_path: Path) -> None:
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.06))
     lost = replace(load(tmp_path), position=None)
     channels = find_channels([lost])
@@ -145,37 +145,37 @@ def test_without_a_position_there_is_no_ground_near(tmp_path: Path) -> None:
 
 
 def test_the_thrust_that_was_flown_scales(tmp_path: Path) -> None:
-    found = load(tmp_path, thrust_scale=1.07)
-    left = residual(found, declared_params(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
+    results = load(tmp_path, thrust_scale=1.07)
+    left = residual(results, params_from_robot(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
     assert np.abs(left[:, 2]).max() < 0.02
 
 
 def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> None:
     """Against ``f - alpha x c - w x (w x c)`` and ``J^-1 (r - c) x f`` with numbers of the log, c small."""
-    found = load(tmp_path)
+    results = load(tmp_path)
     shift = np.array([0.004, -0.003, 0.002])
-    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
     change = predictor.predict(ModelParams(effects={"com_offset": shift}))[0] - predictor.predict(ModelParams())[0]
-    rows = np.round(predictor.times[0] * found.rate).astype(int)
-    omega = found.ang_vel
-    alpha = np.gradient(omega, 1.0 / found.rate, axis=0)
+    rows = np.round(predictor.times[0] * results.rate).astype(int)
+    omega = results.ang_vel
+    alpha = np.gradient(omega, 1.0 / results.rate, axis=0)
     lever = -np.cross(alpha, shift) - np.cross(omega, np.cross(omega, shift))
     assert np.abs(change[:, :3] - lever[rows]).max() < 0.1 * np.abs(lever[rows]).max()
-    assert found.rotor_speed is not None
-    lift = (1.2e-6 * found.rotor_speed**2).sum(axis=1)[rows]
+    assert results.rotor_speed is not None
+    lift = (1.2e-6 * results.rotor_speed**2).sum(axis=1)[rows]
     torque = np.cross(-shift, np.stack((0 * lift, 0 * lift, lift), axis=1))
     expected = torque / np.diag(ROBOT.body.inertia)
     np.testing.assert_allclose(change[:, 3:6], expected, atol=0.02 * np.abs(expected).max())
 
 
 def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
-    found = load(tmp_path, rate=500.0, noise=1.0)
-    channels = find_channels([found])
+    results = load(tmp_path, rate=500.0, noise=1.0)
+    channels = find_channels([results])
     thin, full = (
-        Predictor(ROBOT, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=every)
+        Predictor(ROBOT, [results], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=every)
         for every in (False, True)
     )
-    place = np.round((thin.times[0] - full.times[0][0]) * found.rate).astype(int)
+    place = np.round((thin.times[0] - full.times[0][0]) * results.rate).astype(int)
     for some, every in (
         (thin.predict(ModelParams())[0], full.predict(ModelParams())[0]),
         (thin.measured[0], full.measured[0]),
@@ -185,8 +185,8 @@ def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
 
 def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> None:
     """d f / d (drag) = -v_body / m per unit, at any drag; scale 0.1 N s/m."""
-    found = load(tmp_path)
-    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    results = load(tmp_path)
+    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     jacobian = effect_jacobian(predictor, params, ("rotor_drag",), predictor.predict(params))[0]
     zero = predictor.predict(ModelParams())[0]
@@ -209,12 +209,12 @@ MODELS = {
 }
 
 
-def test_a_prediction_does_not_depend_on_the_models_predicted_before(tmp_path: Path) -> None:
+def test_a_prediction_does_not_depend_on_the_earlier_models(tmp_path: Path) -> None:
     """Bit for bit: nothing that is kept of one model is used for another one that it does not hold for."""
-    found = load(tmp_path)
+    results = load(tmp_path)
 
     def new() -> Predictor:
-        return Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+        return Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
 
     alone = {name: new().predict(params)[0] for name, params in MODELS.items()}
     distinct = {values.tobytes() for values in alone.values()}
@@ -225,8 +225,8 @@ def test_a_prediction_does_not_depend_on_the_models_predicted_before(tmp_path: P
 
 
 def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() -> None:
-    assert together([6000, 10000, 1, 18000, 100, 200]) == [slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 6)]
-    assert together([9000]) == [slice(0, 1)]
+    assert group_flights([6000, 10000, 1, 18000, 100, 200]) == [slice(0, 2), slice(2, 3), slice(3, 4), slice(4, 6)]
+    assert group_flights([9000]) == [slice(0, 1)]
 
 
 def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,8 +247,8 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
 
 def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path) -> None:
     """Kinematic channels of a model without such errors are filtered once; those with them, in every prediction."""
-    found = load(tmp_path)
-    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    results = load(tmp_path)
+    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
     for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
         params = ModelParams(deviation=deviation)
         without, neutral = (
@@ -259,15 +259,15 @@ def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path)
 
 def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_mass(tmp_path: Path) -> None:
     """Open loop for 1 s: a millimetre and a milliradian. A vehicle that is 5 % heavier falls behind by g 5 % t² / 2."""
-    found = load(tmp_path, rate=400.0)
-    errors = roll_out(ROBOT, [found], ModelParams(), horizons=(0.1, 0.5, 1.0))
+    results = load(tmp_path, rate=400.0)
+    errors = roll_out(ROBOT, [results], ModelParams(), horizons=(0.1, 0.5, 1.0))
     assert errors.driven_by == "measured rotor speeds"
     assert errors.position is not None
     assert errors.attitude is not None
     assert errors.position[:, 2].max() < 1e-3
     assert errors.attitude[:, 2].max() < 1e-3
     heavy = replace(ROBOT, body=replace(ROBOT.body, mass=1.05 * ROBOT.body.mass))
-    given = roll_out(heavy, [found], ModelParams(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
+    given = roll_out(heavy, [results], ModelParams(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
     assert given.attitude is None
     assert given.position is not None
     assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
@@ -287,10 +287,10 @@ def test_a_rollout_that_diverges_is_as_far_off_as_counts(tmp_path: Path) -> None
 
 def test_rollouts_of_slow_logs_are_integrated_finely_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One step of 10 ms for each row of a log at 100 Hz, against eight: after half a second 2 mm apart at most."""
-    found, heavy = load(tmp_path, rate=100.0), ModelParams(effects={"payload_mass": np.array([0.02])})
-    usual = roll_out(ROBOT, [found], heavy, horizons=(0.5,))
+    results, heavy = load(tmp_path, rate=100.0), ModelParams(effects={"payload_mass": np.array([0.02])})
+    usual = roll_out(ROBOT, [results], heavy, horizons=(0.5,))
     monkeypatch.setattr("aerial_gym.sim2real.predict.rollout.STEP_S", 0.00125)
-    fine = roll_out(ROBOT, [found], heavy, horizons=(0.5,))
+    fine = roll_out(ROBOT, [results], heavy, horizons=(0.5,))
     np.testing.assert_allclose(usual.position, fine.position, atol=2e-3)
 
 
@@ -299,7 +299,7 @@ def test_rollouts_side_by_side_are_those_of_each_model_and_variant_alone(tmp_pat
 
     The last model remembers, so that each is flown by itself.
     """
-    found, variants = load(tmp_path), {"free": False, "given": True}
+    results, variants = load(tmp_path), {"free": False, "given": True}
     com, wind, drag = np.array([0.01, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.full(3, 0.25)
     models = [
         ModelParams(),
@@ -308,61 +308,61 @@ def test_rollouts_side_by_side_are_those_of_each_model_and_variant_alone(tmp_pat
     ]
     creeping = ModelParams(effects={"joint_creep": np.array([0.4, 30.0, 0.4])})
     for some in (models, [*models[:1], creeping]):
-        together = roll_out_models(ROBOT, [found], some, variants, links=[None] * len(some), horizons=(0.1, 0.5))
+        together = roll_out_models(ROBOT, [results], some, variants, links=[None] * len(some), horizons=(0.1, 0.5))
         for of_model, params in zip(together, some, strict=True):
             for variant, given in variants.items():
-                alone = roll_out(ROBOT, [found], params, horizons=(0.1, 0.5), given_attitude=given)
+                alone = roll_out(ROBOT, [results], params, horizons=(0.1, 0.5), given_attitude=given)
                 np.testing.assert_allclose(of_model[variant].position, alone.position, rtol=1e-9, atol=1e-12)
                 np.testing.assert_allclose(of_model[variant].velocity, alone.velocity, rtol=1e-9, atol=1e-12)
             assert of_model["given"].attitude is None
-        declared, *others = (of_model["free"].velocity for of_model in together)
-        assert min(np.abs(other - declared).max() for other in others) > 1e-3
+        declared, *remaining = (of_model["free"].velocity for of_model in together)
+        assert min(np.abs(other - declared).max() for other in remaining) > 1e-3
         if some is models:
             assert np.abs(together[1]["free"].velocity - together[1]["given"].velocity).max() > 0.01
 
 
 def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) -> None:
-    found = load(tmp_path)
-    windows = find_windows([found, found], 2.0)
+    results = load(tmp_path)
+    windows = find_windows([results, results], 2.0)
     assert set(windows.flight) == {0, 1}
-    assert (windows.row.max() / found.rate) + 2.0 < found.time[-1]
+    assert (windows.row.max() / results.rate) + 2.0 < results.time[-1]
     assert len(set(windows.cluster)) >= 4
     assert not set(windows.cluster[windows.flight == 0]) & set(windows.cluster[windows.flight == 1])
 
 
 def test_commands_drive_the_rotors_through_the_lag(tmp_path: Path) -> None:
     """A step of the command: ``w = w_c + (w_0 - w_c) exp(-t / tau)`` on rows, with the command held from its row on."""
-    found = load(tmp_path, seconds=4.0)
-    rows = found.num_rows
+    results = load(tmp_path, seconds=4.0)
+    rows = results.num_rows
     step = np.where(np.arange(rows)[:, None] < 100, 900.0, 1100.0).repeat(4, axis=1)
-    driven = replace(found, rotor_command=step, rotor_speed=np.full((rows, 4), 900.0))
+    driven = replace(results, rotor_command=step, rotor_speed=np.full((rows, 4), 900.0))
     rotor = replace(ROBOT.rotor, time_constant_up=0.05, time_constant_down=0.05)
     vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=torch.float64)
     speeds = RotorReplay([driven]).speeds(build_model(vehicle), 0.0)[0]
     assert speeds is not None
-    time = np.maximum(np.arange(rows) - 100, 0) / found.rate
+    time = np.maximum(np.arange(rows) - 100, 0) / results.rate
     np.testing.assert_allclose(speeds[:, 0], 1100.0 - 200.0 * np.exp(-time / 0.05), rtol=1e-9)
 
 
 def test_flights_with_and_without_measured_rotors_do_not_mix(tmp_path: Path) -> None:
-    found = load(tmp_path)
-    commanded = replace(found, rotor_command=found.rotor_speed, rotor_speed=None)
+    results = load(tmp_path)
+    commanded = replace(results, rotor_command=results.rotor_speed, rotor_speed=None)
     with pytest.raises(DataError, match="some flights have measured rotor speeds and some have not"):
         Predictor(
             ROBOT,
-            [found, commanded],
+            [results, commanded],
             bandwidth=BAND,
-            channels=find_channels([found, commanded]),
+            channels=find_channels([results, commanded]),
             tolerances=Tolerances(),
         )
 
 
 def test_channels_are_what_every_flight_has(tmp_path: Path) -> None:
-    found = load(tmp_path)
+    results = load(tmp_path)
     kinds = ("specific_force", "angular_acceleration", "kinematic_force", "kinematic_rate")
-    assert [channel.kind for channel in find_channels([found])] == [kind for kind in kinds for _ in range(3)]
-    blind = replace(found, specific_force=None, accelerometer=False)
-    assert {channel.kind for channel in find_channels([found, blind])} == {"angular_acceleration", "kinematic_rate"}
+    assert [channel.kind for channel in find_channels([results])] == [kind for kind in kinds for _ in range(3)]
+    blind = replace(results, specific_force=None, accelerometer=False)
+    assert {channel.kind for channel in find_channels([results, blind])} == {"angular_acceleration", "kinematic_rate"}
     with pytest.raises(DataError, match="no quantity in common"):
         find_channels([replace(blind, gyro=False)])
 
@@ -377,17 +377,17 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
     assert bare.lin_vel is None  # derived only by load_flights
     assert bare.notes == (Finding("velocity_unknown"),)
     poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
-    found = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
-    assert not found.gyro
-    assert found.lin_vel is not None
+    results = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    assert not results.gyro
+    assert results.lin_vel is not None
     assert full.lin_vel is not None
     inner = slice(100, -100)
-    np.testing.assert_allclose(found.lin_vel[inner], full.lin_vel[inner], atol=0.01)
-    np.testing.assert_allclose(found.ang_vel[inner], full.ang_vel[inner], atol=0.02)
-    assert {"velocity_derived", "rates_derived"} <= {note.code for note in found.notes}
+    np.testing.assert_allclose(results.lin_vel[inner], full.lin_vel[inner], atol=0.01)
+    np.testing.assert_allclose(results.ang_vel[inner], full.ang_vel[inner], atol=0.02)
+    assert {"velocity_derived", "rates_derived"} <= {note.code for note in results.notes}
     forces = [column for column in table if not column.startswith("acc_")]
-    found = load_flights([write(table[forces], tmp_path / "d.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
-    assert found.notes == (Finding("force_derived"),)
+    results = load_flights([write(table[forces], tmp_path / "d.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    assert results.notes == (Finding("force_derived"),)
 
 
 def test_tolerances_change_what_they_say() -> None:
@@ -409,7 +409,7 @@ def test_tolerances_change_what_they_say() -> None:
     assert off.battery[0].tolist() == pytest.approx([BATTERY.nominal_voltage * 0.997, *vehicle.battery[0, 1:].tolist()])
     for name, size in (("acc_bias_y", 2.0), ("gyro_bias_x", -1.0), ("command_hold", 1.0), ("joint_rest", -2.0)):
         deviation[names.index(name)] = size
-    logged = sensed(tolerances, deviation)
+    logged = sensor_deviation(tolerances, deviation)
     force, rate = logged.acc_bias, logged.gyro_bias
     assert force.tolist() == pytest.approx([0.0, 0.04, 0.0])
     assert rate.tolist() == pytest.approx([-0.002, 0.0, 0.0])
@@ -419,9 +419,9 @@ def test_tolerances_change_what_they_say() -> None:
 
 def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
     """A constant bias has no derivative, so that only the rate read beside the attitude moves, by that bias."""
-    found = load(tmp_path)
+    results = load(tmp_path)
     predictor = Predictor(
-        ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=(tolerances := Tolerances())
+        ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=(tolerances := Tolerances())
     )
     deviation = np.zeros(predictor.num_tolerances)
     deviation[tolerances.names(4).index("gyro_bias_z")] = 3.0
@@ -431,7 +431,7 @@ def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alo
         np.testing.assert_allclose(moved[:, place], expected, atol=1e-12, err_msg=channel.name)
 
 
-def turned_log(table: pd.DataFrame, turn: Rotation, folder: Path) -> tuple[Flight, Flight]:
+def turn_attitude(table: pd.DataFrame, turn: Rotation, folder: Path) -> tuple[Flight, Flight]:
     """Return a flight as it was, and with its logged attitude turned against the body."""
     logged, columns = table.copy(), ["q_x", "q_y", "q_z", "q_w"]
     logged[columns] = (Rotation.from_quat(table[columns].to_numpy()) * turn).as_quat()
@@ -443,7 +443,7 @@ def turned_log(table: pd.DataFrame, turn: Rotation, folder: Path) -> tuple[Fligh
 
 
 def two_and_one() -> np.ndarray:
-    """Return what turns such a log back by 0.02 rad about y and -0.01 rad about z."""
+    """Return the tolerance parameters that turn such a log back by 0.02 rad about y and -0.01 rad about z."""
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("attitude_y")], deviation[names.index("attitude_z")] = 2.0, -1.0
     return deviation
@@ -459,66 +459,68 @@ LATE = {
 """Columns of what may be late by itself."""
 
 
-def delayed(table: pd.DataFrame, what: str, seconds: float) -> pd.DataFrame:
+def delay_columns(table: pd.DataFrame, label: str, seconds: float) -> pd.DataFrame:
     """Return a log in which some columns are so many seconds late."""
-    found, time = table.copy(), table["t"].to_numpy()
-    for name in (name for name in table if str(name).startswith(LATE[what])):
-        found[name] = CubicSpline(time, table[name].to_numpy())(time - seconds)
-    return found
+    results, time = table.copy(), table["t"].to_numpy()
+    for name in (name for name in table if str(name).startswith(LATE[label])):
+        results[name] = CubicSpline(time, table[name].to_numpy())(time - seconds)
+    return results
 
 
-def deviating(**sizes: float) -> np.ndarray:
+def draw_deviations(**sizes: float) -> np.ndarray:
     """Return some deviations of a quadrotor, in standard deviations."""
     names = Tolerances().names(4)
     return np.array([sizes.get(name, 0.0) for name in names])
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])
-@pytest.mark.parametrize("what", LATE)
-def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(what: str, accelerometer: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("label", LATE)
+def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(
+    label: str, accelerometer: bool, tmp_path: Path
+) -> None:
     """6 ms, two deviations, leave what the log on one clock does, but 10 %; of each sensor, with drag in a wind."""
     table = flight(3, drag=0.6, wind=(2.0, -1.0, 0.5))
     if not accelerometer:
         table = table.drop(columns=["acc_x", "acc_y", "acc_z"])
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.6), "constant_wind": np.array([2.0, -1.0, 0.5])})
-    logs = [table, delayed(table, what, 0.006)]
+    logs = [table, delay_columns(table, label, 0.006)]
     on_time, late = (
         complete_flight(uniform_log(read_flight_log(write(log, tmp_path / f"{number}.csv"))))
         for number, log in enumerate(logs)
     )
     as_was, moved = residual(on_time, params), residual(late, params)
-    back = residual(late, replace(params, deviation=deviating(**{f"sensor_delay_{what}": 2.0})))
+    back = residual(late, replace(params, deviation=draw_deviations(**{f"sensor_delay_{label}": 2.0})))
     left = np.sqrt(np.mean((back - as_was) ** 2, axis=0))
     off = np.sqrt(np.mean((moved - as_was) ** 2, axis=0))
-    assert off.max() > 0.01 or (what == "acc" and not accelerometer)
+    assert off.max() > 0.01 or (label == "acc" and not accelerometer)
     np.testing.assert_array_less(left, 2e-3 + 0.1 * off)
 
 
 def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_put_back(tmp_path: Path) -> None:
     """1 % along y and -0.5 % along z; 1 cm ahead, 5 mm below: forces as they were, and nothing else is touched."""
     table = flight(3)
-    found = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
-    assert found.specific_force is not None
+    results = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    assert results.specific_force is not None
     place, scale = np.array([0.01, 0.0, -0.005]), np.array([0.0, 0.01, -0.005])
-    rate = found.ang_vel
-    turning = lowpass(rate, found.rate, 40.0, derivative=True)
-    felt = found.specific_force + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
-    names = [channel.kind for channel in find_channels([found])]
+    rate = results.ang_vel
+    turning = lowpass(rate, results.rate, 40.0, derivative=True)
+    felt = results.specific_force + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
+    names = [channel.kind for channel in find_channels([results])]
     forces, implied = (
         [k for k, name in enumerate(names) if name == kind] for kind in ("specific_force", "kinematic_force")
     )
-    as_was = residual(found, ModelParams())
+    as_was = residual(results, ModelParams())
     for read, sizes, kinds in (
         (felt, {"imu_place_x": 2.0, "imu_place_z": -1.0}, forces),
-        ((1.0 + scale) * found.specific_force, {"acc_scale_y": 2.0, "acc_scale_z": -1.0}, forces + implied),
+        ((1.0 + scale) * results.specific_force, {"acc_scale_y": 2.0, "acc_scale_z": -1.0}, forces + implied),
     ):
-        off = replace(found, specific_force=read)
-        moved, back = residual(off, ModelParams()), residual(off, ModelParams(deviation=deviating(**sizes)))
-        others = [k for k in range(len(names)) if k not in kinds]
+        off = replace(results, specific_force=read)
+        moved, back = residual(off, ModelParams()), residual(off, ModelParams(deviation=draw_deviations(**sizes)))
+        remaining = [k for k in range(len(names)) if k not in kinds]
         assert np.abs(moved - as_was)[:, kinds].max() > 0.02
         assert np.abs(back - as_was)[:, kinds].max() < 0.05 * np.abs(moved - as_was)[:, kinds].max()
         np.testing.assert_array_equal(
-            residual(found, ModelParams(deviation=deviating(**sizes)))[:, others], as_was[:, others]
+            residual(results, ModelParams(deviation=draw_deviations(**sizes)))[:, remaining], as_was[:, remaining]
         )
 
 
@@ -534,13 +536,13 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
     predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=sizes)
     fit = linearise(predictor, (), params, tolerance_jacobian(predictor, params))
     kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
-    weight = weights_from(predictor.residuals(params)).weight * kinematic
+    weight = inverse_variance_weights(predictor.residuals(params)).weight * kinematic
     product, gradient = normal_equations(fit, weight)
     covariance = np.linalg.inv(product + np.eye(len(gradient)))
     place = [sizes.names(4).index(f"acc_scale_{axis}") for axis in "xyz"]
-    found, std = (covariance @ gradient)[place], np.sqrt(np.diag(covariance)[place])
+    results, std = (covariance @ gradient)[place], np.sqrt(np.diag(covariance)[place])
     assert (std[:2] < 0.9).all()
-    assert (np.abs(found) < 3.0 * std).all()
+    assert (np.abs(results) < 3.0 * std).all()
 
 
 @pytest.mark.parametrize("accelerometer", [True, False])
@@ -548,7 +550,7 @@ def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: P
     """A log whose attitude is turned against the body by 2 and -1 tolerances leaves what the aligned one does, in its axes."""
     table = flight(3) if accelerometer else flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
     turn = Rotation.from_euler("xyz", [0.0, 0.02, -0.01])  # log to body axes
-    aligned, off = turned_log(table, turn, tmp_path)
+    aligned, off = turn_attitude(table, turn, tmp_path)
     left, channels = residual(aligned, ModelParams()), find_channels([aligned])
     plain, rotate_ring = residual(off, ModelParams()), residual(off, ModelParams(deviation=two_and_one()))
     kinds = [channel.kind for channel in channels]
@@ -571,12 +573,12 @@ def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(
     tmp_path: Path, params: dict[str, np.ndarray]
 ) -> None:
     """What the body feels of a drag, of a wind, of a load is what it feels with the attitude as it was; not without."""
-    aligned, off = turned_log(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
+    aligned, off = turn_attitude(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
     params, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())
     felt = [channel.kind in ("specific_force", "angular_acceleration") for channel in find_channels([aligned])]
-    as_was, without, found = (residual(*case)[:, felt] for case in ((aligned, params), (off, params), (off, back)))
+    as_was, without, results = (residual(*case)[:, felt] for case in ((aligned, params), (off, params), (off, back)))
     assert np.abs(without - as_was).max() > 0.01
-    np.testing.assert_allclose(found, as_was, atol=1e-6 + 0.02 * np.abs(without - as_was).max())
+    np.testing.assert_allclose(results, as_was, atol=1e-6 + 0.02 * np.abs(without - as_was).max())
 
 
 def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Path) -> None:
@@ -584,8 +586,8 @@ def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Pa
 
     Derivatives where nothing deviates miss 4 % of the change of the force in this gentle flight; of third order is 0.03 %.
     """
-    found = load(tmp_path, rate=400.0)
-    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
+    results = load(tmp_path, rate=400.0)
+    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
     names = predictor.tolerances.names(4)
     deviation = np.zeros(len(names))
     deviation[[names.index("sensor_delay_gyro"), names.index("imu_place_z")]] = -3.0, 2.0
@@ -598,10 +600,10 @@ def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Pa
 
 def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
     """White noise of sensors and rotors through filter and derivative; the exact flight leaves nothing else."""
-    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
-    channels = find_channels([found])
-    left = residual(found, ModelParams())
-    floor = noise_floor(ROBOT, [found], ModelParams(), channels, bandwidth=BAND)
+    results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    channels = find_channels([results])
+    left = residual(results, ModelParams())
+    floor = noise_floor(ROBOT, [results], ModelParams(), channels, bandwidth=BAND)
     assert floor is not None
     ratio = np.sqrt((left**2).mean(axis=0)) / floor
     assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
@@ -609,7 +611,9 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
     assert floor[0] == pytest.approx(0.05 * np.sqrt(2.0 * 0.92 * 10.0 / 400.0), rel=0.1)
 
 
-@pytest.mark.parametrize(("step", "noise"), often(product((20.0, 60.0), (0.0, 1.0)), [(20.0, 1.0), (60.0, 0.0)]))
+@pytest.mark.parametrize(
+    ("step", "noise"), frequent_values(product((20.0, 60.0), (0.0, 1.0)), [(20.0, 1.0), (60.0, 0.0)])
+)
 def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(
     noise: float, step: float, tmp_path: Path
 ) -> None:
@@ -617,10 +621,10 @@ def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(
 
     What is white there alone would give 0.1 to 0.6 of it along z. Of one step or another, rms is known to half of itself.
     """
-    found = load(tmp_path, rate=400.0, noise=noise, seconds=20.0)
-    assert found.rotor_speed is not None
-    coarse = replace(found, rotor_speed=np.round(found.rotor_speed / step) * step)
-    channels = find_channels([found])
+    results = load(tmp_path, rate=400.0, noise=noise, seconds=20.0)
+    assert results.rotor_speed is not None
+    coarse = replace(results, rotor_speed=np.round(results.rotor_speed / step) * step)
+    channels = find_channels([results])
     floor = noise_floor(ROBOT, [coarse], ModelParams(), channels, bandwidth=BAND)
     assert floor is not None
     made = [channels.index(Channel(kind="specific_force", axis="z"))]
@@ -630,11 +634,11 @@ def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(
 
 
 def test_what_a_log_holds_in_full_has_no_noise_of_rounding(tmp_path: Path) -> None:
-    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
-    channels = find_channels([found])
-    floor = noise_floor(ROBOT, [found], ModelParams(), channels, bandwidth=BAND)
+    results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    channels = find_channels([results])
+    floor = noise_floor(ROBOT, [results], ModelParams(), channels, bandwidth=BAND)
     assert floor is not None
-    square = square_of_slow_rounding(ROBOT, found, ModelParams(), channels, BAND)
+    square = square_of_slow_rounding(ROBOT, results, ModelParams(), channels, BAND)
     assert (square < 0.01 * floor**2).all()
 
 
@@ -643,11 +647,11 @@ def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path:
 
     Lines from 15 to 24 Hz cannot tell a level from growth with f²; growth alone would give 10 / 19.5 / sqrt(3) = 0.3 of it.
     """
-    found = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
-    assert found.specific_force is not None
+    results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
+    assert results.specific_force is not None
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
-    smooth = replace(found, specific_force=lowpass(found.specific_force, 400.0, 30.0))
-    raw, filtered = (noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (found, smooth))
+    smooth = replace(results, specific_force=lowpass(results.specific_force, 400.0, 30.0))
+    raw, filtered = (noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (results, smooth))
     assert raw is not None
     assert filtered is not None
     assert np.all(filtered[:2] > 0.5 * raw[:2])
@@ -671,16 +675,18 @@ def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_pat
 
 
 def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
-    found = load(tmp_path, rate=25.0)
-    assert noise_floor(ROBOT, [found], ModelParams(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
+    results = load(tmp_path, rate=25.0)
+    assert (
+        noise_floor(ROBOT, [results], ModelParams(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
+    )
 
 
 def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
     tolerances, size = Tolerances(), len(Tolerances().names(6))
     deviation = np.full(size, 2.9)
-    assert tolerances.strained(deviation) == []
+    assert tolerances.implausible_deviations(deviation) == []
     deviation[[0, 6, size - 1]] = 3.4, -4.0, 3.1
-    notes = tolerances.strained(deviation)
+    notes = tolerances.implausible_deviations(deviation)
     asked = {"mass": 3.4, "thrust_6": -4.0, "joint_rest": 3.1}
     assert notes == [Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in asked.items()]
 
@@ -697,7 +703,7 @@ def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() ->
         ("joint_rest", 4.0),
     ):
         deviation[names.index(name)] = size
-    notes = tolerances.strained(deviation, absent={"nominal_voltage", "joint_rest"}, farthest=5.0)
+    notes = tolerances.implausible_deviations(deviation, absent={"nominal_voltage", "joint_rest"}, farthest=5.0)
     cut = {"tolerances": ["inertia_x", "com_y"], "deviation_std": 5.0}
     assert notes == [
         Finding("tolerance_strained", "mass", {"deviation_std": 3.5}),
@@ -708,19 +714,19 @@ def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() ->
 def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp_path: Path) -> None:
     """Of a bias and a tilt of the inertial unit they show nothing; beside a gyro the bias of that remains."""
     table = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
-    found = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    results = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
     names = Tolerances().names(4)
     bias, tilt = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0]), np.array([0.05, -0.03, 0.0])
     off = np.array([5.0 * name.startswith("acc_bias") for name in names])
-    left = residual(found, ModelParams())
+    left = residual(results, ModelParams())
     for params in (ModelParams(effects={"imu_bias": bias}), ModelParams(deviation=off)):
-        np.testing.assert_array_equal(residual(found, params), left)
-    moved = residual(found, ModelParams(effects={"imu_misalignment": tilt})) - left
-    channels = find_channels([found])
+        np.testing.assert_array_equal(residual(results, params), left)
+    moved = residual(results, ModelParams(effects={"imu_misalignment": tilt})) - left
+    channels = find_channels([results])
     for place, channel in enumerate(channels):
         assert np.any(np.abs(moved[:, place]) > 1e-6) == (channel.kind != "specific_force"), channel.name
-    assert lacks("imu_bias", ROBOT, [found]) is None
-    without = replace(found, gyro=False)
+    assert lacks("imu_bias", ROBOT, [results]) is None
+    without = replace(results, gyro=False)
     for name in ("imu_bias", "imu_misalignment"):
         assert lacks(name, ROBOT, [without]) == Finding("no_inertial_sensor", name)
 
@@ -728,16 +734,16 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
 @pytest.mark.slow
 def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None:
     """Every parameter of every effect and every tolerance, one after the other, each as a predictor of its own says: 1e-9."""
-    found = load(tmp_path, drag=0.25)
-    channels = find_channels([found])
+    results = load(tmp_path, drag=0.25)
+    channels = find_channels([results])
     robot = replace(ROBOT, battery=BATTERY)
 
     def fresh() -> Predictor:
-        return Predictor(robot, [found], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+        return Predictor(robot, [results], bandwidth=BAND, channels=channels, tolerances=Tolerances())
 
     names = [n for n in EFFECTS if not EFFECTS.get(n).random and not isinstance(EFFECTS.get(n), LoadEffect)]
-    names = [n for n in names if not lacks(n, robot, [found])]
-    params = declared_params(robot)
+    names = [n for n in names if not lacks(n, robot, [results])]
+    params = params_from_robot(robot)
     for name in names:
         scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
         low, high = np.array(EFFECTS.get(name).bounds(robot)).T
@@ -754,23 +760,23 @@ def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None
 def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found, asked = load(tmp_path), []
+    results, asked = load(tmp_path), []
 
-    def counted(*args: object, **options: object) -> Acting:
+    def count_call(*args: object, **options: object) -> ForceBreakdown:
         asked.append(1)
-        return acting_in(*args, **options)  # type: ignore[arg-type]
+        return force_breakdown(*args, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("aerial_gym.sim2real.predict.rows.together.acting_in", counted)
-    predictor = Predictor(ROBOT, [found], bandwidth=BAND, channels=find_channels([found]), tolerances=Tolerances())
-    params = declared_params(ROBOT)
+    monkeypatch.setattr("aerial_gym.sim2real.predict.rows.flight_batch.force_breakdown", count_call)
+    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
+    params = params_from_robot(ROBOT)
     alike = [
         params,
         params.with_effect("inertia_error", np.ones(3)),
         params.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0])),
     ]
-    first, *others = (predictor.predict(one)[0] for one in alike)
+    first, *remaining = (predictor.predict(one)[0] for one in alike)
     assert len(asked) == 1
-    for other in others:
+    for other in remaining:
         np.testing.assert_array_equal(other, first)
     predictor.predict(params.with_effect("inertia_error", np.array([1.0, 1.0, 1.01])))
     predictor.predict(replace(params, deviation=np.eye(predictor.num_tolerances)[0]))
@@ -781,4 +787,4 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
     ("rate", "bandwidth", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
 )
 def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, bandwidth: float, rows: int) -> None:
-    assert thinned(SimpleNamespace(rate=rate), bandwidth) == rows  # type: ignore[arg-type]
+    assert thin_rows(SimpleNamespace(rate=rate), bandwidth) == rows  # type: ignore[arg-type]

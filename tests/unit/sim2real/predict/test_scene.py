@@ -10,10 +10,10 @@ import torch
 from aerial_gym.errors import CapabilityError, DataError
 from aerial_gym.physics import BACKENDS, build_model, vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.in_memory import judge_flights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
+from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -56,7 +56,7 @@ def hover(name: str, height: float, **more: object) -> Flight:
 
 
 def lift(flights: list[Flight], effect: str, params: list[float]) -> list[np.ndarray]:
-    """Return what an effect adds to the specific force along z in each flight [m/s²]."""
+    """Return the contribution of an effect to the specific force along z in each flight [m/s²]."""
     predictor = Predictor(NEAR, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     with_effect = predictor.predict(ModelParams(effects={effect: np.array(params)}))
     return [(more - own)[:, 2] for more, own in zip(with_effect, predictor.predict(ModelParams()), strict=True)]
@@ -73,8 +73,8 @@ def test_each_flight_has_its_own_ceiling_and_ground() -> None:
         hover("high", 1.0, ceiling_height=1.31, ground_height=-5.0),
     ]
     for effect, rooms in (("ceiling_effect", (0.1, 0.3)), ("ground_effect", (0.2, 6.01))):
-        for found, room in zip(lift(flights, effect, [1.5]), rooms, strict=True):
-            np.testing.assert_allclose(found, G * gain(1.5, room), rtol=1e-9, atol=1e-9)
+        for result, room in zip(lift(flights, effect, [1.5]), rooms, strict=True):
+            np.testing.assert_allclose(result, G * gain(1.5, room), rtol=1e-9, atol=1e-9)
 
 
 def test_the_wake_of_another_vehicle_pushes_down_where_it_is_known() -> None:
@@ -95,7 +95,7 @@ def test_the_wake_of_another_vehicle_pushes_down_where_it_is_known() -> None:
 
 
 @pytest.mark.parametrize("effect", ["ceiling_effect", "downwash"])
-def test_a_rollout_feels_what_is_around(effect: str) -> None:
+def test_a_rollout_feels_its_surroundings(effect: str) -> None:
     """From rest, to first order: z = a t² / 2 with the acceleration at the start; the second flight has another one."""
     other = np.column_stack((np.full(400, 0.2), np.zeros(400), np.full(400, 3.0)))
     far = other + np.array([9.0, 0.0, 0.0])

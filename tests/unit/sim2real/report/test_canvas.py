@@ -9,24 +9,24 @@ import pytest
 from aerial_gym.sim2real.report.canvas import INCH, Panel, panels, ticks
 
 
-def drawn(panel: Panel) -> list[np.ndarray]:
+def path_points(panel: Panel) -> list[np.ndarray]:
     """Return the points of each path of a panel."""
-    found = re.findall(r' d="([^"]*)"', panel.svg(panel.x_values))
-    return [np.array(re.sub("[Mh]", " ", path).split(), dtype=float) for path in found]
+    result = re.findall(r' d="([^"]*)"', panel.svg(panel.x_values))
+    return [np.array(re.sub("[Mh]", " ", path).split(), dtype=float) for path in result]
 
 
 def test_a_line_lies_where_its_numbers_are() -> None:
     """Five per cent beside the ends: 0 and 10 come to lie at 1/22 and 21/22 of a panel, upright from the bottom."""
     panel = Panel(place=(100.0, 200.0, 2200.0, 1100.0))
     panel.line(np.array([0.0, 10.0]), np.array([-1.0, 1.0]), "#123456")
-    np.testing.assert_array_equal(drawn(panel)[0], [200.0, 1250.0, 2200.0, 250.0])
+    np.testing.assert_array_equal(path_points(panel)[0], [200.0, 1250.0, 2200.0, 250.0])
 
 
 def test_a_logarithmic_axis_has_equal_steps_for_equal_factors_and_bars_stand_on_its_frame() -> None:
     """1, 10 and 100 are equally far apart; zero, the foot of a bar, is the frame."""
     panel = Panel(place=(0.0, 0.0, 900.0, 1100.0), log=True, names=("a", "b", "c"))
     panel.bars(np.arange(3.0), np.array([1.0, 10.0, 100.0]), 0.8, "#123456")
-    corners = drawn(panel)[0].reshape(3, 4, 2)
+    corners = path_points(panel)[0].reshape(3, 4, 2)
     np.testing.assert_array_equal(corners[:, 0, 1], 1100.0)
     np.testing.assert_array_equal(corners[:, 1, 1], [1050.0, 550.0, 50.0])
 
@@ -37,7 +37,7 @@ def test_a_long_line_keeps_what_is_seen_of_it(rows: int) -> None:
     panel = Panel(place=(0.0, 0.0, 3000.0, 1000.0))
     time, values = np.arange(rows) / rows, np.random.default_rng(0).normal(size=rows)
     panel.line(time, values, "#123456")
-    x, y = drawn(panel)[0].reshape(-1, 2).T
+    x, y = path_points(panel)[0].reshape(-1, 2).T
     assert x.size == (rows if rows < 300 else pytest.approx(2 * 3000 / 1.1 / 10, abs=4))
     assert np.all(np.diff(x) >= 0.0)
     assert (y.min(), y.max()) == (pytest.approx(45.0, abs=1.0), pytest.approx(955.0, abs=1.0))
@@ -45,12 +45,12 @@ def test_a_long_line_keeps_what_is_seen_of_it(rows: int) -> None:
 
 def test_what_is_not_known_is_a_gap() -> None:
     """In a line; an error bar with an end that is not known is left out, and so is a mark of which nothing is."""
-    panel, nothing = Panel(place=(0.0, 0.0, 2200.0, 1100.0)), np.nan
-    panel.line(np.arange(6.0), np.array([nothing, 0.0, 1.0, nothing, 0.0, 1.0]), "#123456")
-    panel.error_bars(np.arange(3.0), np.array([0.0, nothing, 0.0]), np.ones(3), "#123456")
-    panel.line(np.arange(5.0), np.full(5, nothing), "#123456")
-    panel.dots(np.arange(5.0), np.full(5, nothing), "#123456")
-    assert [path.size // 2 for path in drawn(panel)[:3]] == [2, 2, 4]
+    panel, empty = Panel(place=(0.0, 0.0, 2200.0, 1100.0)), np.nan
+    panel.line(np.arange(6.0), np.array([empty, 0.0, 1.0, empty, 0.0, 1.0]), "#123456")
+    panel.error_bars(np.arange(3.0), np.array([0.0, empty, 0.0]), np.ones(3), "#123456")
+    panel.line(np.arange(5.0), np.full(5, empty), "#123456")
+    panel.dots(np.arange(5.0), np.full(5, empty), "#123456")
+    assert [path.size // 2 for path in path_points(panel)[:3]] == [2, 2, 4]
     ElementTree.fromstring(f"<svg>{panel.svg(panel.x_values)}</svg>")
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
-from aerial_gym.sim2real.identify.least_squares.moments import weights_from
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside
+from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -23,7 +23,7 @@ EFFECT = "thrust_coefficient"
 
 
 @pytest.mark.parametrize("lighter", [1.0, LIGHTER])
-def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_asks_for(lighter: float, tmp_path: Path) -> None:
+def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_needs(lighter: float, tmp_path: Path) -> None:
     """Rotors give 0.9 of what is declared. Where the moments of inertia are declared 0.8 times too small as well, forces ask
     for 0.9 and turns for 0.72, no value makes both, and the fit lies between them."""
     body = replace(ROBOT.body, inertia=tuple(tuple(lighter * x for x in row) for row in ROBOT.body.inertia))
@@ -31,10 +31,10 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_asks_for(l
     paths = [write(flight(s, thrust_scale=SCALE, noise=0.1, seconds=6.0), tmp_path / f"f{s}.csv") for s in (1, 2)]
     flights = load_flights(paths, robot, mapping=None, bandwidth=10.0)
     train = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights)[:6], tolerances=Tolerances())
-    weight = weights_from(train.residuals(ModelParams())).weight  # then all channels count about the same
-    nothing = [np.zeros((*measured.shape, 0)) for measured in train.measured]
+    weight = inverse_variance_weights(train.residuals(ModelParams())).weight  # then all channels count about the same
+    empty = [np.zeros((*measured.shape, 0)) for measured in train.measured]
     start = ModelParams(effects={EFFECT: np.ones(1)})
-    beside = Beside(train.times, [[part] for part in nothing], weight)
+    beside = NuisanceSums(train.times, [[part] for part in empty], weight)
     params = fit_effects(train, (EFFECT,), start, beside)[0].params
     (clue,) = clues(train, params, EFFECT, np.ones(1), weight)
     adds, beyond = (np.concatenate([getattr(c, name) for c in clue.clouds]) for name in ("adds", "beyond"))
@@ -48,7 +48,7 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_asks_for(l
     ):
         assert alone[name].alone == pytest.approx(truth, abs=4.0 * alone[name].std)
         assert alone[name].std < 0.02
-    assert clue.shown[0].channel.name == max(alone, key=lambda name: alone[name].adds @ alone[name].adds)
+    assert clue.channels_to_plot[0].channel.name == max(alone, key=lambda name: alone[name].adds @ alone[name].adds)
     if lighter < 1.0:
         assert SCALE * lighter + 0.01 < clue.fitted < SCALE - 0.01
     assert clues(train, params, EFFECT, np.ones(1), weight, untold=("scale",)) == []

@@ -19,7 +19,7 @@ SCALE = 0.9
 TRUE = ModelParams(effects={"thrust_coefficient": np.array([SCALE])})
 
 
-def predictor_of(flights: list[Flight]) -> Predictor:
+def make_predictor(flights: list[Flight]) -> Predictor:
     return Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
 
 
@@ -33,29 +33,29 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
 
 def test_the_mean_residual_lies_on_the_line_of_what_is_missing(flights: list[Flight]) -> None:
     """At a declared thrust T the force along z is 0.9 T / m: measured minus declared is -0.1 T / m."""
-    test = predictor_of(flights)
-    found = {profile.against: profile for profile in profiles(test, {"declared": ModelParams(), "corrected": TRUE})}
-    assert list(found) == ["thrust [N]", "speed [m/s]", "height [m]", "battery voltage [V]"]
-    thrust, z = found["thrust [N]"], [channel.name for channel in test.channels].index("specific_force.z")
+    test = make_predictor(flights)
+    result = {profile.against: profile for profile in profiles(test, {"declared": ModelParams(), "corrected": TRUE})}
+    assert list(result) == ["thrust [N]", "speed [m/s]", "height [m]", "battery voltage [V]"]
+    thrust, z = result["thrust [N]"], [channel.name for channel in test.channels].index("specific_force.z")
     declared, corrected = thrust.residual["declared"], thrust.residual["corrected"]
     line = (SCALE - 1.0) * thrust.middle / ROBOT.body.mass
     assert np.ptp(line) > 5.0 * declared.std_error[:, z].max()  # else any line would do
     assert (np.abs(declared.mean[:, z] - line) < 5.0 * declared.std_error[:, z]).all()
     assert (np.abs(corrected.mean[:, z]) < 5.0 * corrected.std_error[:, z]).all()
     assert declared.count.sum() == sum(time.size for time in test.times)
-    for profile in found.values():
+    for profile in result.values():
         assert ((profile.edges[:-1] <= profile.middle) & (profile.middle <= profile.edges[1:])).all()
 
 
 def test_only_what_every_log_has_is_drawn(flights: list[Flight]) -> None:
     lost = [replace(flights[0], battery=None), replace(flights[1], position=None), flights[2]]
-    assert [p.against for p in profiles(predictor_of(lost), {"declared": ModelParams()})] == [
+    assert [p.against for p in profiles(make_predictor(lost), {"declared": ModelParams()})] == [
         "thrust [N]",
         "speed [m/s]",
     ]
     commanded = [replace(one, rotor_command=one.rotor_speed, rotor_speed=None) for one in flights]
-    (first, *_) = profiles(predictor_of(commanded), {"declared": ModelParams()})
-    (same, *_) = profiles(predictor_of(flights), {"declared": ModelParams()})
+    (first, *_) = profiles(make_predictor(commanded), {"declared": ModelParams()})
+    (same, *_) = profiles(make_predictor(flights), {"declared": ModelParams()})
     assert first.against == "thrust [N]"
     assert first.middle[0] == pytest.approx(
         same.middle[0], rel=0.02
@@ -63,12 +63,12 @@ def test_only_what_every_log_has_is_drawn(flights: list[Flight]) -> None:
 
 
 def test_the_table_has_every_bin_of_every_channel(flights: list[Flight], tmp_path: Path) -> None:
-    test = predictor_of(flights)
-    found = profiles(test, {"declared": ModelParams(), "corrected": TRUE})
-    write_profiles(tmp_path / "profiles.csv", found, test.channels)
+    test = make_predictor(flights)
+    result = profiles(test, {"declared": ModelParams(), "corrected": TRUE})
+    write_profiles(tmp_path / "profiles.csv", result, test.channels)
     table = pd.read_csv(tmp_path / "profiles.csv")
-    assert len(table) == sum(profile.middle.size for profile in found) * len(test.channels)
+    assert len(table) == sum(profile.middle.size for profile in result) * len(test.channels)
     own = table[(table["channel"] == "specific_force.z") & (table["against"] == "thrust [N]")]
     place = [channel.name for channel in test.channels].index("specific_force.z")
-    np.testing.assert_allclose(own["before"], found[0].residual["declared"].mean[:, place], rtol=1e-5)
-    np.testing.assert_allclose(own["after_std_error"], found[0].residual["corrected"].std_error[:, place], rtol=1e-5)
+    np.testing.assert_allclose(own["before"], result[0].residual["declared"].mean[:, place], rtol=1e-5)
+    np.testing.assert_allclose(own["after_std_error"], result[0].residual["corrected"].std_error[:, place], rtol=1e-5)

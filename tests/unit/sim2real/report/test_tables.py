@@ -7,10 +7,10 @@ import numpy as np
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.outcome import Outcome
 from aerial_gym.sim2real.judge.verdict import NamedEffect
-from aerial_gym.sim2real.report.tables import became_rows, named_rows, reason_rows, unnamed_rows
+from aerial_gym.sim2real.report.tables import became_rows, effect_rows, reason_rows, rejection_rows
 from aerial_gym.sim2real.statistics import Rise
 from aerial_gym.sim2real.wording import text
-from tests.unit.sim2real.fitted_sets import chosen_of, fitted, selection_of
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection
 
 
 def outcome(quantity: str, value: float, low: float, high: float, horizon: float | None = None) -> Outcome:
@@ -18,7 +18,7 @@ def outcome(quantity: str, value: float, low: float, high: float, horizon: float
 
 
 def test_every_channel_is_told_once_with_what_became_of_it() -> None:
-    found = (
+    result = (
         outcome("specific_force.x", -0.51, -0.6, -0.4),
         outcome("specific_force.y", 0.0, -0.01, 0.01),
         outcome("specific_force.z", 0.2, 0.1, 0.3),
@@ -27,13 +27,13 @@ def test_every_channel_is_told_once_with_what_became_of_it() -> None:
         outcome("angular_acceleration.x", 0.1, -0.1, 0.4),
         outcome("free.velocity", 0.5, 0.4, 0.6, 1.0),  # no channel
     )
-    assert became_rows(SimpleNamespace(outcomes=found)) == {  # type: ignore[arg-type]
+    assert became_rows(SimpleNamespace(outcomes=result)) == {  # type: ignore[arg-type]
         "worse": "specific force z (+20%)",
         "better": "specific force x (-51%); rotor speed 1 (-87%), 2 (-86%)",
         "same": "specific force y",
         "not shown": "angular acceleration x (+10%)",
     }
-    assert next(iter(became_rows(SimpleNamespace(outcomes=found)))) == "worse"  # type: ignore[arg-type]
+    assert next(iter(became_rows(SimpleNamespace(outcomes=result)))) == "worse"  # type: ignore[arg-type]
 
 
 def test_every_effect_says_how_sure_it_is() -> None:
@@ -47,7 +47,7 @@ def test_every_effect_says_how_sure_it_is() -> None:
         ties=("motor_tilt",),
     )
     gusts = NamedEffect(name="gusts", params={"std": 0.5}, std={}, noise_std={}, frozen=(), confidence=0.999)
-    rows = named_rows(SimpleNamespace(effects=(offset, gusts)))  # type: ignore[arg-type]
+    rows = effect_rows(SimpleNamespace(effects=(offset, gusts)))  # type: ignore[arg-type]
     assert rows[0]["parameters"] == "x = 0.004 ± 0.0002 m, y = -0.002 ± 0.00039 m"
     assert rows[0]["sure"] == "confidence 0.98, may as well be motor_tilt"
     assert rows[1] == {"name": "gusts", "parameters": "std = 0.5 m/s", "sure": "confidence 0.999"}
@@ -63,9 +63,9 @@ def test_names_that_share_a_reason_share_a_line() -> None:
 def test_every_effect_that_is_not_named_has_a_reason() -> None:
     """The most probable first, what could not be tested last; the named one is not among them."""
     rise = Rise(value=0.01, low=0.0, high=0.02)
-    chosen = chosen_of(
-        fitted("rotor_drag", log=0.0),
-        fitted("rotor_drag", "com_offset", log=float(np.log(0.25))),
+    chosen = make_choice(
+        make_fit("rotor_drag", log=0.0),
+        make_fit("rotor_drag", "com_offset", log=float(np.log(0.25))),
         adds={
             "rotor_drag": 50.0,
             "com_offset": 1.24,
@@ -78,7 +78,7 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
         immaterial={"motor_tilt": {"specific_force.x": rise}},
         refused={"imu_bias": Finding("at_bound", "imu_bias", {"parameters": ["ax"]})},
     )
-    rows = unnamed_rows(selection_of(chosen, not_testable={"downwash": Finding("acts_on_links", "downwash")}))
+    rows = rejection_rows(make_selection(chosen, not_testable={"downwash": Finding("acts_on_links", "downwash")}))
     assert [(row["effect"], row["log_odds"], row["probability"]) for row in rows] == [
         ("weak_motor", "9.0", "–"),
         ("motor_tilt", "5.0", "–"),

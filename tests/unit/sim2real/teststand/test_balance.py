@@ -19,12 +19,12 @@ from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.teststand.balance import (
     Balance,
     HoverEffort,
+    group_repeats,
     hover_effort,
     judge_balance,
-    repeats_of,
 )
 from aerial_gym.sim2real.teststand.causes import causes, priors, tell_apart
-from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pooled_scatter
+from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
 """Hubs at 0.0325 m along x and y: 1 front right, 2 back right, 3 back left, 4 front left; 1 and 3 turn alike."""
@@ -45,7 +45,7 @@ def hovers(rng: np.random.Generator, name: str, count: int, ratio: np.ndarray, s
     ]
 
 
-def judged(
+def judge_pairs(
     seed: int,
     ratio: np.ndarray,
     *,
@@ -67,8 +67,8 @@ def judged(
     )
 
 
-def fitted(found: Balance, name: str) -> dict[str, float]:
-    return {k: v.value for fit in found.fits if fit.cause.name == name for k, v in fit.params.items()}
+def fit_values(result: Balance, name: str) -> dict[str, float]:
+    return {k: v.value for fit in result.fits if fit.cause.name == name for k, v in fit.params.items()}
 
 
 def test_a_weight_is_carried_by_the_rotors_that_balance_it() -> None:
@@ -76,15 +76,15 @@ def test_a_weight_is_carried_by_the_rotors_that_balance_it() -> None:
     takes three quarters of four, the rotors beside it one each, and the one across loses one."""
     part = 0.003 / MASS
     half = 1.0 + 2.0 * part
-    between = judged(0, np.array([1.0, 1.0, half, half]), size=1e-6)
-    assert fitted(between, "payload_mass + com_offset") == pytest.approx(
+    between = judge_pairs(0, np.array([1.0, 1.0, half, half]), size=1e-6)
+    assert fit_values(between, "payload_mass + com_offset") == pytest.approx(
         {"dm": 0.003, "x": 0.0, "y": 0.1 * ARM}, rel=1e-4, abs=1e-7
     )
     assert between.fits[3].place is not None
     assert [axis.value for axis in between.fits[3].place] == pytest.approx([0.0, ARM], rel=1e-4, abs=1e-6)
     assert (between.verdict, between.candidates) == ("explained", ("payload_mass + com_offset",))
-    at_hub = judged(0, 1.0 + part * np.array([-1.0, 1.0, 3.0, 1.0]), size=1e-6)
-    assert fitted(at_hub, "payload_mass + com_offset") == pytest.approx(  # 3 g of 30 g
+    at_hub = judge_pairs(0, 1.0 + part * np.array([-1.0, 1.0, 3.0, 1.0]), size=1e-6)
+    assert fit_values(at_hub, "payload_mass + com_offset") == pytest.approx(  # 3 g of 30 g
         {"dm": 0.003, "x": -0.1 * ARM, "y": 0.1 * ARM}, rel=1e-4
     )
 
@@ -92,22 +92,22 @@ def test_a_weight_is_carried_by_the_rotors_that_balance_it() -> None:
 def test_a_shifted_centre_of_mass_keeps_the_sum() -> None:
     """2 mm forward: front rotors carry 1 + 0.002 / ARM, rear ones as much less."""
     ratio = 1.0 + 0.002 / ARM * np.array([1.0, -1.0, -1.0, 1.0])
-    found = judged(1, ratio, size=1e-6)
-    assert (found.verdict, found.candidates) == ("explained", ("com_offset",))
-    assert fitted(found, "com_offset") == pytest.approx({"x": 0.002, "y": 0.0}, rel=1e-4, abs=1e-7)
+    results = judge_pairs(1, ratio, size=1e-6)
+    assert (results.verdict, results.candidates) == ("explained", ("com_offset",))
+    assert fit_values(results, "com_offset") == pytest.approx({"x": 0.002, "y": 0.0}, rel=1e-4, abs=1e-7)
     weighed = ratio * (1.0 + 0.004 / MASS)
-    assert judged(1, weighed, size=1e-6, added_mass=0.004).candidates == ("com_offset",)
+    assert judge_pairs(1, weighed, size=1e-6, added_mass=0.004).candidates == ("com_offset",)
 
 
 def test_a_cut_propeller_is_balanced_in_yaw_by_the_others() -> None:
     """Rotor 3 at 90 % of its thrust and r = 0.8 of its drag per thrust: T1 = T3 and T2 = T4 by symmetry, and yaw balance
     T1 + r T3 = T2 + T4 gives T1 = 2 / (3 + r) of a half; with r = 1 only rotor 3 turns faster."""
-    found = judged(2, np.array([1.0, 1.0, 1.0 / 0.9, 1.0]), size=1e-6)
-    assert fitted(found, "weak_motor 3") == pytest.approx({"scale": 0.9}, rel=1e-4)
+    results = judge_pairs(2, np.array([1.0, 1.0, 1.0 / 0.9, 1.0]), size=1e-6)
+    assert fit_values(results, "weak_motor 3") == pytest.approx({"scale": 0.9}, rel=1e-4)
     same = 4.0 / (3.0 + 0.8)
-    found = judged(2, np.array([same, 2.0 - same, same / 0.9, 2.0 - same]), size=1e-6)
-    assert (found.verdict, found.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
-    assert fitted(found, found.candidates[0]) == pytest.approx({"scale": 0.9, "torque_ratio": 0.8}, rel=1e-4)
+    results = judge_pairs(2, np.array([same, 2.0 - same, same / 0.9, 2.0 - same]), size=1e-6)
+    assert (results.verdict, results.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
+    assert fit_values(results, results.candidates[0]) == pytest.approx({"scale": 0.9, "torque_ratio": 0.8}, rel=1e-4)
 
 
 def test_statics_agree_with_mujoco() -> None:
@@ -159,7 +159,7 @@ def test_scatter_alone_is_refused_as_often_as_it_says_and_intervals_cover() -> N
     misfits, covered = 0, 0
     root = np.linalg.cholesky(SPREAD)
     for _ in range(draws):
-        scatter = pooled_scatter([rng.standard_normal((2, 4)) @ root.T for _ in range(5)])
+        scatter = pool_scatter([rng.standard_normal((2, 4)) @ root.T for _ in range(5)])
         noise = np.sqrt(1.5) * root @ rng.standard_normal(4)
         fit = fit_scatter(columns @ truth + noise, columns, scatter, 1.5)
         misfits += fit.misfit < 0.05
@@ -173,7 +173,7 @@ def test_scatter_alone_is_refused_as_often_as_it_says_and_intervals_cover() -> N
 def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() -> None:
     """Nothing changed: Student's distribution itself. One parameter: its product with a normal effect of each size, integrated
     over both by another rule."""
-    scatter = pooled_scatter([np.random.default_rng(4).standard_normal((9, 2)) * (0.1, 0.2)])
+    scatter = pool_scatter([np.random.default_rng(4).standard_normal((9, 2)) * (0.1, 0.2)])
     degrees, share = scatter.freedom - 1, 1.5
     student = stats.multivariate_t(shape=share * scatter.squares / degrees, df=degrees)
     column, target = np.array([[0.6], [0.8]]), np.array([0.5, 0.3])
@@ -186,17 +186,17 @@ def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() 
         return float(student.pdf(target - column[:, 0] * effect) * stats.norm.pdf(effect, scale=np.exp(log_size)))
 
     whole, _ = integrate.dblquad(density, np.log(least), 0.0, -4.0, 4.0, epsabs=1e-9, epsrel=1e-4)
-    found = log_evidence(target, column, scatter, share) + constant
-    assert found == pytest.approx(np.log(whole / -np.log(least)), abs=2e-3)
+    results = log_evidence(target, column, scatter, share) + constant
+    assert results == pytest.approx(np.log(whole / -np.log(least)), abs=2e-3)
 
 
 def test_what_many_candidates_share_is_one_half() -> None:
-    found = dict(zip([cause.name for cause in causes(ROBOT)], priors(causes(ROBOT)), strict=True))
-    assert found["none"] == 0.5
-    assert found["something else"] == pytest.approx(1.0 / 6.0)
-    assert found["com_offset"] == pytest.approx(1.0 / 18.0)
-    assert found["weak_motor 2"] == pytest.approx(1.0 / 48.0)
-    assert sum(found.values()) == pytest.approx(1.0)
+    results = dict(zip([cause.name for cause in causes(ROBOT)], priors(causes(ROBOT)), strict=True))
+    assert results["none"] == 0.5
+    assert results["something else"] == pytest.approx(1.0 / 6.0)
+    assert results["com_offset"] == pytest.approx(1.0 / 18.0)
+    assert results["weak_motor 2"] == pytest.approx(1.0 / 48.0)
+    assert sum(results.values()) == pytest.approx(1.0)
 
 
 @pytest.mark.slow
@@ -211,9 +211,9 @@ def test_wrong_names_are_as_rare_as_it_says(baselines: int) -> None:
     for cause, ratios in known.items():
         for ratio in ratios:
             for seed in range(draws):
-                found = judged(seed, ratio, baselines=baselines)
-                named += bool(found.candidates)
-                wrong += bool(found.candidates) and not any(name.startswith(cause) for name in found.candidates)
+                results = judge_pairs(seed, ratio, baselines=baselines)
+                named += bool(results.candidates)
+                wrong += bool(results.candidates) and not any(name.startswith(cause) for name in results.candidates)
     assert wrong <= stats.binom.ppf(0.999, 3 * draws, 0.01)
     assert named >= draws
 
@@ -222,7 +222,7 @@ def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
     """Fieller with a known divisor is the plain interval, 3 ± t; with independent errors of 1 about 10 and 10 and t² = q,
     the ends solve (10 - 10 r)² = q (1 + r²)."""
     noise = np.random.default_rng(10).standard_normal((13, 4))
-    fit = fit_scatter(np.zeros(4), np.eye(4)[:, :2], pooled_scatter([noise]), 1.0)
+    fit = fit_scatter(np.zeros(4), np.eye(4)[:, :2], pool_scatter([noise]), 1.0)
     t, q = 2.2281388519649385, 2.2281388519649385**2  # 12 - 2 = 10 degrees of freedom
     plain = replace(fit, params=np.array([6.0, 2.0]), covariance=np.diag([4.0, 0.0])).ratio(0, 1)
     assert plain is not None
@@ -240,51 +240,51 @@ def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
 @pytest.mark.slow
 def test_nothing_is_found_in_scatter() -> None:
     """The logs differ from each other, or from the baseline, in 1 % of cases each: of 150 at most 9 with probability 99.8 %."""
-    assert sum(judged(seed, np.ones(4)).verdict != "none" for seed in range(150)) <= 9
+    assert sum(judge_pairs(seed, np.ones(4)).verdict != "none" for seed in range(150)) <= 9
 
 
 def test_a_payload_between_two_rotors_is_named_and_its_mass_covered() -> None:
     """2 g between rotors 3 and 4: seven standard deviations. Other names are refused; in the other draws something else, of one
     parameter more, is as probable."""
     half = 1.0 + 2.0 * 0.002 / MASS
-    found = [judged(seed, np.array([1.0, 1.0, half, half])) for seed in range(60)]
-    named = [f for f in found if "payload_mass + com_offset" in f.candidates]
+    results = [judge_pairs(seed, np.array([1.0, 1.0, half, half])) for seed in range(60)]
+    named = [f for f in results if "payload_mass + com_offset" in f.candidates]
     assert len(named) >= 36
-    assert all(not f.candidates for f in found if "payload_mass + com_offset" not in f.candidates)
+    assert all(not f.candidates for f in results if "payload_mass + com_offset" not in f.candidates)
     assert sum(f.verdict == "explained" for f in named) >= 0.8 * len(named)
-    place = [f.fits[3].place for f in found]
+    place = [f.fits[3].place for f in results]
     assert sum(p is not None and p[1].low < ARM < p[1].high for p in place) >= 52
-    dm = [fit.params["dm"] for f in found for fit in f.fits if fit.cause.name == "payload_mass + com_offset"]
+    dm = [fit.params["dm"] for f in results for fit in f.fits if fit.cause.name == "payload_mass + com_offset"]
     assert sum(value.low < 0.002 < value.high for value in dm) >= 52  # of 60 with probability 99 %
 
 
 def test_a_weight_at_a_hub_and_a_propeller_of_more_drag_tie_until_the_vehicle_is_weighed() -> None:
     """Rotor 3 carries more, and the yaw balance moves the others, in both."""
     ratio = 1.0 + 0.1 * np.array([-1.0, 1.0, 3.0, 1.0])
-    found = judged(5, ratio)
-    assert (found.verdict, found.candidates) == (
+    results = judge_pairs(5, ratio)
+    assert (results.verdict, results.candidates) == (
         "ambiguous",
         ("payload_mass + com_offset", "weak_motor 3 + torque_ratio"),
     )
-    assert found.tell_apart[0] == Finding("weigh_vehicle")
-    weighed = judged(5, ratio, added_mass=0.0)
+    assert results.tell_apart[0] == Finding("weigh_vehicle")
+    weighed = judge_pairs(5, ratio, added_mass=0.0)
     assert (weighed.verdict, weighed.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
-    heavy = judged(5, ratio, added_mass=0.1 * MASS)
+    heavy = judge_pairs(5, ratio, added_mass=0.1 * MASS)
     assert (heavy.verdict, heavy.candidates) == ("explained", ("com_offset",))
     assert Finding("mass_added", "", {"added_kg": 0.0027}) in heavy.notes
 
 
 def test_weak_propellers_are_named_and_their_share_covered() -> None:
-    found = [judged(seed, np.array([1.0, 1.0, 1.0, 1.0 / 0.8])) for seed in range(40)]
-    assert sum("weak_motor 4" in f.candidates for f in found) >= 36
-    scale = [fit.params["scale"] for f in found for fit in f.fits if fit.cause.name == "weak_motor 4"]
+    results = [judge_pairs(seed, np.array([1.0, 1.0, 1.0, 1.0 / 0.8])) for seed in range(40)]
+    assert sum("weak_motor 4" in f.candidates for f in results) >= 36
+    scale = [fit.params["scale"] for f in results for fit in f.fits if fit.cause.name == "weak_motor 4"]
     assert sum(value.low < 0.8 < value.high for value in scale) >= 34  # of 40 with probability 99 %
 
 
 def test_what_no_candidate_does_is_unexplained() -> None:
     """Rotors 1 and 3 lose 20 % each, with their drag: no weight and no single propeller does that."""
-    found = judged(7, np.array([1.25, 1.0, 1.25, 1.0]), size=0.3)
-    assert (found.verdict, found.candidates) == ("unexplained", ())
+    results = judge_pairs(7, np.array([1.25, 1.0, 1.25, 1.0]), size=0.3)
+    assert (results.verdict, results.candidates) == ("unexplained", ())
 
 
 def test_a_change_that_the_test_does_not_show_is_unexplained() -> None:
@@ -308,25 +308,25 @@ def test_each_flight_is_predicted_from_the_others() -> None:
         hovers(rng, "normal", 6, np.ones(4), 1e-6),
         *(hovers(rng, "f", 1, np.full(4, r), 1e-6) for r in (1.1, 1.0)),
     ]
-    found = judge_balance(exact[0], [*exact[1], *exact[2]], robot=ROBOT)
-    (payload,) = (fit for fit in found.fits if fit.cause.name == "payload_mass")
+    results = judge_balance(exact[0], [*exact[1], *exact[2]], robot=ROBOT)
+    (payload,) = (fit for fit in results.fits if fit.cause.name == "payload_mass")
     assert payload.held_out == pytest.approx(np.sqrt(((1.0 / 1.1 - 1.0) ** 2 + 0.1**2) / 2.0), rel=0.05)
 
 
 def test_something_else_and_nothing_are_weighed_beside_the_candidates() -> None:
-    found = judged(12, np.array([1.0, 1.0, 1.5, 1.0]))
-    probability = {fit.cause.name: fit.probability for fit in found.fits}
+    results = judge_pairs(12, np.array([1.0, 1.0, 1.5, 1.0]))
+    probability = {fit.cause.name: fit.probability for fit in results.fits}
     assert sum(probability.values()) == pytest.approx(1.0)
     assert probability["none"] < 1e-4
-    assert found.candidates == ("weak_motor 3",)
-    assert found.notes[-1] == Finding("other_cause", "", {"probability": probability["something else"]})
+    assert results.candidates == ("weak_motor 3",)
+    assert results.notes[-1] == Finding("other_cause", "", {"probability": probability["something else"]})
 
 
 def test_few_repeats_exclude_nothing() -> None:
-    found = judged(9, np.array([1.0, 1.0, 1.5, 1.0]), conditions=2)
-    assert (found.verdict, len(found.candidates), found.fits) == ("ambiguous", 12, ())
-    assert 3 in [note.values["repeats"] for note in found.notes if note.code == "scatter_unknown"]
-    assert found.shares[2].change.value > 0.05
+    results = judge_pairs(9, np.array([1.0, 1.0, 1.5, 1.0]), conditions=2)
+    assert (results.verdict, len(results.candidates), results.fits) == ("ambiguous", 12, ())
+    assert 3 in [note.values["repeats"] for note in results.notes if note.code == "scatter_unknown"]
+    assert results.shares[2].change.value > 0.05
     rng = np.random.default_rng(9)
     one = hovers(rng, "normal", 1, np.ones(4))
     with pytest.raises(DataError, match=r"two logs of at least one condition.*--repeats"):
@@ -344,13 +344,13 @@ def test_shares_and_sum_have_the_interval_of_a_pooled_t_test() -> None:
         share = np.array([[0.26, 0.24, 0.25, 0.25], [0.24, 0.26, 0.25, 0.25]])
         return [HoverEffort(name=f"{name}{n}", effort=total * s, windows=9, voltage=None) for n, s in enumerate(share)]
 
-    found = judge_balance(pair("normal", 20.0), pair("flight", 22.0), robot=ROBOT)
+    results = judge_balance(pair("normal", 20.0), pair("flight", 22.0), robot=ROBOT)
     half_width = 4.302652729911275 * np.sqrt(
         2.0 * 0.01**2
     )  # Student's t with 2 degrees; variance 2 d², mean of two and of two
-    assert found.shares[0].change.high == pytest.approx(half_width, rel=1e-9)
-    assert found.shares[0].baseline.high == pytest.approx(0.25 + half_width / np.sqrt(2.0), rel=1e-9)
-    assert found.total.change.value == pytest.approx(0.1, rel=1e-9)
+    assert results.shares[0].change.high == pytest.approx(half_width, rel=1e-9)
+    assert results.shares[0].baseline.high == pytest.approx(0.25 + half_width / np.sqrt(2.0), rel=1e-9)
+    assert results.total.change.value == pytest.approx(0.1, rel=1e-9)
 
 
 def test_conditions_are_names_without_their_last_number() -> None:
@@ -358,7 +358,7 @@ def test_conditions_are_names_without_their_last_number() -> None:
         HoverEffort(name=n, effort=UNEVEN, windows=9, voltage=None)
         for n in ("cut_1mm_log01", "cut_1mm_log3", "cut_2mm_log1")
     ]
-    assert {k: len(v) for k, v in repeats_of(logs).items()} == {"cut_1mm_log": 2, "cut_2mm_log": 1}
+    assert {k: len(v) for k, v in group_repeats(logs).items()} == {"cut_1mm_log": 2, "cut_2mm_log": 1}
 
 
 def test_what_tells_candidates_apart() -> None:
@@ -412,9 +412,9 @@ def test_the_command_names_a_payload_in_logs_without_attitude(
     argv = ["identify", "hover", str(load[0]), "--baseline", *map(str, normal[:2]), *common]
     repeats = ["--repeats", *map(str, [*normal, *load])]
     assert main([*argv, "--test", str(load[1]), *repeats, "--out", str(tmp_path / "out"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["verdict"], found["candidates"]) == ("explained", ["payload_mass + com_offset"])
-    assert found["scatter"]["freedom"] == 1 + 3  # four of the six baselines are in --repeats alone
+    results = json.loads(capsys.readouterr().out)
+    assert (results["verdict"], results["candidates"]) == ("explained", ["payload_mass + com_offset"])
+    assert results["scatter"]["freedom"] == 1 + 3  # four of the six baselines are in --repeats alone
     assert "## Candidates" in (tmp_path / "out" / "report.md").read_text()
     assert main([*argv, *repeats, "--added-mass-kg", "0.003"]) == 0
     assert "Verdict: explained. Candidates: com_offset." in " ".join(capsys.readouterr().out.split())

@@ -30,12 +30,12 @@ from aerial_gym.sim2real.teststand.joints.record import (
 )
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import (
-    correlated_covariance,
     estimates,
+    fold_labels,
+    hac_covariance,
     independent_covariance,
     left_out,
     parsimonious,
-    parts_of,
 )
 from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record
 from aerial_gym.sim2real.teststand.studies import joint_text, rotor_changes
@@ -64,7 +64,7 @@ def static_table(
     return pd.DataFrame({"omega": speed, "thrust_N": thrust * wrong[0], "torque_Nm": RATIO * thrust * wrong[1]})
 
 
-def only(table: pd.DataFrame, folder: Path, **units: str) -> StaticFit:
+def single_fit(table: pd.DataFrame, folder: Path, **units: str) -> StaticFit:
     (fit,), left_out = fit_static(bench(table, folder, **units))
     assert left_out == []
     return fit
@@ -74,8 +74,8 @@ def test_variance_of_a_mean_of_independent_values_is_its_closed_form() -> None:
     """HC3 of a mean: every residual over (1 - 1/n), squared, summed, over n²."""
     residual = np.random.default_rng(0).standard_normal(50)
     residual -= residual.mean()
-    found = independent_covariance(np.ones((50, 1)), residual)[0, 0]
-    assert found == pytest.approx(((residual / (1.0 - 1.0 / 50)) ** 2).sum() / 50**2, rel=1e-12)
+    result = independent_covariance(np.ones((50, 1)), residual)[0, 0]
+    assert result == pytest.approx(((residual / (1.0 - 1.0 / 50)) ** 2).sum() / 50**2, rel=1e-12)
 
 
 def test_variance_of_a_mean_of_correlated_values_is_its_closed_form() -> None:
@@ -86,11 +86,11 @@ def test_variance_of_a_mean_of_correlated_values_is_its_closed_form() -> None:
     values[0] = noise[0]
     for row in range(1, rows):
         values[row] = rho * values[row - 1] + noise[row]
-    found = correlated_covariance(np.ones((rows, 1)), values - values.mean())[0, 0] * rows
-    assert found == pytest.approx(values.var() * (1.0 + rho) / (1.0 - rho), rel=0.1)
+    result = hac_covariance(np.ones((rows, 1)), values - values.mean())[0, 0] * rows
+    assert result == pytest.approx(values.var() * (1.0 + rho) / (1.0 - rho), rel=0.1)
 
 
-def test_a_fit_never_sees_the_part_that_it_is_judged_on() -> None:
+def test_a_fit_never_sees_the_test_part() -> None:
     """Each value less the mean of those in other parts; 6 and 9 are one part."""
     part, values = np.array([0, 1, 2, 2]), np.array([1.0, 2.0, 6.0, 9.0])
     missed = left_out(part, lambda out: values[out] - values[~out].mean())
@@ -98,8 +98,8 @@ def test_a_fit_never_sees_the_part_that_it_is_judged_on() -> None:
 
 
 def test_flights_are_left_out_whole_and_a_single_one_in_fifths() -> None:
-    assert parts_of([2, 3]).tolist() == [0, 0, 1, 1, 1]
-    assert parts_of([10]).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert fold_labels([2, 3]).tolist() == [0, 0, 1, 1, 1]
+    assert fold_labels([10]).tolist() == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
 
 
 def test_fewer_terms_are_taken_if_they_cost_no_more_than_two_per_cent() -> None:
@@ -119,13 +119,13 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
             noise[row] = 0.6 * noise[row - 1] + shocks[row]
         effect = 2.0 * cause[:, 1] + noise * (0.5 + cause[:, 1] ** 2)
         gains = np.linalg.lstsq(cause, effect, rcond=None)[0]
-        slope = estimates(gains, correlated_covariance(cause, effect - cause @ gains), rows - 2)[1]
+        slope = estimates(gains, hac_covariance(cause, effect - cause @ gains), rows - 2)[1]
         inside += slope.low < 2.0 < slope.high
     assert 0.9 < inside / draws < 0.98
 
 
 def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: Path) -> None:
-    fit = only(static_table(np.random.default_rng(3), 0.01), tmp_path)
+    fit = single_fit(static_table(np.random.default_rng(3), 0.01), tmp_path)
     assert fit.thrust_map.chosen in ("w² and w", "w², w and constant")
     assert fit.torque_map is not None
     assert fit.torque_map.chosen == "torque ratio"
@@ -134,24 +134,24 @@ def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: P
     full = fit.thrust_map.candidates["w², w and constant"].coefficients
     for power in range(3):
         assert full[f"c{power}"].low < MAP[power] < full[f"c{power}"].high
-    assert fit.thrust_map.after.value < fit.thrust_map.before.value
+    assert fit.thrust_map.rms_chosen.value < fit.thrust_map.rms_squared_only.value
 
 
 def test_held_out_errors_are_those_of_fits_without_the_row(tmp_path: Path) -> None:
     """Every row predicted by a polynomial that numpy fits to the others."""
-    fit = only(static_table(np.random.default_rng(8), 0.02), tmp_path)
-    found = fit.thrust_map.candidates["w², w and constant"].held_out
+    fit = single_fit(static_table(np.random.default_rng(8), 0.02), tmp_path)
+    result = fit.thrust_map.candidates["w², w and constant"].held_out
     for row in range(fit.speed.size):
-        others = np.arange(fit.speed.size) != row
-        expected = fit.thrust[row] - np.polyval(np.polyfit(fit.speed[others], fit.thrust[others], 2), fit.speed[row])
-        assert found[row] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+        rest = np.arange(fit.speed.size) != row
+        expected = fit.thrust[row] - np.polyval(np.polyfit(fit.speed[rest], fit.thrust[rest], 2), fit.speed[row])
+        assert result[row] == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
 def test_no_term_is_added_that_does_not_pay(tmp_path: Path) -> None:
     """Thrust that is w² alone: held-out error takes w² alone in most draws, and never by the fit to its own rows."""
     chosen = []
     for seed in range(20):
-        fit = only(static_table(np.random.default_rng(seed), 0.01, (0.0, 0.0, 8e-7)), tmp_path)
+        fit = single_fit(static_table(np.random.default_rng(seed), 0.01, (0.0, 0.0, 8e-7)), tmp_path)
         best = min(fit.thrust_map.candidates.values(), key=lambda c: c.fit_rms)
         assert best.name in ("w², w and constant", "w³, w² and w")
         chosen.append(fit.thrust_map.chosen)
@@ -174,8 +174,10 @@ def test_units_do_not_change_the_map(
     tmp_path: Path, column: str, factor: float, name: str, units: dict[str, str]
 ) -> None:
     table = static_table(np.random.default_rng(4), 0.01)
-    plain = only(table, tmp_path)
-    other = only(table.assign(**{column: table[column] * factor}).rename(columns={column: name}), tmp_path, **units)
+    plain = single_fit(table, tmp_path)
+    other = single_fit(
+        table.assign(**{column: table[column] * factor}).rename(columns={column: name}), tmp_path, **units
+    )
     assert other.thrust_coefficient.value == pytest.approx(plain.thrust_coefficient.value, rel=1e-9)
     assert other.torque_ratio is not None
     assert plain.torque_ratio is not None
@@ -215,7 +217,7 @@ def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(
 def test_lag_with_a_slew_limit_solves_its_equation(error: float, tau: float, slew: float) -> None:
     """Integrated by scipy to 1e-9: ``e' = -min(|e| / tau, slew) sign(e)``."""
     since = np.linspace(0.0, 0.3, 40)
-    found = solve_ivp(
+    result = solve_ivp(
         lambda _, e: -np.sign(e) * np.minimum(np.abs(e) / tau, slew),
         (0.0, 0.3),
         [error],
@@ -223,7 +225,7 @@ def test_lag_with_a_slew_limit_solves_its_equation(error: float, tau: float, sle
         rtol=1e-9,
         atol=1e-9,
     )
-    np.testing.assert_allclose(lag_error(error, tau, slew, since), found.y[0], atol=1e-5)
+    np.testing.assert_allclose(lag_error(error, tau, slew, since), result.y[0], atol=1e-5)
     assert lag_error(error, tau, slew, np.array([-0.01]))[0] == error
 
 
@@ -256,9 +258,9 @@ def test_steps_name_the_law_that_made_them(tmp_path: Path, params: dict[str, flo
     fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
     assert fit.chosen == law
     for name, value in params.items():
-        found = fit.laws[law].params[name]
-        assert abs(found.value - value) < found.high - found.low  # two half widths: eleven numbers are checked
-        assert found.high - found.low < 0.2 * value
+        result = fit.laws[law].params[name]
+        assert abs(result.value - value) < result.high - result.low  # two half widths: eleven numbers are checked
+        assert result.high - result.low < 0.2 * value
     assert fit.laws[law].held_out_rms == pytest.approx(4.0, rel=0.1)
 
 
@@ -269,7 +271,7 @@ def test_the_delay_has_the_sign_of_a_late_answer() -> None:
     assert step_table({"tau": 0.03}, noise=0.0, rate=500.0)["speed_meas"][6] == pytest.approx(300 * (1 - np.exp(-0.4)))
 
 
-def test_a_slew_limit_that_no_step_reaches_is_only_bounded_from_below(tmp_path: Path) -> None:
+def test_a_slew_limit_that_no_step_reaches_is_only_bounded_from_one_side(tmp_path: Path) -> None:
     fit = fit_steps([step_record(bench(step_table({"tau": 0.04}, noise=3.0), tmp_path))])
     slew = fit.laws["up and down, slew limits"].params["slew_up"]
     assert slew.high == 1e7
@@ -315,10 +317,10 @@ def test_creep_solves_the_generalised_maxwell_equations() -> None:
         return [x[1], -JOINT["stiffness"] * away - JOINT["damping"] * x[1] - pull, *creep]
 
     record = release()
-    found = solve_ivp(
+    result = solve_ivp(
         motion, (0.0, 12.0), [0.4, 0.0, 0.275, 0.275], t_eval=record.time, rtol=1e-9, atol=1e-12, method="LSODA"
     )
-    np.testing.assert_allclose(joint_angle(record, JOINT), found.y[0], atol=1e-7)
+    np.testing.assert_allclose(joint_angle(record, JOINT), result.y[0], atol=1e-7)
 
 
 def test_elements_of_a_power_law_relax_by_a_power() -> None:
@@ -351,16 +353,16 @@ def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -
     moved = replace(record, angle=record.angle + 0.01 * (alternate_blocks(record) == 1))
     odd = alternate_blocks(record) == 1
     assert 0.3 < odd.mean() < 0.7
-    found, after = (alternate_error("linear spring", each) for each in (record, moved))
-    np.testing.assert_allclose(found, 0.0, atol=1e-5)
-    np.testing.assert_allclose(after[odd], found[odd] + 0.01, atol=1e-9)
-    assert np.abs(after[~odd] - found[~odd]).max() > 1e-3
+    result, after = (alternate_error("linear spring", each) for each in (record, moved))
+    np.testing.assert_allclose(result, 0.0, atol=1e-5)
+    np.testing.assert_allclose(after[odd], result[odd] + 0.01, atol=1e-9)
+    assert np.abs(after[~odd] - result[~odd]).max() > 1e-3
 
 
 def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() -> None:
     params = {"quadratic_stiffness": 2400.0, "damping": 90.0, "rest": 0.13, "release": 0.05}
     record = release()
-    found = solve_ivp(
+    result = solve_ivp(
         lambda _, x: [x[1], -2400.0 * abs(x[0] - 0.13) * (x[0] - 0.13) - 90.0 * x[1]],
         (0.0, 12.0),
         [0.4, 0.0],
@@ -371,7 +373,7 @@ def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() ->
     )
     course = joint_angle(record, params)
     np.testing.assert_allclose(course[:6], 0.4, atol=1e-12)
-    np.testing.assert_allclose(course[5:], found.y[0], atol=1e-6)
+    np.testing.assert_allclose(course[5:], result.y[0], atol=1e-6)
 
 
 @pytest.mark.slow
@@ -381,13 +383,13 @@ def test_creep_is_told_from_springs_and_its_numbers_are_found(tmp_path: Path) ->
     angle = np.full(time.size, 0.4)
     angle[time >= 0] = joint_angle(record, JOINT)
     angle += 5e-4 * np.random.default_rng(0).standard_normal(time.size)
-    found = fit_joint(release_record(bench(pd.DataFrame({"t": time, "angle_deg": np.degrees(angle)}), tmp_path)))
-    assert found.chosen == "linear spring, 2 creep elements"
-    law = found.laws[found.chosen]
+    result = fit_joint(release_record(bench(pd.DataFrame({"t": time, "angle_deg": np.degrees(angle)}), tmp_path)))
+    assert result.chosen == "linear spring, 2 creep elements"
+    law = result.laws[result.chosen]
     for name in ("stiffness", "rest", "time_1", "time_2"):
         assert law.params[name].low < JOINT[name] < law.params[name].high
     assert np.std(law.held_out) < 6e-4
-    assert np.std(found.laws["quadratic spring"].held_out) > 5.0 * np.std(law.held_out)
+    assert np.std(result.laws["quadratic spring"].held_out) > 5.0 * np.std(law.held_out)
 
 
 def test_a_record_without_its_release_is_refused(tmp_path: Path) -> None:
@@ -433,8 +435,8 @@ def test_hover_gives_the_thrust_coefficient_by_weight() -> None:
 
 def test_intervals_of_hover_hold_the_truth_as_often_as_they_say() -> None:
     """One flight each: windows only; of 60 intervals of 95 % fewer than 53 hold with probability 1 %."""
-    found = [fit_hover([hover(seed)], mass=0.045).thrust_coefficient for seed in range(60)]
-    assert sum(estimate.low < 4e-8 < estimate.high for estimate in found) >= 53
+    result = [fit_hover([hover(seed)], mass=0.045).thrust_coefficient for seed in range(60)]
+    assert sum(estimate.low < 4e-8 < estimate.high for estimate in result) >= 53
 
 
 def test_without_an_accelerometer_the_weight_over_the_cosine_of_the_tilt_is_taken() -> None:
@@ -462,9 +464,9 @@ def test_the_command_writes_a_robot_that_loads(tmp_path: Path, capsys: pytest.Ca
     static_table(np.random.default_rng(7), 0.01).to_csv(static, index=False)
     step_table({"tau_up": 0.03, "tau_down": 0.06}, noise=4.0).to_csv(steps, index=False)
     assert main(["identify", "motor", str(static), str(steps), "--robot", "tinyprop", "--out", str(out), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["steps"]["chosen"] == "up and down"
-    assert found["steps"]["after"]["held_out"]["rms"] < found["steps"]["before"]["held_out"]["rms"]
+    result = json.loads(capsys.readouterr().out)
+    assert result["steps"]["chosen"] == "up and down"
+    assert result["steps"]["after"]["held_out"]["rms"] < result["steps"]["before"]["held_out"]["rms"]
     robot = load(RobotCfg, out / "robot.yaml")
     assert robot.rotor.thrust_map[2] == pytest.approx(MAP[2], rel=0.1)
     assert robot.rotor.torque_ratio == pytest.approx(RATIO, rel=0.02)
@@ -509,7 +511,7 @@ def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
     assert torques == pytest.approx(0.02 * (0.6e-6 * 1500.0**2 + 0.15), rel=0.01)
     rotor = RotorCfg(time_constant_up=0.03, time_constant_down=0.03, source="test", **changes)  # type: ignore[arg-type]
     assert rotor.reversible
-    assert rotor.speed_at(-1.0) == pytest.approx(-1210.0, rel=0.01)
+    assert rotor.speed_for_thrust(-1.0) == pytest.approx(-1210.0, rel=0.01)
 
 
 def test_steps_give_slew_rates_that_a_robot_file_holds(tmp_path: Path) -> None:

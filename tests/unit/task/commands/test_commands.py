@@ -46,7 +46,7 @@ def test_a_task_without_a_target_has_no_distance() -> None:
         _ = task.target_position
 
 
-def drawn(num_envs: int, *, seed: int = 0, first_env: int = 0, generator: str = "drawn_pose") -> Task:
+def make_task(num_envs: int, *, seed: int = 0, first_env: int = 0, generator: str = "drawn_pose") -> Task:
     params = {"low": (0.1, 0.2, 0.3), "high": (0.9, 0.8, 0.7)}
     task = make(
         num_envs,
@@ -61,7 +61,7 @@ def drawn(num_envs: int, *, seed: int = 0, first_env: int = 0, generator: str = 
 
 def test_a_drawn_heading_covers_the_turn_and_is_new_in_every_episode() -> None:
     """Quarters within four standard deviations, and both ends within a hundredth of the turn; the points are uniform too."""
-    task = drawn(2000)
+    task = make_task(2000)
     first = task.values["target_yaw"].clone()
     assert ((first >= -pi) & (first <= pi)).all()
     assert float(first.min()) < -0.98 * pi < 0.98 * pi < float(first.max())
@@ -74,7 +74,7 @@ def test_a_drawn_heading_covers_the_turn_and_is_new_in_every_episode() -> None:
 
 
 def test_headings_of_running_episodes_stay() -> None:
-    task = drawn(8)
+    task = make_task(8)
     before, begins = task.values["target_yaw"].clone(), torch.arange(8) % 3 == 0
     task._begin(begins, counted=False)
     assert torch.equal(task.values["target_yaw"] != before, begins)
@@ -84,7 +84,7 @@ POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
 
 
 @pytest.mark.parametrize("loop", [False, True])
-def test_a_sequence_moves_on_where_the_robot_is_near(loop: bool) -> None:
+def test_a_sequence_moves_on_where_the_robot_is_close(loop: bool) -> None:
     """The first robot comes to each point, the second to none, the third to the first one alone, in its second step."""
     params = {"points": POINTS, "radius": 0.3, "loop": loop}
     done = {"done": TerminationCfg(term="sequence_done", kind="success")}
@@ -130,16 +130,18 @@ def test_a_trajectory_is_a_function_of_the_time_in_the_episode(curve: str) -> No
         x, y = np.cos(a), np.sin(a) * (np.cos(a) if curve == "lemniscate" else 1.0)
         return np.array([2.0 * x, y, 1.0 + (0.5 * np.sin(a) if curve == "helix" else 0.0)])
 
-    def seen(time: float) -> torch.Tensor:
+    def reference_motion(time: float) -> torch.Tensor:
         slope = (place(time + 1e-4) - place(time - 1e-4)) / 2e-4
         return torch.tensor(np.concatenate((place(time), slope)), dtype=torch.float32).expand(3, 6)
 
     obs, _ = task.reset()
-    torch.testing.assert_close(obs["observations"], seen(0.0), rtol=0.0, atol=1e-5)
+    torch.testing.assert_close(obs["observations"], reference_motion(0.0), rtol=0.0, atol=1e-5)
     for step in range(1, 17):
         obs, *_, info = task.step(STAY)
-        torch.testing.assert_close(info["final_observation"], seen(0.01 * ((step - 1) % 7 + 1)), rtol=0.0, atol=1e-5)
-        torch.testing.assert_close(obs["observations"], seen(0.01 * (step % 7)), rtol=0.0, atol=1e-5)
+        torch.testing.assert_close(
+            info["final_observation"], reference_motion(0.01 * ((step - 1) % 7 + 1)), rtol=0.0, atol=1e-5
+        )
+        torch.testing.assert_close(obs["observations"], reference_motion(0.01 * (step % 7)), rtol=0.0, atol=1e-5)
 
 
 def test_a_random_phase_is_uniform_and_new_in_every_episode() -> None:
@@ -169,7 +171,7 @@ def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
     )
     task.reset()
     task.values["previous_position"].copy_(torch.tensor([[0.9, 0.4, 0.2], [0.9, 0.0, 0.0], [1.1, 0.0, 0.0]]))
-    found = []
+    result = []
     for positions in (
         [(0.9, 0.4, 0.2), (0.9, 0.0, 0.0), (1.1, 0.0, 0.0)],  # in front; in front; behind
         [(1.1, 0.45, 0.25), (1.1, 1.2, 0.0), (0.9, 0.0, 0.0)],  # passes; crosses y = 0.6: beside; from behind
@@ -178,12 +180,12 @@ def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
     ):
         put(task, *positions)
         _, reward, *_, info = task.step(STAY)
-        found.append((reward.tolist(), info["crashes"].tolist(), info["successes"].tolist()))
+        result.append((reward.tolist(), info["crashes"].tolist(), info["successes"].tolist()))
     no = [False] * 3
-    assert found[0] == ([0.0, 0.0, 0.0], no, no)
-    assert found[1] == ([1.0, 0.0, 0.0], [False, True, False], no)
-    assert found[2] == ([0.0, 0.0, 1.0], no, no)
-    assert found[3] == ([1.0, 0.0, 0.0], [False, True, False], [True, False, False])
+    assert result[0] == ([0.0, 0.0, 0.0], no, no)
+    assert result[1] == ([1.0, 0.0, 0.0], [False, True, False], no)
+    assert result[2] == ([0.0, 0.0, 1.0], no, no)
+    assert result[3] == ([1.0, 0.0, 0.0], [False, True, False], [True, False, False])
     assert task.values["target_index"].tolist() == [0, 0, 1]
     torch.testing.assert_close(task.target_position[2], torch.tensor([1.0, 2.0, 0.0]))
     torch.testing.assert_close(task.values["target_direction"][2], torch.tensor([0.0, 1.0]), atol=1e-6, rtol=0.0)
@@ -218,7 +220,7 @@ def test_generators_that_cannot_be_are_refused(command: CommandCfg, message: str
 def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """It flees: a metre above the robot, wherever that is."""
 
-    class Fleeing(Command):
+    class FleeCommand(Command):
         reads = ("robot_position",)
 
         def __init__(self, values, env, *, height: float) -> None:  # type: ignore[no-untyped-def]
@@ -230,7 +232,7 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
             position = values["robot_position"]
             return {"target_position": torch.cat((position[:, :2], position[:, 2:] + self._height), dim=-1)}
 
-    monkeypatch.setitem(COMMANDS._entries, "fleeing", Fleeing)
+    monkeypatch.setitem(COMMANDS._entries, "fleeing", FleeCommand)
     task = make(3, command=CommandCfg(generator="fleeing", params={"height": 1.5}))
     task.reset()
     for _ in range(3):

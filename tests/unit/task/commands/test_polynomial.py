@@ -15,7 +15,7 @@ LIMITS = {"max_speed": 8.0, "max_acceleration": 30.0}
 AT_REST = [(1, np.zeros(3)), (2, np.zeros(3)), (3, np.zeros(3))]
 
 
-def spline_through(points: np.ndarray, times: np.ndarray) -> BSpline:
+def fit_spline(points: np.ndarray, times: np.ndarray) -> BSpline:
     """Return the spline of degree 7 through points (K, 3) that begins and ends at rest.
 
     By the theorem of Holladay and de Boor it has the least snap of all curves that do.
@@ -30,7 +30,7 @@ def tracks(num_envs: int = 5, points: int = 5, *, seed: int = 0) -> Task:
     return task
 
 
-def drawn(task: Task) -> tuple[np.ndarray, np.ndarray]:
+def read_draws(task: Task) -> tuple[np.ndarray, np.ndarray]:
     """Return points (E, K, 3) and times of segments (E,)."""
     own = task.values.own
     return own["track_points"].double().view(task.num_envs, 3, -1).mT.numpy(), own["track_time"].double().numpy()
@@ -66,9 +66,9 @@ def test_a_target_flies_the_spline_of_its_points(points: int) -> None:
     Bounds: 200 roundings of float32 of numbers of the size of the largest one.
     """
     task = tracks(points=points)
-    knots, times = drawn(task)
+    knots, times = read_draws(task)
     names = ("target_position", "target_velocity", "target_acceleration")
-    splines = [spline_through(p, t * np.arange(points)) for p, t in zip(knots, times, strict=True)]
+    splines = [fit_spline(p, t * np.arange(points)) for p, t in zip(knots, times, strict=True)]
     for step in range(300):
         if step:
             task.step(torch.zeros(5, 4))
@@ -82,10 +82,10 @@ def test_a_target_flies_the_spline_of_its_points(points: int) -> None:
 
 def test_no_target_exceeds_a_limit_and_a_control_point_is_at_one() -> None:
     """Of 300 tracks, in float64: within both limits, and one of the control points is as far out as a limit allows."""
-    knots, times = drawn(tracks(300, seed=4))
+    knots, times = read_draws(tracks(300, seed=4))
     forms = (derivative(minimum_snap(5)), derivative(derivative(minimum_snap(5))))
     for p, t in zip(knots, times, strict=True):
-        spline, at = spline_through(p, t * np.arange(5)), np.linspace(0.0, 4.0 * t, 2001)
+        spline, at = fit_spline(p, t * np.arange(5)), np.linspace(0.0, 4.0 * t, 2001)
         shares = []
         for order, (form, limit) in enumerate(zip(forms, LIMITS.values(), strict=True), start=1):
             assert np.linalg.norm(spline(at, nu=order), axis=-1).max() <= limit * (1.0 + 1e-5)
@@ -95,18 +95,18 @@ def test_no_target_exceeds_a_limit_and_a_control_point_is_at_one() -> None:
 
 def test_points_are_drawn_in_the_box_by_mask_and_by_environment() -> None:
     task = tracks(400)
-    knots, times = drawn(task)
+    knots, times = read_draws(task)
     low, high = np.array([-1.5, 0.0, 1.5]), np.array([1.5, 2.0, 2.5])
     assert (knots >= low - 1e-6).all()
     assert (knots <= high + 1e-6).all()
     assert (knots.min((0, 1)) < low + 0.05).all()
     assert (knots.max((0, 1)) > high - 0.05).all()
-    few = drawn(tracks(3))
+    few = read_draws(tracks(3))
     assert np.array_equal(few[0], knots[:3])
     assert np.array_equal(few[1], times[:3])
     mask = torch.arange(400) % 2 == 0
     task._begin(mask)
-    again, later = drawn(task)
+    again, later = read_draws(task)
     assert np.array_equal(again[~mask], knots[~mask])
     assert np.array_equal(later[~mask], times[~mask])
     assert (again[mask] != knots[mask]).all()

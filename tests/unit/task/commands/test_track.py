@@ -15,7 +15,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.task import Task
 from aerial_gym.task.commands.gates import crossing
-from aerial_gym.task.terms.way import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, way_direction, way_through
+from aerial_gym.task.terms.gate_path import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, gate_path_direction, gate_path_length
 from tests.builders import simulation
 from tests.unit.task.hover import make
 
@@ -27,7 +27,7 @@ def race(num_envs: int, *, name: str = "racing_task", seed: int = 0, first_env: 
 
 
 def in_gate(task: Task, gate: int, place: tuple[float, float, float]) -> Tensor:
-    """Return where a place in the frame of each environment's gate is, world, (E, 3)."""
+    """Return the world position of a place in the frame of each environment's gate [m], (E, 3)."""
     gtd = task.env.gtd
     turn = gtd["gate_orientation"][:, gate]
     return gtd["gate_position"][:, gate] + quat_rotate(turn, torch.tensor([place]).expand_as(turn[:, :3]))
@@ -59,8 +59,8 @@ def put(task: Task, position: Tensor) -> None:
 def test_a_crossing_is_that_of_the_straight_line(
     before: tuple[float, ...], now: tuple[float, ...], expected: tuple[bool, bool]
 ) -> None:
-    found = crossing(torch.tensor([before]), torch.tensor([now]), half=(0.25, 0.15))
-    assert tuple(bool(each) for each in found) == expected
+    result = crossing(torch.tensor([before]), torch.tensor([now]), half=(0.25, 0.15))
+    assert tuple(bool(each) for each in result) == expected
 
 
 def test_every_drawn_gate_is_passed_where_it_stands() -> None:
@@ -90,7 +90,7 @@ def test_every_drawn_gate_is_passed_where_it_stands() -> None:
         ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), True, False),
     ],
 )
-def test_from_behind_and_beside_is_not_through(
+def test_from_behind_and_beside_is_no_passage(
     before: tuple[float, float, float], place: tuple[float, float, float], passed: bool, missed: bool
 ) -> None:
     task = race(20)
@@ -102,14 +102,14 @@ def test_from_behind_and_beside_is_not_through(
     assert task.values["gate_missed"].tolist() == [missed] * 20
 
 
-def offsets_of(task: Task, obs: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-    """Return what the policy is told of its next gate, turned back into the world: place (E, 3) and way through it (E, 3)."""
+def gate_offsets(task: Task, obs: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Return the observed position of the next gate and direction through it, rotated to the world frame, (E, 3) each."""
     told = obs["observations"][:, 26:32]
     turn, position = task.env.gtd["robot_vehicle_orientation"], task.env.gtd["robot_position"]
     return position + quat_rotate(turn, told[:, :3]), quat_rotate(turn, told[:, 3:])
 
 
-def test_a_gate_is_known_exactly_once_it_was_near() -> None:
+def test_a_gate_is_known_exactly_once_it_was_close() -> None:
     """Seen from above: 0.71 m away it is where it should be, 0.69 m away, at any height, where it is; and so it stays."""
     task = race(30)
     task.reset()
@@ -120,7 +120,7 @@ def test_a_gate_is_known_exactly_once_it_was_near() -> None:
         away = torch.tensor([[-0.6 * distance, 0.8 * distance, 1.3]])  # above everything
         put(task, there + away)
         obs, *_ = task.step(torch.zeros(30, 4))
-        place, way = offsets_of(task, obs)
+        place, way = gate_offsets(task, obs)
         assert task.values["gates_seen"][:, 0].tolist() == [exact] * 30
         torch.testing.assert_close(place, there if exact else should, atol=1e-5, rtol=0.0)
         torch.testing.assert_close(way, turned[0] if exact else turned[1], atol=1e-5, rtol=0.0)
@@ -159,7 +159,7 @@ def test_the_way_through_a_gate_by_hand(place: tuple[float, float, float], lengt
     turn = torch.nn.functional.normalize(torch.tensor([[0.1, -0.2, 0.3, 0.9]]), dim=-1)
     middle = torch.tensor([[1.0, 2.0, 3.0]])
     robot = middle + quat_rotate(turn, torch.tensor([place]))
-    torch.testing.assert_close(way_through(middle, turn, robot), torch.tensor([length]), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(gate_path_length(middle, turn, robot), torch.tensor([length]), atol=1e-5, rtol=0.0)
 
 
 def test_the_way_leads_where_it_gets_shorter() -> None:
@@ -167,12 +167,12 @@ def test_the_way_leads_where_it_gets_shorter() -> None:
     generator = torch.Generator().manual_seed(0)
     place = (4.0 * torch.rand(5000, 3, dtype=torch.float64, generator=generator) - 2.0).requires_grad_()
     upright = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64).expand(5000, 4)
-    (gradient,) = torch.autograd.grad(way_through(torch.zeros_like(place), upright, place).sum(), place)
+    (gradient,) = torch.autograd.grad(gate_path_length(torch.zeros_like(place), upright, place).sum(), place)
     x, beside = place[:, 0], place[:, 1:].norm(dim=-1)
     clear = (beside > AT_AXIS) & ((x < 0.0) | ((x.square() + (beside - WAY_AROUND).square()).sqrt() > AT_AXIS))
     expected = -torch.nn.functional.normalize(gradient, dim=-1)[clear]
     assert int(clear.sum()) > 4500
-    torch.testing.assert_close(way_direction(place)[clear], expected, atol=1e-12, rtol=0.0)
+    torch.testing.assert_close(gate_path_direction(place)[clear], expected, atol=1e-12, rtol=0.0)
 
 
 def test_the_way_ahead_is_told_in_the_vehicle_frame() -> None:
@@ -225,8 +225,8 @@ def test_only_a_training_begins_behind_gates() -> None:
     share = float(params["practice_share"])  # type: ignore[arg-type]
     for gate in range(4):
         expected = 1.0 - share if gate == 0 else share / 3.0
-        found = float((first == gate).float().mean())
-        assert abs(found - expected) < 4.0 * (expected * (1.0 - expected) / 3000.0) ** 0.5
+        result = float((first == gate).float().mean())
+        assert abs(result - expected) < 4.0 * (expected * (1.0 - expected) / 3000.0) ** 0.5
     for gate in range(1, 4):
         rows = first == gate
         turn = gtd["gate_orientation"][rows, gate - 1]
@@ -244,7 +244,7 @@ def test_only_a_training_begins_behind_gates() -> None:
     torch.testing.assert_close(task.values["previous_position"], gtd["robot_position"])
 
 
-def flown(num_envs: int, *, name: str, first_env: int = 0) -> list[Tensor]:
+def fly(num_envs: int, *, name: str, first_env: int = 0) -> list[Tensor]:
     task = race(num_envs, name=name, seed=2, first_env=first_env)
     task.practise()
     obs, _ = task.reset()
@@ -258,7 +258,7 @@ def flown(num_envs: int, *, name: str, first_env: int = 0) -> list[Tensor]:
 
 @pytest.mark.parametrize("name", ["racing_task", pytest.param("racing_random_track_task", marks=pytest.mark.slow)])
 def test_a_race_is_the_same_alone_and_among_many(name: str) -> None:
-    many, alone = flown(37, name=name), flown(1, name=name, first_env=17)
+    many, alone = fly(37, name=name), fly(1, name=name, first_env=17)
     for row, single in zip(many, alone, strict=True):
         assert torch.equal(row[17:18], single)
 
@@ -292,7 +292,7 @@ def with_track(env: EnvironmentCfg, **changes: object) -> Task:
     return Task(cfg, built)
 
 
-def test_a_track_of_one_gate_has_nothing_to_begin_behind() -> None:
+def test_a_track_of_one_gate_has_no_earlier_gate() -> None:
     base = ENVIRONMENTS.get("racing_env")
     track = TrackCfg(gates=(GatePlaceCfg(position=(0.0, 0.0, 1.0)),), poles=((1.0, 1.0, 1.5),) * 3)
     assets = (replace(base.assets[0], count=1), replace(base.assets[1], count=3))

@@ -15,8 +15,8 @@ from aerial_gym.config.robot import SensorMountCfg
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
 from tests.builders import simulation
-from tests.repetitions import seldom
-from tests.unit.task.hover import rich, seeing
+from tests.repetitions import rare_values
+from tests.unit.task.hover import camera_task, rich
 
 FORBIDDEN = {
     "aten::lift_fresh": "makes a tensor from Python numbers: torch.tensor, new_tensor",
@@ -25,7 +25,7 @@ FORBIDDEN = {
 }
 
 
-class NothingThatWaits(TorchDispatchMode):
+class WaitGuard(TorchDispatchMode):
     """Refuses what a captured step must not do."""
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -38,7 +38,7 @@ class NothingThatWaits(TorchDispatchMode):
 
 def test_the_mode_sees_what_it_refuses() -> None:
     rows, mask = torch.ones(3), torch.tensor([True, False, True])
-    with NothingThatWaits():
+    with WaitGuard():
         rows.add_(1.0)
         for wrong in (
             lambda: torch.tensor((0.0, 1.0)),
@@ -72,16 +72,16 @@ LIKE_OTHERS = (
 """Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
 
-@pytest.mark.parametrize("name", seldom([*task_registry.names(), "rich", "seeing"], LIKE_OTHERS))
+@pytest.mark.parametrize("name", rare_values([*task_registry.names(), "rich", "seeing"], LIKE_OTHERS))
 def test_a_step_of_a_task_can_be_captured(name: str) -> None:
     """Some environments end on the way, so that the masked reset, with all that it draws, is in the step."""
-    own = {"rich": rich, "seeing": seeing}
+    own = {"rich": rich, "seeing": camera_task}
     task = own[name](4) if name in own else task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
     task.reset()
     actions = torch.zeros(4, task.num_actions)
     task.step(actions)
     task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps
-    with NothingThatWaits():
+    with WaitGuard():
         task.step(actions)
         task.step(actions)
 
@@ -100,7 +100,7 @@ def test_mounted_sensors_with_rate_and_latency_can_be_captured() -> None:
     actions, mask = torch.zeros(2, 4), torch.tensor([True, False])
     env.step(actions)
     env.render()
-    with NothingThatWaits():
+    with WaitGuard():
         env.step(actions)
         env.reset(mask)
         env.render()

@@ -18,7 +18,7 @@ LOST = FaultCfg(how="lost", begin_steps=(2, 5), duration_steps=(1, 4))
 JUMP = FaultCfg(how="jump", begin_steps=3, duration_steps=(2, 6), size=0.5)
 
 
-def flown(num_envs: int, fault: FaultCfg, *, steps: int = LENGTH - 1, **given: int) -> tuple[Task, Tensor, Tensor]:
+def fly(num_envs: int, fault: FaultCfg, *, steps: int = LENGTH - 1, **given: int) -> tuple[Task, Tensor, Tensor]:
     """Return a task, what two terms with one fault showed and what is true, (steps + 1, E, 3): from a reset on."""
     shown = ObservationCfg(term="position_error_world", fault="gps", dropout_value=-7.0, scale=2.0)
     also = ObservationCfg(term="robot_position", fault="gps")
@@ -28,12 +28,12 @@ def flown(num_envs: int, fault: FaultCfg, *, steps: int = LENGTH - 1, **given: i
     )  # fmt: skip
     rows = [task.reset()[0]["observations"].clone()]
     rows += [task.step(0.1 * torch.ones(num_envs, 4))[0]["observations"].clone() for _ in range(steps)]
-    found = torch.stack(rows)
-    torch.testing.assert_close(found[..., 3:6].isfinite(), torch.ones_like(found[..., 3:6], dtype=torch.bool))
-    return task, found[..., :6], found[..., 6:]
+    result = torch.stack(rows)
+    torch.testing.assert_close(result[..., 3:6].isfinite(), torch.ones_like(result[..., 3:6], dtype=torch.bool))
+    return task, result[..., :6], result[..., 6:]
 
 
-def lasting(task: Task) -> Tensor:
+def fault_active(task: Task) -> Tensor:
     """Return when the fault of each environment lasts, bool (LENGTH, E), from what was drawn."""
     begin, duration = task.values["fault_steps"].unbind(-1)
     time = torch.arange(LENGTH).unsqueeze(-1)
@@ -41,8 +41,8 @@ def lasting(task: Task) -> Tensor:
 
 
 def test_a_lost_sensor_shows_its_value_from_its_step_on_for_its_duration() -> None:
-    task, shown, truth = flown(40, LOST)
-    gone = lasting(task).unsqueeze(-1)
+    task, shown, truth = fly(40, LOST)
+    gone = fault_active(task).unsqueeze(-1)
     assert torch.equal(shown[..., :3], torch.where(gone, -14.0, -2.0 * truth))  # scale comes last
     assert torch.equal(shown[..., 3:], torch.where(gone, 0.0, truth))
     begin, duration = task.values["fault_steps"].unbind(-1)
@@ -51,8 +51,8 @@ def test_a_lost_sensor_shows_its_value_from_its_step_on_for_its_duration() -> No
 
 
 def test_a_jump_adds_one_offset_an_entry_to_all_that_the_sensor_says() -> None:
-    task, shown, truth = flown(40, JUMP)
-    jumped = lasting(task).unsqueeze(-1)
+    task, shown, truth = fly(40, JUMP)
+    jumped = fault_active(task).unsqueeze(-1)
     offsets = task.values["fault_draws"][:, 1:]
     torch.testing.assert_close(shown[..., :3], 2.0 * (-truth + jumped * offsets), rtol=0.0, atol=1e-6)
     torch.testing.assert_close(shown[..., 3:], truth + jumped * offsets, rtol=0.0, atol=1e-6)
@@ -61,7 +61,7 @@ def test_a_jump_adds_one_offset_an_entry_to_all_that_the_sensor_says() -> None:
 
 
 def test_the_next_episode_has_a_fault_of_its_own() -> None:
-    task, *_ = flown(20, JUMP)
+    task, *_ = fly(20, JUMP)
     before = task.values["fault_draws"].clone()
     task.step(torch.zeros(20, 4))
     task.step(torch.zeros(20, 4))
@@ -71,7 +71,7 @@ def test_the_next_episode_has_a_fault_of_its_own() -> None:
 def test_so_many_episodes_have_it() -> None:
     """A share within 5 standard deviations of a binomial, sqrt(p (1 - p) / n)."""
     share, count = 0.3, 2000
-    _, shown, _ = flown(count, replace(LOST, share=share), steps=5)
+    _, shown, _ = fly(count, replace(LOST, share=share), steps=5)
     had = (shown[..., 3:] == 0.0).all(-1).any(0)
     assert float(had.double().mean()) == pytest.approx(share, abs=5.0 * (share * (1.0 - share) / count) ** 0.5)
 

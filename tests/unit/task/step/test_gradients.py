@@ -12,7 +12,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.task import Task
-from tests.unit.task.hover import built
+from tests.unit.task.hover import build_task
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 5, 2
@@ -20,7 +20,7 @@ MOTION = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_ang
 MOTION += ("robot_actions", "robot_prev_actions")
 
 
-def with_everything() -> TaskCfg:
+def full_task() -> TaskCfg:
     """Return a task whose terms have noise, delays, history, scale, filter, and read actions and the step before."""
     return replace(
         task_registry.get("tracking_task"),
@@ -54,10 +54,10 @@ def with_everything() -> TaskCfg:
     )
 
 
-def flown(task: Task) -> Callable[[Tensor], Tensor]:
+def make_objective(task: Task) -> Callable[[Tensor], Tensor]:
     """Return a function from actions (T, E, V) to a number that depends on all that a task gives, from the same starts."""
 
-    def weighed(tensor: Tensor, number: int) -> Tensor:
+    def weigh(tensor: Tensor, number: int) -> Tensor:
         weights = torch.arange(1.0 + number, 1.0 + number + tensor[0].numel(), dtype=tensor.dtype).cos()
         return (tensor.flatten(1) * weights).sum()
 
@@ -68,7 +68,7 @@ def flown(task: Task) -> Callable[[Tensor], Tensor]:
         for number, action in enumerate(actions):
             observation, reward, _, _, info = task.step(action)
             seen = (*observation.values(), info["final_observation"], reward.unsqueeze(-1))
-            result = result + sum(weighed(each, number + i) for i, each in enumerate(seen))
+            result = result + sum(weigh(each, number + i) for i, each in enumerate(seen))
         return result
 
     return total
@@ -80,18 +80,20 @@ SLOWLY = [pytest.param(name, marks=pytest.mark.slow) for name in ("position_setp
 
 def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
     """With episodes that end within the window, to the accuracy of central differences."""
-    task = built(with_everything(), NUM_ENVS, gradients=F64)
+    task = build_task(full_task(), NUM_ENVS, gradients=F64)
     actions = 0.4 * torch.rand(STEPS, NUM_ENVS, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
-    assert torch.autograd.gradcheck(flown(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
+    assert torch.autograd.gradcheck(make_objective(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["morphy", pytest.param("reconfigurable", marks=pytest.mark.slow)])
 def test_gradients_of_a_task_with_joints_are_its_differences(name: str) -> None:
     """Of angles and rates that are seen and paid for, under thrusts and drives; rows end within the window."""
     cfg = replace(task_registry.get(f"position_setpoint_task_{name}"), episode_len_steps=3)
-    task = built(cfg, NUM_ENVS, gradients=F64)
+    task = build_task(cfg, NUM_ENVS, gradients=F64)
     actions = torch.rand(3, NUM_ENVS, task.num_actions, dtype=F64, generator=torch.Generator().manual_seed(1)) - 0.5
-    assert torch.autograd.gradcheck(flown(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5, fast_mode=True)
+    assert torch.autograd.gradcheck(
+        make_objective(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5, fast_mode=True
+    )
 
 
 @pytest.mark.parametrize("name", [*SLOWLY, "everything"])
@@ -100,24 +102,24 @@ def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
 
     1e-4 of the largest entry: some thousand operations in float32.
     """
-    cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=4)
-    single, exact = (built(cfg, NUM_ENVS, seed=3, gradients=dtype) for dtype in (torch.float32, F64))
+    cfg = full_task() if name == "everything" else replace(task_registry.get(name), episode_len_steps=4)
+    single, exact = (build_task(cfg, NUM_ENVS, seed=3, gradients=dtype) for dtype in (torch.float32, F64))
     actions = 0.4 * torch.rand(STEPS, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1))
-    found = []
+    results = []
     for task, dtype in ((single, torch.float32), (exact, F64)):
         given = actions.to(dtype).requires_grad_()
-        found.append(torch.autograd.grad(flown(task)(given), given)[0].double())
-    torch.testing.assert_close(*found, atol=1e-4 * float(found[1].abs().max()), rtol=0.0)
+        results.append(torch.autograd.grad(make_objective(task)(given), given)[0].double())
+    torch.testing.assert_close(*results, atol=1e-4 * float(results[1].abs().max()), rtol=0.0)
     for task, in_kernels in ((single, True), (exact, False)):
         assert (task._judge.rows._kernels is not None) == in_kernels
         assert (task._observer.rows._kernels is not None) == in_kernels
 
 
 @pytest.mark.parametrize("name", [*SLOWLY, "everything"])
-def test_a_task_with_gradients_is_the_task_without(name: str) -> None:
+def test_a_task_with_gradients_is_the_plain_task(name: str) -> None:
     """Rewards, ends and observations of the same flight, from kernels and from torch operations, to float32."""
-    cfg = with_everything() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)
-    plain, traced = (built(cfg, 5, seed=2, gradients=gradients) for gradients in (None, torch.float32))
+    cfg = full_task() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)
+    plain, traced = (build_task(cfg, 5, seed=2, gradients=gradients) for gradients in (None, torch.float32))
     assert not any(rows.apart for rows in (plain._judge.rows, plain._observer.rows))
     for task in (plain, traced):
         task.reset()
@@ -138,7 +140,7 @@ def test_a_task_with_gradients_is_the_task_without(name: str) -> None:
 
 
 def test_a_reset_cuts_its_own_row_and_detach_all() -> None:
-    task = built(replace(task_registry.get("position_setpoint_task"), episode_len_steps=3), 2, gradients=F64)
+    task = build_task(replace(task_registry.get("position_setpoint_task"), episode_len_steps=3), 2, gradients=F64)
     task.reset()
     task.env.gtd["sim_steps"].copy_(torch.tensor([2, 0]))
     action = torch.full((2, 4), 0.1, dtype=F64, requires_grad=True)
@@ -158,7 +160,7 @@ def test_a_reset_cuts_its_own_row_and_detach_all() -> None:
 @pytest.mark.slow
 def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
     """Lines, filter and the distance before come from the state, not from what was kept beside it."""
-    first, second = (built(with_everything(), NUM_ENVS, seed=4, gradients=torch.float32) for _ in range(2))
+    first, second = (build_task(full_task(), NUM_ENVS, seed=4, gradients=torch.float32) for _ in range(2))
     actions = torch.rand(8, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1)) - 0.5
     for task in (first, second):
         task.reset()
@@ -174,29 +176,29 @@ def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
 
 def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
     """A CUDA graph reads and writes the same memory at every replay: motion, actions, lines, what law and effects remember."""
-    task = built(with_everything(), 2, gradients=torch.float32)
+    task = build_task(full_task(), 2, gradients=torch.float32)
     task.reset()
 
     def places() -> dict[str, int]:
         assert task.values.graph is not None
         own = {name: tensor.data_ptr() for name, tensor in task.values.graph._own.items()}
-        return own | {name: tensor.data_ptr() for name, tensor in task.env.traced.items() if name in MOTION}
+        return own | {name: tensor.data_ptr() for name, tensor in task.env.gradient_tensors.items() if name in MOTION}
 
-    found = []
+    results = []
     for _ in range(3):
         for _ in range(2):
             task.step(torch.full((2, 4), 0.1, requires_grad=True))
-        before = {name: tensor.clone() for name, tensor in task.env.traced.items()}
+        before = {name: tensor.clone() for name, tensor in task.env.gradient_tensors.items()}
         task.settle()
-        for name, tensor in task.env.traced.items():
+        for name, tensor in task.env.gradient_tensors.items():
             assert torch.equal(tensor, before[name]), name
             assert not tensor.requires_grad
-        found.append(places())
-    assert len(found[0]) > len(MOTION)
-    assert found[0] == found[1] == found[2]
+        results.append(places())
+    assert len(results[0]) > len(MOTION)
+    assert results[0] == results[1] == results[2]
 
 
-def changed(**changes: object) -> TaskCfg:
+def change_task(**changes: object) -> TaskCfg:
     return replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
 
 
@@ -206,33 +208,33 @@ def test_frames_of_links_are_refused_by_name(key: str) -> None:
     cfg = task_registry.get("position_setpoint_task_morphy")
     cfg = replace(cfg, observations={"policy": (ObservationCfg(term=key),)})
     with pytest.raises(CapabilityError, match=f"observation term '{key}': reads {key}, which has no gradient"):
-        built(cfg, 2, gradients=torch.float32)
+        build_task(cfg, 2, gradients=torch.float32)
 
 
 @pytest.mark.parametrize(
     ("cfg", "message"),
     [
         (
-            changed(rewards={"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}),
+            change_task(rewards={"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}),
             r"reward 'clear' \(clearance_penalty\): reads robot_clearance, which has no gradient",
         ),
         (
-            changed(
+            change_task(
                 rewards={"there": RewardCfg(term="target_reached")},
                 command=CommandCfg(generator="sequence", params={"points": [[0.0, 0.0, 0.0]], "radius": 0.1}),
             ),
             r"reward 'there' \(target_reached\): reads target_reached",
         ),
         (
-            changed(observations={"policy": (ObservationCfg(term="robot_state_tensor"),)}),
+            change_task(observations={"policy": (ObservationCfg(term="robot_state_tensor"),)}),
             "observation term 'robot_state_tensor': reads robot_state_tensor",
         ),
     ],
 )
 def test_terms_without_gradient_are_refused_by_name(cfg: TaskCfg, message: str) -> None:
-    built(cfg, 2)
+    build_task(cfg, 2)
     with pytest.raises(CapabilityError, match=message):
-        built(cfg, 2, gradients=torch.float32)
+        build_task(cfg, 2, gradients=torch.float32)
 
 
 def test_images_and_captures_are_refused() -> None:
@@ -241,7 +243,7 @@ def test_images_and_captures_are_refused() -> None:
         make("navigation_task", num_envs=2, device="cpu", differentiable=True)
     cfg = replace(task_registry.get("navigation_task"), images={"depth": ImageCfg()})
     with pytest.raises(CapabilityError, match="image 'depth': has no gradient"):
-        built(cfg, 2, gradients=torch.float32)
+        build_task(cfg, 2, gradients=torch.float32)
     with pytest.raises(CapabilityError, match="capture needs a CUDA device"):
         make("tracking_task", num_envs=2, device="cpu", differentiable=True, capture=True)
 
@@ -250,7 +252,7 @@ def test_gradients_of_a_row_do_not_depend_on_the_batch() -> None:
     """Of 64 rows, which torch takes as they stand, and of 2, which it pads: what is written anew is copied in both."""
     gradients = []
     for num_envs in (2, 64):
-        task = built(with_everything(), num_envs, gradients=F64)
+        task = build_task(full_task(), num_envs, gradients=F64)
         task.reset(seed=3)
         task.env.gtd["sim_steps"].copy_(torch.arange(num_envs) % 4)
         action = torch.full((num_envs, 4), 0.1, dtype=F64, requires_grad=True)

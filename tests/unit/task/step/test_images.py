@@ -14,7 +14,7 @@ STAY = torch.tensor([-1.0, 0.0, 0.0, 0.0]).expand(2, 4)
 
 
 def shares(task: Task) -> Tensor:
-    """Return what the camera sees as shares of 10 m; what is nearer or further than it can tell (-1) counts as far."""
+    """Return the camera's depths as shares of 10 m; pixels out of range (-1) count as 1."""
     pixels = task.env.gtd["depth_range_pixels"]
     return torch.where(pixels < 0.0, 1.0, pixels / 10.0)
 

@@ -19,7 +19,7 @@ REWARDS = {"alive": RewardCfg(term="constant", weight=0.5), "near": RewardCfg(
 STAY = torch.zeros(3, 4)
 
 
-def task_with(there: TerminationCfg, **changes: object) -> Task:
+def make_task(there: TerminationCfg, **changes: object) -> Task:
     task = make(3, **{"rewards": REWARDS, "terminations": {"contact": CONTACT, "far": FAR, "there": there}} | changes)
     task.reset()
     return task
@@ -34,8 +34,8 @@ def put(task: Task, *distances: float) -> None:
 
 
 def flags(info: dict[str, Tensor], terminated: Tensor, truncated: Tensor) -> dict[str, list[bool]]:
-    found = {name: info[name].tolist() for name in ("successes", "crashes", "timeouts", "time_outs")}
-    return found | {"terminated": terminated.tolist(), "truncated": truncated.tolist()}
+    result = {name: info[name].tolist() for name in ("successes", "crashes", "timeouts", "time_outs")}
+    return result | {"terminated": terminated.tolist(), "truncated": truncated.tolist()}
 
 
 NONE = [False, False, False]
@@ -44,7 +44,7 @@ AT_TARGET = TerminationCfg(term="at_target", kind="success", params={"radius": 1
 
 @pytest.mark.parametrize("bootstrap", [None, False, True])
 def test_a_success_ends_the_episode_at_once(bootstrap: bool | None) -> None:
-    task = task_with(replace(AT_TARGET, bootstrap=bootstrap))
+    task = make_task(replace(AT_TARGET, bootstrap=bootstrap))
     put(task, 0.5, 2.0, 9.0)
     _, _, terminated, truncated, info = task.step(STAY)
     goes_on = bool(bootstrap)
@@ -62,7 +62,7 @@ def test_a_success_ends_the_episode_at_once(bootstrap: bool | None) -> None:
 @pytest.mark.parametrize(("when", "successes"), [("counts", [True, True, False]), ("at_end", [False, True, False])])
 def test_a_success_that_does_not_end_is_counted_at_the_end(when: str, successes: list[bool]) -> None:
     """The first arrives and leaves, the second is there at the end alone, the third never; all end by their length."""
-    task = task_with(replace(AT_TARGET, when=when), episode_len_steps=3)
+    task = make_task(replace(AT_TARGET, when=when), episode_len_steps=3)
     info = {"successes": torch.zeros(3)}
     for distances in ((0.5, 2.0, 2.0), (3.0, 2.0, 2.0), (3.0, 0.5, 2.0)):
         assert not info["successes"].any()  # none before the end
@@ -84,7 +84,7 @@ def test_a_success_that_does_not_end_is_counted_at_the_end(when: str, successes:
 
 
 def test_a_crash_goes_before_an_arrival() -> None:
-    task = task_with(replace(AT_TARGET, when="counts"))
+    task = make_task(replace(AT_TARGET, when="counts"))
     put(task, 0.5, 0.5, 0.5)
     task.step(STAY)
     put(task, 9.0, 2.0, 0.5)
@@ -95,7 +95,7 @@ def test_a_crash_goes_before_an_arrival() -> None:
 
 def test_a_time_out_of_ones_own_and_lengths_that_do_not_bootstrap() -> None:
     away = TerminationCfg(term="far_from_target", kind="time_out", params={"distance": 2.5})
-    task = task_with(away, episode_len_steps=2, time_out_bootstraps=False)
+    task = make_task(away, episode_len_steps=2, time_out_bootstraps=False)
     put(task, 3.0, 1.0, 1.0)
     _, _, terminated, truncated, info = task.step(STAY)
     assert truncated.tolist() == info["timeouts"].tolist() == [True, False, False]
@@ -110,7 +110,7 @@ def test_a_time_out_of_ones_own_and_lengths_that_do_not_bootstrap() -> None:
 @pytest.mark.parametrize(("how", "expected"), [("replace", [-5.0, 10.0, -1.5]), ("add", [-13.5, 10.0, -1.5])])
 def test_what_an_end_is_worth_replaces_the_reward_or_comes_on_top(how: str, expected: list[float]) -> None:
     """0.5 - d of the terms: -8.5 at 9 m, 0 at 0.5 m, -1.5 at 2 m; a crash is worth -5, a success 10."""
-    task = task_with(AT_TARGET, crash_reward=EndRewardCfg(value=-5.0, how=how), success_reward=EndRewardCfg(value=10.0))
+    task = make_task(AT_TARGET, crash_reward=EndRewardCfg(value=-5.0, how=how), success_reward=EndRewardCfg(value=10.0))
     put(task, 9.0, 0.5, 2.0)
     _, reward, *_, info = task.step(STAY)
     torch.testing.assert_close(reward, torch.tensor(expected), atol=1e-2, rtol=0.0)
@@ -123,7 +123,7 @@ def test_what_an_end_is_worth_replaces_the_reward_or_comes_on_top(how: str, expe
 def test_what_an_end_is_worth_may_rise_with_the_difficulty() -> None:
     """A crash 9 m away and a row that is not finite cost -5 - 20 / 4 a quarter of the way up, an arrival earns 10 + 8 / 4."""
     crash, success = EndRewardCfg(value=-5.0, difficulty_value=-20.0), EndRewardCfg(value=10.0, difficulty_value=8.0)
-    task = task_with(AT_TARGET, crash_reward=crash, success_reward=success)
+    task = make_task(AT_TARGET, crash_reward=crash, success_reward=success)
     task.values["difficulty"].fill_(0.25)
     put(task, 9.0, 0.5, float("nan"))
     _, reward, *_ = task.step(STAY)
@@ -131,7 +131,7 @@ def test_what_an_end_is_worth_may_rise_with_the_difficulty() -> None:
 
 
 def test_terms_are_summed_over_an_episode_and_their_means_logged() -> None:
-    task = task_with(AT_TARGET, episode_len_steps=4, crash_reward=EndRewardCfg(value=-5.0))
+    task = make_task(AT_TARGET, episode_len_steps=4, crash_reward=EndRewardCfg(value=-5.0))
     assert task.episode_means() == {"episodes": 0.0}
     sums = torch.zeros(3, 3)
     for distances in ((3.0, 3.0, 3.0), (2.0, 2.0, 3.0), (2.0, 2.0, 9.0), (2.0, 2.0, 3.0)):

@@ -22,7 +22,7 @@ VIEWS = (
 """Operations of torch that launch nothing."""
 
 
-class Counting(TorchDispatchMode):
+class LaunchCounter(TorchDispatchMode):
     """Counts operations of torch that launch a kernel on a GPU, most of them one."""
 
     def __init__(self) -> None:
@@ -60,9 +60,9 @@ def test_a_step_launches_few_kernels(
     actions = torch.zeros(2, *task.action_space.shape)
     task.reset()
     task.step(actions)
-    counting, launch, by_row = Counting(), Launch.launch, RowFunction.__call__
+    counting, launch, by_row = LaunchCounter(), Launch.launch, RowFunction.__call__
 
-    def launched(self: wp.Launch, *args: object) -> None:
+    def count_launch(self: wp.Launch, *args: object) -> None:
         counting.found[self.kernel.key] += 1
         launch(self, *args)
 
@@ -70,7 +70,7 @@ def test_a_step_launches_few_kernels(
         counting.found["rows"] += 1
         return by_row(self, *args, **kwargs)
 
-    monkeypatch.setattr(Launch, "launch", launched)
+    monkeypatch.setattr(Launch, "launch", count_launch)
     monkeypatch.setattr(RowFunction, "__call__", rows)
     with counting:
         task.step(actions)

@@ -120,17 +120,17 @@ def test_the_two_rewards_of_morphy_differ_in_distance_and_thrust_as_worked_by_ha
         "previous_distance": torch.tensor([1.0]),
         "robot_actions": torch.full((1, 4), 0.811225),
     }
-    found = {}
+    result = {}
     for name in ("position_setpoint_task_morphy", "position_setpoint_task_morphy_paper"):
         rewards = task_registry.get(name).rewards
         for term in ("distance", "size"):
             function = getattr(terms, rewards[term].term)
             read = {key: tensors[key] for key in signature(function).parameters if key in tensors}
-            found[name, term] = float(function(**read, **rewards[term].params))
-    assert found["position_setpoint_task_morphy", "distance"] == pytest.approx(0.4775, rel=1e-5)
-    assert found["position_setpoint_task_morphy", "size"] == pytest.approx(-0.006, rel=1e-4)
-    assert found["position_setpoint_task_morphy_paper", "distance"] == pytest.approx(1.0, rel=1e-5)
-    assert found["position_setpoint_task_morphy_paper", "size"] == pytest.approx(-0.00380650, rel=1e-4)
+            result[name, term] = float(function(**read, **rewards[term].params))
+    assert result["position_setpoint_task_morphy", "distance"] == pytest.approx(0.4775, rel=1e-5)
+    assert result["position_setpoint_task_morphy", "size"] == pytest.approx(-0.006, rel=1e-4)
+    assert result["position_setpoint_task_morphy_paper", "distance"] == pytest.approx(1.0, rel=1e-5)
+    assert result["position_setpoint_task_morphy_paper", "size"] == pytest.approx(-0.00380650, rel=1e-4)
     published, paper = (
         task_registry.get(name).rewards
         for name in ("position_setpoint_task_morphy", "position_setpoint_task_morphy_paper")

@@ -11,7 +11,7 @@ from aerial_gym import task_registry
 from aerial_gym.config import build
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.errors import ConfigError, DuplicateNameError, UnknownNameError
-from tests.unit.task.hover import built
+from tests.unit.task.hover import build_task
 
 ROOT = Path(__file__).parents[4]
 EXAMPLE = f"{ROOT / 'examples' / 'custom_task.py'}:FIGURE_EIGHT"
@@ -32,8 +32,8 @@ def test_the_example_flies_and_learns_from_its_own_terms() -> None:
     x, y, z, w = attitude.unbind(-1)
     nose = torch.stack((1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)), dim=-1)
     cosine = ((nose * way).sum(-1) / way.norm(dim=-1)).clamp_min(0.0)
-    found = task_registry.make_task(EXAMPLE, num_envs=3, device="cpu")._judge._rewards["nose"][0].evaluate(task.values)
-    torch.testing.assert_close(found, cosine)
+    result = task_registry.make_task(EXAMPLE, num_envs=3, device="cpu")._judge._rewards["nose"][0].evaluate(task.values)
+    torch.testing.assert_close(result, cosine)
 
 
 def test_a_file_is_run_once() -> None:
@@ -61,7 +61,7 @@ def test_the_task_of_the_page_flies() -> None:
     text = (ROOT / "docs" / "guides" / "own_task.md").read_text()
     block = text.split("```yaml\n")[1].split("```")[0]
     cfg = build(TaskCfg, yaml.safe_load(block), where="docs/guides/own_task.md")
-    task = built(cfg, 2)
+    task = build_task(cfg, 2)
     obs, _ = task.reset()
     assert obs["observations"].shape == (2, 3 + 4 + 3 + 9)
     task.step(torch.zeros(2, 4))

@@ -34,7 +34,7 @@ def number(value: float) -> Tensor:
     return torch.tensor([value], dtype=torch.float64)
 
 
-def yawed(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> Tensor:
+def yaw_attitude(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> Tensor:
     return quat_from_euler(row(roll, pitch, yaw))
 
 
@@ -52,23 +52,25 @@ def test_the_heading_error_is_the_short_turn_from_the_robot_to_the_target(
 ) -> None:
     """Whatever the tilt."""
     for tilt in (0.0, 0.3):
-        found = heading_error(number(target), yawed(yaw, tilt, -tilt))
-        assert found.shape == (1, 1)
-        assert found.item() == pytest.approx(error, abs=1e-12)
+        result = heading_error(number(target), yaw_attitude(yaw, tilt, -tilt))
+        assert result.shape == (1, 1)
+        assert result.item() == pytest.approx(error, abs=1e-12)
 
 
 def test_angles_are_wrapped_to_half_a_turn_on_both_sides() -> None:
     angles = torch.tensor([-7.0, -pi, -0.1, 0.0, 3.0, pi, 4.0, 100.0], dtype=torch.float64)
-    found = wrap_angle(angles)
-    assert ((found >= -pi) & (found < pi)).all()
-    torch.testing.assert_close(torch.sin(found), torch.sin(angles), rtol=0.0, atol=1e-12)
-    torch.testing.assert_close(torch.cos(found), torch.cos(angles), rtol=0.0, atol=1e-12)
+    result = wrap_angle(angles)
+    assert ((result >= -pi) & (result < pi)).all()
+    torch.testing.assert_close(torch.sin(result), torch.sin(angles), rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(torch.cos(result), torch.cos(angles), rtol=0.0, atol=1e-12)
 
 
 def test_to_be_there_counts_with_the_heading() -> None:
     """5 exp(-8 0.5² - 2 0.5²) = 5 exp(-2.5)."""
-    found = aligned_distance_bell(ORIGIN, HALF_A_METRE, number(1.2), yawed(0.7), height=5.0, width=8.0, yaw_width=2.0)
-    assert found.item() == pytest.approx(0.4104250, abs=1e-7)
+    result = aligned_distance_bell(
+        ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), height=5.0, width=8.0, yaw_width=2.0
+    )
+    assert result.item() == pytest.approx(0.4104250, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -87,28 +89,28 @@ def test_to_be_there_counts_with_the_heading() -> None:
 def test_flight_to_the_target_counts_by_its_direction_and_speed(
     position: Tensor, velocity: tuple[float, float, float], expected: float
 ) -> None:
-    found = flight_to_target(ORIGIN, position, row(*velocity), speed=2.0, height=2.0, width=2.0, away=-0.2, near=3.0)
-    assert found.item() == pytest.approx(expected, abs=1e-7)
+    result = flight_to_target(ORIGIN, position, row(*velocity), speed=2.0, height=2.0, width=2.0, away=-0.2, near=3.0)
+    assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
 def test_what_counts_at_the_target_counts_within_the_radius_alone() -> None:
     """1.5 exp(-10 0.2²), 4 exp(-15 0.5²), 1.5 exp(-5 0.2² - 2 0.5²)."""
     beyond, slow = 3.0 * HALF_A_METRE, row(0.0, 0.2, 0.0)
-    turn, spin = (number(1.2), yawed(0.7)), row(9.0, 9.0, -0.2)
+    turn, spin = (number(1.2), yaw_attitude(0.7)), row(9.0, 9.0, -0.2)
     for position, factor in ((HALF_A_METRE, 1.0), (beyond, 0.0)):
-        found = slow_at_target(ORIGIN, position, slow, radius=1.0, height=1.5, width=10.0)
-        assert found.item() == pytest.approx(factor * 1.0054801, abs=1e-7)
-        found = heading_at_target(ORIGIN, position, *turn, radius=1.0, height=4.0, width=15.0)
-        assert found.item() == pytest.approx(factor * 0.0940710, abs=1e-7)
-        found = aligned_rest_at_target(ORIGIN, position, *turn, spin, radius=1.0, height=1.5, width=5.0, yaw_width=2.0)
-        assert found.item() == pytest.approx(factor * 0.7448780, abs=1e-7)
+        result = slow_at_target(ORIGIN, position, slow, radius=1.0, height=1.5, width=10.0)
+        assert result.item() == pytest.approx(factor * 1.0054801, abs=1e-7)
+        result = heading_at_target(ORIGIN, position, *turn, radius=1.0, height=4.0, width=15.0)
+        assert result.item() == pytest.approx(factor * 0.0940710, abs=1e-7)
+        result = aligned_rest_at_target(ORIGIN, position, *turn, spin, radius=1.0, height=1.5, width=5.0, yaw_width=2.0)
+        assert result.item() == pytest.approx(factor * 0.7448780, abs=1e-7)
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(2.9, 0.0), (3.0, 0.0), (3.5, -0.7869387), (90.0, -2.0)])
 def test_speed_costs_above_its_limit(speed: float, expected: float) -> None:
     """2 (exp(-2 0.5²) - 1) half a metre per second above it."""
-    found = speeding(row(0.6 * speed, 0.0, -0.8 * speed), speed=3.0, height=2.0, width=2.0)
-    assert found.item() == pytest.approx(expected, abs=1e-7)
+    result = speeding(row(0.6 * speed, 0.0, -0.8 * speed), speed=3.0, height=2.0, width=2.0)
+    assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def test_flight_costs_to_where_the_robot_does_not_look(velocity: tuple[float, fl
     for pitch in (0.0, 0.4):
         for looks in (-1.0, 1.0):
             flown = row(*(-looks * axis for axis in velocity))
-            at = (ORIGIN, row(0.0, 0.0, 1.0), flown, yawed(0.5 * pi, pitch=pitch))
+            at = (ORIGIN, row(0.0, 0.0, 1.0), flown, yaw_attitude(0.5 * pi, pitch=pitch))
             assert unseen_flight(*at, looks=looks, **params).item() == pytest.approx(expected, abs=1e-7)
 
 
@@ -134,10 +136,10 @@ def test_a_large_command_costs_by_the_difficulty() -> None:
     """0.5 0.15 (exp(-4) - 1) for 2 m/s² upwards, half way up the levels."""
     actions = row(9.0, 9.0, 2.0, 9.0)
     for difficulty, expected in ((0.0, 0.0), (0.5, -0.0736263), (1.0, -0.1472527)):
-        found = action_size_by_difficulty(
+        result = action_size_by_difficulty(
             actions, torch.tensor(difficulty, dtype=torch.float64), entry=2, height=0.15, width=1.0
         )
-        assert found.item() == pytest.approx(expected, abs=1e-7)
+        assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -152,5 +154,5 @@ def test_a_large_command_costs_by_the_difficulty() -> None:
     ],
 )
 def test_a_collision_soon_costs_by_the_time_to_it(before: float, now: float, expected: float) -> None:
-    found = collision_soon(number(now), number(before), torch.tensor(0.1, dtype=torch.float64), height=3.0, width=2.0)
-    assert found.item() == pytest.approx(expected, abs=1e-7)
+    result = collision_soon(number(now), number(before), torch.tensor(0.1, dtype=torch.float64), height=3.0, width=2.0)
+    assert result.item() == pytest.approx(expected, abs=1e-7)

@@ -22,7 +22,7 @@ def cusp(x: np.ndarray, a: float, b: float) -> np.ndarray:
     return a * np.exp(-b * np.abs(x))
 
 
-def near(d: np.ndarray) -> np.ndarray:
+def proximity_reward(d: np.ndarray) -> np.ndarray:
     return bell(d, 2, 1) + bell(d, 3, 10) + cusp(d, 3, 50)
 
 
@@ -31,8 +31,8 @@ def by_velocity(before: np.ndarray, now: Values) -> np.ndarray:
     size = (cusp(now["u"], 0.2, 4) - 0.2).sum(1)
     change = (cusp(now["u"] - now["last"], 0.3, 6) - 0.3).sum(1)
     closer = 400 * (np.linalg.norm(before, axis=1) - d)
-    there = near(d) * (bell(speed, 1, 3) + size + change + closer / 10)
-    return near(d) + (20 - d) / 40 + there + size + change + closer + cusp(now["yaw"], 2, 3)
+    there = proximity_reward(d) * (bell(speed, 1, 3) + size + change + closer / 10)
+    return proximity_reward(d) + (20 - d) / 40 + there + size + change + closer + cusp(now["yaw"], 2, 3)
 
 
 def by_acceleration(before: np.ndarray, now: Values) -> np.ndarray:
@@ -41,8 +41,8 @@ def by_acceleration(before: np.ndarray, now: Values) -> np.ndarray:
     change = (cusp(now["u"] - now["last"], 0.4, 6) - 0.4).sum(1)
     gained = np.linalg.norm(before, axis=1) - d
     closer = np.where(gained > 0, 400, 1200) * gained
-    there = near(d) * (closer / 9 + size / 3 + speed / 1.5)
-    return near(d) + there + size + change + closer + cusp(now["yaw"], 3, 5) + bell(d, 2, 1) + 0.2 * speed
+    there = proximity_reward(d) * (closer / 9 + size / 3 + speed / 1.5)
+    return proximity_reward(d) + there + size + change + closer + cusp(now["yaw"], 3, 5) + bell(d, 2, 1) + 0.2 * speed
 
 
 def by_motors(before: np.ndarray, now: Values) -> np.ndarray:

@@ -7,8 +7,8 @@ import torch
 
 from aerial_gym import task_registry
 from aerial_gym.task import REWARDS
-from tests.unit.task.hover import built
-from tests.unit.task.rewards import reward_of
+from tests.unit.task.hover import build_task
+from tests.unit.task.rewards import term_reward
 
 F64 = torch.float64
 
@@ -33,7 +33,7 @@ def test_a_smooth_task_draws_to_its_target_from_everywhere(name: str) -> None:
     """By 0.8 to 1 for a metre from 0.3 to 8 m, and by nothing that jumps at the target; the task itself by 0.1 beyond 3 m."""
     slopes = {}
     for task_name in (name, f"smooth_{name}"):
-        task = built(task_registry.get(task_name), 1, gradients=F64)
+        task = build_task(task_registry.get(task_name), 1, gradients=F64)
         task.reset()
         reads = dict(task._judge.rows._reads)
         for distance in (0.0, 0.3, 3.0, 7.9):
@@ -42,7 +42,7 @@ def test_a_smooth_task_draws_to_its_target_from_everywhere(name: str) -> None:
             upright = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=F64)
             now = {"robot_position": position, "robot_linvel": still, "robot_body_angvel": still}
             now |= {"robot_orientation": upright, "target_position": still, "target_velocity": still}
-            reward = reward_of(task, reads | now)
+            reward = term_reward(task, reads | now)
             slopes[task_name, distance] = float(torch.autograd.grad(reward.sum(), position)[0].norm())
     assert slopes[f"smooth_{name}", 0.0] == 0.0
     assert all(0.8 < slopes[f"smooth_{name}", distance] <= 1.0 for distance in (0.3, 3.0, 7.9))

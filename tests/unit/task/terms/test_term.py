@@ -11,13 +11,13 @@ from aerial_gym.task.terms.term import Term, TermRegistry, bind
 from tests.unit.task.hover import make
 
 
-def stretched(robot_position: Tensor, *, by: float, axis: int = 0) -> Tensor:
+def stretch(robot_position: Tensor, *, by: float, axis: int = 0) -> Tensor:
     """Return a coordinate, stretched."""
     return by * robot_position[:, axis]
 
 
 def test_a_signature_says_what_is_read_and_taken() -> None:
-    term = Term(name="stretched", value=stretched)
+    term = Term(name="stretched", value=stretch)
     assert term.reads == ("robot_position",)
     assert term.summary == "Return a coordinate, stretched."
     bound = bind(term, {"by": "2e0", "axis": 1}, "it")
@@ -36,16 +36,16 @@ def test_a_signature_says_what_is_read_and_taken() -> None:
 )
 def test_numbers_that_do_not_fit_are_told(params: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        bind(Term(name="stretched", value=stretched), params, "it")
+        bind(Term(name="stretched", value=stretch), params, "it")
 
 
 def test_a_signature_that_does_not_say_is_refused() -> None:
     registry = TermRegistry("term")
     with pytest.raises(ConfigError, match="hides inputs and parameters"):
         registry.term()(lambda *tensors: tensors[0])
-    registry.term()(stretched)
-    with pytest.raises(DuplicateNameError, match="term 'stretched' is registered already"):
-        registry.term()(stretched)
+    registry.term()(stretch)
+    with pytest.raises(DuplicateNameError, match="term 'stretch' is registered already"):
+        registry.term()(stretch)
 
 
 def test_what_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,13 +6,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.candidates.nuisance import _offsets, most_of_flights, offsets_of
-from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerated
+from aerial_gym.sim2real.identify.candidates.nuisance import _offsets, flight_offsets, most_of_flights
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerance_rms
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -30,9 +30,9 @@ def residuals() -> list[np.ndarray]:
 def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_differ_and_no_larger_than_they_may() -> (
     None
 ):
-    found = _offsets(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
-    assert [one.name for one in found] == ["flight in specific_force.x", "flight in specific_force.y"]
-    x, y = found
+    result = _offsets(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
+    assert [one.name for one in result] == ["flight in specific_force.x", "flight in specific_force.y"]
+    x, y = result
     assert x.of_flights
     assert x.size == pytest.approx(0.2)
     assert y.size == 0.5
@@ -43,7 +43,7 @@ def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_
         assert not columns.of_channels((1,)).any()
         assert columns.values.shape == (40, 1, 1)  # no zeros are kept
     weight = np.array([1.0, 2.0, 3.0])
-    own = offsets_of(found, CHANNELS, weight)
+    own = flight_offsets(result, CHANNELS, weight)
     np.testing.assert_allclose(own.size, [0.2, 0.5, 0.0])
     np.testing.assert_allclose(own.most, [1.0, 0.5, 0.0])
 
@@ -60,9 +60,9 @@ def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
         flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{name}.csv"))))
         channels = find_channels([flown])
         predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances())
-        tolerance = tolerance_jacobian(predictor, declared_params(ROBOT))
-        found = most_of_flights(predictor, tolerated(tolerance, ROBOT.num_rotors))
-        sizes[name] = dict(zip((channel.name for channel in channels), found, strict=True))
+        tolerance = tolerance_jacobian(predictor, params_from_robot(ROBOT))
+        result = most_of_flights(predictor, tolerance_rms(tolerance, ROBOT.num_rotors))
+        sizes[name] = dict(zip((channel.name for channel in channels), result, strict=True))
     assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
     assert sizes["derived"]["specific_force.x"] == 0.0
     assert sizes["derived"]["angular_acceleration.x"] == pytest.approx(

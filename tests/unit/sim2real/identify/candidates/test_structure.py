@@ -43,11 +43,11 @@ def test_the_kind_of_a_remaining_structure(kind: str, flights: list[Flight]) -> 
         }[kind]
         times.append(time)
         residuals.append(left)
-    found = find_structure(flights, times, residuals, channels, [2])
-    assert found.kind == kind
-    assert (found.freq_hz is None) == (kind != "periodic")
+    result = find_structure(flights, times, residuals, channels, [2])
+    assert result.kind == kind
+    assert (result.freq_hz is None) == (kind != "periodic")
     if kind == "heading":  # an attitude that is the integral of a gyro has none
         drifting = [replace(one, attitude_integrated=True) for one in flights]
         assert find_structure(drifting, times, residuals, channels, [2]).kind != "heading"
     if kind == "periodic":
-        assert found.freq_hz == pytest.approx(7.0, abs=0.3)
+        assert result.freq_hz == pytest.approx(7.0, abs=0.3)

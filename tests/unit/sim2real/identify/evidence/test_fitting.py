@@ -9,39 +9,39 @@ import pytest
 
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import Fitter
-from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_in, probabilities_of
+from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_probabilities, set_probabilities
 from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
-from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
 from tests.unit.sim2real.identify.evidence.linear import candidates, normal
+from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
 
 @pytest.mark.parametrize("overdispersion", [1.0, 4.0])
 def test_odds_are_those_of_evidence_over_the_overdispersion(overdispersion: float) -> None:
     """Two sets 3 apart: odds of e³, and of e^(3/4) where parameters scatter twice as far as by noise."""
-    sets = [fitted("rotor_drag", log=-100.0), fitted("quadratic_drag", log=-103.0)]
-    found = probabilities_of(sets, overdispersion=overdispersion)
-    assert list(found) == [("rotor_drag",), ("quadratic_drag",)]
-    assert found["rotor_drag",] / found["quadratic_drag",] == pytest.approx(exp(3.0 / overdispersion))
-    assert sum(found.values()) == pytest.approx(1.0)
+    sets = [make_fit("rotor_drag", log=-100.0), make_fit("quadratic_drag", log=-103.0)]
+    result = set_probabilities(sets, overdispersion=overdispersion)
+    assert list(result) == [("rotor_drag",), ("quadratic_drag",)]
+    assert result["rotor_drag",] / result["quadratic_drag",] == pytest.approx(exp(3.0 / overdispersion))
+    assert sum(result.values()) == pytest.approx(1.0)
 
 
 def test_the_same_effects_beside_other_structures_are_one_set() -> None:
     """Two of the same evidence beside another: two thirds; an effect has the probability of all sets that hold it."""
     sets = [
-        fitted("payload_mass", "rotor_drag", log=-5.0),
-        fitted("rotor_drag", "payload_mass", log=-5.0, structures=(PLACE,)),
-        fitted("rotor_drag", log=-5.0),
+        make_fit("payload_mass", "rotor_drag", log=-5.0),
+        make_fit("rotor_drag", "payload_mass", log=-5.0, structures=(PLACE,)),
+        make_fit("rotor_drag", log=-5.0),
     ]
-    found = probabilities_of(sets, overdispersion=1.0)
-    assert found == {("payload_mass", "rotor_drag"): pytest.approx(2 / 3), ("rotor_drag",): pytest.approx(1 / 3)}
-    assert inclusion_in(found) == {"rotor_drag": pytest.approx(1.0), "payload_mass": pytest.approx(2 / 3)}
+    result = set_probabilities(sets, overdispersion=1.0)
+    assert result == {("payload_mass", "rotor_drag"): pytest.approx(2 / 3), ("rotor_drag",): pytest.approx(1 / 3)}
+    assert inclusion_probabilities(result) == {"rotor_drag": pytest.approx(1.0), "payload_mass": pytest.approx(2 / 3)}
 
 
 def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pendulum over the top has no evidence and no support: it is tried without an effect."""
-    monkeypatch.setattr(Fitter, "without", lambda _self, _fitted, names, _compared: names)
-    nowhere = replace(fitted("slung_payload", "rotor_drag", log=float("-inf")), support={})
+    monkeypatch.setattr(Fitter, "refit_without_effects", lambda _self, _fitted, names, _compared: names)
+    nowhere = replace(make_fit("slung_payload", "rotor_drag", log=float("-inf")), support={})
     assert not nowhere.holds
     assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
 
@@ -50,75 +50,75 @@ def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatc
     """It has derivatives by nothing: as many rows, and no column."""
     given: list[list[np.ndarray]] = []
     monkeypatch.setattr(Fitter, "fit", lambda *args, **_: given.append(args[4]))
-    one, fitter = fitted(log=-5.0), object.__new__(Fitter)
+    one, fitter = make_fit(log=-5.0), object.__new__(Fitter)
     fitter.declared, fitter._derivatives = one.params, {}
     fitter._derivatives[one.label] = one, [np.zeros((5, 2, 0), dtype=np.float32)]
-    fitter.without(one, ())
+    fitter.refit_without_effects(one, ())
     assert [part.shape for part in given[0]] == [(5, 2, 0)]
 
 
 def test_not_the_weakest_effect_goes_but_the_one_without_which_the_rest_holds() -> None:
     """Less speaks for the drag beside the tilt of a motor; alone the drag holds, and the tilt does not."""
-    both = fitted("rotor_drag", "motor_tilt", odds={"rotor_drag": -2.0, "motor_tilt": -1.0})
-    tilt, drag = fitted("motor_tilt", log=-3.0, odds={"motor_tilt": -1.0}), fitted("rotor_drag", log=-5.0)
-    assert Made(tilt, drag, fitted(log=-9.0)).held(both) is drag
+    both = make_fit("rotor_drag", "motor_tilt", odds={"rotor_drag": -2.0, "motor_tilt": -1.0})
+    tilt, drag = make_fit("motor_tilt", log=-3.0, odds={"motor_tilt": -1.0}), make_fit("rotor_drag", log=-5.0)
+    assert FitStub(tilt, drag, make_fit(log=-9.0)).drop_unsupported(both) is drag
 
 
 def test_where_even_nothing_is_no_fit_the_search_ends() -> None:
     """The declared model itself predicts no number."""
-    nothing = fitted(log=float("-inf"))
-    assert Made(nothing).held(nothing) is nothing
-    assert Made(nothing).held(fitted("rotor_drag", odds={"rotor_drag": -1.0})) is nothing
+    empty = make_fit(log=float("-inf"))
+    assert FitStub(empty).drop_unsupported(empty) is empty
+    assert FitStub(empty).drop_unsupported(make_fit("rotor_drag", odds={"rotor_drag": -1.0})) is empty
 
 
 def test_a_fit_that_no_longer_holds_from_its_most_probable_parameters_is_not_taken() -> None:
     """It is more probable by a hair and just beside the edge: the search ends with the one that holds."""
-    drag = fitted("rotor_drag", log=-2.0)
-    beside = fitted("rotor_drag", log=-1.9, odds={"rotor_drag": -0.1})
-    found, ends = Made(beside).in_file(drag)
-    assert found is drag
+    drag = make_fit("rotor_drag", log=-2.0)
+    beside = make_fit("rotor_drag", log=-1.9, odds={"rotor_drag": -0.1})
+    result, ends = FitStub(beside).in_file(drag)
+    assert result is drag
     assert ends == {}
 
 
 def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
     """The mass goes, and then the wind as well, which held only beside it."""
     odds = {"payload_mass": -2.0, "constant_wind": -1.0}
-    whole = fitted("rotor_drag", "payload_mass", "constant_wind", odds=odds)
-    pair, drag = fitted("rotor_drag", "constant_wind", odds=odds), fitted("rotor_drag")
-    assert Made(pair, drag).held(whole) is drag
-    assert Made().held(drag) is drag
-    found, ends = Made(pair, drag).in_file(whole)
-    assert found is drag
+    whole = make_fit("rotor_drag", "payload_mass", "constant_wind", odds=odds)
+    pair, drag = make_fit("rotor_drag", "constant_wind", odds=odds), make_fit("rotor_drag")
+    assert FitStub(pair, drag).drop_unsupported(whole) is drag
+    assert FitStub().drop_unsupported(drag) is drag
+    result, ends = FitStub(pair, drag).in_file(whole)
+    assert result is drag
     assert ends == {}
 
 
 def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
     """A drag at the largest number that is possible; at 0, where it is neutral too, the other axes stay."""
-    end, thrust = [10.0, 0.0, 0.3], fitted("thrust_coefficient")
-    both = fitted("rotor_drag", "thrust_coefficient", params={"rotor_drag": end, "thrust_coefficient": [0.9]})
-    found, ends = Made(both, thrust).in_file(both)
-    assert found is thrust
+    end, thrust = [10.0, 0.0, 0.3], make_fit("thrust_coefficient")
+    both = make_fit("rotor_drag", "thrust_coefficient", params={"rotor_drag": end, "thrust_coefficient": [0.9]})
+    result, ends = FitStub(both, thrust).in_file(both)
+    assert result is thrust
     assert ends == {"rotor_drag": ["dx"]}
-    kept = fitted("rotor_drag", params={"rotor_drag": [0.2, 0.0, 0.3]})
-    found, ends = Made(kept).in_file(kept)
-    assert found is kept
+    kept = make_fit("rotor_drag", params={"rotor_drag": [0.2, 0.0, 0.3]})
+    result, ends = FitStub(kept).in_file(kept)
+    assert result is kept
     assert ends == {}
 
 
 def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None:
     """Another fit of the same set, from another start, may have ended elsewhere."""
-    set_of_one, there = fitted("rotor_drag"), [np.zeros((4, 1, 3))]
+    set_of_one, there = make_fit("rotor_drag"), [np.zeros((4, 1, 3))]
     asked: list[tuple[object, ...]] = []
 
-    class Asked(Made):
+    class FitRecorder(FitStub):
         def fit(self, effects, structures, start, derivatives=None, **options):
             asked.append((derivatives, options.get("fresh", False)))
             return super().fit(effects, structures, start)
 
-    before, after = Made(set_of_one), Asked(set_of_one)
+    before, after = FitStub(set_of_one), FitRecorder(set_of_one)
     for other in (set_of_one, replace(set_of_one)):
         before._derivatives[set_of_one.label] = other, there
-        assert after.again(set_of_one, before) is set_of_one
+        assert after.refit(set_of_one, before) is set_of_one
     assert asked == [(there, True), (None, False)]
 
 
@@ -144,4 +144,4 @@ def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two
     columns = rng.normal(size=(50, size))
     sums = normal(columns, columns @ np.full(size, 0.02) + 1e-3 * rng.normal(size=50))
     sets = Sets(candidates=candidates(size, names=(name,)), normal=sums)
-    assert len(Made().starts_of(library, sets, (0,))) == count
+    assert len(FitStub().fit_starts(library, sets, (0,))) == count

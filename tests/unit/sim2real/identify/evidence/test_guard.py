@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.guard import Guard, Support, parts_of_a_flight, supports
 from aerial_gym.sim2real.identify.evidence.laplace import Normal, posterior
-from aerial_gym.sim2real.identify.evidence.linear import candidates_of, normal_of
+from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal
 from aerial_gym.sim2real.identify.evidence.search import search
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from tests.unit.sim2real.identify.evidence.linear import candidates
@@ -25,8 +25,8 @@ def of_flights(values: Array) -> list[Normal]:
     return [Normal(product=np.full((1, 1), ROWS), gradient=np.array([ROWS * value])) for value in values]
 
 
-def supports_in(whole: Normal, parts: list[Normal]) -> Support:
-    """Return what speaks for one parameter, with log odds of 100."""
+def make_support(whole: Normal, parts: list[Normal]) -> Support:
+    """Return the support of one parameter with log odds of 100."""
     return supports(candidates(1), whole, parts, posterior(candidates(1), whole, (0,)).step, {0: 100.0})[0]
 
 
@@ -35,9 +35,9 @@ def test_overdispersion_is_the_variance_between_flights_over_that_of_noise(sprea
     """A mean of F values with variance s²: its variance is s²/F by their scatter, 1/(rows F) by noise."""
     values = 0.5 + spread * np.array([-1.0, 0.0, 1.0, 2.0, -2.0])
     whole = Normal(product=np.full((1, 1), ROWS * values.size), gradient=np.array([ROWS * values.sum()]))
-    found = supports_in(whole, of_flights(values))
-    assert found.overdispersion == pytest.approx(ROWS * values.var(ddof=1), rel=2e-3, abs=2e-3)
-    assert found.wald == pytest.approx(ROWS * values.size * 0.5**2, rel=2e-3)
+    result = make_support(whole, of_flights(values))
+    assert result.overdispersion == pytest.approx(ROWS * values.var(ddof=1), rel=2e-3, abs=2e-3)
+    assert result.wald == pytest.approx(ROWS * values.size * 0.5**2, rel=2e-3)
 
 
 def test_a_distance_counts_over_the_larger_of_two_variances() -> None:
@@ -53,7 +53,7 @@ def test_a_distance_counts_over_the_larger_of_two_variances() -> None:
 def test_a_parameter_is_shown_where_flights_tell_it_better_than_by_its_scale(rows: float, shown: bool) -> None:
     """A mean of ``rows`` rows of a standard deviation of one scale; what is far from neutral shows no better for it."""
     whole = Normal(product=np.full((1, 1), rows), gradient=np.array([50.0 * rows]))
-    assert supports_in(whole, of_flights(np.full(4, 50.0))).shown is shown
+    assert make_support(whole, of_flights(np.full(4, 50.0))).shown is shown
 
 
 def library(values: Array) -> Library:
@@ -86,11 +86,11 @@ def test_what_flights_contradict_goes_and_the_rest_stays() -> None:
     """Both means are 0.3 and highly probable by noise; of one the flights ask for values between -3 and 3."""
     agreed, contradicted = np.full(6, 0.3), 0.3 + np.array([3.0, -3.0, 2.0, -2.0, 1.0, -1.0])
     about = library(np.column_stack((agreed, contradicted)))
-    sets = search(candidates_of(about), normal_of(about))
+    sets = search(make_candidates(about), make_normal(about))
     guard = Guard(about, sets)
     assert sets.best == (0, 1)
-    assert guard.held((0, 1)) == (0,)
-    assert guard.of((0, 1))[1].log_odds > 50.0
+    assert guard.drop_unsupported((0, 1)) == (0,)
+    assert guard.support((0, 1))[1].log_odds > 50.0
 
 
 @pytest.mark.parametrize(("flights", "parts"), [(1, 4), (2, 2), (3, 2), (4, 1), (7, 1)])

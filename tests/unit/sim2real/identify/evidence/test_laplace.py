@@ -15,9 +15,9 @@ def test_without_effects_the_evidence_is_that_of_a_normal_model() -> None:
     """With normal priors alone, ``log Z = log N(y; 0, I + J J^T) - log N(y; 0, I)`` exactly."""
     rng = np.random.default_rng(0)
     columns, measured = rng.normal(size=(12, 3)), rng.normal(size=12)
-    found = posterior(candidates(num_tolerances=3), normal(columns, measured), ())
+    result = posterior(candidates(num_tolerances=3), normal(columns, measured), ())
     wide = stats.multivariate_normal(cov=np.eye(12) + columns @ columns.T).logpdf(measured)
-    assert found.log_evidence == pytest.approx(
+    assert result.log_evidence == pytest.approx(
         wide - stats.multivariate_normal(cov=np.eye(12)).logpdf(measured), abs=1e-9
     )
 
@@ -30,7 +30,7 @@ def test_the_evidence_of_one_parameter_is_its_integral_over_the_prior(best: floa
     Where the best value lies beyond the bound the prior is taken there: wrong by its change up to the bound at most.
     """
     precision = 400.0
-    found = posterior(
+    result = posterior(
         candidates(1, low=low), Normal(product=np.array([[precision]]), gradient=np.array([precision * best])), (0,)
     )
     peak = max(best, low)
@@ -42,19 +42,19 @@ def test_the_evidence_of_one_parameter_is_its_integral_over_the_prior(best: floa
     shift = precision * (best * peak - 0.5 * peak**2)
     exact = np.log(integrate.quad(density, max(low, peak - 0.5), peak + 0.5, points=[peak])[0]) + shift
     beyond = np.log(stats.cauchy.pdf(peak) / stats.cauchy.pdf(best))
-    assert found.log_evidence == pytest.approx(exact, abs=0.05 + beyond)
+    assert result.log_evidence == pytest.approx(exact, abs=0.05 + beyond)
 
 
 def test_a_parameter_that_nothing_shows_costs_little_and_gains_nothing() -> None:
     """Then the exact evidence is 1; the normal approximation of a Cauchy prior has sqrt(1 / pi) = 0.56 of it."""
-    found = posterior(candidates(1), Normal(product=np.zeros((1, 1)), gradient=np.zeros(1)), (0,))
-    assert found.log_evidence == pytest.approx(0.5 * np.log(1.0 / np.pi), abs=1e-6)
+    result = posterior(candidates(1), Normal(product=np.zeros((1, 1)), gradient=np.zeros(1)), (0,))
+    assert result.log_evidence == pytest.approx(0.5 * np.log(1.0 / np.pi), abs=1e-6)
 
 
 def test_a_large_parameter_is_not_held_back_by_its_prior() -> None:
     """At ten scales a normal prior would pull by a tenth of a standard deviation of the data each; Cauchy's tails do not."""
-    found = posterior(candidates(1), Normal(product=np.array([[4.0]]), gradient=np.array([40.0])), (0,))
-    assert found.step[0] == pytest.approx(10.0, abs=0.06)
+    result = posterior(candidates(1), Normal(product=np.array([[4.0]]), gradient=np.array([40.0])), (0,))
+    assert result.step[0] == pytest.approx(10.0, abs=0.06)
 
 
 def test_a_deviation_beyond_its_tolerance_pays_for_an_effect() -> None:
@@ -104,6 +104,6 @@ def test_a_structure_has_the_evidence_of_a_normal_prior() -> None:
     rng = np.random.default_rng(6)
     columns, measured = rng.normal(size=(12, 3)), rng.normal(size=12)
     made_of = replace(candidates(3), structures=frozenset({0}))
-    found = posterior(made_of, normal(columns, measured), (0,)).log_evidence
+    result = posterior(made_of, normal(columns, measured), (0,)).log_evidence
     wide = stats.multivariate_normal(cov=np.eye(12) + columns @ columns.T).logpdf(measured)
-    assert found == pytest.approx(wide - stats.multivariate_normal(cov=np.eye(12)).logpdf(measured), abs=1e-9)
+    assert result == pytest.approx(wide - stats.multivariate_normal(cov=np.eye(12)).logpdf(measured), abs=1e-9)

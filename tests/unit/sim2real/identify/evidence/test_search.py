@@ -23,11 +23,11 @@ def test_the_search_finds_what_looking_at_every_subset_finds(seed: int) -> None:
     truth = np.where(rng.random(9) < 0.4, rng.normal(size=9), 0.0)
     sums = normal(columns, columns @ truth + rng.normal(size=60))
     made_of = candidates(*[1] * 7, num_tolerances=2)
-    found, whole = search(made_of, sums), Sets(candidates=made_of, normal=sums)
-    whole.log_posterior_of(all_subsets(7))
-    assert found.best == whole.best
+    result, whole = search(made_of, sums), Sets(candidates=made_of, normal=sums)
+    whole.log_posteriors(all_subsets(7))
+    assert result.best == whole.best
     for name, probability in whole.inclusion().items():
-        assert found.inclusion()[name] == pytest.approx(probability, abs=0.05)
+        assert result.inclusion()[name] == pytest.approx(probability, abs=0.05)
 
 
 def test_two_effects_that_each_alone_would_spoil_are_found_together() -> None:
@@ -38,8 +38,8 @@ def test_two_effects_that_each_alone_would_spoil_are_found_together() -> None:
     sums = normal(columns, columns @ np.array([1.0, 1.0, 0.0]) + 0.1 * rng.normal(size=200))
     sets = search(candidates(1, 1, 1), sums)
     assert sets.best == (0, 1)
-    assert sets.log_posterior_of([(0,)])[0] < sets.log_posterior_of([()])[0] + 1.0
-    assert sets.log_posterior_of([(1,)])[0] < sets.log_posterior_of([()])[0] + 1.0
+    assert sets.log_posteriors([(0,)])[0] < sets.log_posteriors([()])[0] + 1.0
+    assert sets.log_posteriors([(1,)])[0] < sets.log_posteriors([()])[0] + 1.0
 
 
 def test_two_effects_that_replace_each_other_share_the_probability_and_neither_goes() -> None:

@@ -7,12 +7,12 @@ import pytest
 
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    correct_derivatives,
     effect_jacobian,
-    exact_along,
     tolerance_jacobian,
-    tolerated,
+    tolerance_rms,
 )
-from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_bounds, scales
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import of_logs
 
@@ -52,8 +52,8 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
         return [np.full((5, 1), float(sizes @ d))]
 
     tolerance = tolerance_jacobian(predictor(predict=predict), ModelParams(effects={}))  # type: ignore[arg-type]
-    found = tolerated(tolerance, 4)
-    assert found == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
+    result = tolerance_rms(tolerance, 4)
+    assert result == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
 
 
 def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_alone() -> None:
@@ -65,27 +65,27 @@ def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_al
         asked.append(scale)
         return [np.outer(ROWS, (scale**2, 1.0))]
 
-    (_, top), scale = bounds_of(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
+    (_, top), scale = parameter_bounds(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
     params = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
     beside = [np.full((3, 2, 1), 7.0)]
-    (found,) = effect_jacobian(predictor(predict=predict), params, ("weak_motor",), predict(params), beside=beside)  # type: ignore[arg-type]
-    assert found.shape == (3, 2, 3)
+    (result,) = effect_jacobian(predictor(predict=predict), params, ("weak_motor",), predict(params), beside=beside)  # type: ignore[arg-type]
+    assert result.shape == (3, 2, 3)
     assert asked == [top, pytest.approx(top - 1e-3 * scale)]
-    np.testing.assert_array_equal(found[:, :, 0], 0.0)
-    np.testing.assert_allclose(found[:, 0, 1], ROWS * (2.0 * top - 1e-3 * scale) * scale)
-    np.testing.assert_array_equal(found[:, 1, 1], 0.0)
-    np.testing.assert_array_equal(found[:, :, 2], 7.0)
+    np.testing.assert_array_equal(result[:, :, 0], 0.0)
+    np.testing.assert_allclose(result[:, 0, 1], ROWS * (2.0 * top - 1e-3 * scale) * scale)
+    np.testing.assert_array_equal(result[:, 1, 1], 0.0)
+    np.testing.assert_array_equal(result[:, :, 2], 7.0)
 
 
 def test_derivatives_are_made_exact_along_a_step_and_kept_across_it() -> None:
     rng = np.random.default_rng(0)
     columns, change, step = rng.standard_normal((3, 2, 20)).T, rng.standard_normal((20, 2)), np.array([0.3, 0.0, -1.2])
     exact = columns.copy(order="K")
-    exact_along([exact], step, [change])
+    correct_derivatives([exact], step, [change])
     np.testing.assert_allclose(exact @ step, change, atol=1e-12)
     for across in ([1.2, 0.0, 0.3], [0.0, 1.0, 0.0]):
         np.testing.assert_allclose(exact @ across, columns @ across, atol=1e-12)
     assert exact.T.flags.c_contiguous  # rows are neighbours, as they are written and read
     kept = columns.copy(order="K")
-    exact_along([kept], np.zeros(3), [change])
+    correct_derivatives([kept], np.zeros(3), [change])
     np.testing.assert_array_equal(kept, columns)

@@ -8,15 +8,15 @@ import pytest
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.least_squares import gauss_newton
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Fit, Goal, best_step, fit_effects, misfit
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Goal, ModelFit, best_step, fit_effects, misfit
 from aerial_gym.sim2real.identify.least_squares.moments import (
     block_length,
     block_moments,
     effective_share,
-    weights_from,
+    inverse_variance_weights,
 )
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.statistics import rms_with_interval
@@ -27,7 +27,7 @@ EFFECT, NUM_PARAMS, NUM_TOLERANCES = "rotor_drag", 3, 2
 
 def linear_fit(
     rng: np.random.Generator, truth: np.ndarray, *, colour: float, deviation: np.ndarray, low: float = -np.inf
-) -> Fit:
+) -> ModelFit:
     """Return the linearisation at zero of ``r = J (truth, deviation) + coloured noise``, with random slow J."""
     times, residuals, jacobians = [], [], []
     for _ in range(FLIGHTS):
@@ -38,7 +38,7 @@ def linear_fit(
         jacobians.append(j)
         times.append(np.arange(ROWS) / RATE)
     size = NUM_PARAMS + NUM_TOLERANCES
-    return Fit(
+    return ModelFit(
         effects=(EFFECT,),
         params=ModelParams(effects={EFFECT: np.zeros(NUM_PARAMS)}),
         moments=block_moments(times, residuals, jacobians),
@@ -58,7 +58,7 @@ def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_
     truth, inside, widths = np.array([0.5, -0.2, 0.3]), [], []
     for _ in range(240):
         fit = linear_fit(rng, truth, colour=colour, deviation=0.3 * rng.standard_normal(NUM_TOLERANCES))
-        scaled = Fit(**{**vars(fit), "moments": _in_sigmas(fit)})
+        scaled = ModelFit(**{**vars(fit), "moments": _in_sigmas(fit)})
         weight = np.ones(CHANNELS)
         spread = uncertainty(scaled, weight)
         inside.append(np.abs(spread.step[:NUM_PARAMS] - truth) < spread.half_width)
@@ -68,7 +68,7 @@ def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_
     assert np.median(widths) < 0.5  # no better by being useless
 
 
-def _in_sigmas(fit: Fit) -> object:
+def _in_sigmas(fit: ModelFit) -> object:
     """Return the moments with the tolerances' columns scaled, so that a deviation of one is one sigma (0.3 above)."""
     factor = np.concatenate((np.ones(NUM_PARAMS), np.full(NUM_TOLERANCES, 0.3)))
     moments = fit.moments
@@ -86,15 +86,15 @@ def test_the_best_step_solves_least_squares_and_respects_bounds() -> None:
     rng = np.random.default_rng(7)
     truth = np.array([0.5, -0.2, 0.3])
     fit = linear_fit(rng, truth, colour=15.0, deviation=np.zeros(NUM_TOLERANCES))
-    exact = Fit(**{**vars(fit), "moments": _noise_free(fit, truth)})
+    exact = ModelFit(**{**vars(fit), "moments": _noise_free(fit, truth)})
     np.testing.assert_allclose(best_step(exact, np.ones(CHANNELS), exact.free_effects)[:3], truth, atol=1e-5)
-    bounded = Fit(**{**vars(exact), "low": np.array([0.0, 0.0, 0.0, -3.0, -3.0])})
-    found = best_step(bounded, np.ones(CHANNELS), bounded.free_effects)
-    fixed = Fit(**{**vars(exact), "frozen": frozenset({(EFFECT, 1)})})
-    np.testing.assert_allclose(found, best_step(fixed, np.ones(CHANNELS), fixed.free_effects), atol=1e-9)
+    bounded = ModelFit(**{**vars(exact), "low": np.array([0.0, 0.0, 0.0, -3.0, -3.0])})
+    result = best_step(bounded, np.ones(CHANNELS), bounded.free_effects)
+    fixed = ModelFit(**{**vars(exact), "frozen": frozenset({(EFFECT, 1)})})
+    np.testing.assert_allclose(result, best_step(fixed, np.ones(CHANNELS), fixed.free_effects), atol=1e-9)
 
 
-def _noise_free(fit: Fit, truth: np.ndarray) -> object:
+def _noise_free(fit: ModelFit, truth: np.ndarray) -> object:
     full = np.concatenate((truth, np.zeros(NUM_TOLERANCES)))
     moments = fit.moments
     return type(moments)(
@@ -110,8 +110,8 @@ def test_squares_after_a_step_are_those_of_the_rows() -> None:
     rng = np.random.default_rng(8)
     r, j, step = rng.standard_normal((60, 2)), rng.standard_normal((60, 2, 3)), np.array([0.3, -1.0, 2.0])
     moments = block_moments([np.arange(60) / 30.0], [r], [j])
-    found = moments.squares_after(np.tile(step, (moments.count.size, 1))).sum(axis=0)
-    np.testing.assert_allclose(found, ((r - j @ step) ** 2).sum(axis=0), rtol=1e-12)
+    result = moments.block_squares(np.tile(step, (moments.count.size, 1))).sum(axis=0)
+    np.testing.assert_allclose(result, ((r - j @ step) ** 2).sum(axis=0), rtol=1e-12)
 
 
 def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() -> None:
@@ -123,7 +123,7 @@ def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() ->
     )
     times = [np.arange(240) / 30.0] * 3
     blocks, flights = (block_moments(times, residuals, jacobians, length=length) for length in (2.0, np.inf))
-    joined = blocks.joined(blocks.flight)
+    joined = blocks.merge_labels(blocks.flight)
     assert blocks.count.tolist() == [60.0] * 12
     for some in (joined, flights):
         assert some.count.tolist() == [240.0] * 3
@@ -131,7 +131,7 @@ def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() ->
     for name in ("square", "gradient", "product"):
         np.testing.assert_allclose(getattr(joined, name), getattr(flights, name), rtol=1e-12)
     np.testing.assert_allclose(flights.gradient[1], np.einsum("tck,tc->ck", jacobians[1], residuals[1]), rtol=1e-12)
-    swapped = blocks.joined(2 - blocks.flight)
+    swapped = blocks.merge_labels(2 - blocks.flight)
     np.testing.assert_allclose(swapped.product, joined.product[::-1], rtol=1e-12)
     assert swapped.flight.tolist() == [2, 1, 0]
 
@@ -144,7 +144,7 @@ def test_the_effective_share_of_an_autoregression(memory: float) -> None:
     for row in range(1, len(x)):
         x[row] = memory * x[row - 1] + noise[row]
     assert effective_share(x)[0] == pytest.approx((1.0 - memory) / (1.0 + memory), rel=0.15)
-    assert weights_from([x]).variance[0] == pytest.approx(1.0 / (1.0 - memory**2), rel=0.1)
+    assert inverse_variance_weights([x]).variance[0] == pytest.approx(1.0 / (1.0 - memory**2), rel=0.1)
 
 
 def test_intervals_of_a_root_mean_square_cover_it() -> None:
@@ -153,8 +153,8 @@ def test_intervals_of_a_root_mean_square_cover_it() -> None:
     inside = []
     for seed in range(200):
         values = np.repeat(rng.standard_normal(60), 20)[:, None]
-        (found,) = rms_with_interval(values, np.repeat(np.arange(60), 20), seed=seed)
-        inside.append(found.low < 1.0 < found.high)
+        (result,) = rms_with_interval(values, np.repeat(np.arange(60), 20), seed=seed)
+        inside.append(result.low < 1.0 < result.high)
     assert 0.88 < np.mean(inside) < 0.99
 
 
@@ -177,7 +177,7 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
             ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
-            Beside(predictor.times, [[np.zeros((40, 1, 0))]], np.full(1, 1e6)),
+            NuisanceSums(predictor.times, [[np.zeros((40, 1, 0))]], np.full(1, 1e6)),
         )
         assert fit.params.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
 
@@ -202,19 +202,19 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
         residuals=lambda params: [measured[0] - predict(params)[0]],
     )
     start = ModelParams(effects={"constant_wind": np.zeros(3)})
-    found, costs = [], []
+    result, costs = [], []
     for wrong in (None, (1.0, 1.0, 1.0), (1.3, 0.4, 1.0)):
         calls.clear()
         fit, _, _ = fit_effects(
             predictor,  # type: ignore[arg-type]
             ("constant_wind",),
             start,
-            Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e8)),
+            NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e8)),
             derivatives=None if wrong is None else [0.5 * (excitation * wrong)[:, None, :]],
         )
-        found.append(fit.params.effects["constant_wind"])
+        result.append(fit.params.effects["constant_wind"])
         costs.append(len(calls))
-    np.testing.assert_allclose(found, [truth] * 3, atol=1e-4)
+    np.testing.assert_allclose(result, [truth] * 3, atol=1e-4)
     assert costs[1] < costs[0]
 
 
@@ -233,17 +233,17 @@ class Exponential:
         return [np.exp(0.5 * self.excitation @ params.effects["constant_wind"])[:, None]]
 
 
-def worth(fit: Fit) -> float:
+def worth(fit: ModelFit) -> float:
     """Return the log likelihood of the linear model about a fit where it is best."""
     step = best_step(fit, np.ones(1), fit.free_all)
     gradient, product = fit.moments.gradient.sum(axis=(0, 1)), fit.moments.product.sum(axis=(0, 1))
     return float(gradient @ step - 0.5 * step @ product @ step) - 0.5 * float(fit.moments.square.sum())
 
 
-def fitted_exponential(goal: Goal) -> tuple[Fit, float, float, int]:
+def fit_exponential(goal: Goal) -> tuple[ModelFit, float, float, int]:
     """Return a fit from zero, its log likelihood, what it may have missed at most, and its predictions."""
     predictor, start = Exponential(0.3), ModelParams(effects={"constant_wind": np.zeros(3)})
-    beside, before = Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3)), predictor.calls
+    beside, before = NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3)), predictor.calls
     fit, _, more = fit_effects(predictor, ("constant_wind",), start, beside, goal=goal)  # type: ignore[arg-type]
     count = predictor.calls - before
     left = [m - p for m, p in zip(predictor.measured, predictor.predict(fit.params), strict=True)]
@@ -252,17 +252,17 @@ def fitted_exponential(goal: Goal) -> tuple[Fit, float, float, int]:
 
 def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -> None:
     """What it is worth and may have missed is no less than what it would reach."""
-    _, reached, _, whole = fitted_exponential(Goal())
-    fit, nowhere, more, few = fitted_exponential(Goal(worth=worth, least=reached + 1e5))
+    _, reached, _, whole = fit_exponential(Goal())
+    fit, nowhere, more, few = fit_exponential(Goal(worth=worth, least=reached + 1e5))
     assert worth(fit) + more > reached > nowhere
     assert few < whole / 2
-    assert fitted_exponential(Goal(worth=worth, least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
+    assert fit_exponential(Goal(worth=worth, least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
 
 
 def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -> None:
     """The evidence has what they promise: it is off by a tenth of what is enough."""
-    _, reached, _, whole = fitted_exponential(Goal())
-    fit, _, _, few = fitted_exponential(Goal(enough=5.0))
+    _, reached, _, whole = fit_exponential(Goal())
+    fit, _, _, few = fit_exponential(Goal(enough=5.0))
     assert few < whole
     assert worth(fit) == pytest.approx(reached, abs=0.5)
 
@@ -273,7 +273,7 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
     anew, worths, missed = [], [], []
     predictor = Exponential(0.3)
     near = effect_jacobian(predictor, start, effects, predictor.predict(start))  # type: ignore[arg-type]
-    beside = Beside(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3))
+    beside = NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3))
     for enough in (10.0, 0.0):
         taken = []
         monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
@@ -298,7 +298,7 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
     predictor = SimpleNamespace(
         robot=ROBOTS.get("tinyprop"), times=[np.arange(40) / 30.0], measured=[np.full((40, 1), 2.0)], predict=predict
     )
-    beside = Beside(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
+    beside = NuisanceSums(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
     fit, _, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)  # type: ignore[arg-type]
     assert fit.params is edge
     assert not fit.finite

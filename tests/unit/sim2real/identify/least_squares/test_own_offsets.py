@@ -17,15 +17,15 @@ def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() 
     residuals, jacobians = flights(np.random.default_rng(1))
     offsets = OwnOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
     for r, j, out, along in zip(
-        residuals, jacobians, offsets.taken_out(residuals), offsets.taken_out(jacobians), strict=True
+        residuals, jacobians, offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians), strict=True
     ):
         for channel, (size, weight) in enumerate(zip(offsets.size, offsets.weight, strict=True)):
             inverse = np.linalg.inv(np.eye(len(r)) / weight + size**2)
-            found = weight * along[:, channel].T @ out[:, channel]
-            np.testing.assert_allclose(found, j[:, channel].T @ inverse @ r[:, channel], rtol=1e-10)
+            result = weight * along[:, channel].T @ out[:, channel]
+            np.testing.assert_allclose(result, j[:, channel].T @ inverse @ r[:, channel], rtol=1e-10)
             square = weight * out[:, channel] @ out[:, channel]
             np.testing.assert_allclose(square, r[:, channel] @ inverse @ r[:, channel], rtol=1e-10)
-    np.testing.assert_array_equal(offsets.taken_out(residuals)[0][:, 1], residuals[0][:, 1])
+    np.testing.assert_array_equal(offsets.remove_offsets(residuals)[0][:, 1], residuals[0][:, 1])
 
 
 def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
@@ -41,8 +41,8 @@ def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
             product += weight * columns.T @ columns
             gradient += weight * columns.T @ r[:, channel]
             constant -= 0.5 * weight * r[:, channel] @ r[:, channel]
-    kept = Normal(product=product, gradient=gradient, constant=constant).beside(np.arange(3, 6), np.arange(3))
-    pairs = list(zip(offsets.taken_out(residuals), offsets.taken_out(jacobians), strict=True))
+    kept = Normal(product=product, gradient=gradient, constant=constant).integrate_out(np.arange(3, 6), np.arange(3))
+    pairs = list(zip(offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians), strict=True))
     np.testing.assert_allclose(
         kept.product, sum(weight * np.einsum("rck,rcl->kl", j, j) for _, j in pairs), rtol=1e-10, atol=1e-12
     )
@@ -58,5 +58,5 @@ def test_without_offsets_nothing_changes() -> None:
     residuals, _ = flights(np.random.default_rng(3))
     offsets = OwnOffsets(size=np.zeros(2), weight=np.ones(2), most=np.ones(2))
     assert not offsets.any
-    for before, after in zip(residuals, offsets.taken_out(residuals), strict=True):
+    for before, after in zip(residuals, offsets.remove_offsets(residuals), strict=True):
         assert after is before

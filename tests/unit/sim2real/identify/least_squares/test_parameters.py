@@ -3,7 +3,13 @@
 import numpy as np
 
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.identify.least_squares.parameters import bounds_of, is_number, params_of, scales, with_params
+from aerial_gym.sim2real.identify.least_squares.parameters import (
+    is_number,
+    parameter_bounds,
+    parameter_row,
+    scales,
+    with_params,
+)
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 ROBOT = ROBOTS.get("base_quadrotor")
@@ -17,16 +23,16 @@ POINT = ModelParams(
 )
 
 
-def test_parameters_stand_in_the_order_of_the_effects_that_are_asked_for() -> None:
-    np.testing.assert_array_equal(params_of(POINT, EFFECTS), [3.0, 0.9, 0.1, 0.2, 0.3])
-    assert params_of(POINT, ()).size == 0
-    low, high = bounds_of(ROBOT, EFFECTS)
+def test_parameters_stand_in_the_order_of_the_effects_that_are_requested() -> None:
+    np.testing.assert_array_equal(parameter_row(POINT, EFFECTS), [3.0, 0.9, 0.1, 0.2, 0.3])
+    assert parameter_row(POINT, ()).size == 0
+    low, high = parameter_bounds(ROBOT, EFFECTS)
     assert scales(EFFECTS).shape == low.shape == high.shape == (5,)
     assert [is_number("weak_motor", place) for place in (0, 1)] == [False, True]
 
 
 def test_others_are_held_within_their_bounds_and_leave_the_rest_alone() -> None:
-    _, high = bounds_of(ROBOT, EFFECTS)
+    _, high = parameter_bounds(ROBOT, EFFECTS)
     moved = with_params(ROBOT, POINT, EFFECTS, np.array([2.0, high[1] + 1.0, -5.0, 0.4, 0.5]))
     np.testing.assert_array_equal(moved.effects["weak_motor"], [2.0, high[1]])
     np.testing.assert_array_equal(moved.effects["rotor_drag"], [0.0, 0.4, 0.5])  # a drag does not push

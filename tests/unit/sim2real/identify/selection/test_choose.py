@@ -7,20 +7,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted, Fitter
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.parameters import scales
 from aerial_gym.sim2real.identify.selection import choose
-from aerial_gym.sim2real.identify.selection.choose import Chosen, _Chooser, choose_effects, narrowest
-from aerial_gym.sim2real.identify.selection.climb import Climber
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria
+from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, _Chooser, choose_effects, narrowest
+from aerial_gym.sim2real.identify.selection.scoring import Criteria
+from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
-from aerial_gym.sim2real.predict.model_params import declared_params
+from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import silent
-from tests.unit.sim2real.fitted_sets import PLACE, Made, fitted
 from tests.unit.sim2real.flat_flights import ROBOT, flight
+from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
 NAMES = (
     "rotor_drag",
@@ -35,14 +35,14 @@ FEW = ("rotor_drag", "thrust_coefficient", "payload_mass", "constant_wind")
 MATERIAL = Criteria().material
 
 
-def chosen(
+def most_probable(
     folder: Path, names: tuple[str, ...] = NAMES, rate: float = 200.0, material: float = MATERIAL, **hidden: float
-) -> Chosen:
-    """Return what three flights of 8 s with sensor noise make most probable."""
-    return choose_effects(flown(folder, rate, **hidden), declared_params(ROBOT), names, material=material)
+) -> MostProbableSet:
+    """Return the most probable set of effects for three flights of 8 s with sensor noise."""
+    return choose_effects(fly(folder, rate, **hidden), params_from_robot(ROBOT), names, material=material)
 
 
-def flown(folder: Path, rate: float, **hidden: float) -> Predictor:
+def fly(folder: Path, rate: float, **hidden: float) -> Predictor:
     """Return three flights of 8 s with sensor noise."""
     files = []
     for seed in range(3):
@@ -53,8 +53,8 @@ def flown(folder: Path, rate: float, **hidden: float) -> Predictor:
     return Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
 
 
-def away(fitted: Fitted, name: str, truth: float) -> np.ndarray:
-    """Return how far the parameters of an effect, its first ones in a set, are from a truth, in standard deviations."""
+def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray:
+    """Return the errors of the parameters of a set's first effect, in standard deviations."""
     assert fitted.effects[0] == name
     scale = scales((name,))
     std = scale * np.sqrt(np.diag(fitted.parameters.covariance)[: scale.size])
@@ -72,49 +72,49 @@ def test_the_hidden_effects_are_the_most_probable_set(
     tmp_path: Path, hidden: dict[str, float], expected: tuple[str, ...], parameter: float | None
 ) -> None:
     """The path's forces are exact; nothing, and a drag beside stronger rotors."""
-    found = chosen(tmp_path, **hidden)
-    assert set(found.effects) == set(expected)
-    assert found.sets[tuple(sorted(expected))] > 0.8
-    assert sum(found.sets.values()) == pytest.approx(1.0)
-    assert all(found.inclusion[name] > 0.95 for name in expected)
-    assert found.named.holds
+    results = most_probable(tmp_path, **hidden)
+    assert set(results.effects) == set(expected)
+    assert results.sets[tuple(sorted(expected))] > 0.8
+    assert sum(results.sets.values()) == pytest.approx(1.0)
+    assert all(results.inclusion[name] > 0.95 for name in expected)
+    assert results.named.holds
     if parameter is not None:
-        assert (away(found.named, "rotor_drag", parameter) < 4.0).all()
+        assert (parameter_error(results.named, "rotor_drag", parameter) < 4.0).all()
 
 
 def test_what_is_worth_a_trifle_has_no_name(tmp_path: Path) -> None:
     """A drag without which the residual is several times as large, for a user to whom less than fifty times is a trifle."""
-    found = chosen(tmp_path, FEW, 100.0, material=50.0, drag=0.05)
-    assert found.effects == ()
-    assert "rotor_drag" not in found.named.params.effects
-    rises = found.immaterial["rotor_drag"]
+    results = most_probable(tmp_path, FEW, 100.0, material=50.0, drag=0.05)
+    assert results.effects == ()
+    assert "rotor_drag" not in results.named.params.effects
+    rises = results.immaterial["rotor_drag"]
     assert max(rise.low for rise in rises.values()) > MATERIAL
-    assert found.inclusion["rotor_drag"] > 0.95  # it is there, and small
+    assert results.inclusion["rotor_drag"] > 0.95  # it is there, and small
 
 
 def test_a_force_that_follows_the_place_is_a_structure_and_no_effect(tmp_path: Path) -> None:
     """A spring of 0.05 N/m along the world's x; none of the effects has it."""
-    found = chosen(tmp_path, FEW, 100.0, spring=0.05)
-    assert found.effects == ()
-    assert found.structures == ("position in specific_force.x",)
+    results = most_probable(tmp_path, FEW, 100.0, spring=0.05)
+    assert results.effects == ()
+    assert results.structures == ("position in specific_force.x",)
 
 
 def test_an_effect_whose_size_follows_the_time_only_stands_in_for_what_does(tmp_path: Path) -> None:
     """Rotors that lose 8 % of their thrust in each flight are no rotors of another thrust coefficient."""
-    found = chosen(tmp_path, FEW, 100.0, fading=0.08)
-    assert found.effects == ()
-    assert found.surrogates == {"thrust_coefficient": "time"}
+    results = most_probable(tmp_path, FEW, 100.0, fading=0.08)
+    assert results.effects == ()
+    assert results.surrogates == {"thrust_coefficient": "time"}
 
 
-def test_a_size_that_follows_the_time_as_flights_do_not_agree_makes_no_stand_in(tmp_path: Path) -> None:
+def test_a_size_that_follows_the_time_as_flights_do_not_agree_makes_no_substitute(tmp_path: Path) -> None:
     """The same flights; but where parameters scatter between flights 1e5 times as much as noise, little speaks for time."""
-    flights = flown(tmp_path, 100.0, fading=0.08)
-    climber = Climber(flights, declared_params(ROBOT), FEW, silent)
+    flights = fly(tmp_path, 100.0, fading=0.08)
+    climber = SetSearch(flights, params_from_robot(ROBOT), FEW, silent)
     view = climber.run()
     chooser = _Chooser(climber, MATERIAL)
-    assert chooser.varying(view.present, view.fitter) == {"thrust_coefficient": "time"}
+    assert chooser.proxy_effects(view.present, view.fitter) == {"thrust_coefficient": "time"}
     scattered = {name: replace(one, overdispersion=1e5) for name, one in view.present.support.items()}
-    assert chooser.varying(replace(view.present, support=scattered), view.fitter) == {}
+    assert chooser.proxy_effects(replace(view.present, support=scattered), view.fitter) == {}
 
 
 @pytest.mark.slow
@@ -124,11 +124,11 @@ def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
     Along z it is 7 % off, 4.3 of its deviations: what the spring does along the z of a leaning vehicle is in no structure,
     which has one channel, so that the interval there is too short.
     """
-    found = chosen(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
-    assert found.effects == ("rotor_drag",)
-    assert "position in specific_force.x" in found.structures
-    assert (away(found.named, "rotor_drag", 0.05)[:2] < 4.0).all()
-    np.testing.assert_allclose(found.named.params.effects["rotor_drag"], 0.05, rtol=0.1)
+    results = most_probable(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
+    assert results.effects == ("rotor_drag",)
+    assert "position in specific_force.x" in results.structures
+    assert (parameter_error(results.named, "rotor_drag", 0.05)[:2] < 4.0).all()
+    np.testing.assert_allclose(results.named.params.effects["rotor_drag"], 0.05, rtol=0.1)
 
 
 SIZES = {
@@ -158,10 +158,10 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
         channels=[Channel(kind="specific_force", axis="x")],
         residuals=lambda params: [SIZES[tuple(params.effects)] * noise],
     )
-    fitter.without = lambda one, gone: fitted(*(name for name in one.effects if name not in gone))  # type: ignore[method-assign]
-    whole = fitted(*max(SIZES, key=len))
-    found, immaterial, without = chooser.without_trifles(whole, fitter)
-    assert found.effects == kept
+    fitter.refit_without_effects = lambda one, gone: make_fit(*(name for name in one.effects if name not in gone))  # type: ignore[method-assign]
+    whole = make_fit(*max(SIZES, key=len))
+    results, immaterial, without = chooser.without_trifles(whole, fitter)
+    assert results.effects == kept
     assert set(without) == set(kept)
     assert all(name not in less.effects and set(less.effects) < set(kept) for name, less in without.items())
     assert list(immaterial) == [name for name in whole.effects if name not in kept]
@@ -171,12 +171,16 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
 
 def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_one() -> None:
     """Without the structure drag and mass do not both hold: the better of both is left, and nothing that was not named."""
-    whole = fitted("rotor_drag", "payload_mass", structures=(PLACE,))
-    both = fitted("rotor_drag", "payload_mass", odds={"payload_mass": -1.0})
-    drag, mass, more = fitted("rotor_drag", log=-5.0), fitted("payload_mass", log=-3.0), fitted("imu_bias", log=-1.0)
-    beside = fitted("rotor_drag", log=-0.5, structures=(PLACE,))
+    whole = make_fit("rotor_drag", "payload_mass", structures=(PLACE,))
+    both = make_fit("rotor_drag", "payload_mass", odds={"payload_mass": -1.0})
+    drag, mass, more = (
+        make_fit("rotor_drag", log=-5.0),
+        make_fit("payload_mass", log=-3.0),
+        make_fit("imu_bias", log=-1.0),
+    )
+    beside = make_fit("rotor_drag", log=-0.5, structures=(PLACE,))
     fits = (whole, drag, mass, more, beside)
-    fitter, chooser = Made(both, drag, fitted()), object.__new__(_Chooser)
+    fitter, chooser = FitStub(both, drag, make_fit()), object.__new__(_Chooser)
     assert chooser.bare(whole, (), fits, fitter) is mass
     assert chooser.bare(whole, ("payload_mass",), fits, fitter) is drag
     assert chooser.bare(drag, (), fits, fitter) is drag
@@ -185,100 +189,106 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
 def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() -> None:
     """Odds of two to one are a false alarm in a third of all cases; a mass that is sure without it stays."""
     odds = {"torque_ratio": 0.7, "payload_mass": 2.0}
-    both = fitted("payload_mass", "torque_ratio", odds=odds)
-    mass = fitted("payload_mass", log=-0.7, odds={"payload_mass": 3.1})
-    chooser, nothing = object.__new__(_Chooser), fitted(log=-3.8)
-    found, unsure = chooser.told_from_nothing(both, both, Made(mass, nothing))
-    assert found is mass
+    both = make_fit("payload_mass", "torque_ratio", odds=odds)
+    mass = make_fit("payload_mass", log=-0.7, odds={"payload_mass": 3.1})
+    chooser, empty = object.__new__(_Chooser), make_fit(log=-3.8)
+    results, unsure = chooser.drop_unproven(both, both, FitStub(mass, empty))
+    assert results is mass
     assert unsure == {"torque_ratio": 0.7}
-    alone = fitted("torque_ratio", odds=odds)
-    assert chooser.told_from_nothing(alone, alone, Made(nothing)) == (nothing, {"torque_ratio": 0.7})
-    assert chooser.told_from_nothing(nothing, nothing, Made()) == (nothing, {})
+    alone = make_fit("torque_ratio", odds=odds)
+    assert chooser.drop_unproven(alone, alone, FitStub(empty)) == (empty, {"torque_ratio": 0.7})
+    assert chooser.drop_unproven(empty, empty, FitStub()) == (empty, {})
 
 
 @pytest.mark.parametrize(("beside", "without", "named"), [(5.0, 0.7, True), (5.0, -0.1, False), (2.0, 0.7, False)])
 def test_what_a_structure_explains_is_no_doubt_in_an_effect(beside: float, without: float, named: bool) -> None:
     """Flights agree on the drag beside what follows the place: it is named if it holds without that as well."""
-    best = fitted("rotor_drag", odds={"rotor_drag": beside}, structures=(PLACE,))
-    bare, nothing = fitted("rotor_drag", log=-4.0, odds={"rotor_drag": without}), fitted(log=-9.0)
-    found, unsure = object.__new__(_Chooser).told_from_nothing(bare, best, Made(nothing))
-    assert found is (bare if named else nothing)
+    best = make_fit("rotor_drag", odds={"rotor_drag": beside}, structures=(PLACE,))
+    bare, empty = make_fit("rotor_drag", log=-4.0, odds={"rotor_drag": without}), make_fit(log=-9.0)
+    results, unsure = object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty))
+    assert results is (bare if named else empty)
     assert unsure == ({} if named else {"rotor_drag": max(beside, without)})
 
 
 @pytest.mark.parametrize(("rotor", "named"), [(2.0, True), (3.0, False)])
 def test_what_speaks_for_another_rotor_speaks_not_for_this_one(rotor: float, named: bool) -> None:
     best, bare = (
-        fitted("weak_motor", odds={"weak_motor": odds}, structures=structures, params={"weak_motor": [number, 0.9]})
+        make_fit("weak_motor", odds={"weak_motor": odds}, structures=structures, params={"weak_motor": [number, 0.9]})
         for odds, structures, number in ((5.0, (PLACE,), 2.0), (0.7, (), rotor))
     )
-    nothing = fitted(log=-9.0)
-    assert object.__new__(_Chooser).told_from_nothing(bare, best, Made(nothing))[0] is (bare if named else nothing)
+    empty = make_fit(log=-9.0)
+    assert object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty))[0] is (bare if named else empty)
 
 
 def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> None:
     """Less speaks for the tilt of a motor, and without it neither is sure; without the drag the tilt is: it stays."""
     odds = {"rotor_drag": 2.5, "motor_tilt": 2.0}
-    both = fitted("rotor_drag", "motor_tilt", odds=odds)
+    both = make_fit("rotor_drag", "motor_tilt", odds=odds)
     drag, tilt = (
-        fitted(name, log=-2.5, odds={name: value}) for name, value in (("rotor_drag", 2.9), ("motor_tilt", 4.0))
+        make_fit(name, log=-2.5, odds={name: value}) for name, value in (("rotor_drag", 2.9), ("motor_tilt", 4.0))
     )
-    found, unsure = object.__new__(_Chooser).told_from_nothing(both, both, Made(drag, tilt, fitted(log=-6.0)))
-    assert found is tilt
+    results, unsure = object.__new__(_Chooser).drop_unproven(both, both, FitStub(drag, tilt, make_fit(log=-6.0)))
+    assert results is tilt
     assert unsure == {"rotor_drag": 2.5}
 
 
 def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
     """Probable by what it does together with a drag; the best set without it is left, and it is said."""
-    both, drag = fitted("rotor_drag", "com_offset"), fitted("rotor_drag", log=-4.0)
+    both, drag = make_fit("rotor_drag", "com_offset"), make_fit("rotor_drag", log=-4.0)
     hidden = both.support | {"com_offset": replace(both.support["com_offset"], shown=False)}
-    found, blind = object.__new__(_Chooser).shown(replace(both, support=hidden), Made(drag))
-    assert found is drag
+    results, blind = object.__new__(_Chooser).drop_unidentified(replace(both, support=hidden), FitStub(drag))
+    assert results is drag
     assert blind == ["com_offset"]
-    assert object.__new__(_Chooser).shown(both, Made(drag)) == (both, [])
+    assert object.__new__(_Chooser).drop_unidentified(both, FitStub(drag)) == (both, [])
 
 
 def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     """One reason each, the last that held: noise alone, a bound, odds that are too small, or what holds only beside others."""
     more = ("payload_mass", "weak_motor", "torque_ratio", "com_offset", "motor_tilt")
-    best, named = fitted("rotor_drag", *more), fitted("rotor_drag")
-    chooser, found = object.__new__(_Chooser), {"torque_ratio": 0.7, "com_offset": 5.0}
+    best, named = make_fit("rotor_drag", *more), make_fit("rotor_drag")
+    chooser, results = object.__new__(_Chooser), {"torque_ratio": 0.7, "com_offset": 5.0}
     chooser.names, chooser.tolerated = best.effects, np.zeros(1)
     for name, result in (
-        ("varying", {}),
+        ("proxy_effects", {}),
         ("bare", best),
-        ("told_from_nothing", (named, found)),
-        ("shown", (named, ["motor_tilt"])),
+        ("drop_unproven", (named, results)),
+        ("drop_unidentified", (named, ["motor_tilt"])),
         ("without_trifles", (named, {}, {})),
         ("adds", {}),
     ):
         monkeypatch.setattr(chooser, name, lambda *_, result=result: result)
-    monkeypatch.setattr(choose, "seen_candidates", lambda library: [])
+    monkeypatch.setattr(choose, "observable_candidates", lambda library: [])
     monkeypatch.setattr(choose, "rivals_in_part", lambda *_: ())
     fitter = SimpleNamespace(in_file=lambda one: (named, {"weak_motor": ["scale"]}), weights=None)
-    view = SimpleNamespace(fits={best.label: best}, known=lambda label: True, present=best, fitter=fitter, library=None)
-    refused = chooser.chosen(view).refused  # type: ignore[arg-type]
-    assert refused == {
-        "payload_mass": "probable if noise were all (log odds 10), not as far as flights agree on it, or only beside a "
-        "structure",
-        "weak_motor": "runs into its physical bound: scale",
-        "torque_ratio": f"more probable than not, and not told from nothing (log odds 0.7, {LEAST_SCORE:g} asked)",
-        "com_offset": "told from nothing only beside what is not",
-        "motor_tilt": choose.BLIND,
+    view = SimpleNamespace(
+        fits={best.label: best}, has_fit=lambda label: True, present=best, fitter=fitter, library=None
+    )
+    refused = chooser.result(view).refused  # type: ignore[arg-type]
+    assert {name: finding.code for name, finding in refused.items()} == {
+        "payload_mass": "flights_disagree",
+        "weak_motor": "at_bound",
+        "torque_ratio": "not_told_from_nothing",
+        "com_offset": "told_beside_another",
+        "motor_tilt": "parameters_unknown",
     }
+    assert refused["torque_ratio"].values["log_odds"] == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])
 def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
     """A wind that grows with height contains a steady one; beside another structure it is another set, and so is drag."""
-    wide = fitted("wind_shear", log=0.0)
-    others = [fitted("rotor_drag", log=-0.1), fitted(log=-0.2), fitted("constant_wind", log=0.0, structures=(PLACE,))]
-    assert narrowest(wide, [wide, *others], 3.0) is wide
-    assert narrowest(wide, [wide, *others, fitted("constant_wind", log=-behind)], 3.0).effects == (expected,)
+    wide = make_fit("wind_shear", log=0.0)
+    rest = [
+        make_fit("rotor_drag", log=-0.1),
+        make_fit(log=-0.2),
+        make_fit("constant_wind", log=0.0, structures=(PLACE,)),
+    ]
+    assert narrowest(wide, [wide, *rest], 3.0) is wide
+    assert narrowest(wide, [wide, *rest, make_fit("constant_wind", log=-behind)], 3.0).effects == (expected,)
 
 
 @pytest.mark.parametrize(("fits", "expected"), [(-1.0, "constant_wind"), (-5.0, "wind_shear")])
 def test_a_wider_case_is_told_by_what_it_fits_better(fits: float, expected: str) -> None:
     """Behind by what was expected of its vertical wind, a steady wind that fits as well is meant."""
-    wide, steady = fitted("wind_shear", log=0.0), fitted("constant_wind", log=-8.0, fits=fits)
+    wide, steady = make_fit("wind_shear", log=0.0), make_fit("constant_wind", log=-8.0, fits=fits)
     assert narrowest(wide, [wide, steady], 3.0).effects == (expected,)

@@ -29,9 +29,9 @@ def left_out() -> LeftOut:
 
 def squares(*factors: float) -> np.ndarray:
     """Return squares that are ``factors`` of one in each flight, in the first channel."""
-    found = np.ones((BLOCKS * FLIGHTS, 2))
-    found[:, 0] = np.repeat(factors, BLOCKS)
-    return found
+    result = np.ones((BLOCKS * FLIGHTS, 2))
+    result[:, 0] = np.repeat(factors, BLOCKS)
+    return result
 
 
 @pytest.mark.parametrize(
@@ -71,10 +71,10 @@ def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(
     more = squares(*[gained] * FLIGHTS)
     more[:, 1] = lost
     judge = left_out()
-    found = judge.gain(squares(*[1.0] * FLIGHTS), more)
-    assert found.worse == (False, harmful)
-    assert found.harmed == (0.0, float(harmful))
-    assert bool(judge.harms(found)) is harmful
+    result = judge.gain(squares(*[1.0] * FLIGHTS), more)
+    assert result.worse == (False, harmful)
+    assert result.harmed == (0.0, float(harmful))
+    assert bool(judge.harms(result)) is harmful
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(
 def test_why_a_gain_on_flights_left_out_does_not_count(factors: tuple, tolerated: float, said: list[tuple]) -> None:
     """A fall of the mean square to a fifth is one of the rms by 1 - sqrt(0.2); a rise to 1.3 one by sqrt(1.3) - 1."""
     judge = replace(left_out(), tolerated=np.full(2, tolerated))
-    found = judge.objections(judge.gain(squares(1.0, 1.0, 1.0, 1.0), squares(*factors)))
-    assert [one.code for one in found] == [code for code, _ in said]
-    shares = [(one.values["share"], share) for one, (_, share) in zip(found, said, strict=True) if share is not None]
+    result = judge.objections(judge.gain(squares(1.0, 1.0, 1.0, 1.0), squares(*factors)))
+    assert [one.code for one in result] == [code for code, _ in said]
+    shares = [(one.values["share"], share) for one, (_, share) in zip(result, said, strict=True) if share is not None]
     assert all(share == pytest.approx(expected, abs=1e-3) for share, expected in shares)

@@ -13,23 +13,23 @@ import pytest
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.evidence.fitting import Fitted
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, Scored
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, FitScore
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects
-from aerial_gym.sim2real.judge.verdict import tied_rivals
+from aerial_gym.sim2real.judge.verdict import find_ties
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.fitted_sets import PLACE, chosen_of, fitted, selection_of
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_selection
 
 ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
 
 
-def selected(
+def select_hidden(
     folder: Path,
     candidates: tuple[str, ...],
     *,
@@ -38,19 +38,19 @@ def selected(
     seconds: float = 12.0,
     **hidden: Any,
 ) -> SelectionResult:
-    """Return what four flights with sensor noise ask for, when only some effects are looked for."""
+    """Return the effects selected from four flights with sensor noise, among some candidates."""
     logs = [flight(seed, seconds=seconds, rate=100.0, noise=1.0, **hidden) for seed in range(4)]
-    predictor = predictor_of(folder, [change(log) for log in logs], robot)
-    return select_effects(predictor, declared_params(robot), Criteria(), candidates=candidates)
+    predictor = make_predictor(folder, [change(log) for log in logs], robot)
+    return select_effects(predictor, params_from_robot(robot), Criteria(), candidates=candidates)
 
 
-def predictor_of(folder: Path, logs: Sequence[pd.DataFrame], robot: RobotCfg = ROBOT) -> Predictor:
+def make_predictor(folder: Path, logs: Sequence[pd.DataFrame], robot: RobotCfg = ROBOT) -> Predictor:
     paths = [write(log, folder / f"f{n}.csv") for n, log in enumerate(logs)]
     flights = load_flights(paths, robot, mapping=None, bandwidth=10.0)
     return Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
 
 
-def fading(table: pd.DataFrame) -> pd.DataFrame:
+def fade_thrust(table: pd.DataFrame) -> pd.DataFrame:
     """Return a flight whose thrust falls from 4 to 14 % below the declared one: rotors turn faster for it.
 
     About the mean of 9 % that is a third of it (rms).
@@ -59,7 +59,7 @@ def fading(table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def lifted_below(table: pd.DataFrame) -> pd.DataFrame:
+def add_ground_push(table: pd.DataFrame) -> pd.DataFrame:
     """Return a flight on which something pushes up where it is low, by 0.3 m/s² per metre."""
     push = 0.3 * (table["p_z"] - 5.0)
     table[ROTORS] = table[ROTORS].mul(np.sqrt(1.0 + push / 9.81), axis=0)
@@ -69,21 +69,21 @@ def lifted_below(table: pd.DataFrame) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("scale", "change", "named", "surrogates"),
     [
-        (1.0, fading, (), {"thrust_coefficient": "time"}),
-        pytest.param(0.9, lifted_below, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
+        (1.0, fade_thrust, (), {"thrust_coefficient": "time"}),
+        pytest.param(0.9, add_ground_push, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
         pytest.param(0.9, lambda table: table, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
     ],
 )
-def test_a_name_holds_or_only_stands_in(
+def test_a_name_holds_or_only_substitutes(
     scale: float,
     change: Callable[[pd.DataFrame], pd.DataFrame],
     named: tuple[str, ...],
     surrogates: dict[str, str],
     tmp_path: Path,
 ) -> None:
-    found = selected(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
-    assert found.accepted == named
-    assert found.surrogates == surrogates
+    result = select_hidden(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
+    assert result.effect_names == named
+    assert result.surrogates == surrogates
 
 
 @pytest.mark.parametrize(
@@ -98,12 +98,12 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
 ) -> None:
     """5 % less thrust: a mass in its place needs an inertia off by 2.6 deviations about all axes; forces alone do not tell."""
 
-    def logged(table: pd.DataFrame) -> pd.DataFrame:
+    def log_columns(table: pd.DataFrame) -> pd.DataFrame:
         return table if gyro else table.drop(columns=["omega_x", "omega_y", "omega_z"])
 
-    found = selected(tmp_path, ("thrust_coefficient", "payload_mass"), change=logged, thrust_scale=0.95)
-    (named,) = found.accepted
-    assert {named, *tied_rivals(named, found)} == candidates
+    result = select_hidden(tmp_path, ("thrust_coefficient", "payload_mass"), change=log_columns, thrust_scale=0.95)
+    (named,) = result.effect_names
+    assert {named, *find_ties(named, result)} == candidates
 
 
 @pytest.mark.slow
@@ -121,9 +121,9 @@ def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> Non
         flights.append(replace(read, other_position=read.position + np.column_stack((away, np.ones(1200)))))
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     names = ("downwash", "thrust_coefficient", "rotor_drag")
-    found = select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=names)
-    assert found.accepted == ("downwash",)
-    force, sigma = found.final.fit.params.effects["downwash"]
+    result = select_effects(predictor, params_from_robot(ROBOT), Criteria(), candidates=names)
+    assert result.effect_names == ("downwash",)
+    force, sigma = result.final.fit.params.effects["downwash"]
     assert force == pytest.approx(0.6, rel=0.1)
     assert sigma == pytest.approx(width, rel=0.1)
 
@@ -133,87 +133,87 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
     """Between 4 and 6 m a shear with a small power is a constant wind; the wider of two cases is no rival."""
     drag = {"dx": 0.3, "dy": 0.3, "dz": 0.3}
     robot = replace(ROBOT, effects={"rotor_drag": drag}, effects_source="flown with it")
-    found = selected(
+    result = select_hidden(
         tmp_path, ("constant_wind", "wind_shear", "rotor_drag"), robot=robot, drag=0.3, wind=(0.4, -0.3, 0.0)
     )
-    assert found.accepted == ("constant_wind",)
-    assert tied_rivals("constant_wind", found) == []
-    (rival,) = found.rivals_of("constant_wind")
-    assert (rival.effect, rival.wider, rival.told_apart) == ("wind_shear", True, False)
-    assert found.chosen.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
+    assert result.effect_names == ("constant_wind",)
+    assert find_ties("constant_wind", result) == []
+    (rival,) = result.effect_rivals("constant_wind")
+    assert (rival.effect, rival.wider, rival.is_distinct) == ("wind_shear", True, False)
+    assert result.chosen.inclusion["constant_wind"] > 0.99  # the shear is this wind as well
 
 
 def test_rivals_are_the_best_sets_with_another_effect_in_the_place_of_a_named_one() -> None:
     """Odds count over the overdispersion, here 2: 4 behind are 2, not told apart; 8 behind are 4, told apart."""
-    best = fitted("rotor_drag", "com_offset", log=-100.0, overdispersion=2.0)
-    others = [
-        fitted("quadratic_drag", "com_offset", log=-104.0),
-        fitted("quadratic_drag", "com_offset", log=-106.0, structures=(PLACE,)),  # a worse set with the same
-        fitted("rotor_drag", "motor_tilt", log=-108.0),
-        fitted("constant_wind", log=-101.0, odds={"constant_wind": -1.0}),  # does not hold
-        fitted("com_offset", log=-130.0),  # without it, and nothing in its place
+    best = make_fit("rotor_drag", "com_offset", log=-100.0, overdispersion=2.0)
+    rest = [
+        make_fit("quadratic_drag", "com_offset", log=-104.0),
+        make_fit("quadratic_drag", "com_offset", log=-106.0, structures=(PLACE,)),  # a worse set with the same
+        make_fit("rotor_drag", "motor_tilt", log=-108.0),
+        make_fit("constant_wind", log=-101.0, odds={"constant_wind": -1.0}),  # does not hold
+        make_fit("com_offset", log=-130.0),  # without it, and nothing in its place
     ]
-    found = selection_of(chosen_of(best, *others))
-    (drag,), (offset,) = found.rivals_of("rotor_drag"), found.rivals_of("com_offset")
-    assert (drag.effect, drag.log_odds, drag.told_apart) == ("quadratic_drag", -2.0, False)
-    assert drag.fitted is others[0]
-    assert (offset.effect, offset.log_odds, offset.told_apart) == ("motor_tilt", -4.0, True)
-    assert [rival.effect for rival in found.ties_of("rotor_drag")] == ["quadratic_drag"]
-    assert found.ties_of("com_offset") == []
+    result = make_selection(make_choice(best, *rest))
+    (drag,), (offset,) = result.effect_rivals("rotor_drag"), result.effect_rivals("com_offset")
+    assert (drag.effect, drag.log_odds, drag.is_distinct) == ("quadratic_drag", -2.0, False)
+    assert drag.fitted is rest[0]
+    assert (offset.effect, offset.log_odds, offset.is_distinct) == ("motor_tilt", -4.0, True)
+    assert [rival.effect for rival in result.effect_ties("rotor_drag")] == ["quadratic_drag"]
+    assert result.effect_ties("com_offset") == []
 
 
 def test_a_wider_case_is_a_rival_and_no_tie() -> None:
-    best, wide = fitted("constant_wind", log=-10.0), fitted("wind_shear", log=-9.5)
-    found = selection_of(chosen_of(best, wide))
-    (rival,) = found.rivals_of("constant_wind")
-    assert (rival.effect, rival.wider, rival.told_apart) == ("wind_shear", True, False)
-    assert found.ties_of("constant_wind") == []
-    (narrow,) = selection_of(chosen_of(wide, best)).ties_of("wind_shear")
+    best, wide = make_fit("constant_wind", log=-10.0), make_fit("wind_shear", log=-9.5)
+    result = make_selection(make_choice(best, wide))
+    (rival,) = result.effect_rivals("constant_wind")
+    assert (rival.effect, rival.wider, rival.is_distinct) == ("wind_shear", True, False)
+    assert result.effect_ties("constant_wind") == []
+    (narrow,) = make_selection(make_choice(wide, best)).effect_ties("wind_shear")
     assert (narrow.effect, narrow.wider) == ("constant_wind", False)
 
 
 def test_what_stands_beside_a_wider_case_replaces_what_else_is_lacking() -> None:
     """Two lags in place of one are that lag; the tilt beside them is no other cause of it, but of the bias."""
-    best = fitted("motor_time_constant", "imu_bias", log=-10.0)
-    found = selection_of(chosen_of(best, fitted("motor_asymmetry", "motor_tilt", log=-10.5)))
-    assert [rival.effect for rival in found.rivals_of("motor_time_constant")] == ["motor_asymmetry"]
-    assert found.ties_of("motor_time_constant") == []
-    assert [rival.effect for rival in found.ties_of("imu_bias")] == ["motor_tilt"]
+    best = make_fit("motor_time_constant", "imu_bias", log=-10.0)
+    result = make_selection(make_choice(best, make_fit("motor_asymmetry", "motor_tilt", log=-10.5)))
+    assert [rival.effect for rival in result.effect_rivals("motor_time_constant")] == ["motor_asymmetry"]
+    assert result.effect_ties("motor_time_constant") == []
+    assert [rival.effect for rival in result.effect_ties("imu_bias")] == ["motor_tilt"]
 
 
 def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
     """An unknown, a random and one under water are refused, before anything is fitted; gusts are found in what remains."""
-    predictor = predictor_of(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
+    predictor = make_predictor(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
     for name, error, message in (
         ("rotor_dragg", UnknownNameError, "Did you mean 'rotor_drag'"),
         ("gusts", ConfigError, "gusts is random and predicts no row"),
         ("buoyancy", ConfigError, "buoyancy acts under water"),
     ):
         with pytest.raises(error, match=message):
-            select_effects(predictor, declared_params(ROBOT), Criteria(), candidates=("rotor_drag", name))
+            select_effects(predictor, params_from_robot(ROBOT), Criteria(), candidates=("rotor_drag", name))
 
 
-def test_an_effect_that_flights_cannot_show_is_told_when_it_is_asked_for(tmp_path: Path) -> None:
+def test_an_effect_that_flights_cannot_show_is_told_when_it_is_requested(tmp_path: Path) -> None:
     """Nothing else is looked for: nothing is named, and why is said."""
-    found = selected(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
-    assert found.accepted == ()
-    assert set(found.not_testable) == {"ceiling_effect"}
+    result = select_hidden(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
+    assert result.effect_names == ()
+    assert set(result.not_testable) == {"ceiling_effect"}
 
 
-class Given(_Scorer):
+class PriorScorer(_Scorer):
     """Parameters known to a given variance, in units of their scale, with what was asked for."""
 
-    def __init__(self, named: Fitted, variance: Mapping[str, Sequence[float]]) -> None:
-        self.chosen, self.declared = chosen_of(named), ModelParams()
+    def __init__(self, named: EffectSetFit, variance: Mapping[str, Sequence[float]]) -> None:
+        self.chosen, self.declared = make_choice(named), ModelParams()
         self.predictor = SimpleNamespace(robot=ROBOT)  # type: ignore[assignment]
         self.variance = variance
 
-    def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> Scored:
+    def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
         """Return a fit with parameters of all effects, one after the other."""
         owners = [(name, k) for name in effects for k in range(start.effects[name].size)]
         fit = SimpleNamespace(owners=owners, free_effects=np.arange(len(owners)), params=start, frozen=frozen)
         variance = np.diag([value for name in effects for value in self.variance[name]])
-        return cast("Scored", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=variance)))
+        return cast("FitScore", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=variance)))
 
 
 def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
@@ -221,11 +221,11 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
 
     Nor do they in the models without one of the two, with which the named ones are compared.
     """
-    named = fitted(
+    named = make_fit(
         "rotor_drag", "com_offset", params={"rotor_drag": [0.2, 0.3, 0.4], "com_offset": [0.004, 0.005, 0.006]}
     )
-    given = Given(named, {"rotor_drag": [0.1, 0.9, 1.1], "com_offset": [0.2, 7.0, 0.2]})
-    drag, offset = (fitted(name, params={name: [9.0, 8.0, 7.0]}) for name in named.effects)
+    given = PriorScorer(named, {"rotor_drag": [0.1, 0.9, 1.1], "com_offset": [0.2, 7.0, 0.2]})
+    drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in named.effects)
     given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
     scored, chosen = given.final()
     fit = scored.fit
@@ -236,7 +236,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     }
     assert chosen.without["com_offset"].params.effects["rotor_drag"].tolist() == [9.0, 8.0, 0.0]
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
-    given = Given(named, dict.fromkeys(named.effects, [0.9] * 3))
+    given = PriorScorer(named, dict.fromkeys(named.effects, [0.9] * 3))
     shown, same = given.final()
     assert (shown.fit.frozen, shown.fit.params) == (frozenset(), named.params)
     assert same is given.chosen
@@ -244,9 +244,9 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
 
 def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> None:
     """All of the offset is unknown by more than its scale: the drag is left, without which nothing is."""
-    named = fitted("com_offset", "rotor_drag")
-    given = Given(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
-    drag, offset = (fitted(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
+    named = make_fit("com_offset", "rotor_drag")
+    given = PriorScorer(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
+    drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
     given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
     scored, chosen = given.final()
     assert scored.fit.params is drag.params

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.judge.experiments.design import Catalogue, showable, what_shows, what_tells
+from aerial_gym.sim2real.judge.experiments.design import Catalogue, manoeuvre_for_ties, manoeuvres_for_effects, showable
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, fly
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -24,7 +24,7 @@ STD = {
 """Of the residual of each kind of channel."""
 
 
-def catalogue_of(folder: Path, *, only: str | None = None) -> Catalogue:
+def make_catalogue(folder: Path, *, only: str | None = None) -> Catalogue:
     """Return the catalogue for a flight of the made-up quadrotor, with white residuals of known size."""
     write(flight(1, seconds=4.0, rate=100.0), folder / "f.csv")
     flights = load_flights([folder / "f.csv"], ROBOT, mapping=None, bandwidth=10.0)
@@ -37,7 +37,7 @@ def catalogue_of(folder: Path, *, only: str | None = None) -> Catalogue:
 
 @pytest.fixture(scope="module")
 def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
-    return catalogue_of(tmp_path_factory.mktemp("flight"))
+    return make_catalogue(tmp_path_factory.mktemp("flight"))
 
 
 def model(**effects: list[float]) -> tuple[ModelParams, tuple[str, ...]]:
@@ -80,8 +80,8 @@ def test_a_manoeuvre_beyond_the_rotors_is_left_out(catalogue: Catalogue) -> None
 def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: Catalogue) -> None:
     """A bias b along x that nothing fits but the tolerance t: ``b² / 2 / (t² + 1 / n w)``, n w summed over both channels."""
     bias, predictor = 0.04, catalogue.predictor
-    truth, nothing = model(imu_bias=[bias, 0.0, 0.0, 0.0, 0.0, 0.0]), model()
-    score = by_name(catalogue, catalogue.falls_short(truth[0], *nothing))["hover"]
+    truth, empty = model(imu_bias=[bias, 0.0, 0.0, 0.0, 0.0, 0.0]), model()
+    score = by_name(catalogue, catalogue.falls_short(truth[0], *empty))["hover"]
     time = predictor.times[[flown.name for flown in catalogue.flights].index("hover")]
     information = time.size * (STD["specific_force"] ** -2 + STD["kinematic_force"] ** -2)
     expected = 0.5 * bias**2 / (TOLERANCES.acc_bias**2 + 1.0 / information) * 10.0 / (time[-1] - time[0])
@@ -122,7 +122,7 @@ def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_
     ``3 (d / 0.02)² / 2`` for a share d: 2 % are never told, 5 % are, by rocking and turning."""
     for share, tells in ((0.02, False), (0.05, True)):
         mass, thrust = model(payload_mass=[share * ROBOT.body.mass]), model(thrust_coefficient=[1.0 / (1.0 + share)])
-        forces = catalogue_of(tmp_path, only="specific_force")
+        forces = make_catalogue(tmp_path, only="specific_force")
         assert forces.tell(mass, thrust).max() < 1e-3
         advice = catalogue.advise(catalogue.tell(mass, thrust), ("payload_mass", "thrust_coefficient"))
         assert (advice.fly is not None) == tells
@@ -133,19 +133,19 @@ def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_
 def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) -> None:
     """Drag and lift by speed, rotor inertia by turns, none of them by hover; nothing is advised that no log can show."""
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.0635))
-    hidden = SimpleNamespace(not_testable={"ground_effect": ""}, accepted=())
+    hidden = SimpleNamespace(not_testable={"ground_effect": ""}, effect_names=())
     assert showable(hidden, robot, []) == ["ground_effect"]  # type: ignore[arg-type]
     assert showable(hidden, ROBOT, []) == []  # type: ignore[arg-type]
-    arms = SimpleNamespace(not_testable={"joint_creep": ""}, accepted=())
+    arms = SimpleNamespace(not_testable={"joint_creep": ""}, effect_names=())
     assert showable(arms, ROBOT, []) == []  # type: ignore[arg-type]
-    bent = SimpleNamespace(not_testable={"joint_creep": ""}, accepted=("joint_spring",))
+    bent = SimpleNamespace(not_testable={"joint_creep": ""}, effect_names=("joint_spring",))
     assert showable(bent, ROBOT, []) == ["joint_creep"]  # type: ignore[arg-type]
     selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=()))
     names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
-    advice = what_shows(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
+    advice = manoeuvres_for_effects(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
     assert list(advice) == names
     assert advice["quadratic_drag"].fly == "sweep along both axes, slow and then fast, up to 5 m/s"
-    assert all(found.hover < 1e-3 for found in advice.values())
+    assert all(result.hover < 1e-3 for result in advice.values())
     for name in names:
         assert advice[name].as_mapping()["tells"] == [name]
-    assert what_tells(catalogue, selection, {}) is None  # type: ignore[arg-type]
+    assert manoeuvre_for_ties(catalogue, selection, {}) is None  # type: ignore[arg-type]

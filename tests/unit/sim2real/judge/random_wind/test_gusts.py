@@ -13,9 +13,9 @@ from scipy import integrate
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.decision import Decision
-from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, declared_wind, find_random_wind, wind_response
+from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, wind_declaration, wind_response
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
-    Series,
+    WindSeries,
     fit_process,
     log_spread,
     p_value_of_memory,
@@ -36,7 +36,7 @@ BAND, STEP, ROWS = 10.0, 0.1, 120
 TIME = STEP * np.arange(ROWS)
 
 
-def drawn(rng: np.random.Generator, time: np.ndarray, std: float, corr_time: float) -> np.ndarray:
+def draw_wind(rng: np.random.Generator, time: np.ndarray, std: float, corr_time: float) -> np.ndarray:
     """Return a low-passed wind (T, 3): cosines of random phase, amplitude sqrt(2 S df) H, lines every 1 / 80 s."""
     frequency = (np.arange(2400) + 0.5) / 80.0
     density = 4.0 * corr_time * std**2 / (1.0 + (2.0 * np.pi * frequency * corr_time) ** 2)
@@ -46,17 +46,17 @@ def drawn(rng: np.random.Generator, time: np.ndarray, std: float, corr_time: flo
     return np.cos(wave) @ cosine + np.sin(wave) @ sine
 
 
-def series(change: Callable[[int], np.ndarray] | None = None, *, std: float = 1.0, seed: int = 0) -> Series:
+def series(change: Callable[[int], np.ndarray] | None = None, *, std: float = 1.0, seed: int = 0) -> WindSeries:
     """Return four flights of wind with white noise of 0.05 m/s, and what ``change`` adds to a flight."""
     rng = np.random.default_rng(seed)
     wind, features = [], []
     for flight in range(4):
         place = np.cumsum(0.3 * rng.standard_normal((ROWS, 3)), axis=0)
         features.append(place)
-        wind.append(drawn(rng, TIME, std, 1.0) + 0.05 * rng.standard_normal((ROWS, 3)))
+        wind.append(draw_wind(rng, TIME, std, 1.0) + 0.05 * rng.standard_normal((ROWS, 3)))
         if change is not None:
             wind[-1] = wind[-1] + change(flight)
-    return Series(wind=wind, features={"position": features}, step=STEP, bandwidth=BAND)
+    return WindSeries(wind=wind, features={"position": features}, step=STEP, bandwidth=BAND)
 
 
 @pytest.mark.parametrize("corr_time", [0.1, 0.7, 5.0])
@@ -74,16 +74,16 @@ def test_the_covariance_is_that_of_the_spectrum_below_the_band(corr_time: float)
 
 def test_std_and_correlation_time_are_found_within_their_spread() -> None:
     """Over six draws of four 12 s flights: the mean within three standard errors, the scatter as stated within a factor 2."""
-    found, spread = [], []
+    result, spread = [], []
     for seed in range(6):
         wind = series(std=0.8, seed=seed)
         fit = fit_process(wind)
-        found.append(np.log([fit.std / 0.8, fit.corr_time / 1.0]))
+        result.append(np.log([fit.std / 0.8, fit.corr_time / 1.0]))
         spread.append(log_spread(wind, fit) if seed == 0 else spread[-1])
     stated = np.mean(spread, axis=0)
-    assert np.all(np.abs(np.mean(found, axis=0)) < 3.0 * stated / np.sqrt(6.0))
-    assert np.all(np.std(found, axis=0) < 2.0 * stated)
-    assert np.all(np.std(found, axis=0) > 0.5 * stated)
+    assert np.all(np.abs(np.mean(result, axis=0)) < 3.0 * stated / np.sqrt(6.0))
+    assert np.all(np.std(result, axis=0) < 2.0 * stated)
+    assert np.all(np.std(result, axis=0) > 0.5 * stated)
 
 
 def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
@@ -103,8 +103,8 @@ def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
             "line",
             lambda f: 0.3 * np.sin(2.0 * np.pi * 3.1 * TIME + f)[:, None] * [1.0, 0.0, 0.0],
         ),
-        ("axes", lambda f: drawn(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
-        ("flights", lambda f: (f == 2) * drawn(np.random.default_rng(9), TIME, 4.0, 1.0)),
+        ("axes", lambda f: draw_wind(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
+        ("flights", lambda f: (f == 2) * draw_wind(np.random.default_rng(9), TIME, 4.0, 1.0)),
         (
             "shape",
             lambda f: 6.0 * (np.abs(TIME - 4.0 - f) < 0.06)[:, None] * [1.0, 1.0, 1.0],
@@ -130,13 +130,13 @@ def test_a_force_that_follows_a_feature_is_told_apart() -> None:
 DRAGGED = ModelParams(effects={"rotor_drag": np.array([0.3, 0.24, 0.18])})
 
 
-def blown(number: int, std: float = 0.0) -> Flight:
+def fly_in_wind(number: int, std: float = 0.0) -> Flight:
     """Return a hovering flight whose accelerometer feels a wind through the drag: ``f = d w / m`` along each axis."""
     rng = np.random.default_rng(number)
     time = np.arange(round(12.0 * RATE)) / RATE
     still = hover(str(number), 1.0)
     assert still.rotor_speed is not None
-    felt = drawn(rng, time, std, 1.0) * [0.5, 0.4, 0.3] + 0.02 * rng.standard_normal((time.size, 3))
+    felt = draw_wind(rng, time, std, 1.0) * [0.5, 0.4, 0.3] + 0.02 * rng.standard_normal((time.size, 3))
     zeros = np.zeros((time.size, 3))
     return replace(
         still,
@@ -163,45 +163,45 @@ def look(flights: list[Flight], params: ModelParams = DRAGGED, **more: object) -
 
 
 def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
-    flights = [blown(number, 1.2) for number in range(3)]
+    flights = [fly_in_wind(number, 1.2) for number in range(3)]
     predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=Tolerances())
     response = wind_response(predictor, DRAGGED)[0][:, :3]
     np.testing.assert_allclose(response, np.tile(np.diag([0.5, 0.4, 0.3]), (len(response), 1, 1)), atol=1e-6)
-    found = look(flights)
-    assert found.accepted, found.objections
-    for value, truth, spread in zip(found.params().values(), (1.2, 1.0), found.spread, strict=True):
+    result = look(flights)
+    assert result.is_accepted, result.objections
+    for value, truth, spread in zip(result.params().values(), (1.2, 1.0), result.spread, strict=True):
         assert abs(np.log(value / truth)) < 3.0 * spread
-    added = found.adds(predictor, DRAGGED)[:3]
+    added = result.adds(predictor, DRAGGED)[:3]
     expected = (
-        found.std * np.array([0.5, 0.4, 0.3]) * np.sqrt(process_covariance(found.corr_time, BAND, np.zeros(1))[0])
+        result.std * np.array([0.5, 0.4, 0.3]) * np.sqrt(process_covariance(result.corr_time, BAND, np.zeros(1))[0])
     )
     np.testing.assert_allclose(added, expected, rtol=1e-6)
-    named = found.named(ROBOT)
-    assert (named.name, named.params) == ("gusts", found.params())
+    named = result.as_effect(ROBOT)
+    assert (named.name, named.params) == ("gusts", result.params())
     assert named.confidence > 0.999
-    assert [note.code for note in found.notes] == ["gusts_are_random"]
+    assert [note.code for note in result.notes] == ["gusts_are_random"]
 
 
 def test_where_gusts_are_not_looked_for_and_why() -> None:
-    flights = [blown(number) for number in range(2)]
+    flights = [fly_in_wind(number) for number in range(2)]
     assert look(flights, ModelParams()).untestable == Finding("gusts_no_drag", "gusts")
     assert look(flights, floor=None).untestable == Finding("gusts_no_floor", "gusts")
     blind = [replace(f, lin_vel=None) for f in flights]
     assert look(blind).untestable == Finding("gusts_no_forces", "gusts")
-    nothing = look(flights, remaining=np.zeros(12, dtype=bool))
-    assert (nothing.accepted, nothing.untestable, nothing.notes) == (False, None, ())
+    empty = look(flights, remaining=np.zeros(12, dtype=bool))
+    assert (empty.is_accepted, empty.untestable, empty.notes) == (False, None, ())
     still = look(flights)
-    assert not still.accepted
+    assert not still.is_accepted
     (note,) = still.notes
     assert note.code == "gusts_refused"
     assert len(note.values["objections"]) == len(still.objections) > 0
 
 
 def test_declared_gusts_are_taken_as_they_are() -> None:
-    declared = declared_wind(replace(ROBOT, effects={"gusts": {"std": 0.5, "corr_time": 2.0}}))
-    assert declared.accepted
+    declared = wind_declaration(replace(ROBOT, effects={"gusts": {"std": 0.5, "corr_time": 2.0}}))
+    assert declared.is_accepted
     assert declared.params() == {"std": 0.5, "corr_time": 2.0}
-    assert not declared_wind(ROBOT).accepted
+    assert not wind_declaration(ROBOT).is_accepted
 
 
 def test_noise_has_no_memory_as_often_as_stated() -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.conventions import body_rate_of, check_log, check_time, without_bad_quaternions
+from aerial_gym.sim2real.logs.checks.conventions import body_rate, check_log, check_time, without_bad_quaternions
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
@@ -34,7 +34,7 @@ def check(table: pd.DataFrame, folder: Path) -> list[str]:
     return check_log(uniform_log(without_bad_quaternions(log)), ROBOT)
 
 
-def replaced(table: pd.DataFrame, columns: list[str], values: object) -> pd.DataFrame:
+def replace_columns(table: pd.DataFrame, columns: list[str], values: object) -> pd.DataFrame:
     changed = table.copy()
     changed[columns] = np.asarray(values)
     return changed
@@ -49,7 +49,7 @@ def test_good_logs_pass(table: pd.DataFrame, tmp_path: Path) -> None:
 
 def test_a_sign_jump_of_the_quaternion_is_no_defect(table: pd.DataFrame, tmp_path: Path) -> None:
     sign = np.where(np.arange(len(table)) % 7 < 3, -1.0, 1.0)[:, None]
-    assert check(replaced(table, Q, table[Q].to_numpy() * sign), tmp_path) == []
+    assert check(replace_columns(table, Q, table[Q].to_numpy() * sign), tmp_path) == []
 
 
 def body_to_world(table: pd.DataFrame) -> Rotation:
@@ -59,54 +59,54 @@ def body_to_world(table: pd.DataFrame) -> Rotation:
 def frd(table: pd.DataFrame) -> pd.DataFrame:
     """Return the log with body axes x forward, y right, z down."""
     body = (body_to_world(table) * Rotation.from_quat([1.0, 0.0, 0.0, 0.0])).as_quat()
-    found = replaced(table, Q, body)
-    return replaced(replaced(found, OMEGA, found[OMEGA] * (1, -1, -1)), ACC, found[ACC] * (1, -1, -1))
+    result = replace_columns(table, Q, body)
+    return replace_columns(replace_columns(result, OMEGA, result[OMEGA] * (1, -1, -1)), ACC, result[ACC] * (1, -1, -1))
 
 
-def mirrored(table: pd.DataFrame) -> pd.DataFrame:
+def mirror(table: pd.DataFrame) -> pd.DataFrame:
     """Return the log with position and velocity in world axes north, east, down, the attitude as it was."""
-    found = table
+    result = table
     for names in (P, V):
-        found = replaced(found, names, found[names].to_numpy()[:, [1, 0, 2]] * (1, 1, -1))
-    return found
+        result = replace_columns(result, names, result[names].to_numpy()[:, [1, 0, 2]] * (1, 1, -1))
+    return result
 
 
 def ned(table: pd.DataFrame) -> pd.DataFrame:
     """Return the log with world axes north, east, down."""
     swap = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    return replaced(mirrored(table), Q, (swap * body_to_world(table)).as_quat())
+    return replace_columns(mirror(table), Q, (swap * body_to_world(table)).as_quat())
 
 
-def turned(table: pd.DataFrame, angle: float) -> pd.DataFrame:
+def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
     """Return the log with position and velocity turned about z [deg], the attitude as it was."""
-    about, found = Rotation.from_euler("z", angle, degrees=True), table
+    about, result = Rotation.from_euler("z", angle, degrees=True), table
     for names in (P, V):
-        found = replaced(found, names, about.apply(found[names].to_numpy(copy=True)))
-    return found
+        result = replace_columns(result, names, about.apply(result[names].to_numpy(copy=True)))
+    return result
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (
-            lambda t: replaced(t, Q, t[["q_w", "q_x", "q_y", "q_z"]]),
+            lambda t: replace_columns(t, Q, t[["q_w", "q_x", "q_y", "q_z"]]),
             r"attitude .* and omega contradict each other .*the quaternion is stored w first",
         ),
-        (lambda t: replaced(t, Q, body_to_world(t).inv().as_quat()), r"the quaternion turns world into body"),
-        (lambda t: replaced(t, OMEGA, np.rad2deg(t[OMEGA])), r"omega is in degrees per second"),
-        (lambda t: replaced(t, OMEGA, t[OMEGA] * (1, -1, -1)), r"omega is in axes x forward, y right, z down"),
-        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*\+9\.81 on z at hover"),
-        (lambda t: replaced(t, ACC, t[ACC] / 9.81), r"multiples of g: multiply by 9\.81"),
+        (lambda t: replace_columns(t, Q, body_to_world(t).inv().as_quat()), r"the quaternion turns world into body"),
+        (lambda t: replace_columns(t, OMEGA, np.rad2deg(t[OMEGA])), r"omega is in degrees per second"),
+        (lambda t: replace_columns(t, OMEGA, t[OMEGA] * (1, -1, -1)), r"omega is in axes x forward, y right, z down"),
+        (lambda t: replace_columns(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*\+9\.81 on z at hover"),
+        (lambda t: replace_columns(t, ACC, t[ACC] / 9.81), r"multiples of g: multiply by 9\.81"),
         (
-            lambda t: replaced(t, ACC, t[ACC] - body_to_world(t).apply([0, 0, 9.81], inverse=True)),
+            lambda t: replace_columns(t, ACC, t[ACC] - body_to_world(t).apply([0, 0, 9.81], inverse=True)),
             r"gravity was taken out",
         ),
         (
-            lambda t: replaced(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))),
+            lambda t: replace_columns(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))),
             r"acc_x.*agrees with the motion in world axes",
         ),
         (
-            lambda t: replaced(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)),
+            lambda t: replace_columns(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)),
             r"it looks as if v is in body axes",
         ),
         (lambda t: frd(t), r"acc_z is -1\d\.\d+ m/s² on average.*give body_frame: frd in a mapping file"),
@@ -116,31 +116,38 @@ def turned(table: pd.DataFrame, angle: float) -> pd.DataFrame:
             r"if only its signs are inverted, invert them; if body and world .*body_frame: frd and world_frame: ned",
         ),
         (lambda t: ned(t), r"world axes are north, east, down: give world_frame: ned"),
-        (lambda t: replaced(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*invert the signs of acc"),
+        (lambda t: replace_columns(t, ACC, -t[ACC]), r"gravity has the wrong sign: .*invert the signs of acc"),
         (
-            lambda t: replaced(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))).drop(columns=[*V, *P]),
+            lambda t: replace_columns(t, ACC, body_to_world(t).apply(t[ACC].to_numpy(copy=True))).drop(
+                columns=[*V, *P]
+            ),
             r"acc_x.*agrees with thrust in world axes, not in body axes",
         ),
         (
-            lambda t: replaced(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)).drop(columns=P),
+            lambda t: replace_columns(t, V, body_to_world(t).apply(t[V].to_numpy(copy=True), inverse=True)).drop(
+                columns=P
+            ),
             r"velocity .* contradicts acc and attitude .*looks as if v is in body axes",
         ),
-        (lambda t: mirrored(t), r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
-        (lambda t: mirrored(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
-        (lambda t: turned(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the attitude"),
-        (lambda t: replaced(t, V, 1000.0 * t[V]), r"velocity .* and the derivative of position .* in mm/s"),
+        (lambda t: mirror(t), r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
+        (lambda t: mirror(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
         (
-            lambda t: replaced(
+            lambda t: turn_heading(t, 90.0),
+            r"x and y there must be turned by -90 deg about z to be those of the attitude",
+        ),
+        (lambda t: replace_columns(t, V, 1000.0 * t[V]), r"velocity .* and the derivative of position .* in mm/s"),
+        (
+            lambda t: replace_columns(
                 t, ["rotor_1", "rotor_2", "rotor_3", "rotor_4"], t.filter(like="rotor") * 60 / (2 * np.pi)
             ),
             r"it looks like rpm: convert to rad/s",
         ),
         (
-            lambda t: replaced(t, ["rotor_1", "rotor_2", "rotor_3", "rotor_4"], t.filter(like="rotor") / 3000),
+            lambda t: replace_columns(t, ["rotor_1", "rotor_2", "rotor_3", "rotor_4"], t.filter(like="rotor") / 3000),
             r"it looks like a fraction of full throttle",
         ),
         (
-            lambda t: replaced(t, Q, 1.2 * t[Q]),
+            lambda t: replace_columns(t, Q, 1.2 * t[Q]),
             r"line 2 \(t = 0 s\): the attitude quaternion .* has norm 1\.2, must be 1",
         ),
         (lambda t: t.assign(omega_y=0.01), r"ang_vel 2 is 0\.01 in every row; leave a sensor that did not work empty"),
@@ -214,5 +221,5 @@ def test_the_rate_of_a_steady_turn_is_its_rate() -> None:
     """q = (0, 0, sin(w t / 2), cos(w t / 2)) turns with w about z, in body as in world axes."""
     time = np.arange(0.0, 6.0, 0.01)
     quaternion = np.stack((0 * time, 0 * time, np.sin(0.7 * time), np.cos(0.7 * time)), axis=1)
-    inner = body_rate_of(quaternion, 100.0, 4.0)[150:-150]
+    inner = body_rate(quaternion, 100.0, 4.0)[150:-150]
     np.testing.assert_allclose(inner, np.tile([0.0, 0.0, 1.4], (len(inner), 1)), atol=1e-4)

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.copies import SeenLogs
+from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.inputs import read_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
@@ -34,7 +34,7 @@ def test_a_copy_is_refused(table: pd.DataFrame, tmp_path: Path, change: object, 
     """As it is, at another time, trimmed, thinned, with fewer or reordered columns, or with another flight behind it."""
     first, second = write(table, tmp_path / "a.csv"), tmp_path / "b.csv"
     write(change(table), second)  # type: ignore[operator]
-    seen = SeenLogs()
+    seen = LogRegister()
     seen.add(read_flight_log(first))
     with pytest.raises(DataError, match=rf"b\.csv: {share} of the measurements are those of .*a\.csv, value by value"):
         seen.add(read_flight_log(second))
@@ -45,9 +45,9 @@ def test_a_test_flight_that_is_a_copy_is_left_out(table: pd.DataFrame, tmp_path:
     other = write(flight(2, seconds=8.0, rate=100.0, noise=1.0), tmp_path / "other.csv")
     with pytest.raises(DataError, match="a copy is no other flight"):
         load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
-    found = read_inputs(ROBOT, paths[:1], [paths[1], other], mapping=None, bandwidth=10.0)
-    assert [one.name for one in found.test] == ["other"]
-    assert "a copy is no other flight" in found.left_out[0].values["error"]
+    result = read_inputs(ROBOT, paths[:1], [paths[1], other], mapping=None, bandwidth=10.0)
+    assert [one.name for one in result.test] == ["other"]
+    assert "a copy is no other flight" in result.left_out[0].values["error"]
     with pytest.raises(DataError, match="give each flight once, to train or to test"):
         read_inputs(ROBOT, paths[:1], paths[1:], mapping=None, bandwidth=10.0)
 
@@ -58,6 +58,6 @@ def test_flights_that_begin_alike_or_rest_alike_are_different(table: pd.DataFram
     logs[1][:50] = table[:50]
     for rests in logs[2:]:
         rests.loc[:300, table.columns[1:]] = 1.0
-    seen = SeenLogs()
+    seen = LogRegister()
     for number, one in enumerate(logs):
         seen.add(read_flight_log(write(one, tmp_path / f"{number}.csv")))

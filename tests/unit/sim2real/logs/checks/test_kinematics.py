@@ -22,37 +22,37 @@ def table() -> pd.DataFrame:
     return flight(5, seconds=16.0, rate=200.0, noise=1.0)
 
 
-def log_of(table: pd.DataFrame, folder: Path) -> FlightLog:
+def read_log(table: pd.DataFrame, folder: Path) -> FlightLog:
     return uniform_log(read_flight_log(write(table, folder / "a.csv")))
 
 
 def errors(table: pd.DataFrame, folder: Path, sensor: str) -> ImuErrors:
-    return next(a for a in kinematic_errors(log_of(table, folder)) if a.sensor == sensor)
+    return next(a for a in kinematic_errors(read_log(table, folder)) if a.sensor == sensor)
 
 
 @pytest.mark.parametrize("seed", [1, 5, 6])
 def test_a_clean_flight_is_silent(seed: int, tmp_path: Path) -> None:
     clean = flight(seed, seconds=16.0, rate=200.0, noise=1.0)
-    assert [note for a in kinematic_errors(log_of(clean, tmp_path)) for note in a.findings()] == []
+    assert [note for a in kinematic_errors(read_log(clean, tmp_path)) for note in a.findings()] == []
 
 
 @pytest.mark.parametrize("size", [0.03, 0.1, 0.3])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_bias_of_the_gyro(table: pd.DataFrame, tmp_path: Path, size: float, sign: float) -> None:
     changed = table.assign(omega_y=table["omega_y"] + sign * size)
-    found = errors(changed, tmp_path, "gyro")
-    np.testing.assert_allclose(found.bias, (0.0, sign * size, 0.0), atol=0.003)
-    assert [(note.code, note.values["sensor"]) for note in found.findings()] == [("sensor_bias", "gyro")]
+    result = errors(changed, tmp_path, "gyro")
+    np.testing.assert_allclose(result.bias, (0.0, sign * size, 0.0), atol=0.003)
+    assert [(note.code, note.values["sensor"]) for note in result.findings()] == [("sensor_bias", "gyro")]
 
 
 @pytest.mark.parametrize("size", [0.2, 0.5, 1.0])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_bias_of_the_accelerometer(table: pd.DataFrame, tmp_path: Path, size: float, sign: float) -> None:
     changed = table.assign(acc_z=table["acc_z"] + sign * size)
-    found = errors(changed, tmp_path, "accelerometer")
-    assert found.bias[2] == pytest.approx(sign * size, abs=0.05)
-    assert found.bias[2] - found.half_width[2] < sign * size < found.bias[2] + found.half_width[2]
-    assert ("sensor_bias", "accelerometer") in [(note.code, note.values["sensor"]) for note in found.findings()]
+    result = errors(changed, tmp_path, "accelerometer")
+    assert result.bias[2] == pytest.approx(sign * size, abs=0.05)
+    assert result.bias[2] - result.half_width[2] < sign * size < result.bias[2] + result.half_width[2]
+    assert ("sensor_bias", "accelerometer") in [(note.code, note.values["sensor"]) for note in result.findings()]
 
 
 @pytest.mark.parametrize(("columns", "sensor", "axis"), [(OMEGA, "gyro", 2), (ACC, "accelerometer", 0)])
@@ -64,16 +64,16 @@ def test_a_turned_sensor(
     turn = Rotation.from_euler("xyz"[axis], degrees, degrees=True)
     changed = table.copy()
     changed[columns] = turn.inv().apply(table[columns].to_numpy(copy=True))
-    found = errors(changed, tmp_path, sensor)
-    assert np.degrees(found.angle[axis]) == pytest.approx(degrees, abs=0.05 * abs(degrees) + 0.3)
-    assert "sensor_turned" in [note.code for note in found.findings()]
+    result = errors(changed, tmp_path, sensor)
+    assert np.degrees(result.angle[axis]) == pytest.approx(degrees, abs=0.05 * abs(degrees) + 0.3)
+    assert "sensor_turned" in [note.code for note in result.findings()]
 
 
 def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Path) -> None:
     """Without drag the specific force lies along body z: a turn of the accelerometer about z changes nothing."""
-    found = errors(table, tmp_path, "accelerometer")
-    assert np.isinf(found.half_width[5])
-    assert np.isfinite(found.half_width[:5]).all()
+    result = errors(table, tmp_path, "accelerometer")
+    assert np.isinf(result.half_width[5])
+    assert np.isfinite(result.half_width[:5]).all()
 
 
 @pytest.mark.parametrize(("columns", "sensor"), [(OMEGA, "gyro"), (ACC, "accelerometer")])
@@ -85,20 +85,20 @@ def test_a_late_or_early_sensor(
     changed = table.copy()
     changed[columns] = np.roll(table[columns].to_numpy(), rows, axis=0)
     changed = changed.iloc[10:-10].reset_index(drop=True)
-    found = errors(changed, tmp_path, sensor)
-    assert found.delay == pytest.approx(0.005 * rows, rel=0.15)
+    result = errors(changed, tmp_path, sensor)
+    assert result.delay == pytest.approx(0.005 * rows, rel=0.15)
     word = "late" if rows > 0 else "early"
-    (note,) = (note for note in found.findings() if note.code == "sensor_late")
+    (note,) = (note for note in result.findings() if note.code == "sensor_late")
     assert (note.values["late_ms"] > 0.0) == (word == "late")
 
 
 def test_faults_of_the_imu_stand_in_the_notes_of_a_check(table: pd.DataFrame, tmp_path: Path) -> None:
     changed = table.assign(omega_x=table["omega_x"] - 0.1)
-    (note,) = (note for note in check_log(log_of(changed, tmp_path), ROBOT) if note.code == "sensor_bias")
+    (note,) = (note for note in check_log(read_log(changed, tmp_path), ROBOT) if note.code == "sensor_bias")
     assert note.values["bias_rad_s"][0] == pytest.approx(-0.1, abs=0.01)
 
 
 def test_a_drag_the_model_lacks_is_no_fault_of_the_imu(tmp_path: Path) -> None:
     """The accelerometer feels drag, and so does the velocity: kinematics does not see it."""
     draggy = flight(5, seconds=16.0, rate=200.0, noise=1.0, drag=0.3)
-    assert [note for a in kinematic_errors(log_of(draggy, tmp_path)) for note in a.findings()] == []
+    assert [note for a in kinematic_errors(read_log(draggy, tmp_path)) for note in a.findings()] == []

@@ -8,8 +8,8 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.rotor_law import relative_slope
-from aerial_gym.sim2real.logs.declared_rotors import lift
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.rotor_model import lift
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]
@@ -30,9 +30,9 @@ def load(table: pd.DataFrame, folder: Path) -> tuple[str, ...]:
 def test_a_pulse_width_a_duty_cycle_and_a_thrust_are_no_speeds(table: pd.DataFrame, tmp_path: Path) -> None:
     """Each is scaled so that it hovers: 1000 µs and more at rest, the square of the speed, its root."""
     share = table[ROTORS] / HOVER
-    others = {"pulse": 0.6 * HOVER + 0.4 * HOVER * share, "square": HOVER * share**2, "root": HOVER * share**0.5}
+    rest = {"pulse": 0.6 * HOVER + 0.4 * HOVER * share, "square": HOVER * share**2, "root": HOVER * share**0.5}
     assert load(table, tmp_path) == ()
-    for values in others.values():
+    for values in rest.values():
         for names in (ROTORS, COMMANDS):
             wrong = table.drop(columns=ROTORS)
             wrong[names] = values.to_numpy()

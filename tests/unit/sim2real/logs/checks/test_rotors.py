@@ -16,19 +16,19 @@ ROTORS, COMMANDS = ([f"{name}_{n}" for n in range(1, 5)] for name in ("rotor", "
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
     """Return a flight with commands that lead the speeds by two rows."""
-    found = flight(1, seconds=6.0, rate=100.0, noise=1.0)
-    ahead = np.concatenate((found[ROTORS].to_numpy()[2:], found[ROTORS].to_numpy()[-2:]))
-    return found.assign(**dict(zip(COMMANDS, ahead.T, strict=True)), vbat=np.linspace(16.0, 15.0, len(found)))
+    result = flight(1, seconds=6.0, rate=100.0, noise=1.0)
+    ahead = np.concatenate((result[ROTORS].to_numpy()[2:], result[ROTORS].to_numpy()[-2:]))
+    return result.assign(**dict(zip(COMMANDS, ahead.T, strict=True)), vbat=np.linspace(16.0, 15.0, len(result)))
 
 
-def loaded(table: pd.DataFrame, folder: Path) -> Flight:
+def load_log(table: pd.DataFrame, folder: Path) -> Flight:
     return load_flight(write(table, folder / "a.csv"), ROBOT, mapping=None, bandwidth=10.0)
 
 
 def test_good_columns_stay(table: pd.DataFrame, tmp_path: Path) -> None:
-    found = loaded(table, tmp_path)
-    assert found.rotor_command is not None
-    assert found.notes == ()
+    result = load_log(table, tmp_path)
+    assert result.rotor_command is not None
+    assert result.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -40,13 +40,13 @@ def test_good_columns_stay(table: pd.DataFrame, tmp_path: Path) -> None:
 )
 def test_columns_that_cannot_be(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        loaded(change(table), tmp_path)  # type: ignore[operator]
+        load_log(change(table), tmp_path)  # type: ignore[operator]
 
 
 def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame, tmp_path: Path) -> None:
-    found = loaded(table.assign(**dict(zip(COMMANDS, table[ROTORS].to_numpy().T, strict=True))), tmp_path)
-    assert found.rotor_command is None
-    assert "commands_copied" in [note.code for note in found.notes]
+    result = load_log(table.assign(**dict(zip(COMMANDS, table[ROTORS].to_numpy().T, strict=True))), tmp_path)
+    assert result.rotor_command is None
+    assert "commands_copied" in [note.code for note in result.notes]
 
 
 @pytest.mark.parametrize("names", [ROTORS, COMMANDS])
@@ -58,4 +58,4 @@ def test_columns_in_another_order_are_told_by_what_they_turn(
     mixed = table.assign(**{names[k]: table[names[rotor]] for k, rotor in enumerate(order)})
     right = ", ".join(names[order.index(rotor)] for rotor in range(4))
     with pytest.raises(DataError, match=rf"in the declared order predict .* the probable order is {right}: reorder"):
-        loaded(mixed, tmp_path)
+        load_log(mixed, tmp_path)

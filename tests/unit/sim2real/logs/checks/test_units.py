@@ -11,7 +11,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.units import check_growth, check_units, relate
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from tests.repetitions import thinned
+from tests.repetitions import thin_values
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 V, P, ACC = (["v_x", "v_y", "v_z"], ["p_x", "p_y", "p_z"], ["acc_x", "acc_y", "acc_z"])
@@ -20,11 +20,11 @@ V, P, ACC = (["v_x", "v_y", "v_z"], ["p_x", "p_y", "p_z"], ["acc_x", "acc_y", "a
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
     """Return a flight whose position and velocity are as noisy as those of an estimator."""
-    found = flight(1, seconds=12.0, rate=100.0, noise=1.0)
-    noise = np.random.default_rng(5).standard_normal((2, len(found), 3))
-    found[P] += 0.01 * noise[0]
-    found[V] += 0.05 * noise[1]
-    return found
+    result = flight(1, seconds=12.0, rate=100.0, noise=1.0)
+    noise = np.random.default_rng(5).standard_normal((2, len(result), 3))
+    result[P] += 0.01 * noise[0]
+    result[V] += 0.05 * noise[1]
+    return result
 
 
 def check(table: pd.DataFrame, folder: Path) -> list[str]:
@@ -34,16 +34,16 @@ def check(table: pd.DataFrame, folder: Path) -> list[str]:
     return notes
 
 
-def scaled(table: pd.DataFrame, columns: list[str], factor: object) -> pd.DataFrame:
-    found = table.copy()
-    found[columns] *= np.asarray(factor)
-    return found
+def scale_columns(table: pd.DataFrame, columns: list[str], factor: object) -> pd.DataFrame:
+    result = table.copy()
+    result[columns] *= np.asarray(factor)
+    return result
 
 
-def exchanged(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
-    found = table.copy()
-    found[columns[:2]] = table[[columns[1], columns[0]]].to_numpy()
-    return found
+def swap_columns(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
+    result = table.copy()
+    result[columns[:2]] = table[[columns[1], columns[0]]].to_numpy()
+    return result
 
 
 def test_a_good_log_passes_whatever_it_lacks(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -53,7 +53,7 @@ def test_a_good_log_passes_whatever_it_lacks(table: pd.DataFrame, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("unit", "factor"),
-    thinned(
+    thin_values(
         [("mph", 0.44704), ("kn", 1.852 / 3.6), ("km/h", 1 / 3.6), ("ft/s", 0.3048), ("mm/s", 1e-3), ("cm/s", 1e-2)], 3
     ),
 )
@@ -61,7 +61,7 @@ def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
     table: pd.DataFrame, tmp_path: Path, unit: str, factor: float
 ) -> None:
     """The mapping entry that the sentence gives makes the same log a good one."""
-    wrong = scaled(table, V, 1.0 / factor)
+    wrong = scale_columns(table, V, 1.0 / factor)
     match = rf"v_x, v_y, v_z were in {unit} \(factor .*\): give lin_vel unit: {unit} in a mapping file"
     with pytest.raises(DataError, match=match):
         check(wrong, tmp_path)
@@ -81,25 +81,37 @@ def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: scaled(t, P, 1 / 0.3048), r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft"),
-        (lambda t: scaled(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
         (
-            lambda t: scaled(t, V, 1.6),
+            lambda t: scale_columns(t, P, 1 / 0.3048),
+            r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft",
+        ),
+        (lambda t: scale_columns(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
+        (
+            lambda t: scale_columns(t, V, 1.6),
             r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_vel gain",
         ),
-        (lambda t: scaled(t, P, (-1, 1, 1)), r"it looks as if p_x have the wrong sign: multiply each column by -1"),
-        (lambda t: scaled(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
-        (lambda t: scaled(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),
-        (lambda t: exchanged(t, V), r"the axes of v were exchanged: name its columns in the order y, x, z"),
-        (lambda t: exchanged(t, P), r"the axes of p were exchanged: name its columns in the order y, x, z"),
         (
-            lambda t: scaled(scaled(t, V, 1 / 0.3048), P, 1 / 0.3048),
+            lambda t: scale_columns(t, P, (-1, 1, 1)),
+            r"it looks as if p_x have the wrong sign: multiply each column by -1",
+        ),
+        (lambda t: scale_columns(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
+        (lambda t: scale_columns(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),
+        (lambda t: swap_columns(t, V), r"the axes of v were exchanged: name its columns in the order y, x, z"),
+        (lambda t: swap_columns(t, P), r"the axes of p were exchanged: name its columns in the order y, x, z"),
+        (
+            lambda t: scale_columns(scale_columns(t, V, 1 / 0.3048), P, 1 / 0.3048),
             r"the change of velocity and position contradicts acc .* v_z were in ft/s .*unit: ft/s.*p_z were in ft .*unit: ft",
         ),
-        (lambda t: scaled(t, V, 1 / 0.44704).drop(columns=P), r"the change of velocity .* v_x, v_y, v_z were in mph"),
-        (lambda t: scaled(t, P, 1 / 0.3048).drop(columns=V), r"the change of position .* p_x, p_y, p_z were in ft "),
         (
-            lambda t: scaled(scaled(t, V, (1, -1, 1)), P, (1, -1, 1)),
+            lambda t: scale_columns(t, V, 1 / 0.44704).drop(columns=P),
+            r"the change of velocity .* v_x, v_y, v_z were in mph",
+        ),
+        (
+            lambda t: scale_columns(t, P, 1 / 0.3048).drop(columns=V),
+            r"the change of position .* p_x, p_y, p_z were in ft ",
+        ),
+        (
+            lambda t: scale_columns(scale_columns(t, V, (1, -1, 1)), P, (1, -1, 1)),
             r"contradict acc and attitude; it looks as if v_y and p_y have the wrong sign: multiply the columns by -1",
         ),
     ],
@@ -117,11 +129,11 @@ def test_a_log_that_hardly_moves_cannot_tell_and_passes(table: pd.DataFrame, tmp
     hover[V] = 0.05 * rng.standard_normal((len(table), 3))
     hover[ACC] = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]).apply([0.0, 0.0, 9.81], inverse=True)
     for factor in (1.0, 1 / 0.44704):
-        assert check(scaled(hover, V, factor), tmp_path) == []
+        assert check(scale_columns(hover, V, factor), tmp_path) == []
 
 
 def test_a_lesser_factor_is_said_and_left(table: pd.DataFrame, tmp_path: Path) -> None:
-    (note,) = check(scaled(table, V, (1.1, 1.0, 1.0)), tmp_path)
+    (note,) = check(scale_columns(table, V, (1.1, 1.0, 1.0)), tmp_path)
     assert (note.code, note.values["axes"]) == ("velocity_factor", ["x"])
     assert note.values["factor"] == pytest.approx([1.1], abs=0.01)
     assert note.values["low"] < note.values["factor"] < note.values["high"]
@@ -132,15 +144,15 @@ def test_the_factor_lies_between_both_regressions_and_they_cover_it() -> None:
     rng, missed = np.random.default_rng(7), 0
     for _ in range(300):
         true = rng.standard_normal((40, 3))
-        found = relate(0.447 * (true + 0.5 * rng.standard_normal((40, 3))), true + 0.5 * rng.standard_normal((40, 3)))
-        assert found is not None
-        assert found.order == (0, 1, 2)
-        missed += int(np.sum((found.low > 0.447) | (found.high < 0.447)))
+        result = relate(0.447 * (true + 0.5 * rng.standard_normal((40, 3))), true + 0.5 * rng.standard_normal((40, 3)))
+        assert result is not None
+        assert result.order == (0, 1, 2)
+        missed += int(np.sum((result.low > 0.447) | (result.high < 0.447)))
     assert missed == 0  # of 900, at 4 standard errors
 
 
 def test_no_log_of_noise_is_refused() -> None:
     """Of 2,000 logs whose vectors have nothing to do with each other none is found scaled, turned or exchanged."""
     rng = np.random.default_rng(8)
-    found = [relate(rng.standard_normal((30, 3)), rng.standard_normal((30, 3))) for _ in range(2000)]
-    assert not any(one is not None and one.off.any() for one in found)
+    result = [relate(rng.standard_normal((30, 3)), rng.standard_normal((30, 3))) for _ in range(2000)]
+    assert not any(one is not None and one.off.any() for one in result)

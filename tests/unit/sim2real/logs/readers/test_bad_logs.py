@@ -9,7 +9,7 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.flights import even_log, load_flights
+from aerial_gym.sim2real.logs.flights import load_flights, resample_log
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.readers.ulog import topics_table
@@ -111,7 +111,7 @@ def test_words_for_no_value_are_empty_fields(empty: str, table: pd.DataFrame, tm
 def test_quaternions_of_zeros_cost_their_rows(table: pd.DataFrame, tmp_path: Path) -> None:
     broken = table.copy()
     broken.loc[[100, 101], ["q_x", "q_y", "q_z", "q_w"]] = 0.0
-    log = even_log(read_flight_log(write(broken, tmp_path / "a.csv")))
+    log = resample_log(read_flight_log(write(broken, tmp_path / "a.csv")))
     assert log.time.size == len(table)
     np.testing.assert_allclose(np.linalg.norm(log.attitude, axis=1), 1.0)
     (note,) = (note for note in log.notes if note.code == "rows_without_quaternion")
@@ -164,7 +164,7 @@ def test_a_log_that_was_sorted_after_its_clock_was_set_back_is_refused(
     if unique:
         mixed = mixed.assign(key=mixed["t"].round(9)).drop_duplicates("key").drop(columns="key")
     with pytest.raises(DataError):
-        even_log(read_flight_log(write(mixed, tmp_path / "a.csv")))
+        resample_log(read_flight_log(write(mixed, tmp_path / "a.csv")))
 
 
 @pytest.mark.parametrize("columns", [[], ["p_x", "p_y", "p_z"], ["v_x", "v_y", "v_z"], ["acc_x", "acc_y", "acc_z"]])
@@ -174,25 +174,25 @@ def test_one_flight_is_one_time_course(hold: int, columns: list[str], table: pd.
     held = table.copy()
     pose = ["p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"]
     held[pose] = held[pose].iloc[np.arange(len(table)) // hold * hold].to_numpy()
-    even_log(read_flight_log(write(held.drop(columns=columns), tmp_path / "a.csv")))
+    resample_log(read_flight_log(write(held.drop(columns=columns), tmp_path / "a.csv")))
 
 
 # --- ULog ---------------------------------------------------------------------------------------------------------------
 
 
-def px4(found: dict[str, dict[str, np.ndarray]]) -> tuple[pd.DataFrame, list[str]]:
+def px4(result: dict[str, dict[str, np.ndarray]]) -> tuple[pd.DataFrame, list[str]]:
     notes: list[Finding] = []
-    return topics_table(found, "a.ulg", notes)[0], notes
+    return topics_table(result, "a.ulg", notes)[0], notes
 
 
-def changed(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):
+def change_stamps(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):
     """Return topics in which the stamps of one are changed."""
-    found = topics(table)
-    found[name] |= {key: np.asarray(change(found[name]["timestamp"].copy()))}
-    return found
+    results = topics(table)
+    results[name] |= {key: np.asarray(change(results[name]["timestamp"].copy()))}
+    return results
 
 
-def spiked(stamps: np.ndarray) -> np.ndarray:
+def add_spike(stamps: np.ndarray) -> np.ndarray:
     stamps[200] += 40_000_000
     return stamps
 
@@ -206,9 +206,9 @@ def test_one_absurd_stamp_costs_one_sample(name: str, table: pd.DataFrame) -> No
         stamps[bad] += np.uint64(40_000_000)
         return stamps
 
-    found, notes = px4(changed(name, spike, table))
-    assert len(good) - len(found) <= 1
-    assert found["t"].iloc[-1] == good["t"].iloc[-1]
+    results, notes = px4(change_stamps(name, spike, table))
+    assert len(good) - len(results) <= 1
+    assert results["t"].iloc[-1] == good["t"].iloc[-1]
     assert any(note.values["topic"] == name and note.values.get("places") == [bad] for note in notes)
 
 
@@ -216,38 +216,38 @@ def test_one_absurd_stamp_costs_one_sample(name: str, table: pd.DataFrame) -> No
 @pytest.mark.parametrize("name", ["battery_status", "vehicle_local_position"])
 def test_an_optional_topic_with_bad_stamps_is_left_out(name: str, stamps: Callable, table: pd.DataFrame) -> None:
     good, _ = px4(topics(table))
-    found, notes = px4(changed(name, stamps, table))
-    assert set(good) - set(found) <= {"voltage", *(f"{q}_{axis}" for q in "pv" for axis in "xyz")}
-    assert abs(len(found) - len(good)) <= 4
+    results, notes = px4(change_stamps(name, stamps, table))
+    assert set(good) - set(results) <= {"voltage", *(f"{q}_{axis}" for q in "pv" for axis in "xyz")}
+    assert abs(len(results) - len(good)) <= 4
     assert ("topic_left_out", name) in [(note.code, note.values["topic"]) for note in notes]
 
 
 def test_a_sample_stamp_that_is_on_no_clock_gives_way_to_that_of_the_message(table: pd.DataFrame) -> None:
     good, _ = px4(topics(table))
     for stamps in (lambda t: 0 * t, lambda t: t - np.uint64(4_000_000), lambda t: t + np.uint64(10**12)):
-        found, _ = px4(changed("vehicle_local_position", stamps, table, "timestamp_sample"))
-        pd.testing.assert_frame_equal(found, good)
+        results, _ = px4(change_stamps("vehicle_local_position", stamps, table, "timestamp_sample"))
+        pd.testing.assert_frame_equal(results, good)
 
 
 def test_a_counter_of_32_bits_in_one_topic_is_unwrapped(table: pd.DataFrame) -> None:
-    found = topics(table)
-    for part in found.values():
+    results = topics(table)
+    for part in results.values():
         part["timestamp"] = part["timestamp"] + np.uint64(2**32 - 7_000_000)
-    good, _ = px4(found)
-    found["esc_status"]["timestamp"] = found["esc_status"]["timestamp"] % np.uint64(2**32)
-    pd.testing.assert_frame_equal(px4(found)[0], good, atol=1e-9)
-    for part in found.values():
+    good, _ = px4(results)
+    results["esc_status"]["timestamp"] = results["esc_status"]["timestamp"] % np.uint64(2**32)
+    pd.testing.assert_frame_equal(px4(results)[0], good, atol=1e-9)
+    for part in results.values():
         part["timestamp"] = part["timestamp"] % np.uint64(2**32)
-    pd.testing.assert_frame_equal(px4(found)[0], good, atol=1e-9)
+    pd.testing.assert_frame_equal(px4(results)[0], good, atol=1e-9)
 
 
 def test_a_clock_set_back_in_all_topics_is_corrected_by_one_amount(table: pd.DataFrame, tmp_path: Path) -> None:
     good, _ = px4(topics(table))
-    found = topics(table)
-    del found["battery_status"]
-    for part in found.values():
+    results = topics(table)
+    del results["battery_status"]
+    for part in results.values():
         part["timestamp"] = part["timestamp"] - np.where(part["timestamp"] > 7_003_000, 1_500_000, 0).astype(np.uint64)
-    table_of, notes = px4(found)
+    table_of, notes = px4(results)
     columns = ["t", "q_x", "q_y", "q_z", "q_w", "p_x", "rpm_1"]  # means of other samples differ by their noise
     pd.testing.assert_frame_equal(table_of[columns], good[columns], rtol=1e-5, atol=1e-6)
     assert "clock_set_back" in [note.code for note in notes]
@@ -256,10 +256,10 @@ def test_a_clock_set_back_in_all_topics_is_corrected_by_one_amount(table: pd.Dat
 def test_topics_that_are_needed_are_named_where_their_stamps_are_bad(table: pd.DataFrame, tmp_path: Path) -> None:
     pytest.importorskip("pyulog", reason="pyulog is not installed: pip install 'aerial-gym[sim2real]'")
     with pytest.raises(DataError, match="esc_status"):
-        read_flight_log(write_ulog(tmp_path / "a.ulg", changed("esc_status", lambda t: 0 * t, table)))
+        read_flight_log(write_ulog(tmp_path / "a.ulg", change_stamps("esc_status", lambda t: 0 * t, table)))
     with pytest.raises(DataError, match="vehicle_attitude"):
-        read_flight_log(write_ulog(tmp_path / "b.ulg", changed("vehicle_attitude", lambda t: 0 * t, table)))
-    log = read_flight_log(write_ulog(tmp_path / "c.ulg", changed("battery_status", lambda t: 0 * t, table)))
+        read_flight_log(write_ulog(tmp_path / "b.ulg", change_stamps("vehicle_attitude", lambda t: 0 * t, table)))
+    log = read_flight_log(write_ulog(tmp_path / "c.ulg", change_stamps("battery_status", lambda t: 0 * t, table)))
     assert log.battery is None
     assert find_mapping("px4_ulog").battery is not None
 
@@ -297,11 +297,11 @@ def test_two_exchanged_blocks_of_a_file_cost_nothing(
 
 def test_two_exchanged_blocks_of_a_topic_cost_nothing(table: pd.DataFrame) -> None:
     good, few = px4(topics(table))
-    found = topics(table)
+    results = topics(table)
     rows = np.arange(len(table))
     rows[100:300] = np.roll(rows[100:300], 80)
-    gyro = found["vehicle_angular_velocity"]
-    found["vehicle_angular_velocity"] = {name: values[rows] for name, values in gyro.items()}
-    mended, notes = px4(found)
+    gyro = results["vehicle_angular_velocity"]
+    results["vehicle_angular_velocity"] = {name: values[rows] for name, values in gyro.items()}
+    mended, notes = px4(results)
     pd.testing.assert_frame_equal(mended, good)
     assert len(notes) == len(few) + 1

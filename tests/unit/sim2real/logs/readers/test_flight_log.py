@@ -118,7 +118,9 @@ def test_files_that_are_no_text_or_not_there(tmp_path: Path) -> None:
 
 def test_a_foreign_layout_is_recognised_and_named(table: pd.DataFrame, tmp_path: Path) -> None:
     names = {"q": "q{}", "p": "p{}", "v": "v{}", "omega": "w{}", "acc": "f{}_b"}
-    foreign = table.rename(columns={f"{ours}_{a}": theirs.format(a) for ours, theirs in names.items() for a in "xyzw"})
+    foreign = table.rename(
+        columns={f"{actual}_{a}": reference.format(a) for actual, reference in names.items() for a in "xyzw"}
+    )
     with pytest.raises(DataError, match=r"Did you mean 'qx'\?.*give --mapping idsia_nanodrone"):
         read_flight_log(write(foreign, tmp_path / "a.csv"))
 
@@ -174,8 +176,8 @@ def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame,
     other[["q_x", "q_y", "q_z", "q_w"]] = Rotation.from_matrix(matrix).inv().as_quat()
     layout = mapping(world_frame="ned", body_frame="frd", attitude_direction="world_to_body")
     log = read_flight_log(write(other, tmp_path / "a.csv"), mapping=layout)
-    ours = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]])
-    assert (Rotation.from_quat(log.attitude).inv() * ours).magnitude().max() < 1e-9
+    actual = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]])
+    assert (Rotation.from_quat(log.attitude).inv() * actual).magnitude().max() < 1e-9
     for values, prefix in (
         (log.position, "p"),
         (log.lin_vel, "v"),

@@ -10,7 +10,7 @@ from aerial_gym.sim2real.logs.readers import follow
 from aerial_gym.sim2real.logs.readers.follow import file_lines
 
 
-def followed(path: Path, monkeypatch: pytest.MonkeyPatch, *writes: Callable[[], object]) -> list[str | None]:
+def follow_lines(path: Path, monkeypatch: pytest.MonkeyPatch, *writes: Callable[[], object]) -> list[str | None]:
     """Return the lines of a file to which something happens each time that no more is there."""
     left = iter(writes)
 
@@ -18,10 +18,10 @@ def followed(path: Path, monkeypatch: pytest.MonkeyPatch, *writes: Callable[[], 
         raise KeyboardInterrupt
 
     monkeypatch.setattr(follow.time, "sleep", lambda _: next(left, stop)())
-    found: list[str | None] = []
+    result: list[str | None] = []
     with pytest.raises(KeyboardInterrupt):
-        found.extend(file_lines(path, follow=True))
-    return found
+        result.extend(file_lines(path, follow=True))
+    return result
 
 
 def append(path: Path, text: str) -> Callable[[], object]:
@@ -43,15 +43,15 @@ def test_a_file_that_begins_anew_is_read_from_its_first_line(
         "rotated": [lambda: path.rename(tmp_path / "a.csv.1"), lambda: other.rename(path)],
         "removed": [path.unlink, lambda: None, lambda: path.write_text(new)],
     }
-    found = followed(path, monkeypatch, append(path, "2,1\n"), *begin[way], append(path, "8,2\n"))
+    result = follow_lines(path, monkeypatch, append(path, "2,1\n"), *begin[way], append(path, "8,2\n"))
     more = ["6,2\n", "7,2\n"] if way == "longer" else []
-    assert found == ["t,x\n", "0,1\n", "1,1\n", "2,1\n", None, "t,x\n", "5,2\n", *more, "8,2\n"]
+    assert result == ["t,x\n", "0,1\n", "1,1\n", "2,1\n", None, "t,x\n", "5,2\n", *more, "8,2\n"]
 
 
-def test_a_line_that_is_half_written_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_line_that_is_half_written_is_completed_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,x\n0,")
-    assert followed(path, monkeypatch, append(path, "1"), append(path, "5\n")) == ["t,x\n", "0,15\n"]
+    assert follow_lines(path, monkeypatch, append(path, "1"), append(path, "5\n")) == ["t,x\n", "0,15\n"]
 
 
 def test_a_file_that_is_not_followed_ends(tmp_path: Path) -> None:
@@ -67,10 +67,10 @@ def test_what_is_no_text_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         with pytest.raises(DataError):
             list(file_lines(path, follow=False))
 
-    def forbidden(*_: object) -> None:
+    def forbid(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 
     (tmp_path / "c.csv").write_text("t\n")
-    monkeypatch.setattr(Path, "open", forbidden)
+    monkeypatch.setattr(Path, "open", forbid)
     with pytest.raises(DataError):
         list(file_lines(tmp_path / "c.csv", follow=False))

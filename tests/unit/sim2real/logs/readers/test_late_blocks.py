@@ -5,7 +5,7 @@ import pytest
 
 from aerial_gym.sim2real.logs.readers.late_blocks import find_blocks
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, checked_stamps
+from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, check_stamps
 
 ROWS, STEP = 3000, 0.0025
 SIZES = [2, 9, 35, 300]
@@ -15,16 +15,16 @@ def true_time(jitter: float = 0.0, seed: int = 0) -> np.ndarray:
     return 5.0 + STEP * (np.arange(ROWS) + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, ROWS))
 
 
-def exchanged(start: int, first: int, second: int, order: np.ndarray | None = None) -> np.ndarray:
+def swap_blocks(start: int, first: int, second: int, order: np.ndarray | None = None) -> np.ndarray:
     """Return the order of rows in which the block of ``first`` rows from ``start`` on stands after the next ``second``."""
-    found = np.arange(ROWS) if order is None else order.copy()
+    result = np.arange(ROWS) if order is None else order.copy()
     middle, end = start + first, start + first + second
-    found[start:end] = np.concatenate((found[middle:end], found[start:middle]))
-    return found
+    result[start:end] = np.concatenate((result[middle:end], result[start:middle]))
+    return result
 
 
 def live(stamps: np.ndarray) -> tuple[np.ndarray, LiveStamps]:
-    """Return what comes through of a stream, time and number of each row."""
+    """Return the rows of a stream that pass the reader, each with time and number, and the reader."""
     reader = LiveStamps()
     rows = [row for number, stamp in enumerate(stamps) for row in reader.add(np.array([stamp, number]), 0)]
     reader.end(0)
@@ -38,25 +38,25 @@ def live(stamps: np.ndarray) -> tuple[np.ndarray, LiveStamps]:
 def test_two_exchanged_blocks_are_put_in_order(first: int, second: int, start: int, jitter: float) -> None:
     true = true_time(jitter)
     start = ROWS - first - second if start < 0 else start
-    order = exchanged(start, first, second)
-    found = checked_stamps(true[order], "a")
-    np.testing.assert_array_equal(found.time, true)
-    np.testing.assert_array_equal(order[found.order], np.arange(ROWS))
-    assert found.kept.all()
-    assert found.steps == ()
-    assert found.late.tolist() == [start + second]
+    order = swap_blocks(start, first, second)
+    result = check_stamps(true[order], "a")
+    np.testing.assert_array_equal(result.time, true)
+    np.testing.assert_array_equal(order[result.order], np.arange(ROWS))
+    assert result.kept.all()
+    assert result.steps == ()
+    assert result.late.tolist() == [start + second]
 
 
 def test_several_exchanges_and_bad_stamps_among_them() -> None:
     true = true_time(0.2)
-    order = exchanged(2400, 35, 35, exchanged(1000, 300, 40, exchanged(200, 20, 2)))
+    order = swap_blocks(2400, 35, 35, swap_blocks(1000, 300, 40, swap_blocks(200, 20, 2)))
     stamps = true[order]
     bad = [300, 1010, 1150, 2410]
     stamps[bad] = 0.0, np.nan, 77.0, -5.0
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(found.time, np.delete(true, order[bad]))
-    np.testing.assert_array_equal(np.sort(found.order[~found.kept]), bad)
-    assert found.late.size == 3
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.time, np.delete(true, order[bad]))
+    np.testing.assert_array_equal(np.sort(result.order[~result.kept]), bad)
+    assert result.late.size == 3
 
 
 def test_three_blocks_in_any_order_are_put_in_order() -> None:
@@ -64,18 +64,18 @@ def test_three_blocks_in_any_order_are_put_in_order() -> None:
     for blocks in ((1, 2, 0), (2, 0, 1), (2, 1, 0)):
         middle = [rows[900 + 40 * b : 940 + 40 * b] for b in blocks]
         order = np.concatenate((rows[:900], *middle, rows[1020:]))
-        np.testing.assert_array_equal(checked_stamps(true[order], "a").time, true)
+        np.testing.assert_array_equal(check_stamps(true[order], "a").time, true)
 
 
 def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
     """Of the late block and of the one before it 20 rows each were never written."""
     true = true_time()
     kept = np.r_[:720, 740:820, 840:ROWS]
-    order = exchanged(700, 100, 100)
+    order = swap_blocks(700, 100, 100)
     stamps = true[order][np.isin(order, kept)]
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(found.time, true[kept])
-    assert found.late.size == 1
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.time, true[kept])
+    assert result.late.size == 1
 
 
 @pytest.mark.parametrize("ahead", [0, 100, 700])
@@ -83,9 +83,9 @@ def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
 def test_a_clock_that_was_set_back_is_not_sorted(back: float, ahead: int) -> None:
     """By ``back`` steps at row 1500, also where it was set ahead 200 rows before."""
     stamps = true_time() + STEP * (ahead * (np.arange(ROWS) >= 1300) - back * (np.arange(ROWS) >= 1500))
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(found.order, np.arange(ROWS))
-    assert [step.row for step in found.steps] == [1500]
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.order, np.arange(ROWS))
+    assert [step.row for step in result.steps] == [1500]
 
 
 @pytest.mark.parametrize("first", [20, 1000])
@@ -96,20 +96,20 @@ def test_a_block_with_wrong_stamps_is_left_out(by: float, size: int, first: int)
     true, block = true_time(0.3), np.arange(first, first + size)
     stamps = true.copy()
     stamps[block] += STEP * by
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(np.flatnonzero(~found.kept), block)
-    np.testing.assert_array_equal(found.time, np.delete(true, block))
-    assert found.steps == ()
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~result.kept), block)
+    np.testing.assert_array_equal(result.time, np.delete(true, block))
+    assert result.steps == ()
 
 
 @pytest.mark.parametrize("period", [60.0, 65.536])
 def test_two_halves_of_a_whole_turn_of_a_counter_are_a_wrap(period: float) -> None:
     step = period / ROWS
     stamps = (step * (np.arange(ROWS) + 0.5 * ROWS)) % period
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(found.order, np.arange(ROWS))
-    assert len(found.steps) == 1
-    assert found.steps[0].shift == period
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.order, np.arange(ROWS))
+    assert len(result.steps) == 1
+    assert result.steps[0].shift == period
 
 
 @pytest.mark.parametrize("counter", ["32 bits of 1 us", "32 bits of 1 ms", "16 bits of 1 ms"])
@@ -118,8 +118,8 @@ def test_a_wrap_with_lost_rows_may_be_a_restart(counter: str, lost: int, doubt: 
     """A clock that starts anew near the period of its counter looks like a wrap with lost rows; next to none, it is one."""
     period = COUNTERS_S[counter]
     stamps = period + STEP * (np.arange(ROWS) - 900.5 + lost * (np.arange(ROWS) >= 900))
-    found = checked_stamps(stamps % period, "a")
-    assert [(step.counter, step.may_be_restart) for step in found.steps] == [(counter, doubt)]
+    result = check_stamps(stamps % period, "a")
+    assert [(step.counter, step.may_be_restart) for step in result.steps] == [(counter, doubt)]
 
 
 @pytest.mark.parametrize("seed", range(50))
@@ -127,10 +127,10 @@ def test_random_exchanges_are_put_in_order(seed: int) -> None:
     rng, order = np.random.default_rng(seed), np.arange(ROWS)
     for start in range(0, ROWS, 1000):
         first, second = rng.integers(2, 300, size=2)
-        order = exchanged(start + int(rng.integers(400)), int(first), int(second), order)
+        order = swap_blocks(start + int(rng.integers(400)), int(first), int(second), order)
     true = true_time(0.4, seed)
-    found = checked_stamps(true[order], "a")
-    np.testing.assert_array_equal(found.time, true)
+    result = check_stamps(true[order], "a")
+    np.testing.assert_array_equal(result.time, true)
 
 
 def test_an_order_is_kept_where_no_clock_comes_back() -> None:
@@ -146,7 +146,7 @@ def test_a_stream_leaves_out_the_late_block(first: int, second: int, start: int)
     """Up to 9 rows before a late block at the very start are themselves not confirmed yet."""
     true = true_time()
     start = ROWS - first - second if start < 0 else start
-    order = exchanged(start, first, second)
+    order = swap_blocks(start, first, second)
     rows, reader = live(true[order])
     np.testing.assert_array_equal(rows[:, 0], true[order][rows[:, 1].astype(int)])
     assert (np.diff(rows[:, 0]) > 0.0).all()
@@ -156,7 +156,7 @@ def test_a_stream_leaves_out_the_late_block(first: int, second: int, start: int)
 
 
 @pytest.mark.parametrize("back", [10.5, 41.0, 300.0, 1e4])
-def test_a_stream_whose_clock_was_set_back_goes_on(back: float) -> None:
+def test_a_stream_whose_clock_was_set_back_continues(back: float) -> None:
     """Also into a gap that it passed before."""
     number = np.arange(ROWS)
     rows, reader = live(true_time() + STEP * (100.0 * (number >= 1300) - back * (number >= 1500)))

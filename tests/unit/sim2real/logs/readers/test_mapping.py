@@ -81,9 +81,9 @@ def test_an_attitude_that_is_not_logged_is_integrated_from_the_gyro(table: pd.Da
     rotors = {"columns": ["rotor_{n}"]}
     mapping = layout(attitude=None, rotor_speed=rotors, lacks="no attitude")
     log = read(table, tmp_path, mapping)
-    flown, found = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]), Rotation.from_quat(log.attitude)
+    flown, result = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]), Rotation.from_quat(log.attitude)
     np.testing.assert_allclose(log.attitude[0], (0.0, 0.0, 0.0, 1.0))
-    error = ((flown[0].inv() * flown[-1]).inv() * found[-1]).magnitude()
+    error = ((flown[0].inv() * flown[-1]).inv() * result[-1]).magnitude()
     assert error < 2e-3
     assert log.notes[0] == Finding("mapping_note", "", {"text": "no attitude"})
     assert log.notes[1] == Finding("attitude_integrated")
@@ -227,9 +227,9 @@ class PlainMapping:
     """Reads topics with the package's own ULog mapping, without a file."""
 
     @staticmethod
-    def read(found: dict[str, dict[str, np.ndarray]], folder: Path) -> FlightLog:
+    def read(results: dict[str, dict[str, np.ndarray]], folder: Path) -> FlightLog:
         path = folder / "ulog.csv"
-        topics_table(found, "a.ulg", [])[0].to_csv(path, index=False)
+        topics_table(results, "a.ulg", [])[0].to_csv(path, index=False)
         return read_flight_log(path, mapping=find_mapping("px4_ulog"))
 
 
@@ -245,7 +245,7 @@ def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
     """Hover facing north, moving north at 1 m/s and climbing at 0.5 m/s: signed cases, each by hand."""
     rows = 400
     one, stamp = np.ones(rows), (np.arange(rows) * 5000 + 10_000_000).astype(np.uint64)
-    found = {
+    result = {
         "vehicle_attitude": {"timestamp": stamp, "q[0]": one, "q[1]": 0 * one, "q[2]": 0 * one, "q[3]": 0 * one},
         "vehicle_local_position": {"timestamp": stamp}
         | dict(
@@ -256,7 +256,7 @@ def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
         | {f"gyro_rad[{i}]": v * one for i, v in enumerate((0.3, 0.4, 0.5))},
         "esc_status": {"timestamp": stamp} | {f"esc[{i}].esc_rpm": 6000.0 * one * (i < 4) for i in range(8)},
     }
-    log = PlainMapping.read(found, tmp_path)
+    log = PlainMapping.read(result, tmp_path)
     np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))  # type: ignore[index]
     np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))  # type: ignore[index]
     np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))  # type: ignore[index]
@@ -269,23 +269,23 @@ def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["vehicle_angular_velocity", "esc_status", "vehicle_local_position"])
 def test_a_gap_in_any_topic_stays_a_gap(name: str) -> None:
     table = flight(5, seconds=6.0, rate=200.0)
-    found = topics(table)
-    stamp = found[name]["timestamp"]
+    result = topics(table)
+    stamp = result[name]["timestamp"]
     kept = (stamp < 7_000_000) | (stamp > 7_500_000)
-    found[name] = {key: value[kept] for key, value in found[name].items()}
-    time = topics_table(found, "a.ulg", [])[0]["t"].to_numpy()
+    result[name] = {key: value[kept] for key, value in result[name].items()}
+    time = topics_table(result, "a.ulg", [])[0]["t"].to_numpy()
     assert not np.any((time > 7.03) & (time < 7.48))
     assert np.diff(time).max() > 0.45
 
 
 def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path) -> None:
     table = flight(5, seconds=6.0, rate=200.0)
-    found = topics(table)
-    stamp = found.pop("esc_status")["timestamp"]
+    result = topics(table)
+    stamp = result.pop("esc_status")["timestamp"]
     control = {f"control[{i}]": np.full(stamp.size, 0.5 if i < 4 else np.nan) for i in range(12)}
-    found["actuator_motors"] = {"timestamp": stamp} | control
+    result["actuator_motors"] = {"timestamp": stamp} | control
     path = tmp_path / "a.csv"
-    topics_table(found, "a.ulg", [])[0].to_csv(path, index=False)
+    topics_table(result, "a.ulg", [])[0].to_csv(path, index=False)
     with pytest.raises(DataError, match=r"needs the columns rpm_"):
         read_flight_log(path, mapping=find_mapping("px4_ulog"))
     mapping = layout(rotor_command={"columns": ["control_{n}"], "gain": 1100.0}, body_frame="frd", world_frame="ned")

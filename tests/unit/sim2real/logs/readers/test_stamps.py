@@ -7,7 +7,7 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import checked_stamps, seconds_of
+from aerial_gym.sim2real.logs.readers.stamps import check_stamps, stamp_seconds
 
 ROWS, STEP = 2000, 0.0025
 TRUE = 5.0 + STEP * np.arange(ROWS)
@@ -54,28 +54,28 @@ BAD: dict[str, Change] = {
 def test_a_bad_stamp_costs_its_own_row(name: str) -> None:
     stamps = TRUE.copy()
     bad = BAD[name](stamps)
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(np.flatnonzero(~found.kept), sorted(bad))
-    np.testing.assert_array_equal(found.time, np.delete(TRUE, bad))
-    assert found.steps == ()
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~result.kept), sorted(bad))
+    np.testing.assert_array_equal(result.time, np.delete(TRUE, bad))
+    assert result.steps == ()
 
 
 def test_a_clock_that_stands_still_costs_the_rows_that_repeat_it() -> None:
     stamps = TRUE.copy()
     stamps[500:504] = stamps[500]
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(np.flatnonzero(~found.kept), [501, 502, 503])
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~result.kept), [501, 502, 503])
 
 
 @pytest.mark.parametrize("back", [4.5 * STEP, 0.05, 2.0, 1e3, 1.7e9])
 def test_a_clock_that_was_set_back_goes_on_by_one_step(back: float) -> None:
     stamps = TRUE - back * (np.arange(ROWS) >= 900)
-    found = checked_stamps(stamps, "a")
-    (step,) = found.steps
-    assert found.kept.all()
+    result = check_stamps(stamps, "a")
+    (step,) = result.steps
+    assert result.kept.all()
     assert (step.row, step.counter) == (900, "")
     assert step.shift == pytest.approx(back, abs=1e-6)
-    np.testing.assert_allclose(found.time, TRUE, atol=1e-6)
+    np.testing.assert_allclose(result.time, TRUE, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -85,26 +85,26 @@ def test_a_clock_that_was_set_back_goes_on_by_one_step(back: float) -> None:
 def test_a_counter_that_wraps_goes_on_exactly(counter: str, period: float) -> None:
     """Two rows are lost where it wraps: the period tells that time went on by three steps."""
     true = np.delete(TRUE - TRUE[900] + period + 0.5 * STEP, [900, 901])
-    found = checked_stamps(true % period, "a")
-    assert [step.counter for step in found.steps] == [counter]
-    assert found.steps[0].shift == period
-    np.testing.assert_allclose(found.time, true, atol=1e-6)
+    result = check_stamps(true % period, "a")
+    assert [step.counter for step in result.steps] == [counter]
+    assert result.steps[0].shift == period
+    np.testing.assert_allclose(result.time, true, atol=1e-6)
 
 
 def test_bad_stamps_beside_a_step_of_the_clock() -> None:
     stamps = TRUE - 2.0 * (np.arange(ROWS) >= 900)
     stamps[[880, 905, 1500]] = 0.0, 77.0, 0.0
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(np.flatnonzero(~found.kept), [880, 905, 1500])
-    np.testing.assert_allclose(found.time, np.delete(TRUE, [880, 905, 1500]), atol=1e-9)
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~result.kept), [880, 905, 1500])
+    np.testing.assert_allclose(result.time, np.delete(TRUE, [880, 905, 1500]), atol=1e-9)
 
 
 def test_gaps_and_jitter_are_no_fault() -> None:
     rng = np.random.default_rng(0)
     stamps = np.cumsum(STEP * rng.uniform(0.2, 1.8, ROWS)) + 3.0 * (np.arange(ROWS) > 700)
-    found = checked_stamps(stamps, "a")
-    assert found.kept.all()
-    np.testing.assert_array_equal(found.time, stamps)
+    result = check_stamps(stamps, "a")
+    assert result.kept.all()
+    np.testing.assert_array_equal(result.time, stamps)
 
 
 @pytest.mark.parametrize(
@@ -112,13 +112,13 @@ def test_gaps_and_jitter_are_no_fault() -> None:
 )
 def test_stamps_of_no_clock_are_refused(stamps: np.ndarray) -> None:
     with pytest.raises(DataError):
-        checked_stamps(stamps, "a")
+        check_stamps(stamps, "a")
 
 
 def test_negative_numbers_in_unsigned_stamps_are_negative() -> None:
     """A clock in microseconds that begins 2 ms before 0, as unsigned numbers of 64 bits."""
     stamps = (np.arange(9) * 1000 - 2000).astype(np.int64).view(np.uint64)
-    np.testing.assert_allclose(seconds_of(stamps, 1e-6), np.arange(9) * 1e-3 - 2e-3, atol=1e-12)
+    np.testing.assert_allclose(stamp_seconds(stamps, 1e-6), np.arange(9) * 1e-3 - 2e-3, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["absurd", "far below", "zero", "missing", "swapped far apart"])
@@ -160,7 +160,7 @@ def test_a_clock_that_never_goes_on_gives_no_row(stamp: float) -> None:
 def test_bad_stamps_near_a_step_of_the_clock_cost_no_other_row(beside: list[int], value: float) -> None:
     stamps, bad = TRUE - 2.0 * (np.arange(ROWS) >= 900), [900 + row for row in beside]
     stamps[bad] = value
-    found = checked_stamps(stamps, "a")
-    np.testing.assert_array_equal(np.flatnonzero(~found.kept), bad)
-    np.testing.assert_allclose(found.time, np.delete(TRUE, bad), atol=1e-9)
-    assert len(found.steps) == 1
+    result = check_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~result.kept), bad)
+    np.testing.assert_allclose(result.time, np.delete(TRUE, bad), atol=1e-9)
+    assert len(result.steps) == 1

@@ -30,7 +30,7 @@ from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import swing
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.physics.vehicles import F64, lopsided_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
@@ -38,15 +38,15 @@ from tests.unit.sim2real.predict.test_scene import RATE, hover
 G = 9.81
 
 
-def slung() -> LoadEffect:
+def payload_effect() -> LoadEffect:
     effect = EFFECTS.get("slung_payload")
     assert isinstance(effect, LoadEffect)
     return effect
 
 
-def model_of(*params: float) -> Model:
+def make_model(*params: float) -> Model:
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=F64)
-    return build_model(vehicle, [(slung(), torch.tensor([params], dtype=F64))])
+    return build_model(vehicle, [(payload_effect(), torch.tensor([params], dtype=F64))])
 
 
 @pytest.mark.parametrize(("length", "damping"), [(0.4, 0.0), (1.5, 0.0), (0.8, 0.06)])
@@ -56,13 +56,13 @@ def test_a_load_below_a_held_origin_swings_like_a_pendulum(length: float, dampin
     start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, 0.0, 0.0]], dtype=F64)
     still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
     params = torch.tensor([mass, length, damping], dtype=F64)
-    found = swing(slung(), params, start, still, step=STEP_S, gravity=G)[0][:, 0, 0]
+    result = swing(payload_effect(), params, start, still, step=STEP_S, gravity=G)[0][:, 0, 0]
     decay = 0.5 * damping / mass
     omega = sqrt(G / length - decay**2)
     time = STEP_S * torch.arange(steps + 1, dtype=F64)
     expected = (-decay * time).exp() * ((omega * time).cos() + decay / omega * (omega * time).sin()) * angle
     bound = 4.0 * omega * time[-1].item() / 120.0 * (omega * STEP_S) ** 4 + 1e-6
-    assert (found - expected).abs().max().item() < bound * angle
+    assert (result - expected).abs().max().item() < bound * angle
 
 
 def test_a_load_on_a_cone_stays_on_it_and_pulls_with_its_weight_over_the_cosine() -> None:
@@ -72,7 +72,7 @@ def test_a_load_on_a_cone_stays_on_it_and_pulls_with_its_weight_over_the_cosine(
     start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, turn * sin(angle), 0.0]], dtype=F64)
     still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
     params = torch.tensor([mass, length, 0.0], dtype=F64)
-    load, force = swing(slung(), params, start, still, step=STEP_S, gravity=G)
+    load, force = swing(payload_effect(), params, start, still, step=STEP_S, gravity=G)
     phase = turn * STEP_S * torch.arange(steps + 1, dtype=F64)
     cone = torch.stack(
         (sin(angle) * phase.cos(), sin(angle) * phase.sin(), torch.full_like(phase, -cos(angle))), dim=-1
@@ -85,7 +85,7 @@ def test_the_damping_of_a_followed_swing_acts_on_the_origin() -> None:
     """Force of the link and reaction ``d l n'``, across it; at the first instant."""
     start = torch.tensor([[0.0, 0.0, -1.0, 0.5, -0.2, 0.0]], dtype=F64)
     params = torch.tensor([0.1, 0.7, 0.3], dtype=F64)
-    force = swing(slung(), params, start, torch.zeros(3, 1, 3, dtype=F64), step=STEP_S, gravity=G)[1]
+    force = swing(payload_effect(), params, start, torch.zeros(3, 1, 3, dtype=F64), step=STEP_S, gravity=G)[1]
     pull = 0.1 * (G + 0.7 * (0.5**2 + 0.2**2))
     expected = torch.tensor([0.3 * 0.7 * 0.5, -0.3 * 0.7 * 0.2, -pull], dtype=F64)
     torch.testing.assert_close(force[0, 0], expected, atol=1e-12, rtol=0)
@@ -100,9 +100,9 @@ def test_a_swing_that_was_there_before_the_log_is_found_from_its_pull() -> None:
     missed = np.column_stack((angles, np.full(time.size, -1.0))) * mass * G / 0.6
     place = np.zeros((time.size, 3))
     flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=place)
-    replay, model = LoadReplay([flight], [time]), model_of(mass, length, 0.0)
-    found = replay.loads(model, [missed]).numpy()
-    np.testing.assert_allclose(found[:, :2], angles, atol=1e-4)
+    replay, model = LoadReplay([flight], [time]), make_model(mass, length, 0.0)
+    result = replay.loads(model, [missed]).numpy()
+    np.testing.assert_allclose(result[:, :2], angles, atol=1e-4)
     np.testing.assert_allclose(replay.loads(model)[:, :2], 0.0, atol=1e-9)
 
 
@@ -110,7 +110,7 @@ def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
     """A thousandth of the vehicle's mass, and a force that it cannot pull with: the prior of the start holds."""
     time = np.arange(400) / RATE
     missed = np.tile([0.05, 0.0, 0.0], (400, 1))
-    light = LoadReplay([hover("a", 1.0)], [time[:300]]).loads(model_of(6e-4, 0.8, 0.0), [missed[:300]])
+    light = LoadReplay([hover("a", 1.0)], [time[:300]]).loads(make_model(6e-4, 0.8, 0.0), [missed[:300]])
     assert light[:, :2].abs().max() < 0.1
 
 
@@ -119,7 +119,7 @@ def test_a_pendulum_that_steps_cannot_follow_has_no_direction() -> None:
     flight = hover("a", 1.0)
     start = np.tile([0.5, 0.0, 0.0], (flight.time.size, 1))
     shaken = replace(flight, lin_vel=start * np.sin(40.0 * flight.time)[:, None])
-    load = LoadReplay([shaken], [flight.time[:300]]).loads(model_of(0.05, 1e-6, 0.0))
+    load = LoadReplay([shaken], [flight.time[:300]]).loads(make_model(0.05, 1e-6, 0.0))
     assert load.shape == (300, 6)
     assert load.isnan().all()
 
@@ -128,13 +128,13 @@ def test_swings_of_wrong_shape_and_effects_without_a_kernel_are_refused() -> Non
     params, start = torch.ones(3, dtype=F64), torch.zeros(2, 6, dtype=F64)
     for rows, origins in ((4, 2), (5, 3)):
         with pytest.raises(ShapeError, match="expected"):
-            swing(slung(), params, start, torch.zeros(rows, origins, 3, dtype=F64), step=STEP_S, gravity=G)
+            swing(payload_effect(), params, start, torch.zeros(rows, origins, 3, dtype=F64), step=STEP_S, gravity=G)
     still = torch.zeros(5, 2, 3, dtype=F64)
     with pytest.raises(CapabilityError, match="warp_pull"):
         swing(_TorchOnly(), params, start, still, step=STEP_S, gravity=G)
 
 
-class _TorchOnly(type(slung())):
+class _TorchOnly(type(payload_effect())):
     def warp_pull(self, suspension: type) -> None:
         del suspension
 
@@ -146,7 +146,7 @@ def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
     place, speed = np.zeros((time.size, 3)), np.zeros((time.size, 3))
     place[:, 0], speed[:, 0] = size * np.sin(sway * time), size * sway * np.cos(sway * time)
     flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=speed)
-    load = LoadReplay([flight], [time]).loads(model_of(mass, length, damping))[:, 0].numpy()
+    load = LoadReplay([flight], [time]).loads(make_model(mass, length, damping))[:, 0].numpy()
     gain = sway**2 / (G / length - sway**2 + 1j * sway * damping / mass)
     expected = size / length * np.imag(gain * np.exp(1j * sway * time))
     late = time > 12.0  # the start has faded to exp(-12)
@@ -157,7 +157,7 @@ def test_a_load_starts_along_the_apparent_gravity_and_stays_there() -> None:
     """Under a vehicle that speeds up evenly the link leans back by atan(a / g) and does not swing."""
     rows = np.arange(400) / RATE
     flight = replace(hover("a", 1.0), lin_vel=np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400))))
-    load = LoadReplay([flight], [rows[:300]]).loads(model_of(0.1, 0.7, 0.0)).numpy()
+    load = LoadReplay([flight], [rows[:300]]).loads(make_model(0.1, 0.7, 0.0)).numpy()
     lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
     np.testing.assert_allclose(load[:, :3], np.tile(lean, (300, 1)), atol=2e-3)
 
@@ -166,31 +166,31 @@ def test_a_still_load_is_felt_as_thrust_over_both_masses() -> None:
     """Rotors that carry M g with a load m below: f = M g / (M + m) on z, and no torque about a centre of mass above it."""
     flights = [hover("a", 1.0)]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    found = predictor.predict(ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])}))[0]
-    np.testing.assert_allclose(found[:, :3], np.tile([0.0, 0.0, 0.6 * G / 0.75], (len(found), 1)), atol=1e-6)
-    np.testing.assert_allclose(found[:, 3:6], 0.0, atol=1e-9)
+    result = predictor.predict(ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])}))[0]
+    np.testing.assert_allclose(result[:, :3], np.tile([0.0, 0.0, 0.6 * G / 0.75], (len(result), 1)), atol=1e-6)
+    np.testing.assert_allclose(result[:, 3:6], 0.0, atol=1e-9)
 
 
 def test_a_load_in_accelerations_is_that_of_the_simulator() -> None:
     """Against the change of velocity over 1e-5 s of the coupled motion that it integrates: error of order 1e-5 of 100 /s."""
-    vehicle = vehicle_from_config(lopsided_robot(), num_envs=8, dtype=F64)
+    vehicle = vehicle_from_config(asymmetric_robot(), num_envs=8, dtype=F64)
     params = torch.tensor([0.3, 0.4, 0.02], dtype=F64).expand(8, -1)
-    model, state = build_model(vehicle, [(slung(), params)]), random_state(8)
+    model, state = build_model(vehicle, [(payload_effect(), params)]), random_state(8)
     generator = torch.Generator().manual_seed(1)
     direction = torch.nn.functional.normalize(torch.randn(8, 3, dtype=F64, generator=generator), dim=-1)
     rate = torch.randn(8, 3, dtype=F64, generator=generator)
     load = torch.cat((direction, rate - (rate * direction).sum(-1, keepdim=True) * direction), dim=-1)
-    found = accelerations(model, state, load=load)
-    dt, law = 1e-5, _Held()
+    result = accelerations(model, state, load=load)
+    dt, law = 1e-5, _HoldLaw()
     memory = place_memory(model, make_memory(model, dt), {"slung_payload": load})
     after, _ = advance_remembering(model, INTEGRATORS["rk4"], law, state, state.rotor_speed, dt, 1, memory)
     turning = (after.ang_vel - state.ang_vel) / dt
-    torch.testing.assert_close(found.ang_acc, turning, atol=2e-2, rtol=1e-3)
+    torch.testing.assert_close(result.ang_acc, turning, atol=2e-2, rtol=1e-3)
     felt = (after.lin_vel - state.lin_vel) / dt + torch.tensor([0.0, 0.0, G], dtype=F64)
-    torch.testing.assert_close(found.specific_force, quat_rotate_inverse(state.attitude, felt), atol=2e-2, rtol=1e-3)
+    torch.testing.assert_close(result.specific_force, quat_rotate_inverse(state.attitude, felt), atol=2e-2, rtol=1e-3)
 
 
-class _Held:
+class _HoldLaw:
     def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
         del state
         return action
@@ -231,13 +231,13 @@ def test_a_rollout_starts_with_the_swing_of_its_row() -> None:
 
 def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() -> None:
     robot = ROBOTS.get("tinyprop")
-    lengths = [start[1] for start in slung().starts(robot)]
+    lengths = [start[1] for start in payload_effect().starts(robot)]
     assert lengths == sorted(lengths)
     assert lengths[-1] / lengths[0] > 5.0
     assert [start[0] for start in EFFECTS.get("weak_motor").starts(robot)] == [1.0, 2.0, 3.0, 4.0]
     assert EFFECTS.get("gusts").starts(robot) == [EFFECTS.get("gusts").neutral(robot)]
-    for start in slung().starts(robot):
-        assert all(low < value < high for value, (low, high) in zip(start, slung().bounds(robot), strict=True))
+    for start in payload_effect().starts(robot):
+        assert all(low < value < high for value, (low, high) in zip(start, payload_effect().bounds(robot), strict=True))
 
 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
@@ -274,8 +274,8 @@ def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
     links = predictor.links(params)
     assert links is not None
     assert predictor.links(ModelParams()) is None
-    np.testing.assert_allclose(links[0].at(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
-    errors = [roll_out(ROBOT, flights, params, links=found, horizons=(0.5,)).velocity for found in (links, None)]
+    np.testing.assert_allclose(links[0].interpolate(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
+    errors = [roll_out(ROBOT, flights, params, links=result, horizons=(0.5,)).velocity for result in (links, None)]
     assert errors[0] is not None
     assert errors[1] is not None
     assert np.sqrt(np.mean(errors[0] ** 2)) < 0.1 * np.sqrt(np.mean(errors[1] ** 2))

@@ -14,13 +14,13 @@ from torch import Tensor
 from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffect
 from aerial_gym.physics.effects.arm_joint import ArmJoint
-from aerial_gym.physics.effects.track import Track, relax
+from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.channels import find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params, effects_at
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.replay.memory import track_of
-from aerial_gym.sim2real.predict.rollout import Batch
+from aerial_gym.sim2real.predict.replay.memory import make_track
+from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.sensors import NOISELESS
@@ -41,8 +41,8 @@ def test_elements_are_followed_exactly_between_rows(tau: float) -> None:
     rest = rng.normal(size=(120, 2))
     time = step * np.arange(120)
     start = np.array([0.3, -0.2])
-    found = relax(rest, start, tau=tau, step=step)
-    np.testing.assert_allclose(found[0], start, atol=1e-14)
+    result = relax(rest, start, tau=tau, step=step)
+    np.testing.assert_allclose(result[0], start, atol=1e-14)
     for column in range(2):
         course = [start[column]]
         for row in range(119):
@@ -53,7 +53,7 @@ def test_elements_are_followed_exactly_between_rows(tau: float) -> None:
 
             solved = solve_ivp(motion, (time[row], time[row + 1]), [course[-1]], rtol=1e-9, atol=1e-12)
             course.append(solved.y[0, -1])
-        np.testing.assert_allclose(found[:, column], course, atol=1e-6)
+        np.testing.assert_allclose(result[:, column], course, atol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "tau"), [("joint_spring", 0.1), ("joint_creep", 0.8)])
@@ -69,7 +69,7 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     flights = [flight]
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     params = ModelParams(effects={name: np.array([compliance, tau, hinge])})
-    found, rigid = (predictor.predict(p)[0][:, 1] for p in (params, ModelParams()))
+    result, rigid = (predictor.predict(p)[0][:, 1] for p in (params, ModelParams()))
     lag, less = np.arctan(turn * tau), 1.0 / hypot(1.0, turn * tau)
     at = predictor.times[0]
     rest = compliance * (1.0 - hinge) * ARM * THRUST
@@ -77,7 +77,7 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     begun = less * np.sin(lag)  # off the steady course: whole turns have no mean
     bent = rest * (1.0 + 0.3 * (less * np.sin(turn * at - lag) + begun * np.exp(-at / tau)))
     expected = 2.0 * (push * np.sin(bent) - still) / np.sqrt(2.0) / 0.6
-    np.testing.assert_allclose(found - rigid, expected, atol=3e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(result - rigid, expected, atol=3e-3 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("speeds", ["measured", "commanded"])
@@ -137,7 +137,7 @@ def test_neutral_joints_cost_no_prediction(monkeypatch: pytest.MonkeyPatch) -> N
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     neutral = ModelParams(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
     (bare,) = predictor.predict(ModelParams())
-    monkeypatch.delattr("aerial_gym.sim2real.predict.rows.together.accelerations")
+    monkeypatch.delattr("aerial_gym.sim2real.predict.rows.flight_batch.accelerations")
     np.testing.assert_array_equal(predictor.predict(neutral)[0], bare)
 
 
@@ -152,8 +152,8 @@ def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> 
     params = torch.tensor([[0.8, 2.0, 0.4]], dtype=torch.float64)
     rest = 0.8 * 0.6 * ARM * THRUST
     for stands, share in ((on_ground, 0.04), (None, 1.0)):
-        found = creep.replay(track_of(replace(flight, on_ground=stands), vehicle, speed, 1.0 / RATE), params)
-        np.testing.assert_allclose(found[0], share * rest, rtol=1e-12)
+        result = creep.replay(make_track(replace(flight, on_ground=stands), vehicle, speed, 1.0 / RATE), params)
+        np.testing.assert_allclose(result[0], share * rest, rtol=1e-12)
 
 
 def test_arms_that_have_only_begun_to_creep_are_a_deviation_within_the_tolerances() -> None:
@@ -179,7 +179,7 @@ def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
     robot = robot_by_name(files.robot)
     flights = [load_flight(files.train[0], robot, mapping=None, bandwidth=10.0)]
     predictor = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-    declared = declared_params(robot)
+    declared = params_from_robot(robot)
     soft = declared.with_effect("joint_spring", np.array([1.6, 0.04, 0.4]))
     missed, left = (np.sqrt((predictor.residuals(p)[0][:, :6] ** 2).mean(axis=0)) for p in (declared, soft))
     assert (left[:3] < 0.003 * missed[:3]).all(), (left / missed).round(5)
@@ -197,8 +197,10 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance:
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]
     params = ModelParams(effects={"joint_creep": np.array([compliance, 30.0, 0.4])})
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
-    run = Batch(vehicle, effects_at(params, 4), flights, np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200]))
-    ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
+    run = WindowBatch(
+        vehicle, expand_effects(params, 4), flights, np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200])
+    )
+    ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
     push = np.stack([np.ones(4), np.ones(4), uneven, uneven])
     angle = compliance * 0.6 * ARM * THRUST * push
     lost = (push * (1.0 - np.cos(angle))).mean(axis=1)
@@ -230,7 +232,7 @@ class Wake(WrenchEffect):
         mean = moment.rotor_speed.mean(dim=1, keepdim=True)
         return mean + (values[:, 1:] - mean) * float(np.exp(-moment.dt))
 
-    def replay(self, track: Track, params: Tensor) -> Tensor:
+    def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
         rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()
         return torch.from_numpy(relax(rest, rest[0], tau=1.0, step=track.step))
 
@@ -254,10 +256,10 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
         return gain * still * (1.0 + 0.1 * -np.expm1(-np.maximum(time - 2.0, 0.0)))
 
     predictor = Predictor(ROBOT, [flight], bandwidth=10.0, channels=find_channels([flight]), tolerances=Tolerances())
-    found, bare = (predictor.predict(p)[0][:, 0] for p in (params, ModelParams()))
-    np.testing.assert_allclose(found - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
+    result, bare = (predictor.predict(p)[0][:, 0] for p in (params, ModelParams()))
+    np.testing.assert_allclose(result - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     rows = np.array([100, 200, 260])
-    run = Batch(vehicle, effects_at(params, 3), [flight], np.zeros(3, dtype=int), rows)
-    ((_, state, _),) = run.fly(run.measured(0), {run.steps(0.1)})
+    run = WindowBatch(vehicle, expand_effects(params, 3), [flight], np.zeros(3, dtype=int), rows)
+    ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)

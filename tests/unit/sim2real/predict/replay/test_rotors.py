@@ -14,18 +14,18 @@ from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.battery import with_battery
 from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
-from aerial_gym.sim2real.identify.least_squares.weighted import Beside
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
-from aerial_gym.sim2real.predict.model_params import ModelParams, declared_params
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rollout import Batch
+from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
@@ -48,10 +48,10 @@ TAU_UP, TAU_DOWN = 0.05, 0.03
 def step_flight(folder: Path, *, rate: float, seconds: float, step_s: float = 0.5, high: float = 1100.0) -> Flight:
     """Return a flight whose command steps from 900 rad/s up at ``step_s`` and back half a second later, from rest at 900."""
     path = write(flight(3, rate=rate, seconds=seconds), folder / f"{rate:g}.csv")
-    found = complete_flight(uniform_log(read_flight_log(path)))
-    time = np.arange(found.num_rows) / rate
+    result = complete_flight(uniform_log(read_flight_log(path)))
+    time = np.arange(result.num_rows) / rate
     command = np.where((time >= step_s - 1e-9) & (time < step_s + 0.5 - 1e-9), high, 900.0)[:, None].repeat(4, axis=1)
-    return replace(found, rotor_command=command, rotor_speed=np.full_like(command, 900.0))
+    return replace(result, rotor_command=command, rotor_speed=np.full_like(command, 900.0))
 
 
 def up_and_down(time: np.ndarray, start: float, high: float = 1100.0) -> np.ndarray:
@@ -62,15 +62,15 @@ def up_and_down(time: np.ndarray, start: float, high: float = 1100.0) -> np.ndar
     return np.where(time < start + 0.5, rise, fall)
 
 
-def model_of(effects: dict[str, list[float]] | None = None, *, robot: RobotCfg = ROBOT) -> Model:
+def make_model(effects: dict[str, list[float]] | None = None, *, robot: RobotCfg = ROBOT) -> Model:
     """Return the model of a robot with the lags of this file, and with effects."""
     rotor = replace(robot.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN)
     vehicle = vehicle_from_config(replace(robot, rotor=rotor), num_envs=1, dtype=F64)
     return build_model(vehicle, [(EFFECTS.get(n), torch.tensor([p], dtype=F64)) for n, p in (effects or {}).items()])
 
 
-def replayed(found: Flight, model: Model) -> np.ndarray:
-    speed = RotorReplay([found]).speeds(model, 0.0)[0]
+def replay_speeds(results: Flight, model: Model) -> np.ndarray:
+    speed = RotorReplay([results]).speeds(model, 0.0)[0]
     assert speed is not None
     return speed
 
@@ -79,10 +79,10 @@ def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp
     """``w_c + (w_0 - w_c) exp(-t / tau)`` with one constant up and another down; a flight without commands stays None."""
     flights = [step_flight(tmp_path, rate=rate, seconds=3.0 + rate / 200.0) for rate in (100.0, 200.0)]
     flights.insert(1, replace(flights[0], rotor_command=None))
-    found = RotorReplay(flights).speeds(model_of(), 0.0)
-    assert found[1] is None
+    result = RotorReplay(flights).speeds(make_model(), 0.0)
+    assert result[1] is None
     for number in (0, 2):
-        speed, time = found[number], np.arange(flights[number].num_rows) / flights[number].rate
+        speed, time = result[number], np.arange(flights[number].num_rows) / flights[number].rate
         assert speed is not None
         assert speed.shape == (time.size, 4)
         np.testing.assert_allclose(speed[:, 3], up_and_down(time, 0.5), rtol=1e-12)
@@ -91,18 +91,18 @@ def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp
 def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
     driven = step_flight(tmp_path, rate=100.0, seconds=3.0)
     assert driven.rotor_command is not None
-    model, none = model_of(), torch.zeros(1, 4, dtype=F64)
+    model, none = make_model(), torch.zeros(1, 4, dtype=F64)
     quick = replace(model, vehicle=replace(model.vehicle, time_constant_up=none, time_constant_down=none))
-    np.testing.assert_array_equal(replayed(driven, quick)[1:], driven.rotor_command[:-1])
+    np.testing.assert_array_equal(replay_speeds(driven, quick)[1:], driven.rotor_command[:-1])
 
 
 def test_what_commands_lead_to_is_worked_out_once_for_each_lag(tmp_path: Path) -> None:
     """Of a vehicle of which no battery is declared as well, whose voltages are no numbers and so unlike themselves."""
-    replay, found = RotorReplay([step_flight(tmp_path, rate=200.0, seconds=2.0)]), []
+    replay, result = RotorReplay([step_flight(tmp_path, rate=200.0, seconds=2.0)]), []
     for robot in (ROBOT, ROBOT, POWERED, POWERED, ROBOT):
-        found.append(replay.speeds(build_model(vehicle_from_config(robot, num_envs=1, dtype=F64)), 0.0))
-    assert found[0] is found[1] is found[4]
-    assert found[2] is found[3] is not found[0]
+        result.append(replay.speeds(build_model(vehicle_from_config(robot, num_envs=1, dtype=F64)), 0.0))
+    assert result[0] is result[1] is result[4]
+    assert result[2] is result[3] is not result[0]
 
 
 def test_tables_that_do_not_fit_are_refused() -> None:
@@ -118,7 +118,7 @@ def test_tables_that_do_not_fit_are_refused() -> None:
 def test_a_delayed_step_arrives_that_much_later(delay: float, tmp_path: Path) -> None:
     """The closed form of the step, later: part of a row of 5 ms, one row, some rows and a part, and near the bound."""
     driven = step_flight(tmp_path, rate=200.0, seconds=4.0)
-    speed = replayed(driven, model_of({"actuation_delay": [delay]}))
+    speed = replay_speeds(driven, make_model({"actuation_delay": [delay]}))
     np.testing.assert_allclose(speed[:, 0], up_and_down(np.arange(800) / 200.0, 0.5 + delay), rtol=1e-12)
 
 
@@ -126,7 +126,9 @@ def test_a_delayed_step_arrives_that_much_later(delay: float, tmp_path: Path) ->
 def test_a_difference_of_microseconds_is_the_derivative_by_the_delay(delay: float, tmp_path: Path) -> None:
     """dw / d(delay) = (w_0 - w_c) / tau exp(-(t - t_0 - delay) / tau), forward by 10 us: error 1e-5 / 2 tau = 1e-4 of it."""
     driven = step_flight(tmp_path, rate=200.0, seconds=4.0)
-    here, there = (replayed(driven, model_of({"actuation_delay": [d]}))[105:195, 0] for d in (delay, delay + 1e-5))
+    here, there = (
+        replay_speeds(driven, make_model({"actuation_delay": [d]}))[105:195, 0] for d in (delay, delay + 1e-5)
+    )
     time = np.arange(105, 195) / 200.0
     slope = -200.0 / TAU_UP * np.exp(-(time - 0.5 - delay) / TAU_UP)
     np.testing.assert_allclose((there - here) / 1e-5, slope, rtol=2e-4)
@@ -139,7 +141,7 @@ def test_a_falling_voltage_drags_the_speed_behind_it(tmp_path: Path) -> None:
     """Speeds u_k that fall by s each row, through the lag: ``w_k = u_k + e_k``, ``e_k = (1 - a^k) s / (1 - a)``."""
     still = step_flight(tmp_path, rate=200.0, seconds=4.0, high=900.0)
     voltage, gain = np.linspace(16.0, 14.0, still.num_rows), 0.6
-    speed = replayed(replace(still, battery=voltage), model_of({"battery_sag": [gain]}, robot=POWERED))
+    speed = replay_speeds(replace(still, battery=voltage), make_model({"battery_sag": [gain]}, robot=POWERED))
     target = 900.0 * (1.0 - gain * (1.0 - voltage / 16.0))
     fall, kept = target[0] - target[1], np.exp(-0.005 / TAU_DOWN)
     lead = fall * (1.0 - kept ** np.arange(still.num_rows)) / (1.0 - kept)
@@ -151,7 +153,7 @@ def test_the_voltage_acts_on_commands_when_they_arrive(tmp_path: Path) -> None:
     still = step_flight(tmp_path, rate=200.0, seconds=4.0, high=900.0)
     time = np.arange(still.num_rows) / 200.0
     halved = replace(still, battery=np.where(time < 1.5 - 1e-9, 16.0, 8.0))
-    speed = replayed(halved, model_of({"actuation_delay": [0.05], "battery_sag": [1.0]}, robot=POWERED))
+    speed = replay_speeds(halved, make_model({"actuation_delay": [0.05], "battery_sag": [1.0]}, robot=POWERED))
     expected = 450.0 + 450.0 * np.exp(-np.maximum(time - 1.5, 0.0) / TAU_DOWN)
     np.testing.assert_allclose(speed[:, 1], expected, rtol=1e-12)
 
@@ -176,7 +178,7 @@ def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
 # flights
 
 
-def drained(time: np.ndarray, speed: np.ndarray, full: float) -> np.ndarray:
+def drain_battery(time: np.ndarray, speed: np.ndarray, full: float) -> np.ndarray:
     """Return the voltage under load: 0.05 Ohm, 1 mV per A s, ``V = E - r I`` and ``V I = P`` with the power of ROBOT."""
     power = (0.015 * 1.2e-6 * speed**3).sum(axis=1)
     open_voltage, voltage = full, np.empty(time.size)
@@ -186,7 +188,7 @@ def drained(time: np.ndarray, speed: np.ndarray, full: float) -> np.ndarray:
     return voltage
 
 
-def commanded_flight(
+def flight_from_commands(
     folder: Path, *, delay: float, gain: float, seed: int = 3, full: float = 0.0, volt_noise: float = 0.0
 ) -> Flight:
     """Return an exact flight at 400 rows per second with the commands that lead to its speeds.
@@ -195,21 +197,21 @@ def commanded_flight(
     The voltage is a made-up curve, or with ``full`` [V] that of a battery that is drained.
     """
     path = write(flight(seed, rate=400.0, seconds=8.0), folder / f"flown{seed}.csv")
-    found = complete_flight(uniform_log(read_flight_log(path)))
-    assert found.rotor_speed is not None
-    arrives = found.time + delay + 0.5 / 400.0
-    curve = CubicSpline(found.time, found.rotor_speed)
+    result = complete_flight(uniform_log(read_flight_log(path)))
+    assert result.rotor_speed is not None
+    arrives = result.time + delay + 0.5 / 400.0
+    curve = CubicSpline(result.time, result.rotor_speed)
     wanted = curve(arrives) + 0.04 * curve(arrives, 1)
 
     volts = CubicSpline(
-        found.time,
-        drained(found.time, found.rotor_speed, full)
+        result.time,
+        drain_battery(result.time, result.rotor_speed, full)
         if full
-        else 15.8 - 0.1 * found.time + 0.2 * np.sin(3.0 * found.time),
+        else 15.8 - 0.1 * result.time + 0.2 * np.sin(3.0 * result.time),
     )
-    noise = volt_noise * np.random.default_rng(seed).standard_normal(found.num_rows)
+    noise = volt_noise * np.random.default_rng(seed).standard_normal(result.num_rows)
     factor = 1.0 - gain * (1.0 - volts(arrives) / 16.0)
-    return replace(found, rotor_command=wanted / factor[:, None], battery=volts(found.time) + noise)
+    return replace(result, rotor_command=wanted / factor[:, None], battery=volts(result.time) + noise)
 
 
 def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path) -> None:
@@ -217,13 +219,13 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
 
     Beside the tolerances, of which the hold of a command and a late rotor log make the same as a delay, to half a millisecond.
     """
-    flights = [commanded_flight(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
+    flights = [flight_from_commands(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
     channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
     predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
     start = ModelParams(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
     tolerance = tolerance_jacobian(predictor, start)
     for tolerated, within in (([part[:, :, :0] for part in tolerance], 5e-5), (tolerance, 5e-4)):
-        beside = Beside(predictor.times, [[part] for part in tolerated], np.ones(4))
+        beside = NuisanceSums(predictor.times, [[part] for part in tolerated], np.ones(4))
         fit, _, _ = fit_effects(predictor, ("actuation_delay", "battery_sag"), start, beside)
         assert fit.params.effects["actuation_delay"][0] == pytest.approx(0.0087, abs=within)
         assert fit.params.effects["battery_sag"][0] == pytest.approx(0.5, rel=0.01)
@@ -234,7 +236,7 @@ def test_sensors_that_are_all_late_are_a_delay_of_the_commands(tmp_path: Path) -
 
     Of rows that are thinned to the band too: a spline through these missed 2 %.
     """
-    flights = [commanded_flight(tmp_path, delay=0.0, gain=0.0)]
+    flights = [flight_from_commands(tmp_path, delay=0.0, gain=0.0)]
     channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
     tolerances = Tolerances()
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=tolerances)
@@ -253,10 +255,10 @@ def test_sensors_that_are_all_late_are_a_delay_of_the_commands(tmp_path: Path) -
 
 def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Path) -> None:
     """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
-    found = commanded_flight(tmp_path, delay=0.03, gain=1.0)
+    result = flight_from_commands(tmp_path, delay=0.03, gain=1.0)
     robot = replace(POWERED, effects={"actuation_delay": {"delay": 0.03}, "battery_sag": {"gain": 1.0}})
     errors = [
-        roll_out(robot, [found], params, horizons=(0.5, 1.0)) for params in (declared_params(robot), ModelParams())
+        roll_out(robot, [result], params, horizons=(0.5, 1.0)) for params in (params_from_robot(robot), ModelParams())
     ]
     assert errors[0].driven_by == "commands"
     position = [error.position for error in errors]
@@ -264,16 +266,16 @@ def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Pa
     assert position[1] is not None
     assert position[0].max() < 0.005
     assert np.median(position[1][:, 1]) > 20.0 * np.median(position[0][:, 1])
-    found = replay_flights(robot, [found], bandwidth=10.0)
-    rms = {c.name: r.value for c, r in zip(found.evaluation.channels, found.evaluation.residual, strict=True)}
+    result = replay_flights(robot, [result], bandwidth=10.0)
+    rms = {c.name: r.value for c, r in zip(result.evaluation.channels, result.evaluation.residual, strict=True)}
     assert max(value for name, value in rms.items() if name.startswith("rotor_speed")) < 0.5
 
 
 def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: Path) -> None:
-    found = replace(commanded_flight(tmp_path, delay=0.03, gain=0.0), rotor_speed=None)
-    channels = find_channels([found])
+    result = replace(flight_from_commands(tmp_path, delay=0.03, gain=0.0), rotor_speed=None)
+    channels = find_channels([result])
     assert "rotor_speed" not in {channel.kind for channel in channels}
-    predictor = Predictor(POWERED, [found], bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    predictor = Predictor(POWERED, [result], bandwidth=10.0, channels=channels, tolerances=Tolerances())
     left = [predictor.residuals(ModelParams(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
     sizes = [np.sqrt((values[:, 2:5] ** 2).mean(axis=0)) for values in left]  # force z, angular acceleration x and y
     assert np.all(sizes[1] < 0.1 * sizes[0])
@@ -285,7 +287,7 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
     The nominal voltage to five times what that noise leaves in a mean of 9600 rows, 0.2 mV.
     """
     flights = [
-        commanded_flight(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
+        flight_from_commands(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
         for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
     ]
     battery = with_battery(ROBOT, flights).battery
@@ -300,21 +302,21 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
 
 def test_no_battery_is_made_up(tmp_path: Path) -> None:
     """A declared battery stays; without voltage, with a steady one or without commands there is none."""
-    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
-    assert with_battery(POWERED, [found]) == POWERED
-    for poor in (replace(found, battery=None), replace(found, battery=np.full(found.num_rows, 16.0))):
-        assert with_battery(ROBOT, [found, poor] if poor.battery is None else [poor]) == ROBOT
-    assert with_battery(ROBOT, [replace(found, rotor_command=None)]) == ROBOT
+    result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
+    assert with_battery(POWERED, [result]) == POWERED
+    for poor in (replace(result, battery=None), replace(result, battery=np.full(result.num_rows, 16.0))):
+        assert with_battery(ROBOT, [result, poor] if poor.battery is None else [poor]) == ROBOT
+    assert with_battery(ROBOT, [replace(result, rotor_command=None)]) == ROBOT
 
 
 def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
     """The highest mean over half a second."""
-    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
-    assert found.battery is not None
-    for flown in (found, replace(found, rotor_speed=None)):
+    result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
+    assert result.battery is not None
+    for flown in (result, replace(result, rotor_speed=None)):
         battery = with_battery(ROBOT, [flown]).battery
         assert battery is not None
-        assert battery.nominal_voltage == pytest.approx(found.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
+        assert battery.nominal_voltage == pytest.approx(result.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
         assert "highest voltage seen" in battery.source
 
 
@@ -329,23 +331,23 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
     rows = np.array([100, 105, 120])
     for factor in (1.0, 2.0):
         lagging = replace(vehicle, time_constant_up=factor * vehicle.time_constant_up)
-        run = Batch(lagging, [], flights, np.zeros(3, dtype=int), rows)
+        run = WindowBatch(lagging, [], flights, np.zeros(3, dtype=int), rows)
         expected = high + (low - high) * np.exp(-(rows - 100) / RATE / (factor * 0.04))
-        np.testing.assert_allclose(run.measured(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
+        np.testing.assert_allclose(run.reference_state(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
 
 
 def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
     """``command_hold`` off by 1 / 0.3: every command holds a row earlier, as if its column were moved up by one."""
-    found = commanded_flight(tmp_path, delay=0.0, gain=0.0)
-    assert found.rotor_command is not None
-    early = replace(found, rotor_command=np.concatenate((found.rotor_command[1:], found.rotor_command[-1:])))
+    result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
+    assert result.rotor_command is not None
+    early = replace(result, rotor_command=np.concatenate((result.rotor_command[1:], result.rotor_command[-1:])))
     names = Tolerances().names(4)
     shifted = np.zeros(len(names))
     shifted[names.index("command_hold")] = 1.0 / Tolerances().command_hold
-    params = declared_params(ROBOT)
+    params = params_from_robot(ROBOT)
     errors = [
         roll_out(ROBOT, [log], model, horizons=(0.5,)).velocity
-        for log, model in ((found, replace(params, deviation=shifted)), (early, params), (found, params))
+        for log, model in ((result, replace(params, deviation=shifted)), (early, params), (result, params))
     ]
     np.testing.assert_allclose(errors[0], errors[1], rtol=1e-9)
     assert not np.allclose(errors[0], errors[2], rtol=1e-3)  # type: ignore[arg-type]
@@ -357,7 +359,7 @@ def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
     lag = {"time_constant_up": TAU_UP, "time_constant_down": TAU_DOWN}
     rotor = replace(ROBOT.rotor, **lag, slew_rate=1000.0, slew_rate_down=500.0)
     model = build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64))
-    speed = replayed(driven, model)[:, 2]
+    speed = replay_speeds(driven, model)[:, 2]
     assert speed[60] == pytest.approx(1000.0, rel=1e-12)
     assert speed[65] == pytest.approx(1050.0, rel=1e-12)
     assert speed[90] == pytest.approx(1100.0 - 50.0 * np.exp(-0.25 / TAU_UP), rel=1e-12)
@@ -372,6 +374,8 @@ def test_commands_in_the_dead_band_stop_replayed_rotors(tmp_path: Path) -> None:
     """Below 1000 rad/s the command is no command: from 900 the rotors run down, and up again while it is 1100."""
     driven = step_flight(tmp_path, rate=100.0, seconds=2.0)
     rotor = replace(ROBOT.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN, dead_band=1000.0)
-    speed = replayed(driven, build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64)))[:, 0]
+    speed = replay_speeds(driven, build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64)))[
+        :, 0
+    ]
     assert speed[40] == pytest.approx(900.0 * np.exp(-0.4 / TAU_DOWN), rel=1e-10)
     assert speed[99] > 1090.0

@@ -27,7 +27,7 @@ PITCH = np.array([1.0, -1.0, -1.0, 1.0])
 Array = np.ndarray
 
 
-def turning(motion: float, seed: int = 0, **more: object) -> tuple[Flight, Array]:
+def pitch_flight(motion: float, seed: int = 0, **more: object) -> tuple[Flight, Array]:
     """Return a hover whose rotors pitch it by slow random motion (rms, rad/s), logged with noise, and their true speeds."""
     rng, rows = np.random.default_rng(seed), round(SECONDS * RATE)
     still = hover("hover", 5.0)
@@ -37,19 +37,19 @@ def turning(motion: float, seed: int = 0, **more: object) -> tuple[Flight, Array
     zeros = np.zeros((rows, 3))
     tiled = {name: np.tile(getattr(still, name)[0], (rows, 1)) for name in ("position", "attitude", "specific_force")}
     logged = {"rotor_speed": true + NOISE * rng.standard_normal(true.shape), "lin_vel": zeros, "ang_vel": zeros}
-    found = replace(still, rate=RATE, time=np.arange(rows) / RATE, **(tiled | logged | more))
-    return found, true
+    result = replace(still, rate=RATE, time=np.arange(rows) / RATE, **(tiled | logged | more))
+    return result, true
 
 
-def pitching(speed: Array) -> Array:
-    """Return how far speeds (T, R) pitch the vehicle in the band, without ends."""
+def pitch_motion(speed: Array) -> Array:
+    """Return the pitch that rotor speeds (T, R) cause in the band, without mean and ends."""
     part = lowpass(speed @ PITCH / 2.0, RATE, BAND)[200:-200]
     return part - part.mean()
 
 
-def slope(true: Array, found: Array) -> float:
+def slope(true: Array, results: Array) -> float:
     """Return the slope of what is true over what is found: below 1 for what is found with noise."""
-    a, b = pitching(true), pitching(found)
+    a, b = pitch_motion(true), pitch_motion(results)
     return float(a @ b / (b @ b))
 
 
@@ -61,13 +61,13 @@ def test_what_is_true_follows_what_is_expected_one_to_one(motion: float) -> None
     """
     measured, expected, away = [], [], []
     for seed in range(8):
-        flight, true = turning(motion, seed)
-        found = estimate_rotors(ROBOT, [flight], BAND)[0]
-        assert found is not None
+        flight, true = pitch_flight(motion, seed)
+        result = estimate_rotors(ROBOT, [flight], BAND)[0]
+        assert result is not None
         assert flight.rotor_speed is not None
         measured.append(slope(true, flight.rotor_speed))
-        expected.append(slope(true, found.speed))
-        unsure, missed = pitching(found.unsure[2]), pitching(true) - pitching(found.speed)
+        expected.append(slope(true, result.speed))
+        unsure, missed = pitch_motion(result.unsure[2]), pitch_motion(true) - pitch_motion(result.speed)
         away.append(float(unsure @ missed / (unsure @ unsure)))
     strength, noise = 4.0 * motion**2, NOISE**2 * BAND / (RATE / 2.0)
     assert np.mean(measured) == pytest.approx(strength / (strength + noise), rel=0.1)
@@ -76,23 +76,23 @@ def test_what_is_true_follows_what_is_expected_one_to_one(motion: float) -> None
 
 
 def test_of_a_still_hover_little_scatter_stays() -> None:
-    flight, _ = turning(0.0)
-    found = estimate_rotors(ROBOT, [flight], BAND)[0]
-    assert found is not None
+    flight, _ = pitch_flight(0.0)
+    result = estimate_rotors(ROBOT, [flight], BAND)[0]
+    assert result is not None
     assert flight.rotor_speed is not None
-    assert (pitching(found.speed) ** 2).mean() < 0.02 * (pitching(flight.rotor_speed) ** 2).mean()
-    np.testing.assert_allclose(found.speed.mean(axis=0), flight.rotor_speed.mean(axis=0), rtol=1e-6)
+    assert (pitch_motion(result.speed) ** 2).mean() < 0.02 * (pitch_motion(flight.rotor_speed) ** 2).mean()
+    np.testing.assert_allclose(result.speed.mean(axis=0), flight.rotor_speed.mean(axis=0), rtol=1e-6)
 
 
 def test_where_a_vehicle_moves_speeds_stay_as_they_were_measured() -> None:
     """In the band: 60 rad/s beside noise of 1.3 rad/s; and the share is then sure."""
-    flight, _ = turning(30.0)
-    found = estimate_rotors(ROBOT, [flight], BAND)[0]
-    assert found is not None
+    flight, _ = pitch_flight(30.0)
+    result = estimate_rotors(ROBOT, [flight], BAND)[0]
+    assert result is not None
     assert flight.rotor_speed is not None
-    changed = pitching(found.speed) - pitching(flight.rotor_speed)
+    changed = pitch_motion(result.speed) - pitch_motion(flight.rotor_speed)
     assert np.sqrt((changed**2).mean()) < NOISE * np.sqrt(BAND / (RATE / 2.0))
-    unsure = np.stack([pitching(mode) for mode in found.unsure])
+    unsure = np.stack([pitch_motion(mode) for mode in result.unsure])
     assert np.sqrt((unsure**2).mean(axis=1)).max() < 0.01 * 60.0
 
 
@@ -105,33 +105,33 @@ def led_by_commands(flight: Flight, true: Array, tau: float) -> Flight:
 
 def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> None:
     """The declared lag behind commands that pitch: the estimate is what the declared rotors do, far closer than the log."""
-    flight, true = turning(0.3)
+    flight, true = pitch_flight(0.3)
     led = led_by_commands(flight, true, ROBOT.rotor.time_constant_up)
-    found = estimate_rotors(ROBOT, [led], BAND)[0]
-    assert found is not None
+    result = estimate_rotors(ROBOT, [led], BAND)[0]
+    assert result is not None
     assert led.rotor_speed is not None
-    missed = (pitching(found.speed) - pitching(true)).std()
-    assert missed < 0.3 * (pitching(led.rotor_speed) - pitching(true)).std()
+    missed = (pitch_motion(result.speed) - pitch_motion(true)).std()
+    assert missed < 0.3 * (pitch_motion(led.rotor_speed) - pitch_motion(true)).std()
 
 
 def test_where_motion_is_more_than_noise_a_lag_that_is_wrong_changes_nothing() -> None:
     """Commands of a vehicle that moves are not asked: a lag that is off by 10 % would be 1.7 rad/s, as large as noise."""
-    flight, true = turning(30.0)
+    flight, true = pitch_flight(30.0)
     led = led_by_commands(flight, true, 0.9 * ROBOT.rotor.time_constant_up)
-    one, other = (estimate_rotors(ROBOT, [which], BAND)[0] for which in (flight, led))
+    one, other = (estimate_rotors(ROBOT, [index], BAND)[0] for index in (flight, led))
     assert one is not None
     assert other is not None
-    assert (pitching(one.speed) - pitching(other.speed)).std() < 0.1
+    assert (pitch_motion(one.speed) - pitch_motion(other.speed)).std() < 0.1
 
 
 def test_a_log_that_is_too_slow_or_without_noise_stays_as_it_is() -> None:
     slow = hover("slow", 5.0, rate=20.0)
-    for flight, band in ((slow, 4.0), (turning(1.0)[0], 80.0), (hover("exact", 5.0), BAND)):
-        found, measured = estimate_rotors(ROBOT, [flight], band)[0], as_measured(flight)
-        assert found is not None
+    for flight, band in ((slow, 4.0), (pitch_flight(1.0)[0], 80.0), (hover("exact", 5.0), BAND)):
+        result, measured = estimate_rotors(ROBOT, [flight], band)[0], as_measured(flight)
+        assert result is not None
         assert measured is not None
-        np.testing.assert_array_equal(found.speed, measured.speed)
-        assert not found.unsure.any()
+        np.testing.assert_array_equal(result.speed, measured.speed)
+        assert not result.unsure.any()
 
 
 def test_a_log_of_commands_alone_has_nothing_to_expect() -> None:
@@ -164,7 +164,7 @@ def test_the_share_of_motion_is_as_sure_as_it_says() -> None:
 
 def test_rotors_that_moved_more_than_expected_are_a_deviation_like_any_other() -> None:
     """One standard deviation in the mode of roll or yaw adds what is unsure of it to that torque, half of one half."""
-    flight, _ = turning(0.6)
+    flight, _ = pitch_flight(0.6)
     predictor = Predictor(ROBOT, [flight], bandwidth=BAND, channels=find_channels([flight]), tolerances=Tolerances())
     names = Tolerances().names(4)
     base = predictor.predict(ModelParams())[0]

@@ -3,24 +3,24 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.predict.rows.spectra import density_of, filtered, noise_above
+from aerial_gym.sim2real.predict.rows.spectra import apply_gain, noise_level, power_density
 
 
 def test_the_noise_is_that_of_the_quietest_octave() -> None:
     """A density that falls to its level, and rises again: the mean of the octave between."""
     frequency = np.arange(0.0, 100.0, 0.5)
     density = np.where(frequency < 20.0, 50.0, np.where(frequency > 45.0, 9.0, 2.0))[:, None]
-    found = noise_above(frequency, density, 10.0, 200.0)
-    assert found is not None
-    assert found[0] == pytest.approx(2.0)
-    assert found[1] == 30.0
-    assert noise_above(frequency, density, 40.0, 200.0) is None  # no octave between 60 and 90 Hz
+    result = noise_level(frequency, density, 10.0, 200.0)
+    assert result is not None
+    assert result[0] == pytest.approx(2.0)
+    assert result[1] == 30.0
+    assert noise_level(frequency, density, 40.0, 200.0) is None  # no octave between 60 and 90 Hz
 
 
 def test_white_noise_is_level_and_its_power_is_its_variance() -> None:
     """Down to the lowest lines, from which a straight line is taken: 400 s of it, within four deviations of a mean."""
     values = 3.0 * np.random.default_rng(0).standard_normal((40_000, 2))
-    frequency, density = density_of(values, 100.0)
+    frequency, density = power_density(values, 100.0)
     segments = 9.0 / 11.0 * 2.0 * 400.0 / 2.0
     assert density[1:-1] == pytest.approx(9.0 / 50.0, rel=5.0 / np.sqrt(segments))
     assert density[1:4].mean() == pytest.approx(9.0 / 50.0, rel=4.0 / np.sqrt(6.0 * segments))
@@ -32,5 +32,5 @@ def test_a_filter_keeps_the_phase() -> None:
     time = np.arange(2_000) / 100.0
     wave = np.sin(2.0 * np.pi * 3.0 * time)[:, None]
     frequency = np.arange(0.0, 51.0)
-    found = filtered(wave, frequency, np.maximum(0.0, 1.0 - 0.1 * frequency)[:, None], 100.0)
-    assert found[200:-200] == pytest.approx(0.7 * wave[200:-200], abs=0.01)
+    result = apply_gain(wave, frequency, np.maximum(0.0, 1.0 - 0.1 * frequency)[:, None], 100.0)
+    assert result[200:-200] == pytest.approx(0.7 * wave[200:-200], abs=0.01)

@@ -1,0 +1,79 @@
+"""Height of the surface below each robot: one vertical ray against all solid parts.
+
+Frames: world of each environment, z up. Letters: E environments, P parts of all instances.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets.geometry import shape_distance, unit_distance
+from aerial_gym.assets.scene import Scene
+from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
+from aerial_gym.assets.shape_row import CYLINDER
+from aerial_gym.assets.views import check_tensor, vector_view
+from aerial_gym.interop import ReusableLaunch
+
+FARTHEST = wp.constant(1.0e4)
+"""Length of the ray [m]; surfaces beyond it are ignored."""
+
+
+@wp.func
+def _part_depth(scene: SceneArrays, env: int, part: int, start: wp.vec3, limit: float) -> float:
+    """Return the vertical distance down to a part [m], at most ``limit``."""
+    shape = scene.shapes[scene.part_shape[env, part]]
+    turn = part_attitude(scene, env, part)
+    origin = wp.quat_rotate_inv(turn, start - part_position(scene, env, part)) - shape.center
+    down = wp.quat_rotate_inv(turn, wp.vec3(0.0, 0.0, -1.0))
+    origin, down = wp.cw_div(origin, shape.half), wp.cw_div(down, shape.half)
+    if shape.kind <= CYLINDER:
+        return unit_distance(shape.kind, origin, down, limit)
+    return shape_distance(shape, origin, down, limit)
+
+
+@wp.kernel(enable_backward=False)
+def _measure_height(
+    # scene
+    scene: SceneArrays,
+    # state
+    position: wp.array[wp.vec3],  # (E,) world [m]
+    # out
+    height_out: wp.array[float],  # (E,) world [m]
+):
+    """Write the height of the first surface below each position, or of the ray's end without one."""
+    env = wp.tid()
+    start = position[env]
+    way = float(FARTHEST)
+    for part in range(scene.num_solid):
+        if part_is_present(scene, env, part):
+            way = _part_depth(scene, env, part, start, way)
+    height_out[env] = start[2] - way
+
+
+class HeightProbe:
+    """Vertical rays down from the body origins; all views are made at construction."""
+
+    def __init__(self, scene: Scene, *, position: Tensor, height_out: Tensor) -> None:
+        """Take views of the tensors, which must stay where they are.
+
+        Args:
+            position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
+            height_out: Receives the height of the first surface below [m], world, ``FARTHEST`` below where there is none,
+                float32, (E, 1).
+
+        Raises:
+            ShapeError: If a tensor does not fit the scene.
+        """
+        check_tensor("height_out", height_out, (scene.num_envs, 1), device=scene.device)
+        height_out.fill_(-float(FARTHEST))
+        self._kept_alive, self._out = scene, height_out
+        self._launch = ReusableLaunch(
+            _measure_height,
+            dim=scene.num_envs,
+            inputs=[scene.arrays, vector_view("position", position, (scene.num_envs, 3), device=scene.device)],
+            outputs=[height_out.view(-1)],
+            device=scene.device,
+        )
+
+    def find(self) -> None:
+        """Launch the measurement of heights on torch's current stream."""
+        self._launch.launch(self._out)

@@ -1,0 +1,40 @@
+"""Base class of the parameters of real autopilots."""
+
+from dataclasses import fields
+from math import inf
+from typing import Any, ClassVar
+
+from aerial_gym.errors import ConfigError
+
+
+class AutopilotTuning:
+    """Base of the parameters of an autopilot: dataclasses of finite numbers >= 0, where None stands for a derived value."""
+
+    NOT_GAINS: ClassVar[frozenset[str]] = frozenset(("rate_hz", "source"))
+    """Fields that are no gains: the rate and the source."""
+
+    POSITIVE: ClassVar[frozenset[str]] = frozenset(("rate_hz",))
+    """Fields that are divided by."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            for value in _numbers(getattr(self, field.name)):
+                if not 0.0 <= value < inf:
+                    raise ConfigError(
+                        f"{type(self).__name__}.{field.name} = {getattr(self, field.name)!r}: must be >= 0 and finite"
+                    )
+        for name in self.POSITIVE:
+            if getattr(self, name, None) == 0.0:
+                raise ConfigError(f"{type(self).__name__}.{name} = 0: must be > 0")
+
+    @property
+    def explicit(self) -> bool:
+        """Whether any gain, limit or filter is not as the class has it: then the parameters are someone's tuning."""
+        return any(getattr(self, f.name) != f.default for f in fields(self) if f.name not in self.NOT_GAINS)
+
+
+def _numbers(value: object) -> tuple[float, ...]:
+    parts = value if isinstance(value, tuple) else (value,)
+    return tuple(part for part in parts if isinstance(part, (int, float)))

@@ -1,0 +1,134 @@
+"""Collision tests of a robot with obstacles, the ground, and on request its own links.
+
+Letters: E environments, L links, K substeps of a step.
+"""
+
+from collections.abc import Mapping
+from math import inf
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from aerial_gym.assets import AssetManager
+from aerial_gym.config.environment import EnvironmentCfg
+from aerial_gym.config.joint import JointsCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.shape import BASE
+from aerial_gym.physics import Trajectory
+from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
+from aerial_gym.robots.joints.link_tensors import LinkTensors
+
+if TYPE_CHECKING:
+    from aerial_gym.assets.collision import CollisionTest
+    from aerial_gym.assets.self_collision import SelfCollisionTest
+    from aerial_gym.robots.joints.links import LinkPlaces
+
+
+def make_trajectory(
+    env: EnvironmentCfg, robot: RobotCfg, *, num_envs: int, device: torch.device, differentiable: bool = False
+) -> Trajectory | None:
+    """Return the trajectory record for swept collision tests; None without obstacles, or with contact forces.
+
+    Over the ground alone a differentiable robot is tested at the poses only: its substeps are one kernel without a record.
+    """
+    scene = bool(env.num_assets or (env.ground and not (differentiable and robot.joints is None)))
+    links = robot.collision.between_links or (robot.collides_with_links and scene)
+    if env.contact is not None or not (scene or links):
+        return None
+    joints = len(robot.link_names) - 1 if links else 0
+    return Trajectory.zeros(env.physics_steps_per_env_step, num_envs, device=device, num_joints=joints)
+
+
+class CollisionTests:
+    """The tests, with all views made at construction."""
+
+    def __init__(
+        self,
+        robot: RobotCfg,
+        gtd: GlobalTensorDictionary,
+        assets: AssetManager,
+        *,
+        pose: Mapping[str, Tensor],
+        links: LinkTensors | None,
+        places: "LinkPlaces | None",
+        trajectory: Trajectory | None,
+        dt: float,
+    ) -> None:
+        """Declare the distance between links on request, and take views.
+
+        Args:
+            gtd: Has ``robot_clearance`` and ``crashes``.
+            pose: ``position`` [m], world, (E, 3), and ``attitude``, (E, 4), of the body.
+            trajectory: Record of each step; None where nothing is followed.
+            dt: Length of a substep [s].
+        """
+        crashes = gtd["crashes"]
+        self._collision: CollisionTest | None = None
+        gtd["robot_clearance"].fill_(inf)
+        if assets.scene.num_solid:
+            self._collision = _with_obstacles(robot, gtd, assets, pose, links)
+        followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
+        if places is not None and places.track is not None:
+            followed, dt = (places.track.position, places.track.attitude), dt / places.track.pieces
+        self._follows = followed is not None
+        if followed is not None and self._collision is not None:
+            self._collision.follow(*followed, dt=dt, crashes_out=crashes)
+        self._between: SelfCollisionTest | None = None
+        if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
+            self._between = _between_links(robot, robot.joints, links, gtd)
+            self._between.follow(*followed, crashes_out=crashes)
+        self.measure()
+
+    def step(self) -> None:
+        """Measure after a step. Obstacles that do not push back move; a touch at any time of the step is a crash."""
+        if self._collision is not None:
+            (self._collision.step if self._follows else self._collision.measure)()
+        if self._between is not None:
+            self._between.step()
+
+    def measure(self) -> None:
+        """Write the distances of the present poses."""
+        if self._collision is not None:
+            self._collision.measure()
+        if self._between is not None:
+            self._between.measure()
+
+
+def _with_obstacles(
+    robot: RobotCfg,
+    gtd: GlobalTensorDictionary,
+    assets: AssetManager,
+    pose: Mapping[str, Tensor],
+    links: LinkTensors | None,
+) -> "CollisionTest":
+    """Return the test with obstacles and ground; imported only where there are any, as its Warp functions take long."""
+    from aerial_gym.assets.collision import CollisionTest
+
+    return CollisionTest(
+        assets.scene,
+        robot.collision.link_shapes(BASE),
+        links=() if links is None else links.link_shapes(robot.collision),
+        distance_out=gtd["robot_clearance"],
+        moving=assets.moving,
+        **pose,
+    )
+
+
+def _between_links(
+    robot: RobotCfg, joints: JointsCfg, links: LinkTensors, gtd: GlobalTensorDictionary
+) -> "SelfCollisionTest":
+    """Return the test of links with each other, and declare their distance."""
+    from aerial_gym.assets.self_collision import SelfCollisionTest
+
+    return SelfCollisionTest(
+        robot.collision,
+        names=robot.link_names,
+        parents=[joints.link_number(joint.parent) for joint in joints.layout],
+        pivots=links.pivots,
+        state=links.state,
+        distance_out=gtd.declare(TensorSpec(
+            key="robot_link_clearance", shape=("E",), unit="m", frame="-", owner="env",
+            meaning="signed distance of the robot's links to each other, without those that always touch",
+        )),
+    )  # fmt: skip

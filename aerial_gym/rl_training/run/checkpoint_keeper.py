@@ -1,0 +1,153 @@
+"""Checkpoints of a training: content, schedule and resumption, common to all trainers."""
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from aerial_gym.config import to_mapping
+from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.rl_training.ranks import ALONE, Ranks
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.task import Task
+
+FIRST_INTERVAL_S = 5.0
+"""At most so long after its start a training has a checkpoint of what it learned [s], or after its first update if that is
+longer; later ones follow every ``checkpoint_every_s``."""
+
+_log = logging.getLogger(__name__)
+
+
+class CheckpointKeeper:
+    """Writes checkpoints: the trainer's state, and beside it settings, curriculum and random states.
+
+    With several processes all save together, and rank 0 writes its state and the keys that differ in the others.
+    """
+
+    def __init__(
+        self,
+        cfg: TrainingCfg,
+        folder: RunFolder,
+        task: Task,
+        *,
+        resumed: tuple[Path, dict[str, Any]] | None,
+        ranks: Ranks = ALONE,
+    ) -> None:
+        """Take the other parts of a checkpoint, the checkpoint to resume from, if any, and all processes."""
+        self._cfg, self._folder, self._task, self._resumed, self._ranks = cfg, folder, task, resumed, ranks
+        self.ready = resumed is None
+        """Whether there is a state to save: not before a resumed state is restored."""
+        self._saved_at, self._interval = time.perf_counter(), min(FIRST_INTERVAL_S, cfg.checkpoint_every_s)
+
+    @property
+    def resumes(self) -> bool:
+        """Whether there is a checkpoint to resume from."""
+        return self._resumed is not None
+
+    @property
+    def due(self) -> bool:
+        """Whether a checkpoint is due, by the clock of rank 0."""
+        return self._ranks.broadcast_number(time.perf_counter() - self._saved_at) >= self._interval
+
+    def save(self, state: Mapping[str, object], *, env_steps: int, own: Sequence[str] = ()) -> None:
+        """Write a checkpoint of a trainer's state after ``env_steps`` of all sessions.
+
+        Args:
+            state: By name.
+            env_steps: The steps.
+            own: Keys that differ between processes.
+
+        Raises:
+            StorageError: If it cannot be written.
+            TrainingError: If its weights are not finite; the checkpoints before it stay.
+        """
+        self._check_weights(state)
+        run, first = self._run_state(env_steps), env_steps == 0
+        rank_states = self._ranks.gather({name: state[name] for name in own} | {"task_random": run["task_random"]})
+        if self._ranks.is_leader:
+            self._folder.keep_checkpoint(env_steps, {**state, "run": run, "others": rank_states})
+        self._saved_at = time.perf_counter()
+        self._interval = min(FIRST_INTERVAL_S, self._cfg.checkpoint_every_s) if first else self._cfg.checkpoint_every_s
+
+    def _check_weights(self, state: Mapping[str, Any]) -> None:
+        bad = [name for name, tensor in state.get("model", {}).items() if not bool(tensor.isfinite().all())]
+        if bad:
+            known = self._folder.checkpoints()
+            left = f"The last checkpoint before that is {known[-1]}" if known else "There is no checkpoint before that"
+            raise TrainingError(f"the training diverged: {bad[0]} is NaN or infinite. {left}")
+
+    def restore(self, load: Callable[[dict[str, Any]], None], *, own: Sequence[str] = ()) -> None:
+        """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.
+
+        Keys that differ between processes (``own``) are missing for a rank new to the run.
+
+        Raises:
+            ConfigError: If the checkpoint does not fit the run.
+        """
+        assert self._resumed is not None
+        path, payload = self._resumed
+        try:
+            payload = self._rank_checkpoint(payload, path, own)
+            load(payload)
+            self._restore_run(payload.get("run", {}))
+            self.ready = True
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, IndexError) as error:
+            _log.exception("%s: cannot be taken up", path)
+            raise ConfigError(
+                f"checkpoint {path}: does not fit the settings of its run ({type(error).__name__}; the log of the run says "
+                "more). Start a new run in another --out"
+            ) from None
+
+    def _rank_checkpoint(self, payload: dict[str, Any], path: Path, own: Sequence[str]) -> dict[str, Any]:
+        """Return the part of a checkpoint that belongs to this process; a new rank gets the shared part alone."""
+        rank_states, ranks = payload.get("others", []), self._ranks
+        if len(rank_states) + 1 != ranks.size and ranks.is_leader:
+            _log.warning(
+                "%s: of %d processes, continues with %d: all have the learned networks; simulations continue in the former "
+                "processes and restart in others", path, len(rank_states) + 1, ranks.size
+            )  # fmt: skip
+        if ranks.is_leader:
+            return payload
+        own_state = dict(rank_states[ranks.rank - 1]) if ranks.rank <= len(rank_states) else {}
+        run = payload.get("run", {}) | {"task_random": own_state.pop("task_random", None)}
+        return {name: value for name, value in payload.items() if name not in own} | own_state | {"run": run}
+
+    def _run_state(self, env_steps: int) -> dict[str, object]:
+        curriculum = self._task.curriculum
+        return {
+            "trainer": self._cfg.trainer,
+            "env_steps": env_steps,
+            "settings": to_mapping(self._cfg),
+            "curriculum": None if curriculum is None else curriculum.state(),
+            "random": checkpoint.random_state(),
+            "task_random": {name: tensor.clone() for name, tensor in self._task.env.random.state_tensors().items()},
+        }
+
+    def _restore_run(self, state: dict[str, Any]) -> None:
+        curriculum = self._task.curriculum
+        if curriculum is not None and state.get("curriculum") is not None:
+            curriculum.load(state["curriculum"])
+        if "random" in state:
+            checkpoint.restore_random_state(state["random"])
+        if state.get("task_random") is not None:
+            for name, tensor in self._task.env.random.state_tensors().items():
+                tensor.copy_(state["task_random"][name])
+
+
+def checkpoint_steps(resumed: tuple[Path, dict[str, Any]] | None, trainer: str) -> int:
+    """Return the environment steps of a checkpoint; 0 without one.
+
+    Raises:
+        ConfigError: If it belongs to another trainer, or to none.
+    """
+    if resumed is None:
+        return 0
+    path, payload = resumed
+    source_trainer = payload.get("run", {}).get("trainer", trainer)
+    steps = payload.get("run", payload).get("env_steps", payload.get("frame"))
+    if source_trainer != trainer or not isinstance(steps, int):
+        raise ConfigError(f"checkpoint {path}: is not one of a {trainer} training")
+    return steps

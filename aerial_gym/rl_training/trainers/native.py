@@ -1,0 +1,215 @@
+"""Training with a learner of our own: simulation and updates in one CUDA graph, or step by step on a CPU."""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.errors import ConfigError
+from aerial_gym.registry.state import check_state, copy_tensors, restore
+from aerial_gym.rl_training.learning.graph import IterationGraph
+from aerial_gym.rl_training.learning.learner import SUMS, Learner
+from aerial_gym.rl_training.policies.initial_weights import load_initial_weights
+from aerial_gym.rl_training.policies.load import find_checkpoint
+from aerial_gym.rl_training.run import checkpoint
+from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
+from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.progress import Progress, Report
+from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.settings import TrainingCfg
+from aerial_gym.rl_training.trainers.summaries import Scalars
+from aerial_gym.task import Task
+
+AnyLearner = TypeVar("AnyLearner", bound=Learner)
+
+LOOK_EVERY = 8
+"""Iterations on a GPU between two reads by the host, whose numbers are one read old."""
+
+OWN_STATE = ("learner", "generator", "task")
+"""Keys of a state that differ between processes; all others are common."""
+
+RECENT_EPISODES = 100
+"""Episodes over which returns and lengths are averaged, at least, as far as there are as many."""
+
+
+def run_iterations(
+    training: "NativeTraining",
+    folder: RunFolder,
+    progress: Progress,
+    *,
+    keeper: CheckpointKeeper,
+    interruption: Interruption,
+) -> bool:
+    """Train until a limit of the settings is reached or the user interrupts; return whether it was interrupted.
+
+    Args:
+        training: A new one.
+        folder: Receives TensorBoard files, where ``tensorboardX`` is installed.
+        progress: Receives the numbers of every read.
+        keeper: Writes checkpoints, and has the one to resume from.
+        interruption: Whether the user asked to end.
+
+    Raises:
+        StorageError: If the disk is full.
+        TrainingError: If the training diverged.
+        CapabilityError: If the task cannot be held in a CUDA graph.
+    """
+    cfg, task = training.cfg, training.task
+    scalars = Scalars(folder.path / cfg.trainer / "summaries")
+    if keeper.resumes:
+        keeper.restore(training.load, own=OWN_STATE)
+    else:
+        if cfg.initial is not None:
+            training.load_initial_weights(cfg.initial)
+        keeper.save(training.state(), env_steps=0, own=OWN_STATE)
+    try:
+        while True:
+            with interruption.defer():
+                report = training.advance()
+            scalars.add(lambda: training.known | asdict(report) | task.episode_means(), training.env_steps)  # noqa: B023
+            if progress.update(report):
+                break
+            training.learner.time_share.fill_(progress.time_share)
+            if keeper.due:
+                keeper.save(training.state(), env_steps=training.env_steps, own=OWN_STATE)
+        interrupted = False
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        scalars.close()
+    keeper.save(training.state(), env_steps=training.env_steps, own=OWN_STATE)
+    return interrupted
+
+
+class NativeTraining(Generic[AnyLearner]):
+    """Iterations of a learner, and its numbers on the host."""
+
+    def __init__(self, cfg: TrainingCfg, task: Task, learner: AnyLearner) -> None:
+        """Take settings, a task without a graph of its own, and a new learner; start all episodes."""
+        self.cfg, self.task, self.learner = cfg, task, learner
+        self._ranks = learner.ranks
+        if task.curriculum is not None and self._ranks.joined:
+            task.curriculum.of_all = self._ranks.sum_
+        learner.begin()
+        learner.join()
+        self._repeat = IterationGraph(
+            learner.iterate,
+            task.device,
+            generator=learner.generator,
+            joined=self._ranks.joined,
+            capture=learner.captures,
+        )
+        self.env_steps = 0
+        """Environment steps in all sessions and processes; the host counts them by itself."""
+        self.iterations = 0
+        """Iterations of this session."""
+        self.known: dict[str, float] = {}
+        """Gauges of the learner at the last read."""
+        self._numbers = _HostNumbers(self.learner)
+        self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
+
+    def advance(self) -> Report:
+        """Iterate, on a GPU several times without waiting, and return the numbers, on a GPU those of the call before."""
+        per_iteration = self.cfg.num_envs * self.cfg.learner.horizon * self._ranks.size
+        limit = self.cfg.max_env_steps
+        for _ in range(LOOK_EVERY if self.task.device.type == "cuda" and self.learner.captures else 1):
+            self._repeat()
+            self.iterations += 1
+            self.env_steps += per_iteration
+            if limit is not None and self.env_steps >= limit:
+                break
+        numbers = self._numbers.look()
+        _ = self.task.num_non_finite if self.task.device.type == "cpu" else 0
+        return self._report(numbers)
+
+    def _report(self, numbers: list[float]) -> Report:
+        recent, self.known = self._recent, dict(zip(self.learner.GAUGES, numbers[len(SUMS) :], strict=True))
+        recent.append(numbers[: len(SUMS)])
+        while len(recent) > 2 and recent[-1][1] - recent[1][1] >= RECENT_EPISODES:
+            recent.popleft()
+        episodes, total, length = (recent[-1][i] - recent[0][i] for i in (1, 2, 3))
+        return Report(
+            env_steps=self.env_steps,
+            episode_return=total / episodes if episodes else None,
+            episode_length=length / episodes if episodes else None,
+        )
+
+    def gauges(self) -> dict[str, float]:
+        """Return the numbers of the last update, by name; waits for the device."""
+        return dict(zip(self.learner.GAUGES, self.learner.gauges.tolist(), strict=True))
+
+    def state(self) -> dict[str, Any]:
+        """Return all that is needed to go on bit for bit; waits for the device."""
+        network = self.learner.network
+        return {
+            "model": copy_tensors(network.state_dict()),
+            "network": {
+                "shapes": {key: list(shape) for key, shape in network.shapes.items()},
+                "num_actions": network.actor.num_actions,
+            },
+            "learner": copy_tensors(self.learner.state_tensors()),
+            "generator": self.learner.generator.get_state(),
+            "task": {name: value for name, value in self.task.save_state().items() if not _is_image(value)},
+            "env_steps": self.env_steps,
+        }
+
+    def load_initial_weights(self, source: str) -> None:
+        """Load initial weights from another training: a run folder, or one checkpoint in it.
+
+        Raises:
+            ConfigError: If no matching weights exist.
+        """
+        file, cfg = find_checkpoint(source)
+        model = checkpoint.load(file).get("model")
+        if cfg.trainer != self.cfg.trainer or not isinstance(model, Mapping):
+            raise ConfigError(f"{file}: holds no networks of a training with {self.cfg.trainer}")
+        load_initial_weights(self.learner.network, model, where=str(file))
+        self.learner.join()
+
+    def load(self, state: Mapping[str, Any]) -> None:
+        """Resume from a result of ``state``."""
+        self.learner.network.load_state_dict(state["model"])
+        if "learner" in state:  # absent for a rank new to the run, which keeps its initial state
+            own = self.learner.state_tensors()
+            check_state(state["learner"], own)
+            restore(state["learner"], own)
+            self.learner.generator.set_state(state["generator"])
+            now = self.task.save_state()
+            self.task.load_state({name: state["task"].get(name, now[name]) for name in now})
+        self.learner.join()
+        self.env_steps = int(state["env_steps"])
+        self._recent = deque([self.learner.sums.tolist()])
+
+
+def _is_image(tensor: Tensor) -> bool:
+    """Return whether a state tensor holds images, (E, S, H, W), which the next step rewrites."""
+    return tensor.ndim >= 4
+
+
+class _HostNumbers:
+    """The learner's numbers on the host; on a GPU they are copied asynchronously and read one look later."""
+
+    def __init__(self, learner: Learner) -> None:
+        self._learner = learner
+        self._cuda = learner.sums.device.type == "cuda"
+        self._places = [
+            torch.zeros(len(SUMS) + len(learner.GAUGES), dtype=torch.float64, pin_memory=self._cuda) for _ in range(2)
+        ]
+        self._events = [torch.cuda.Event() for _ in range(2)] if self._cuda else []
+        self._looks = 0
+
+    def look(self) -> list[float]:
+        """Return sums and gauges; on a GPU those of the look before, for which it waits."""
+        new, old = self._looks % 2, (self._looks + 1) % 2
+        self._looks += 1
+        numbers = torch.cat((self._learner.sums, self._learner.gauges))
+        self._places[new].copy_(numbers, non_blocking=True)
+        if not self._cuda:
+            return self._places[new].tolist()
+        self._events[new].record(torch.cuda.current_stream(self._learner.sums.device))
+        if self._looks > 1:
+            self._events[old].synchronize()
+        return self._places[old].tolist()

@@ -1,0 +1,219 @@
+"""Contact pairs: the deepest overlaps between a robot's shapes and obstacle parts, as Warp code.
+
+Spheres, corners of boxes and ends of capsules have contact as spheres. Boxes and capsules also have contact at their
+deepest point between these (an edge across an edge, a pole against a face), and with corners of box obstacles inside a box.
+Frames: world of each environment, z up; shapes in the frame of their body or link.
+Letters: E environments, A instances, C spheres.
+"""
+
+import warp as wp
+
+from aerial_gym.assets import Scene
+from aerial_gym.assets.body_shapes import BodyShape
+from aerial_gym.assets.geometry import outward_normal, signed_distance
+from aerial_gym.assets.nearest import Core, Nearest, as_box, nearest_of_core
+from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
+from aerial_gym.assets.shape_row import BOX, Shape
+from aerial_gym.assets.views import vector_view
+from aerial_gym.math.warp_functions import rotate, vector_type
+from aerial_gym.physics.fused.contact import point_velocity, rows_type
+
+MAX_CONTACTS = 8
+"""Pairs of sphere and part that push in one step; of more, the deepest."""
+
+_gaps_type, _rows_type = vector_type(MAX_CONTACTS), rows_type(MAX_CONTACTS)
+
+
+@wp.struct
+class ContactPairs:
+    """Pairs of sphere and part that overlap, as ``make_velocity_change`` takes them."""
+
+    gaps: _gaps_type  # [m], 0 for an empty entry
+    levers: _rows_type  # [m] world
+    normals: _rows_type  # world
+    surface_vels: _rows_type  # [m/s] world
+
+
+@wp.struct
+class SceneMotion:
+    """Motion of obstacles."""
+
+    lin_vel: wp.array2d[wp.vec3]  # (E, A) of the instance's origin, world [m/s]
+    ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]
+
+
+@wp.func
+def _shallowest(pairs: ContactPairs) -> int:
+    """Return the index of the smallest overlap, or of an empty entry."""
+    entry = wp.int32(0)
+    for i in range(1, MAX_CONTACTS):
+        if pairs.gaps[i] > pairs.gaps[entry]:
+            entry = i
+    return entry
+
+
+@wp.func
+def add_pairs(pairs: ContactPairs, extra: ContactPairs) -> ContactPairs:
+    """Return the deepest of two sets of pairs."""
+    for k in range(MAX_CONTACTS):
+        i = _shallowest(pairs)
+        if extra.gaps[k] < pairs.gaps[i]:
+            pairs.gaps[i] = extra.gaps[k]
+            pairs.levers[i] = extra.levers[k]
+            pairs.normals[i] = extra.normals[k]
+            pairs.surface_vels[i] = extra.surface_vels[k]
+    return pairs
+
+
+CORNER = wp.constant(1.0e-3)
+"""Share of half an edge within which a point is taken for the corner, which pushes anyway."""
+
+
+@wp.func
+def _is_corner(core: Core, point: wp.vec3) -> wp.bool:
+    own = wp.quat_rotate_inv(core.turn, point - core.center)
+    is_corner = wp.bool(True)
+    for i in range(3):
+        is_corner = is_corner and wp.abs(own[i]) >= (1.0 - CORNER) * core.half[i]
+    return is_corner
+
+
+@wp.func
+def _core_point(shape: Shape, core: Core, radius: float, number: int) -> Nearest:
+    """Return corner 0 to 7 of a box obstacle in a box, or as number 8 the deepest pair of all; without any the distance is 0.
+
+    The distance is that of the surfaces [m]; of a capsule the point is on its surface.
+    """
+    pair = Nearest()
+    pair.distance = radius
+    if number < 8:
+        if shape.kind != BOX or wp.min(core.half) <= 0.0:
+            pair.distance = 0.0
+            return pair
+        corner = wp.cw_mul(
+            wp.vec3(
+                wp.where((number & 1) == 0, 1.0, -1.0),
+                wp.where((number & 2) == 0, 1.0, -1.0),
+                wp.where((number & 4) == 0, 1.0, -1.0),
+            ),
+            shape.size,
+        )
+        box = as_box(core)
+        own = wp.quat_rotate_inv(core.turn, corner - core.center)
+        pair.distance = wp.min(signed_distance(box, own), 0.0)
+        pair.point = corner
+        pair.normal = -wp.quat_rotate(core.turn, outward_normal(box, own))
+        return pair
+    pair = nearest_of_core(shape, core, radius)
+    is_known = pair.distance >= radius or _is_corner(core, pair.point)
+    if shape.kind == BOX and wp.min(core.half) > 0.0:
+        other = Core()
+        other.turn = wp.quat_identity()
+        other.half = shape.size
+        is_known = is_known or _is_corner(other, pair.point)
+    pair.distance = wp.where(is_known, 0.0, pair.distance - radius)
+    pair.point = pair.point - radius * pair.normal
+    return pair
+
+
+@wp.func
+def add_cores(
+    pairs: ContactPairs,
+    scene: SceneArrays,
+    motion: SceneMotion,
+    body: wp.array[BodyShape],
+    com: wp.vec3,
+    env: int,
+    center_of_mass: wp.vec3,
+    attitude: wp.quat,
+) -> ContactPairs:
+    """Add the pairs of boxes and capsules that contact points alone miss."""
+    part = wp.int32(0)
+    while part < scene.num_solid:
+        a = scene.part_instance[env, part]
+        if a >= 0 and part_is_present(scene, env, part):
+            shape = scene.shapes[scene.part_shape[env, part]]
+            turn = part_attitude(scene, env, part)
+            origin = part_position(scene, env, part)
+            c = wp.int32(0)
+            while c < body.shape[0]:
+                own = body[c]
+                away = center_of_mass + rotate(attitude, own.center - com) - origin
+                if own.reach > own.radius and wp.length(away) - scene.radius[env, part] < own.reach:
+                    core = Core()
+                    core.center = wp.quat_rotate_inv(turn, away)
+                    core.turn = wp.quat_inverse(turn) * attitude * own.attitude
+                    core.half = own.half
+                    number = wp.int32(0)
+                    while number < 9:
+                        pair = _core_point(shape, core, own.radius, number)
+                        i = _shallowest(pairs)
+                        if pair.distance < pairs.gaps[i]:
+                            place = origin + wp.quat_rotate(turn, pair.point)
+                            arm = place - scene.position[env, a]
+                            pairs.gaps[i] = pair.distance
+                            pairs.levers[i] = place - center_of_mass
+                            pairs.normals[i] = wp.quat_rotate(turn, pair.normal)
+                            pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+                        number += 1
+                c += 1
+        part += 1
+    return pairs
+
+
+@wp.func
+def find_pairs(
+    scene: SceneArrays,
+    motion: SceneMotion,
+    sphere: wp.array[wp.vec4],
+    com: wp.vec3,
+    env: int,
+    center_of_mass: wp.vec3,
+    attitude: wp.quat,
+) -> ContactPairs:
+    """Return the pairs that overlap, the deepest ``MAX_CONTACTS`` if there are more; instances alone, not the ground."""
+    pairs = ContactPairs()
+    for part in range(scene.num_solid):
+        a = scene.part_instance[env, part]
+        if a >= 0 and part_is_present(scene, env, part):
+            shape = scene.shapes[scene.part_shape[env, part]]
+            turn = part_attitude(scene, env, part)
+            origin = part_position(scene, env, part)
+            for c in range(sphere.shape[0]):
+                radius = sphere[c][3]
+                offset = rotate(attitude, wp.vec3(sphere[c][0], sphere[c][1], sphere[c][2]) - com)
+                away = center_of_mass + offset - origin
+                if wp.length(away) - scene.radius[env, part] < radius:
+                    local = wp.quat_rotate_inv(turn, away)
+                    gap = signed_distance(shape, local) - radius
+                    i = _shallowest(pairs)
+                    if gap < pairs.gaps[i]:
+                        normal = wp.quat_rotate(turn, outward_normal(shape, local))
+                        lever = offset - radius * normal
+                        arm = center_of_mass + lever - scene.position[env, a]
+                        pairs.gaps[i] = gap
+                        pairs.levers[i] = lever
+                        pairs.normals[i] = normal
+                        pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+    return pairs
+
+
+@wp.func
+def has_fast_approach(pairs: ContactPairs, lin_vel: wp.vec3, turn: wp.vec3, least_approach: float) -> wp.bool:
+    """Return whether any pair overlaps that comes together at a speed [m/s] or faster.
+
+    ``lin_vel`` is the velocity of the origin of levers, ``turn`` the angular velocity, both world.
+    """
+    fast = wp.bool(False)
+    for i in range(MAX_CONTACTS):
+        approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(lin_vel, turn, pairs.levers[i]))
+        fast = fast or (pairs.gaps[i] < 0.0 and approach >= least_approach)
+    return fast
+
+
+def scene_motion(scene: Scene) -> SceneMotion:
+    """Return views of the motion of a scene's instances."""
+    motion, size = SceneMotion(), (scene.num_envs, scene.num_instances, 3)
+    motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=scene.device)
+    motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=scene.device)
+    return motion

@@ -1,0 +1,187 @@
+"""Swept collision test of links against obstacles, for engines that find contacts themselves: fast touches are crashes.
+
+A ``SubstepHook``: after each substep every link is swept along it (``crossings``), a touch at crash speed is a crash, and
+the obstacles move. Then the links are tested like rigid bodies in ``scene_contact``. Overlaps exert forces from the next
+substep on. A passage between two poses is a crash without a force.
+Frames: world, z up; shapes in the frames of their links. Letters: E environments, L links.
+"""
+
+from functools import cache
+from typing import Any, NoReturn
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.assets import Scene
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes
+from aerial_gym.assets.cores import contact_points
+from aerial_gym.assets.obstacle_motion import make_motion_launch
+from aerial_gym.assets.obstacles import Obstacles
+from aerial_gym.assets.scene_arrays import SceneArrays
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import CapabilityError
+from aerial_gym.interop import ReusableLaunch, on_torch_stream
+from aerial_gym.physics.fused.hook import Substep
+from aerial_gym.physics.integrators import MassState
+from aerial_gym.physics.state import ArticulatedState, BodyState
+from aerial_gym.robots.contact_pairs import SceneMotion, add_cores, find_pairs, has_fast_approach, scene_motion
+from aerial_gym.robots.crossings import make_first_crossing, substep_path
+from aerial_gym.robots.joints.link_tensors import LinkTensors
+from aerial_gym.robots.joints.links import LinkPlaces
+
+
+@wp.kernel(enable_backward=False)
+def _notice(
+    # scene
+    scene: SceneArrays,
+    motion: SceneMotion,
+    # params
+    sphere: wp.array[wp.vec4],  # (C,) contact points of the link: centre in its frame, radius [m]
+    body: wp.array[BodyShape],  # its shapes
+    least_approach: float,  # [m/s]
+    # state
+    position: wp.array[wp.vec3],  # (E,) of the link's frame, world [m]
+    attitude: wp.array[wp.quat],  # (E,) link to world, xyzw
+    lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+    ang_vel: wp.array[wp.vec3],  # (E,) world [rad/s]
+    # out
+    crashes_out: wp.array[wp.bool],  # (E,) set where the link touches something fast
+):
+    """Flag environments in which one link touches an obstacle at crash speed."""
+    e = wp.tid()
+    x = position[e]
+    q = attitude[e]
+    pairs = find_pairs(scene, motion, sphere, wp.vec3(), e, x, q)
+    pairs = add_cores(pairs, scene, motion, body, wp.vec3(), e, x, q)
+    if has_fast_approach(pairs, lin_vel[e], ang_vel[e], least_approach):
+        crashes_out[e] = True
+
+
+@cache
+def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
+    """Return the kernel that sweeps a link; whether obstacles move and any part is a mesh."""
+    first_crossing = make_first_crossing(moves=moves, cores=True, meshes=meshes)
+    obstacles_type: Any = Obstacles if moves else int
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def sweep(
+        # scene
+        scene: SceneArrays,
+        motion: SceneMotion,
+        obstacles: obstacles_type,  # before they move
+        # params
+        sphere: wp.array[wp.vec4],  # (C,) contact points of the link: centre in its frame, radius [m]
+        body: wp.array[BodyShape],  # its shapes
+        hull: float,  # radius of a ball about its origin that holds them [m]
+        pivot: wp.vec3,  # its hinge, in its frame [m]
+        least_approach: float,  # [m/s]
+        dt: float,  # [s]
+        # state
+        first_position: wp.array[wp.vec3],  # (E,) of the link's frame at the start of the substep, world [m]
+        first_attitude: wp.array[wp.quat],  # (E,) link to world, xyzw
+        first_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
+        first_ang_vel: wp.array[wp.vec3],  # (E,) world [rad/s]
+        position: wp.array[wp.vec3],  # (E,) at its end
+        attitude: wp.array[wp.quat],
+        # out
+        crashes_out: wp.array[wp.bool],  # (E,) set where the link touches something fast on its way
+    ):
+        """Flag environments in which one link touches an obstacle at crash speed during a substep."""
+        e = wp.tid()
+        q0 = first_attitude[e]
+        arm = wp.quat_rotate(q0, pivot)
+        done = Substep()
+        done.dt = dt
+        done.com = pivot
+        done.first_position = first_position[e] + arm
+        done.first_attitude = q0
+        done.first_lin_vel = first_lin_vel[e] + wp.cross(first_ang_vel[e], arm)
+        done.first_ang_vel = wp.quat_rotate_inv(q0, first_ang_vel[e])
+        done.position = position[e] + wp.quat_rotate(attitude[e], pivot)
+        done.attitude = attitude[e]
+        _matches, crashes = first_crossing(
+            scene, motion, obstacles, sphere, body, least_approach, e, done, substep_path(done), hull + wp.length(pivot)
+        )
+        if crashes:
+            crashes_out[e] = True
+
+    return sweep
+
+
+class LinkObstacleSweep:
+    """Moves obstacles and notices crashes; a ``SubstepHook``."""
+
+    max_substeps: int | None = None
+    """Any number."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        cfg: ContactCfg,
+        robot: RobotCfg,
+        state: BodyState,
+        links: LinkTensors,
+        *,
+        dt: float,
+        crashes_out: Tensor,
+        moving: "Obstacles | None" = None,
+    ) -> None:
+        """Take views of the tensors, which must stay where they are.
+
+        Args:
+            cfg: Says which touch is a crash.
+            links: Receives where its links are after each substep.
+            dt: Length of a substep [s].
+            crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.
+            moving: The instances of the scene as they move; None if nothing moves.
+        """
+        assert robot.joints is not None
+        assert isinstance(state, ArticulatedState)
+        self._places, self._stream = LinkPlaces(robot.joints, state, links, None), crashes_out
+        self._move = None if moving is None else make_motion_launch(moving, dt)
+        self._kept_alive = (scene, links, moving)
+        self._links, self._first = links.state, torch.zeros_like(links.state)
+        obstacles = 0 if moving is None else moving
+        self._looks: list[ReusableLaunch] = []
+        self._sweeps: list[ReusableLaunch] = []
+        for number, name in enumerate(links.names):
+            shapes = robot.collision.link_shapes(name)
+            if not shapes:
+                continue
+            points = contact_points(shapes, device=scene.device)
+            around = (scene.arrays, scene_motion(scene))
+            body = (points, body_shapes(shapes, device=scene.device))
+            first, last = (state[:, number].split((3, 4, 3, 3), dim=-1) for state in (self._first, self._links))
+            place = {"dim": scene.num_envs, "outputs": [crashes_out], "device": scene.device}
+            self._looks.append(ReusableLaunch(_notice, inputs=[*around, *body, cfg.least_approach, *last], **place))
+            hull = float((points[:, :3].norm(dim=1) + points[:, 3]).max())
+            inputs = [*around, obstacles, *body, hull, wp.vec3(*links.pivots[number]), cfg.least_approach, dt, *first]
+            kernel = _make_sweep(moves=moving is not None, meshes=scene.has_meshes)
+            self._sweeps.append(ReusableLaunch(kernel, inputs=[*inputs, *last[:2]], **place))
+
+    @torch.no_grad()
+    def begin(self, state: BodyState) -> None:
+        """Store the link poses before the substep."""
+        del state
+        self._places.refresh()
+        self._first.copy_(self._links)
+
+    @torch.no_grad()
+    def after_substep(self, k: int, before: MassState, state: BodyState) -> None:
+        """Sweep all links and move the obstacles; launched on torch's current stream, not waited for."""
+        del k, before, state
+        self._places.refresh()
+        with on_torch_stream(self._stream):
+            for sweep in self._sweeps:
+                sweep.launch()
+            if self._move is not None:
+                self._move.launch()
+            for look in self._looks:
+                look.launch()
+        self._first.copy_(self._links)
+
+    def fused(self) -> NoReturn:
+        """Raise ``CapabilityError``: fused kernels find no contacts of links."""
+        raise CapabilityError("obstacles do not push links in a fused kernel. Use backend 'mujoco'")

@@ -1,0 +1,66 @@
+"""Rows with NaN or infinite values: their count and the first ones, written by the launch that resets them.
+
+Letters: E environments, K rows written down.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.physics import BodyState
+from aerial_gym.registry import GlobalTensorDictionary
+
+KEPT_ROWS = 8
+"""Rows K that are written down: the first ones."""
+
+
+@wp.func
+def take_place(count_out: wp.array[wp.int32]) -> int:
+    """Count a row and return the count before it, which stops at 2**30 to avoid overflow."""
+    if count_out[0] >= 1073741824:
+        return 1073741824
+    return wp.atomic_add(count_out, 0, 1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NonFiniteRows:
+    """Table of rows with NaN or infinite values, and the flags that fill it."""
+
+    bits: Tensor
+    """Bits of ``NonFinite`` of the step that ends, int32 (E,)."""
+
+    episode_step: Tensor
+    """Number of that step within the episode, int32 (E,)."""
+
+    flags: tuple[Tensor, Tensor]
+    """Reasons for its end: ``crashes`` and ``truncations``, each bool (E,). A reset clears these and the two above."""
+
+    record: Tensor
+    """Count; environment, episode, step and bits of the first K rows, int32 (1 + 4 K,); one copy brings all to the host."""
+
+    @property
+    def count(self) -> Tensor:
+        """Number of such rows, (1,)."""
+        return self.record[:1]
+
+    @property
+    def rows(self) -> Tensor:
+        """The first ones, (K, 4)."""
+        return self.record[1:].view(KEPT_ROWS, 4)
+
+    @classmethod
+    def from_gtd(cls, gtd: GlobalTensorDictionary) -> "NonFiniteRows":
+        """Return an empty table that reads the flags of a simulation."""
+        record = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=gtd.device)
+        flags = gtd["crashes"], gtd["truncations"]
+        return cls(bits=gtd["non_finite"], episode_step=gtd["sim_steps"], flags=flags, record=record)
+
+    @classmethod
+    def placeholder(cls, state: BodyState) -> "NonFiniteRows":
+        """Return a table for robots without a simulation, whose rows are all finite."""
+        device = state.position.device
+        zeros, no = (torch.zeros(state.num_envs, dtype=dtype, device=device) for dtype in (torch.int32, torch.bool))
+        record = torch.zeros(1 + 4 * KEPT_ROWS, dtype=torch.int32, device=device)
+        return cls(bits=zeros, episode_step=zeros, flags=(no, no), record=record)

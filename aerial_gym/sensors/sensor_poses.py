@@ -1,0 +1,122 @@
+"""Poses of the sensors of one kind on the body: constant, or drawn at every reset.
+
+Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind.
+"""
+
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.config.placement import PlacementCfg
+from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.interop import ReusableLaunch
+from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
+from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.sensors.mounts import Pose, nominal_pose
+
+
+@wp.struct
+class PoseRange:
+    """Nominal pose of sensors and the range of its draws."""
+
+    position: wp.vec3  # body [m], where nothing is drawn
+    attitude: wp.quat  # sensor to body
+    is_drawn: wp.bool
+    position_low: wp.vec3  # [m] in the frame of the sensor's own file
+    position_high: wp.vec3
+    euler_low: wp.vec3  # ZYX roll, pitch, yaw [rad]
+    euler_high: wp.vec3
+    shift: wp.vec3  # from that frame to the body [m]
+    turn: wp.quat
+
+
+@wp.func
+def draw_pose(place: PoseRange, random: wp.uint32):
+    """Return position [m] and attitude (sensor to body) of a random state, both in the body frame."""
+    position = place.position
+    attitude = place.attitude
+    if place.is_drawn:
+        position = place.shift + wp.quat_rotate(
+            place.turn, draw_vec3(random, 0, place.position_low, place.position_high)
+        )
+        attitude = wp.normalize(place.turn * quat_of_angles(draw_vec3(random, 1, place.euler_low, place.euler_high)))
+    return position, attitude
+
+
+@wp.kernel(enable_backward=False)
+def _place_sensors(
+    mask: wp.array[wp.bool],  # (E,)
+    # params
+    random: RandomArrays,
+    number: int,  # of the kind on its robot
+    place: PoseRange,
+    # out
+    position_out: wp.array2d[wp.vec3],  # (E, S) body [m]
+    attitude_out: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+):
+    """Draw the sensor poses of masked environments."""
+    env, sensor = wp.tid()
+    if not mask[env]:
+        return
+    stream = substream(substream(episode_stream(random, env, wp.static(int(Purpose.MOUNTS))), number), sensor)
+    position, attitude = draw_pose(place, stream)
+    position_out[env, sensor] = position
+    attitude_out[env, sensor] = attitude
+
+
+class SensorPoses:
+    """Poses of the sensors of one kind, with all views made at construction."""
+
+    def __init__(self, cfg: RangeSensorCfg, random: Randomness, *, number: int, pose: Pose | None) -> None:
+        """Set every sensor to its nominal pose.
+
+        Args:
+            number: Of the kind on its robot: two kinds are drawn apart.
+            pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
+                it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
+        """
+        device, rows = random.seed.device, (random.num_envs, cfg.count)
+        nominal = pose or nominal_pose(cfg)
+        self.position = nominal.position.float().to(device).expand(*rows, 3).clone()
+        """From the body origin [m], body, (E, S, 3)."""
+        self.attitude = nominal.attitude.float().to(device).expand(*rows, 4).clone()
+        """Sensor to body, xyzw, (E, S, 4)."""
+        self._mask = random.mask
+        place = pose_range(cfg, nominal)
+        self.is_drawn = bool(place.is_drawn)
+        """Whether they differ between episodes."""
+        self._command = ReusableLaunch(
+            _place_sensors,
+            dim=rows,
+            inputs=[self._mask, random_arrays(random), number, place],
+            outputs=[self.position, self.attitude],
+            device=device,
+            block_dim=BLOCK_DIM,
+        )
+
+    def reset(self, mask: Tensor) -> None:
+        """Reset the sensor poses of the environments in ``mask``, bool (E,): nominal, or newly drawn.
+
+        Launched on torch's current stream, not waited for.
+        """
+        take_mask(self._mask, mask)
+        self._command.launch(self._mask)
+
+
+def pose_range(cfg: PlacementCfg, nominal: Pose) -> PoseRange:
+    """Return the kernel's struct for the pose range of a sensor at ``nominal`` in the body frame.
+
+    Draws deviate from ``nominal`` as in the sensor's file from its nominal placement.
+    """
+    place, back = PoseRange(), nominal_pose(cfg).inverse()
+    shift, turn = nominal.transform(back.position, back.attitude)
+    place.position, place.attitude = wp.vec3(*nominal.position.tolist()), wp.quat(*nominal.attitude.tolist())
+    place.shift, place.turn = wp.vec3(*shift.tolist()), wp.quat(*turn.tolist())
+    for name in ("position", "euler"):
+        ends = getattr(cfg, f"{name}_low"), getattr(cfg, f"{name}_high")
+        drawn = None not in ends
+        low, high = ends if drawn else (getattr(cfg, name), getattr(cfg, name))
+        setattr(place, f"{name}_low", wp.vec3(*low))
+        setattr(place, f"{name}_high", wp.vec3(*high))
+        place.is_drawn = place.is_drawn or drawn
+    return place

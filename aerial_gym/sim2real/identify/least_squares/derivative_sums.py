@@ -1,0 +1,229 @@
+"""Derivatives times the square root of the channel weights, and their products over time blocks.
+
+Many derivatives are zero: a structure or a sensor bias affects one channel. So columns are stored only for the channels
+that they affect.
+Letters: T rows of a flight, c channels of C, P parameters of a part, K of all parts, B blocks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, of_flights
+from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
+from aerial_gym.sim2real.predict.nonzero import not_zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class InChannels:
+    """Derivatives of a flight by P parameters, stored sparsely: zero in other channels and parameters."""
+
+    values: NDArray[np.floating]
+    """Derivatives by p consecutive parameters, (T, c, p)."""
+
+    channels: tuple[int, ...]
+    """Indices of the c channels among all C."""
+
+    width: int
+    """Number of parameters P."""
+
+    first: int = 0
+    """Index of the first of the p parameters."""
+
+    def of_channels(self, channels: Sequence[int]) -> NDArray[np.floating]:
+        """Return the dense columns of some channels, (T, channels, P)."""
+        sums = np.zeros((self.width, len(channels), len(self.values)), dtype=self.values.dtype).T
+        own = slice(self.first, self.first + self.values.shape[2])
+        for place, channel in enumerate(channels):
+            if channel in self.channels:
+                sums[:, place, own] = self.values[:, self.channels.index(channel)]
+        return sums
+
+
+def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[InChannels]:
+    """Return derivatives (T, C, P) in single precision, without channels that are zero in all flights."""
+    moved = tuple(np.flatnonzero(np.any([not_zero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
+    return [
+        InChannels(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
+        for part in flights
+    ]
+
+
+Part = NDArray[np.floating] | InChannels
+"""Derivatives of a flight by some parameters, (T, C, P)."""
+
+
+def num_columns(parts: Sequence[Part]) -> int:
+    """Return the total number K of parameters."""
+    return sum(part.width if isinstance(part, InChannels) else part.shape[2] for part in parts)
+
+
+class DerivativeSums:
+    """Derivatives of all flights by K parameters, times the square root of the channel weights."""
+
+    def __init__(self, flights: Sequence[Sequence[Part]], offsets: OwnOffsets) -> None:
+        """Store the parts of each flight, which are consecutive among the K columns.
+
+        Random flight ``offsets``, with the weight of one row (C,), are integrated out.
+        """
+        self.width = num_columns(flights[0])
+        root = np.sqrt(offsets.weight)
+        self.columns = [_nonzero_columns(parts, root) for parts in flights]
+        """By flight and channel: indices among the K columns, and their values (T, k)."""
+        for own in self.columns if offsets.any else ():
+            for channel in np.flatnonzero(offsets.size):
+                columns = own[channel][1]
+                if columns.size:
+                    columns -= offsets.share(len(columns))[channel] * columns.mean(axis=0)
+
+
+def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
+    """Return the nonzero columns of each channel: their indices, and their values times ``root``, (T, k)."""
+    sums: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
+    start = 0
+    for part in parts:
+        if isinstance(part, InChannels):
+            values, channels, first = part.values, part.channels, start + part.first
+        else:
+            values, channels, first = part, range(root.size), start
+        moving = not_zero(values, axis=0)  # (c, P)
+        for own, channel in enumerate(channels):
+            if moving[own].any():
+                some, column = np.flatnonzero(moving[own]), values[:, own]
+                sums[channel][0].append(some + first)
+                sums[channel][1].append(column[:, some] if some.size < column.shape[1] else column)
+        start += num_columns([part])
+    return [
+        (np.concatenate(places), np.concatenate(columns, axis=1, dtype=np.float64) * root[channel])
+        if places
+        else (np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+        for channel, (places, columns) in enumerate(sums)
+    ]
+
+
+def cross_product(one: DerivativeSums, other: DerivativeSums) -> Array:
+    """Return ``sum w J_one J_other^T`` over all rows, (K, K')."""
+    sums = np.zeros((one.width, other.width))
+    for left, right in zip(one.columns, other.columns, strict=True):
+        for (here, a), (there, b) in zip(left, right, strict=True):
+            if here.size and there.size:
+                sums[here[:, None], there] += a.T @ b
+    return sums
+
+
+class TimeBlocks:
+    """Equal parts of flights, with sums over them."""
+
+    def __init__(self, times: Sequence[Array], parts: int = 1) -> None:
+        """Store the row times of each flight [s] and the number of parts per flight."""
+        split = [own for time in times for own in np.array_split(np.arange(time.size), parts)]
+        self.rows = [slice(int(own[0]), int(own[-1]) + 1) for own in split]
+        self.of_flight = [range(first, first + parts) for first in range(0, len(split), parts)]
+        self.flight = np.repeat(np.arange(len(times)), parts)
+        self.count = np.array([float(own.size) for own in split])
+
+    def products(self, one: DerivativeSums, other: DerivativeSums) -> Array:
+        """Return ``sum w J_one J_other^T`` of each block, (B, K, K')."""
+        sums = np.zeros((len(self.rows), one.width * other.width))
+        for flight, blocks in enumerate(self.of_flight):
+            for (here, a), (there, b) in zip(one.columns[flight], other.columns[flight], strict=True):
+                place = (here[:, None] * other.width + there).ravel()
+                for block in blocks if place.size else ():
+                    rows = self.rows[block]
+                    sums[block][place] += (a[rows].T @ b[rows]).ravel()
+        return sums.reshape(len(self.rows), one.width, other.width)
+
+
+class NuisanceSums:
+    """Nuisance columns (tolerances and structures), with the sums that all effects share."""
+
+    def __init__(
+        self,
+        times: Sequence[Array],
+        flights: Sequence[Sequence[Part]],
+        weight: Array,
+        *,
+        parts: int = 1,
+        offsets: OwnOffsets | None = None,
+    ) -> None:
+        """Store row times [s], derivatives, the weight of one row (C,) and the number of parts per flight.
+
+        Random flight ``offsets`` are integrated out.
+        """
+        self.offsets = no_offsets(weight) if offsets is None else offsets
+        self.log_likelihood = self.offsets.log_likelihood([time.size for time in times])
+        """Log likelihood term of the offsets, in addition to the squares."""
+
+        self.blocks = TimeBlocks(times, parts)
+        self.columns = DerivativeSums(flights, self.offsets)
+        self.product = self.blocks.products(self.columns, self.columns)
+        """Sums of products of each block, (B, N, N)."""
+
+        self.whole = self.product.sum(axis=0)
+        """Sums over all blocks, (N, N)."""
+
+    @property
+    def width(self) -> int:
+        """Return the number of nuisance columns N."""
+        return self.columns.width
+
+    def moments(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
+        """Return the block sums over all channels, for residuals (T, C) and derivatives (T, C, P) by effects.
+
+        The nuisance columns follow those of the effects.
+        """
+        width = own[0].shape[2]
+        front = DerivativeSums([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
+        inner, across = self.blocks.products(front, front), self.blocks.products(front, self.columns)
+        product = np.block(
+            [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
+        )
+        gradient = np.concatenate((inner[:, :width, width], across[:, width]), axis=1)
+        return Moments(
+            count=self.blocks.count,
+            square=inner[:, width, width, None],
+            gradient=gradient[:, None],
+            product=product[:, None],
+            flight=self.blocks.flight,
+        )
+
+
+def weighted_moments(
+    times: Sequence[Array],
+    residuals: Sequence[Array],
+    flights: Sequence[Sequence[Part]],
+    weight: Array,
+    *,
+    parts: int = 1,
+) -> Moments:
+    """Return the block sums over all channels, like ``block_moments`` with a single channel of weight 1.
+
+    Flights are treated one by one to save memory.
+    """
+    return of_flights(
+        [
+            NuisanceSums([time], [own], weight, parts=parts).moments([r], [np.zeros((*r.shape, 0))])
+            for time, r, own in zip(times, residuals, flights, strict=True)
+        ]
+    )
+
+
+def moments_by_channel(residuals: Sequence[Array], flights: Sequence[Sequence[Part]]) -> Moments:
+    """Return the sums over whole flights by channel, like ``block_moments`` with infinite length."""
+    channels, width = residuals[0].shape[1], num_columns(flights[0])
+    sums = np.zeros((len(flights), channels, width + 1, width + 1))
+    for own, parts, residual in zip(sums, flights, residuals, strict=True):
+        for product, (here, columns) in zip(
+            own, _nonzero_columns([*parts, residual[:, :, None]], np.ones(channels)), strict=True
+        ):
+            product[np.ix_(here, here)] = columns.T @ columns
+    return Moments(
+        count=np.array([float(len(residual)) for residual in residuals]),
+        square=sums[:, :, width, width],
+        gradient=sums[:, :, :width, width],
+        product=sums[:, :, :width, :width],
+        flight=np.arange(len(flights)),
+    )

@@ -1,0 +1,148 @@
+"""All candidates linearised about a fitted set, with the sets fitted there and the rule for further fits."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from aerial_gym.sim2real.identify.candidates.library import Library
+from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
+from aerial_gym.sim2real.identify.evidence.fitting import (
+    ENOUGH,
+    ComparisonDepth,
+    EffectSetFit,
+    Fitter,
+    Label,
+    candidate_label,
+)
+from aerial_gym.sim2real.identify.evidence.guard import Guard
+from aerial_gym.sim2real.identify.evidence.laplace import Model
+from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.memory import give_back_memory
+
+FAR_BEHIND = 3.0
+"""Multiple of ``occam_window`` by which a set must be less probable than the best to be negligible: odds of 1e-4."""
+
+Way = Callable[["CandidateView"], None]
+"""A search strategy: a function that fits sets which may be more probable than the present one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CandidateView:
+    """All candidates linearised about the present set, and the sets that were fitted."""
+
+    present: EffectSetFit
+    fits: dict[Label, EffectSetFit]
+    """All sets that were fitted with the present weights, including the present set."""
+
+    own: dict[Label, Fitter]
+    """Fitters of the sets whose tolerances are linearised about the set itself."""
+
+    fresh: set[Label]
+    """Sets that were fitted with the tolerances linearised about the present set."""
+
+    fitter: Fitter
+    library: Library
+    structures: list[NuisanceColumns]
+    sets: Sets
+    guard: Guard
+
+    gone: list[Way] = field(default_factory=list)
+    """Strategies that found no more probable set than the present one."""
+
+    @property
+    def present_set(self) -> Model:
+        """Return the indices of the candidates in the present set."""
+        return present_set(self.library, self.present)
+
+    @property
+    def best(self) -> EffectSetFit:
+        """Return the most probable fitted set whose effects are all supported."""
+        return max((fitted for fitted in self.fits.values() if fitted.holds), key=lambda one: one.log_posterior)
+
+    @property
+    def best_bare(self) -> EffectSetFit:
+        """Return the most probable of these sets without structures, except offsets of flights."""
+        bare = (fitted for fitted in self.fits.values() if fitted.holds and fitted.bare)
+        return max(bare, key=lambda one: one.log_posterior)
+
+    def has_fit(self, label: Label) -> bool:
+        """Return whether a set was fitted with the tolerances linearised about the present set or about itself.
+
+        Log evidences with the tolerances linearised about distant models are not comparable.
+        """
+        return label in self.fresh or label in self.own
+
+    def fit(self, model: Model, *, however_far: bool = False) -> None:
+        """Fit a new set from its best start, if it may come near the best set; with ``however_far`` in any case.
+
+        A fit may gain up to ``MOST_TO_PROMISE`` times more than its linear model predicts, so the predicted deficit is divided
+        by that factor.
+        """
+        behind, here = self.sets.log_posteriors([model, self.present_set])
+        if self.has_fit(candidate_label(self.library, model)):
+            return
+        beside = any(self.library.candidates[k].in_common for k in model)
+        compared = self.comparison_depth(beside=beside)
+        if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
+            self.add(self.fitter.fit_set(self.library, self.sets, model, self.structures, compared))
+
+    def comparison_depth(self, *, beside: bool) -> ComparisonDepth:
+        """Return the stopping rule of a fit, relative to the best set with structures (``beside``) or without."""
+        best = self.best if beside else self.best_bare
+        least = best.log_posterior - FAR_BEHIND * occam_window(best)
+        return ComparisonDepth(least=least, enough=ENOUGH * best.overdispersion)
+
+    def add(self, fitted: EffectSetFit) -> None:
+        """Add a fitted set; while an effect of it lacks support, fit and add the set without its weakest effect.
+
+        This ends early if no subset can come near the best set.
+        """
+        while not self.has_fit(fitted.label):
+            self.fits[fitted.label] = fitted
+            self.fresh.add(fitted.label)
+            compared = self.comparison_depth(beside=not fitted.bare)
+            if not fitted.holds and fitted.most > compared.least:
+                fitted = self.fitter.without_weakest(fitted, compared)
+
+    def settle(self, fitted: EffectSetFit, fitter: Fitter) -> None:
+        """Add a set linearised about itself; if an effect lacks support, also add the set without its weakest effect."""
+        self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
+        if not fitted.holds:
+            fitter.forget()  # a set without support is never the best, and its fitter takes memory
+            self.add(self.fitter.without_weakest(fitted))
+
+    def let_go(self) -> None:
+        """Free the memory that is not needed after the search about this set has ended."""
+        self.library.tangents.clear()
+        forget_but(self.own, self.present.label)
+        self.fitter.forget_nuisance_sums()
+        self.fitter.tolerance = None
+        give_back_memory()
+
+
+def forget_but(own: Mapping[Label, Fitter], *kept: Label) -> None:
+    """Free the memory of all fitters except those of the labels ``kept``."""
+    for label, fitter in own.items():
+        if label not in kept:
+            fitter.forget()
+
+
+def occam_window(fitted: EffectSetFit) -> float:
+    """Return the difference in log posterior below which a set is not distinct: ``LEAST_SCORE`` times overdispersion.
+
+    Source:
+        Madigan, Raftery (1994), Model selection and accounting for model uncertainty in graphical models using Occam's
+        window, Journal of the American Statistical Association 89.
+    """
+    return LEAST_SCORE * fitted.overdispersion
+
+
+def present_set(library: Library, present: EffectSetFit) -> Model:
+    """Return the indices of the candidates that a fitted set contains."""
+    beside = {structure.name for structure in present.structures}
+    return tuple(
+        k
+        for k, candidate in enumerate(library.candidates)
+        if candidate.named or (candidate.structure and candidate.name in beside)
+    )

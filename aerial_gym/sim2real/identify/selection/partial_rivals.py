@@ -1,0 +1,177 @@
+"""Rivals of single parameters: another effect that explains the flights in place of one parameter of a named effect.
+
+A wrong torque ratio, for example, looks like a wrong inertia about one axis, while the flights confirm the other two axes. An
+exchange of whole effects misses that. So each parameter is put at neutral with another effect in its place. A model linear
+about the set screens these pairs, without bounds, because the linear sizes may differ from the fitted ones. Probable pairs are
+fitted. Their log evidence has no prior penalty for the added effect, because one parameter replaces another.
+
+Letters: C channels.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.candidates.library import has_starts
+from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, ComparisonDepth, EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, scales
+from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, occam_window
+from aerial_gym.sim2real.predict.model_params import ModelParams
+
+
+@dataclass(frozen=True, kw_only=True)
+class RivalInPart:
+    """Another effect in place of one parameter of a named effect."""
+
+    effect: str
+    parameter: str
+    other: str
+
+    params: dict[str, float]
+    """Parameters of the other effect."""
+
+    log_odds: float
+    """Log evidence relative to the most probable set, divided by its overdispersion."""
+
+    @property
+    def finding(self) -> Finding:
+        """Return the rival with its numbers."""
+        values = {"parameter": self.parameter, "other": self.other, "params": self.params, "log_odds": self.log_odds}
+        return Finding("parameter_tied", self.effect, values)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return it for JSON."""
+        return {
+            "parameter": self.parameter,
+            "effect": self.other,
+            "params": self.params,
+            "log_odds": self.log_odds,
+        }
+
+
+def rivals_in_part(
+    fitter: Fitter, best: EffectSetFit, effects: Collection[str], names: Sequence[str]
+) -> tuple[RivalInPart, ...]:
+    """Return the rivals of single parameters of some effects of the most probable set, its structures included.
+
+    Args:
+        fitter: Fitter of sets, linearised about this set.
+        best: The most probable set.
+        effects: Its effects whose parameters are compared.
+        names: Effects that the flights can show; the confounders among them are tried.
+    """
+    window, matches = occam_window(best), []
+    for effect, place, other in _rival_candidates(fitter, best, effects, names):
+        values = best.params.effects[effect].copy()
+        values[place] = fitter.neutral(effect)[place]
+        start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral(other))
+        least = best.log_posterior - window - fitter.log_names
+        fitted = fitter.fit(
+            (*best.effects, other),
+            best.structures,
+            start,
+            frozen=frozenset({(effect, place)}),
+            compared=ComparisonDepth(least=least, enough=ENOUGH * best.overdispersion),
+        )
+        odds = fitted.log_posterior + fitter.log_names - best.log_posterior
+        if odds > -window and fitted.support[other].holds:
+            own = zip(EFFECTS.get(other).parameters, fitted.params.effects[other], strict=True)
+            matches.append(
+                RivalInPart(
+                    effect=effect,
+                    parameter=EFFECTS.get(effect).parameters[place].name,
+                    other=other,
+                    params={parameter.name: float(value) for parameter, value in own},
+                    log_odds=odds / best.overdispersion,
+                )
+            )
+    return tuple(matches)
+
+
+def _rival_candidates(
+    fitter: Fitter, best: EffectSetFit, effects: Collection[str], names: Sequence[str]
+) -> list[tuple[str, int, str]]:
+    """Return triples of effect, index of its parameter and rival that are probable in the linear model."""
+    predictor, params, window = fitter.predictor, best.params, occam_window(best)
+    pairs = {name: _confusable_effects(fitter, best, name, names) if name in effects else [] for name in best.effects}
+    rivals = list(dict.fromkeys(other for matches in pairs.values() for other in matches))
+    if not rivals:
+        return []
+    base = predictor.predict(params)
+    residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
+    parts = [effect_jacobian(predictor, params, best.effects, base)]
+    for other in rivals:
+        parts.append(effect_jacobian(predictor, params.with_effect(other, fitter.neutral(other)), (other,), base))
+    owners = [(name, k) for name in best.effects for k in range(scales((name,)).size)]
+    back = [owner for owner in owners if pairs[owner[0]] and is_number(*owner)]
+    parts.extend(_changes(fitter, params, base, *owner) for owner in back)
+    moments = fitter.nuisance_columns(best.structures).moments(
+        residuals, [np.concatenate(own, axis=2) for own in zip(*parts, strict=True)]
+    )
+    ends = np.cumsum([part[0].shape[2] for part in parts])
+    own, beside = np.arange(ends[0]), np.arange(ends[-1], moments.gradient.shape[2])
+    columns = {other: np.arange(ends[k], ends[k + 1]) for k, other in enumerate(rivals)}
+    sums = _Sums(
+        float(moments.square.sum()),
+        moments.gradient.sum(axis=(0, 1)),
+        moments.product.sum(axis=(0, 1)),
+        num_effects=int(ends[-1]),
+    )
+    here, matches = sums.left(np.concatenate((own, beside))), []
+    for number, (effect, place) in enumerate(back):
+        shift = int(ends[len(rivals)]) + number
+        rest = np.concatenate((own[[owner != (effect, place) for owner in owners]], beside))
+        if sums.left(rest, shift) - here < window:
+            continue  # the flights do not show this parameter
+        for other in pairs[effect]:
+            if sums.left(np.concatenate((rest, columns[other])), shift) - here < FAR_BEHIND * window:
+                matches.append((effect, place, other))
+    return matches
+
+
+def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: Sequence[str]) -> list[str]:
+    """Return the confounders that can replace one parameter of an effect; none if it has only one parameter."""
+    if sum(is_number(effect, k) for k in range(scales((effect,)).size)) < 2:
+        return []
+    own = EFFECTS.get(effect).confused_with
+    return [
+        other
+        for other in names
+        if other not in best.effects
+        and (other in own or effect in EFFECTS.get(other).confused_with)
+        and not has_starts(other, fitter.predictor.robot)
+    ]
+
+
+def _changes(fitter: Fitter, params: ModelParams, base: list[Array], effect: str, place: int) -> list[Array]:
+    """Return the prediction minus that with one parameter at neutral, (rows, C, 1) for each flight."""
+    values = params.effects[effect].copy()
+    values[place] = fitter.neutral(effect)[place]
+    there = fitter.predictor.predict(params.with_effect(effect, values))
+    return [(b - t)[..., None] for b, t in zip(base, there, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Normal equations over all flights, with the columns of effects first, then of tolerances and structures."""
+
+    square: float
+    gradient: Array
+    product: Array
+    num_effects: int
+
+    def left(self, columns: Indices, shift: int | None = None) -> float:
+        """Return the negative log posterior of the best fit of some columns, with column ``shift`` added to the residual."""
+        square, gradient = self.square, self.gradient
+        if shift is not None:
+            square = square + 2.0 * gradient[shift] + self.product[shift, shift]
+            gradient = gradient + self.product[shift]
+        precision = np.where(columns < self.num_effects, WEAK_PRIOR**-2, 1.0)
+        inner = self.product[np.ix_(columns, columns)] + np.diag(precision)
+        return 0.5 * float(square - gradient[columns] @ np.linalg.solve(inner, gradient[columns]))

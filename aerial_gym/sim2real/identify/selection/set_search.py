@@ -1,0 +1,307 @@
+"""Search for the most probable set of effects.
+
+All candidates are linearised about the present model, and the posterior over sets ranks them. The most probable sets are
+fitted with the full model, which gives their log evidence. The best becomes the present set, until no fit is better.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.identify.candidates.library import Tangent, build_library, has_starts, linearise_candidates
+from aerial_gym.sim2real.identify.candidates.nuisance import (
+    NuisanceColumns,
+    Nuisances,
+    beyond_structures,
+    most_of_flights,
+)
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, Label, candidate_label
+from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
+from aerial_gym.sim2real.identify.evidence.laplace import Model
+from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal
+from aerial_gym.sim2real.identify.evidence.search import search
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import InChannels
+from aerial_gym.sim2real.identify.least_squares.derivatives import (
+    Derivatives,
+    single,
+    tolerance_jacobian,
+    tolerance_rms,
+)
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.weighting import weighting
+from aerial_gym.sim2real.identify.selection.candidate_view import (
+    CandidateView,
+    Way,
+    forget_but,
+    occam_window,
+    present_set,
+)
+from aerial_gym.sim2real.memory import give_back_memory
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.progress import Progress
+
+MOST_IN_VAIN = 5
+"""Largest number of consecutive fits without improvement."""
+
+MOST_RIVALS = 3
+"""Largest number of rivals that are fitted in place of one effect."""
+
+MOST_ROUNDS = 8
+MOST_WEIGHINGS = 3
+SAME_DEVIATION = 0.5
+"""Relinearisation stops when no deviation within the tolerances changes by more than this many standard deviations."""
+
+MOST_TURNS = 4
+"""Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three."""
+
+SETTLED = 0.3
+"""Channel weights are updated until no logarithm of a weight changes by more than this."""
+
+
+class SetSearch:
+    """Local search over sets of effects, from the present set to a better one until none is found."""
+
+    view: CandidateView
+    """Candidates about the present set. They take much memory, so the previous ones are freed first."""
+
+    _weighed: tuple[ModelParams, Weighting]
+    """The last model whose channel weights were computed, with these weights."""
+
+    def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
+        """Take training flights, the declared model, and the effects that may be in a set."""
+        self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
+        tolerance = tolerance_jacobian(predictor, declared)
+        self.tolerated, self._tolerance = tolerance_rms(tolerance, predictor.robot.num_rotors), single(tolerance)
+        self.missed, most = predictor.residuals(declared), most_of_flights(predictor, self.tolerated)
+        self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
+        self.skipped = tuple(name for name in EFFECTS if name not in self.names)
+
+    def run(self) -> CandidateView:
+        """Alternate between the search and new channel weights from the best model, until the weights settle.
+
+        Only then are rivals fitted as well: they are many and seldom more probable.
+        """
+        likely = (self.fit_probable, self.fit_fewer)
+        self.view = self.start()
+        for ways in (likely, (*likely, self.fit_rivals, self.fit_nearest)):
+            for left in reversed(range(MOST_WEIGHINGS)):
+                self.climb(ways)
+                weights = self.residual_weights(self.view)
+                change = np.log(weights.weight / self.view.fitter.weights.weight)
+                if not left or np.all(np.abs(change) < SETTLED):
+                    break
+                self.view.let_go()
+                present = self.view.present
+                del self.view
+                self.view = self.start_view(present.model_in_tolerances, present.effects, present.structures, weights)
+        last = self.view
+        last.let_go()
+        del self.view  # its strategies are methods of this object: the cycle would keep both in memory
+        return last
+
+    def start(self) -> CandidateView:
+        """Return the candidates about the declared model, with the channel weights from its residuals."""
+        tangents = linearise_candidates(self.predictor, self.declared, self.declared, skipped=self.skipped)
+        tolerance = self._tolerance
+        del self._tolerance  # used only once, and large
+        self._weighed = self.declared, self.weigh(self.declared, tangents, tolerance)
+        return self.start_view(self.declared, (), (), self._weighed[1], tangents, tolerance)
+
+    def residual_weights(self, view: CandidateView) -> Weighting:
+        """Return the channel weights from the residuals of the present model; those of the last model are cached."""
+        params = view.present.params
+        if params is not self._weighed[0]:
+            view.fitter.forget_nuisance_sums()
+            give_back_memory()
+            self._weighed = params, self.weigh(params, view.library.tangents, view.fitter.tolerance)
+        return self._weighed[1]
+
+    def weigh(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
+        """Return the channel weights from the residual after a fit of all effects and structures together."""
+        several = [one for one in tangents if has_starts(one.name, self.predictor.robot)]
+        common = [one for one in tangents if not has_starts(one.name, self.predictor.robot)]
+        start = params
+        for one in common:
+            start = start.with_effect(one.name, one.start)
+
+        def project_out(residuals: list[Array], weights: Weighting) -> list[Array]:
+            return beyond_structures(self.nuisances.project_out(residuals, {}), residuals, weights)
+
+        channels = len(self.predictor.channels)
+        linear = [tolerance, *(one.whole(channels) for one in several if one.name not in params.effects)]
+        empty = [np.empty((*residual.shape, 0)) for residual in self.missed]
+        whole = [one.whole(channels) for one in common]
+        own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
+        del whole
+        return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=project_out)
+
+    def start_view(
+        self,
+        params: ModelParams,
+        effects: tuple[str, ...],
+        structures: tuple[NuisanceColumns, ...],
+        weights: Weighting,
+        tangents: list[Tangent] | None = None,
+        tolerance: Derivatives | None = None,
+    ) -> CandidateView:
+        """Return the candidates about a set, after removal of the effects without support under these weights."""
+        fitter, start = self.linear_fitter(params, weights), replace(params, deviation=None)
+        fitter.tolerance = tolerance
+        present, empty = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
+        while not present.holds:
+            present = fitter.without_weakest(present)
+        return self.candidate_view(present, {present.label: fitter}, {empty.label: empty}, tangents)
+
+    def climb(self, ways: Sequence[Way]) -> None:
+        """Move to the best set that the strategies reach, round by round, until none improves on the present one."""
+        for count in range(MOST_ROUNDS):
+            self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
+            present, own, fits = self.view.present, self.view.own, self.view.fits
+            for more in (way for way in ways if way not in self.view.gone):
+                settled = -1
+                while (
+                    settled != len(own) and self.leader(self.view) is present
+                ):  # repeat if relinearisation changed ranks
+                    settled = len(own)
+                    more(self.view)
+                    self.leader(self.view)
+                self.view.gone.append(more)
+            if (leader := self.leader(self.view)) is present:
+                return
+            del self.view
+            give_back_memory()
+            self.view = self.candidate_view(leader, own, fits)
+
+    def linear_fitter(self, params: ModelParams, weights: Weighting) -> Fitter:
+        """Return a fitter of sets whose tolerances are linearised about a model."""
+        return Fitter(self.predictor, self.declared, len(self.names), weights, params)
+
+    def leader(self, view: CandidateView) -> EffectSetFit:
+        """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
+        while (best := view.best).label not in view.own:
+            forget_but(view.own, view.present.label)
+            view.settle(*self.relinearise(best, view.fitter))
+        forget_but(view.own, view.present.label, best.label)
+        return best
+
+    def relinearise(self, fitted: EffectSetFit, about: Fitter) -> tuple[EffectSetFit, Fitter]:
+        """Return a set refitted with the tolerances linearised about itself until its deviations settle, and its fitter.
+
+        About a model without sensor delay, a delay of 6 ms is fitted only in part, and the rest looks like actuation delay. If
+        the deviations change by more than in the iteration before, the iteration diverges, and the earlier result is kept.
+        """
+        last = np.inf
+        for _ in range(MOST_TURNS):
+            about.forget_nuisance_sums()
+            fitter = self.linear_fitter(fitted.model_in_tolerances, about.weights)
+            again = fitter.refit(fitted, about)
+            if not again.deviation.size:  # the fit made no step
+                return again, fitter
+            moved = float(np.abs(again.deviation - fitted.deviation).max())
+            if moved > last:
+                break
+            fitted, about, last = again, fitter, moved
+            if moved < SAME_DEVIATION:
+                break
+        return fitted, about
+
+    def fit_probable(self, view: CandidateView) -> None:
+        """Fit the sets that are probable in the linear model, in the order of their log posterior.
+
+        The linear model is mostly too optimistic. So fits go on until no set promises more than the best fit, or until several
+        in a row bring no improvement. Structures together can imitate an effect with memory better than its own linear model
+        does. So sets without structures, except offsets of flights, are fitted in a second pass.
+        """
+        values = view.sets.log_posterior
+        structures = {k for k, one in enumerate(view.library.candidates) if one.in_common}
+        order = sorted(values, key=values.__getitem__, reverse=True)
+        bare, seen = [model for model in order if not structures.intersection(model)], set[Label]()
+        for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
+            vain, best = 0, best_of_turn()
+            for model in turn:
+                if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
+                    break
+                label = candidate_label(view.library, model)
+                if label in seen or view.has_fit(label):
+                    continue
+                seen.add(label)
+                view.fit(view.guard.drop_unsupported(model))
+                before, best = best, best_of_turn()
+                vain = vain + 1 if best is before else 0
+
+    def fit_fewer(self, view: CandidateView) -> None:
+        """Fit the sets with one effect less than the present one, and those with a special case of an effect."""
+        for gone in (k for k in view.present_set if not view.library.candidates[k].structure):
+            view.fit(tuple(k for k in view.present_set if k != gone))
+        compared = view.comparison_depth(beside=not view.present.bare)
+        for fitted in view.fitter.narrower(view.present, self.names, compared):
+            view.add(fitted)
+
+    def fit_rivals(self, view: CandidateView) -> None:
+        """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""
+        least = view.present.log_posterior - occam_window(view.present)
+        for values in swaps(view):
+            for model in sorted(values, key=values.__getitem__, reverse=True)[:MOST_RIVALS]:
+                if values[model] > least:
+                    view.fit(model)
+
+    def fit_nearest(self, view: CandidateView) -> None:
+        """Fit the best rival of each present effect even if it is improbable, so that reports can state its log odds."""
+        for values in swaps(view):
+            best = max(values, key=values.__getitem__, default=())
+            if np.isfinite(values.get(best, -np.inf)):
+                view.fit(best, however_far=True)
+
+    def candidate_view(
+        self,
+        present: EffectSetFit,
+        own: dict[Label, Fitter],
+        fits: dict[Label, EffectSetFit],
+        tangents: list[Tangent] | None = None,
+    ) -> CandidateView:
+        """Return the candidates about a set, with the posterior over their sets and the structures among them."""
+        structures, fitter = list[NuisanceColumns](), own[present.label]
+        forget_but(own, present.label)
+
+        def of_residuals(residuals: list[Array], effects: dict[str, list[list[InChannels]]]) -> list[NuisanceColumns]:
+            structures.extend(self.nuisances.project_out(residuals, effects))
+            return structures
+
+        library = build_library(
+            self.predictor,
+            self.declared,
+            present.params,
+            present.effects,
+            fitter.weights.weight,
+            skipped=self.skipped,
+            structures=of_residuals,
+            tangents=tangents,
+            tolerance=fitter.tolerance,
+            parts=parts_of_a_flight(len(self.predictor.times)),
+        )
+        sets = search(make_candidates(library), make_normal(library), starts=[present_set(library, present)])
+        fits[present.label] = present
+        return CandidateView(
+            present=present,
+            fits=fits,
+            own=own,
+            fresh=set(),
+            fitter=fitter,
+            library=library,
+            structures=structures,
+            sets=sets,
+            guard=Guard(library, sets),
+        )
+
+
+def swaps(view: CandidateView) -> Iterator[dict[Model, float]]:
+    """Yield, for each present effect, the sets with another one in its place and their log posterior in the linear model."""
+    candidates = view.library.candidates
+    excluded = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]
+    for gone in (k for k in view.present_set if not candidates[k].structure):
+        models = [tuple(sorted((*(k for k in view.present_set if k != gone), other))) for other in excluded]
+        yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))

@@ -1,0 +1,192 @@
+"""The test residual beyond noise and tolerances: unexplained channels, random wind, or a structure that no effect has.
+
+Letters: C channels, N tolerances, T rows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.identify.candidates.structure import Structure, find_structure
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
+from aerial_gym.sim2real.judge.predictive import PredictiveQuestion, channel_names, left_open, open_effects
+from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, wind_declaration
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.channels import KINEMATIC
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+
+NEAR_FLOOR = 2.0
+"""Ratio of the residual's mean square to that of the noise floor, below which the residual is near the floor."""
+
+TOLERATED = 0.5
+"""Share of the residual (rms) caused by tolerances, below which an excess over the noise floor is immaterial."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualExcess:
+    """The test residual of the final model, sorted by its possible origin."""
+
+    within: ModelParams
+    """The final model with the deviations within the tolerances that fit best."""
+
+    left: list[Array]
+    """Residuals of each test flight with these deviations, (T, C)."""
+
+    channels: tuple[str, ...]
+    """Unexplained channels: the residual exceeds noise and the uncertainty of the parameters."""
+
+    left_open: tuple[str, ...]
+    """Channels whose residual exceeds noise, but not the parameter uncertainty that training leaves."""
+
+    of_flights: tuple[str, ...]
+    """Channels whose residual exceeds noise only by an offset of each flight, as in the training flights."""
+
+    open_to: tuple[str, ...]
+    """Effects that would explain the residual in ``channels`` and that training flights do not rule out."""
+
+    floor: Array | None
+    """Noise floor of each channel, random wind included, (C,); None where the logs show none."""
+
+    wind: RandomWind
+    structure: Structure
+
+    @property
+    def deviation(self) -> Array:
+        """Return the deviations within the tolerances that fit best, in standard deviations, (N,)."""
+        assert self.within.deviation is not None
+        return self.within.deviation
+
+    def with_wind_floor(self, evaluation: ModelEvaluation) -> ModelEvaluation:
+        """Return an evaluation whose noise floor includes random wind, if random wind is accepted."""
+        return (
+            replace(evaluation, floor=tuple(self.floor.tolist()))
+            if self.wind.is_accepted and self.floor is not None
+            else evaluation
+        )
+
+
+def find_unexplained(
+    train: Predictor,
+    test: Predictor,
+    selection: SelectionResult,
+    models: tuple[ModelParams, ModelParams],
+    after: ModelEvaluation,
+    floor: Array | None,
+) -> ResidualExcess:
+    """Return the test residual of the final model with its unexplained and open channels, random wind and structure.
+
+    Args:
+        train: Training flights.
+        test: Test flights.
+        selection: The accepted effects with their fits.
+        models: The declared and the final one, as the robot files hold them.
+        after: Evaluation of the corrected model on the test flights, without deviations.
+        floor: Noise floor of each channel, (C,).
+    """
+    _, params = models
+    flights = [*train.flights, *test.flights]
+    within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
+    left, tolerated = test.residuals(within), selection.left_out.tolerated
+    rms = np.minimum(channel_rms(left), [channel.value for channel in after.residual])  # deviations may only lower it
+    judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
+    suspected = judged & material_excess(rms, floor, tolerated)
+    seen, own = train.residuals(within), selection.own_offsets.size > 0.0
+
+    def about_offsets(parts: list[Array]) -> Array:
+        return channel_rms([part - own * part.mean(axis=0) for part in parts])
+
+    fitted = ~material_excess(about_offsets(seen), floor, tolerated)
+    about = np.where(own, about_offsets(left), rms)
+    within_flights = whole = np.zeros(rms.size)
+    if suspected.any():
+        within_flights, whole = left_open(test, params, selection, fitted)
+
+    def excess_channels(floor: Array | None) -> Flags:
+        cases = ((about, within_flights), (rms, whole))
+        return suspected & np.any(
+            [material_excess(rms, floor, tolerated) & (excess_power(rms, floor) > limit) for rms, limit in cases],
+            axis=0,
+        )
+
+    remaining, wind = excess_channels(floor), wind_declaration(train.robot)
+    if not wind.is_accepted:
+        wind = find_random_wind(
+            train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
+        )
+        if wind.is_accepted and floor is not None:
+            floor = np.hypot(floor, wind.adds(test, params))
+            remaining = excess_channels(floor)
+    structure, could = Structure(), ()
+    if remaining.any():
+        places = np.flatnonzero(remaining).tolist()
+        structure = find_structure(flights, [*train.times, *test.times], [*seen, *left], test.channels, places)
+        if structure.kind == "none":  # test flights may cover another range, where the structure differs
+            structure = find_structure(train.flights, train.times, seen, test.channels, places)
+        level = floor  # of the noise, random wind included
+        asked = PredictiveQuestion(remaining=remaining, enough=lambda rms: ~material_excess(rms, level, tolerated))
+        could = open_effects(train, test, models, selection, asked)
+    names = [channel.name for channel in test.channels]
+    open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
+    offsets = open_channels & own & ~material_excess(about, floor, tolerated)
+    return ResidualExcess(
+        within=within,
+        left=left,
+        channels=channel_names(names, remaining),
+        left_open=channel_names(names, open_channels & ~offsets),
+        of_flights=channel_names(names, offsets),
+        open_to=could,
+        floor=floor,
+        wind=wind,
+        structure=structure,
+    )
+
+
+def channel_rms(parts: Sequence[Array]) -> Array:
+    """Return the rms of each column over all parts (rows, C) together, (C,)."""
+    return np.sqrt(np.mean(np.square(np.concatenate(parts)), axis=0))
+
+
+def with_best_deviations(params: ModelParams, fit: ModelFit, weight: Array) -> ModelParams:
+    """Return a model with the deviations within the tolerances that fit the training flights best beside its own effects.
+
+    Args:
+        params: The final model, as the robot file holds it.
+        fit: Its linearisation on the training flights.
+        weight: Weight of one row of each channel, (C,).
+    """
+    own = fit.num_effect_params
+    step = best_step(fit, weight, np.arange(own, fit.low.size))
+    return replace(params, deviation=step[own:])
+
+
+def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> Flags:
+    """Return whether the residual of each channel exceeds noise and tolerances, (C,); False if no floor is known.
+
+    Args:
+        rms: Residual with effects and with the deviations that fit best within the tolerances, (C,).
+        floor: Noise floor, (C,).
+        tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
+    """
+    if floor is None:
+        return np.zeros(rms.size, dtype=bool)
+    return (rms**2 > NEAR_FLOOR * floor**2) & (np.sqrt(excess_power(rms, floor)) > TOLERATED * tolerated)
+
+
+def excess_power(rms: Array, floor: Array | None) -> Array:
+    """Return the mean square above the noise floor, (C,); zeros where none is known."""
+    return np.zeros(rms.size) if floor is None else np.maximum(rms**2 - floor**2, 0.0)
+
+
+def judges_forces(flights: Sequence[Flight]) -> bool:
+    """Return whether every flight has velocity: without it drag is unknown, and force residuals are not judged."""
+    return all(flight.lin_vel is not None for flight in flights)
+
+
+def not_judged(flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Return the kinds of channel whose residual is not judged: kinematic ones, and forces if velocity is unknown."""
+    return KINEMATIC if judges_forces(flights) else (*KINEMATIC, "specific_force")

@@ -1,0 +1,161 @@
+"""Repair of repeated samples, from a sensor slower than the log, a late packet or a frozen sensor.
+
+In motion no sensor reads exactly the same twice. A repeated value was thus not measured at its row: it is replaced by
+linear interpolation, with a finding. Letters: T rows.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aerial_gym.errors import DataError
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.signals import interpolate, quaternion_signs
+
+SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
+"""Sensors whose values always vary in flight; rotor speeds and voltages have coarse steps and may not."""
+
+LONGEST_FROZEN_S = 0.25
+"""Longest time of one value in motion; beyond it the sensor is frozen."""
+
+LEAST_WAY = 0.05
+"""Least motion [m], [rad] during one value of a frozen position or attitude, as these may have coarse steps."""
+
+LEAST_MOTION = 0.1
+"""Least speed [m/s] or angular velocity [rad/s] of a moving vehicle."""
+
+LEAST_SHARE = 0.005
+"""Smallest reported share of repeated values; smaller ones are repaired silently."""
+
+MOST_ROWS = 0.5
+"""Largest share of rows that repeat entirely; beyond it the log rate exceeds all sensor rates."""
+
+REGULAR = 0.8
+"""A sensor is slower than the log if this share of its values lasts the median number of rows, plus or minus one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleRepeats:
+    """Measured rows and repeated rows of one sensor."""
+
+    fresh: Indices
+    """Rows with a new value, including the first."""
+
+    num_rows: int
+    """Number of rows T."""
+
+    @property
+    def share(self) -> float:
+        """Return the share of repeated rows."""
+        return 1.0 - self.fresh.size / self.num_rows
+
+    @property
+    def usual(self) -> float:
+        """Return the mean number of rows per value; 1 unless the sensor is regularly slower than the log."""
+        spans = np.diff(self.fresh)
+        middle = float(np.median(spans)) if spans.size else 1.0
+        return float(spans.mean()) if middle > 1.0 and np.mean(np.abs(spans - middle) <= 1.0) >= REGULAR else 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFreeze:
+    """A sensor that repeats one value in motion."""
+
+    name: str
+    """Field of ``FlightLog``."""
+
+    row: int
+    """First row with that value."""
+
+    seconds: float
+    """Duration [s]."""
+
+
+def find_repeated_samples(values: Array, moving: Flags) -> SampleRepeats:
+    """Return the rows (T, any) with new values; a repeat counts only while the vehicle moves."""
+    same = np.all(values[1:] == values[:-1], axis=1) & moving[1:]
+    return SampleRepeats(fresh=np.flatnonzero(np.concatenate(([True], ~same))), num_rows=len(values))
+
+
+def mend_repeated_samples(log: FlightLog) -> FlightLog:
+    """Return the log with repeated values interpolated, and a finding for each sensor with many.
+
+    Raises:
+        DataError: If a sensor was frozen, or most rows repeat the one before.
+    """
+    moving = _is_moving(log)
+    sensors = _sensors(log)
+    whole = find_repeated_samples(np.concatenate(list(sensors.values()), axis=1), moving)
+    if whole.share > MOST_ROWS:
+        raise DataError(
+            f"{log.path}: {whole.share:.0%} of the rows repeat the one before; write each sample once, at its own t"
+        )
+    changes: dict[str, object] = {}
+    notes = []
+    for name, values in sensors.items():
+        repeats = find_repeated_samples(values, moving)
+        frozen = _longest_frozen(log, name, repeats)
+        if frozen.seconds > LONGEST_FROZEN_S:
+            raise DataError(
+                f"{log.row_name(frozen.row + 1)}: {name} repeats one value for {frozen.seconds:.3g} s while the vehicle moves; "
+                "the sensor was frozen, cut the log there, or leave that sensor out"
+            )
+        if repeats.share > 0.0:
+            changes[name] = interpolate(log.time, log.time[repeats.fresh], values[repeats.fresh])
+        if repeats.share > LEAST_SHARE:
+            notes.append(_note(log, name, repeats))
+    return replace(log, **changes, notes=(*log.notes, *notes))
+
+
+def _is_moving(log: FlightLog) -> Flags:
+    """Return the rows in motion, (T,)."""
+    moving = np.zeros(log.time.size, dtype=bool)
+    for values in (log.lin_vel, log.ang_vel):
+        if values is not None:
+            moving |= np.linalg.norm(values, axis=1) > LEAST_MOTION
+    return moving
+
+
+def _sensors(log: FlightLog) -> dict[str, Array]:
+    """Return the rows of each logged sensor by name, (T, any); quaternions have continuous signs."""
+    freezes = {name: getattr(log, name) for name in SENSORS if getattr(log, name) is not None}
+    return freezes | {"attitude": log.attitude * quaternion_signs(log.attitude)[:, None]}
+
+
+def find_frozen_sensors(log: FlightLog) -> list[SensorFreeze]:
+    """Return the sensors that repeat one value in motion for longer than ``LONGEST_FROZEN_S``."""
+    moving = _is_moving(log)
+    sensors = _sensors(log).items()
+    freezes = [_longest_frozen(log, name, find_repeated_samples(values, moving)) for name, values in sensors]
+    return [frozen for frozen in freezes if frozen.seconds > LONGEST_FROZEN_S]
+
+
+def last_change_rows(log: FlightLog) -> dict[str, int]:
+    """Return the row of each sensor's last change, in motion or not, by sensor name."""
+    freezes = dict[str, int]()
+    for name, values in _sensors(log).items():
+        changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
+        freezes[name] = int(changes[-1]) + 1 if changes.size else 0
+    return freezes
+
+
+def _longest_frozen(log: FlightLog, name: str, repeats: SampleRepeats) -> SensorFreeze:
+    """Return the longest time of one value of a sensor; for poses only while the vehicle moves enough."""
+    ends = np.append(repeats.fresh[1:], repeats.num_rows - 1)
+    frozen = log.time[ends] - log.time[repeats.fresh]
+    changes = {"position": log.lin_vel, "attitude": log.ang_vel}.get(name)
+    if changes is not None:
+        way = np.append(0.0, np.cumsum(np.linalg.norm(changes[:-1], axis=1) * np.diff(log.time)))
+        frozen = np.where(way[ends] - way[repeats.fresh] > LEAST_WAY, frozen, 0.0)
+    worst = int(np.argmax(frozen))
+    return SensorFreeze(name=name, row=int(repeats.fresh[worst]), seconds=float(frozen[worst]))
+
+
+def _note(log: FlightLog, name: str, repeats: SampleRepeats) -> Finding:
+    if repeats.usual > 1.0:
+        rate = sample_rate(log)
+        return Finding("samples_slow", "", {"sensor": name, "rate_hz": rate / repeats.usual, "log_rate_hz": rate})
+    longest = int(np.diff(repeats.fresh, append=repeats.num_rows).max()) - 1
+    return Finding("samples_repeated", "", {"sensor": name, "share": repeats.share, "longest_rows": longest})

@@ -1,0 +1,322 @@
+"""Batched predictions for several flights, with intermediate results cached between models.
+
+Letters: E rows, T rows kept, R rotors, N tolerances.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.math.quaternion import quat_conjugate, quat_exp, quat_multiply, quat_rotate, quat_rotate_inverse
+from aerial_gym.physics import BodyState, Vehicle, accelerations, build_model, condition_in
+from aerial_gym.physics.effect_cache import EffectCache
+from aerial_gym.physics.effects import (
+    Condition,
+    ImuEffect,
+    LoadEffect,
+    RotorSensorEffect,
+    Suspension,
+    WindEffect,
+    WrenchEffect,
+)
+from aerial_gym.physics.effects.learned_residual import network_inputs
+from aerial_gym.physics.effects.track import FlightTrack
+from aerial_gym.physics.model import Model
+from aerial_gym.physics.rigid_body import (
+    MOVES_OF_VEHICLE,
+    adapt_condition,
+    condition_at_origin,
+    force_breakdown,
+    origin_suspension,
+    suspension_pull,
+    with_fluid,
+    with_memory,
+)
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.signals import lowpass
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
+from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
+from aerial_gym.sim2real.predict.replay.memory import replay_memory
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.rows.band_response import InBand
+from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_from_model
+from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
+from aerial_gym.sim2real.predict.tolerances import (
+    SensorDeviation,
+    Tolerances,
+    command_shift,
+    deviate,
+    joint_start,
+    sensor_deviation,
+)
+
+Columns = list[Array]
+"""Channel columns, each (rows kept,); different predictions may share some."""
+
+CONDITIONS = 4
+"""Number of cached conditions: of the present model, at body and hubs, and of a changed model."""
+
+REPLAYS = 3
+"""Number of cached rotor speeds in the band."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ModelQuery:
+    """A model with the inputs of its prediction."""
+
+    model: Model
+    """One environment."""
+
+    deviation: Tensor
+    """Deviations in standard deviations, (N,)."""
+
+    logged: SensorDeviation
+    """Sensor errors of these deviations."""
+
+    speeds: list[Array | None] | None
+    """Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LoadQuery:
+    """Motion of the load's suspension along the flights, from a model without the load."""
+
+    key: tuple[object, ...]
+    speeds: list[Array | None] | None
+    suspension: Suspension
+    missed: list[Array] | None
+    """Specific force residual of this model [m/s²], world, (rows, 3) per flight; None if not measured."""
+
+
+class FlightBatch:
+    """Predictions for a batch of flights."""
+
+    def __init__(self, robot: RobotCfg, declared: Vehicle, data: Dataset, tolerances: Tolerances) -> None:
+        """Store the robot, its vehicle of one environment, the flights and the tolerances."""
+        self.data, self.tolerances, self._declared = data, tolerances, declared
+        self._replay = RotorReplay(data.flights)
+        self._load_replay = LoadReplay(data.flights, data.row_times)
+        self._forces, self._memories = EffectCache[Condition](), EffectCache[FlightTrack]()
+        self._in_band = InBand(data)
+        self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
+        self._imu = ImuReading(data, self._in_band)
+        self._replayed: list[tuple[list[Array | None], float, Columns]] = []
+        self._conditions: OrderedDict[tuple[object, ...], tuple[object, Condition]] = OrderedDict()
+        self._hung: _LoadQuery | None = None
+        self._params, self._in_step = params_from_robot(robot), None
+
+    @torch.inference_mode()
+    def predict(self, params: ModelParams) -> list[Columns]:
+        """Return the predicted channels of each flight; read-only."""
+        asked = self._make_query(params)
+        kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
+        rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
+        if "rotor_speed" in kinds:
+            assert asked.speeds is not None
+            rows["rotor_speed"] = self._slow_speeds(asked.speeds, float(asked.logged.delays[0]))
+        columns = [column for kind in kinds for column in rows[kind]]
+        return [[column[span] for column in columns] for span in self.data.kept_spans]
+
+    @torch.inference_mode()
+    def residual_inputs(self, params: ModelParams) -> list[Array]:
+        """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
+        asked = self._make_query(params)
+        condition = self._condition(self._model_rows(asked), asked)
+        rows = network_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
+        return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
+
+    @torch.inference_mode()
+    def links(self, params: ModelParams) -> list[Link]:
+        """Return the state of the load's link along each flight."""
+        asked = self._make_query(params)
+        model = self._model_rows(asked)
+        hanging = self._load_query(model, self._condition(model, asked), self._effect_memory(model, asked), asked)
+        load = self._load_replay.loads(model, hanging.missed).numpy()
+        return [
+            Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
+        ]
+
+    def _make_query(self, params: ModelParams) -> _ModelQuery:
+        """Return the model in one environment with its deviations, its scene in every row and the commanded rotor speeds."""
+        vehicle, deviation = self._declared, self._nothing
+        if params.deviation is not None:
+            deviation = torch.from_numpy(params.deviation)
+            vehicle = deviate(vehicle, self.tolerances, deviation)
+        model = build_model(vehicle, expand_effects(params, 1), **self.data.heights, other_position=self.data.other)
+        speeds = None
+        if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
+            sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
+            speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
+        return _ModelQuery(
+            model=model, deviation=deviation, logged=sensor_deviation(self.tolerances, deviation), speeds=speeds
+        )
+
+    def _rows(self, asked: _ModelQuery) -> dict[str, Columns]:
+        """Return the inertial sensor readings in the band, three columns (T,) by kind."""
+        flown = self._model_rows(asked)
+        remembered = self._effect_memory(flown, asked)
+        model, hubs = with_memory(flown, remembered), None
+        if any(effect.needs_com for effect, _ in model.effects):
+            condition = self._condition(flown, asked)
+        else:
+            condition = hubs = self._condition(flown, asked, at_origin=True)
+            at_hubs = all(effect.at_hubs for effect, _ in model.effects[WrenchEffect])
+            if not at_hubs and model.vehicle.com.any():
+                condition = self._condition(flown, asked)
+        acting = force_breakdown(model, condition, self._forces, apart=True, hubs=hubs)
+        acting = with_fluid(model, condition, acting)
+        if model.effects[LoadEffect]:
+            acting.wrenches.append(
+                ("load", self._pull(flown, asked, self._load_query(flown, condition, remembered, asked)))
+            )
+        about = None if hubs is None else hubs.vehicle.com[0]
+        late = self._imu.late(asked.logged)
+        felt = self._in_band.body_response(model, condition.rotor_speed, acting, about=about, late=late)
+        noise = asked.logged.answered_noise
+        return self._imu.read(model, felt, asked.logged, noise * self._torque_noise() if noise.any() else None)
+
+    def _torque_noise(self) -> Tensor:
+        """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 3)."""
+        if self._in_step is None:
+            data, turning = (
+                self.data,
+                np.stack(self._rows(self._make_query(self._params))["angular_acceleration"], axis=1),
+            )
+            parts = []
+            for flight, span in zip(data.flights, data.kept_spans, strict=True):
+                share = torque_gain_uncertainty(flight, self._declared, turning[span], data.bandwidth)
+                parts.append(share * (turning[span] - turning[span].mean(axis=0)))
+            self._in_step = torch.from_numpy(np.concatenate(parts))
+        return self._in_step
+
+    def _load_query(
+        self, model: Model, condition: Condition, remembered: dict[str, Tensor], asked: _ModelQuery
+    ) -> _LoadQuery:
+        """Return the motion of the load's suspension, reused unless another part of the model has changed."""
+        rows = (*asked.model.vehicle.rows().values(), asked.deviation)
+        other_params = [params for effect, params in asked.model.effects if not isinstance(effect, LoadEffect)]
+        names = [effect.name for effect, _ in asked.model.effects]
+        key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *other_params)))
+        if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:
+            return self._hung
+        state = BodyState(rotor_speed=condition.rotor_speed, **self._state(asked))
+        attitude = state.attitude
+        alone = replace(model, effects=model.effects.exclude(LoadEffect))
+        results = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
+        missed, force = None, results.specific_force
+        acceleration = quat_rotate(attitude, force) - model.gravity * force.new_tensor((0.0, 0.0, 1.0))
+        if self.data.force is not None:
+            if model.effects[ImuEffect]:
+                force = torch.where(self.data.felt_force, imu_from_model(model)[0].apply(force), force)
+            force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
+            missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
+        self._hung = _LoadQuery(
+            key=key, speeds=asked.speeds, suspension=origin_suspension(model, attitude, acceleration), missed=missed
+        )
+        return self._hung
+
+    def _pull(self, model: Model, asked: _ModelQuery, hanging: _LoadQuery) -> Tensor:
+        """Return force and torque of the load in every row, body, (E, 6)."""
+        attitude, load = self._state(asked)["attitude"], self._load_replay.loads(model, hanging.missed)
+        force, torque, _ = suspension_pull(model, attitude, hanging.suspension, load)
+        return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
+
+    def _effect_memory(self, model: Model, asked: _ModelQuery) -> dict[str, Tensor]:
+        """Return the memory of effects on rotors and body in every row, (E, M), by effect, replayed at the log's rate."""
+        settled = joint_start(self.tolerances, asked.deviation)
+        along = replay_memory(model, self.data.flights, asked.speeds, self._memories, settled=settled)
+        return {
+            name: torch.cat([self.data.thin_rows(k, part.numpy()) for k, part in enumerate(parts)])
+            for name, parts in along.items()
+        }
+
+    def _model_rows(self, asked: _ModelQuery) -> Model:
+        """Return the model in every row."""
+        model = expand_model(asked.model, self.data.state["attitude"].shape[0])
+        return with_known_wind(model, self.data.flights, self.data.flight)
+
+    def _state(self, asked: _ModelQuery) -> dict[str, Tensor]:
+        """Return the motion in every row on the rotor speeds' clock, with the true body attitude.
+
+        Misalignment and delay of the logged attitude and the velocity's delay are corrected.
+        """
+        results, logged = dict(self.data.state), asked.logged
+        *_, attitude, velocity = self._imu.clock(logged)
+        if velocity:
+            results["lin_vel"] = results["lin_vel"] + velocity * self.data.acceleration
+        if attitude:
+            results["position"] = results["position"] + attitude * self.data.state["lin_vel"]
+            results["attitude"] = quat_multiply(results["attitude"], quat_exp(attitude * results["ang_vel"]))
+        if logged.attitude.any():
+            back = quat_conjugate(logged.turn)
+            results["attitude"] = quat_multiply(results["attitude"], back.expand_as(results["attitude"]))
+        return results
+
+    def _condition(self, model: Model, asked: _ModelQuery, *, at_origin: bool = False) -> Condition:
+        """Return the motion seen by a model's effects in every row; ``at_origin``: at hubs (``condition_at_origin``)."""
+        motion = asked.logged.rotor_motion
+        speeds = asked.speeds if self.data.speed is None else None
+        pose_late = motion.new_tensor(self._imu.clock(asked.logged)[3:])
+        numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
+        key = (at_origin, *_condition_key(model, at_origin=at_origin), numbers)
+        known = self._conditions.get(key)
+        if known is not None and known[0] is speeds:
+            self._conditions.move_to_end(key)
+            vehicle = replace(model.vehicle, com=known[1].vehicle.com) if at_origin else model.vehicle
+            return adapt_condition(vehicle, known[1])
+        speed, spin_up = self._rotor_motion(model, speeds, motion)
+        make = condition_at_origin if at_origin else condition_in
+        results = make(model, BodyState(rotor_speed=speed, **self._state(asked)), spin_up)
+        self._conditions[key] = speeds, results
+        while len(self._conditions) > CONDITIONS:
+            self._conditions.popitem(last=False)
+        return results
+
+    def _rotor_motion(self, model: Model, speeds: list[Array | None] | None, motion: Tensor) -> tuple[Tensor, Tensor]:
+        """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
+
+        ``motion`` (R,): deviation of each mode's motion from its expectation, in standard deviations.
+        """
+        data = self.data
+        if data.speed is None or data.spin_up is None or data.unsure_speed is None or data.unsure_spin_up is None:
+            assert speeds is not None
+            replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
+            speed = torch.cat([self.data.thin_rows(i, s) for i, s in replayed])
+            spin_up = torch.cat([self.data.differentiate(i, s) for i, s in replayed])
+        else:
+            speed, spin_up = data.speed, data.spin_up
+            if motion.any():
+                speed = speed + torch.tensordot(motion, data.unsure_speed, dims=1)
+                spin_up = spin_up + torch.tensordot(motion, data.unsure_spin_up, dims=1)
+            for effect, params in model.effects[RotorSensorEffect]:
+                speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
+        return speed, spin_up
+
+    def _slow_speeds(self, speeds: list[Array | None], late: float) -> Columns:
+        """Return the rotor speeds of all flights in the band with a delay [s]."""
+        for place, (before, seconds, results) in enumerate(self._replayed):
+            if before is speeds and seconds == late:
+                self._replayed.insert(0, self._replayed.pop(place))
+                return results
+        parts = []
+        for flight, kept, speed in zip(self.data.flights, self.data.kept, speeds, strict=True):
+            assert speed is not None
+            parts.append(lowpass(speed, flight.rate, self.data.bandwidth, late=late)[kept])
+        results = list(np.concatenate(parts).T.copy())
+        self._replayed.insert(0, (speeds, late, results))
+        del self._replayed[REPLAYS:]
+        return results
+
+
+def _condition_key(model: Model, *, at_origin: bool) -> tuple[object, ...]:
+    """Return a hashable key of the model parts that change the motion seen by effects, except commanded rotor speeds."""
+    names = [name for name in MOVES_OF_VEHICLE if not at_origin or name != "com"]
+    of_vehicle = [getattr(model.vehicle, name)[0].numpy().tobytes() for name in names]
+    effects = [*model.effects[WindEffect], *model.effects[RotorSensorEffect]]
+    return (*of_vehicle, *((effect.name, params[0].numpy().tobytes()) for effect, params in effects))

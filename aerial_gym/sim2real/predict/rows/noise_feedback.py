@@ -1,0 +1,75 @@
+"""Tolerance for the correlation of gyro noise with torque, caused by the autopilot's feedback.
+
+In hover, much of the torque is the autopilot's response to gyro noise. Measurement and prediction are then correlated
+beyond the physical torque, and a fit attributes this to inertia or rotor drag (bias of closed-loop identification). The
+correlation is unknown but bounded. With noise of RMS n, torque of RMS t and a response of RMS a, the torque seems larger
+by at most ``n a / t²``. A uniform distribution within this bound, with either sign, has the standard deviation
+bound / sqrt(3). In motion it is negligible.
+
+The noise is measured above the comparison band. So is the response, from the commands there, low-passed by the rotor lag.
+Without commands, the inverse lag of the measured rotor speeds takes their place, sensor noise included.
+
+Letters: T rows, L lines of a spectrum, K columns.
+
+Source:
+    Ljung (1999), System Identification: Theory for the User, section 13.4 (feedback in the direct method).
+"""
+
+import numpy as np
+import torch
+
+from aerial_gym.config.sim import STANDARD_GRAVITY
+from aerial_gym.control.effectiveness import allocation_matrix
+from aerial_gym.physics import Vehicle
+from aerial_gym.physics.rotors import rotor_thrust
+from aerial_gym.sim2real.arrays import Array
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import lowpass_gain
+from aerial_gym.sim2real.predict.rows.spectra import noise_level, power_density
+
+
+def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, bandwidth: float) -> Array:
+    """Return the standard deviation of the apparent relative increase of the torque about each axis, (3,).
+
+    It is 0 if the log is too slow to show the noise, and about axes without angular acceleration.
+
+    Args:
+        flight: Measured flight.
+        declared: Declared vehicle, one environment.
+        turning: Predicted angular acceleration in the band [rad/s²], body, (T, 3).
+        bandwidth: Bandwidth of the comparison [Hz].
+    """
+    noise, answer = _noise(flight, bandwidth), _answer(flight, declared, bandwidth)
+    if noise is None or answer is None or not len(turning):
+        return np.zeros(3)
+    moved = turning.std(axis=0)
+    seeming = noise * np.minimum(answer, moved) / np.sqrt(3.0)
+    return np.divide(seeming, moved**2, out=np.zeros(3), where=moved > 0.0)
+
+
+def _noise(flight: Flight, bandwidth: float) -> Array | None:
+    """Return the RMS noise of the angular acceleration in the band [rad/s²], (3,); None if the log is too slow."""
+    frequency, density = power_density(flight.ang_vel, flight.rate)
+    level = noise_level(frequency, density, bandwidth, flight.rate)
+    return (
+        None if level is None else _band_rms(bandwidth, frequency, level[0] * (2.0 * np.pi * frequency[:, None]) ** 2)
+    )
+
+
+def _answer(flight: Flight, vehicle: Vehicle, bandwidth: float) -> Array | None:
+    """Return the RMS rotor response in the band as angular acceleration [rad/s²], (3,); None if the log is too slow."""
+    told = flight.rotor_command is not None
+    speed = flight.rotor_command if told else flight.rotor_speed
+    assert speed is not None
+    thrust = rotor_thrust(vehicle, torch.from_numpy(speed))
+    torque = allocation_matrix(vehicle, STANDARD_GRAVITY)[0, 3:] @ thrust.T
+    frequency, density = power_density(torch.linalg.solve(vehicle.inertia[0], torque).T.numpy(), flight.rate)
+    slowed = 1.0 + (2.0 * np.pi * frequency[:, None] * float(vehicle.time_constant_up.mean())) ** 2
+    level = noise_level(frequency, density if told else density * slowed, bandwidth, flight.rate)
+    return None if level is None else _band_rms(bandwidth, frequency, level[0] / slowed)
+
+
+def _band_rms(bandwidth: float, frequency: Array, density: Array) -> Array:
+    """Return the RMS below a bandwidth [Hz] of signals with densities (L, K) at frequencies [Hz], (K,)."""
+    gain = lowpass_gain(frequency, bandwidth)[:, None]
+    return np.sqrt((density * gain**2).sum(axis=0) * frequency[1])

@@ -1,0 +1,266 @@
+"""Springs, dampers and dry friction of joints from flights with logged joint angles.
+
+The joint effort follows from the motion (``joint_courses``) and is fitted by laws of the joint's angle and rate::
+
+    effort = preload - (k + k2 |q - rest|) (q - rest) - c q' - F s,    s = low-passed q' / sqrt(q'² + v²)
+
+with q' in the widest band of the log. In stiction the effort may be anything up to F, so rows without motion to one side over
+the low-pass's whole span are excluded.
+Link masses, joint positions and thrusts are as declared: a relative error of a link's inertia appears equally here.
+Letters: T rows, D joints, K parameters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from aerial_gym.config.joint import JointCfg, JointsCfg, SpringCfg
+from aerial_gym.config.robot import RobotCfg
+from aerial_gym.errors import ConfigError, DataError
+from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.json_values import plain, select_fields
+from aerial_gym.sim2real.statistics import Rms
+from aerial_gym.sim2real.teststand.joints.courses import Course
+from aerial_gym.sim2real.teststand.statistics import (
+    FOLDS,
+    PARSIMONY,
+    Estimate,
+    cross_validation_error,
+    estimates,
+    fit_curve,
+    fold_labels,
+    hac_covariance,
+    left_out,
+)
+
+CLEAR = 0.8
+"""Least |s| of rows with continuous motion to one side."""
+
+MATERIAL = 0.02
+"""Least share of the effort's standard deviation in which a material change of a parameter results."""
+
+LAWS: dict[str, tuple[str, ...]] = {
+    "linear spring": ("stiffness", "damping", "rest"),
+    "linear spring, friction": ("stiffness", "damping", "rest", "friction"),
+    "quadratic spring": ("quadratic", "damping", "rest", "preload"),
+}
+"""Parameters of each law: stiffness [N m/rad], quadratic [N m/rad²], damping [N m s/rad], rest [rad], others [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointResult:
+    """Result for one joint, with or without logged angles."""
+
+    name: str
+    changed: tuple[str, ...]
+    """Parameters that differ significantly (95 %) and materially from the declared ones."""
+
+    declared: dict[str, float]
+    params: dict[str, Estimate]
+    """Fitted parameters by the names of ``SpringCfg``."""
+
+    spring: SpringCfg
+    """Spring for the robot file."""
+
+    @property
+    def finding(self) -> Finding:
+        """Return a finding with the parameters that differ from the declared ones."""
+        numbers = [
+            {"name": name, "value": self.params[name].value, "declared": self.declared[name]}
+            for name in self.changed
+            if name in self.params and name in self.declared
+        ]
+        return Finding("joint_found", self.name, {"numbers": numbers, "changed": list(self.changed)})
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        return select_fields(self, "name", "changed", "declared", "params")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointLawFit:
+    """Fit of one law to one joint."""
+
+    name: str
+    params: dict[str, Estimate]
+    error: Rms
+    """RMS held-out error of the effort [N m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogJointFit:
+    """Fits of all laws to one joint with logged angles."""
+
+    name: str
+    declared: Rms
+    """RMS error of the declared law [N m]."""
+
+    laws: dict[str, JointLawFit]
+    chosen: str
+    changed: tuple[str, ...]
+    """Parameters that differ significantly (95 %) and materially from the declared ones."""
+
+    spring: SpringCfg
+    """Spring for the robot file: the chosen law if anything differs, else the declared one."""
+
+    rows: int = field(default=0)
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the values for JSON."""
+        return {
+            **select_fields(self, "name", "changed", "chosen", "rows"),
+            "before": self.declared.as_mapping(),
+            "after": self.laws[self.chosen].error.as_mapping(),
+            "laws": {
+                name: {"held_out": plain(law.error), "params": plain(law.params)} for name, law in self.laws.items()
+            },
+        }
+
+
+def require_joints(robot: RobotCfg) -> JointsCfg:
+    """Return the joints of a robot; raise ``ConfigError`` if it is rigid."""
+    if robot.joints is None:
+        raise ConfigError("identify joints: this robot has no joints. identify joint fits a bench record")
+    return robot.joints
+
+
+def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[LogJointFit], list[Finding]]:
+    """Return the fits of all passive joints to all flights, and findings on joints left out.
+
+    Raises:
+        ConfigError: If the robot is rigid.
+    """
+    results, left_out = [], []
+    for k, joint in enumerate(require_joints(robot).layout):
+        if reason := unfit(joint):
+            left_out.append(reason)
+        else:
+            results.append(_fit_one(joint, k, courses))
+    return results, left_out
+
+
+def unfit(joint: JointCfg) -> Finding | None:
+    """Return a finding on the reason why a joint cannot be fitted; None if it can."""
+    if joint.drive is not None:
+        return Finding("joint_driven", joint.name)
+    return Finding("joint_creeps", joint.name) if joint.spring and joint.spring.creep else None
+
+
+def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> LogJointFit:
+    low, high = (-np.inf, np.inf) if joint.ends is None else (joint.ends.low, joint.ends.high)
+    if max(np.ptp(course.angle[:, k]) for course in courses) < 1e-9:
+        raise DataError(f"joint {joint.name}: its angle is the same in all rows; check the column")
+    kept = [
+        (course.angle[:, k] > low) & (course.angle[:, k] < high) & (np.abs(course.side[:, k]) >= CLEAR)
+        for course in courses
+    ]
+    angle, rate, side, effort = (
+        np.concatenate([getattr(c, name)[rows, k] for c, rows in zip(courses, kept, strict=True)])
+        for name in ("angle", "rate", "side", "effort")
+    )
+    counts = [int(rows.sum()) for rows in kept]
+    if angle.size < 50 * FOLDS:
+        raise DataError(
+            f"joint {joint.name}: {angle.size} rows of motion between its end stops, needs {50 * FOLDS}; fly longer"
+        )
+    fold = fold_labels(counts)
+    laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
+    least = min(law.error.value for law in laws.values())
+    chosen = min(
+        (n for n, law in laws.items() if law.error.value <= (1.0 + PARSIMONY) * least), key=lambda n: len(LAWS[n])
+    )
+    declared = joint.spring or SpringCfg()
+    before = cross_validation_error(effort - _file_effort(declared, angle, rate, side), fold)
+    sizes = {"stiffness": angle.std(), "quadratic": (angle**2).std(), "damping": rate.std(), "friction": side.std()}
+    sizes |= {
+        "rest": laws[chosen].params["stiffness"].value if "stiffness" in laws[chosen].params else 0.0,
+        "preload": 1.0,
+    }
+    least_change = MATERIAL * effort.std()
+    changed = _changes(declared, laws[chosen], {name: least_change / max(size, 1e-12) for name, size in sizes.items()})
+    spring = declared
+    if changed:
+        params = {name: float(f"{value.value:.6g}") for name, value in laws[chosen].params.items()}
+        spring = SpringCfg(**{n: v if n in ("rest", "preload") else max(v, 0.0) for n, v in params.items()})  # type: ignore[arg-type]
+    return LogJointFit(
+        name=joint.name,
+        declared=before,
+        laws=laws,
+        chosen=chosen,
+        changed=changed,
+        spring=spring,
+        rows=angle.size,
+    )
+
+
+def _file_effort(spring: SpringCfg, angle: Array, rate: Array, side: Array) -> Array:
+    away = angle - spring.rest
+    effort = spring.preload - (spring.stiffness + spring.quadratic * np.abs(away)) * away - spring.damping * rate
+    return effort - spring.friction * side
+
+
+def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, fold: Indices) -> JointLawFit:
+    """Return a law fitted to all rows, with its error on left-out folds."""
+    if name == "quadratic spring":
+        params, left = _fit_quadratic(angle, rate, effort, fold)
+        return JointLawFit(name=name, params=params, error=cross_validation_error(left, fold))
+    columns = (np.ones_like(angle), -angle, -rate)
+    rows = np.stack((*columns, -side) if "friction" in LAWS[name] else columns, axis=1)
+    left = left_out(
+        fold, lambda out: effort[out] - rows[out] @ np.linalg.lstsq(rows[~out], effort[~out], rcond=None)[0]
+    )
+    values = np.linalg.lstsq(rows, effort, rcond=None)[0]
+    covariance = hac_covariance(rows, effort - rows @ values)
+    preload, stiffness = values[0], values[1]
+    to_rest = np.zeros(len(values))
+    to_rest[:2] = 1.0 / stiffness, -preload / stiffness**2
+    change = np.eye(len(values))
+    change[0] = to_rest
+    shown = np.concatenate(([preload / stiffness], values[1:]))
+    names = ("rest", "stiffness", "damping", "friction")[: len(values)]
+    results = estimates(shown, change @ covariance @ change.T, effort.size - len(values))
+    return JointLawFit(
+        name=name, params=dict(zip(names, results, strict=True)), error=cross_validation_error(left, fold)
+    )
+
+
+def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> tuple[dict[str, Estimate], Array]:
+    names, spread = LAWS["quadratic spring"], float(np.ptp(angle))
+    middle, size = float(np.median(angle)), float(np.abs(effort).max()) + 1e-12
+    slope = size / spread**2
+    start = np.array((slope, size / (np.abs(rate).max() + 1e-12), middle, 0.0))
+    low = np.array((0.0, 0.0, middle - 3.0 * spread, -10.0 * size))
+    high = np.array((1e3 * slope, 1e3 * start[1], middle + 3.0 * spread, 10.0 * size))
+
+    def predict(values: Array) -> Array:
+        quadratic, damping, rest, preload = values
+        away = angle - rest
+        return preload - quadratic * np.abs(away) * away - damping * rate
+
+    whole = fit_curve(predict, effort, start, low, high)
+    near = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
+    left = left_out(fold, lambda out: fit_curve(predict, effort, near, low, high, ~out).residual[out])
+    return dict(zip(names, whole.estimates(), strict=True)), left
+
+
+def _changes(declared: SpringCfg, law: JointLawFit, least: dict[str, float]) -> tuple[str, ...]:
+    """Return the parameters whose declared values lie outside the fitted intervals, by at least ``least``.
+
+    The result is ``law`` if the fitted law is of another kind.
+    """
+    linear = declared.quadratic == 0.0
+    if linear != (law.name != "quadratic spring"):
+        return ("law",)
+    stated = vars(declared).copy()
+    if linear and declared.stiffness > 0.0:
+        stated["rest"] = declared.rest + declared.preload / declared.stiffness
+    results = [
+        name
+        for name, value in law.params.items()
+        if not value.low <= stated[name] <= value.high and abs(value.value - stated[name]) >= least[name]
+    ]
+    if declared.friction >= least["friction"] and "friction" not in law.params:
+        results.append("friction")
+    return tuple(results)

@@ -1,0 +1,172 @@
+"""Row functions of a task as few launches: torch functions traced into Warp kernels, untraceable terms run separately.
+
+Letters: E environments.
+"""
+
+import logging
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Generic, TypeVar, cast
+
+import torch
+from torch import Tensor
+
+from aerial_gym.interop.rows import DifferentiableRows, RowFunction, UntraceableError, trace
+from aerial_gym.interop.rows.row_trace import LARGEST_ROW
+from aerial_gym.math.rows import make_batch_invariant
+from aerial_gym.task.step.gradient_graph import GradientGraph
+from aerial_gym.task.terms.term import BoundTerm
+
+_log = logging.getLogger(__name__)
+Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
+
+
+class RowKernel(Generic[Result]):
+    """A pure row function as one kernel, traced at its first call; as torch operations if that fails."""
+
+    def __init__(self, function: Callable[..., Result], label: str) -> None:
+        """Take the function and its name in warnings."""
+        self._function, self._what = function, label
+        self._rows: RowFunction | None = None
+        self._single = True
+        self.reason: str | None = None
+        """Reason for running as torch operations, or None."""
+
+    def __call__(self, *tensors: Tensor, out: Sequence[Tensor] = ()) -> Result:
+        """Return the function's results; the first are also written into ``out``, which may be inputs."""
+        if self._rows is None and self.reason is None:
+            self._trace(tensors)
+        if self._rows is None:
+            whole = make_batch_invariant(self._function, tensors[0].shape[0], tensors[0].device)(*tensors)
+            for target, result in zip(out, (whole,) if isinstance(whole, Tensor) else whole, strict=False):
+                target.copy_(result)
+            return whole
+        results = self._rows(*tensors, out=out)
+        return cast("Result", results[0] if self._single else results)
+
+    def prepare(self, tensors: Sequence[Tensor]) -> str:
+        """Make the kernel for such tensors; return the reason of a failure, else an empty string."""
+
+        def evaluate(*inputs: Tensor) -> Result:
+            result = self._function(*inputs)
+            self._single = isinstance(result, Tensor)
+            return result
+
+        try:
+            self._rows = RowFunction(evaluate, tensors)
+        except UntraceableError as error:
+            return str(error) or "it cannot be traced"
+        return ""
+
+    def _trace(self, tensors: Sequence[Tensor]) -> None:
+        reason = self.prepare(tensors)
+        if reason:
+            self.reason = reason
+            _log.warning("%s runs as many small torch operations: %s", self._what, reason)
+
+
+class StepKernel:
+    """A pure function from named tensors to named tensors, run as one kernel; some results are written in place."""
+
+    def __init__(
+        self,
+        function: Callable[[Mapping[str, Tensor]], dict[str, Tensor]],
+        label: str,
+        *,
+        reads: Mapping[str, Tensor],
+        writes: Mapping[str, Tensor],
+        terms: Sequence[BoundTerm] = (),
+        graph: GradientGraph | None = None,
+        keeps: Collection[str] | None = None,
+    ) -> None:
+        """Take the function and fixed tensors.
+
+        Args:
+            function: Pure; gives at least every name of ``writes``.
+            reads: Inputs by name; the first is (E, ...).
+            writes: Tensors that receive results, by name; they may be read as well.
+            terms: Called by the function. An untraceable one runs before the kernel, as separate torch operations.
+            graph: Values with gradients; the function then runs as torch operations with gradients.
+            keeps: Names of ``writes`` with gradients in later steps; all of them if not given.
+        """
+        self._graph, self._keeps = graph, tuple(writes if keeps is None else keeps)
+        self.what, self._function, self._reads, self._writes = label, function, dict(reads), tuple(writes)
+        self.apart: tuple[BoundTerm, ...] = ()
+        """The terms that run before the kernel."""
+        self._names, self._results = tuple(self._reads), ()
+        self._out = tuple(writes.values())
+        self._kernels: DifferentiableRows | None = None
+        self._tried = False
+        self._rows = RowKernel(self._evaluate, label)
+        if graph is None and self._rows.prepare(list(self._reads.values())):
+            self.apart = tuple(term for term in terms if not self._traces(term))
+            self._names += tuple(term.label for term in self.apart)
+
+    @property
+    def reason(self) -> str | None:
+        """Reason for running as torch operations, or None."""
+        return self._rows.reason
+
+    def __call__(self, **changing: Tensor) -> dict[str, Tensor]:
+        """Return all results by name; ``changing`` replaces inputs of these names."""
+        if self._graph is not None:
+            return self._with_gradients(self._graph, changing)
+        values = {**self._reads, **changing}
+        values |= {term.label: self._run_apart(term, values) for term in self.apart}
+        results = self._rows(*(values[name] for name in self._names), out=self._out)
+        return dict(zip(self._results, results, strict=True))
+
+    def _with_gradients(self, graph: GradientGraph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        values = {**graph.select(self._reads), **changing}
+        outputs = self._gradient_rows(*(values[name] for name in self._names))
+        results = dict(zip(self._results, outputs, strict=True))
+        with torch.no_grad():
+            for target, result in zip(self._out, outputs, strict=False):
+                target.copy_(result)
+        graph.keep({name: results[name] for name in self._keeps})
+        return results
+
+    def _gradient_rows(self, *given: Tensor) -> tuple[Tensor, ...]:
+        """Return the results with their gradients: by two kernels if that can be, of float32, else by torch operations."""
+        if not self._tried:
+            self._tried = True
+            try:
+                if all(tensor.dtype != torch.float64 for tensor in given):
+                    ends = [name for name in self._writes if name not in self._keeps]
+                    self._kernels = DifferentiableRows(
+                        self._evaluate, given, has_gradient=lambda place: self._results[place] not in ends
+                    )
+            except UntraceableError as error:
+                _log.warning("gradients of %s run as many small torch operations: %s", self.what, error)
+        if self._kernels is not None:
+            return self._kernels(*given)
+        return make_batch_invariant(self._evaluate, given[0].shape[0], given[0].device)(*given)
+
+    def compute(self, **changing: Tensor) -> dict[str, Tensor]:
+        """Return all results by torch operations, without writing outputs."""
+        values = {**self._reads, **changing}
+        return self._function(values | {term.label: self._run_apart(term, values) for term in self.apart})
+
+    def _evaluate(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        results = self._function(dict(zip(self._names, tensors, strict=True)))
+        self._results = (*self._writes, *(name for name in results if name not in self._writes))
+        return tuple(results[name].clone() for name in self._results)  # none is an input that is written
+
+    def _traces(self, term: BoundTerm) -> bool:
+        names, tensors = term.reads, [self._reads[name] for name in term.reads]
+        try:
+            trace(lambda *given: term.evaluate(dict(zip(names, given, strict=True))), tensors)
+        except UntraceableError as error:
+            if all(
+                tensor[:1].numel() <= LARGEST_ROW for tensor in tensors if tensor.ndim
+            ):  # without a warning for images
+                _log.warning("%s runs as torch operations of its own: %s", term.label, error)
+            return False
+        return True
+
+    def _run_apart(self, term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
+        tensors = [values[name] for name in term.reads]
+        first = next(iter(self._reads.values()))
+        whole = make_batch_invariant(
+            lambda *given: term.evaluate(dict(zip(term.reads, given, strict=True))), first.shape[0], first.device
+        )
+        return whole(*tensors)

@@ -1,0 +1,167 @@
+"""Drives with limits and dry friction within a step: efforts stay within limits, and follow their laws at the end of it."""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import log2
+
+import pytest
+import torch
+
+from aerial_gym.physics.articulated import steppers
+from aerial_gym.physics.articulated.complementarity import _find_zero
+from aerial_gym.physics.articulated.dynamics import equations
+from aerial_gym.physics.articulated.joint_laws import STICK_RATE, Drive, Effort, dry_friction
+from aerial_gym.physics.articulated.steppers import with_drive
+from aerial_gym.physics.articulated.tree import TreeState
+from tests.physics.articulated.effort_rig import (
+    StepRecorder,
+    fly,
+    random_bent,
+    random_snakes,
+    residuals,
+    step,
+    worst_residuals,
+)
+from tests.physics.articulated.trees import F64
+from tests.repetitions import frequent_values
+
+LIMIT = 1e-5
+"""Share of its limit by which an effort may be off."""
+
+
+@pytest.fixture
+def step_recorder(monkeypatch: pytest.MonkeyPatch) -> StepRecorder:
+    return StepRecorder(monkeypatch, steppers, "_implicit")
+
+
+@pytest.mark.parametrize(
+    ("name", "friction"),
+    frequent_values(
+        [
+            (f"snakey{rods}{mode}", f)
+            for rods in ("", "5", "6")
+            for mode in ("", "_position", "_effort")
+            for f in (0.0, 0.05)
+        ],
+        [("snakey_position", 0.05)],
+    ),
+)
+def test_snakes_told_anything_keep_the_limits_of_their_drives(
+    name: str, friction: float, step_recorder: StepRecorder
+) -> None:
+    """32 snakes, 0.1 s in steps of 2 ms: complementarity, limits and friction's power, in shares of a limit."""
+    worst = worst_residuals(
+        [random_snakes(name, friction=friction)], step_recorder, 50, lambda _: steppers.implicit_euler
+    )
+    print(
+        f"\n{name}, friction {friction:g} N m: largest residual {worst[0]:.1e}, excess {worst[1]:.1e}, power {worst[2]:.1e}"
+    )
+    assert max(worst) <= LIMIT
+
+
+@pytest.mark.parametrize("count", frequent_values([10, 200], [10]))
+def test_trees_keep_the_limits_of_drives_and_friction(count: int, step_recorder: StepRecorder) -> None:
+    """Trees of 1 to 10 joints of both kinds, on a stand and free, with drives, friction or both in a joint."""
+    worst = worst_residuals(
+        [random_bent(seed) for seed in range(count)], step_recorder, 5, lambda _: steppers.implicit_euler
+    )
+    print(f"\n{count} trees: largest residual {worst[0]:.1e}, excess {worst[1]:.1e}, power {worst[2]:.1e}")
+    assert max(worst) <= LIMIT
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 2])
+def test_no_limit_is_exceeded_however_few_rounds_a_solution_has(rounds: int, step_recorder: StepRecorder) -> None:
+    """Efforts of rows that are not solved are held within the limits, and friction along the motion is left out."""
+    was_held = 0
+    for bent in (random_snakes("snakey6", friction=0.05), *map(random_bent, range(1, 10, 2))):
+
+        def stepper(tree, links, laws, state, dt, *, gravity, drive, friction, wrench):
+            def own(acts: Effort, swings: TreeState) -> TreeState:
+                result = equations(tree, links, swings, gravity=gravity, wrench=wrench)
+                return steppers._implicit(tree, state, result, acts, dt)
+
+            return with_drive(own, laws, drive, friction, state, rounds=rounds)
+
+        for _ in range(3):
+            end = step(bent, stepper=stepper)
+            gap, excess, power = residuals(bent, step_recorder.effort(bent, end), end)
+            was_held += gap > LIMIT
+            assert max(excess, power) <= LIMIT
+            bent = replace(bent, state=end)
+    assert was_held or rounds > 1
+
+
+def test_two_drives_whose_limits_depend_on_each_other_are_solved_in_closed_form() -> None:
+    """Rates of two joints that push each other: sets of limited drives that are tried in turn cycle here.
+
+    With ``v = A e`` for the efforts e and ``e = clamp(-k v + w)`` the answer is found by trying all nine sets.
+    """
+    generator = torch.Generator().manual_seed(0)
+    count = 2000
+    root = torch.randn(count, 2, 2, generator=generator, dtype=F64)
+    matrix = root @ root.mT + 0.01 * torch.eye(2, dtype=F64)
+    rate, gain, limit = (torch.randn(count, 2, generator=generator, dtype=F64) for _ in range(3))
+    none, gain, limit = torch.zeros_like(rate), 10.0 * gain.abs(), limit.abs() + 0.01
+    free = 3.0 * torch.randn(count, 2, generator=generator, dtype=F64)
+    drive = Drive(stiffness=none, damping=gain, position=none, rate=rate, effort=none, limit=limit)
+    start = TreeState.at_rest(count, 2, like=none)
+
+    def own(acts: Effort, swings: TreeState) -> TreeState:
+        eye = torch.eye(2, dtype=F64)
+        pushed = free + (matrix @ acts.value.unsqueeze(-1)).squeeze(-1)
+        return replace(start, joint_vel=torch.linalg.solve(eye + matrix * acts.damping.unsqueeze(1), pushed))
+
+    def lawful(at: torch.Tensor) -> torch.Tensor:
+        return (gain * (rate - at)).clamp(-limit, limit)
+
+    end, cycled, at = with_drive(own, (), drive, None, start), start.joint_vel, start.joint_vel
+    residual = free + (matrix @ lawful(end.joint_vel).unsqueeze(-1)).squeeze(-1) - end.joint_vel
+    assert residual.abs().max() < 1e-10
+    for _ in range(30):
+        at, cycled = (
+            cycled,
+            own(drive.evaluate_effort(none, none, drive.saturation_side(none, cycled)), start).joint_vel,
+        )
+    assert not torch.allclose(at, cycled)
+
+
+def test_a_line_search_finds_where_a_rising_slope_is_zero() -> None:
+    share = torch.tensor([[0.0, 0.2, 0.6, 1.0]] * 4)
+    slope = torch.tensor(
+        [[-2.0, -1.0, 1.0, 2.0], [-2.0, -1.0, -0.5, -0.1], [-1.0, 0.0, 0.0, 3.0], [0.0, 1.0, 2.0, 3.0]]
+    )
+    assert _find_zero(share, slope).tolist() == pytest.approx([0.4, 1.0, 0.6, 0.0])
+
+
+@pytest.mark.parametrize(("rate", "holds"), [(2e-4, True), (0.5, False)])
+def test_a_joint_with_a_drive_and_friction_gives_both(rate: float, holds: bool) -> None:
+    """One joint of inertia J: ``J (v' - v) / dt = T - F v' / s`` while friction holds it, ``T - F`` while it slips."""
+    inertia, torque, size, dt = 0.01, 0.02, 0.05, 2e-3
+    bent = random_bent(0, num_envs=1)
+    inertias = inertia * torch.eye(3, dtype=F64).expand(1, 2, 3, 3)
+    links = replace(bent.links, com=torch.zeros(1, 2, 3, dtype=F64), inertia=inertias)
+    none = torch.zeros(1, 1, dtype=F64)
+    drive = Drive(stiffness=none, damping=none, position=none, rate=none, effort=none + 1.0, limit=none + torque)
+    tree = replace(bent.tree, joints=(replace(bent.tree.joints[0], kind="revolute"),), floating=False)
+    state = replace(TreeState.at_rest(1, 1, like=none), joint_vel=none + rate)
+    end = steppers.implicit_euler(
+        tree, links, (), state, dt, gravity=0.0, drive=drive, friction=dry_friction(none + size)
+    )
+    slides = rate + dt * (torque - size) / inertia
+    expected = (rate + dt * torque / inertia) / (1.0 + dt * size / STICK_RATE / inertia) if holds else slides
+    assert end.joint_vel.item() == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_efforts_within_limits_converge_to_order_one() -> None:
+    """Snakes with friction, against steps of 12.5 us: errors of rates halve with the step; the median counts."""
+    start = random_snakes("snakey_position", num_envs=8, friction=0.02)
+    span, off = 0.02, []
+    exact = fly(start, round(span / 12.5e-6), dt=12.5e-6).state
+    for dt in (1e-3, 5e-4, 2.5e-4):
+        state = fly(start, round(span / dt), dt=dt).state
+        error = torch.cat((state.ang_vel - exact.ang_vel, state.joint_pos - exact.joint_pos), dim=1)
+        off.append(error.norm(dim=1).median().item())
+    orders = [log2(a / b) for a, b in pairwise(off)]
+    print(f"\noff at 1, 0.5 and 0.25 ms: {off}, orders {orders}")
+    assert sum(orders) / len(orders) == pytest.approx(1.0, abs=0.15)

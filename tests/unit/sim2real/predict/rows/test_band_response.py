@@ -1,0 +1,109 @@
+"""Forces brought into the band one by one add up to what the whole makes there."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.physics import BodyState, accelerations, build_model, condition_in, vehicle_from_config
+from aerial_gym.physics.effects import FluidEffect, LoadEffect
+from aerial_gym.physics.rigid_body import (
+    condition_at_origin,
+    force_breakdown,
+    origin_suspension,
+    suspension_pull,
+    with_fluid,
+)
+from aerial_gym.sim2real.logs.flights import Flight, complete_flight
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
+from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
+from aerial_gym.sim2real.predict.rows.band_response import InBand
+from aerial_gym.sim2real.predict.rows.batches import expand_model
+from aerial_gym.sim2real.predict.rows.dataset import Dataset
+from aerial_gym.sim2real.predict.rows.rotor_estimate import estimate_rotors
+from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+
+BAND = 10.0
+WATER = {"added_mass": (0.3, 0.2, 0.4)}
+
+
+def load(folder: Path, number: int, **options: float) -> Flight:
+    path = write(flight(number, **options), folder / f"{number}.csv")  # type: ignore[arg-type]
+    return complete_flight(uniform_log(read_flight_log(path)))
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {},
+        {"rotor_drag": (0.2, 0.1, 0.05), "com_offset": (0.01, -0.02, 0.005), "inertia_error": (1.2, 0.9, 1.3)},
+        {
+            "thrust_coefficient": (1.1,),
+            "axial_inflow": (2e-4,),
+            "weak_motor": (2.0, 0.8),
+            "motor_tilt": (1.0, 0.1, -0.05),
+            "h_force_flapping": (1e-5, 1e-6),
+            "rotor_inertia": (1e-6,),
+            "rotor_drag": (0.2, 0.1, 0.05),
+            "com_offset": (0.01, -0.02, 0.005),
+        },
+        {"slung_payload": (0.05, 0.5, 0.01), "payload_mass": (0.1,), "com_offset": (0.01, -0.02, 0.005)},
+        {**WATER, "quadratic_drag": (0.1, 0.2, 0.1)},
+    ],
+    ids=["nothing", "body", "rotors", "load", "fluid"],
+)
+def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[float, ...]], tmp_path: Path) -> None:
+    """Against the accelerations of all forces together in every row, low-passed: to rounding, 1e-11 of 10 m/s²."""
+    flights = [load(tmp_path, 3, seconds=4.0), load(tmp_path, 5, seconds=5.0, drag=0.2)]
+    rotors = estimate_rotors(ROBOT, flights, BAND)
+    data = Dataset(flights, rotors=rotors, bandwidth=BAND, channels=find_channels(flights), every_row=False)
+    assert data.speed is not None
+    count = data.speed.shape[0]
+    vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
+    params = ModelParams(effects={name: np.array(values) for name, values in effects.items()})
+    model = expand_model(build_model(vehicle, expand_effects(params, 1)), count)
+    state = BodyState(rotor_speed=data.speed, **data.state)
+    condition, link = condition_in(model, state, torch.zeros_like(data.speed)), None
+    if model.effects[LoadEffect]:
+        swing = torch.linspace(0.0, 6.0, count, dtype=torch.float64)
+        link = torch.stack(
+            [0.3 * swing.sin(), 0.0 * swing, -(1.0 - (0.3 * swing.sin()) ** 2).sqrt()] + [0.1 * swing] * 3, 1
+        )
+    whole = accelerations(model, state, load=link, condition=condition)
+    acting = with_fluid(model, condition, force_breakdown(model, condition))
+    if link is not None:
+        alone = accelerations(replace(model, effects=model.effects.exclude(LoadEffect)), state, condition=condition)
+        gravity = model.gravity * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        suspension = origin_suspension(
+            model, state.attitude, quat_rotate(state.attitude, alone.specific_force) - gravity
+        )
+        force, torque, _ = suspension_pull(model, state.attitude, suspension, link)
+        pull = torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=1)
+        acting.wrenches.append(("load", pull))
+    band = InBand(data)
+    result = band.body_response(model, data.speed, acting)
+    # The lever of the accelerometer turns as measured.
+    force = whole.specific_force + torch.linalg.cross(whole.ang_acc - data.ang_acc, model.vehicle.com)
+    for actual, rows in ((result.specific_force, force), (result.ang_acc, whole.ang_acc)):
+        for index, (span, kept) in enumerate(zip(data.spans, data.kept_spans, strict=True)):
+            rate, stride = flights[index].rate / data.stride[index], data.stride[index]
+            slow = lowpass(rows[span].numpy(), rate, BAND)[data.kept[index] // stride]
+            np.testing.assert_allclose(actual[kept].numpy(), slow, rtol=0.0, atol=1e-10)
+    assert float(result.ang_acc.abs().max()) > 1.0
+    if not model.effects[LoadEffect] and not model.effects[FluidEffect]:
+        hubs = condition_at_origin(model, state, torch.zeros_like(data.speed))
+        apart = band.body_response(
+            model,
+            data.speed,
+            force_breakdown(model, condition, apart=True, hubs=hubs),
+            about=torch.zeros(3, dtype=torch.float64),
+        )
+        torch.testing.assert_close(apart.specific_force, result.specific_force, rtol=0.0, atol=1e-10)
+        torch.testing.assert_close(apart.ang_acc, result.ang_acc, rtol=0.0, atol=1e-10)
+    again = band.body_response(model, data.speed.clone(), acting)
+    torch.testing.assert_close(again.specific_force, result.specific_force, rtol=0.0, atol=0.0)

@@ -1,0 +1,115 @@
+"""Fitted sets of effects, and selections made of them, without flights: evidence as a test wants it."""
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.evidence.guard import Support
+from aerial_gym.sim2real.identify.evidence.laplace import Posterior
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.selection.choose import MostProbableSet
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, FitScore, LeftOut
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from tests.unit.sim2real.flat_flights import ROBOT
+
+PLACE = NuisanceColumns(kind="position", channel="specific_force.x", columns=[], size=1.0)
+
+
+def make_fit(
+    *effects: str,
+    log: float = 0.0,
+    fits: float | None = None,
+    structures: tuple[NuisanceColumns, ...] = (),
+    overdispersion: float = 1.0,
+    odds: Mapping[str, float] | None = None,
+    params: Mapping[str, Sequence[float]] | None = None,
+) -> EffectSetFit:
+    """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its ``odds``.
+
+    ``fits`` is its log likelihood; the log posterior if None.
+    """
+    values = {name: np.array((params or {}).get(name, EFFECTS.get(name).neutral(ROBOT)), float) for name in effects}
+    size = sum(own.size for own in values.values())
+    return EffectSetFit(
+        effects=effects,
+        structures=structures,
+        params=ModelParams(effects=values),
+        log_posterior=log,
+        parameters=Posterior(
+            columns=np.arange(size),
+            step=np.zeros(size),
+            covariance=np.eye(size),
+            log_evidence=log,
+            log_likelihood=log if fits is None else fits,
+        ),
+        support={
+            name: Support(log_odds=(odds or {}).get(name, 10.0), wald=0.0, overdispersion=overdispersion, size=1)
+            for name in effects
+        },
+    )
+
+
+class FitStub(Fitter):
+    """Fits that are given, by their effects, and by whether there is a structure beside them; others do not hold."""
+
+    def __init__(self, *sets: EffectSetFit) -> None:
+        self.sets = {(one.effects, bool(one.structures)): one for one in sets}
+        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
+        self._derivatives = {}
+
+    def fit(
+        self,
+        effects: Sequence[str],
+        structures: Sequence[NuisanceColumns],
+        start: ModelParams,
+        _=None,
+        **_compared: object,
+    ) -> EffectSetFit:
+        """Return the set; its start has its effects and no others."""
+        assert set(start.effects) == set(effects)
+        empty = make_fit(*effects, log=-1e3, odds=dict.fromkeys(effects, -1.0))
+        return self.sets.get((tuple(effects), bool(structures)), empty)
+
+
+def make_choice(
+    best: EffectSetFit, *rest: EffectSetFit, named: EffectSetFit | None = None, **result: Any
+) -> MostProbableSet:
+    """Return the choice of one set among others, in which nothing else was found."""
+    none: dict[str, Any] = {
+        "without": {},
+        "adds": {},
+        "hidden": (),
+        "surrogates": {},
+        "immaterial": {},
+        "refused": {},
+    }
+    return MostProbableSet(
+        named=named or best,
+        best=best,
+        fits=tuple(sorted((best, *rest), key=lambda one: -one.log_posterior)),
+        weights=Weighting(variance=np.ones(1), effective=np.ones(1)),
+        tolerated=np.zeros(1),
+        **none | result,
+    )
+
+
+def make_selection(
+    chosen: MostProbableSet, final: FitScore | None = None, not_testable: dict[str, Finding] | None = None
+) -> SelectionResult:
+    """Return the selection with a choice."""
+    scored = final or cast("FitScore", SimpleNamespace(effects=chosen.effects))
+    return SelectionResult(
+        declared=scored,
+        final=scored,
+        chosen=chosen,
+        not_testable=not_testable or {},
+        left_out=cast("LeftOut", None),
+        criteria=Criteria(),
+    )

@@ -1,0 +1,179 @@
+"""Noise, delay, history and scale of observations against what they are by definition."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import Tensor
+
+from aerial_gym.config.task_terms import ObservationCfg
+from aerial_gym.errors import ConfigError
+from aerial_gym.task import Task
+from tests.repetitions import frequent_values
+from tests.unit.task.hover import make
+
+LENGTH = 9
+"""Steps of an episode."""
+
+
+def fly(**entry: object) -> tuple[Task, Tensor, Tensor]:
+    """Return a task, what it showed and what is true, (steps, E, ...), over two and a half episodes of two ages."""
+    entries = (ObservationCfg(term="position_error_world", **entry), ObservationCfg(term="robot_position"))  # type: ignore[arg-type]
+    task = make(3, policy=entries, episode_len_steps=LENGTH)
+    rows = [task.reset()[0]["observations"].clone()]
+    task.env.gtd["sim_steps"][1] = 4
+    for step in range(2 * LENGTH + 4):
+        rows.append(task.step(0.1 * torch.ones(3, 4) * (step % 3))[0]["observations"].clone())
+    result = torch.stack(rows)
+    return task, result[..., :-3], -result[..., -3:]  # the target is the origin
+
+
+def list_episodes(row: int) -> list[list[int]]:
+    """Return the numbers of observations of each episode of an environment: after the last step comes the next one's first."""
+    first = LENGTH - (4 if row == 1 else 0)
+    starts = [0, first, first + LENGTH, first + 2 * LENGTH, 10**6]
+    return [[t for t in range(2 * LENGTH + 5) if a <= t < b] for a, b in pairwise(starts)]
+
+
+@pytest.mark.parametrize(
+    ("delay", "history", "scale"),
+    frequent_values([(0, 1, 1.0), (2, 1, 1.0), (0, 3, 2.0), (3, 2, -0.5)], [(0, 1, 1.0), (3, 2, -0.5)]),
+)
+def test_an_entry_is_late_and_shows_its_past_within_the_episode(delay: int, history: int, scale: float) -> None:
+    """Entry h of the oldest-first history at step t is the truth at t - delay - (H - 1 - h), or that of the first step."""
+    task, shown, truth = fly(delay_steps=delay, history=history, scale=scale)
+    assert task.num_observations == 3 * history + 3
+    for row in range(3):
+        for episode in list_episodes(row):
+            for t in episode:
+                times = [max(t - delay - (history - 1 - h), episode[0]) for h in range(history)]
+                expected = scale * torch.cat([truth[time, row] for time in times])
+                torch.testing.assert_close(shown[t, row], expected, rtol=0.0, atol=0.0)
+
+
+def test_a_drawn_delay_holds_for_an_episode_and_takes_all_values() -> None:
+    entries = (ObservationCfg(term="position_error_world", delay_steps=(1, 3)), ObservationCfg(term="robot_position"))
+    task = make(64, policy=entries, episode_len_steps=8)
+    seen = [task.reset()[0]["observations"].clone()]
+    delays = task.values["observation_delay"][:, 0].clone()
+    assert sorted(set(delays.tolist())) == [1.0, 2.0, 3.0]
+    for _ in range(6):
+        seen.append(task.step(torch.full((64, 4), 0.2))[0]["observations"].clone())
+        assert torch.equal(task.values["observation_delay"][:, 0], delays)
+    rows, last = torch.arange(64), torch.stack(seen)
+    expected = -last[6 - delays.long(), rows, 3:]
+    assert torch.equal(last[6, :, :3], expected)
+    task.step(torch.zeros(64, 4))
+    task.step(torch.zeros(64, 4))  # the next episodes
+    assert (task.values["observation_delay"][:, 0] != delays).any()
+
+
+def test_the_observation_before_a_reset_is_that_of_the_old_episode() -> None:
+    task, *_ = fly(delay_steps=2, history=2)
+    for _ in range(LENGTH):
+        before = task.values["past_policy_0_0"].clone()
+        _, _, terminated, truncated, info = task.step(torch.zeros(3, 4))
+        ended = terminated | truncated
+        expected = torch.cat([before[:, 0:3], before[:, 3:6]], dim=-1)  # of 3 and 2 steps before
+        assert torch.equal(info["final_observation"][ended][:, :6], expected[ended])
+
+
+def test_noise_comes_before_the_delay_and_is_scaled_with_the_rest() -> None:
+    """A late noisy entry shows the same noisy number that an entry without delay showed then."""
+    now, late = (
+        ObservationCfg(term="position_error_world", noise_std=0.1, scale=2.0, history=history, delay_steps=delay)
+        for history, delay in ((4, 0), (3, 1))
+    )
+    task = make(200, policy=(now,))
+    task.reset()
+    for _ in range(3):
+        obs, *_ = task.step(torch.zeros(200, 4))
+    noise = obs["observations"].view(200, 4, 3)[:, -1] / 2.0 + task.env.gtd["robot_position"]
+    assert noise.std() == pytest.approx(0.1, rel=0.1)
+    assert noise.mean().abs() < 0.02
+    other = make(200, policy=(late,))
+    other.reset()
+    for _ in range(3):
+        also, *_ = other.step(torch.zeros(200, 4))
+    assert torch.equal(also["observations"], obs["observations"][:, :9])
+
+
+def test_so_many_entries_drop_out_and_the_others_keep_their_noise() -> None:
+    """A share within 5 standard deviations of a binomial, sqrt(p (1 - p) / n); others at the next step; scale comes last."""
+    whole = ObservationCfg(term="position_error_world", noise_std=0.1, scale=2.0)
+    shown, count, share = [], 3000, 0.8
+    for entry in (whole, replace(whole, dropout=share, dropout_value=-7.0)):
+        task = make(count // 3, policy=(entry,))
+        shown.append(
+            (task.reset()[0]["observations"].clone(), task.step(torch.zeros(count // 3, 4))[0]["observations"])
+        )
+    bound = 5.0 * (share * (1.0 - share) / count) ** 0.5
+    lost = [dropped == -14.0 for _, dropped in zip(*shown, strict=True)]
+    for full, dropped, gone in zip(*shown, lost, strict=True):
+        assert float(gone.double().mean()) == pytest.approx(share, abs=bound)
+        assert torch.equal(dropped[~gone], full[~gone])
+    both = float((lost[0] & lost[1]).double().mean())
+    assert both == pytest.approx(share**2, abs=bound)  # drawn anew
+
+
+def test_a_dropped_entry_shows_what_it_held_for_so_many_steps() -> None:
+    """Followed by hand beside the same task without holding, bit for bit: 12 steps, of which two end episodes."""
+    dropped = ObservationCfg(term="position_error_world", noise_std=0.1, dropout=0.7, dropout_value=-7.0)
+    entries = (dropped, replace(dropped, hold_steps=2))
+    first, second = (make(50, policy=(entry,), episode_len_steps=5) for entry in entries)
+    seen, shown = (task.reset()[0]["observations"].clone() for task in (first, second))
+    begun, counts = torch.ones(50, 1, dtype=torch.bool), [0, 0, 0]
+    held, age = torch.zeros(50, 3), torch.zeros(50, 3)
+    for _ in range(12):
+        lost = seen == -7.0
+        held, age = torch.where(begun, -7.0, held), torch.where(begun, 0.0, age)
+        age = torch.where(lost, age + 1.0, 0.0)
+        held = torch.where(lost, torch.where(age <= 2.0, held, -7.0), seen)
+        assert torch.equal(shown, held)
+        counts = [
+            n + int(more.sum())
+            for n, more in zip(counts, (lost & (age > 2.0), lost & (held > -7.0), begun), strict=True)
+        ]
+        (seen, *_), (shown, _, _, truncated, _) = (task.step(torch.zeros(50, 4)) for task in (first, second))
+        seen, shown, begun = (
+            seen["observations"].clone(),
+            shown["observations"].clone(),
+            truncated.bool().unsqueeze(-1).clone(),
+        )
+    assert min(counts[:2]) > 200
+    assert counts[2] == 150
+
+
+def test_groups_are_given_beside_each_other() -> None:
+    groups = {
+        "policy": (ObservationCfg(term="position_error_world", noise_std=0.1),),
+        "critic": (ObservationCfg(term="position_error_world"), ObservationCfg(term="robot_mass")),
+    }
+    task = make(3, observations=groups)
+    obs, _ = task.reset()
+    assert set(obs) == set(task.observation_space.spaces) == {"observations", "critic"}
+    assert (obs["observations"].shape, obs["critic"].shape) == ((3, 3), (3, 4))
+    assert torch.equal(obs["critic"][:, :3], -task.env.gtd["robot_position"])
+    assert torch.equal(obs["critic"][:, 3], task.env.gtd["robot_mass"])
+    *_, info = task.step(torch.zeros(3, 4))
+    assert info["final_critic"].shape == (3, 4)
+    with pytest.raises(ConfigError, match="observation 'observations': the name is taken"):
+        make(1, observations={**groups, "observations": groups["critic"]})
+    with pytest.raises(ConfigError, match="needs a group 'policy' of at least one term"):
+        make(1, observations={"critic": groups["critic"]})
+
+
+def test_a_long_past_of_a_wide_term_is_still_one_kernel() -> None:
+    """A row of a kernel's input has 256 entries at most: 29 past values of 13 are more."""
+    wide = tuple(ObservationCfg(term=name, history=30) for name in ("robot_state_tensor", "position_error_world"))
+    task = make(2, policy=wide)
+    states = [task.reset()[0]["observations"][:, -3:].clone()]
+    first = task.env.gtd["robot_state_tensor"].clone()
+    for _ in range(31):
+        obs, *_ = task.step(torch.full((2, 4), 0.1))
+        states.append(-task.env.gtd["robot_position"].clone())
+    assert task._observer.rows.reason is None
+    assert torch.equal(obs["observations"][:, 390:], torch.cat(states[-30:], dim=-1))
+    assert torch.equal(obs["observations"][:, 377:390], task.env.gtd["robot_state_tensor"])
+    assert not torch.equal(obs["observations"][:, :13], first)
