@@ -22,7 +22,7 @@ from aerial_gym.control.stability import ClosedLoop, HoverResult, hover_model
 from aerial_gym.physics.effects import EFFECTS, DelayEffect
 from aerial_gym.physics.model import robot_effects
 from aerial_gym.physics.vehicle import vehicle_from_config
-from aerial_gym.robots.robot_draws import RobotDraws, add_random_effects
+from aerial_gym.robots.robot_draws import RobotDraws, add_effects_to_randomise
 
 SPREAD = 3.0
 """Standard deviations at which a normal range ends: 99.7 % of its draws are within."""
@@ -77,7 +77,7 @@ def hovers_at_ends(
     names: tuple[str, str],
 ) -> Iterator[tuple[str, str, HoverResult]]:
     """Yield quantity, end and hover of every end of every drawn range; arguments as for ``report_range_faults``."""
-    robot = add_random_effects(robot, randomize)
+    robot = add_effects_to_randomise(robot, randomize)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
     ranges = RobotDraws(_of_vehicle(randomize, {effect.name for effect, _ in effects}), robot, declared, effects, {})

@@ -23,7 +23,7 @@ from aerial_gym.robots.quantities import QUANTITIES, apply_draw
 _ONE_MOUNT = re.compile(r"mounts\.(\d+)\.(\w+)")
 
 
-def add_random_effects(robot: RobotCfg, cfg: Randomize) -> RobotCfg:
+def add_effects_to_randomise(robot: RobotCfg, cfg: Randomize) -> RobotCfg:
     """Return the robot plus the effects that only its draws name, at their neutral parameters."""
     effects = dict(robot.effects)
     for name in cfg:
@@ -77,7 +77,7 @@ class RobotDraws:
         """Assign a column to every number.
 
         Args:
-            robot: With the effects of ``add_random_effects``.
+            robot: With the effects of ``add_effects_to_randomise``.
             declared: Its vehicle, shared by all environments.
             gains: Declared gains by name, (E, 3); none where the controller has none.
 

@@ -43,7 +43,7 @@ from aerial_gym.robots.joints.states import JointStates
 from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.parameter_draws import draw_code
 from aerial_gym.robots.parameter_guards import guard_parameters
-from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_random_effects
+from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise
 from aerial_gym.robots.slung_load import make_slung_load
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
 from aerial_gym.robots.surroundings import Surroundings
@@ -81,7 +81,7 @@ class RobotManager:
             ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
                 is there.
         """
-        robot = add_random_effects(robot, randomize or {})
+        robot = add_effects_to_randomise(robot, randomize or {})
         self.cfg, self._sim, self._gtd, self._random, self._around = robot, sim, gtd, random, around
         check_effects(robot)
         self._num_envs = root_state.shape[0]

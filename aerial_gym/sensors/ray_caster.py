@@ -297,5 +297,5 @@ class Frames:
             self.number.add_(due).remainder_(self.count)
 
     def reset(self, mask: Tensor) -> None:
-        """Restart the count in the environments of ``mask``, bool (E,)."""
+        """Begin again with the first ray pattern in the environments of ``mask``, bool (E,)."""
         self.number.masked_fill_(mask, self.count - 1)

@@ -120,7 +120,7 @@ class Actuator:
             line,
             axis=-line.axis if turned else line.axis,
             spin=-1 if along > 0.0 else 1,
-            rotor=self._type((size * low, size * high), abs(along), lag),
+            rotor=self._rotor_type((size * low, size * high), abs(along), lag),
             link=link,
         )
 
@@ -172,7 +172,7 @@ class Actuator:
             )
         return low, high
 
-    def _type(self, limits: tuple[float, float], ratio: float, lag: float | None) -> RotorCfg:
+    def _rotor_type(self, limits: tuple[float, float], ratio: float, lag: float | None) -> RotorCfg:
         own = float(self.model.actuator_dynprm[self.index][0])
         source = self.source
         if self._is("dyntype", "mjtDyn", "mjDYN_FILTER", "mjDYN_FILTEREXACT") and own > 0.0:

@@ -21,7 +21,7 @@ from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import RolloutErrors, roll_out_models
+from aerial_gym.sim2real.predict.rollout import RolloutErrors, rollout_errors_of_models
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
 MOST_WEIGHED = 8
@@ -130,7 +130,7 @@ def ablations(
     if "free" in evaluations[0].rollouts:
         if len(without) > 1:
             models, links = list(without.values()), [tested.links(less) for less in without.values()]
-            flown = [one["free"] for one in roll_out_models(robot, test, models, {"free": False}, links=links)]
+            flown = [one["free"] for one in rollout_errors_of_models(robot, test, models, {"free": False}, links=links)]
         else:  # the only effect removed leaves the declared model
             flown = [evaluations[0].rollouts["free"]]
     residuals, group, flight = tested.residuals(final), time_groups(tested.times), flight_of_rows(tested.times)

@@ -32,7 +32,7 @@ def with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
     if not rivals:
         return selection
     densities = log_densities(test, [selection.chosen.named, *rivals.values()], selection)
-    gain = (densities[1:] - densities[0]) / selection.chosen.best.overdispersion
+    gain = (densities[1:] - densities[0]) / selection.chosen.best.parameter_overdispersion
     return replace(selection, doubt=dict(zip(rivals, np.maximum(gain, 0.0).tolist(), strict=True)))
 
 

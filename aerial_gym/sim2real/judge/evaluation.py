@@ -13,7 +13,7 @@ from aerial_gym.sim2real.logs.flights import Flight, flight_names
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rollout import HORIZONS_S, QUANTITIES, RolloutErrors, roll_out_models
+from aerial_gym.sim2real.predict.rollout import HORIZONS_S, QUANTITIES, RolloutErrors, rollout_errors_of_models
 from aerial_gym.sim2real.predict.windows import find_windows
 from aerial_gym.sim2real.statistics import Rise, Rms, rise_with_interval, rms_with_interval
 
@@ -77,7 +77,9 @@ def evaluate(
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not rollout_gap(flights):
         links, variants = [predictor.links(one) for one in models], {"free": False, "given_attitude": True}
-        rollouts = roll_out_models(robot, flights, models, variants, links=links, tolerances=predictor.tolerances)
+        rollouts = rollout_errors_of_models(
+            robot, flights, models, variants, links=links, tolerances=predictor.tolerances
+        )
     return [
         ModelEvaluation(
             channels=predictor.channels,

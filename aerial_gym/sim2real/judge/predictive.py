@@ -125,7 +125,7 @@ def quantile_of_squares(
 
 
 @dataclass(frozen=True, kw_only=True)
-class PredictiveQuestion:
+class ResidualCriterion:
     """The unexplained channels of the test flights, and the residual that would count as explained."""
 
     remaining: Flags
@@ -140,7 +140,7 @@ def open_effects(
     test: Predictor,
     models: tuple[ModelParams, ModelParams],
     selection: SelectionResult,
-    asked: PredictiveQuestion,
+    asked: ResidualCriterion,
 ) -> tuple[str, ...]:
     """Return the effects that would explain the test residual and that training does not rule out, the best first.
 
@@ -175,7 +175,7 @@ def open_effects(
 
 
 def sufficient_effects(
-    seen: Library, tested: Library, weights: Weighting, asked: PredictiveQuestion, significance: float
+    seen: Library, tested: Library, weights: Weighting, asked: ResidualCriterion, significance: float
 ) -> tuple[str, ...]:
     """Return the effects whose joint fit agrees with training and explains every unexplained channel, the best first.
 

@@ -13,7 +13,7 @@ from aerial_gym.sim2real.identify.candidates.structure import Structure, find_st
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
-from aerial_gym.sim2real.judge.predictive import PredictiveQuestion, channel_names, left_open, open_effects
+from aerial_gym.sim2real.judge.predictive import ResidualCriterion, channel_names, left_open, open_effects
 from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, wind_declaration
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import KINEMATIC
@@ -128,7 +128,7 @@ def find_unexplained(
         if structure.kind == "none":  # test flights may cover another range, where the structure differs
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
         level = floor  # of the noise, random wind included
-        asked = PredictiveQuestion(remaining=remaining, enough=lambda rms: ~material_excess(rms, level, tolerated))
+        asked = ResidualCriterion(remaining=remaining, enough=lambda rms: ~material_excess(rms, level, tolerated))
         could = open_effects(train, test, models, selection, asked)
     names = [channel.name for channel in test.channels]
     open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining

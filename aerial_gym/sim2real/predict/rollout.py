@@ -76,7 +76,7 @@ class RolloutErrors:
 
 
 @torch.inference_mode()
-def roll_out_models(
+def rollout_errors_of_models(
     robot: RobotCfg,
     flights: Sequence[Flight],
     models: Sequence[ModelParams],
@@ -101,7 +101,7 @@ def roll_out_models(
         return [
             results
             for one, own in zip(models, links, strict=True)
-            for results in roll_out_models(
+            for results in rollout_errors_of_models(
                 robot, flights, [one], variants, links=[own], horizons=horizons, tolerances=tolerances
             )
         ]

@@ -41,7 +41,7 @@ def lacks_of_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
 
 
 def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding if an aerodynamic effect lacks the velocity for its identification; None otherwise.
+    """Return a finding if an aerodynamic effect needs a velocity that the logs do not have; None otherwise.
 
     A declared effect still acts, through the hub velocities of a rotating vehicle. Identification from these alone would
     attribute other errors to the air.

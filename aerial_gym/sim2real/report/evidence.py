@@ -53,7 +53,7 @@ class Cloud:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clue:
+class ParameterEvidence:
     """Information of all channels about a parameter."""
 
     parameter: str
@@ -77,9 +77,9 @@ class Clue:
         return tuple(cloud for cloud, _ in self.informative_channels[:MOST_CHANNELS])
 
 
-def clues(
+def parameter_evidence(
     predictor: Predictor, params: ModelParams, effect: str, neutral: Array, weight: Array, untold: Collection[str] = ()
-) -> list[Clue]:
+) -> list[ParameterEvidence]:
     """Return the information of the flights about each parameter of an effect.
 
     Args:
@@ -113,7 +113,7 @@ def clues(
                 )
             )
         clues_list.append(
-            Clue(
+            ParameterEvidence(
                 parameter=parameter.name,
                 unit=parameter.unit,
                 scale=float(scale[k]),
@@ -135,7 +135,7 @@ def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
     return slope, float(np.sqrt(scores @ scores) / square)
 
 
-def evidence(effect: str, clues: list[Clue]) -> str:
+def evidence(effect: str, clues: list[ParameterEvidence]) -> str:
     """Return a figure with one panel per parameter."""
     shown = [clue for clue in clues if clue.channels_to_plot]
     figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
@@ -144,7 +144,7 @@ def evidence(effect: str, clues: list[Clue]) -> str:
     return figure.svg()
 
 
-def write_evidence(path: Path, clues: Mapping[str, Sequence[Clue]]) -> None:
+def write_evidence(path: Path, clues: Mapping[str, Sequence[ParameterEvidence]]) -> None:
     """Write each parameter's fitted value, and the value from each informative channel alone."""
     columns = ["effect", "parameter", "fitted", "channel", "alone", "std", "share_told"]
     rows = []
@@ -157,7 +157,7 @@ def write_evidence(path: Path, clues: Mapping[str, Sequence[Clue]]) -> None:
     pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g", errors="surrogateescape")
 
 
-def _draw(panel: Panel, clue: Clue) -> None:
+def _draw(panel: Panel, clue: ParameterEvidence) -> None:
     for cloud, colour in zip(clue.channels_to_plot, COLOURS, strict=False):
         step = max(1, cloud.adds.size // MOST_POINTS)
         name = f"{cloud.channel.kind.replace('_', ' ')} {cloud.channel.axis}"

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.judge.outcome import SAME
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report import plots
-from aerial_gym.sim2real.report.evidence import Clue, clues, evidence
+from aerial_gym.sim2real.report.evidence import ParameterEvidence, evidence, parameter_evidence
 from aerial_gym.sim2real.report.profiles import Profile, quantities
 
 MOST_REJECTED = 2
@@ -36,7 +36,7 @@ def report_models(judged: LoopResult) -> dict[str, ModelParams]:
     return models | {"corrected": judged.params} if judged.verdict.corrects else models
 
 
-def report_clues(judged: LoopResult) -> dict[str, list[Clue]]:
+def report_clues(judged: LoopResult) -> dict[str, list[ParameterEvidence]]:
     """Return the training flights' information about the accepted effects; without any, about the closest candidates.
 
     Models include the jointly fitted deviations, so that the fitted line matches the residual.
@@ -49,12 +49,12 @@ def report_clues(judged: LoopResult) -> dict[str, list[Clue]]:
     weight, results = selection.weights.weight, {}
     for name, params in models.items():
         neutral = neutral_params(name, declared.params, declared.stated)
-        results[name] = clues(declared.train, params, name, neutral, weight, untold.get(name, ()))
+        results[name] = parameter_evidence(declared.train, params, name, neutral, weight, untold.get(name, ()))
     return results
 
 
 def figures(
-    judged: LoopResult, told: Mapping[str, list[Clue]], profiles_list: Sequence[Profile]
+    judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], profiles_list: Sequence[Profile]
 ) -> dict[str, list[dict[str, str]]]:
     """Return the figures of the page by section."""
     verdict, test = judged.verdict, judged.declared.test

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.judge.evaluation import rollout_gap
 from aerial_gym.sim2real.judge.whiteness import octave_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.report.evidence import Clue, write_evidence
+from aerial_gym.sim2real.report.evidence import ParameterEvidence, write_evidence
 from aerial_gym.sim2real.report.figures import VARIANTS, figures, kinds_to_plot, report_clues, report_models
 from aerial_gym.sim2real.report.profiles import LABELS, Profile, profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
@@ -72,7 +72,7 @@ def render(name: str, context: dict[str, object]) -> str:
 
 
 def report_context(
-    judged: LoopResult, told: Mapping[str, list[Clue]], residual_profiles: Sequence[Profile]
+    judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], residual_profiles: Sequence[Profile]
 ) -> dict[str, object]:
     """Return the values for the templates."""
     verdict, selection = judged.verdict, judged.selection

@@ -108,7 +108,7 @@ def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str,
         params = lag.laws[lag.in_robot].params
         for way in ("up", "down"):
             results[f"time_constant_{way}"] = params.get(f"tau_{way}", params.get("tau")).value  # type: ignore[union-attr]
-        results |= slew_rates(params)
+        results |= slew_rate_settings(params)
     return results
 
 
@@ -126,7 +126,7 @@ def _reverse_changes(fit: StaticFit, reverse: StaticFit) -> dict[str, object]:
     return results
 
 
-def slew_rates(params: Mapping[str, Estimate]) -> dict[str, object]:
+def slew_rate_settings(params: Mapping[str, Estimate]) -> dict[str, object]:
     """Return the slew rates of a rotor from a law; None for one that no step reaches."""
     rates = {way: params.get(f"slew_{way}") for way in ("up", "down")}
     reached = {way: rate for way, rate in rates.items() if rate is not None and rate.high < BOUNDS[f"slew_{way}"][2]}

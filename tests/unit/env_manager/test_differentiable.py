@@ -137,7 +137,7 @@ def test_obstacles_are_met_as_without_gradients() -> None:
 def test_what_has_no_gradient_is_refused_by_name() -> None:
     with pytest.raises(CapabilityError, match="backend warp: cannot .*. Use backend 'torch'"):
         build(backend="warp")
-    with pytest.raises(ConfigError, match="the GTD is float32; give differentiable=True"):
+    with pytest.raises(ConfigError, match="the GTD is float32. Give differentiable=True"):
         build(differentiable=False)
     with pytest.raises(ConfigError, match="build it with differentiable=True"):
         _ = build(differentiable=False, dtype=torch.float32).gradient_tensors

@@ -7,7 +7,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.load import Link
-from aerial_gym.sim2real.predict.rollout import RolloutErrors, roll_out_models
+from aerial_gym.sim2real.predict.rollout import RolloutErrors, rollout_errors_of_models
 
 
 def roll_out(
@@ -19,6 +19,6 @@ def roll_out(
     given_attitude: bool = False,
     **options: Any,
 ) -> RolloutErrors:
-    """Return the open-loop errors of a model; arguments as for ``roll_out_models``."""
-    (result,) = roll_out_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
+    """Return the open-loop errors of a model; arguments as for ``rollout_errors_of_models``."""
+    (result,) = rollout_errors_of_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
     return result[""]

@@ -13,8 +13,8 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
-    InChannels,
     Part,
+    SparseDerivatives,
     drop_zero_channels,
     moments_by_channel,
     num_columns,
@@ -34,7 +34,7 @@ from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-Structures = Callable[[list[Array], dict[str, list[list[InChannels]]]], Sequence[NuisanceColumns]]
+Structures = Callable[[list[Array], dict[str, list[list[SparseDerivatives]]]], Sequence[NuisanceColumns]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,7 @@ class Tangent:
     start: Array
     """All parameters at the linearisation, (P,)."""
 
-    columns: list[InChannels]
+    columns: list[SparseDerivatives]
     """Derivatives by the parameters, per scale, (rows, C, P) of each flight."""
 
     def whole(self, channels: int) -> Derivatives:
@@ -171,7 +171,7 @@ def build_library(
     base = predictor.predict(present)
     residuals = here = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     candidates, width = list[Candidate](), 0
-    derivatives, own = list[Sequence[Part]](), dict[str, list[list[InChannels]]]()
+    derivatives, own = list[Sequence[Part]](), dict[str, list[list[SparseDerivatives]]]()
     for tangent in tangents:
         name, named, columns = tangent.name, tangent.named, tangent.columns
         neutral, scale = neutral_params(name, declared, predictor.robot), scales((name,))

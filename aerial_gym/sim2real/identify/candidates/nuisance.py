@@ -24,7 +24,7 @@ from aerial_gym.sim2real.identify.candidates.structure import (
     rotate_residuals,
     structure_features,
 )
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import InChannels
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
 from aerial_gym.sim2real.identify.least_squares.derivatives import single
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
@@ -49,7 +49,7 @@ class NuisanceColumns:
     channel: str
     """Channel; forces are in world axes for position and heading."""
 
-    columns: list[InChannels]
+    columns: list[SparseDerivatives]
     """F functions times ``size``, (T, C, F) of each flight."""
 
     size: float
@@ -134,7 +134,7 @@ class Nuisances:
                 )
 
     def project_out(
-        self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[InChannels]]]
+        self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[SparseDerivatives]]]
     ) -> list[NuisanceColumns]:
         """Return the structures without the parts that effects can produce.
 
@@ -154,7 +154,9 @@ class Nuisances:
             ]
             beyond = zip(_orthogonal_part(shape.functions, along), shape.axes, strict=True)
             columns = single([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
-            parts = [InChannels(values=values, channels=shape.moved, width=values.shape[2]) for values in columns]
+            parts = [
+                SparseDerivatives(values=values, channels=shape.moved, width=values.shape[2]) for values in columns
+            ]
             matrices.append(NuisanceColumns(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
         return [*matrices, *_offsets(self._channels, present, self._most), *self._tones(present)]
 
@@ -239,10 +241,12 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
     return matrices
 
 
-def _of_one(flight: int, flights: int, values: Array, channel: int) -> InChannels:
+def _of_one(flight: int, flights: int, values: Array, channel: int) -> SparseDerivatives:
     """Return the columns of one flight, (T, 1, p), among equal numbers of columns for every flight."""
     own = values.shape[2]
-    return InChannels(values=values.astype(np.float32), channels=(channel,), width=own * flights, first=own * flight)
+    return SparseDerivatives(
+        values=values.astype(np.float32), channels=(channel,), width=own * flights, first=own * flight
+    )
 
 
 def _rms(parts: Sequence[Array]) -> float:

@@ -88,7 +88,7 @@ class EffectSetFit:
         return np.isfinite(self.log_posterior) and all(one.holds for one in self.support.values())
 
     @property
-    def overdispersion(self) -> float:
+    def parameter_overdispersion(self) -> float:
         """Return the parameters' variance between flights over that from noise, at least 1."""
         results = [one.size * one.overdispersion for one in self.support.values()]
         return max(1.0, sum(results) / max(1, sum(one.size for one in self.support.values())))

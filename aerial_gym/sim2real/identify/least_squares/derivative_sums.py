@@ -18,7 +18,7 @@ from aerial_gym.sim2real.predict.nonzero import not_zero
 
 
 @dataclass(frozen=True, kw_only=True)
-class InChannels:
+class SparseDerivatives:
     """Derivatives of a flight by P parameters, stored sparsely: zero in other channels and parameters."""
 
     values: NDArray[np.floating]
@@ -43,22 +43,22 @@ class InChannels:
         return sums
 
 
-def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[InChannels]:
+def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[SparseDerivatives]:
     """Return derivatives (T, C, P) in single precision, without channels that are zero in all flights."""
     moved = tuple(np.flatnonzero(np.any([not_zero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
     return [
-        InChannels(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
+        SparseDerivatives(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
         for part in flights
     ]
 
 
-Part = NDArray[np.floating] | InChannels
+Part = NDArray[np.floating] | SparseDerivatives
 """Derivatives of a flight by some parameters, (T, C, P)."""
 
 
 def num_columns(parts: Sequence[Part]) -> int:
     """Return the total number K of parameters."""
-    return sum(part.width if isinstance(part, InChannels) else part.shape[2] for part in parts)
+    return sum(part.width if isinstance(part, SparseDerivatives) else part.shape[2] for part in parts)
 
 
 class DerivativeSums:
@@ -85,7 +85,7 @@ def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, 
     sums: list[tuple[list[Indices], list[Array]]] = [([], []) for _ in root]
     start = 0
     for part in parts:
-        if isinstance(part, InChannels):
+        if isinstance(part, SparseDerivatives):
             values, channels, first = part.values, part.channels, start + part.first
         else:
             values, channels, first = part, range(root.size), start

@@ -91,7 +91,7 @@ class CandidateView:
         """Return the stopping rule of a fit, relative to the best set with structures (``beside``) or without."""
         best = self.best if beside else self.best_bare
         least = best.log_posterior - FAR_BEHIND * occam_window(best)
-        return ComparisonDepth(least=least, enough=ENOUGH * best.overdispersion)
+        return ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
 
     def add(self, fitted: EffectSetFit) -> None:
         """Add a fitted set; while an effect of it lacks support, fit and add the set without its weakest effect.
@@ -135,7 +135,7 @@ def occam_window(fitted: EffectSetFit) -> float:
         Madigan, Raftery (1994), Model selection and accounting for model uncertainty in graphical models using Occam's
         window, Journal of the American Statistical Association 89.
     """
-    return LEAST_SCORE * fitted.overdispersion
+    return LEAST_SCORE * fitted.parameter_overdispersion
 
 
 def present_set(library: Library, present: EffectSetFit) -> Model:

@@ -119,7 +119,7 @@ class MostProbableSet:
         fits = [
             replace(one, effects=tuple(meant.get(name, name) for name in one.effects)) for one in self.sets_with_support
         ]
-        return set_probabilities(fits, overdispersion=self.best.overdispersion)
+        return set_probabilities(fits, overdispersion=self.best.parameter_overdispersion)
 
     @property
     def inclusion(self) -> dict[str, float]:

@@ -77,7 +77,7 @@ def rivals_in_part(
             best.structures,
             start,
             frozen=frozenset({(effect, place)}),
-            compared=ComparisonDepth(least=least, enough=ENOUGH * best.overdispersion),
+            compared=ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion),
         )
         odds = fitted.log_posterior + fitter.log_names - best.log_posterior
         if odds > -window and fitted.support[other].holds:
@@ -88,7 +88,7 @@ def rivals_in_part(
                     parameter=EFFECTS.get(effect).parameters[place].name,
                     other=other,
                     params={parameter.name: float(value) for parameter, value in own},
-                    log_odds=odds / best.overdispersion,
+                    log_odds=odds / best.parameter_overdispersion,
                 )
             )
     return tuple(matches)

@@ -108,7 +108,7 @@ class SelectionResult:
             if name in fitted.effects:
                 continue
             doubt = self.doubt.get(fitted.label, 0.0)
-            odds = (fitted.log_posterior - best.log_posterior) / best.overdispersion + doubt
+            odds = (fitted.log_posterior - best.log_posterior) / best.parameter_overdispersion + doubt
             for other in replacement_effects(name, best.effects, fitted.effects):
                 if other not in rival_fits or odds > rival_fits[other].log_odds:
                     wider = name in EFFECTS.get(other).contains
@@ -175,7 +175,7 @@ def select_effects(
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
     give_back_memory()
     scorer = _Scorer(predictor, declared, criteria, chosen)
-    final, chosen = scorer.final()
+    final, chosen = scorer.score_without_undetermined()
     unseen = {name: Finding("not_excited", name) for name in chosen.hidden if name not in chosen.effects}
     return SelectionResult(
         declared=scorer.nothing,
@@ -228,7 +228,7 @@ class _Scorer:
         )  # sums by flight suffice from here on
         return FitScore(fit=by_flight, spread=spread, left_out=left_out)
 
-    def final(self) -> tuple[FitScore, MostProbableSet]:
+    def score_without_undetermined(self) -> tuple[FitScore, MostProbableSet]:
         """Return the fit of the named effects, and the choice, both with undetermined parameters at neutral."""
         scored = self.score(self.chosen.effects, self.chosen.named.params)
         unseen = weak_parameters(scored)
@@ -240,7 +240,7 @@ class _Scorer:
             name = min(blind)
             neutral = neutral_params(name, self.declared, self.predictor.robot)
             self.chosen = self.chosen.without_blind(name, neutral)
-            return self.final()
+            return self.score_without_undetermined()
         scored = self.score(self.chosen.effects, self.at_neutral(self.chosen.named.params, unseen), frozenset(unseen))
         without = {
             name: replace(less, params=self.at_neutral(less.params, unseen))

@@ -23,7 +23,7 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal
 from aerial_gym.sim2real.identify.evidence.search import search
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import InChannels
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     single,
@@ -267,7 +267,9 @@ class SetSearch:
         structures, fitter = list[NuisanceColumns](), own[present.label]
         forget_but(own, present.label)
 
-        def of_residuals(residuals: list[Array], effects: dict[str, list[list[InChannels]]]) -> list[NuisanceColumns]:
+        def of_residuals(
+            residuals: list[Array], effects: dict[str, list[list[SparseDerivatives]]]
+        ) -> list[NuisanceColumns]:
             structures.extend(self.nuisances.project_out(residuals, effects))
             return structures
 

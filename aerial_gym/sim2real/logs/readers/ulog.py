@@ -106,7 +106,7 @@ def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[fl
 
 
 def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
-    """Return the table of topics (arrays by field), and the corrected times of clock steps [s].
+    """Merge topics (arrays by field) into one table on one clock; return it with the corrected times of clock steps [s].
 
     Faster topics are averaged over a step of the clock, slower ones interpolated, commands held. Rows without nearby
     samples are dropped, so gaps remain. A topic without usable stamps is dropped with a finding.

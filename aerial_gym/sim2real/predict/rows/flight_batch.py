@@ -158,7 +158,7 @@ class FlightBatch:
         )
 
     def _rows(self, asked: _ModelQuery) -> dict[str, Columns]:
-        """Return the inertial sensor readings in the band, three columns (T,) by kind."""
+        """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
         flown = self._model_rows(asked)
         remembered = self._effect_memory(flown, asked)
         model, hubs = with_memory(flown, remembered), None

@@ -29,7 +29,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_ro
 from aerial_gym.sim2real.predict.noise_floor import noise_floor, square_of_slow_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rollout import FARTHEST, roll_out_models
+from aerial_gym.sim2real.predict.rollout import FARTHEST, rollout_errors_of_models
 from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import thin_rows
 from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_deviation
@@ -308,7 +308,9 @@ def test_rollouts_side_by_side_are_those_of_each_model_and_variant_alone(tmp_pat
     ]
     creeping = ModelParams(effects={"joint_creep": np.array([0.4, 30.0, 0.4])})
     for some in (models, [*models[:1], creeping]):
-        together = roll_out_models(ROBOT, [results], some, variants, links=[None] * len(some), horizons=(0.1, 0.5))
+        together = rollout_errors_of_models(
+            ROBOT, [results], some, variants, links=[None] * len(some), horizons=(0.1, 0.5)
+        )
         for of_model, params in zip(together, some, strict=True):
             for variant, given in variants.items():
                 alone = roll_out(ROBOT, [results], params, horizons=(0.1, 0.5), given_attitude=given)

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from aerial_gym.sim2real.report.evidence import clues, write_evidence
+from aerial_gym.sim2real.report.evidence import parameter_evidence, write_evidence
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 SCALE, LIGHTER = 0.9, 0.8
@@ -36,7 +36,7 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_needs(ligh
     start = ModelParams(effects={EFFECT: np.ones(1)})
     beside = NuisanceSums(train.times, [[part] for part in empty], weight)
     params = fit_effects(train, (EFFECT,), start, beside)[0].params
-    (clue,) = clues(train, params, EFFECT, np.ones(1), weight)
+    (clue,) = parameter_evidence(train, params, EFFECT, np.ones(1), weight)
     adds, beyond = (np.concatenate([getattr(c, name) for c in clue.clouds]) for name in ("adds", "beyond"))
     slope = (clue.fitted - clue.neutral) / clue.scale
     assert slope == pytest.approx(float(adds @ beyond / (adds @ adds)), abs=2e-3)
@@ -51,7 +51,7 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_needs(ligh
     assert clue.channels_to_plot[0].channel.name == max(alone, key=lambda name: alone[name].adds @ alone[name].adds)
     if lighter < 1.0:
         assert SCALE * lighter + 0.01 < clue.fitted < SCALE - 0.01
-    assert clues(train, params, EFFECT, np.ones(1), weight, untold=("scale",)) == []
+    assert parameter_evidence(train, params, EFFECT, np.ones(1), weight, untold=("scale",)) == []
     write_evidence(tmp_path / "evidence.csv", {EFFECT: [clue]})
     table = pd.read_csv(tmp_path / "evidence.csv").set_index("channel")
     assert 0.98 < table["share_told"].sum() <= 1.0 + 1e-4

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
-    InChannels,
     NuisanceSums,
+    SparseDerivatives,
     drop_zero_channels,
     moments_by_channel,
     num_columns,
@@ -29,15 +29,17 @@ def flights(seed: int) -> SimpleNamespace:
         times=times,
         residuals=[rng.standard_normal((time.size, 3)) for time in times],
         dense=dense,
-        first=[InChannels(values=rng.standard_normal((time.size, 1, 2)), channels=(0,), width=2) for time in times],
+        first=[
+            SparseDerivatives(values=rng.standard_normal((time.size, 1, 2)), channels=(0,), width=2) for time in times
+        ],
         last=[
-            InChannels(values=rng.standard_normal((time.size, 2, 2)), channels=(2, 1), width=3, first=1)
+            SparseDerivatives(values=rng.standard_normal((time.size, 2, 2)), channels=(2, 1), width=3, first=1)
             for time in times
         ],
     )
 
 
-def whole(part: InChannels) -> np.ndarray:
+def whole(part: SparseDerivatives) -> np.ndarray:
     """Return the same derivative with all its zeros, (T, 3, P)."""
     result = np.zeros((part.values.shape[0], 3, part.width))
     result[:, list(part.channels), part.first : part.first + part.values.shape[2]] = part.values

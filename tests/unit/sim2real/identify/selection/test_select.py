@@ -227,7 +227,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     given = PriorScorer(named, {"rotor_drag": [0.1, 0.9, 1.1], "com_offset": [0.2, 7.0, 0.2]})
     drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in named.effects)
     given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
-    scored, chosen = given.final()
+    scored, chosen = given.score_without_undetermined()
     fit = scored.fit
     assert fit.frozen == {("rotor_drag", 2), ("com_offset", 1)}
     assert {name: values.tolist() for name, values in fit.params.effects.items()} == {
@@ -237,7 +237,7 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
     assert chosen.without["com_offset"].params.effects["rotor_drag"].tolist() == [9.0, 8.0, 0.0]
     assert chosen.without["rotor_drag"].params.effects["com_offset"].tolist() == [9.0, 0.0, 7.0]
     given = PriorScorer(named, dict.fromkeys(named.effects, [0.9] * 3))
-    shown, same = given.final()
+    shown, same = given.score_without_undetermined()
     assert (shown.fit.frozen, shown.fit.params) == (frozenset(), named.params)
     assert same is given.chosen
 
@@ -248,7 +248,7 @@ def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> Non
     given = PriorScorer(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
     drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))
     given.chosen = replace(given.chosen, without={"com_offset": drag, "rotor_drag": offset})
-    scored, chosen = given.final()
+    scored, chosen = given.score_without_undetermined()
     assert scored.fit.params is drag.params
     assert chosen.effects == ("rotor_drag",)
     assert chosen.refused == {"com_offset": Finding("parameters_unknown", "com_offset")}
