@@ -106,7 +106,7 @@ class PlayCmd:
         return 0
 
     def _show(self, dump: Path) -> int:
-        """Report the cause of each row's end on stderr, and write its last steps."""
+        """Print which numbers of each row were NaN or infinite on stderr, and write the last steps of the row."""
         from aerial_gym.robots.finite_watch import read_dump
 
         table, sentences = read_dump(dump)

@@ -11,7 +11,13 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from aerial_gym.control.effectiveness import Actuation, allocation_matrix, find_actuation, pseudo_inverse, right_inverse
+from aerial_gym.control.effectiveness import (
+    CommandAxes,
+    allocation_matrix,
+    find_actuation,
+    pseudo_inverse,
+    right_inverse,
+)
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED
 from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
@@ -155,7 +161,7 @@ class Allocation:
         else:
             self.inverse, self.low, self.high = pseudo_inverse(asked), low, high
         self._matrix, self._gravity, self._dtype = matrix[0].detach(), gravity, matrix.dtype
-        self._actuation: Actuation | None = None
+        self._actuation: CommandAxes | None = None
         self._own: tuple[str, ...] = ()
 
     def follow(self, vehicle: Vehicle) -> None:

@@ -154,7 +154,7 @@ class CascadeController(StatefulController):
         has_loop = self.rate_gains is not None
         return self._fused(
             make_stateful_step=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
-            gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.LeeRows,
+            gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.LeeParams,
             gains=self._fused_gains(),
         )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from aerial_gym.control.lee_fused import LeeRows, read_vec3
+from aerial_gym.control.lee_fused import LeeParams, read_vec3
 from aerial_gym.control.timing import Timing
 from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.fused.allocation import make_allot_thrust
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class CascadeGains:
     """Gains of the law and of the rate loop."""
 
-    lee: LeeRows
+    lee: LeeParams
     proportional: wp.vec3  # [1/s]
     integral: wp.vec3  # [1/s²]
     integral_limit: wp.vec3  # [rad/s²]

@@ -151,7 +151,7 @@ class LeeController:
             idle=self.allocation.idle,
             wrench=self._law.fused,
             prepare=self._law.prepare,
-            gains_type=lee_fused.LeeRows,
+            gains_type=lee_fused.LeeParams,
             gains=lee_fused.gain_rows(self.gains),
         )
 

@@ -56,7 +56,7 @@ def _without_round_off(inverse: Tensor, matrix: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Actuation:
+class CommandAxes:
     """Commanded forces and torques: as many as the rotors give independently, by ``PRIORITY``.
 
     Side effects are accepted: the lateral force of tilted rotors, the yaw torque of rotors with equal spin.
@@ -72,7 +72,7 @@ class Actuation:
         return torch.where(kept, matrix, 0.0)
 
 
-def find_actuation(matrix: Tensor) -> Actuation:
+def find_actuation(matrix: Tensor) -> CommandAxes:
     """Find the independent forces and torques of one vehicle from its effectiveness matrix (6, R).
 
     An axis counts if enough of it, in the range of the matrix, is orthogonal to the axes of higher priority. The CPU computes
@@ -87,10 +87,10 @@ def find_actuation(matrix: Tensor) -> Actuation:
         if rest.norm() > OF_ITS_OWN:
             directions = torch.cat((directions, (rest / rest.norm()).unsqueeze(0)))
             axes.append(axis)
-    return Actuation(tuple(axes), tuple(exact[axes].norm(dim=-1).tolist()))
+    return CommandAxes(tuple(axes), tuple(exact[axes].norm(dim=-1).tolist()))
 
 
-def right_inverse(matrix: Tensor, actuation: Actuation) -> Tensor:
+def right_inverse(matrix: Tensor, actuation: CommandAxes) -> Tensor:
     """Return the least-norm thrusts per commanded force and torque, (E, R, 6), without round-off.
 
     It is the pseudo-inverse of the commanded rows A of the effectiveness matrix, ``A^+ = A^T (A A^T)^-1``, with zeros for the

@@ -17,7 +17,7 @@ from aerial_gym.math.warp_functions import inverse_root, rotate, rotate_inverse,
 
 
 @wp.struct
-class LeeRows:
+class LeeParams:
     """Gains, limits, and the autopilot's vehicle parameters."""
 
     position: wp.vec3  # [1/s²]
@@ -77,20 +77,20 @@ def heading_axis(up: wp.vec3, inverse: float) -> wp.vec3:
 
 
 @wp.func
-def rate_torque(gains: LeeRows, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
+def rate_torque(gains: LeeParams, ang_vel: wp.vec3, rate: wp.vec3) -> wp.vec3:
     """Return ``-K_w (w - w_d) + w x J w`` [N m], body."""
     return wp.cross(ang_vel, gains.inertia * ang_vel) - wp.cw_mul(gains.rate, ang_vel - rate)
 
 
 @wp.func
-def attitude_torque(gains: LeeRows, d1: wp.vec3, d2: wp.vec3, d3: wp.vec3) -> wp.vec3:
+def attitude_torque(gains: LeeParams, d1: wp.vec3, d2: wp.vec3, d3: wp.vec3) -> wp.vec3:
     """Return ``-K_R e_R`` [N m], body, from the wanted axes in body coordinates."""
     error = wp.vec3(d3[1] - d2[2], d1[2] - d3[0], d2[0] - d1[1])
     return -0.5 * wp.cw_mul(gains.attitude, error)
 
 
 @wp.func
-def limit_yaw_rate(yaw_rate: float, gains: LeeRows) -> float:
+def limit_yaw_rate(yaw_rate: float, gains: LeeParams) -> float:
     """Return the yaw rate [rad/s] within its limits."""
     return wp.clamp(yaw_rate, -gains.max_yaw_rate, gains.max_yaw_rate)
 
@@ -104,7 +104,7 @@ def within_inclination(force: wp.vec3, least_up: float, max_slope: float) -> wp.
 
 
 @wp.func
-def limit_force(gains: LeeRows, acceleration: wp.vec3) -> wp.vec3:
+def limit_force(gains: LeeParams, acceleration: wp.vec3) -> wp.vec3:
     """Return the force [N], world, ``m (a - g)`` within the inclination."""
     weight = gains.mass * gains.gravity
     force = gains.mass * acceleration + wp.vec3(0.0, 0.0, weight)
@@ -113,7 +113,7 @@ def limit_force(gains: LeeRows, acceleration: wp.vec3) -> wp.vec3:
 
 @wp.func
 def force_wrench(
-    gains: LeeRows, attitude: wp.quat, ang_vel: wp.vec3, force: wp.vec3, heading: wp.vec3, rate: wp.vec3
+    gains: LeeParams, attitude: wp.quat, ang_vel: wp.vec3, force: wp.vec3, heading: wp.vec3, rate: wp.vec3
 ) -> wp.spatial_vector:
     """Return the wrench with the thrust of a force [N, world], and the torque that turns body z along it.
 
@@ -139,14 +139,14 @@ vec7 = wp.types.vector(length=7, dtype=wp.float32)
 
 
 @wp.func
-def prepare_position(action: wp.vec4, gains: LeeRows) -> vec5:
+def prepare_position(action: wp.vec4, gains: LeeParams) -> vec5:
     """Return x, y, z [m] and cosine and sine of the yaw."""
     return vec5(action[0], action[1], action[2], wp.cos(action[3]), wp.sin(action[3]))
 
 
 @wp.func
 def position_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for x, y, z [m, world] and yaw [rad]."""
     error = wp.vec3(wanted[0], wanted[1], wanted[2]) - position
@@ -156,7 +156,7 @@ def position_control(
 
 
 @wp.func
-def prepare_pose(action: vec7, gains: LeeRows) -> vec7:
+def prepare_pose(action: vec7, gains: LeeParams) -> vec7:
     """Return x, y, z [m] and a unit quaternion; the identity for zeros."""
     q = wp.quat(action[3], action[4], action[5], action[6])
     if wp.length(q) == 0.0:
@@ -167,7 +167,7 @@ def prepare_pose(action: vec7, gains: LeeRows) -> vec7:
 
 @wp.func
 def pose_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec7, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec7, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for x, y, z [m, world] and an attitude."""
     error = wp.vec3(wanted[0], wanted[1], wanted[2]) - position
@@ -181,14 +181,14 @@ def pose_control(
 
 
 @wp.func
-def prepare_steering(action: wp.vec4, gains: LeeRows) -> vec5:
+def prepare_steering(action: wp.vec4, gains: LeeParams) -> vec5:
     """Return vx, vy, vz [m/s] and cosine and sine of the yaw."""
     return vec5(action[0], action[1], action[2], wp.cos(action[3]), wp.sin(action[3]))
 
 
 @wp.func
 def steering_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec5, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw [rad]."""
     inverse = inverse_cos_pitch(world_up(attitude))
@@ -207,14 +207,14 @@ def from_vehicle_frame(q: wp.quat, inverse: float, vector: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def prepare_velocity(action: wp.vec4, gains: LeeRows) -> wp.vec4:
+def prepare_velocity(action: wp.vec4, gains: LeeParams) -> wp.vec4:
     """Return vx, vy, vz [m/s] and the limited yaw rate [rad/s]."""
     return wp.vec4(action[0], action[1], action[2], limit_yaw_rate(action[3], gains))
 
 
 @wp.func
 def velocity_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s]."""
     q = attitude
@@ -226,7 +226,7 @@ def velocity_control(
 
 
 @wp.func
-def prepare_acceleration(action: wp.vec4, gains: LeeRows) -> wp.vec4:
+def prepare_acceleration(action: wp.vec4, gains: LeeParams) -> wp.vec4:
     """Return the limited force [N] and the limited yaw rate [rad/s]."""
     force = limit_force(gains, wp.vec3(action[0], action[1], action[2]))
     return wp.vec4(force[0], force[1], force[2], limit_yaw_rate(action[3], gains))
@@ -234,7 +234,7 @@ def prepare_acceleration(action: wp.vec4, gains: LeeRows) -> wp.vec4:
 
 @wp.func
 def acceleration_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s]."""
     up = world_up(attitude)
@@ -243,7 +243,7 @@ def acceleration_control(
 
 
 @wp.func
-def prepare_attitude(action: wp.vec4, gains: LeeRows) -> vec6:
+def prepare_attitude(action: wp.vec4, gains: LeeParams) -> vec6:
     """Return the thrust [N], sines and cosines of roll and pitch, and the limited yaw rate [rad/s]."""
     return vec6(
         (action[0] + 1.0) * gains.mass * gains.gravity,
@@ -257,7 +257,7 @@ def prepare_attitude(action: wp.vec4, gains: LeeRows) -> vec6:
 
 @wp.func
 def attitude_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec6, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: vec6, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad] and yaw rate [rad/s].
 
@@ -284,14 +284,14 @@ def attitude_control(
 
 
 @wp.func
-def prepare_rates(action: wp.vec4, gains: LeeRows) -> wp.vec4:
+def prepare_rates(action: wp.vec4, gains: LeeParams) -> wp.vec4:
     """Return the thrust [N] and body rates p, q, r [rad/s]."""
     return wp.vec4((action[0] + 1.0) * gains.mass * gains.gravity, action[1], action[2], action[3])
 
 
 @wp.func
 def rates_control(
-    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: LeeRows
+    position: wp.vec3, attitude: wp.quat, lin_vel: wp.vec3, ang_vel: wp.vec3, wanted: wp.vec4, gains: LeeParams
 ) -> wp.spatial_vector:
     """Return the wrench for thrust [multiples of weight, 0 is hover] and body rates p, q, r [rad/s]."""
     torque = rate_torque(gains, ang_vel, wp.vec3(wanted[1], wanted[2], wanted[3]))

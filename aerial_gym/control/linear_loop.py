@@ -23,7 +23,7 @@ from aerial_gym.math.quaternion import quat_exp, quat_log
 from aerial_gym.physics.backend import ControlLaw, PhysicsBackend
 from aerial_gym.physics.effects import DelayEffect, EffectsByKind
 from aerial_gym.physics.integrators import INTEGRATORS
-from aerial_gym.physics.law_memory import law_command
+from aerial_gym.physics.law_memory import rotor_command_and_memory
 from aerial_gym.physics.memory import Memory, make_memory
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotors import state_for_thrust
@@ -204,7 +204,7 @@ class DiscreteLoop:
         law, cascade = self._law(len(states)), self._cascade
         body, remembered = _body(states[:, : BODY + self.num_rotors]), states[:, self.num_plant :]
         memory = None if cascade is None else cascade.restore_memory(remembered, number)
-        command, memory = law_command(law, body, action.expand(len(states), -1), memory)
+        command, memory = rotor_command_and_memory(law, body, action.expand(len(states), -1), memory)
         return command, remembered if cascade is None or memory is None else cascade.flatten_memory(memory)
 
     def _plant_step(self, rows: Tensor) -> Tensor:

@@ -70,7 +70,7 @@ def check_starts(
 
 def sample_attitudes(start: InitialStateCfg) -> Tensor:
     """Return the attitudes (N, 4), xyzw, of a grid in the start's roll and pitch that are tilted by more than 90 degrees."""
-    roll, pitch = (_grid_points(start.euler_low[i], start.euler_high[i]) for i in (0, 1))
+    roll, pitch = (_angle_grid(start.euler_low[i], start.euler_high[i]) for i in (0, 1))
     yaw = 0.5 * (start.euler_low[2] + start.euler_high[2])
     angles = torch.tensor([(r, p, yaw) for r, p in product(roll, pitch)], dtype=torch.float64)
     return quat_from_euler(angles[torch.cos(angles[:, 0]) * torch.cos(angles[:, 1]) < 0.0])
@@ -104,6 +104,6 @@ def _steady_command(law: Controller, state: BodyState) -> Tensor:
     return law.command(state, action, memory)[0]
 
 
-def _grid_points(low: float, high: float) -> list[float]:
+def _angle_grid(low: float, high: float) -> list[float]:
     low, high = low + INSET * (high - low), high - INSET * (high - low)
     return sorted({low + (high - low) * k / (GRID - 1) for k in range(GRID)})

@@ -60,7 +60,7 @@ def forget_law(memory: LawMemory, mask: Tensor) -> LawMemory:
     )
 
 
-def law_command(
+def rotor_command_and_memory(
     law: Any, state: BodyState, action: Tensor, memory: LawMemory | None
 ) -> tuple[Tensor, LawMemory | None]:
     """Return the commanded rotor speeds (E, R) [rad/s] of a law with or without memory, and its new memory."""

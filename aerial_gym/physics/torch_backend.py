@@ -25,8 +25,8 @@ from aerial_gym.physics.law_memory import (
     check_law_step,
     forget_law,
     fresh_law_memory,
-    law_command,
     law_needs,
+    rotor_command_and_memory,
 )
 from aerial_gym.physics.memory import (
     Memory,
@@ -91,7 +91,7 @@ def advance_remembering(
     for _ in range(substeps):
         if control is not None:
             assert isinstance(command, Tensor)
-            rotor_command, law_memory = law_command(control, state, command, law_memory)
+            rotor_command, law_memory = rotor_command_and_memory(control, state, command, law_memory)
         _, after, memory = _substep(model, stepper, state, rotor_command, dt, memory)
         state = to_body_state(model, after)
     return state, memory
@@ -271,7 +271,9 @@ class TorchBackend:
         assert model.articulation is not None
         num_actions = command.shape[1] - model.articulation.num_driven
         command, joint_command = command[:, :num_actions], command[:, num_actions:]
-        followed, law_memory = law_command(self._control, state, command, self._get_law_memory(state.position, dt))
+        followed, law_memory = rotor_command_and_memory(
+            self._control, state, command, self._get_law_memory(state.position, dt)
+        )
         followed = stop_in_dead_band(model.vehicle, followed)
         self.law_memory = _store_memory(self.law_memory, law_memory)
         if memory is not None:
@@ -293,7 +295,9 @@ class TorchBackend:
     def _free_substep(self, state: BodyState, command: Tensor, dt: float) -> tuple[MassState, MassState]:
         """Return the motion before and after a substep without contact."""
         memory = self._get_memory(dt)
-        rotor_command, law_memory = law_command(self._control, state, command, self._get_law_memory(state.position, dt))
+        rotor_command, law_memory = rotor_command_and_memory(
+            self._control, state, command, self._get_law_memory(state.position, dt)
+        )
         before, after, memory = _substep(self._model, self._stepper, state, rotor_command, dt, memory)
         self._memory = _store_memory(self._memory, memory)
         self.law_memory = _store_memory(self.law_memory, law_memory)

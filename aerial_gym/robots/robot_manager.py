@@ -225,7 +225,7 @@ class RobotManager:
         """Return the draws of the present episodes by quantity, (E, ...)."""
         return {} if self._randomized is None else self._randomized.views(self._gtd["drawn_parameters"])
 
-    def _sources(self) -> tuple[Tensor, ...]:
+    def _parameter_sources(self) -> tuple[Tensor, ...]:
         """Return the inputs of each environment's parameters: draws, effect parameters and the scene that effects read."""
         drawn = () if self._randomized is None else (self._values,)
         return (*drawn, *(params for _, params in self._effects), *self.felt.sources)
@@ -251,7 +251,7 @@ class RobotManager:
 
     def _build_model(self) -> Model:
         """Return the model of all environments with tensors of its own, and write the parameters that other parts hold."""
-        model, followed = self._make_model(*self._sources(), declared=self.declared)
+        model, followed = self._make_model(*self._parameter_sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
         for target, rows in zip(self._targets(), self._rows(model, followed), strict=True):
@@ -318,7 +318,7 @@ class RobotManager:
         targets = (*(shown[name] for name in own), *self._targets(), *self.backend.parameter_targets())
         return RowUpdate(
             rows,
-            self._sources(),
+            self._parameter_sources(),
             targets,
             mask=self._random.mask,
             made=draw_code(self._randomized.drawn, self._random, device=self._gtd.device),

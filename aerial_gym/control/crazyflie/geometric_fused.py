@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.control.cascade_fused import make_allot, make_stateful_step
 from aerial_gym.control.crazyflie.crazyflie_fused import Maker, limit_vector
 from aerial_gym.control.lee_fused import (
-    LeeRows,
+    LeeParams,
     attitude_torque,
     gain_rows,
     limit_force,
@@ -38,7 +38,7 @@ INTEGRALS = ("position_integral", "position_limit", "attitude_integral", "attitu
 class IntegralRows:
     """All gains: ``geometric.IntegralGains``."""
 
-    lee: LeeRows
+    lee: LeeParams
     position_integral: wp.vec3  # [1/s³]
     position_limit: wp.vec3  # [m s]
     attitude_integral: wp.vec3  # [N m/(rad s)]

@@ -191,7 +191,7 @@ def _power(into: "Trace", row: tuple[int, ...], dtype: torch.dtype) -> int:
     return into.number("pow", row, dtype)
 
 
-def _clamp(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
+def _clamp_arguments(args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
     value, low, high = (*args, None, None)[:3]
     low, high = kwargs.get("min", low), kwargs.get("max", high)
     return value, -inf if low is None else low, inf if high is None else high
@@ -249,7 +249,7 @@ POINTWISE: dict[str, Pointwise] = {
     "rsub": _right_subtraction(),
     "pow": Pointwise(make=_power),
     "square": Pointwise(make=lambda into, row, dtype: into.number("mul", (row[0], row[0]), dtype)),
-    "clamp": Pointwise(make=_limit, arguments=_clamp, known=frozenset({"min", "max"})),
+    "clamp": Pointwise(make=_limit, arguments=_clamp_arguments, known=frozenset({"min", "max"})),
     "clamp_min": Pointwise(make=_limit, arguments=lambda args, kwargs: (*args[:2], inf)),
     "clamp_max": Pointwise(make=_limit, arguments=lambda args, kwargs: (args[0], -inf, args[1])),
     "sgn": Pointwise(make=_plain("sign"), floats=True),

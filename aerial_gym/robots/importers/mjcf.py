@@ -57,7 +57,7 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
         rotors=[one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing],
         shapes=list(reader.shapes()),
         joints=reader.layout(),
-        weightless=list(reader.weightless()),
+        weightless=list(reader.gravity_free_masses()),
         effects={"actuation_delay": {"delay": delays[0]}} if delayed else {},
         effects_source=f"{where}: delay of its actuators" if delayed else "",
         notes=(
@@ -108,7 +108,7 @@ class _Reader:
             [*(np.diag(m.body_inertia[b]) for b in self._bodies), extra * np.eye(3)],
         )
 
-    def weightless(self) -> Iterator[Weightless]:
+    def gravity_free_masses(self) -> Iterator[Weightless]:
         """Yield masses without weight: bodies with gravity compensation, and the armature."""
         for b in self._bodies:
             mass = float(self._model.body_gravcomp[b] * self._model.body_mass[b])

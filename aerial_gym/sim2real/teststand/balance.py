@@ -19,7 +19,7 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, BalanceCause, causes, priors, tell_apart
+from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, BalanceCause, cause_probabilities, causes, tell_apart
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, find_hover_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pool_scatter
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
@@ -304,7 +304,7 @@ def _weigh_causes(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Arra
     scatter, share = pool_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
     evidence = [log_evidence(1.0 - 1.0 / ratio, fit.cause.columns / ratio[:, None], scatter, share) for fit in fits]
-    probability = special.softmax(np.array(evidence) + np.log(priors([fit.cause for fit in fits])))
+    probability = special.softmax(np.array(evidence) + np.log(cause_probabilities([fit.cause for fit in fits])))
     return tuple(replace(fit, probability=float(p)) for fit, p in zip(fits, probability, strict=True))
 
 

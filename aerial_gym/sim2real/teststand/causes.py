@@ -126,7 +126,7 @@ OTHER = BalanceCause(name="something else", columns=np.eye(ROTORS), physical=lam
 """Any other change: two causes at once, or one that is not listed."""
 
 
-def priors(possible: Sequence[BalanceCause]) -> Array:
+def cause_probabilities(possible: Sequence[BalanceCause]) -> Array:
     """Return the prior probability of each candidate.
 
     "none" has one half. The other classes share the rest equally, and the candidates of a class share its part.

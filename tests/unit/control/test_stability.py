@@ -18,7 +18,7 @@ from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, TorchBackend, build_model, state_at_rest, vehicle_from_config
-from aerial_gym.physics.law_memory import law_command
+from aerial_gym.physics.law_memory import rotor_command_and_memory
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
@@ -85,9 +85,9 @@ def test_a_long_period_costs_its_different_steps_alone(monkeypatch: pytest.Monke
 
     def count_call(*given: Any) -> Any:
         flown.append(given)
-        return law_command(*given)
+        return rotor_command_and_memory(*given)
 
-    monkeypatch.setattr(linear_loop, "law_command", count_call)
+    monkeypatch.setattr(linear_loop, "rotor_command_and_memory", count_call)
     loop = RateLoopCfg(rate_hz=1000.0)
     cfg = replace(CONTROLLERS.get("pid_position_control"), rate_hz=50.0, rate_loop=loop, delay=0.01)
     assert radius(ROBOTS.get("base_quadrotor"), cfg, 1.0 / 8000.0) < 1.0

@@ -16,7 +16,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
 from aerial_gym.physics import state_at_rest, vehicle_from_config
 from aerial_gym.physics.integrators import INTEGRATORS, to_body_state, to_mass_state
-from aerial_gym.physics.law_memory import fresh_law_memory, law_command
+from aerial_gym.physics.law_memory import fresh_law_memory, rotor_command_and_memory
 from aerial_gym.physics.model import build_model
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
@@ -63,7 +63,7 @@ def fall(
     action = torch.tensor([[0.0, 0.0, 1000.0, 0.0]], dtype=F64).expand(count, -1)
     memory = fresh_law_memory(law.needs, count, state.position) if isinstance(law, StatefulController) else None
     for _ in range(round(seconds / dt)):
-        command, memory = law_command(law, state, action, memory)
+        command, memory = rotor_command_and_memory(law, state, action, memory)
         state = to_body_state(model, INTEGRATORS["euler"](model, to_mass_state(model, state), command, dt))
     return (quat_to_matrix(state.attitude)[:, 2, 2] > 0.0).tolist(), state.ang_vel.norm(dim=-1).tolist()
 

@@ -149,7 +149,7 @@ class SetSearch:
         tolerance: Derivatives | None = None,
     ) -> CandidateView:
         """Return the candidates about a set, after removal of the effects without support under these weights."""
-        fitter, start = self.linear_fitter(params, weights), replace(params, deviation=None)
+        fitter, start = self.fitter_at_model(params, weights), replace(params, deviation=None)
         fitter.tolerance = tolerance
         present, empty = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
         while not present.holds:
@@ -176,7 +176,7 @@ class SetSearch:
             give_back_memory()
             self.view = self.candidate_view(leader, own, fits)
 
-    def linear_fitter(self, params: ModelParams, weights: Weighting) -> Fitter:
+    def fitter_at_model(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return a fitter of sets whose tolerances are linearised about a model."""
         return Fitter(self.predictor, self.declared, len(self.names), weights, params)
 
@@ -197,7 +197,7 @@ class SetSearch:
         last = np.inf
         for _ in range(MOST_TURNS):
             about.forget_nuisance_sums()
-            fitter = self.linear_fitter(fitted.model_in_tolerances, about.weights)
+            fitter = self.fitter_at_model(fitted.model_in_tolerances, about.weights)
             again = fitter.refit(fitted, about)
             if not again.deviation.size:  # the fit made no step
                 return again, fitter

@@ -89,9 +89,9 @@ class Catalogue:
 
         Each model is given by its parameters and the names of the effects that may be fitted.
         """
-        return np.minimum(self.falls_short(one[0], *other), self.falls_short(other[0], *one))
+        return np.minimum(self.likelihood_losses(one[0], *other), self.likelihood_losses(other[0], *one))
 
-    def falls_short(self, truth: ModelParams, fitted: ModelParams, effects: Sequence[str]) -> Array:
+    def likelihood_losses(self, truth: ModelParams, fitted: ModelParams, effects: Sequence[str]) -> Array:
         """Return the expected loss in log likelihood per 10 s of a fitted model against the true one, (M,)."""
         fit = self._fit(self.predictor.predict(truth), fitted, tuple(effects))
         scores = []

@@ -23,7 +23,7 @@ from aerial_gym.sim2real.teststand.balance import (
     hover_effort,
     judge_balance,
 )
-from aerial_gym.sim2real.teststand.causes import causes, priors, tell_apart
+from aerial_gym.sim2real.teststand.causes import cause_probabilities, causes, tell_apart
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
@@ -191,7 +191,7 @@ def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() 
 
 
 def test_what_many_candidates_share_is_one_half() -> None:
-    results = dict(zip([cause.name for cause in causes(ROBOT)], priors(causes(ROBOT)), strict=True))
+    results = dict(zip([cause.name for cause in causes(ROBOT)], cause_probabilities(causes(ROBOT)), strict=True))
     assert results["none"] == 0.5
     assert results["something else"] == pytest.approx(1.0 / 6.0)
     assert results["com_offset"] == pytest.approx(1.0 / 18.0)

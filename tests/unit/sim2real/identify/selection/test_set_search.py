@@ -179,7 +179,7 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
         fitters.append(SimpleNamespace(refit=refit, forget_nuisance_sums=lambda: None, weights=None))
         return fitters[-1]
 
-    climber, first = SimpleNamespace(linear_fitter=linear_fitter), linear_fitter(ModelParams(), None)
+    climber, first = SimpleNamespace(fitter_at_model=linear_fitter), linear_fitter(ModelParams(), None)
     result, fitter = SetSearch.relinearise(cast("Any", climber), fits[0], first)
     assert result is fits[turns]
     assert fitter is fitters[turns]
@@ -193,7 +193,7 @@ def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it
     drag = make_fit("rotor_drag", log=-3.0)
     climber = SimpleNamespace(
         declared=ModelParams(),
-        linear_fitter=lambda *_: FitStub(both, drag, make_fit(log=-50.0)),
+        fitter_at_model=lambda *_: FitStub(both, drag, make_fit(log=-50.0)),
         candidate_view=lambda present, own, fits, _: (present, list(own), list(fits)),
     )
     result = SetSearch.start_view(cast("Any", climber), both.params, both.effects, (), cast("Any", None))

@@ -81,7 +81,7 @@ def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: Cat
     """A bias b along x that nothing fits but the tolerance t: ``b² / 2 / (t² + 1 / n w)``, n w summed over both channels."""
     bias, predictor = 0.04, catalogue.predictor
     truth, empty = model(imu_bias=[bias, 0.0, 0.0, 0.0, 0.0, 0.0]), model()
-    score = by_name(catalogue, catalogue.falls_short(truth[0], *empty))["hover"]
+    score = by_name(catalogue, catalogue.likelihood_losses(truth[0], *empty))["hover"]
     time = predictor.times[[flown.name for flown in catalogue.flights].index("hover")]
     information = time.size * (STD["specific_force"] ** -2 + STD["kinematic_force"] ** -2)
     expected = 0.5 * bias**2 / (TOLERANCES.acc_bias**2 + 1.0 / information) * 10.0 / (time[-1] - time[0])
