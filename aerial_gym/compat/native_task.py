@@ -33,8 +33,7 @@ class NativeTask(gymnasium.Env):
     ``infos`` is ours: ``final_observation``, ``time_outs`` and more, which there are missing.
     """
 
-    task_name = ""
-    """Name in ``aerial_gym.task_registry``."""
+    task_name = ""  # Name in ``aerial_gym.task_registry``
 
     def __init_subclass__(cls, **more: Any) -> None:
         """Refuse a class with hooks that this task never calls."""

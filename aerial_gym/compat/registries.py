@@ -102,8 +102,7 @@ class SimConfigRegistry(_Configurations):
 
     get_sim_names = _NativeNames.names
 
-    make_sim = get_sim_config
-    """Nothing is built, as there."""
+    make_sim = get_sim_config  # Nothing is built, as there
 
 
 class EnvConfigRegistry(_Configurations):
@@ -122,8 +121,7 @@ class EnvConfigRegistry(_Configurations):
 
     get_env_names = _NativeNames.names
 
-    make_env = get_env_config
-    """Nothing is built, as there."""
+    make_env = get_env_config  # Nothing is built, as there
 
 
 class BaseMultirotor:

@@ -63,8 +63,7 @@ class Controller(Protocol):
 class ThrustController:
     """``no_control``: the action is the thrust of each rotor [N], clamped to its limits."""
 
-    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
-    """It has none."""
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})  # It has none
 
     def __init__(self, vehicle: Vehicle, gravity: float, control: ControlCfg) -> None:
         """Compute the allocation from the declared vehicle, gravity [m/s²] and robot settings."""
@@ -84,8 +83,7 @@ class ThrustController:
 class RotorSpeedController:
     """``rotor_speed_control``: the action is the speed of each rotor [rad/s], in force mode its thrust [N], within limits."""
 
-    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
-    """It has none."""
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})  # It has none
 
     def __init__(self, vehicle: Vehicle) -> None:
         """Read the speed limits of the declared vehicle."""

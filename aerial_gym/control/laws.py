@@ -30,17 +30,10 @@ class Law:
     fused: wp.Function | None = None
     """The same as a ``wp.func`` for ``physics.fused.FusedLaw``; None restricts the law to the torch backend."""
 
-    prepare: wp.Function | None = None
-    """``FusedLaw.prepare``."""
-
-    action: tuple[str, ...]
-    """Meaning and unit of each entry of the action."""
-
-    lateral: bool = False
-    """Whether it commands lateral force, which needs rotors in more than one direction."""
-
-    trim: str
-    """Axes of ``control.stability`` that the law controls."""
+    prepare: wp.Function | None = None  # ``FusedLaw.prepare``
+    action: tuple[str, ...]  # Meaning and unit of each entry of the action
+    lateral: bool = False  # Whether it commands lateral force, which needs rotors in more than one direction
+    trim: str  # Axes of ``control.stability`` that the law controls
 
 
 LAWS: dict[str, Law] = {

@@ -111,24 +111,16 @@ def stable(radii: Sequence[float]) -> bool:
 class HoverResult:
     """Result of a hover that begins at its setpoint."""
 
-    stable: bool
-    """Whether the loop has an equilibrium, and disturbances about it decay."""
-
-    growth: float
-    """Factor on a small disturbance in each physics step: the spectral radius."""
-
-    offset: tuple[float, float, float]
-    """Equilibrium relative to the setpoint [m], world; 0 without one."""
-
-    drift: tuple[float, float, float]
-    """Velocity at equilibrium [m/s], world, of laws without position control."""
+    stable: bool  # Whether the loop has an equilibrium, and disturbances about it decay
+    growth: float  # Factor on a small disturbance in each physics step: the spectral radius
+    offset: tuple[float, float, float]  # Equilibrium relative to the setpoint [m], world; 0 without one
+    drift: tuple[float, float, float]  # Velocity at equilibrium [m/s], world, of laws without position control
 
     distance: float
     """Largest predicted distance from the setpoint [m] within ``HOVER_SPAN`` of a start at rest there; that of the
     equilibrium for an unstable loop; 0 for laws without position or velocity control."""
 
-    flown: float | None
-    """Distance from equilibrium [m] at the end of disturbed flights; None without flights."""
+    flown: float | None  # Distance from equilibrium [m] at the end of disturbed flights; None without flights
 
     @property
     def is_lost(self) -> bool:

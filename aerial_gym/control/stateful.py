@@ -43,14 +43,9 @@ class StatefulController(ABC):
     A subclass has a timing, a layout and an allocation, and defines one run with its own memory.
     """
 
-    action_names: tuple[str, ...]
-    """Meaning and unit of each entry of an action."""
-
-    allocation: Allocation
-    """Allocation of wrenches to thrusts."""
-
-    timing: Timing
-    """Timing of its levels."""
+    action_names: tuple[str, ...]  # Meaning and unit of each entry of an action
+    allocation: Allocation  # Allocation of wrenches to thrusts
+    timing: Timing  # Timing of its levels
 
     _layout: MemoryLayout
 

@@ -19,52 +19,29 @@ Word = TypeVar("Word", int, Tensor)
 class Purpose(IntEnum):
     """Purpose of a draw. Each purpose has its own streams; a new one gets a new line and a new number."""
 
-    BOUNDS = 1
-    """Corners of an environment; index: corner."""
-    ASSETS = 2
-    """Order of the removable obstacles; index: obstacle. Drawn once per seed, in episode 0."""
-    SHAPES = 3
-    """Shape of an obstacle; index: obstacle. Drawn once per seed, in episode 0."""
-    OBSTACLES = 4
-    """Poses, twists and paths; indices: obstacle, attempt, quantity."""
-    START = 5
-    """The robot's state; index: quantity."""
-    GOAL = 6
-    """The task's goal; index: quantity."""
-    PARAMETERS = 7
-    """Randomised quantities of vehicle and controller; index: quantity."""
-    MOUNTS = 9
-    """Mounts of the range sensors; indices: sensor, mount, quantity."""
-    IMAGE_NOISE = 10
-    """Noise of the range sensors; indices: sensor, image, pixel."""
-    IMU = 11
-    """Errors and mounts of inertial sensors; indices: unit, sample, quantity."""
-    EFFECTS = 12
-    """Random effects; indices: substep, quantity."""
-    OBSERVATION = 13
-    """Noise of observations; indices: step, column."""
-    FINAL_OBSERVATION = 14
-    """Noise of the last observation of an episode; indices: step, column."""
-    AGE = 15
-    """Initial age of an environment in a staggered batch."""
-    OBSERVATION_DELAY = 16
-    """Delays of observations in steps; index: delay."""
-    ACTION_DELAY = 17
-    """Delay of actions in steps."""
-    COMMAND = 18
-    """Draws of a command generator besides goals, such as a phase; index: quantity."""
-    TRACK = 19
-    """Gates and poles; indices: quantity of an object, attempt."""
-    PRACTICE = 20
-    """Start on a track in training; index: quantity."""
-    JOINTS = 21
-    """Positions and rates of joints; index: quantity, all positions first."""
-    FAULT_STEPS = 22
-    """Start and duration of sensor faults; index: fault."""
-    FAULT = 23
-    """Occurrence of faults in an episode, and size of jumps; index: fault."""
-    ACTION_NOISE = 24
-    """Noise of commands; indices: step, entry."""
+    BOUNDS = 1  # Corners of an environment; index: corner
+    ASSETS = 2  # Order of the removable obstacles; index: obstacle. Drawn once per seed, in episode 0.
+    SHAPES = 3  # Shape of an obstacle; index: obstacle. Drawn once per seed, in episode 0.
+    OBSTACLES = 4  # Poses, twists and paths; indices: obstacle, attempt, quantity
+    START = 5  # The robot's state; index: quantity
+    GOAL = 6  # The task's goal; index: quantity
+    PARAMETERS = 7  # Randomised quantities of vehicle and controller; index: quantity
+    MOUNTS = 9  # Mounts of the range sensors; indices: sensor, mount, quantity
+    IMAGE_NOISE = 10  # Noise of the range sensors; indices: sensor, image, pixel
+    IMU = 11  # Errors and mounts of inertial sensors; indices: unit, sample, quantity
+    EFFECTS = 12  # Random effects; indices: substep, quantity
+    OBSERVATION = 13  # Noise of observations; indices: step, column
+    FINAL_OBSERVATION = 14  # Noise of the last observation of an episode; indices: step, column
+    AGE = 15  # Initial age of an environment in a staggered batch
+    OBSERVATION_DELAY = 16  # Delays of observations in steps; index: delay
+    ACTION_DELAY = 17  # Delay of actions in steps
+    COMMAND = 18  # Draws of a command generator besides goals, such as a phase; index: quantity
+    TRACK = 19  # Gates and poles; indices: quantity of an object, attempt
+    PRACTICE = 20  # Start on a track in training; index: quantity
+    JOINTS = 21  # Positions and rates of joints; index: quantity, all positions first
+    FAULT_STEPS = 22  # Start and duration of sensor faults; index: fault
+    FAULT = 23  # Occurrence of faults in an episode, and size of jumps; index: fault
+    ACTION_NOISE = 24  # Noise of commands; indices: step, entry
 
 
 def _scramble(state: Word) -> Word:

@@ -152,11 +152,8 @@ def _build_condition(
 class ForceBreakdown:
     """Contributions to force and torque on the body, without gravity."""
 
-    thrust: Tensor
-    """Thrusts of the rotors without effects [N], (E, R)."""
-
-    thrusts: list[tuple[str, Tensor]]
-    """Additional thrust by each effect on the rotors [N], (E, R)."""
+    thrust: Tensor  # Thrusts of the rotors without effects [N], (E, R)
+    thrusts: list[tuple[str, Tensor]]  # Additional thrust by each effect on the rotors [N], (E, R)
 
     wrenches: list[tuple[str, Tensor]]
     """Force [N] and torque about the centre of mass [N m] of each effect on the whole, body, (E, 6)."""

@@ -17,26 +17,16 @@ from aerial_gym.math.quaternion import quat_multiply, quat_rotate, quat_rotate_i
 class Solid:
     """A part of an obstacle."""
 
-    kind: str
-    """Kind of ``config.shape.ShapeCfg``, except ``compound`` and ``urdf``, which have parts."""
+    kind: str  # Kind of ``config.shape.ShapeCfg``, except ``compound`` and ``urdf``, which have parts
 
     size: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Half edges of a box [m]; else the radius, and half the length of a cylinder or of a capsule's line along z."""
 
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Position in the obstacle [m]."""
-
-    attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    """Attitude, part to obstacle, xyzw."""
-
-    path: str = ""
-    """File of a mesh."""
-
-    vertices: tuple[tuple[float, float, float], ...] = ()
-    """Vertices of a mesh [m]."""
-
-    convex: bool = True
-    """Whether the mesh is one closed convex body."""
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Position in the obstacle [m]
+    attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)  # Attitude, part to obstacle, xyzw
+    path: str = ""  # File of a mesh
+    vertices: tuple[tuple[float, float, float], ...] = ()  # Vertices of a mesh [m]
+    convex: bool = True  # Whether the mesh is one closed convex body
 
 
 @dataclass(frozen=True, kw_only=True)

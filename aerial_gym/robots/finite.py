@@ -9,17 +9,10 @@ from enum import IntFlag
 class NonFinite(IntFlag):
     """Quantities that were NaN or infinite in a step; they are bits of ``gtd["non_finite"]``, int32 (E,)."""
 
-    ACTION = 1
-    """Action. The physics may clamp it and continue."""
-
-    STATE = 2
-    """Position, attitude, velocities or rotor speeds after the physics."""
-
-    REWARD = 4
-    """Reward of the task."""
-
-    OBSERVATION = 8
-    """Observation term of the task."""
+    ACTION = 1  # Action. The physics may clamp it and continue.
+    STATE = 2  # Position, attitude, velocities or rotor speeds after the physics
+    REWARD = 4  # Reward of the task
+    OBSERVATION = 8  # Observation term of the task
 
     def names(self) -> str:
         """Return the quantities in words."""

@@ -28,11 +28,8 @@ def take_place(count_out: wp.array[wp.int32]) -> int:
 class NonFiniteRows:
     """Table of rows with NaN or infinite values, and the flags that fill it."""
 
-    bits: Tensor
-    """Bits of ``NonFinite`` of the step that ends, int32 (E,)."""
-
-    episode_step: Tensor
-    """Number of that step within the episode, int32 (E,)."""
+    bits: Tensor  # Bits of ``NonFinite`` of the step that ends, int32 (E,)
+    episode_step: Tensor  # Number of that step within the episode, int32 (E,)
 
     flags: tuple[Tensor, Tensor]
     """Reasons for its end: ``crashes`` and ``truncations``, each bool (E,). A reset clears these and the two above."""

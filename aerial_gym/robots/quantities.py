@@ -47,20 +47,14 @@ Width = Literal["one", "vector", "rotor", "rotor_vector"]
 class Quantity:
     """A quantity of the vehicle."""
 
-    unit: str
-    """SI unit."""
-
-    width: Width
-    """One number, three components, a number for each rotor, or three components for each rotor."""
+    unit: str  # SI unit
+    width: Width  # One number, three components, a number for each rotor, or three components for each rotor
 
     apply: Callable[[Vehicle, RandomizeCfg, Tensor], Vehicle]
     """From the vehicle and a draw, (E,), (E, 3), (E, R) or (E, R, 3), to the vehicle with it."""
 
-    meaning: str
-    """One line."""
-
-    how: tuple[str, ...] = ("scale", "offset", "value")
-    """Allowed draws of the quantity."""
+    meaning: str  # One line
+    how: tuple[str, ...] = ("scale", "offset", "value")  # Allowed draws of the quantity
 
 
 def _mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:

@@ -218,8 +218,7 @@ class ContactBody:
 class SceneContact:
     """Contact of one robot per environment with the obstacles, with all views made at construction; a ``SubstepHook``."""
 
-    max_substeps: int | None = None
-    """Any number."""
+    max_substeps: int | None = None  # Any number
 
     def __init__(
         self,

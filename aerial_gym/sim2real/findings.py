@@ -10,17 +10,10 @@ from typing import Any
 class Severity(StrEnum):
     """Importance of a finding to its reader."""
 
-    RESULT = "result"
-    """A result about the vehicle."""
-
-    WARNING = "warning"
-    """A larger error, a missing input, or an action for the reader."""
-
-    OPEN = "open"
-    """A question that the flights do not decide."""
-
-    INFO = "info"
-    """A processing step that changes no conclusion."""
+    RESULT = "result"  # A result about the vehicle
+    WARNING = "warning"  # A larger error, a missing input, or an action for the reader
+    OPEN = "open"  # A question that the flights do not decide
+    INFO = "info"  # A processing step that changes no conclusion
 
 
 _BY_SEVERITY = {
@@ -86,14 +79,9 @@ CODES: dict[str, Severity] = {code: severity for severity, codes in _BY_SEVERITY
 class Finding:
     """One statement about the flights or the vehicle: its code, its subject and its numbers."""
 
-    code: str
-    """A key of ``CODES``."""
-
-    subject: str = ""
-    """Name of an effect, channel, flight, joint or tolerance; empty for the whole run."""
-
-    values: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers and names; the key of a number ends in its unit."""
+    code: str  # A key of ``CODES``
+    subject: str = ""  # Name of an effect, channel, flight, joint or tolerance; empty for the whole run
+    values: Mapping[str, Any] = field(default_factory=dict)  # Numbers and names; the key of a number ends in its unit
 
     def __post_init__(self) -> None:
         if self.code not in CODES:

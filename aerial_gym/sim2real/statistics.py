@@ -62,11 +62,8 @@ class Rms:
     """A root mean square with its interval."""
 
     value: float
-    low: float
-    """Lower end of the 95 % interval."""
-
-    high: float
-    """Upper end."""
+    low: float  # Lower end of the 95 % interval
+    high: float  # Upper end
 
     def as_mapping(self) -> dict[str, float | list[float]]:
         """Return the values for JSON."""
@@ -96,11 +93,8 @@ class Rise:
     """Relative rise of one root mean square over another."""
 
     value: float
-    low: float
-    """Lower end of the 95 % interval."""
-
-    high: float
-    """Upper end; infinite without enough groups."""
+    low: float  # Lower end of the 95 % interval
+    high: float  # Upper end; infinite without enough groups
 
     def as_mapping(self) -> dict[str, float | list[float | None]]:
         """Return the values for JSON."""
@@ -148,17 +142,10 @@ def _scatter(score: Array, label: Indices) -> tuple[Array, int]:
 class BinMeans:
     """Means of samples by bin."""
 
-    count: Indices
-    """Number of samples in each bin, (B,)."""
-
-    mean: Array
-    """(B, C); NaN for an empty bin."""
-
-    std_error: Array
-    """Standard error of the mean, (B, C); NaN with fewer than two groups in the bin."""
-
-    groups: Indices
-    """Number of groups in each bin, (B,), which determines the certainty of the standard error."""
+    count: Indices  # Number of samples in each bin, (B,)
+    mean: Array  # (B, C); NaN for an empty bin
+    std_error: Array  # Standard error of the mean, (B, C); NaN with fewer than two groups in the bin
+    groups: Indices  # Number of groups in each bin, (B,), which determines the certainty of the standard error
 
     @property
     def half_width(self) -> Array:

@@ -28,8 +28,7 @@ class Workload(Protocol):
 
     device: torch.device
     launches_per_batch: int
-    batches_per_stretch: int
-    """Batches after which the start is put back."""
+    batches_per_stretch: int  # Batches after which the start is put back
 
     def restore(self) -> None:
         """Restore the start state, in place."""

@@ -14,26 +14,13 @@ if TYPE_CHECKING:
 class MemoryBench:
     """Add up the memory of all arrays of a simulator, and on a GPU also what the device lost."""
 
-    env_name: str = "env_with_lidar_nav_obstacles"
-    """Registered environment."""
-
-    robot: str = "base_quadrotor_with_camera"
-    """Registered robot, or a robot file, with its sensors."""
-
-    num_envs: int = 1024
-    """Environments side by side."""
-
-    largest: int = 12
-    """Number of arrays in the list."""
-
-    backend: str | None = None
-    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
-
-    device: str = "auto"
-    """Torch device; auto takes the GPU if there is one."""
-
-    json: bool = False
-    """Print one JSON object a line."""
+    env_name: str = "env_with_lidar_nav_obstacles"  # Registered environment
+    robot: str = "base_quadrotor_with_camera"  # Registered robot, or a robot file, with its sensors
+    num_envs: int = 1024  # Environments side by side
+    largest: int = 12  # Number of arrays in the list
+    backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
+    device: str = "auto"  # Torch device; auto takes the GPU if there is one
+    json: bool = False  # Print one JSON object a line
 
     def run(self) -> int:
         """Build, reset, step once, add up and print; return the exit status."""

@@ -47,14 +47,9 @@ class PeerResult:
     """Measurement of another renderer."""
 
     name: str
-    seconds: list[float]
-    """Time of all images in each repeat [s]."""
-
-    differing: float
-    """Share of pixels that show something else than ours."""
-
-    more: dict[str, object]
-    """Versions, triangles."""
+    seconds: list[float]  # Time of all images in each repeat [s]
+    differing: float  # Share of pixels that show something else than ours
+    more: dict[str, object]  # Versions, triangles
 
     def row(self, our_frames_per_s: float, num_envs: int) -> dict[str, object]:
         """Return the figures; ``ratio`` above 1: ours is faster."""

@@ -11,44 +11,22 @@ from dataclasses import dataclass
 class PhysicsBench:
     """Measure how many substeps of how many environments the physics takes per second."""
 
-    backend: str = "warp"
-    """Registered physics backend: warp, torch or mujoco."""
-
-    device: str = "auto"
-    """Torch device; auto takes the GPU if there is one."""
-
-    num_envs: int = 4096
-    """Environments stepped side by side."""
-
-    substeps: int = 1
-    """Substeps in one launch."""
-
-    integrator: str = "euler"
-    """Stepper: euler or rk4."""
+    backend: str = "warp"  # Registered physics backend: warp, torch or mujoco
+    device: str = "auto"  # Torch device; auto takes the GPU if there is one
+    num_envs: int = 4096  # Environments stepped side by side
+    substeps: int = 1  # Substeps in one launch
+    integrator: str = "euler"  # Stepper: euler or rk4
 
     controller: str = "rotor_speed_control"
     """Registered controller, run in every substep; rotor_speed_control is the bare plant."""
 
-    robot: str = "base_quadrotor"
-    """Registered robot, or a robot file; effects in the file are not used."""
-
-    effects: tuple[str, ...] = ("rotor_drag",)
-    """Registered effects, each a moderate size away from neutral."""
-
-    threads: int | None = None
-    """Threads on the CPU; torch's own number if not given."""
-
-    repeats: int = 5
-    """Figures of which the median is printed."""
-
-    repeat_time_s: float = 0.5
-    """About how long each is measured [s]."""
-
-    dt_s: float = 0.002
-    """Length of a substep [s]."""
-
-    json: bool = False
-    """Print one JSON object."""
+    robot: str = "base_quadrotor"  # Registered robot, or a robot file; effects in the file are not used
+    effects: tuple[str, ...] = ("rotor_drag",)  # Registered effects, each a moderate size away from neutral
+    threads: int | None = None  # Threads on the CPU; torch's own number if not given
+    repeats: int = 5  # Figures of which the median is printed
+    repeat_time_s: float = 0.5  # About how long each is measured [s]
+    dt_s: float = 0.002  # Length of a substep [s]
+    json: bool = False  # Print one JSON object
 
     def run(self) -> int:
         """Measure and print; return the exit status."""

@@ -20,20 +20,11 @@ class RenderBench:
     """boxes (floor and 20 boxes, each turned), boxes_aligned, boxes_100, boxes_1000 (all around), clutter (a room
     with 40 obstacles, 8 of them trees), or a registered environment."""
 
-    num_envs: int = 64
-    """Environments side by side, one camera in each."""
-
-    width: int = 64
-    """Pixels in a row."""
-
-    height: int = 64
-    """Pixels in a column."""
-
-    segmentation: bool = False
-    """Whether the camera also writes segmentation ids."""
-
-    lidar: bool = False
-    """Whether a lidar of a full turn, 45 degrees high, sees the scene instead of the camera."""
+    num_envs: int = 64  # Environments side by side, one camera in each
+    width: int = 64  # Pixels in a row
+    height: int = 64  # Pixels in a column
+    segmentation: bool = False  # Whether the camera also writes segmentation ids
+    lidar: bool = False  # Whether a lidar of a full turn, 45 degrees high, sees the scene instead of the camera
 
     scan_columns: int | None = None
     """Columns of a lidar that share a pose while it turns in 0.1 s and moves at 1 m/s; all at once if not given."""
@@ -45,20 +36,14 @@ class RenderBench:
     peer_python: tuple[str, ...] = ()
     """NAME=PYTHON, or PYTHON for all: the interpreter that has a peer; this one by default."""
 
-    device: str = "auto"
-    """Torch device; auto takes the GPU if there is one."""
+    device: str = "auto"  # Torch device; auto takes the GPU if there is one
 
     threads: int | None = None
     """Threads on the CPU; torch's own number if not given, and 1 beside others, which have no more."""
 
-    repeats: int = 5
-    """Figures of which the median is printed."""
-
-    repeat_time_s: float = 0.5
-    """About how long each is measured [s]."""
-
-    json: bool = False
-    """Print one JSON object a line."""
+    repeats: int = 5  # Figures of which the median is printed
+    repeat_time_s: float = 0.5  # About how long each is measured [s]
+    json: bool = False  # Print one JSON object a line
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a peer did not draw the scene."""

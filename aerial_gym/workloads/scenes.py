@@ -21,23 +21,12 @@ from aerial_gym.math.quaternion import quat_from_euler
 class RenderScene:
     """Scene of a camera in every environment."""
 
-    shapes: tuple[ShapeCfg, ...]
-    """One for each instance."""
-
-    state: Tensor
-    """Position, attitude xyzw, velocities, (E, A, 13)."""
-
-    position: Tensor
-    """Of the cameras [m], (E, 3)."""
-
-    attitude: Tensor
-    """Camera (along its x) to world, xyzw, (E, 4)."""
-
-    max_range: float
-    """[m]."""
-
-    built: Scene | None = None
-    """The scene, where it is there already."""
+    shapes: tuple[ShapeCfg, ...]  # One for each instance
+    state: Tensor  # Position, attitude xyzw, velocities, (E, A, 13)
+    position: Tensor  # Of the cameras [m], (E, 3)
+    attitude: Tensor  # Camera (along its x) to world, xyzw, (E, 4)
+    max_range: float  # [m]
+    built: Scene | None = None  # The scene, where it is there already
 
     def build(self) -> Scene:
         """Return the scene; instance a shows id a."""

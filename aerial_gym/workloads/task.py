@@ -11,32 +11,18 @@ class TaskBench:
     task: str = "position_setpoint_task"
     """Registered task, a task file (.yaml), module:Name or file.py:Name of a TaskCfg or a Task of your own."""
 
-    num_envs: int = 4096
-    """Environments stepped side by side."""
-
-    device: str = "auto"
-    """Torch device; auto takes the GPU if there is one."""
-
-    backend: str | None = None
-    """Registered physics backend (aerial-gym list backends); that of the sim if not given."""
-
-    threads: int | None = None
-    """Threads on the CPU; torch's own number if not given."""
-
-    repeats: int = 5
-    """Figures of which the median is printed."""
-
-    repeat_time_s: float = 0.5
-    """About how long each is measured [s]."""
-
-    seed: int = 0
-    """Seed of the task and of the actions."""
+    num_envs: int = 4096  # Environments stepped side by side
+    device: str = "auto"  # Torch device; auto takes the GPU if there is one
+    backend: str | None = None  # Registered physics backend (aerial-gym list backends); that of the sim if not given
+    threads: int | None = None  # Threads on the CPU; torch's own number if not given
+    repeats: int = 5  # Figures of which the median is printed
+    repeat_time_s: float = 0.5  # About how long each is measured [s]
+    seed: int = 0  # Seed of the task and of the actions
 
     parts: bool = False
     """Also time physics, collision, reset of a hundredth of the environments, and rendering, each alone."""
 
-    json: bool = False
-    """Print one JSON object."""
+    json: bool = False  # Print one JSON object
 
     def run(self) -> int:
         """Measure and print; return the exit status."""

@@ -87,35 +87,16 @@ class ControlFlight:
     error: float
     """Largest of the drawn starts after 10 s, in ``UNITS``, over what the law controls; infinite where it ended in NaN."""
 
-    settling_s: float
-    """Until the step stays within 2 %; infinite if it does not."""
-
-    overshoot: float
-    """Beyond the step, as a share of it."""
-
-    tilt_rad: float
-    """Largest angle between body z and world z of the drawn starts in the last second."""
-
-    wind_error: float
-    """In wind after 10 s, in ``UNITS``; NaN under water."""
-
-    wind_largest: float
-    """The largest there was."""
-
-    limit_share: float
-    """Share of the half second at full thrust in which a rotor is at a limit."""
-
-    limit_settling_s: float
-    """Until the step stays within 2 %, from the beginning of that half second on."""
-
-    limit_overshoot: float
-    """Beyond the step, as a share of it."""
-
-    limit_error: float
-    """After 10 s, in ``UNITS``, over what the law controls."""
-
-    response: tuple[float, ...]
-    """To the step, as a share of it, at each sample."""
+    settling_s: float  # Until the step stays within 2 %; infinite if it does not
+    overshoot: float  # Beyond the step, as a share of it
+    tilt_rad: float  # Largest angle between body z and world z of the drawn starts in the last second
+    wind_error: float  # In wind after 10 s, in ``UNITS``; NaN under water
+    wind_largest: float  # The largest there was
+    limit_share: float  # Share of the half second at full thrust in which a rotor is at a limit
+    limit_settling_s: float  # Until the step stays within 2 %, from the beginning of that half second on
+    limit_overshoot: float  # Beyond the step, as a share of it
+    limit_error: float  # After 10 s, in ``UNITS``, over what the law controls
+    response: tuple[float, ...]  # To the step, as a share of it, at each sample
 
 
 def different_robots(*, bend: bool = False) -> dict[str, RobotCfg]:

@@ -103,17 +103,10 @@ class Case:
     controller: str
     dt: float
     effects: Effects
-    accepted: bool
-    """Whether it is to hover."""
-
-    refused: bool
-    """Whether a simulation of it is refused; else it is warned of unless it is accepted."""
-
-    hover: HoverResult
-    """What is said of it."""
-
-    flown: float
-    """Largest distance of the flights [m]."""
+    accepted: bool  # Whether it is to hover
+    refused: bool  # Whether a simulation of it is refused; else it is warned of unless it is accepted
+    hover: HoverResult  # What is said of it
+    flown: float  # Largest distance of the flights [m]
 
     @property
     def hovers(self) -> bool:
@@ -277,14 +270,9 @@ def cases(seed: int, count: int) -> Iterator[Case]:
 class GateCmd:
     """Compare the check with flights."""
 
-    seed: int = 0
-    """Of everything that is drawn."""
-
-    num_groups: int = 25
-    """Of eight vehicles."""
-
-    json: Path | None = None
-    """Where each case is written as a line of JSON."""
+    seed: int = 0  # Of everything that is drawn
+    num_groups: int = 25  # Of eight vehicles
+    json: Path | None = None  # Where each case is written as a line of JSON
 
     def run(self) -> None:
         """Print the agreement in both directions, and the cases that disagree."""

@@ -59,10 +59,8 @@ class AllanRow:
     walk_found: float
     walk_low: float
     walk_high: float
-    lowest_at_s: float
-    """The averaging time nearest to where both lines meet [s]."""
-    lowest_configured: float
-    """Allan deviation there by the configured densities."""
+    lowest_at_s: float  # The averaging time nearest to where both lines meet [s]
+    lowest_configured: float  # Allan deviation there by the configured densities
     lowest_found: float
     lowest_low: float
     lowest_high: float
@@ -110,10 +108,8 @@ class AllanRecord:
     """Allan deviation of one record."""
 
     dt: float
-    tau: Tensor
-    """(K,) [s]."""
-    deviation: Tensor
-    """(K, S, C)."""
+    tau: Tensor  # (K,) [s]
+    deviation: Tensor  # (K, S, C)
 
     @classmethod
     def simulate(cls, cfg: ImuCfg, *, dt: float, num_sensors: int, num_samples: int, seed: int) -> "AllanRecord":
@@ -186,23 +182,12 @@ def lowest_point(at_s: float, *both: AllanRecord) -> tuple[AllanRecord, int]:
 class ImuAllanCmd:
     """Compare simulated IMUs at rest with the densities in their files, and draw their Allan deviation."""
 
-    out: Path
-    """Folder that receives imu_allan.png."""
-
-    imu: tuple[str, ...] = ("vn100", "bmi088", "base_imu")
-    """IMUs that come with the package."""
-
-    num_sensors: int = 64
-    """IMUs of each kind, each with noise of its own, >= 2."""
-
-    num_samples: int = 16384
-    """Samples of each record."""
-
-    seed: int = 0
-    """Seed of the noise."""
-
-    json: bool = False
-    """Print one JSON object a line."""
+    out: Path  # Folder that receives imu_allan.png
+    imu: tuple[str, ...] = ("vn100", "bmi088", "base_imu")  # IMUs that come with the package
+    num_sensors: int = 64  # IMUs of each kind, each with noise of its own, >= 2
+    num_samples: int = 16384  # Samples of each record
+    seed: int = 0  # Seed of the noise
+    json: bool = False  # Print one JSON object a line
 
     def run(self) -> int:
         """Measure, draw and print; return the exit status."""

@@ -34,23 +34,15 @@ LINEAR, DAMPING = 0.3, 0.018
 class Bending:
     """Measure the speed of vehicles with joints."""
 
-    robots: tuple[str, ...] = ("morphy",)
-    """Registered robots with joints."""
-
-    device: str = "cpu"
-    """Torch device."""
-
-    num_envs: tuple[int, ...] = (1024,)
-    """Environments side by side."""
-
-    substeps: tuple[int, ...] = (1, 10)
-    """Of ours in one launch."""
+    robots: tuple[str, ...] = ("morphy",)  # Registered robots with joints
+    device: str = "cpu"  # Torch device
+    num_envs: tuple[int, ...] = (1024,)  # Environments side by side
+    substeps: tuple[int, ...] = (1, 10)  # Of ours in one launch
 
     engines: tuple[str, ...] = ("ours", "mujoco_warp", "mujoco")
     """MuJoCo runs on the CPU alone, one environment after another in one thread."""
 
-    seconds: float = 1.0
-    """About how long each of five repeats lasts."""
+    seconds: float = 1.0  # About how long each of five repeats lasts
 
     def run(self) -> None:
         """Measure and print."""

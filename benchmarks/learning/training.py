@@ -33,11 +33,8 @@ STARTED = time.perf_counter()
 class BenchTraining:
     """One training from scratch."""
 
-    task: str = "position_setpoint_task"
-    """Registered task."""
-
-    trainer: str = "ppo"
-    """``ppo`` or ``apg``."""
+    task: str = "position_setpoint_task"  # Registered task
+    trainer: str = "ppo"  # ``ppo`` or ``apg``
 
     robot: str | None = None
     """Registered robot, or a robot file, to train with; that of the settings if not given. The task's own is evaluated."""
@@ -45,44 +42,22 @@ class BenchTraining:
     level: int | None = None
     """Level of the task's curriculum at which the policy is evaluated; its highest if not given."""
 
-    device: str = "auto"
-    """Torch device."""
-
-    seed: int = 1
-    """Of the training; starts of the evaluation have another."""
-
-    seeds: tuple[int, ...] = ()
-    """Several trainings, each in a process of its own, and median and worst of them."""
-
-    num_envs: int | None = None
-    """Environments; that of the settings if not given."""
-
-    config: str | None = None
-    """Settings file; that of the package if not given."""
-
-    set: tuple[str, ...] = ()
-    """Numbers of the learner in place of those of the settings, as NAME=VALUE."""
-
-    train_s: float = 5.0
-    """Length of the training [s]: the learning rate falls over it."""
-
-    every_s: float = 0.5
-    """Training between two evaluations [s]."""
-
-    num_starts: int = 1000
-    """Fresh episodes of an evaluation."""
-
-    threads: int | None = None
-    """Threads of torch on a CPU."""
+    device: str = "auto"  # Torch device
+    seed: int = 1  # Of the training; starts of the evaluation have another
+    seeds: tuple[int, ...] = ()  # Several trainings, each in a process of its own, and median and worst of them
+    num_envs: int | None = None  # Environments; that of the settings if not given
+    config: str | None = None  # Settings file; that of the package if not given
+    set: tuple[str, ...] = ()  # Numbers of the learner in place of those of the settings, as NAME=VALUE
+    train_s: float = 5.0  # Length of the training [s]: the learning rate falls over it
+    every_s: float = 0.5  # Training between two evaluations [s]
+    num_starts: int = 1000  # Fresh episodes of an evaluation
+    threads: int | None = None  # Threads of torch on a CPU
 
     processor_time: bool = False
     """Count the processor time of this process in place of the time on the wall: for a busy machine, with one thread."""
 
-    plain: bool = False
-    """On a GPU, networks of ``ppo`` as torch operations in place of kernels of their own."""
-
-    json: bool = False
-    """One object a line, keys end in their unit."""
+    plain: bool = False  # On a GPU, networks of ``ppo`` as torch operations in place of kernels of their own
+    json: bool = False  # One object a line, keys end in their unit
 
     out: Path | None = None
     """New run folder for the policy at the end and the learning curve; of several seeds, one each in it."""

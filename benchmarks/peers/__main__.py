@@ -25,32 +25,18 @@ class PeersCmd:
     cases: tuple[str, ...] = ("plant", "rk4", "attitude")
     """plant: rotor speeds, lag, drag, Euler; rk4: the same with RK4; attitude: plant with an attitude controller."""
 
-    num_envs: int = 1024
-    """Vehicles side by side; L2F knows powers of two only."""
-
-    threads: int = 1
-    """Threads of every process, and on the CPU the cores to which it is pinned."""
-
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where all run; peers without a GPU version are skipped on cuda."""
+    num_envs: int = 1024  # Vehicles side by side; L2F knows powers of two only
+    threads: int = 1  # Threads of every process, and on the CPU the cores to which it is pinned
+    device: Literal["cpu", "cuda"] = "cpu"  # Where all run; peers without a GPU version are skipped on cuda
 
     substeps: tuple[int, ...] = (1, 10)
     """Our substeps in one launch; peers that fuse steps should be compared with more than 1."""
 
-    peer: tuple[str, ...] = ()
-    """NAME=PYTHON: the interpreter that has a peer; this one by default."""
-
-    rounds: int = 3
-    """How often everything is measured, in turn; the median counts."""
-
-    repeats: int = 3
-    """Figures of one process."""
-
-    repeat_time_s: float = 0.5
-    """About how long each is measured [s]."""
-
-    json: bool = False
-    """Print one JSON object a line."""
+    peer: tuple[str, ...] = ()  # NAME=PYTHON: the interpreter that has a peer; this one by default
+    rounds: int = 3  # How often everything is measured, in turn; the median counts
+    repeats: int = 3  # Figures of one process
+    repeat_time_s: float = 0.5  # About how long each is measured [s]
+    json: bool = False  # Print one JSON object a line
 
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a measurement failed."""

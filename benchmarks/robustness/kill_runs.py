@@ -35,11 +35,8 @@ LONGEST_END_S = 60.0
 class KillRuns:
     """Kill trainings at random moments and resume them."""
 
-    count: int = 50
-    """Trainings killed."""
-
-    seed: int = 0
-    """Of the moments."""
+    count: int = 50  # Trainings killed
+    seed: int = 0  # Of the moments
 
     longest_s: float = 12.0
     """The last moment of a kill after the start of the process [s], or half of it after the first checkpoint."""

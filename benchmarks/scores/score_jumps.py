@@ -93,20 +93,14 @@ class Score:
     """Detection score of a watch over flights with one kind of fault."""
 
     flights: int = 0
-    result: int = 0
-    """Flights in which all that was put in is told."""
-
-    soon: int = 0
-    """The same within ``SOON_S`` of each onset."""
-
-    after: list[float] = field(default_factory=list)
-    """From onset to telling [s], of all that was told rightly."""
+    result: int = 0  # Flights in which all that was put in is told
+    soon: int = 0  # The same within ``SOON_S`` of each onset
+    after: list[float] = field(default_factory=list)  # From onset to telling [s], of all that was told rightly
 
     off: list[float] = field(default_factory=list)
     """Distance of a told size from the true one [m]; none of sensors that stand still."""
 
-    rest: int = 0
-    """Told and not put in."""
+    rest: int = 0  # Told and not put in
 
     def add(self, hits: list[tuple[float, float | None]], *, put_in: int, told: int) -> None:
         """Add one flight: delay and error of each correct report, and the numbers of inserted and reported faults."""

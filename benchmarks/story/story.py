@@ -40,26 +40,16 @@ CASES = ("as declared", "true vehicle", "trained again on what was found", "the 
 class Story:
     """One policy for each seed, from its training to its second and third."""
 
-    out: Path
-    """Folder of everything; what stands there already is kept."""
+    out: Path  # Folder of everything; what stands there already is kept
 
     seeds: tuple[int, ...] = (16, 26, 36, 46, 56)
     """Of trainings; the vehicle and the scored setpoints are the same for all."""
 
-    steps: int = 160_000_000
-    """Environment steps of each training: those of the paper."""
-
-    device: str = "auto"
-    """Torch device of the trainings; flights are on the CPU."""
-
-    settings: Path | None = None
-    """Settings of the trainings; those that come with the task if not given."""
-
-    jobs: int = 2
-    """Processes that fly and score policies beside the trainings."""
-
-    vehicle_seed: int = 7
-    """Of the small errors of the declaration, and of the sensors'."""
+    steps: int = 160_000_000  # Environment steps of each training: those of the paper
+    device: str = "auto"  # Torch device of the trainings; flights are on the CPU
+    settings: Path | None = None  # Settings of the trainings; those that come with the task if not given
+    jobs: int = 2  # Processes that fly and score policies beside the trainings
+    vehicle_seed: int = 7  # Of the small errors of the declaration, and of the sensors'
 
     def run(self) -> int:
         """Do all of it, print one line for each flight of a policy, and draw the figure."""

@@ -21,32 +21,18 @@ from benchmarks.undeclared.vehicle import GRAVITY, Array, PlantVehicle
 class PlantGains:
     """Loops from slow to fast; stable for a rotor lag up to 0.1 s, checked by flying."""
 
-    position: float = 1.8
-    """Velocity per position error [1/s]."""
-
-    velocity: float = 3.2
-    """Acceleration per velocity error [1/s]."""
-
-    velocity_integral: float = 2.5
-    """Acceleration per integrated velocity error [1/s²]."""
-
-    attitude: tuple[float, float, float] = (7.0, 7.0, 3.0)
-    """Rate per angle error about the body axes [1/s]."""
-
-    rate: tuple[float, float, float] = (20.0, 20.0, 8.0)
-    """Angular acceleration per rate error [1/s]."""
+    position: float = 1.8  # Velocity per position error [1/s]
+    velocity: float = 3.2  # Acceleration per velocity error [1/s]
+    velocity_integral: float = 2.5  # Acceleration per integrated velocity error [1/s²]
+    attitude: tuple[float, float, float] = (7.0, 7.0, 3.0)  # Rate per angle error about the body axes [1/s]
+    rate: tuple[float, float, float] = (20.0, 20.0, 8.0)  # Angular acceleration per rate error [1/s]
 
     rate_integral: tuple[float, float, float] = (30.0, 30.0, 10.0)
     """Angular acceleration per integrated rate error [1/s²]."""
 
-    rate_derivative: float = 0.15
-    """Angular acceleration per measured angular acceleration, against it [1]."""
-
-    derivative_filter: float = 0.005
-    """Lag of the measured angular acceleration [s]."""
-
-    max_tilt: float = float(np.deg2rad(50.0))
-    """Largest commanded tilt [rad]."""
+    rate_derivative: float = 0.15  # Angular acceleration per measured angular acceleration, against it [1]
+    derivative_filter: float = 0.005  # Lag of the measured angular acceleration [s]
+    max_tilt: float = float(np.deg2rad(50.0))  # Largest commanded tilt [rad]
 
     max_integral: tuple[float, float] = (6.0, 90.0)
     """Limits of the integrals: acceleration [m/s²] and angular acceleration [rad/s²]."""

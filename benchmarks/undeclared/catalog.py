@@ -24,20 +24,14 @@ Range = tuple[float, float]
 class PlantEffect:
     """One named effect."""
 
-    params: dict[str, float | None]
-    """Parameter names and the value of one that is left out; None: it has to be given."""
-
-    ranges: dict[str, Range]
-    """Size to the range that ``draw`` takes its magnitude from."""
+    params: dict[str, float | None]  # Parameter names and the value of one that is left out; None: it has to be given
+    ranges: dict[str, Range]  # Size to the range that ``draw`` takes its magnitude from
 
     draw: Callable[[np.random.Generator, float, PlantVehicle], Params]
     """Parameters from a generator, a magnitude and the declared vehicle."""
 
-    apply: Callable[[PlantVehicle, Params], PlantVehicle]
-    """The vehicle that has the effect."""
-
-    needs: tuple[str, ...] = ("battery",)
-    """Features of the flights in which it shows."""
+    apply: Callable[[PlantVehicle, Params], PlantVehicle]  # The vehicle that has the effect
+    needs: tuple[str, ...] = ("battery",)  # Features of the flights in which it shows
 
 
 def _vec(params: Params, names: str) -> np.ndarray:

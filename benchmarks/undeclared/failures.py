@@ -19,20 +19,14 @@ speed; all motors at a share of their commands for a while."""
 class PlantFailure:
     """Failure of one flight, with its time."""
 
-    kind: str
-    """One of ``KINDS``."""
-
-    time: float
-    """From the first row of the log on [s]."""
-
-    motor: int = 1
-    """Which rotor, from 1 on; nothing to a brown-out."""
+    kind: str  # One of ``KINDS``
+    time: float  # From the first row of the log on [s]
+    motor: int = 1  # Which rotor, from 1 on; nothing to a brown-out
 
     scale: float = 1.0
     """Speed per commanded speed, of ``weak_motor`` thrust and drag torque per what they were; nothing to a stuck rotor."""
 
-    duration: float = np.inf
-    """How long it lasts [s]."""
+    duration: float = np.inf  # How long it lasts [s]
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

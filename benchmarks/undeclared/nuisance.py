@@ -12,41 +12,21 @@ from benchmarks.undeclared.vehicle import Array, PlantVehicle
 class PlantNuisance:
     """Standard deviations; draws are normal, cut at two of them."""
 
-    mass: float = 0.003
-    """Relative."""
-
-    thrust_coeff: float = 0.004
-    """Relative, each rotor by itself."""
-
-    inertia: float = 0.02
-    """Relative, each axis by itself."""
-
-    tau: float = 0.03
-    """Relative, one factor for up and down."""
-
-    com: float = 0.0003
-    """Each axis [m]."""
-
-    acc_bias: float = 0.02
-    """Each axis [m/s²]."""
-
-    gyro_bias: float = 0.002
-    """Each axis [rad/s]."""
-
-    attitude: float = 0.0
-    """Turn of the logged attitude against the body, each axis [rad]."""
-
-    acc_of_flight: float = 0.0
-    """Accelerometer, each axis, beside its bias, anew for each flight [m/s²]."""
+    mass: float = 0.003  # Relative
+    thrust_coeff: float = 0.004  # Relative, each rotor by itself
+    inertia: float = 0.02  # Relative, each axis by itself
+    tau: float = 0.03  # Relative, one factor for up and down
+    com: float = 0.0003  # Each axis [m]
+    acc_bias: float = 0.02  # Each axis [m/s²]
+    gyro_bias: float = 0.002  # Each axis [rad/s]
+    attitude: float = 0.0  # Turn of the logged attitude against the body, each axis [rad]
+    acc_of_flight: float = 0.0  # Accelerometer, each axis, beside its bias, anew for each flight [m/s²]
 
     delay: float = 0.0
     """Rotor speeds, accelerometer, gyro, pose and velocity, each by itself, late in the log, or early [s]."""
 
-    acc_scale: float = 0.0
-    """Accelerometer, each axis, relative."""
-
-    imu_place: float = 0.0
-    """Accelerometer from the origin of the body, each axis [m]."""
+    acc_scale: float = 0.0  # Accelerometer, each axis, relative
+    imu_place: float = 0.0  # Accelerometer from the origin of the body, each axis [m]
 
 
 TRACKED = PlantNuisance(attitude=0.01, acc_of_flight=0.05)
@@ -63,17 +43,10 @@ LATE = ("rotor", "acc", "rate", "rotation", "velocity")
 class Bias:
     """Constant sensor errors, body frame."""
 
-    acc: Array
-    """Accelerometer [m/s²], (3,) of the whole case or (F, 3) of each flight."""
-
-    gyro: Array
-    """Gyro [rad/s], (3,)."""
-
-    attitude: Array
-    """Rotation vector that turns the axes of the logged attitude into those of the body [rad], (3,)."""
-
-    acc_scale: Array = field(default_factory=lambda: np.zeros(3))
-    """Of the accelerometer, relative, (3,)."""
+    acc: Array  # Accelerometer [m/s²], (3,) of the whole case or (F, 3) of each flight
+    gyro: Array  # Gyro [rad/s], (3,)
+    attitude: Array  # Rotation vector that turns the axes of the logged attitude into those of the body [rad], (3,)
+    acc_scale: Array = field(default_factory=lambda: np.zeros(3))  # Of the accelerometer, relative, (3,)
 
     imu_place: Array = field(default_factory=lambda: np.zeros(3))
     """Of the accelerometer from the origin of the body [m], (3,)."""

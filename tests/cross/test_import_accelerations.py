@@ -203,15 +203,11 @@ def test_rotors_of_an_mjcf_accelerate_it_as_in_mujoco(seed: int, tmp_path: Path)
 class RandomBody:
     """A rigid part: what a file says of it, kept as numbers."""
 
-    turn: Rotation
-    """Of its own axes in the world's."""
-
-    place: np.ndarray
-    """Of its centre of mass [m], world."""
+    turn: Rotation  # Of its own axes in the world's
+    place: np.ndarray  # Of its centre of mass [m], world
 
     mass: float
-    inertia: np.ndarray
-    """About that centre, own axes [kg m²]."""
+    inertia: np.ndarray  # About that centre, own axes [kg m²]
 
 
 @dataclass

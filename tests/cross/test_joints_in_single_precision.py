@@ -52,8 +52,7 @@ class Start:
     model: Model
     backend: TorchBackend | WarpBackend
     state: ArticulatedState
-    action: Tensor
-    """Thrusts of hover, then commands of drives, (E, R + C)."""
+    action: Tensor  # Thrusts of hover, then commands of drives, (E, R + C)
 
 
 def make_start(
@@ -114,11 +113,8 @@ class Bound:
     scale: Tensor
     """Root of the diagonal of the mass matrix, by which rates are measured, (E, N): their square is twice an energy."""
 
-    condition: Tensor
-    """Of the mass matrix once it is scaled by that, (E,)."""
-
-    largest: Tensor
-    """``sqrt(kg) m/s``, (E,)."""
+    condition: Tensor  # Of the mass matrix once it is scaled by that, (E,)
+    largest: Tensor  # ``sqrt(kg) m/s``, (E,)
 
 
 def step_bound(start: Start, first: int) -> Bound:

@@ -268,11 +268,8 @@ def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
 class Propeller:
     """A propeller of the UIUC database: thrust coefficients ``T / (rho n² D⁴)`` at rest and at advance ratios ``V / (n D)``."""
 
-    solidity: float
-    """Of the chord at 3/4 of the radius: blades times c / (pi R)."""
-
-    static: float
-    """Mean over the speeds of the static test."""
+    solidity: float  # Of the chord at 3/4 of the radius: blades times c / (pi R)
+    static: float  # Mean over the speeds of the static test
 
     tunnel: tuple[tuple[float, float], ...]
 

@@ -26,17 +26,10 @@ of its angle, 3e-5 rad/s, add nothing; at this rate it is ``c / k`` times as far
 class SnakeFlight:
     """Of a batch of three."""
 
-    off: torch.Tensor
-    """Joints from their commands after each step [rad], (T, 3, D)."""
-
-    time: torch.Tensor
-    """[s], (T,)."""
-
-    rate: torch.Tensor
-    """Of joints at the end [rad/s], (3, D)."""
-
-    spin: float
-    """Of the first one about z at the end [rad/s]."""
+    off: torch.Tensor  # Joints from their commands after each step [rad], (T, 3, D)
+    time: torch.Tensor  # [s], (T,)
+    rate: torch.Tensor  # Of joints at the end [rad/s], (3, D)
+    spin: float  # Of the first one about z at the end [rad/s]
 
 
 def fly(name: str, *, hold: bool = True) -> SnakeFlight:

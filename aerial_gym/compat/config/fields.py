@@ -33,23 +33,15 @@ _logger = logging.getLogger(__name__)
 class ConfigField:
     """One attribute of a configuration class and its translation."""
 
-    script_name: str
-    """Dotted path in the class."""
-
-    native: str
-    """Counterpart in this package, for the documentation; ``-`` for none."""
-
-    remark: str = ""
-    """Difference, or reason for the missing counterpart."""
-
-    read: Callable[[Any], object]
-    """Value in a class generated from a configuration."""
+    script_name: str  # Dotted path in the class
+    native: str  # Counterpart in this package, for the documentation; ``-`` for none
+    remark: str = ""  # Difference, or reason for the missing counterpart
+    read: Callable[[Any], object]  # Value in a class generated from a configuration
 
     write: Callable[[Values], Changes] | None = None
     """Changes of the configuration for another value, from all values of the class; None without any."""
 
-    refused: bool = False
-    """Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged."""
+    refused: bool = False  # Whether another value is an error, with ``remark`` as the remedy; otherwise it is logged
 
 
 def direct_field(

@@ -58,8 +58,7 @@ class _Crazyflie(StatefulController):
     gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
     """Empty, because all environments share the Crazyflie's parameters."""
 
-    own_numbers: int
-    """Size of the own memory."""
+    own_numbers: int  # Size of the own memory
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive timing and layout from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""

@@ -273,8 +273,7 @@ class Reduction:
     make: Callable[["Trace", Sequence[int], torch.dtype, tuple[Any, ...], dict[str, Any]], int]
     """From the scalars to the one of the result."""
 
-    dim_at: int = 1
-    """Position of the argument ``dim``."""
+    dim_at: int = 1  # Position of the argument ``dim``
 
     def dims(self, args: tuple[Any, ...], kwargs: dict[str, Any], ndim: int) -> tuple[set[int], bool]:
         """Return the reduced dimensions, and whether they are kept with one entry."""

@@ -42,8 +42,7 @@ class UntraceableError(Exception):
 class Scalar:
     """One number of a row: its operation and arguments."""
 
-    kind: str
-    """``input`` (one row), ``shared`` (by all rows), ``constant``, or the name of an operation."""
+    kind: str  # ``input`` (one row), ``shared`` (by all rows), ``constant``, or the name of an operation
 
     args: tuple[int | float | bool, ...]
     """Numbers of other scalars; position and entry of an input; value of a constant."""
@@ -59,8 +58,7 @@ class Trace:
     outputs: list[tuple[list[int], tuple[int, ...], torch.dtype]] = field(default_factory=list)
     """Scalars, row shape and type of each output."""
 
-    widths: dict[int, int] = field(default_factory=dict)
-    """Number of entries in a row of each input, by position."""
+    widths: dict[int, int] = field(default_factory=dict)  # Number of entries in a row of each input, by position
 
     lifted: list[Tensor] = field(default_factory=list)
     """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""

@@ -31,8 +31,7 @@ from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 class Equations:
     """``mass a = force`` for the accelerations ``a`` of the coordinates of motion."""
 
-    mass: Tensor
-    """M, symmetric and positive definite, (E, N, N)."""
+    mass: Tensor  # M, symmetric and positive definite, (E, N, N)
 
     force: Tensor
     """Applied forces minus velocity terms, (E, N): force [N] and torque [N m] on the base, efforts of joints."""

@@ -21,16 +21,12 @@ from aerial_gym.errors import ConfigError
 class Joint:
     """A joint of one degree of freedom, with its pose on its parent."""
 
-    parent: int
-    """Index of the parent link."""
+    parent: int  # Index of the parent link
 
     kind: Literal["revolute", "prismatic"] = "revolute"
 
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    """Unit vector of rotation or translation, in the joint's frame."""
-
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Origin of the joint's frame on its parent [m]."""
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)  # Unit vector of rotation or translation, in the joint's frame
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Origin of the joint's frame on its parent [m]
 
     attitude: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     """Rotation from the joint's frame to the parent's at coordinate zero, xyzw, unit."""

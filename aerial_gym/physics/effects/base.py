@@ -33,20 +33,11 @@ ActsOn = Literal["rotor", "actuation", "wrench", "inertia", "environment", "sens
 class Moment:
     """State at the start of a substep, from which an effect updates its memory."""
 
-    rotor_speed: Tensor
-    """Rotor speeds [rad/s], (E, R)."""
-
-    since: Tensor
-    """Substeps since the environment was reset, int, (E,)."""
-
-    random: Tensor
-    """Random states of this substep, for ``math.random.normal_draws``, (E,)."""
-
-    dt: float
-    """Length of the substep [s]."""
-
-    vehicle: Vehicle
-    """Vehicle with the effects on its parameters applied."""
+    rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
+    since: Tensor  # Substeps since the environment was reset, int, (E,)
+    random: Tensor  # Random states of this substep, for ``math.random.normal_draws``, (E,)
+    dt: float  # Length of the substep [s]
+    vehicle: Vehicle  # Vehicle with the effects on its parameters applied
 
 
 class Effect(ABC):
@@ -68,12 +59,9 @@ class Effect(ABC):
     """Fields of the vehicle that the Warp twin reads, of those that the kernel packs on request (``fused.packing``)."""
     single: ClassVar[str] = ""
     """Name of the thing that a vehicle has at most one of; empty if a vehicle may have several such effects."""
-    additive: ClassVar[bool] = False
-    """Whether it adds thrust, force or wind, which are zero at neutral parameters."""
-    accelerates: ClassVar[bool] = False
-    """Whether the acceleration in a given state depends on its memory."""
-    replayed: ClassVar[bool] = False
-    """Whether identification computes its memory along a flight by ``replay``."""
+    additive: ClassVar[bool] = False  # Whether it adds thrust, force or wind, which are zero at neutral parameters
+    accelerates: ClassVar[bool] = False  # Whether the acceleration in a given state depends on its memory
+    replayed: ClassVar[bool] = False  # Whether identification computes its memory along a flight by ``replay``
     needs_com: ClassVar[bool] = False
     """Whether it depends on the position of the centre of mass or on the sum of all forces."""
     moves_with_body: ClassVar[bool] = False
@@ -84,14 +72,12 @@ class Effect(ABC):
     summary: ClassVar[str]
     parameters: tuple[Parameter, ...]
     """In the order of the columns P. An instance has its own if they are named after parts of a robot (``of``)."""
-    excitation: ClassVar[str]
-    """Quantities that must vary in a flight to make the effect visible."""
+    excitation: ClassVar[str]  # Quantities that must vary in a flight to make the effect visible
     confused_with: ClassVar[tuple[str, ...]]
     """Names of effects with a similar signature, which must be weighed against this one."""
     contains: ClassVar[tuple[str, ...]] = ()
     """Special cases of this effect with as many parameters. Selection prefers them if the flights do not distinguish."""
-    memory: ClassVar[tuple[float, ...]] = ()
-    """Values of its memory per environment right after a reset."""
+    memory: ClassVar[tuple[float, ...]] = ()  # Values of its memory per environment right after a reset
     drifting: ClassVar[tuple[int, ...]] = ()
     """Indices in ``memory`` of numbers that grow throughout a flight, such as the drawn charge."""
     rotor_memory: ClassVar[tuple[float, ...]] = ()
@@ -102,8 +88,7 @@ class Effect(ABC):
     """Quantities that its force depends on: an imperfect law leaves a residual that follows them."""
     told_by_torques: ClassVar[bool] = False
     """Whether only torques distinguish it from similar effects: without torques, selection does not consider it."""
-    logged: ClassVar[tuple[Literal["battery"], ...]] = ()
-    """Quantities that a log must hold in place of its memory."""
+    logged: ClassVar[tuple[Literal["battery"], ...]] = ()  # Quantities that a log must hold in place of its memory
     rotors: ClassVar[tuple[RotorTrait, ...]] = ("slew", "dead_band")
     """Rotor features that its law allows beyond a plain speed; others are refused by name."""
     at_hubs: ClassVar[bool] = False
@@ -113,12 +98,9 @@ class Effect(ABC):
     """Whether a vehicle with joints can have it. Unless ``at_hubs``, it acts on the base in the reference pose."""
     on_rigid: ClassVar[bool] = True
     """Whether a vehicle without joints, or one that the code takes as rigid, can have it."""
-    instead: ClassVar[tuple[str, ...]] = ()
-    """Effects to use in its place on a vehicle that cannot have it."""
-    medium: ClassVar[Literal["air", "water"]] = "air"
-    """Fluid in which it matters; flights are in air."""
-    random: ClassVar[bool] = False
-    """Whether it is random, so that it predicts no row of a flight."""
+    instead: ClassVar[tuple[str, ...]] = ()  # Effects to use in its place on a vehicle that cannot have it
+    medium: ClassVar[Literal["air", "water"]] = "air"  # Fluid in which it matters; flights are in air
+    random: ClassVar[bool] = False  # Whether it is random, so that it predicts no row of a flight
     by_default: ClassVar[bool] = True
     """Whether selection considers it by default; False if other effects together have the same signature."""
 

@@ -50,8 +50,7 @@ class BatterySag(CommandEffect):
     confused_with = ("thrust_coefficient", "payload_mass", "motor_time_constant")
     rotors = ("reversible", "slew", "dead_band")
     follows = ("voltage",)
-    memory = (0.0, 0.0)
-    """Charge drawn [A s] and voltage [V]; the latter is written before it is first read."""
+    memory = (0.0, 0.0)  # Charge drawn [A s] and voltage [V]; the latter is written before it is first read
     drifting = (0,)
     logged = ("battery",)
 

@@ -46,8 +46,7 @@ class BrownOut(CommandEffect):
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("battery_sag", "thrust_coefficient")
     rotors = ANY_ROTOR
-    memory = (1.0,)
-    """Factor on the commands."""
+    memory = (1.0,)  # Factor on the commands
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

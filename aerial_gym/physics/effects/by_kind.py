@@ -23,11 +23,8 @@ class Place:
     """Position of the numbers of one effect among those of all effects of a step."""
 
     effect: Effect
-    params: slice
-    """Among all parameters."""
-
-    memory: slice
-    """Among all remembered numbers."""
+    params: slice  # Among all parameters
+    memory: slice  # Among all remembered numbers
 
 
 class EffectsByKind:

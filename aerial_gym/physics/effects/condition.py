@@ -20,38 +20,20 @@ from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 class Condition:
     """State of a vehicle and its surroundings at one instant."""
 
-    position: Tensor
-    """Centre of mass [m], world, (E, 3)."""
-
-    attitude: Tensor
-    """Body to world, xyzw, (E, 4)."""
-
-    air_velocity: Tensor
-    """Velocity of the centre of mass through the air [m/s], body axes, (E, 3)."""
-
-    ang_vel: Tensor
-    """Angular velocity [rad/s], body, (E, 3)."""
-
-    rotor_speed: Tensor
-    """Rotor speeds [rad/s], (E, R)."""
-
-    rotor_thrust: Tensor
-    """Rotor thrusts [N], (E, R)."""
+    position: Tensor  # Centre of mass [m], world, (E, 3)
+    attitude: Tensor  # Body to world, xyzw, (E, 4)
+    air_velocity: Tensor  # Velocity of the centre of mass through the air [m/s], body axes, (E, 3)
+    ang_vel: Tensor  # Angular velocity [rad/s], body, (E, 3)
+    rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
+    rotor_thrust: Tensor  # Rotor thrusts [N], (E, R)
 
     rotor_acc: Tensor
     """Angular accelerations of the rotors about their axes, positive where they speed up [rad/s²], (E, R)."""
 
-    ground_height: float | Tensor
-    """Height of the ground [m], world; or (E, 1)."""
-
-    ceiling_height: float | Tensor
-    """Height of the ceiling [m], world; not a number where there is none; or (E, 1)."""
-
-    other_position: Tensor
-    """Another vehicle, whose wake streams down [m], world, (E, 3)."""
-
-    vehicle: Vehicle
-    """Gives the geometry."""
+    ground_height: float | Tensor  # Height of the ground [m], world; or (E, 1)
+    ceiling_height: float | Tensor  # Height of the ceiling [m], world; not a number where there is none; or (E, 1)
+    other_position: Tensor  # Another vehicle, whose wake streams down [m], world, (E, 3)
+    vehicle: Vehicle  # Gives the geometry
 
     @cached_property
     def lever(self) -> Tensor:

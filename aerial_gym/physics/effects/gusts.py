@@ -32,8 +32,7 @@ class Gusts(WindEffect):
     )
     excitation = "a known drag, and flights much longer than the correlation time"
     confused_with = ("constant_wind", "downwash")
-    memory = (0.0, 0.0, 0.0)
-    """Wind [m/s], world."""
+    memory = (0.0, 0.0, 0.0)  # Wind [m/s], world
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

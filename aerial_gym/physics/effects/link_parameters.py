@@ -25,10 +25,8 @@ class LinkParameters:
 
     name: ClassVar[str]
     parameters: tuple[Parameter, ...]
-    columns: ClassVar[tuple[Parameter, ...]]
-    """Numbers of a link, in words with 'each link'; C of them."""
-    quantity: ClassVar[str]
-    """What acts at the centre of mass of a link, in a word."""
+    columns: ClassVar[tuple[Parameter, ...]]  # Numbers of a link, in words with 'each link'; C of them
+    quantity: ClassVar[str]  # What acts at the centre of mass of a link, in a word
 
     def __init__(self, names: Sequence[str] | None = None, links: Sequence[str] = ()) -> None:
         """Store the names of the parameters (None: those of all links) and the links of a vehicle, the base first."""

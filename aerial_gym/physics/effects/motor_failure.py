@@ -40,8 +40,7 @@ class MotorFailure(CommandEffect):
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("weak_motor", "com_offset")
     rotors = ANY_ROTOR
-    memory = (1.0,)
-    """Factor on the command of the rotor."""
+    memory = (1.0,)  # Factor on the command of the rotor
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

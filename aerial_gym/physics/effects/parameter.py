@@ -8,23 +8,12 @@ from typing import Literal
 class Parameter:
     """One parameter of an effect."""
 
-    name: str
-    """Short name, as in robot files and verdicts."""
-
-    unit: str
-    """SI unit."""
-
-    low: float
-    """Lowest value that is physically possible."""
-
-    high: float
-    """Highest value that is physically possible."""
-
-    scale: float
-    """A change that one would call moderate: the step of numerical derivatives and fits."""
-
-    meaning: str
-    """One line."""
+    name: str  # Short name, as in robot files and verdicts
+    unit: str  # SI unit
+    low: float  # Lowest value that is physically possible
+    high: float  # Highest value that is physically possible
+    scale: float  # A change that one would call moderate: the step of numerical derivatives and fits
+    meaning: str  # One line
 
     kind: Literal["number", "rotor", "convention"] = "number"
     """A number that a fit may change, the number of a rotor (1 to R), or a convention that a fit keeps."""

@@ -39,8 +39,7 @@ class RandomForce(WrenchEffect):
     excitation = "flights much longer than the interval"
     confused_with = ("gusts",)
     rotors = ANY_ROTOR
-    memory = (0.0, 0.0, 0.0)
-    """Force [N], world."""
+    memory = (0.0, 0.0, 0.0)  # Force [N], world
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

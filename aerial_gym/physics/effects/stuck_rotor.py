@@ -30,8 +30,7 @@ class StuckRotor(CommandEffect):
     excitation = "an episode that goes on after it; a log does not say when its reset was"
     confused_with = ("motor_failure",)
     rotors = ANY_ROTOR
-    memory = (0.0, 0.0)
-    """Whether it is stuck, and at which speed."""
+    memory = (0.0, 0.0)  # Whether it is stuck, and at which speed
     random = True
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:

@@ -16,17 +16,10 @@ Array = NDArray[np.float64]
 class FlightTrack:
     """Rows of one flight at equal time steps."""
 
-    vehicle: Vehicle
-    """With the effects on its parameters applied, one environment."""
-
-    rotor_speed: Tensor
-    """True rotor speeds [rad/s], (T, R)."""
-
-    step: float
-    """Time between two rows [s]."""
-
-    begins_on_ground: bool
-    """Whether the vehicle is on the ground in the first row."""
+    vehicle: Vehicle  # With the effects on its parameters applied, one environment
+    rotor_speed: Tensor  # True rotor speeds [rad/s], (T, R)
+    step: float  # Time between two rows [s]
+    begins_on_ground: bool  # Whether the vehicle is on the ground in the first row
 
     settled: float = 1.0
     """Initial memory of a flight that begins in the air, as a share of its steady value in hover; logs do not give it."""

@@ -15,11 +15,8 @@ from aerial_gym.math.warp_functions import rotate
 class FusedHook:
     """A hook as Warp code."""
 
-    struct: Any
-    """``wp.struct`` of the data that the hook reads and writes."""
-
-    data: Any
-    """An instance of ``struct``, whose arrays keep their memory."""
+    struct: Any  # ``wp.struct`` of the data that the hook reads and writes
+    data: Any  # An instance of ``struct``, whose arrays keep their memory
 
     function: wp.Function
     """``(data, env, k, done: Substep) -> (position, attitude, lin_vel, ang_vel)`` after substep k, as in ``Substep``."""

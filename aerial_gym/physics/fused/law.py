@@ -42,26 +42,16 @@ class FusedLaw:
     ``wrench`` and the ``allocation`` to thrusts.
     """
 
-    output: Literal["speed", "thrust", "wrench"]
-    """Kind of the law's output."""
-
-    num_actions: int
-    """Number of entries of an action."""
-
-    low: Tensor
-    """Lower limit of speed or thrust, (E, R)."""
-
-    high: Tensor
-    """Upper limit, (E, R)."""
+    output: Literal["speed", "thrust", "wrench"]  # Kind of the law's output
+    num_actions: int  # Number of entries of an action
+    low: Tensor  # Lower limit of speed or thrust, (E, R)
+    high: Tensor  # Upper limit, (E, R)
 
     thrust_map: Tensor | None = None
     """Declared thrust polynomial, from thrust to commanded speed, (E, R, 3); not needed for a speed."""
 
-    reverse_thrust_map: Tensor | None = None
-    """The same for reversed rotors; ``thrust_map`` by default."""
-
-    allocation: Tensor | None = None
-    """Allocation from the wrench to thrusts, (E, R, 6); not needed for a speed."""
+    reverse_thrust_map: Tensor | None = None  # The same for reversed rotors; ``thrust_map`` by default
+    allocation: Tensor | None = None  # Allocation from the wrench to thrusts, (E, R, 6); not needed for a speed
 
     follow: Callable[[Vehicle], Mapping[str, Tensor]] | None = None
     """Row function from the vehicle of each environment to those fields above that depend on it, (E, ...); None without any."""
@@ -69,11 +59,8 @@ class FusedLaw:
     saturation: Literal["prioritised", "clamp"] = "clamp"
     """Rule for thrusts beyond the rotor limits (``control.allocation``)."""
 
-    lateral: bool = True
-    """Whether the wrench has lateral force; without it, its computation is omitted."""
-
-    idle: bool = True
-    """Whether any rotor has no part in the force along body z."""
+    lateral: bool = True  # Whether the wrench has lateral force; without it, its computation is omitted
+    idle: bool = True  # Whether any rotor has no part in the force along body z
 
     wrench: wp.Function | None = None
     """``wp.func`` (position, attitude, lin_vel, ang_vel, prepared action, gains) -> (force, torque), body,
@@ -87,11 +74,8 @@ class FusedLaw:
     ``wp.func`` (params, gains, position, attitude, lin_vel, ang_vel, action, ``memory.LawArrays``, env, dt) -> commanded
     speeds, vector of R."""
 
-    needs: LawNeeds | None = None
-    """Memory that the law needs."""
-
-    gains_type: Any = None
-    """``wp.struct`` of the gains."""
+    needs: LawNeeds | None = None  # Memory that the law needs
+    gains_type: Any = None  # ``wp.struct`` of the gains
 
     gains: Mapping[str, Tensor] = field(default_factory=dict)
     """A tensor (E, ...) for each field of ``gains_type``, in its order; ``a.b`` is the field b of the struct a in it."""

@@ -49,8 +49,7 @@ class MujocoBackend(TorchBackend):
     """MuJoCo on the CPU: an independent engine for the rigid body and its contact with the ground."""
 
     name = "mujoco"
-    packages = ("mujoco",)
-    """Required packages; benchmarks report their versions."""
+    packages = ("mujoco",)  # Required packages; benchmarks report their versions
 
     capabilities = Capabilities(
         devices=("cpu",),
@@ -69,12 +68,9 @@ class MujocoBackend(TorchBackend):
     _bodies: Bodies | None = None
     _engine_of_trees: type[RolloutTrees] | type[WarpTrees] = RolloutTrees
     _trees: RolloutTrees | WarpTrees | None = None
-    _start: MassState
-    """Motion at the start of MuJoCo's last step of a rigid vehicle."""
-    _free_vel: Tensor
-    """Velocity after that step without contact [m/s], world, (E, 3)."""
-    _end_vel: Tensor
-    """Velocity after that step with contact [m/s], world, (E, 3)."""
+    _start: MassState  # Motion at the start of MuJoCo's last step of a rigid vehicle
+    _free_vel: Tensor  # Velocity after that step without contact [m/s], world, (E, 3)
+    _end_vel: Tensor  # Velocity after that step with contact [m/s], world, (E, 3)
 
     def prepare(self, dt: float) -> None:
         """Allocate the memory of effects and control law, and MuJoCo's models."""

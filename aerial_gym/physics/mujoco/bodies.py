@@ -77,11 +77,8 @@ def compile_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: f
 class Bodies(ABC):
     """The bodies of all environments, in steps of one length."""
 
-    dt: float
-    """Length of a step [s]."""
-
-    num_rows: int
-    """Number N of rows of parameters."""
+    dt: float  # Length of a step [s]
+    num_rows: int  # Number N of rows of parameters
 
     @abstractmethod
     def follow(self, rows: Tensor) -> None:

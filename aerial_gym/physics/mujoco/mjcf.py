@@ -30,14 +30,9 @@ IMPEDANCE_RATIO = 100.0
 class Floor:
     """A horizontal plane, and the shapes of the vehicle that can touch it."""
 
-    height: float
-    """Height of the plane [m], world; minus infinity without one."""
-
-    spheres: Sequence[Sequence[float]]
-    """Centres x, y, z in the axes of the base, and radii [m]; 0 for a point."""
-
-    friction: float
-    """Coulomb coefficient."""
+    height: float  # Height of the plane [m], world; minus infinity without one
+    spheres: Sequence[Sequence[float]]  # Centres x, y, z in the axes of the base, and radii [m]; 0 for a point
+    friction: float  # Coulomb coefficient
 
     on_links: LinkContacts | None = None
     """Contacts of an articulated vehicle: links of the spheres, pairs of shapes, and obstacles."""

@@ -45,11 +45,8 @@ def template(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0)
 class MujocoTrees(ABC):
     """Trees of all environments, with ``move`` in place of ``steppers.implicit_euler``."""
 
-    backend: str
-    """Name of the backend in messages."""
-
-    impulse: Tensor
-    """Impulse of ground and obstacles in the last step [N s], world, (E, 3), float64."""
+    backend: str  # Name of the backend in messages
+    impulse: Tensor  # Impulse of ground and obstacles in the last step [N s], world, (E, 3), float64
 
     def __init__(
         self, first: Any, tree: Tree, num_envs: int, dt: float, *, solids: Solids | None, touches: bool

@@ -113,8 +113,7 @@ def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
 class LinkObstacleSweep:
     """Moves obstacles and notices crashes; a ``SubstepHook``."""
 
-    max_substeps: int | None = None
-    """Any number."""
+    max_substeps: int | None = None  # Any number
 
     def __init__(
         self,

@@ -46,8 +46,7 @@ class Prior:
 
     away: Array
     scale: float
-    normal: bool = False
-    """Whether it is normal instead of Cauchy."""
+    normal: bool = False  # Whether it is normal instead of Cauchy
 
     @property
     def log_density(self) -> Array:
@@ -85,8 +84,7 @@ class Onsets:
     log_odds: Array
     """Against no failure, (K, R) by onset and rotor; for brown-outs (K, D + 1) by onset and duration, the last unlimited."""
 
-    change: Array
-    """Relative change of output; for a stuck rotor the constant output relative to hover."""
+    change: Array  # Relative change of output; for a stuck rotor the constant output relative to hover
 
 
 def _cumulative_sums(values: Array) -> Array:

@@ -38,18 +38,14 @@ class FlightEvent:
     """An event in one flight, with its onset."""
 
     flight: str
-    name: str
-    """motor_failure, weak_motor, stuck_rotor or brown_out; position_jump or sensor_dropout."""
+    name: str  # motor_failure, weak_motor, stuck_rotor or brown_out; position_jump or sensor_dropout
 
     params: dict[str, float]
     """As in robot files. ``time`` is from the first row [s]; ``speed`` is the constant speed of a stuck rotor [rad/s], or its
     thrust [N]; ``x``, ``y``, ``z`` are a position jump [m], world."""
 
-    std: dict[str, float] = field(default_factory=dict)
-    """Standard deviations of the numeric parameters."""
-
-    interval: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """95 % intervals."""
+    std: dict[str, float] = field(default_factory=dict)  # Standard deviations of the numeric parameters
+    interval: dict[str, tuple[float, float]] = field(default_factory=dict)  # 95 % intervals
 
     @property
     def time(self) -> float:
@@ -61,20 +57,11 @@ class FlightEvent:
 class Failure(FlightEvent):
     """A failure of a rotor or of the supply in one flight."""
 
-    log_odds: float
-    """Log odds of this failure against none, at its onset."""
-
-    probability: float
-    """Probability of this failure and rotor among all known ones."""
-
-    rival: str
-    """Most probable other failure; empty without one."""
-
-    place: str = ""
-    """Place of the rotor, such as ``front left``; empty for all rotors or a place that is not unique."""
-
-    unit: str = "rad_s"
-    """Unit of a stuck rotor's state: rad_s, or n in force mode."""
+    log_odds: float  # Log odds of this failure against none, at its onset
+    probability: float  # Probability of this failure and rotor among all known ones
+    rival: str  # Most probable other failure; empty without one
+    place: str = ""  # Place of the rotor, such as ``front left``; empty for all rotors or a place that is not unique
+    unit: str = "rad_s"  # Unit of a stuck rotor's state: rad_s, or n in force mode
 
     @property
     def finding(self) -> Finding:

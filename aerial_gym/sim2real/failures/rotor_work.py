@@ -38,32 +38,15 @@ FASTEST = 5.0
 class RotorWork:
     """One quantity of all rotors in every block, relative to hover."""
 
-    quantity: str
-    """speed or thrust."""
-
-    driven_by: str
-    """Source of the expectation: command or speed."""
-
-    time: Array
-    """Start of each block [s], (K,)."""
-
-    length: float
-    """Length of a block [s]."""
-
-    lag: float
-    """Lag behind a change of the command [s]; 0 if speeds are the source."""
-
-    done: Array
-    """Actual output, (K, R)."""
-
-    expected: Array
-    """Expected output, (K, R)."""
-
-    own: Array
-    """Part of the expectation that the rotor itself causes, (K, R)."""
-
-    beside: Array
-    """Columns of possible errors of the expectation, (K, R, Q)."""
+    quantity: str  # speed or thrust
+    driven_by: str  # Source of the expectation: command or speed
+    time: Array  # Start of each block [s], (K,)
+    length: float  # Length of a block [s]
+    lag: float  # Lag behind a change of the command [s]; 0 if speeds are the source
+    done: Array  # Actual output, (K, R)
+    expected: Array  # Expected output, (K, R)
+    own: Array  # Part of the expectation that the rotor itself causes, (K, R)
+    beside: Array  # Columns of possible errors of the expectation, (K, R, Q)
 
     def rows(self, chosen: slice | Flags) -> "RotorWork":
         """Return the selected blocks."""

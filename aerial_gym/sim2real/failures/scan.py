@@ -35,17 +35,10 @@ class FailureCause:
     work: RotorWork
     evidence: Evidence
     kind: str
-    rotor: int | None
-    """Rotor from 0; None: all."""
-
-    log_odds: float
-    """Log odds of all its onsets against no failure."""
-
-    begin: int
-    """Most probable onset block."""
-
-    end: int | None
-    """First block after its end; None: it lasts."""
+    rotor: int | None  # Rotor from 0; None: all
+    log_odds: float  # Log odds of all its onsets against no failure
+    begin: int  # Most probable onset block
+    end: int | None  # First block after its end; None: it lasts
 
     change: float
 
@@ -139,17 +132,10 @@ class FailureTiming:
     """A failure with its onset resolved within blocks."""
 
     cause: FailureCause
-    log_odds: float
-    """Log odds of its onsets on the fine grid, one per block on average, against no failure."""
-
-    time: float
-    """Onset [s]."""
-
-    interval: tuple[float, float]
-    """95 % interval [s]."""
-
-    end: float | None
-    """End [s]; None: it lasts."""
+    log_odds: float  # Log odds of its onsets on the fine grid, one per block on average, against no failure
+    time: float  # Onset [s]
+    interval: tuple[float, float]  # 95 % interval [s]
+    end: float | None  # End [s]; None: it lasts
 
     change: float
     std: float

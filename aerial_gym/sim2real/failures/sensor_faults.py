@@ -31,8 +31,7 @@ WINDOW_S = 20.0
 class SensorFault(FlightEvent):
     """A position jump, or a sensor without new values."""
 
-    sensor: str
-    """Field of ``FlightLog``."""
+    sensor: str  # Field of ``FlightLog``
 
     @property
     def finding(self) -> Finding:

@@ -69,12 +69,10 @@ STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])
 class Alarm:
     """A failure or sensor fault with the time of its report."""
 
-    stage: str
-    """suspected: a failure is certain and this is its most probable kind; named: the kind is certain."""
+    stage: str  # suspected: a failure is certain and this is its most probable kind; named: the kind is certain
 
     failure: Failure | SensorFault
-    told_s: float
-    """Time of the report from the first row [s]."""
+    told_s: float  # Time of the report from the first row [s]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""

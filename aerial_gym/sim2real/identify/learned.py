@@ -53,26 +53,16 @@ DIGITS = 6
 class ResidualFit:
     """Result of the training of a learned residual."""
 
-    cfg: LearnedResidualCfg | None
-    """Network for the robot file; None if rejected."""
-
-    objections: tuple[Finding, ...]
-    """Reasons for the rejection; empty if accepted."""
-
-    gain: Gain | None = None
-    """Improvement over the named effects on left-out training flights."""
-
-    decay: float = 0.0
-    """Weight decay with the least error on left-out flights."""
+    cfg: LearnedResidualCfg | None  # Network for the robot file; None if rejected
+    objections: tuple[Finding, ...]  # Reasons for the rejection; empty if accepted
+    gain: Gain | None = None  # Improvement over the named effects on left-out training flights
+    decay: float = 0.0  # Weight decay with the least error on left-out flights
 
     gaps: dict[str, float | None] = field(default_factory=dict)
     """Explained share of each channel's mean square above the noise floor on test flights; None without an excess."""
 
-    rows: int = 0
-    """Number of compared rows of the test flights."""
-
-    rows_outside: int = 0
-    """Number of these rows outside the training data."""
+    rows: int = 0  # Number of compared rows of the test flights
+    rows_outside: int = 0  # Number of these rows outside the training data
 
     @property
     def effect(self) -> LearnedResidual | None:
@@ -162,17 +152,10 @@ def judge_on_test(learned: ResidualFit, predictor: Predictor, params: ModelParam
 class _Layers:
     """A network from standardised inputs to standardised outputs."""
 
-    weights: Tensor
-    """(H, D)."""
-
-    bias: Tensor
-    """(H,)."""
-
-    output: Tensor
-    """(O, H)."""
-
-    offset: Tensor
-    """(O,)."""
+    weights: Tensor  # (H, D)
+    bias: Tensor  # (H,)
+    output: Tensor  # (O, H)
+    offset: Tensor  # (O,)
 
     def __call__(self, inputs: Tensor) -> Tensor:
         """Return the outputs (T, O) for inputs (T, D)."""

@@ -27,20 +27,14 @@ SIGNIFICANT_DIGITS = 6
 class LoopSetup:
     """A declared robot with its training and test flights."""
 
-    stated: RobotCfg
-    """Robot as in its file."""
-
-    robot: RobotCfg
-    """Robot with a battery estimated from the training flights if its file has none."""
-
-    params: ModelParams
-    """Model declared by the file."""
+    stated: RobotCfg  # Robot as in its file
+    robot: RobotCfg  # Robot with a battery estimated from the training flights if its file has none
+    params: ModelParams  # Model declared by the file
 
     train: Predictor
     test: Predictor
 
-    asked_bandwidth: float
-    """Requested bandwidth [Hz]."""
+    asked_bandwidth: float  # Requested bandwidth [Hz]
 
     @property
     def flights(self) -> tuple[Flight, ...]:

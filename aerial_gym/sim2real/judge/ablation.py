@@ -35,24 +35,17 @@ JUDGED_S = (0.5, 1.0)
 class RivalGain:
     """Another effect in the place of an accepted one."""
 
-    label: str
-    """Name of the rival, with its rotor if it acts on one."""
+    label: str  # Name of the rival, with its rotor if it acts on one
 
     name: str
-    channel: str
-    """Channel whose mean square the accepted effect lowers by the largest share."""
-
-    explains: float
-    """Share of that channel's mean square on the training flights that the rival removes."""
-
-    instead_of: float
-    """Share that the accepted effect removes."""
+    channel: str  # Channel whose mean square the accepted effect lowers by the largest share
+    explains: float  # Share of that channel's mean square on the training flights that the rival removes
+    instead_of: float  # Share that the accepted effect removes
 
     log_odds: float
     """Log odds of the best set with the rival and without the named effect, relative to the most probable set."""
 
-    because: Finding
-    """Reason why the rival is not named."""
+    because: Finding  # Reason why the rival is not named
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -63,17 +56,13 @@ class RivalGain:
 class Ablation:
     """Relative rise of the errors of the test flights when one accepted effect is removed."""
 
-    residual: dict[str, Rise]
-    """Rise of the residual (rms) of each channel."""
+    residual: dict[str, Rise]  # Rise of the residual (rms) of each channel
 
     rollout: dict[float, dict[str, Rise]]
     """Rise of the free rollout's errors, by horizon [s] and quantity; empty without velocity in the logs."""
 
-    least: float
-    """Smallest relative rise that is material."""
-
-    rivals: tuple[RivalGain, ...]
-    """The most probable first."""
+    least: float  # Smallest relative rise that is material
+    rivals: tuple[RivalGain, ...]  # The most probable first
 
     octaves: tuple[float, ...] = ()
     """Share of the residual's power that the effect removes in each octave, (O,), in the channel that rises most."""

@@ -37,11 +37,8 @@ class LoopResult:
 
     declared: LoopSetup
     selection: SelectionResult
-    params: ModelParams
-    """The final model, including a learned residual if one was accepted."""
-
-    within: ModelParams
-    """The final model with the deviations within the tolerances that fit the training flights best."""
+    params: ModelParams  # The final model, including a learned residual if one was accepted
+    within: ModelParams  # The final model with the deviations within the tolerances that fit the training flights best
 
     corrected: RobotCfg
     verdict: Verdict

@@ -25,8 +25,7 @@ class VerdictAnswer:
 
     result: tuple[Finding, ...]
     gain: tuple[Finding, ...]
-    open: tuple[Finding, ...]
-    """Results that got worse, that remain, or that stay open."""
+    open: tuple[Finding, ...]  # Results that got worse, that remain, or that stay open
 
     next: tuple[Finding, ...]
 

@@ -35,11 +35,8 @@ class Part:
     unit: str
     before: Rms
     after: Rms
-    floor: float | None
-    """Noise floor (rms) of a channel on this flight; None where it is not known."""
-
-    became: Outcome
-    """Name of the error, and its change on this flight."""
+    floor: float | None  # Noise floor (rms) of a channel on this flight; None where it is not known
+    became: Outcome  # Name of the error, and its change on this flight
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -51,14 +48,12 @@ class Part:
 class Regime:
     """The rows of the test flights in which an effect acts most."""
 
-    channel: str
-    """Channel in which the effect's weighted mean-square contribution is largest."""
+    channel: str  # Channel in which the effect's weighted mean-square contribution is largest
 
     unit: str
     before: Rms
     after: Rms
-    gap_closed: float | None
-    """Share of the mean square above the noise floor that the correction removes in these rows."""
+    gap_closed: float | None  # Share of the mean square above the noise floor that the correction removes in these rows
 
     looks: dict[str, tuple[float, float]]
     """Mean speed [m/s], height [m] and turn rate [rad/s] in these rows, and in the others."""

@@ -11,14 +11,9 @@ from aerial_gym.sim2real.judge.outcome import NOT_SHOWN
 class Decision:
     """Kind of a verdict with its candidates and open points."""
 
-    kind: str
-    """explained, none, not shown, unexplained or ambiguous."""
-
-    candidates: tuple[str, ...]
-    """Named effects and those that fit the flights equally well."""
-
-    findings: tuple[Finding, ...]
-    """Residuals that remain and questions that stay open."""
+    kind: str  # explained, none, not shown, unexplained or ambiguous
+    candidates: tuple[str, ...]  # Named effects and those that fit the flights equally well
+    findings: tuple[Finding, ...]  # Residuals that remain and questions that stay open
 
 
 def decide(

@@ -50,17 +50,10 @@ def doubt_notes(selection: SelectionResult) -> list[Finding]:
 class Left:
     """Sums over the rows of the test flights of a set's residual r and Jacobian J, and its precision in training."""
 
-    square: Array
-    """``r r``, (C,)."""
-
-    gradient: Array
-    """``J r``, (C, K)."""
-
-    product: Array
-    """``J J``, (C, K, K)."""
-
-    precision: Array
-    """A, (K, K)."""
+    square: Array  # ``r r``, (C,)
+    gradient: Array  # ``J r``, (C, K)
+    product: Array  # ``J J``, (C, K, K)
+    precision: Array  # A, (K, K)
 
     def best(self, weight: Array) -> Array:
         """Return the parameter step that fits training and test flights together, (K,)."""

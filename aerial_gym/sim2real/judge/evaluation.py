@@ -26,17 +26,10 @@ class ModelEvaluation:
     """Residuals and rollout errors of one model on the test flights."""
 
     channels: tuple[Channel, ...]
-    residual: tuple[Rms, ...]
-    """Residual (rms) of each channel below the bandwidth of the comparison."""
-
-    floor: tuple[float, ...] | None
-    """Noise floor (rms) of each channel; None where the logs are too slow to tell."""
-
-    rollouts: dict[str, RolloutErrors]
-    """By variant: free, given_attitude."""
-
-    rollout: dict[str, dict[str, dict[float, Rms]]]
-    """Rms by variant, quantity and horizon [s]."""
+    residual: tuple[Rms, ...]  # Residual (rms) of each channel below the bandwidth of the comparison
+    floor: tuple[float, ...] | None  # Noise floor (rms) of each channel; None where the logs are too slow to tell
+    rollouts: dict[str, RolloutErrors]  # By variant: free, given_attitude
+    rollout: dict[str, dict[str, dict[float, Rms]]]  # Rms by variant, quantity and horizon [s]
 
     def gaps_closed(self, before: "ModelEvaluation") -> list[float | None]:
         """Return the share of another model's mean square above the noise floor that this one removes, by channel."""

@@ -25,17 +25,10 @@ NOTHING_NAMED = ("none", NOT_SHOWN)
 class Outcome:
     """Change of one error of the test flights from the declared to the corrected model."""
 
-    quantity: str
-    """Channel, or variant and quantity of a rollout: ``free.velocity``."""
-
-    horizon: float | None = None
-    """Horizon of a rollout [s]; None for a channel."""
-
-    rise: Rise
-    """Relative change of its rms with the 95 % interval over flights."""
-
-    least: float
-    """Smallest relative change that is material."""
+    quantity: str  # Channel, or variant and quantity of a rollout: ``free.velocity``
+    horizon: float | None = None  # Horizon of a rollout [s]; None for a channel
+    rise: Rise  # Relative change of its rms with the 95 % interval over flights
+    least: float  # Smallest relative change that is material
 
     @property
     def name(self) -> str:

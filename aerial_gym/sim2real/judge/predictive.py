@@ -128,8 +128,7 @@ def quantile_of_squares(
 class ResidualCriterion:
     """The unexplained channels of the test flights, and the residual that would count as explained."""
 
-    remaining: Flags
-    """Whether each channel is unexplained, (C,)."""
+    remaining: Flags  # Whether each channel is unexplained, (C,)
 
     enough: Callable[[Array], Flags]
     """Whether an rms of each channel, (C,), is near the noise floor or within the tolerances, (C,)."""

@@ -31,14 +31,9 @@ TOLERATED = 0.5
 class ResidualExcess:
     """The test residual of the final model, sorted by its possible origin."""
 
-    within: ModelParams
-    """The final model with the deviations within the tolerances that fit best."""
-
-    left: list[Array]
-    """Residuals of each test flight with these deviations, (T, C)."""
-
-    channels: tuple[str, ...]
-    """Unexplained channels: the residual exceeds noise and the uncertainty of the parameters."""
+    within: ModelParams  # The final model with the deviations within the tolerances that fit best
+    left: list[Array]  # Residuals of each test flight with these deviations, (T, C)
+    channels: tuple[str, ...]  # Unexplained channels: the residual exceeds noise and the uncertainty of the parameters
 
     left_open: tuple[str, ...]
     """Channels whose residual exceeds noise, but not the parameter uncertainty that training leaves."""
@@ -49,8 +44,7 @@ class ResidualExcess:
     open_to: tuple[str, ...]
     """Effects that would explain the residual in ``channels`` and that training flights do not rule out."""
 
-    floor: Array | None
-    """Noise floor of each channel, random wind included, (C,); None where the logs show none."""
+    floor: Array | None  # Noise floor of each channel, random wind included, (C,); None where the logs show none
 
     wind: RandomWind
     structure: Structure

@@ -37,29 +37,20 @@ class NamedEffect:
     """An accepted effect with its parameters, certainty, ablation and rivals."""
 
     name: str
-    params: dict[str, float]
-    """Fitted values as in a robot file, not changes from the declared ones."""
+    params: dict[str, float]  # Fitted values as in a robot file, not changes from the declared ones
 
     std: dict[str, float]
     """Half width of the 95 % interval divided by 1.96; includes the small number of flights and the tolerances."""
 
-    noise_std: dict[str, float]
-    """The part of ``std`` that more flights would make smaller."""
-
-    frozen: tuple[str, ...]
-    """Parameters that these flights do not show; they keep their neutral value."""
-
-    confidence: float
-    """Posterior inclusion probability: that of all sets which contain the effect."""
+    noise_std: dict[str, float]  # The part of ``std`` that more flights would make smaller
+    frozen: tuple[str, ...]  # Parameters that these flights do not show; they keep their neutral value
+    confidence: float  # Posterior inclusion probability: that of all sets which contain the effect
 
     ablation: Ablation | None = None
     """Rise of the errors without it, and its rivals; None for gusts and failures, which the selection does not compare."""
 
-    regime: Regime | None = None
-    """Errors of both models in the rows in which it acts most; None for gusts and failures."""
-
-    ties: tuple[str, ...] = ()
-    """Effects that explain the flights equally well in its place."""
+    regime: Regime | None = None  # Errors of both models in the rows in which it acts most; None for gusts and failures
+    ties: tuple[str, ...] = ()  # Effects that explain the flights equally well in its place
 
     in_part: tuple[RivalInPart, ...] = ()
     """Effects that explain the flights equally well in place of one of its parameters."""
@@ -67,11 +58,8 @@ class NamedEffect:
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
     """Correlation of a parameter with those before it, by ``name.parameter``."""
 
-    declared: dict[str, float] = field(default_factory=dict)
-    """Parameters in the declared robot file, or neutral ones."""
-
-    place: str = ""
-    """Place of its rotor on the vehicle, such as ``front left``."""
+    declared: dict[str, float] = field(default_factory=dict)  # Parameters in the declared robot file, or neutral ones
+    place: str = ""  # Place of its rotor on the vehicle, such as ``front left``
 
     @property
     def finding(self) -> Finding:

@@ -33,11 +33,8 @@ WHITE = 0.01
 class Whiteness:
     """Distribution of a residual's power over frequency, with a test against white noise."""
 
-    probability: float
-    """P-value: the probability that white noise is distributed as unevenly."""
-
-    octaves: tuple[float, ...]
-    """Power in each octave divided by that of white noise with the same total power, (O,)."""
+    probability: float  # P-value: the probability that white noise is distributed as unevenly
+    octaves: tuple[float, ...]  # Power in each octave divided by that of white noise with the same total power, (O,)
 
     @property
     def white(self) -> bool:

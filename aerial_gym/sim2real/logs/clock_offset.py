@@ -41,8 +41,7 @@ class ClockOffset:
     """Lead of the rotor log over the other sensors."""
 
     rows: float = 0.0
-    std: float = 0.0
-    """Standard deviation [rows]."""
+    std: float = 0.0  # Standard deviation [rows]
 
     def is_a_clock(self, rate: float, odds: float = 1.0) -> bool:
         """Return whether a clock offset is more probable, by ``odds``, than two delayed sensors; ``rate`` in Hz.
@@ -59,14 +58,12 @@ class ClockOffset:
 class OffsetCurve:
     """Residual of the accelerometer against the rotor log as a function of the clock offset."""
 
-    rate: float
-    """Rows per second [Hz]."""
+    rate: float  # Rows per second [Hz]
 
     left: Array
     """Unexplained share of the specific force along z at offsets -N..N [rows], (2 N + 1,); empty if too short."""
 
-    samples: float
-    """Number of independent samples n."""
+    samples: float  # Number of independent samples n
 
     @property
     def offset(self) -> ClockOffset:

@@ -42,23 +42,15 @@ FEWEST_HIGH = 10
 class Flight(Recording):
     """A flight at equal time steps from 0 s, with unit quaternions of continuous sign."""
 
-    name: str
-    """Short name, unique among the flights of one run."""
-
-    rate: float
-    """Rows per second [Hz]."""
-
-    ang_vel: Array
-    """[rad/s], body, (T, 3)."""
+    name: str  # Short name, unique among the flights of one run
+    rate: float  # Rows per second [Hz]
+    ang_vel: Array  # [rad/s], body, (T, 3)
 
     gyro: bool
     """Whether ``ang_vel`` was measured and the rotor torques are known; otherwise angular acceleration is no channel."""
 
-    accelerometer: bool
-    """Whether ``specific_force`` was measured; if not, it was derived from the velocity."""
-
-    on_ground: Flags | None = None
-    """Rows on the ground, excluded from comparisons, (T,); None if there are none."""
+    accelerometer: bool  # Whether ``specific_force`` was measured; if not, it was derived from the velocity
+    on_ground: Flags | None = None  # Rows on the ground, excluded from comparisons, (T,); None if there are none
 
     @property
     def num_rows(self) -> int:

@@ -19,11 +19,8 @@ class Inputs:
     train: list[Flight]
     test: list[Flight]
 
-    left_out: tuple[Finding, ...]
-    """One finding for each rejected log."""
-
-    digests: dict[str, str]
-    """SHA-256 of every file by its path, rejected ones included."""
+    left_out: tuple[Finding, ...]  # One finding for each rejected log
+    digests: dict[str, str]  # SHA-256 of every file by its path, rejected ones included
 
 
 def read_inputs(

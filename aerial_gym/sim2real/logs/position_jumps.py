@@ -50,11 +50,8 @@ MAD = 1.4826
 class Offset:
     """Total displacement of a position by the jumps so far."""
 
-    size: Array = field(default_factory=lambda: np.zeros(3))
-    """[m], world, (3,)."""
-
-    variance: Array = field(default_factory=lambda: np.zeros(3))
-    """[m²], (3,)."""
+    size: Array = field(default_factory=lambda: np.zeros(3))  # [m], world, (3,)
+    variance: Array = field(default_factory=lambda: np.zeros(3))  # [m²], (3,)
 
     def and_then(self, jump: "PositionJump") -> "Offset":
         """Return the offset after one more jump."""
@@ -70,17 +67,10 @@ class Offset:
 class PositionJump:
     """A step of the position within at most ``HALF_S``."""
 
-    first: int
-    """First row after its beginning."""
-
-    last: int
-    """First row after its end."""
-
-    size: Array
-    """[m], world, (3,)."""
-
-    std: Array
-    """[m], (3,)."""
+    first: int  # First row after its beginning
+    last: int  # First row after its end
+    size: Array  # [m], world, (3,)
+    std: Array  # [m], (3,)
 
     def and_then(self, other: "PositionJump") -> "PositionJump":
         """Return the sum of both jumps as one."""

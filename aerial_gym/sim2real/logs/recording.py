@@ -28,50 +28,24 @@ LONGEST_GAP_S = 0.1
 class Recording:
     """Common data of a log and its flight, in world ENU, body FLU and SI units; None: not measured."""
 
-    path: str
-    """File name for messages and reports."""
-
-    time: Array
-    """[s], increasing, (T,)."""
-
-    attitude: Array
-    """Body to world, xyzw, (T, 4)."""
-
-    position: Array | None = None
-    """Body origin [m], world, (T, 3)."""
-
-    lin_vel: Array | None = None
-    """Velocity of the body origin [m/s], world, (T, 3)."""
-
-    specific_force: Array | None = None
-    """Specific force at the body origin [m/s²], body, (T, 3): +9.81 on z at hover."""
-
-    rotor_speed: Array | None = None
-    """Measured [rad/s], (T, R); None for rotors in force mode."""
-
-    rotor_command: Array | None = None
-    """Commanded speeds from each row on [rad/s], in force mode thrusts [N], (T, R)."""
-
-    battery: Array | None = None
-    """Voltage [V], (T,)."""
-
-    attitude_integrated: bool = False
-    """Whether the attitude is the integrated gyro, and so no independent measurement."""
+    path: str  # File name for messages and reports
+    time: Array  # [s], increasing, (T,)
+    attitude: Array  # Body to world, xyzw, (T, 4)
+    position: Array | None = None  # Body origin [m], world, (T, 3)
+    lin_vel: Array | None = None  # Velocity of the body origin [m/s], world, (T, 3)
+    specific_force: Array | None = None  # Specific force at the body origin [m/s²], body, (T, 3): +9.81 on z at hover
+    rotor_speed: Array | None = None  # Measured [rad/s], (T, R); None for rotors in force mode
+    rotor_command: Array | None = None  # Commanded speeds from each row on [rad/s], in force mode thrusts [N], (T, R)
+    battery: Array | None = None  # Voltage [V], (T,)
+    attitude_integrated: bool = False  # Whether the attitude is the integrated gyro, and so no independent measurement
 
     other_position: Array | None = None
     """Body origin of another vehicle in the same flight [m], world, (T, 3); NaN where unknown."""
 
-    ground_height: float = 0.0
-    """World z of the ground [m]."""
-
-    ceiling_height: float | None = None
-    """World z of the ceiling [m]; None if unknown."""
-
-    wind: tuple[float, float, float] | None = None
-    """Known steady wind [m/s], world; None: still air is assumed."""
-
-    notes: tuple[Finding, ...] = ()
-    """Repairs and defects of the log, without subject."""
+    ground_height: float = 0.0  # World z of the ground [m]
+    ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
+    wind: tuple[float, float, float] | None = None  # Known steady wind [m/s], world; None: still air is assumed
+    notes: tuple[Finding, ...] = ()  # Repairs and defects of the log, without subject
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,11 +40,8 @@ REGULAR = 0.8
 class SampleRepeats:
     """Measured rows and repeated rows of one sensor."""
 
-    fresh: Indices
-    """Rows with a new value, including the first."""
-
-    num_rows: int
-    """Number of rows T."""
+    fresh: Indices  # Rows with a new value, including the first
+    num_rows: int  # Number of rows T
 
     @property
     def share(self) -> float:
@@ -63,14 +60,9 @@ class SampleRepeats:
 class SensorFreeze:
     """A sensor that repeats one value in motion."""
 
-    name: str
-    """Field of ``FlightLog``."""
-
-    row: int
-    """First row with that value."""
-
-    seconds: float
-    """Duration [s]."""
+    name: str  # Field of ``FlightLog``
+    row: int  # First row with that value
+    seconds: float  # Duration [s]
 
 
 def find_repeated_samples(values: Array, moving: Flags) -> SampleRepeats:

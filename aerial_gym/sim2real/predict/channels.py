@@ -24,11 +24,8 @@ KINEMATIC = ("kinematic_force", "kinematic_rate")
 class Channel:
     """One compared quantity."""
 
-    kind: str
-    """specific_force, angular_acceleration, rotor_speed, kinematic_force or kinematic_rate."""
-
-    axis: str
-    """x, y, z, or the number of the rotor."""
+    kind: str  # specific_force, angular_acceleration, rotor_speed, kinematic_force or kinematic_rate
+    axis: str  # x, y, z, or the number of the rotor
 
     @property
     def unit(self) -> str:

@@ -25,8 +25,7 @@ class ModelParams:
     deviation: Array | None = None
     """Deviations in standard deviations of the tolerances, (N,); None: exactly as declared."""
 
-    learned: LearnedResidual | None = None
-    """Learned residual beyond the effects; None without one."""
+    learned: LearnedResidual | None = None  # Learned residual beyond the effects; None without one
 
     def with_effect(self, name: str, params: Array) -> "ModelParams":
         """Return the parameters with one effect added or replaced."""

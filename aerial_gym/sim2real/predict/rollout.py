@@ -59,20 +59,14 @@ class RolloutErrors:
     """Errors of rollouts at each horizon, at most ``FARTHEST``, one row per window."""
 
     windows: RolloutWindows
-    horizons: tuple[float, ...]
-    """[s]."""
-
-    position: Array | None
-    """[m], (W, horizons); None if the log has no position."""
-
-    velocity: Array | None
-    """[m/s], (W, horizons)."""
+    horizons: tuple[float, ...]  # [s]
+    position: Array | None  # [m], (W, horizons); None if the log has no position
+    velocity: Array | None  # [m/s], (W, horizons)
 
     attitude: Array | None
     """Rotation angle between rollout and flight [rad], (W, horizons); None with prescribed attitude."""
 
-    driven_by: str
-    """Input of the rotors: commands or measured rotor speeds."""
+    driven_by: str  # Input of the rotors: commands or measured rotor speeds
 
 
 @torch.inference_mode()

@@ -43,26 +43,13 @@ STRAINED = 3.0
 class Tolerances:
     """Standard deviations of declared values, > 0."""
 
-    mass: float = 0.003
-    """Relative; by a kitchen scale, with battery."""
-
-    thrust: float = 0.004
-    """Relative, independent per rotor; thrust and drag torque of propellers of one type."""
-
-    inertia: float = 0.02
-    """Relative, independent per axis; by a swing test or computed from parts."""
-
-    time_constant: float = 0.03
-    """Relative, common to all rotors; by a step on a test stand."""
-
-    com: float = 0.0003
-    """Per axis [m]; by balancing."""
-
-    acc_bias: float = 0.02
-    """Accelerometer bias per axis [m/s²]."""
-
-    gyro_bias: float = 0.002
-    """Gyro bias per axis [rad/s]."""
+    mass: float = 0.003  # Relative; by a kitchen scale, with battery
+    thrust: float = 0.004  # Relative, independent per rotor; thrust and drag torque of propellers of one type
+    inertia: float = 0.02  # Relative, independent per axis; by a swing test or computed from parts
+    time_constant: float = 0.03  # Relative, common to all rotors; by a step on a test stand
+    com: float = 0.0003  # Per axis [m]; by balancing
+    acc_bias: float = 0.02  # Accelerometer bias per axis [m/s²]
+    gyro_bias: float = 0.002  # Gyro bias per axis [rad/s]
 
     acc_of_flight: float = 0.1
     """Largest accelerometer bias of a single flight, per axis [m/s²]; warming up changes it by some 10 mg."""
@@ -79,20 +66,14 @@ class Tolerances:
     Filters, telemetry and motion capture take milliseconds that no log states. Commands are the reference.
     """
 
-    acc_scale: float = 0.005
-    """Relative accelerometer scale per axis, after a calibration on six sides or at rest."""
-
-    imu_place: float = 0.005
-    """Accelerometer position relative to the body origin, per axis [m]."""
-
-    nominal_voltage: float = 0.003
-    """Relative; battery voltage at which rotors reach the commanded speed."""
+    acc_scale: float = 0.005  # Relative accelerometer scale per axis, after a calibration on six sides or at rest
+    imu_place: float = 0.005  # Accelerometer position relative to the body origin, per axis [m]
+    nominal_voltage: float = 0.003  # Relative; battery voltage at which rotors reach the commanded speed
 
     command_hold: float = 0.3
     """Shift of the effective command towards the next row, in rows: autopilots are faster than logs."""
 
-    joint_rest: float = 0.3
-    """Initial deviation of soft arms from rest, as a share of their hover angle."""
+    joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
 
     def __post_init__(self) -> None:
         require_positive(self, *(field.name for field in fields(self)))
@@ -155,14 +136,9 @@ def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehi
 class VehicleDeviation:
     """Vehicle and replay settings with deviations within the tolerances."""
 
-    vehicle: Vehicle
-    """One environment."""
-
-    command_shift: float
-    """Shift of the effective command towards the next row, in rows."""
-
-    joint_start: float
-    """Initial angle of soft arms as a share of their rest angle."""
+    vehicle: Vehicle  # One environment
+    command_shift: float  # Shift of the effective command towards the next row, in rows
+    joint_start: float  # Initial angle of soft arms as a share of their rest angle
 
 
 def apply_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleDeviation:
@@ -181,29 +157,17 @@ def apply_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Array 
 class SensorDeviation:
     """Sensor errors of a vehicle's log for given deviations."""
 
-    acc_bias: Tensor
-    """[m/s²], body, (3,)."""
-
-    gyro_bias: Tensor
-    """[rad/s], body, (3,)."""
-
-    acc_scale: Tensor
-    """Relative, (3,)."""
-
-    imu_place: Tensor
-    """Accelerometer position relative to the body origin [m], body, (3,)."""
-
-    rotor_motion: Tensor
-    """Deviation of the motion in each rotor mode, in its standard deviations, (R,)."""
+    acc_bias: Tensor  # [m/s²], body, (3,)
+    gyro_bias: Tensor  # [rad/s], body, (3,)
+    acc_scale: Tensor  # Relative, (3,)
+    imu_place: Tensor  # Accelerometer position relative to the body origin [m], body, (3,)
+    rotor_motion: Tensor  # Deviation of the motion in each rotor mode, in its standard deviations, (R,)
 
     answered_noise: Tensor
     """Deviation of the noise correlated with torque about each axis, in its standard deviations, (3,)."""
 
-    attitude: Tensor
-    """Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)."""
-
-    delays: Tensor
-    """Delays of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)."""
+    attitude: Tensor  # Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)
+    delays: Tensor  # Delays of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)
 
     @property
     def turn(self) -> Tensor:

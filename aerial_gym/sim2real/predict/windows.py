@@ -35,14 +35,9 @@ CLUSTER_S = 4.0
 class RolloutWindows:
     """Starts of rollouts."""
 
-    flight: Indices
-    """Index of the flight, (W,)."""
-
-    row: Indices
-    """Row of the log, (W,)."""
-
-    cluster: Indices
-    """Cluster of each window, whose members overlap or follow each other, (W,)."""
+    flight: Indices  # Index of the flight, (W,)
+    row: Indices  # Row of the log, (W,)
+    cluster: Indices  # Cluster of each window, whose members overlap or follow each other, (W,)
 
 
 def find_windows(

@@ -34,12 +34,10 @@ class Mark:
 
     x: Array
     y: Array
-    together: int
-    """Points per stroke: all for a line, four for a bar, two for an error bar, one for a dot."""
+    together: int  # Points per stroke: all for a line, four for a bar, two for an error bar, one for a dot
 
     colour: str
-    width: float = 0.8
-    """[pt]"""
+    width: float = 0.8  # [pt]
 
     alpha: float = 1.0
     dashed: bool = False
@@ -51,26 +49,16 @@ class Mark:
 class Panel:
     """A frame with axes and marks."""
 
-    place: tuple[float, float, float, float]
-    """Left, top, width and height."""
+    place: tuple[float, float, float, float]  # Left, top, width and height
 
     x_label: str = ""
     y_label: str = ""
     title: str = ""
-    log: bool = False
-    """Whether the vertical axis is logarithmic."""
-
-    numbered: bool = True
-    """Whether the horizontal axis has numbers."""
-
-    names: Sequence[str] = ()
-    """Category names at 0, 1, 2 ... instead of numbers."""
-
-    boxed: bool = False
-    """Whether the panel has a legend."""
-
-    levels: list[float] = field(default_factory=list)
-    """Heights of thin horizontal lines."""
+    log: bool = False  # Whether the vertical axis is logarithmic
+    numbered: bool = True  # Whether the horizontal axis has numbers
+    names: Sequence[str] = ()  # Category names at 0, 1, 2 ... instead of numbers.
+    boxed: bool = False  # Whether the panel has a legend
+    levels: list[float] = field(default_factory=list)  # Heights of thin horizontal lines
 
     marks: list[Mark] = field(default_factory=list)
 
@@ -167,15 +155,11 @@ class Figure:
     """Panels under a title."""
 
     title: str
-    size: tuple[float, float]
-    """Width and height."""
+    size: tuple[float, float]  # Width and height
 
     columns: list[list[Panel]]
-    shared: bool
-    """Whether the panels of a column share a horizontal axis."""
-
-    legend: Sequence[Mark] = ()
-    """Marks in the legend above all panels."""
+    shared: bool  # Whether the panels of a column share a horizontal axis
+    legend: Sequence[Mark] = ()  # Marks in the legend above all panels
 
     def svg(self) -> str:
         """Return the figure as SVG; empty panels stay blank."""

@@ -39,17 +39,10 @@ class Cloud:
     """Information of one channel about a parameter."""
 
     channel: Channel
-    adds: Array
-    """Weighted contribution of one scale of the parameter, (S,)."""
-
-    beyond: Array
-    """Weighted residual without the parameter, (S,)."""
-
-    alone: float
-    """Parameter value from this channel alone."""
-
-    std: float
-    """Standard deviation of that value, from the scatter of time blocks."""
+    adds: Array  # Weighted contribution of one scale of the parameter, (S,)
+    beyond: Array  # Weighted residual without the parameter, (S,)
+    alone: float  # Parameter value from this channel alone
+    std: float  # Standard deviation of that value, from the scatter of time blocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,8 +54,7 @@ class ParameterEvidence:
     scale: float
     neutral: float
     fitted: float
-    clouds: tuple[Cloud, ...]
-    """All channels, the most informative first."""
+    clouds: tuple[Cloud, ...]  # All channels, the most informative first
 
     @property
     def informative_channels(self) -> tuple[tuple[Cloud, float], ...]:

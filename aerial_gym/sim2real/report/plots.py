@@ -36,17 +36,10 @@ class ResidualPart:
     """Residual of one channel in one flight under the corrected model."""
 
     flight: Flight
-    time: Array
-    """[s], (T,)."""
-
-    values: Array
-    """Residual in body axes, (T,)."""
-
-    world: Array
-    """Residual in world axes for a force, else the same, (T,)."""
-
-    quantities: dict[str, Array]
-    """Quantities on the horizontal axes, (T,) each."""
+    time: Array  # [s], (T,)
+    values: Array  # Residual in body axes, (T,)
+    world: Array  # Residual in world axes for a force, else the same, (T,)
+    quantities: dict[str, Array]  # Quantities on the horizontal axes, (T,) each
 
 
 def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -> str:

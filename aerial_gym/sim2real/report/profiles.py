@@ -37,17 +37,10 @@ FEWEST_ROWS = 5
 class Profile:
     """The mean residual of every channel over bins of one quantity."""
 
-    against: str
-    """Quantity and unit."""
-
-    edges: Array
-    """Bin edges, (B + 1,)."""
-
-    middle: Array
-    """Mean of the quantity in each bin, (B,)."""
-
-    residual: dict[str, BinMeans]
-    """Mean residuals by model."""
+    against: str  # Quantity and unit
+    edges: Array  # Bin edges, (B + 1,)
+    middle: Array  # Mean of the quantity in each bin, (B,)
+    residual: dict[str, BinMeans]  # Mean residuals by model
 
 
 def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) -> dict[str, Array]:

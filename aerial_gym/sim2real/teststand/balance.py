@@ -36,12 +36,10 @@ class HoverEffort:
     """Mean effort of the rotors in one hover."""
 
     name: str
-    effort: Array
-    """Mean squared speed of each rotor, in the log's unit, (R,)."""
+    effort: Array  # Mean squared speed of each rotor, in the log's unit, (R,)
 
     windows: int
-    voltage: float | None
-    """Mean battery voltage [V]."""
+    voltage: float | None  # Mean battery voltage [V]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON, without the effort, which the shares contain."""
@@ -89,17 +87,13 @@ class CauseFit:
     cause: BalanceCause
     fit: ScatterFit
     params: dict[str, Estimate]
-    probability: float = 0.0
-    """Posterior probability from all logs of the condition."""
+    probability: float = 0.0  # Posterior probability from all logs of the condition
 
     place: tuple[Estimate, Estimate] | None = None
     """Position x, y of a payload relative to the declared centre of mass [m]; None if its mass may be 0."""
 
-    judged: float | None = None
-    """P-value of the prediction errors on left-out logs; None without such logs."""
-
-    held_out: float | None = None
-    """RMS over rotors of the relative error of predicted effort in left-out logs."""
+    judged: float | None = None  # P-value of the prediction errors on left-out logs; None without such logs
+    held_out: float | None = None  # RMS over rotors of the relative error of predicted effort in left-out logs
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -130,32 +124,18 @@ class Change:
 class Balance:
     """Change of the efforts at hover, and its possible causes."""
 
-    verdict: str
-    """explained, none, ambiguous or unexplained."""
-
-    candidates: tuple[str, ...]
-    """Possible causes."""
-
-    tell_apart: tuple[Finding, ...]
-    """Experiments that distinguish the candidates."""
-
-    fits: tuple[CauseFit, ...]
-    """Fits of all causes; empty if there are too few repeats for a test."""
+    verdict: str  # explained, none, ambiguous or unexplained
+    candidates: tuple[str, ...]  # Possible causes
+    tell_apart: tuple[Finding, ...]  # Experiments that distinguish the candidates
+    fits: tuple[CauseFit, ...]  # Fits of all causes; empty if there are too few repeats for a test
 
     baseline: tuple[HoverEffort, ...]
     flights: tuple[HoverEffort, ...]
     test: tuple[HoverEffort, ...]
-    shares: tuple[Change, ...]
-    """Share of each rotor in the total effort."""
-
-    total: Change
-    """Total effort in the log's unit; its change is relative."""
-
-    freedom: int
-    """Degrees of freedom of the scatter: repeats minus conditions."""
-
-    scatter: Array
-    """Relative standard deviation of each rotor's effort between logs of one condition, (R,)."""
+    shares: tuple[Change, ...]  # Share of each rotor in the total effort
+    total: Change  # Total effort in the log's unit; its change is relative
+    freedom: int  # Degrees of freedom of the scatter: repeats minus conditions
+    scatter: Array  # Relative standard deviation of each rotor's effort between logs of one condition, (R,)
 
     notes: tuple[Finding, ...] = ()
 

@@ -24,17 +24,10 @@ class BalanceCause:
     """A candidate cause: it multiplies the baseline effort of each rotor by ``1 + columns params``."""
 
     name: str
-    columns: Array = field(repr=False)
-    """Linear effect of the parameters on the efforts, (R, P)."""
-
-    physical: Callable[[Array], dict[str, float]] = field(repr=False)
-    """Function from fitted to physical parameters."""
-
-    kind: str
-    """Class of cause: none, weight, propeller or other."""
-
-    motor: int | None = None
-    """Affected rotor from 1; None: all."""
+    columns: Array = field(repr=False)  # Linear effect of the parameters on the efforts, (R, P)
+    physical: Callable[[Array], dict[str, float]] = field(repr=False)  # Function from fitted to physical parameters
+    kind: str  # Class of cause: none, weight, propeller or other
+    motor: int | None = None  # Affected rotor from 1; None: all
 
     @property
     def part(self) -> str:
@@ -46,17 +39,10 @@ class BalanceCause:
 class ThrustLayout:
     """Thrusts in balance, relative to weight."""
 
-    carried: Array
-    """Share of the weight carried by each rotor as declared, (R,)."""
-
-    shift: Array
-    """Relative change per metre of centre-of-mass shift along x and y, (R, 2)."""
-
-    twist: Array
-    """Relative change per unit of ``sum(spin thrust)``, (R,)."""
-
-    spin: Array
-    """Spin of each rotor, (R,)."""
+    carried: Array  # Share of the weight carried by each rotor as declared, (R,)
+    shift: Array  # Relative change per metre of centre-of-mass shift along x and y, (R, 2)
+    twist: Array  # Relative change per unit of ``sum(spin thrust)``, (R,)
+    spin: Array  # Spin of each rotor, (R,)
 
 
 def thrust_layout(robot: RobotCfg) -> ThrustLayout:

@@ -46,14 +46,12 @@ class HoverModel:
     """One candidate thrust map."""
 
     name: str
-    thrust_map: tuple[float, float, float]
-    """c0, c1, c2 [N], [N s/rad], [N s²/rad²]."""
+    thrust_map: tuple[float, float, float]  # c0, c1, c2 [N], [N s/rad], [N s²/rad²]
 
     held_out: Array = field(repr=False)
     """Measured minus predicted thrust over mass [m/s²], from fits without that flight or fold, (W,)."""
 
-    error: Rms
-    """RMS held-out error, with its interval over flights or folds."""
+    error: Rms  # RMS held-out error, with its interval over flights or folds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,22 +59,14 @@ class HoverFit:
     """Thrust coefficient, and the scale of the declared thrust map."""
 
     mass: float
-    thrust_coefficient: Estimate
-    """[N s²/rad²]."""
-
-    scale: Estimate | None
-    """Factor of the declared thrust map; None without one."""
-
-    by_flight: dict[str, float]
-    """Thrust coefficient of each flight."""
+    thrust_coefficient: Estimate  # [N s²/rad²]
+    scale: Estimate | None  # Factor of the declared thrust map; None without one
+    by_flight: dict[str, float]  # Thrust coefficient of each flight
 
     models: dict[str, HoverModel]
     chosen: str
-    square_sum: Array = field(repr=False)
-    """Sum of squared speeds [rad²/s²], (W,)."""
-
-    force: Array = field(repr=False)
-    """Thrust over mass [m/s²], (W,)."""
+    square_sum: Array = field(repr=False)  # Sum of squared speeds [rad²/s²], (W,)
+    force: Array = field(repr=False)  # Thrust over mass [m/s²], (W,)
 
     notes: tuple[Finding, ...] = ()
 
@@ -133,14 +123,9 @@ class HoverWindows:
     """Means over the hover windows of one flight."""
 
     name: str
-    moments: Array
-    """Sums over rotors of 1, w, w², averaged over each window, (W, 3)."""
-
-    force: Array
-    """Thrust over mass [m/s²], (W,)."""
-
-    from_gravity: bool
-    """Whether the thrust is g over the cosine of tilt, without an accelerometer."""
+    moments: Array  # Sums over rotors of 1, w, w², averaged over each window, (W, 3)
+    force: Array  # Thrust over mass [m/s²], (W,)
+    from_gravity: bool  # Whether the thrust is g over the cosine of tilt, without an accelerometer
 
 
 def hover_windows(log: FlightLog) -> HoverWindows:

@@ -17,11 +17,8 @@ from aerial_gym.sim2real.teststand.statistics import Estimate
 class Scatter:
     """Covariance of repeats under one condition."""
 
-    squares: Array
-    """Sums of squares and products about the group means, (K, K)."""
-
-    freedom: int
-    """Degrees of freedom: repeats minus groups."""
+    squares: Array  # Sums of squares and products about the group means, (K, K)
+    freedom: int  # Degrees of freedom: repeats minus groups
 
     @property
     def std(self) -> Array:
@@ -54,18 +51,12 @@ def pool_scatter(groups: Sequence[Array]) -> Scatter:
 class ScatterFit:
     """Linear model of rows with correlated scatter."""
 
-    params: Array
-    """Parameters, (P,)."""
-
-    covariance: Array
-    """Covariance for Student's t with ``freedom``, (P, P)."""
+    params: Array  # Parameters, (P,)
+    covariance: Array  # Covariance for Student's t with ``freedom``, (P, P)
 
     freedom: int
-    misfit: float
-    """P-value of the residual under scatter alone."""
-
-    spread: Array = field(repr=False)
-    """Covariance of the fitted rows if each row has that of one repeat, (K, K)."""
+    misfit: float  # P-value of the residual under scatter alone
+    spread: Array = field(repr=False)  # Covariance of the fitted rows if each row has that of one repeat, (K, K)
 
     def ratio(self, upper: int, lower: int) -> Estimate | None:
         """Return the ratio of two parameters with its 95 % interval; None if the divisor may be 0.

@@ -45,14 +45,9 @@ class MapFit:
     """Fit of one candidate map."""
 
     name: str
-    coefficients: dict[str, Estimate]
-    """Coefficients by name: c2 [.. s²/rad²], c1, c0, c3; or ratio [m]."""
-
-    fit_rms: float
-    """RMS residual of the fit."""
-
-    held_out: Array
-    """Measured minus predicted, from fits without that row, (T,)."""
+    coefficients: dict[str, Estimate]  # Coefficients by name: c2 [.. s²/rad²], c1, c0, c3; or ratio [m].
+    fit_rms: float  # RMS residual of the fit
+    held_out: Array  # Measured minus predicted, from fits without that row, (T,)
 
     @property
     def held_out_rms(self) -> float:
@@ -77,8 +72,7 @@ class Choice:
     candidates: dict[str, MapFit]
     chosen: str
 
-    nested: Array
-    """Nested cross-validation errors, with the map selected again without that row, (T,)."""
+    nested: Array  # Nested cross-validation errors, with the map selected again without that row, (T,)
 
     @property
     def best(self) -> MapFit:
@@ -110,25 +104,18 @@ class StaticFit:
     """Rotor maps from one static test."""
 
     name: str
-    speed: Array
-    """[rad/s], (T,)."""
-
-    thrust: Array
-    """[N], (T,)."""
-
-    torque: Array | None
-    """[N m], (T,)."""
+    speed: Array  # [rad/s], (T,)
+    thrust: Array  # [N], (T,)
+    torque: Array | None  # [N m], (T,)
 
     thrust_map: Choice
     torque_map: Choice | None
 
-    torque_ratio: Estimate | None
-    """Torque over thrust [m]."""
+    torque_ratio: Estimate | None  # Torque over thrust [m]
 
     notes: tuple[Finding, ...]
 
-    reverse: "StaticFit | None" = None
-    """Maps of reverse rotation, with signs of speed, thrust and torque inverted."""
+    reverse: "StaticFit | None" = None  # Maps of reverse rotation, with signs of speed, thrust and torque inverted
 
     @property
     def thrust_coefficient(self) -> Estimate:

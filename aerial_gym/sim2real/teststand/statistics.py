@@ -145,14 +145,9 @@ def _unit(white: Array) -> Array:
 class CurveFit:
     """Fit of a curve to rows in time order."""
 
-    params: Array
-    """Parameters, (K,)."""
-
-    residual: Array
-    """Measured minus fitted, (N,)."""
-
-    covariance: Array
-    """Covariance of the parameters, (K, K)."""
+    params: Array  # Parameters, (K,)
+    residual: Array  # Measured minus fitted, (N,)
+    covariance: Array  # Covariance of the parameters, (K, K)
 
     def estimates(self) -> list[Estimate]:
         """Return the parameters with 95 % intervals."""

@@ -61,17 +61,10 @@ class StepRecord:
     """Record with piecewise constant commands."""
 
     path: str
-    time: Array
-    """[s], (T,)."""
-
-    command: Array
-    """[rad/s], (T,)."""
-
-    measured: Array
-    """[rad/s], (T,)."""
-
-    starts: Indices
-    """First row of each step, with T at the end."""
+    time: Array  # [s], (T,)
+    command: Array  # [rad/s], (T,)
+    measured: Array  # [rad/s], (T,)
+    starts: Indices  # First row of each step, with T at the end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,14 +74,9 @@ class StepLawFit:
     name: str
     params: dict[str, Estimate]
     fit_rms: float
-    held_out: Array
-    """Measured minus predicted, from fits without that step, (T of all records,)."""
-
-    step: Indices = field(repr=False)
-    """Step number of each row, (T of all records,)."""
-
-    residual: Array = field(repr=False)
-    """Residual of the fit to all steps, (T of all records,)."""
+    held_out: Array  # Measured minus predicted, from fits without that step, (T of all records,)
+    step: Indices = field(repr=False)  # Step number of each row, (T of all records,)
+    residual: Array = field(repr=False)  # Residual of the fit to all steps, (T of all records,)
 
     @property
     def error(self) -> Rms:
@@ -112,8 +100,7 @@ class StepFit:
     records: tuple[StepRecord, ...]
     laws: dict[str, StepLawFit]
     chosen: str
-    in_robot: str
-    """Best law that a robot file supports."""
+    in_robot: str  # Best law that a robot file supports
 
     notes: tuple[Finding, ...]
 

@@ -11,14 +11,9 @@ from aerial_gym.registry import Registry
 class RenderPeer:
     """Another renderer."""
 
-    needs: tuple[str, ...]
-    """Modules that must be importable."""
-
-    install: str
-    """Distribution for pip."""
-
-    devices: tuple[str, ...]
-    """``cpu``, ``cuda``."""
+    needs: tuple[str, ...]  # Modules that must be importable
+    install: str  # Distribution for pip
+    devices: tuple[str, ...]  # ``cpu``, ``cuda``
 
 
 RENDER_PEERS: Registry[RenderPeer] = Registry("render peer")

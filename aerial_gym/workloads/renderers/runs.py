@@ -32,17 +32,10 @@ MOST_THAT_DIFFER = 2e-3
 class PeerTimes:
     """Times and images of a peer's process."""
 
-    seconds: list[float]
-    """Time of all images in each repeat [s]."""
-
-    depth: np.ndarray
-    """Along the optical axis [m], -1 for a miss, (E, H, W)."""
-
-    identity: np.ndarray | None
-    """Segmentation id of each pixel, -2 for a miss, (E, H, W)."""
-
-    versions: dict[str, str]
-    """By package."""
+    seconds: list[float]  # Time of all images in each repeat [s]
+    depth: np.ndarray  # Along the optical axis [m], -1 for a miss, (E, H, W)
+    identity: np.ndarray | None  # Segmentation id of each pixel, -2 for a miss, (E, H, W)
+    versions: dict[str, str]  # By package
 
 
 def absence_reason(name: str, python: str, device: str) -> str | None:

@@ -37,20 +37,11 @@ class TimeLimitError(BaseException):
 class Fuzz:
     """Feed mutated inputs to the targets."""
 
-    count: int = 3000
-    """Mutated inputs."""
-
-    seed: int = 0
-    """Of the mutations."""
-
-    only: tuple[str, ...] = ()
-    """Targets by name; all if none is given."""
-
-    limit_s: float = 20.0
-    """Longest time of one input [s]."""
-
-    out: Path = Path("out/fuzz")
-    """Receives the inputs of findings."""
+    count: int = 3000  # Mutated inputs
+    seed: int = 0  # Of the mutations
+    only: tuple[str, ...] = ()  # Targets by name; all if none is given
+    limit_s: float = 20.0  # Longest time of one input [s]
+    out: Path = Path("out/fuzz")  # Receives the inputs of findings
 
     def run(self) -> int:
         """Print progress and a summary; return the exit status."""

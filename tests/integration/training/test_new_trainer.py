@@ -31,8 +31,7 @@ source: test
 class SearchCfg(LearnerCfg):
     """Numbers of the search."""
 
-    sigma: float
-    """Standard deviation of a step of the weights, > 0."""
+    sigma: float  # Standard deviation of a step of the weights, > 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -21,21 +21,16 @@ class Energies:
     """Of one environment of a tree; numbers of links along their axes, (L, ...)."""
 
     tree: Tree
-    attitude: Rotation
-    """Of the base where its rotation vector is zero."""
+    attitude: Rotation  # Of the base where its rotation vector is zero
 
     mass: Array
     com: Array
     inertia: Array
-    added: Array
-    """Added mass and added inertia, (L, 6)."""
+    added: Array  # Added mass and added inertia, (L, 6)
 
     gravity: float
-    push: Array
-    """Upward force, (L,)."""
-
-    lever: Array
-    """Where it acts from the centre of mass, (L, 3)."""
+    push: Array  # Upward force, (L,)
+    lever: Array  # Where it acts from the centre of mass, (L, 3)
 
     @classmethod
     def from_env(cls, tree: Tree, links: Links, state: TreeState, env: int, **rest: object) -> "Energies":

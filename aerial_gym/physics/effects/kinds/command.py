@@ -15,8 +15,7 @@ class DelayEffect(Effect):
 
     acts_on = "actuation"
     twin, order, single = "warp_delay", 8, "delay"
-    longest: ClassVar[float]
-    """Upper bound of the delay [s]."""
+    longest: ClassVar[float]  # Upper bound of the delay [s]
 
     @property
     def remembers(self) -> bool:

@@ -13,14 +13,9 @@ from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
 class Suspension:
     """Motion of the body origin, on which a load hangs, without the load."""
 
-    acceleration: Tensor
-    """Acceleration of the origin, gravity included [m/s²], world, (E, 3)."""
-
-    mobility: Tensor
-    """Acceleration of the origin per force on it [1/kg], world, (E, 3, 3)."""
-
-    gravity: float
-    """Downward acceleration of free fall [m/s²]."""
+    acceleration: Tensor  # Acceleration of the origin, gravity included [m/s²], world, (E, 3)
+    mobility: Tensor  # Acceleration of the origin per force on it [1/kg], world, (E, 3, 3)
+    gravity: float  # Downward acceleration of free fall [m/s²]
 
 
 class LoadEffect(Effect):

@@ -43,26 +43,16 @@ class Candidate:
 
     name: str
 
-    named: bool
-    """Whether the selection has accepted it."""
-
-    columns: Indices
-    """Free parameters, as indices of the K columns."""
-
-    low: Array
-    """Lowest steps from neutral in units of the scale."""
-
-    high: Array
-    """Highest steps from neutral in units of the scale."""
+    named: bool  # Whether the selection has accepted it
+    columns: Indices  # Free parameters, as indices of the K columns
+    low: Array  # Lowest steps from neutral in units of the scale
+    high: Array  # Highest steps from neutral in units of the scale
 
     start: Array = field(default_factory=lambda: np.zeros(0))
     """All parameters at the linearisation, conventions and rotor number included."""
 
-    structure: bool = False
-    """Whether it is a residual structure rather than an effect."""
-
-    of_flights: bool = False
-    """Whether it is a structure specific to each flight."""
+    structure: bool = False  # Whether it is a residual structure rather than an effect
+    of_flights: bool = False  # Whether it is a structure specific to each flight
 
     @property
     def in_common(self) -> bool:
@@ -75,14 +65,9 @@ class Library:
     """Candidates about a model; the residual is that with all candidates at neutral."""
 
     candidates: tuple[Candidate, ...]
-    moments: Moments
-    """Sums with every candidate at neutral."""
-
-    weight: Array
-    """Weight of a row of each channel of the moments."""
-
-    tolerances: Indices
-    """Indices of the tolerances among the K columns."""
+    moments: Moments  # Sums with every candidate at neutral
+    weight: Array  # Weight of a row of each channel of the moments
+    tolerances: Indices  # Indices of the tolerances among the K columns
 
     tangents: list["Tangent"] = field(default_factory=list)
     """Linearisations of the effects, in the order of the candidates."""
@@ -94,14 +79,9 @@ class Tangent:
 
     name: str
 
-    named: bool
-    """Whether the effect was fitted in that model."""
-
-    start: Array
-    """All parameters at the linearisation, (P,)."""
-
-    columns: list[SparseDerivatives]
-    """Derivatives by the parameters, per scale, (rows, C, P) of each flight."""
+    named: bool  # Whether the effect was fitted in that model
+    start: Array  # All parameters at the linearisation, (P,)
+    columns: list[SparseDerivatives]  # Derivatives by the parameters, per scale, (rows, C, P) of each flight
 
     def whole(self, channels: int) -> Derivatives:
         """Return the derivatives of all C channels, zeros included, (rows, C, P) of each flight."""

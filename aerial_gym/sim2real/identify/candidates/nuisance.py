@@ -43,23 +43,12 @@ OF_FLIGHTS = "flight"
 class NuisanceColumns:
     """Columns of one kind of structure in one channel."""
 
-    kind: str
-    """position, heading, velocity, voltage, time, periodic or flight."""
-
-    channel: str
-    """Channel; forces are in world axes for position and heading."""
-
-    columns: list[SparseDerivatives]
-    """F functions times ``size``, (T, C, F) of each flight."""
-
-    size: float
-    """RMS of one unit in the channel's unit: the declared model's residual, or the scatter between flights."""
-
-    most: float = np.inf
-    """Upper limit of ``size`` if it is the scatter between flights."""
-
-    freq_hz: float | None = None
-    """Frequency of a tone [Hz]."""
+    kind: str  # position, heading, velocity, voltage, time, periodic or flight
+    channel: str  # Channel; forces are in world axes for position and heading
+    columns: list[SparseDerivatives]  # F functions times ``size``, (T, C, F) of each flight
+    size: float  # RMS of one unit in the channel's unit: the declared model's residual, or the scatter between flights
+    most: float = np.inf  # Upper limit of ``size`` if it is the scatter between flights
+    freq_hz: float | None = None  # Frequency of a tone [Hz]
 
     @property
     def of_flights(self) -> bool:
@@ -79,14 +68,9 @@ class _Shape:
     kind: str
     channel: str
     size: float
-    functions: list[Array]
-    """Functions, (T, F)."""
-
-    moved: tuple[int, ...]
-    """Affected channels."""
-
-    axes: list[Array]
-    """Factors of the affected channels, (T, c)."""
+    functions: list[Array]  # Functions, (T, F)
+    moved: tuple[int, ...]  # Affected channels
+    axes: list[Array]  # Factors of the affected channels, (T, c)
 
 
 class Nuisances:

@@ -31,17 +31,10 @@ LINE_WIDTH = 2
 class Structure:
     """Structure of a residual."""
 
-    kind: str = "none"
-    """position, heading, velocity, voltage, time, periodic or none."""
-
-    freq_hz: float | None = None
-    """Frequency of a periodic residual [Hz]."""
-
-    channel: str | None = None
-    """Channel of the strongest structure; forces are in world axes for position and heading."""
-
-    share: float = 0.0
-    """Explained share of its variance on left-out flights."""
+    kind: str = "none"  # position, heading, velocity, voltage, time, periodic or none
+    freq_hz: float | None = None  # Frequency of a periodic residual [Hz]
+    channel: str | None = None  # Channel of the strongest structure; forces are in world axes for position and heading
+    share: float = 0.0  # Explained share of its variance on left-out flights
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""

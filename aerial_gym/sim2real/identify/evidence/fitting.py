@@ -51,11 +51,8 @@ ENOUGH = 2.0
 class ComparisonDepth:
     """Stopping rule of a fit that is only compared with the best set and needs no exact parameters."""
 
-    least: float
-    """Log posterior that the set, or a subset, must be able to reach; otherwise the fit stops."""
-
-    enough: float
-    """Log likelihood that the fit may leave to its linear model."""
+    least: float  # Log posterior that the set, or a subset, must be able to reach; otherwise the fit stops
+    enough: float  # Log likelihood that the fit may leave to its linear model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +66,8 @@ class EffectSetFit:
     """Log evidence plus log prior, up to a constant common to all sets with equal weights; minus infinity for a prediction
     that is not finite."""
 
-    parameters: Posterior
-    """Posterior of effects, tolerances and structures other than flight offsets, in this order."""
-
-    support: dict[str, Support]
-    """Statistical support of each effect."""
+    parameters: Posterior  # Posterior of effects, tolerances and structures other than flight offsets, in this order
+    support: dict[str, Support]  # Statistical support of each effect
 
     most: float = np.inf
     """Upper limit of the log posterior of this set and its subsets with the same structures: its own value, plus the possible

@@ -33,20 +33,14 @@ FEWEST_PARTS = 4
 class Support:
     """Statistical support of an effect in a set, in the linear model."""
 
-    log_odds: float
-    """Log posterior odds of the set with and without the effect, if only noise remains."""
-
-    wald: float
-    """Wald statistic: squared distance from neutral over the covariance of noise and tolerances."""
+    log_odds: float  # Log posterior odds of the set with and without the effect, if only noise remains
+    wald: float  # Wald statistic: squared distance from neutral over the covariance of noise and tolerances
 
     overdispersion: float
     """Parameter variance from the scatter between flights over that from noise, mean over the parameters."""
 
-    size: int
-    """Number P of parameters."""
-
-    shown: bool = True
-    """Whether flights determine any of the parameters better than its scale."""
+    size: int  # Number P of parameters
+    shown: bool = True  # Whether flights determine any of the parameters better than its scale
 
     @property
     def robust_log_odds(self) -> float:

@@ -44,14 +44,9 @@ LOG_2PI = float(np.log(2.0 * np.pi))
 class Normal:
     """Normal equations: the log likelihood is ``gradient x - x product x / 2`` plus a constant."""
 
-    product: Array
-    """``sum w J J^T``, (K, K)."""
-
-    gradient: Array
-    """``sum w J r``, (K,)."""
-
-    constant: float = 0.0
-    """Constant of the log likelihood."""
+    product: Array  # ``sum w J J^T``, (K, K)
+    gradient: Array  # ``sum w J r``, (K,)
+    constant: float = 0.0  # Constant of the log likelihood
 
     def __sub__(self, other: "Normal") -> "Normal":
         """Return the sums without those of other flights."""
@@ -132,14 +127,9 @@ def _half_log_det(root: Array) -> float:
 class Posterior:
     """Posterior of one set: most probable parameters, their covariance, and the evidence."""
 
-    columns: Indices
-    """Columns of the set, tolerances last, (k,)."""
-
-    step: Array
-    """Most probable values in units of scale or tolerance, (k,)."""
-
-    covariance: Array
-    """Covariance of the normal approximation, (k, k)."""
+    columns: Indices  # Columns of the set, tolerances last, (k,)
+    step: Array  # Most probable values in units of scale or tolerance, (k,)
+    covariance: Array  # Covariance of the normal approximation, (k, k)
 
     log_evidence: float
 
@@ -161,17 +151,10 @@ EMPTY_POSTERIOR = Posterior(
 class Candidates:
     """Candidates of which sets consist."""
 
-    columns: tuple[Indices, ...]
-    """Columns of each candidate."""
-
-    tolerances: Indices
-    """Columns of the tolerances."""
-
-    low: Array
-    """Lowest possible step of each column in units of scale, (K,); minus infinity without a bound."""
-
-    high: Array
-    """Highest possible step, (K,)."""
+    columns: tuple[Indices, ...]  # Columns of each candidate
+    tolerances: Indices  # Columns of the tolerances
+    low: Array  # Lowest possible step of each column in units of scale, (K,); minus infinity without a bound
+    high: Array  # Highest possible step, (K,)
 
     exclusive: tuple[str, ...]
     """Name of each candidate; a set has at most one per name, as an effect may have several starts or rotors."""

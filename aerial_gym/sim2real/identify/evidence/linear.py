@@ -51,11 +51,8 @@ class LinearFit:
     """Linear model about a fitted set, in which each effect is one candidate."""
 
     candidates: Candidates
-    whole: Normal
-    """Normal equations with the constant that makes evidences of all sets comparable under equal weights."""
-
-    parts: tuple[Normal, ...]
-    """Normal equations of parts of the flights."""
+    whole: Normal  # Normal equations with the constant that makes evidences of all sets comparable under equal weights
+    parts: tuple[Normal, ...]  # Normal equations of parts of the flights
 
     @property
     def model(self) -> Model:

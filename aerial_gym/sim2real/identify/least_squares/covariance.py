@@ -23,29 +23,17 @@ NORMAL_95 = normal_quantile(0.975)
 class Uncertainty:
     """Uncertainty of the P fitted parameters, in units of scale or tolerance."""
 
-    columns: Indices
-    """Indices of the P parameters among all K, (P,)."""
-
-    step: Array
-    """Step from the linearisation to the optimum, (K,)."""
+    columns: Indices  # Indices of the P parameters among all K, (P,)
+    step: Array  # Step from the linearisation to the optimum, (K,)
 
     plain: Array
     """Covariance for white residuals as weighted, with tolerances, (P, P); it reveals unobservable parameters."""
 
-    blocks: Array
-    """Covariance from the scatter of time blocks, (P, P)."""
-
-    flights: Array | None
-    """Covariance from the scatter of whole flights, (P, P); None with fewer than three."""
-
-    tolerance: Array
-    """Covariance from the uncertainty of the deviations within the tolerances, (P, P)."""
-
-    num_blocks: int
-    """Number B of blocks."""
-
-    num_flights: int
-    """Number F of flights."""
+    blocks: Array  # Covariance from the scatter of time blocks, (P, P)
+    flights: Array | None  # Covariance from the scatter of whole flights, (P, P); None with fewer than three
+    tolerance: Array  # Covariance from the uncertainty of the deviations within the tolerances, (P, P)
+    num_blocks: int  # Number B of blocks
+    num_flights: int  # Number F of flights
 
     @property
     def half_width(self) -> Array:

@@ -21,17 +21,10 @@ from aerial_gym.sim2real.predict.nonzero import not_zero
 class SparseDerivatives:
     """Derivatives of a flight by P parameters, stored sparsely: zero in other channels and parameters."""
 
-    values: NDArray[np.floating]
-    """Derivatives by p consecutive parameters, (T, c, p)."""
-
-    channels: tuple[int, ...]
-    """Indices of the c channels among all C."""
-
-    width: int
-    """Number of parameters P."""
-
-    first: int = 0
-    """Index of the first of the p parameters."""
+    values: NDArray[np.floating]  # Derivatives by p consecutive parameters, (T, c, p)
+    channels: tuple[int, ...]  # Indices of the c channels among all C
+    width: int  # Number of parameters P
+    first: int = 0  # Index of the first of the p parameters
 
     def of_channels(self, channels: Sequence[int]) -> NDArray[np.floating]:
         """Return the dense columns of some channels, (T, channels, P)."""

@@ -59,26 +59,13 @@ NOTHING_LEFT = 0.05
 class ModelFit:
     """A fitted model with its linearisation."""
 
-    effects: tuple[str, ...]
-    """Names in the order of the parameters."""
-
-    params: ModelParams
-    """Point of linearisation: the best fit, without deviations."""
-
-    moments: Moments
-    """Sums at that point."""
-
-    low: Array
-    """Lowest possible step of each parameter, (K,)."""
-
-    high: Array
-    """Highest possible step, (K,)."""
-
-    num_effect_params: int
-    """Number of the K parameters that belong to effects; they come first."""
-
-    frozen: Frozen = frozenset()
-    """Fixed parameters, which the flights do not determine."""
+    effects: tuple[str, ...]  # Names in the order of the parameters
+    params: ModelParams  # Point of linearisation: the best fit, without deviations
+    moments: Moments  # Sums at that point
+    low: Array  # Lowest possible step of each parameter, (K,)
+    high: Array  # Highest possible step, (K,)
+    num_effect_params: int  # Number of the K parameters that belong to effects; they come first
+    frozen: Frozen = frozenset()  # Fixed parameters, which the flights do not determine
 
     @property
     def finite(self) -> bool:
@@ -115,8 +102,7 @@ class Goal:
     worth: Callable[[ModelFit], float] = lambda _: np.inf
     """Value of a fit, or of its best subset of effects, under its linear model."""
 
-    least: float = -np.inf
-    """Value that the fit must be able to reach; otherwise it stops at once."""
+    least: float = -np.inf  # Value that the fit must be able to reach; otherwise it stops at once
 
     enough: float = NOTHING_LEFT
     """Log likelihood that fresh derivatives may still promise at the end; the value includes it."""

@@ -27,20 +27,11 @@ QUARTERS = 4
 class Moments:
     """Sums over time blocks of residual r and its derivative J by the prediction's parameters."""
 
-    count: Array
-    """Number of rows, (B,)."""
-
-    square: Array
-    """``sum r²``, (B, C)."""
-
-    gradient: Array
-    """``sum J r``, (B, C, K)."""
-
-    product: Array
-    """``sum J J^T``, (B, C, K, K)."""
-
-    flight: Indices
-    """Flight of each block, (B,)."""
+    count: Array  # Number of rows, (B,)
+    square: Array  # ``sum r²``, (B, C)
+    gradient: Array  # ``sum J r``, (B, C, K)
+    product: Array  # ``sum J J^T``, (B, C, K, K)
+    flight: Indices  # Flight of each block, (B,)
 
     def block_squares(self, step: Array) -> Array:
         """Return ``sum (r - J d)²`` of each block, (B, C), for parameter steps d per block, (B, K)."""
@@ -147,11 +138,8 @@ def of_flights(moments: Sequence[Moments]) -> Moments:
 class Weighting:
     """Weights of the channels in a fit."""
 
-    variance: Array
-    """Mean squared residual with every effect fitted, (C,)."""
-
-    effective: Array
-    """Independent samples per row, (C,); below 1 for low-passed or coloured residuals."""
+    variance: Array  # Mean squared residual with every effect fitted, (C,)
+    effective: Array  # Independent samples per row, (C,); below 1 for low-passed or coloured residuals
 
     @property
     def weight(self) -> Array:

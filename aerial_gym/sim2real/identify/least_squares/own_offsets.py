@@ -21,14 +21,9 @@ from aerial_gym.sim2real.arrays import Array
 class OwnOffsets:
     """Prior of the flight offsets, with the noise weights."""
 
-    size: Array
-    """Standard deviation s in each channel, (C,); 0 without offsets."""
-
-    weight: Array
-    """Weight w of one row, (C,)."""
-
-    most: Array
-    """Upper limit of s, independent of the flights that estimated it, (C,)."""
+    size: Array  # Standard deviation s in each channel, (C,); 0 without offsets
+    weight: Array  # Weight w of one row, (C,)
+    most: Array  # Upper limit of s, independent of the flights that estimated it, (C,)
 
     @property
     def any(self) -> bool:

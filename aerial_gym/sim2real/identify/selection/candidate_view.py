@@ -32,14 +32,9 @@ class CandidateView:
     """All candidates linearised about the present set, and the sets that were fitted."""
 
     present: EffectSetFit
-    fits: dict[Label, EffectSetFit]
-    """All sets that were fitted with the present weights, including the present set."""
-
-    own: dict[Label, Fitter]
-    """Fitters of the sets whose tolerances are linearised about the set itself."""
-
-    fresh: set[Label]
-    """Sets that were fitted with the tolerances linearised about the present set."""
+    fits: dict[Label, EffectSetFit]  # All sets that were fitted with the present weights, including the present set
+    own: dict[Label, Fitter]  # Fitters of the sets whose tolerances are linearised about the set itself
+    fresh: set[Label]  # Sets that were fitted with the tolerances linearised about the present set
 
     fitter: Fitter
     library: Library
@@ -47,8 +42,7 @@ class CandidateView:
     sets: Sets
     guard: Guard
 
-    gone: list[Way] = field(default_factory=list)
-    """Strategies that found no more probable set than the present one."""
+    gone: list[Way] = field(default_factory=list)  # Strategies that found no more probable set than the present one
 
     @property
     def present_set(self) -> Model:

@@ -40,23 +40,15 @@ class MostProbableSet:
     named: EffectSetFit
     """The set for the robot file: without surrogates, immaterial effects, or structures except offsets of flights."""
 
-    best: EffectSetFit
-    """The most probable set of all, which may contain them."""
-
-    fits: tuple[EffectSetFit, ...]
-    """Every set that was fitted, the most probable first."""
-
-    without: dict[str, EffectSetFit]
-    """The named set without each of its effects."""
+    best: EffectSetFit  # The most probable set of all, which may contain them
+    fits: tuple[EffectSetFit, ...]  # Every set that was fitted, the most probable first
+    without: dict[str, EffectSetFit]  # The named set without each of its effects
 
     adds: dict[str, float]
     """Robust log odds of each other effect added to the best set, by the model linearised about that set."""
 
-    hidden: tuple[str, ...]
-    """Effects of which these flights determine no parameter."""
-
-    surrogates: dict[str, str]
-    """Surrogate effects, each with the structure that its size follows."""
+    hidden: tuple[str, ...]  # Effects of which these flights determine no parameter
+    surrogates: dict[str, str]  # Surrogate effects, each with the structure that its size follows
 
     immaterial: dict[str, dict[str, Rise]]
     """Probable but immaterial effects, with the rise of each channel's residual without them."""
@@ -66,11 +58,8 @@ class MostProbableSet:
 
     weights: Weighting
 
-    tolerated: Array
-    """Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)."""
-
-    in_part: tuple[RivalInPart, ...] = ()
-    """Rival effects in place of single parameters of the named effects."""
+    tolerated: Array  # Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)
+    in_part: tuple[RivalInPart, ...] = ()  # Rival effects in place of single parameters of the named effects
 
     @property
     def effects(self) -> tuple[str, ...]:

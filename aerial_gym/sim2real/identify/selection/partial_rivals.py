@@ -33,11 +33,8 @@ class RivalInPart:
     parameter: str
     other: str
 
-    params: dict[str, float]
-    """Parameters of the other effect."""
-
-    log_odds: float
-    """Log evidence relative to the most probable set, divided by its overdispersion."""
+    params: dict[str, float]  # Parameters of the other effect
+    log_odds: float  # Log evidence relative to the most probable set, divided by its overdispersion
 
     @property
     def finding(self) -> Finding:

@@ -29,26 +29,19 @@ Source: Kass, Raftery (1995), Bayes factors, section 3.2: strong evidence.
 class Criteria:
     """Limits for the acceptance of effects in the selection, on flights left out, and on rollouts."""
 
-    significance: float = 0.001
-    """Largest p-value of an accepted effect against noise and tolerances alone."""
-
-    left_out_significance: float = 0.01
-    """Largest p-value of an accepted gain on flights left out."""
+    significance: float = 0.001  # Largest p-value of an accepted effect against noise and tolerances alone
+    left_out_significance: float = 0.01  # Largest p-value of an accepted gain on flights left out
 
     flights_better: float = 0.75
     """Least share of flights left out that a model must predict better, and in which no channel may become worse."""
 
-    material: float = 0.05
-    """Least relative fall of the left-out residual (rms) in the best channel."""
+    material: float = 0.05  # Least relative fall of the left-out residual (rms) in the best channel
 
     visible: float = 0.5
     """Least fall of that channel's residual (rms), as a share of the residual that the tolerances cause there."""
 
-    harmless: float = 0.02
-    """Largest relative rise of a channel's left-out residual (rms) that counts as harmless."""
-
-    forgiven: float = 0.1
-    """Largest harmless loss of log likelihood in a channel, as a share of the total gain."""
+    harmless: float = 0.02  # Largest relative rise of a channel's left-out residual (rms) that counts as harmless
+    forgiven: float = 0.1  # Largest harmless loss of log likelihood in a channel, as a share of the total gain
 
     def __post_init__(self) -> None:
         """Raise ``ConfigError`` if ``material`` is not in [0, 1)."""
@@ -60,12 +53,10 @@ class Criteria:
 class FitScore:
     """A fitted model with its squared residuals on flights left out of the fit."""
 
-    fit: ModelFit
-    """The fit, with its sums merged by flight."""
+    fit: ModelFit  # The fit, with its sums merged by flight
 
     spread: Uncertainty
-    left_out: Array
-    """Sum of squared residuals of each block under the fit without its flight, (B, C)."""
+    left_out: Array  # Sum of squared residuals of each block under the fit without its flight, (B, C)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -81,23 +72,12 @@ class FitScore:
 class Gain:
     """Gain of one model over another on flights left out."""
 
-    score: float
-    """Gain in log likelihood."""
-
-    p_value: float
-    """Probability of a gain this large by chance."""
-
-    flights_better: float
-    """Share of the flights that are predicted better, among those in which anything changes."""
-
-    falls: tuple[float, ...]
-    """Relative fall of the residual (rms) of each channel, over all flights."""
-
-    harmed: tuple[float, ...]
-    """Share of the flights in which the residual of each channel rises."""
-
-    worse: tuple[bool, ...]
-    """Whether the residual of each channel rises over all flights."""
+    score: float  # Gain in log likelihood
+    p_value: float  # Probability of a gain this large by chance
+    flights_better: float  # Share of the flights that are predicted better, among those in which anything changes
+    falls: tuple[float, ...]  # Relative fall of the residual (rms) of each channel, over all flights
+    harmed: tuple[float, ...]  # Share of the flights in which the residual of each channel rises
+    worse: tuple[bool, ...]  # Whether the residual of each channel rises over all flights
 
     visible: tuple[bool, ...]
     """Whether the fall in each channel exceeds the share ``Criteria.visible`` of the residual that tolerances cause."""
@@ -107,17 +87,13 @@ class Gain:
 class LeftOut:
     """Cross-validation that leaves out one flight after the other."""
 
-    count: Array
-    """Rows of each block of time, (B,)."""
-
-    flight: Indices
-    """Index of the flight of each block, (B,)."""
+    count: Array  # Rows of each block of time, (B,)
+    flight: Indices  # Index of the flight of each block, (B,)
 
     weights: Weighting
     criteria: Criteria
     channels: tuple[Channel, ...]
-    tolerated: Array
-    """Residual (rms) that the tolerances of the vehicle cause in each channel, (C,)."""
+    tolerated: Array  # Residual (rms) that the tolerances of the vehicle cause in each channel, (C,)
 
     @property
     def fold(self) -> Indices:

@@ -32,17 +32,10 @@ class Rival:
     """Another effect in place of a named one."""
 
     effect: str
-    fitted: EffectSetFit
-    """The most probable set with it and without the named one."""
-
-    log_odds: float
-    """Log odds of that set relative to the most probable one, divided by overdispersion, plus ``doubt``."""
-
-    wider: bool
-    """Whether the named effect is a special case of it."""
-
-    doubt: float = 0.0
-    """Log odds that the test flights add in its favour, at least 0."""
+    fitted: EffectSetFit  # The most probable set with it and without the named one
+    log_odds: float  # Log odds of that set relative to the most probable one, divided by overdispersion, plus ``doubt``
+    wider: bool  # Whether the named effect is a special case of it
+    doubt: float = 0.0  # Log odds that the test flights add in its favour, at least 0
 
     @property
     def is_distinct(self) -> bool:
@@ -66,17 +59,13 @@ class SelectionResult:
 
     declared: FitScore
     final: FitScore
-    chosen: MostProbableSet
-    """The sets that were compared."""
-
-    not_testable: dict[str, Finding]
-    """Effects that these flights cannot show, with the reason."""
+    chosen: MostProbableSet  # The sets that were compared
+    not_testable: dict[str, Finding]  # Effects that these flights cannot show, with the reason
 
     left_out: LeftOut
     criteria: Criteria
 
-    looked_for: tuple[str, ...] = field(default_factory=default_effects)
-    """Effects that the selection was to consider."""
+    looked_for: tuple[str, ...] = field(default_factory=default_effects)  # Effects that the selection was to consider
 
     doubt: dict[Label, float] = field(default_factory=dict)
     """Log odds that the test flights add in favour of some sets over the named one, at least 0."""

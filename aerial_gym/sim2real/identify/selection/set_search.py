@@ -68,8 +68,7 @@ class SetSearch:
     view: CandidateView
     """Candidates about the present set. They take much memory, so the previous ones are freed first."""
 
-    _weighed: tuple[ModelParams, Weighting]
-    """The last model whose channel weights were computed, with these weights."""
+    _weighed: tuple[ModelParams, Weighting]  # The last model whose channel weights were computed, with these weights
 
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
         """Take training flights, the declared model, and the effects that may be in a set."""

@@ -45,17 +45,10 @@ SLOWEST_HZ = 100.0
 class Advice:
     """The best manoeuvre for one question, with its expected score."""
 
-    fly: str | None
-    """Name of the manoeuvre; None if none of the catalogue reaches ``LEAST_SCORE``."""
-
-    tells: tuple[str, ...]
-    """Effects that it distinguishes, or the one that it shows."""
-
-    score: float
-    """Expected gain in log likelihood per 10 s of the best manoeuvre, even if it is too small."""
-
-    hover: float
-    """The same in hover, for comparison."""
+    fly: str | None  # Name of the manoeuvre; None if none of the catalogue reaches ``LEAST_SCORE``
+    tells: tuple[str, ...]  # Effects that it distinguishes, or the one that it shows
+    score: float  # Expected gain in log likelihood per 10 s of the best manoeuvre, even if it is too small
+    hover: float  # The same in hover, for comparison
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""

@@ -47,23 +47,12 @@ LEAST_P_VALUE = 0.001
 class RandomWind:
     """Fitted or declared gusts, with the objections to them."""
 
-    std: float = 0.0
-    """Standard deviation of the wind along each axis [m/s]."""
-
-    corr_time: float = 1.0
-    """Correlation time [s]."""
-
-    spread: tuple[float, float] = (0.0, 0.0)
-    """Standard deviations of the logarithms of ``std`` and ``corr_time``."""
-
-    p_value: float = 1.0
-    """P-value of the process against white noise alone."""
-
-    objections: tuple[Finding, ...] = ()
-    """Reasons why the residual is not called gusts."""
-
-    untestable: Finding | None = None
-    """Reason why the flights cannot show gusts; None if they can."""
+    std: float = 0.0  # Standard deviation of the wind along each axis [m/s]
+    corr_time: float = 1.0  # Correlation time [s]
+    spread: tuple[float, float] = (0.0, 0.0)  # Standard deviations of the logarithms of ``std`` and ``corr_time``
+    p_value: float = 1.0  # P-value of the process against white noise alone
+    objections: tuple[Finding, ...] = ()  # Reasons why the residual is not called gusts
+    untestable: Finding | None = None  # Reason why the flights cannot show gusts; None if they can
 
     @property
     def is_accepted(self) -> bool:

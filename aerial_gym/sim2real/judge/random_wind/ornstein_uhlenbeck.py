@@ -32,17 +32,10 @@ CORR_TIMES = (0.05, 100.0)
 class WindSeries:
     """The wind that would cause the residual, at time steps at which the noise is white."""
 
-    wind: list[Array]
-    """Wind of each flight [m/s], world, (T, 3)."""
-
-    features: dict[str, list[Array]]
-    """Quantities that gusts do not depend on, by name, of each flight, (T, P)."""
-
-    step: float
-    """Time between rows [s]."""
-
-    bandwidth: float
-    """Bandwidth of the comparison [Hz]."""
+    wind: list[Array]  # Wind of each flight [m/s], world, (T, 3)
+    features: dict[str, list[Array]]  # Quantities that gusts do not depend on, by name, of each flight, (T, P)
+    step: float  # Time between rows [s]
+    bandwidth: float  # Bandwidth of the comparison [Hz]
 
 
 def process_covariance(corr_time: float, bandwidth: float, lags: Array) -> Array:
@@ -68,11 +61,8 @@ class ProcessFit:
 
     std: float
     corr_time: float
-    noise: Array
-    """White noise of each axis [m/s], (3,)."""
-
-    likelihood: float
-    """Restricted log likelihood, with the means of the series integrated out."""
+    noise: Array  # White noise of each axis [m/s], (3,)
+    likelihood: float  # Restricted log likelihood, with the means of the series integrated out
 
 
 Process = tuple[float, float, Array]

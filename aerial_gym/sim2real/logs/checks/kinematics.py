@@ -34,20 +34,11 @@ MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0),
 class ImuErrors:
     """Errors of one sensor: ``measured(t) = (I - [angle]x) motion(t - delay) + bias``."""
 
-    sensor: str
-    """gyro or accelerometer."""
-
-    bias: Array
-    """[rad/s] or [m/s²], body axes, (3,)."""
-
-    angle: Array
-    """Rotation of the sensor's axes against the body's [rad], (3,)."""
-
-    delay: float
-    """Delay of the sensor's clock behind that of attitude or velocity [s]."""
-
-    half_width: Array
-    """Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite if not observable."""
+    sensor: str  # gyro or accelerometer
+    bias: Array  # [rad/s] or [m/s²], body axes, (3,)
+    angle: Array  # Rotation of the sensor's axes against the body's [rad], (3,)
+    delay: float  # Delay of the sensor's clock behind that of attitude or velocity [s]
+    half_width: Array  # Half widths of the 95 % intervals of bias, angle and delay, (7,); infinite if not observable
 
     def findings(self) -> list[Finding]:
         """Return findings on significant and material errors; unobservable axes have half width None."""

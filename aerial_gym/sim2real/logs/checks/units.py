@@ -57,19 +57,13 @@ WRONG = np.log([1.0, *(UNITS[u] for u in VELOCITY_UNITS), *(1.0 / UNITS[u] for u
 class Relation:
     """Axis-by-axis relation of two vectors: ``effect_i = factor_i cause_order(i) + constant``."""
 
-    order: tuple[int, ...]
-    """Index of the cause's axis for each axis of the effect."""
-
-    factor: Array
-    """Signed slope, (3,)."""
-
-    low: Array
-    """Lower limit of the interval of ``|factor|``, (3,); 0, with ``high`` infinite, if the sign is uncertain."""
+    order: tuple[int, ...]  # Index of the cause's axis for each axis of the effect
+    factor: Array  # Signed slope, (3,)
+    low: Array  # Lower limit of the interval of ``|factor|``, (3,); 0, with ``high`` infinite, if the sign is uncertain
 
     high: Array
 
-    share: Array
-    """Squared correlation of each pair of axes, (3,)."""
+    share: Array  # Squared correlation of each pair of axes, (3,)
 
     @property
     def axis_significance(self) -> Flags:

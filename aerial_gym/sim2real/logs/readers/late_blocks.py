@@ -33,8 +33,7 @@ class _Run:
 
     first: float
     last: float
-    end: int
-    """Row of ``last``."""
+    end: int  # Row of ``last``
     rows: Indices
 
 
@@ -42,14 +41,9 @@ class _Run:
 class RowBlocks:
     """Disordered rows of a log."""
 
-    order: Indices
-    """Rows in the order of measurement, (T,)."""
-
-    late: Indices
-    """First row of each block that was written late."""
-
-    wrong: Indices
-    """Rows in blocks with wrong stamps."""
+    order: Indices  # Rows in the order of measurement, (T,)
+    late: Indices  # First row of each block that was written late
+    wrong: Indices  # Rows in blocks with wrong stamps
 
 
 def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:

@@ -50,26 +50,16 @@ class ColumnsCfg:
     columns: tuple[str, ...]
     """Names in the order x, y, z (and w); one name with ``{n}`` expands to all numbers 1, 2, 3, ... in the file."""
 
-    unit: str = "si"
-    """Unit in the file, a key of UNITS."""
+    unit: str = "si"  # Unit in the file, a key of UNITS
 
     fill_gap_s: float = 0.0
     """Longest run of empty fields [s] that is interpolated (commands: held); 0 refuses any empty field."""
 
-    times: str | None = None
-    """Column that multiplies every value, such as the battery voltage of a duty cycle."""
-
-    over: str | None = None
-    """Column that divides every value, such as the setpoint at hover."""
-
-    power: float = 1.0
-    """Exponent of the product: 0.5 converts a thrust to a speed."""
-
-    gain: float = 1.0
-    """Factor of the result."""
-
-    offset: float = 0.0
-    """Added to the result; a raw value of 0 stays 0, because a motor that is off does not turn."""
+    times: str | None = None  # Column that multiplies every value, such as the battery voltage of a duty cycle
+    over: str | None = None  # Column that divides every value, such as the setpoint at hover
+    power: float = 1.0  # Exponent of the product: 0.5 converts a thrust to a speed
+    gain: float = 1.0  # Factor of the result
+    offset: float = 0.0  # Added to the result; a raw value of 0 stays 0, because a motor that is off does not turn
 
     repeat: int = 1
     """Copies of a single column: 4 for a collective command of four rotors. Torques are then not compared."""

@@ -51,20 +51,11 @@ SHOWN = 3
 class ClockStep:
     """A backward step of the clock and its correction."""
 
-    row: int
-    """First kept row after the step."""
-
-    before: float
-    """Last stamp before the step [s]."""
-
-    after: float
-    """First stamp after the step [s]."""
-
-    shift: float
-    """Time added to all later stamps [s]."""
-
-    counter: str
-    """Key in ``COUNTERS_S`` of the counter that wrapped; empty if the clock was set back otherwise."""
+    row: int  # First kept row after the step
+    before: float  # Last stamp before the step [s]
+    after: float  # First stamp after the step [s]
+    shift: float  # Time added to all later stamps [s]
+    counter: str  # Key in ``COUNTERS_S`` of the counter that wrapped; empty if the clock was set back otherwise
 
     may_be_restart: bool = False
     """Whether a restart is possible: a wrap with more than ``JOINT_STEPS`` steps between the two rows."""
@@ -83,20 +74,11 @@ class ClockStep:
 class StampCheck:
     """Corrected time of a log without its bad stamps."""
 
-    time: Array
-    """Increasing [s], (K,)."""
-
-    order: Indices
-    """Rows of the log in the order of measurement, (T,)."""
-
-    late: Indices
-    """First log row of each block that was written late."""
-
-    kept: Flags
-    """Rows with a valid stamp, in that order, (T,)."""
-
-    steps: tuple[ClockStep, ...]
-    """Backward steps of the clock in order."""
+    time: Array  # Increasing [s], (K,)
+    order: Indices  # Rows of the log in the order of measurement, (T,)
+    late: Indices  # First log row of each block that was written late
+    kept: Flags  # Rows with a valid stamp, in that order, (T,)
+    steps: tuple[ClockStep, ...]  # Backward steps of the clock in order
 
     def late_note(self, places: Sequence[int], topic: str = "") -> list[Finding]:
         """Return the finding on late blocks at these lines or samples; empty without any."""

@@ -62,14 +62,9 @@ SLOWEST_CLOCK_HZ = 20.0
 class TopicSamples:
     """Usable samples of a topic."""
 
-    time: Array
-    """Increasing [s], (T,)."""
-
-    columns: dict[str, Array]
-    """Values by column, each (T,)."""
-
-    steps: tuple[ClockStep, ...]
-    """Backward clock steps, corrected in ``time``."""
+    time: Array  # Increasing [s], (T,)
+    columns: dict[str, Array]  # Values by column, each (T,)
+    steps: tuple[ClockStep, ...]  # Backward clock steps, corrected in ``time``
 
     @property
     def set_back(self) -> tuple[ClockStep, ...]:

@@ -54,11 +54,8 @@ REMEMBERED = 8
 class Link:
     """State of a load's link along one flight."""
 
-    time: Array
-    """[s], (T,)."""
-
-    load: Array
-    """Direction n and rate n' [1/s], world, (T, 6)."""
+    time: Array  # [s], (T,)
+    load: Array  # Direction n and rate n' [1/s], world, (T, 6)
 
     def interpolate(self, times: Array) -> Array:
         """Return direction and rate at other times, (W, 6), by linear interpolation with ``|n| = 1``."""

@@ -28,8 +28,7 @@ KEPT = 2
 class Late:
     """Delays of the sensors on the clock of the rows, by flight [s]."""
 
-    force: tuple[float, ...]
-    """Delay of the accelerometer, or of the derived force."""
+    force: tuple[float, ...]  # Delay of the accelerometer, or of the derived force
 
     gyro: tuple[float, ...]
 

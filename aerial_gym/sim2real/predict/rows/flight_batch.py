@@ -70,17 +70,10 @@ REPLAYS = 3
 class _ModelQuery:
     """A model with the inputs of its prediction."""
 
-    model: Model
-    """One environment."""
-
-    deviation: Tensor
-    """Deviations in standard deviations, (N,)."""
-
-    logged: SensorDeviation
-    """Sensor errors of these deviations."""
-
-    speeds: list[Array | None] | None
-    """Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed."""
+    model: Model  # One environment
+    deviation: Tensor  # Deviations in standard deviations, (N,)
+    logged: SensorDeviation  # Sensor errors of these deviations
+    speeds: list[Array | None] | None  # Rotor speeds from commands of each flight [rad/s], (T, R); None if not needed
 
 
 @dataclass(frozen=True, kw_only=True)

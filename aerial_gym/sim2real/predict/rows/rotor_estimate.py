@@ -48,11 +48,8 @@ MOTION = np.geomspace(1e-3, 1e6, 91)
 class RotorEstimate:
     """Expected noise-free sensor readings of a flight's rotor speeds."""
 
-    speed: Array
-    """Expectation [rad/s], (T, R)."""
-
-    unsure: Array
-    """Change of speed per standard deviation of each mode's share of motion [rad/s], (R modes, T, R)."""
+    speed: Array  # Expectation [rad/s], (T, R)
+    unsure: Array  # Change of speed per standard deviation of each mode's share of motion [rad/s], (R modes, T, R)
 
 
 def as_measured(flight: Flight) -> RotorEstimate | None:

@@ -54,15 +54,11 @@ class JointResult:
     """Result for one joint, with or without logged angles."""
 
     name: str
-    changed: tuple[str, ...]
-    """Parameters that differ significantly (95 %) and materially from the declared ones."""
+    changed: tuple[str, ...]  # Parameters that differ significantly (95 %) and materially from the declared ones
 
     declared: dict[str, float]
-    params: dict[str, Estimate]
-    """Fitted parameters by the names of ``SpringCfg``."""
-
-    spring: SpringCfg
-    """Spring for the robot file."""
+    params: dict[str, Estimate]  # Fitted parameters by the names of ``SpringCfg``
+    spring: SpringCfg  # Spring for the robot file
 
     @property
     def finding(self) -> Finding:
@@ -85,8 +81,7 @@ class JointLawFit:
 
     name: str
     params: dict[str, Estimate]
-    error: Rms
-    """RMS held-out error of the effort [N m]."""
+    error: Rms  # RMS held-out error of the effort [N m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,16 +89,12 @@ class LogJointFit:
     """Fits of all laws to one joint with logged angles."""
 
     name: str
-    declared: Rms
-    """RMS error of the declared law [N m]."""
+    declared: Rms  # RMS error of the declared law [N m]
 
     laws: dict[str, JointLawFit]
     chosen: str
-    changed: tuple[str, ...]
-    """Parameters that differ significantly (95 %) and materially from the declared ones."""
-
-    spring: SpringCfg
-    """Spring for the robot file: the chosen law if anything differs, else the declared one."""
+    changed: tuple[str, ...]  # Parameters that differ significantly (95 %) and materially from the declared ones
+    spring: SpringCfg  # Spring for the robot file: the chosen law if anything differs, else the declared one
 
     rows: int = field(default=0)
 

@@ -39,17 +39,10 @@ class Course:
     """Motion and efforts of the joints in one flight."""
 
     name: str
-    angle: Array
-    """Joint angles [rad], (T, D)."""
-
-    rate: Array
-    """Joint rates [rad/s], (T, D)."""
-
-    side: Array
-    """Low-passed direction of motion, -1 to 1, (T, D)."""
-
-    effort: Array
-    """Joint efforts from inverse dynamics [N m], (T, D)."""
+    angle: Array  # Joint angles [rad], (T, D)
+    rate: Array  # Joint rates [rad/s], (T, D)
+    side: Array  # Low-passed direction of motion, -1 to 1, (T, D)
+    effort: Array  # Joint efforts from inverse dynamics [N m], (T, D)
 
 
 def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:

@@ -39,11 +39,8 @@ class FlightJointStudy:
     """Results for the joints of a robot."""
 
     joints: tuple[JointResult, ...]
-    logged: tuple[LogJointFit, ...]
-    """Full results per joint with logged angles."""
-
-    channels: dict[str, tuple[Rms, Rms]]
-    """Errors of the body's motion before and after, without logged angles."""
+    logged: tuple[LogJointFit, ...]  # Full results per joint with logged angles
+    channels: dict[str, tuple[Rms, Rms]]  # Errors of the body's motion before and after, without logged angles
 
     left_out: tuple[Finding, ...]
 

@@ -80,14 +80,9 @@ class Release:
     """Record of an arm at rest under a load that is released at time 0."""
 
     path: str
-    time: Array
-    """Time from the release [s], (T,)."""
-
-    angle: Array
-    """Joint angle [rad], (T,)."""
-
-    start: float
-    """Angle before the release [rad]."""
+    time: Array  # Time from the release [s], (T,)
+    angle: Array  # Joint angle [rad], (T,)
+    start: float  # Angle before the release [rad]
 
     @property
     def block(self) -> Indices:
@@ -101,14 +96,9 @@ class JointFit:
 
     name: str
     params: dict[str, Estimate]
-    residual: Array = field(repr=False)
-    """Measured minus fitted [rad], (T,)."""
-
-    held_out: Array = field(repr=False)
-    """Measured minus predicted, from fits without that block [rad], (T,)."""
-
-    block_rms: tuple[float, ...]
-    """RMS held-out error of each block [rad]."""
+    residual: Array = field(repr=False)  # Measured minus fitted [rad], (T,)
+    held_out: Array = field(repr=False)  # Measured minus predicted, from fits without that block [rad], (T,)
+    block_rms: tuple[float, ...]  # RMS held-out error of each block [rad]
 
     @property
     def score(self) -> float:
@@ -121,14 +111,12 @@ class JointStudy:
     """The published law, all fitted laws, and the one with the least held-out error."""
 
     record: Release
-    published: Array = field(repr=False)
-    """Measured minus the published law, with release at 0 [rad], (T,)."""
+    published: Array = field(repr=False)  # Measured minus the published law, with release at 0 [rad], (T,)
 
     laws: dict[str, JointFit]
     chosen: str
 
-    forecast: dict[str, Rms]
-    """Error in the second half of the record, from fits to the first half [rad], by law."""
+    forecast: dict[str, Rms]  # Error in the second half of the record, from fits to the first half [rad], by law
 
     alternate: dict[str, Array] = field(repr=False)
     """Measured minus predicted, from fits to the alternate blocks [rad], (T,), by law."""

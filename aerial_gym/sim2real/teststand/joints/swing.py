@@ -52,17 +52,10 @@ class Ride:
     """Logged motion of the body that carries the joints."""
 
     name: str
-    rate: float
-    """Sample rate [Hz]."""
-
-    base: TreeState
-    """Motion of the body, with joints in the reference pose."""
-
-    wrench: Tensor
-    """Wrench on each link, (T, L, 6)."""
-
-    felt: Array
-    """Measured ``CHANNELS`` in the band, (T, 6)."""
+    rate: float  # Sample rate [Hz]
+    base: TreeState  # Motion of the body, with joints in the reference pose
+    wrench: Tensor  # Wrench on each link, (T, L, 6)
+    felt: Array  # Measured ``CHANNELS`` in the band, (T, 6)
 
 
 def body_motion(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
@@ -239,11 +232,8 @@ class Laws:
 
     spring: Spring
     ends: JointLimits
-    friction: Tensor
-    """Dry friction [N m]."""
-
-    slow: Tensor
-    """Velocity scale of friction [rad/s]: ``F q' / sqrt(q'² + slow²)``."""
+    friction: Tensor  # Dry friction [N m]
+    slow: Tensor  # Velocity scale of friction [rad/s]: ``F q' / sqrt(q'² + slow²)``
 
     @property
     def quickest(self) -> tuple[Tensor, Tensor]:
