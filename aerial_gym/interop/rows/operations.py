@@ -98,6 +98,12 @@ def _product(a: Tensor, b: Tensor) -> Tensor:
     return (a.unsqueeze(-1) * b.unsqueeze(-3)).sum(-2)
 
 
+def _diagonal_matrix(a: Tensor, offset: int = 0, dim1: int = -2, dim2: int = -1) -> Tensor:
+    if (offset, dim1, dim2) != (0, -2, -1):
+        raise ValueError("torch.diag_embed with offset or dimensions")
+    return torch.where(torch.eye(a.shape[-1], dtype=torch.bool), a.unsqueeze(-1), 0.0)
+
+
 def _finite(a: Tensor, nan: float | None = None, high: float | None = None, low: float | None = None) -> Tensor:
     largest = torch.finfo(a.dtype).max
     a = torch.where(a.isnan(), nan or 0.0, a)
@@ -110,6 +116,7 @@ COMPOSED: dict[str, Callable[..., Tensor]] = {
     "linalg_cross": _cross,
     "mm": _product,
     "bmm": _product,
+    "diag_embed": _diagonal_matrix,
     "nan_to_num": _finite,
     "tanh_backward": lambda slope, result: slope * (1.0 - result * result),
     "sigmoid_backward": lambda slope, result: slope * (1.0 - result) * result,

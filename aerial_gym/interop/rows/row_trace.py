@@ -7,7 +7,7 @@ Letters: B rows of the trace.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -20,6 +20,7 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, MOVES, POINTWISE, REDUCTIONS
+from aerial_gym.interop.rows.simplification import simplify
 
 Array = NDArray[np.int64]
 
@@ -63,10 +64,13 @@ class Trace:
     lifted: list[Tensor] = field(default_factory=list)
     """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""
 
+    simplifies: bool = False  # Whether products with 0 and 1, sums with 0 and operations on constants are replaced
     _numbers: dict[tuple[str, str | tuple[Any, ...], torch.dtype], int] = field(default_factory=dict)
 
     def number(self, kind: str, args: tuple[Any, ...], dtype: torch.dtype) -> int:
         """Return the number of a scalar; equal scalars share one."""
+        if self.simplifies and (simpler := simplify(self, kind, args, dtype)) is not None:
+            return simpler
         key = (kind, repr(args) if kind == "constant" else args, dtype)  # 0.0 is not -0.0
         known = self._numbers.get(key)
         if known is None:
@@ -80,7 +84,11 @@ class Trace:
 
 
 def trace(
-    function: Callable[..., Tensor | tuple[Tensor, ...]], inputs: Sequence[Tensor], *, lifts: bool = False
+    function: Callable[..., Tensor | tuple[Tensor, ...]],
+    inputs: Sequence[Tensor],
+    *,
+    lifts: bool = False,
+    constants: Mapping[tuple[int, int], float] | None = None,
 ) -> Trace:
     """Trace a function on one row.
 
@@ -89,12 +97,14 @@ def trace(
         inputs: Tensors (E, ...), with E from the first that has a dimension; others are shared by all rows. A row of more
             than ``LARGEST_ROW`` entries, such as an image, may be passed but not read.
         lifts: Whether tensors (E, ...) from elsewhere become inputs; else they are refused.
+        constants: Known values of entries of inputs, by position and entry. With it, arithmetic on constants is simplified
+            as if all numbers were finite.
 
     Raises:
         UntraceableError: If it cannot be computed row by row with the operations of ``operations.py``.
     """
-    into = Trace()
-    watch = _Recorder(into)
+    into = Trace(simplifies=constants is not None)
+    watch = _Recorder(into, constants or {})
     num_rows = next((tensor.shape[0] for tensor in inputs if tensor.ndim), 0)
     rows = [
         watch.input(position, tensor, rows=tensor.shape[:1] == (num_rows,)) for position, tensor in enumerate(inputs)
@@ -189,9 +199,9 @@ def _broadcast(make: Callable[..., int], given: Sequence[_Scalars], shape: torch
 class _Recorder(TorchDispatchMode):
     """Dispatch mode that runs every torch operation and records its effect on scalars."""
 
-    def __init__(self, into: Trace) -> None:
+    def __init__(self, into: Trace, constants: Mapping[tuple[int, int], float]) -> None:
         super().__init__()
-        self.into = into
+        self.into, self._constants = into, constants
         # by id of a kept tensor; None: a constant whose numbers may still change
         self._scalars: dict[int, tuple[Tensor, _Scalars | None]] = {}
         self._literals: dict[tuple[str, torch.dtype | None], tuple[_Scalars, torch.dtype]] = {}
@@ -210,7 +220,12 @@ class _Recorder(TorchDispatchMode):
             self._large[id(large)] = (large, f"input {position} has {shape.numel()} entries in a row")
             return large
         self.into.widths[position] = shape.numel()
-        numbers = [self.into.number(kind, (position, i), tensor.dtype) for i in range(shape.numel())]
+        numbers = [
+            self.into.number("constant", (self._constants[position, i],), tensor.dtype)
+            if (position, i) in self._constants
+            else self.into.number(kind, (position, i), tensor.dtype)
+            for i in range(shape.numel())
+        ]
         scalars = _Scalars(np.array(numbers, dtype=np.int64).reshape(tuple(shape)), rows=rows)
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
 

@@ -1,6 +1,6 @@
 """Source code of the Warp kernel of a trace: one thread per row, every number in a register."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from math import isinf, isnan
 from typing import Any
@@ -41,7 +41,7 @@ def write(trace: Trace, *, masked: bool = False, made: Sequence[str] = (), besid
         beside: Whether it runs with twice as many threads as rows; the second half calls ``beside(row, other)`` with
             ``other``: ``beside_type``. Only with a mask, whose length is the number of rows.
     """
-    needed = _dependencies(trace)
+    needed = dependencies(trace, [n for numbers, _, _ in trace.outputs for n in numbers])
     kinds = {int(scalar.args[0]): scalar for n in needed if (scalar := trace.scalars[n]).kind in ("input", "shared")}
     if made:
         kinds.pop(0, None)
@@ -85,18 +85,18 @@ _BESIDE = """\
 """
 
 
-def _dependencies(trace: Trace) -> list[int]:
-    """Return the indices of scalars on which outputs depend, in order."""
-    dependencies: set[int] = set()
-    ahead = [n for numbers, _, _ in trace.outputs for n in numbers]
+def dependencies(trace: Trace, ends: Iterable[int]) -> list[int]:
+    """Return the numbers of the scalars on which ``ends`` depend, and of these themselves, in order."""
+    needed: set[int] = set()
+    ahead = list(ends)
     while ahead:
         number = ahead.pop()
-        if number not in dependencies:
-            dependencies.add(number)
+        if number not in needed:
+            needed.add(number)
             scalar = trace.scalars[number]
             if scalar.kind not in ("input", "shared", "constant"):
                 ahead += [int(n) for n in scalar.args]
-    return sorted(dependencies)
+    return sorted(needed)
 
 
 def _array(dtype: torch.dtype, rows: bool) -> str:
@@ -116,8 +116,13 @@ def _code(scalar: Scalar, together: Container[object] = (), *, made: bool = Fals
         return f"in_{scalar.args[0]}[row, {scalar.args[1]}]"
     if scalar.kind == "shared":
         return f"in_{scalar.args[0]}[{scalar.args[1]}]"
+    return operation_code(scalar)
+
+
+def operation_code(scalar: Scalar) -> str:
+    """Return the code of a constant or of an operation on the variables ``v0``, ``v1``, ..."""
     if scalar.kind == "constant":
-        return _constant(scalar.args[0], scalar.dtype)
+        return constant_code(scalar.args[0], scalar.dtype)
     names = [f"v{n}" for n in scalar.args]
     if scalar.kind == "cast":
         return f"wp.{WARP_TYPES[scalar.dtype]}({names[0]})"
@@ -133,7 +138,8 @@ def _code(scalar: Scalar, together: Container[object] = (), *, made: bool = Fals
     return code
 
 
-def _constant(value: float, dtype: torch.dtype) -> str:
+def constant_code(value: float, dtype: torch.dtype) -> str:
+    """Return the code of a number."""
     kind = f"wp.{WARP_TYPES[dtype]}"
     if isinstance(value, float) and isnan(value):
         return f"{kind}(wp.nan)"

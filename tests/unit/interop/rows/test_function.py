@@ -165,7 +165,7 @@ def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
         trace(function, (torch.rand(4, 3),))  # type: ignore[arg-type]
 
 
-def test_tracing_loads_no_compiler() -> None:
+def test_torch_trace_loads_no_compiler() -> None:
     """torch's own compiler takes ten seconds to import: that is what this is for."""
     import subprocess
     import sys

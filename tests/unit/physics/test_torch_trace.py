@@ -1,0 +1,101 @@
+"""Warp functions traced from torch functions of one environment."""
+
+from math import nan
+from types import SimpleNamespace
+
+import pytest
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.errors import CapabilityError
+from aerial_gym.interop.streams import start_warp
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
+
+MATRIX = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
+
+
+@wp.struct
+class Body:
+    """State of the test functions."""
+
+    velocity: wp.vec3
+    axes: MATRIX
+    mass: float
+
+
+def push(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
+    """Return force (E, 3) and a number (E,), by most kinds of operations."""
+    along = (body.axes * body.velocity.unsqueeze(1)).sum(-1)
+    force = torch.linalg.cross(body.axes[:, 0], body.velocity) / body.mass.unsqueeze(-1)
+    size = 1.0 / body.velocity.norm(dim=-1)
+    return force * factor.unsqueeze(-1) + torch.diag_embed(body.velocity)[:, 0], along.clamp(-1.0, 0.5).sum(-1) * size
+
+
+def run(function: wp.Function, velocity: Tensor, axes: Tensor, mass: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the results of the traced function in a kernel."""
+
+    start_warp()
+
+    @wp.kernel(module="unique")
+    def kernel(
+        velocity: wp.array[wp.vec3], axes: wp.array[MATRIX], mass: wp.array[float], factor: wp.array[float],
+        force: wp.array[wp.vec3], number: wp.array[float],
+    ):  # fmt: skip
+        i = wp.tid()
+        body = Body()
+        body.velocity = velocity[i]
+        body.axes = axes[i]
+        body.mass = mass[i]
+        pushed, share = function(body, factor[i])
+        force[i] = pushed
+        number[i] = share
+
+    force, number = torch.full_like(velocity, nan), torch.full_like(mass, nan)
+    given = [(velocity, wp.vec3), (axes, MATRIX), (mass, wp.float32), (factor, wp.float32)]
+    given += [(force, wp.vec3), (number, wp.float32)]
+    wp.launch(kernel, dim=len(mass), inputs=[wp.from_torch(rows, dtype=kind) for rows, kind in given], device="cpu")
+    return force, number
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_traced_function_equals_torch(known: bool) -> None:
+    generator = torch.Generator().manual_seed(3)
+    velocity, axes, mass, factor = (torch.randn(50, *shape, generator=generator) for shape in ((3,), (2, 3), (), ()))
+    if known:
+        axes[:] = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
+    function = trace_to_warp(
+        "push",
+        {"body": Body, "factor": float},
+        push,
+        (wp.vec3, float),
+        constants={"body.axes": axes[0]} if known else None,
+    )
+    expected = push(SimpleNamespace(velocity=velocity, axes=axes, mass=mass), factor)
+    for actual, wanted in zip(run(function, velocity, axes, mass, factor), expected, strict=True):
+        torch.testing.assert_close(actual, wanted, rtol=1e-5, atol=1e-5)
+
+
+def test_partly_known_constants_keep_other_entries() -> None:
+    function = trace_to_warp(
+        "push",
+        {"body": Body, "factor": float},
+        push,
+        (wp.vec3, float),
+        constants={"body.axes": torch.tensor([[0.0, 0.0, nan], [1.0, nan, 0.0]])},
+    )
+    axes = torch.tensor([[[0.0, 0.0, 2.0], [1.0, 3.0, 0.0]]])
+    velocity, one = torch.tensor([[0.3, -0.2, 0.1]]), torch.ones(1)
+    expected = push(SimpleNamespace(velocity=velocity, axes=axes, mass=one), one)
+    for actual, wanted in zip(run(function, velocity, axes, one, one), expected, strict=True):
+        torch.testing.assert_close(actual, wanted)
+
+
+def branch(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
+    """Return rows by a branch on a value, which no kernel can have."""
+    return (body.velocity if factor[0] > 0.0 else -body.velocity), factor
+
+
+def test_untraceable_code_is_named_with_its_line_and_a_way_out() -> None:
+    with pytest.raises(CapabilityError, match=r"branch: .*test_torch_trace\.py:\d+ .*factor\[0\] > 0\.0.*torch\.where"):
+        trace_to_warp("branch", {"body": Body, "factor": float}, branch, (wp.vec3, float))
