@@ -1,6 +1,6 @@
 """The wording: the sentence or sentences for each code of a finding. Only reports and commands use them."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from math import isfinite
 from typing import Any
 
@@ -9,11 +9,10 @@ from aerial_gym.sim2real.wording.answer import ANSWER, TRUST
 from aerial_gym.sim2real.wording.logs import LOGS
 from aerial_gym.sim2real.wording.notes import NOTES, REASONS
 from aerial_gym.sim2real.wording.teststand import TESTSTAND
-
-Template = str | Callable[[Finding], str]
+from aerial_gym.sim2real.wording.words import Template, template_sentence
 
 TEMPLATES: dict[str, Template] = {**ANSWER, **TRUST, **NOTES, **REASONS, **LOGS, **TESTSTAND}
-"""Template of each code: a text, or a function of the finding."""
+"""Template of each code."""
 
 _WITH_SUBJECT = {*LOGS, "rows_without_speed", "thrust_from_gravity", "curvature_kept"}
 """Codes whose sentence starts with the subject and a colon."""
@@ -21,8 +20,7 @@ _WITH_SUBJECT = {*LOGS, "rows_without_speed", "thrust_from_gravity", "curvature_
 
 def text(finding: Finding) -> str:
     """Return the sentence of a finding."""
-    template = TEMPLATES[finding.code]
-    sentence = template if isinstance(template, str) else template(finding)
+    sentence = template_sentence(TEMPLATES[finding.code], finding)
     return f"{finding.subject}: {sentence}" if finding.subject and finding.code in _WITH_SUBJECT else sentence
 
 
@@ -52,19 +50,19 @@ def finding_rows(findings: Iterable[Finding]) -> list[dict[str, object]]:
     """Return findings for JSON: code, subject, values, severity and text; infinite and NaN values become null."""
     return [
         {
-            "code": one.code,
-            "subject": one.subject,
-            "values": _finite(one.values),
-            "severity": one.severity,
-            "text": text(one),
+            "code": f.code,
+            "subject": f.subject,
+            "values": _finite_values(f.values),
+            "severity": f.severity,
+            "text": text(f),
         }
-        for one in findings
+        for f in findings
     ]
 
 
-def _finite(content: Any) -> Any:
+def _finite_values(content: Any) -> Any:
     if isinstance(content, Mapping):
-        return {name: _finite(part) for name, part in content.items()}
+        return {name: _finite_values(part) for name, part in content.items()}
     if isinstance(content, list | tuple):
-        return [_finite(part) for part in content]
+        return [_finite_values(part) for part in content]
     return None if isinstance(content, float) and not isfinite(content) else content

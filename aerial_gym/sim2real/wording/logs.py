@@ -3,43 +3,31 @@
 from collections.abc import Sequence
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import join_words, number, percent, round_value
+from aerial_gym.sim2real.wording.words import Template, join_words, round_value
 
 
-def _places(items: Sequence[object], count: int, word: str = "line") -> str:
+def _place_list(items: Sequence[object], count: int, word: str = "line") -> str:
+    """Return ``word`` with the first of ``count`` places, and the number of further ones."""
     more = count - len(items)
-    return f"{word} {', '.join(str(item) for item in items)}" + (f" and {more} more" if more > 0 else "")
+    return f"{word} {', '.join(map(str, items))}" + (f" and {more} more" if more > 0 else "")
 
 
-def _rows(finding: Finding, reason: str) -> str:
+def _rows_left_out(finding: Finding, reason: str, word: str = "line", places: Sequence[object] = ()) -> str:
     values = finding.values
-    where = _places(values["lines"], int(values["rows"]))
+    where = _place_list(places or values["lines"], int(values["rows"]), word)
     return f"{values['rows']} of {values['total']} rows are left out: {reason} ({where})."
 
 
-def _bad_numbers(finding: Finding) -> str:
-    return _rows(
-        finding, f"a field is no number of a flight, such as {finding.values['column']} = {finding.values['field']}"
-    )
-
-
-def _bad_quaternions(finding: Finding) -> str:
+def _samples_left_out(finding: Finding) -> str:
     values = finding.values
-    times = [f"{time:.6g}" for time in values["times_s"]]
-    where = _places(times, int(values["rows"]), "t [s] =")
-    return f"{values['rows']} of {values['total']} rows are left out: their quaternion does not have norm 1 ({where})."
-
-
-def _bad_samples(finding: Finding) -> str:
-    values = finding.values
-    where = _places(values["places"], int(values["samples"]), "sample")
+    where = _place_list(values["places"], int(values["samples"]), "sample")
     return (
         f"{values['samples']} of {values['total']} samples of topic {values['topic']} are left out: their time stamps do not "
         f"fit the others ({where})."
     )
 
 
-def _clock(start: str, finding: Finding) -> str:
+def _clock_sentence(start: str, finding: Finding) -> str:
     values = finding.values
     place = f"line {values['line']}" if "line" in values else f"sample {values['sample']} of {values['topic']}"
     jump = f"from {values['before_s']:.6g} to {values['after_s']:.6g} s"
@@ -51,51 +39,47 @@ def _clock(start: str, finding: Finding) -> str:
 def _late_blocks(finding: Finding) -> str:
     values = finding.values
     start = f"Topic {values['topic']}: " if values["topic"] else ""
-    where = _places(values["places"], values["blocks"], "sample" if values["topic"] else "line")
+    where = _place_list(values["places"], values["blocks"], "sample" if values["topic"] else "line")
     return f"{start}{values['blocks']} blocks of rows were written late and are put in order of time, from {where}."
 
 
-def _vector(values: Sequence[float], half_widths: Sequence[float | None]) -> str:
+def _vector_text(values: Sequence[float], half_widths: Sequence[float | None]) -> str:
     """Return the values with their half widths; ``not shown`` for an axis without half width."""
     pairs = zip(values, half_widths, strict=True)
-    parts = (
+    return ", ".join(
         "not shown" if half is None else f"{round_value(value, half)} ± {round_value(half, half)}"
         for value, half in pairs
     )
-    return ", ".join(parts)
 
 
-def _bias(finding: Finding) -> str:
+def _sensor_bias(finding: Finding) -> str:
     values = finding.values
     key, unit = ("rad_s", "rad/s") if "bias_rad_s" in values else ("m_s2", "m/s²")
-    size = _vector(values[f"bias_{key}"], values[f"half_width_{key}"])
+    size = _vector_text(values[f"bias_{key}"], values[f"half_width_{key}"])
     return f"The {values['sensor']} has a bias of ({size}) {unit} by kinematics, which is left as logged."
 
 
-def _misalignment(finding: Finding) -> str:
-    values = finding.values
-    size = _vector(values["angle_deg"], values["half_width_deg"])
-    return f"The {values['sensor']} is turned against the body by ({size})° by kinematics, which is left as logged."
+def _sensor_misalignment(finding: Finding) -> str:
+    size = _vector_text(finding.values["angle_deg"], finding.values["half_width_deg"])
+    sensor = finding.values["sensor"]
+    return f"The {sensor} is turned against the body by ({size})° by kinematics, which is left as logged."
 
 
-def _late(finding: Finding) -> str:
-    values = finding.values
-    late = float(values["late_ms"])
+def _sensor_delay(finding: Finding) -> str:
+    values, late = finding.values, float(finding.values["late_ms"])
     other = "attitude" if values["sensor"] == "gyro" else "velocity"
-    amount = f"{abs(late):.1f} ± {values['half_width_ms']:.1f} ms"
-    return (
-        f"The {values['sensor']} is {amount} {'late' if late > 0.0 else 'early'} against {other}; it is left as logged."
-    )
+    amount = f"{abs(late):.1f} ± {values['half_width_ms']:.1f} ms {'late' if late > 0.0 else 'early'}"
+    return f"The {values['sensor']} is {amount} against {other}; it is left as logged."
 
 
-def _factor(finding: Finding) -> str:
+def _velocity_factor(finding: Finding) -> str:
     values = finding.values
     rows = zip(values["axes"], values["factor"], values["low"], values["high"], strict=True)
     parts = [f"{axis} {factor:.3f} ({low:.3f} to {high:.3f})" for axis, factor, low, high in rows]
     return f"Velocity over the derivative of position is {join_words(parts)}; it is left as logged."
 
 
-def _jump(finding: Finding) -> str:
+def _position_jump(finding: Finding) -> str:
     values = finding.values
     pairs = zip(values["size_m"], values["half_width_m"], strict=True)
     size = ", ".join(f"{value:+.3g} ± {half:.1g}" for value, half in pairs)
@@ -105,62 +89,52 @@ def _jump(finding: Finding) -> str:
     return f"The position jumps by ({size}) m {when}, against the velocity.{back}"
 
 
-def _lead(finding: Finding) -> str:
-    values = finding.values
-    stay = "" if values["with_commands"] else "; commands stay"
-    lead = f"{values['lead_ms']:.3g} ± {values['half_width_ms']:.2g} ms"
-    return f"The rotor log leads the other sensors by {lead} and is moved back{stay}."
-
-
-LOGS = {
-    "flight_left_out": lambda f: f"Left out: {f.values['error']}.",
-    "topic_left_out": lambda f: f"Topic left out: {f.values['error']}.",
-    "battery_left_out": lambda f: f"The battery voltage is left out: {f.values['error']}.",
+LOGS: dict[str, Template] = {
+    "flight_left_out": "Left out: {error}.",
+    "topic_left_out": "Topic left out: {error}.",
+    "battery_left_out": "The battery voltage is left out: {error}.",
     "file_damaged": "The file is damaged; pyulog left out the parts that it could not read.",
-    "position_jumps_left": lambda f: (
-        f"The position jumps more than {f.values['most']} times against the velocity (position_jump); it is left as logged."
+    "position_jumps_left": (
+        "The position jumps more than {most} times against the velocity (position_jump); it is left as logged."
     ),
-    "sensor_bias": _bias,
-    "sensor_turned": _misalignment,
-    "sensor_late": _late,
-    "velocity_factor": _factor,
-    "sensor_dropout": lambda f: f"{f.values['sensor']} repeats one value from {f.values['time_s']:.3f} s on.",
+    "sensor_bias": _sensor_bias,
+    "sensor_turned": _sensor_misalignment,
+    "sensor_late": _sensor_delay,
+    "velocity_factor": _velocity_factor,
+    "sensor_dropout": "{sensor} repeats one value from {time_s:.3f} s on.",
     "row_without_state": "It has no attitude or no angular velocity.",
-    "row_with_bad_stamp": lambda f: f"t = {f.values['stamp_s']:g} s does not fit the rows around it.",
-    "rows_with_bad_stamps": lambda f: _rows(f, "their time stamps do not fit the rows around them"),
-    "rows_not_of_header": lambda f: _rows(f, f"they do not have the {f.values['fields']} fields of the header"),
-    "rows_without_numbers": _bad_numbers,
-    "rows_without_quaternion": _bad_quaternions,
-    "rows_without_topic": lambda f: (
-        f"{f.values['rows']} of {f.values['total']} rows are left out: topic {f.values['topic']} has no samples near them."
+    "row_with_bad_stamp": "t = {stamp_s:g} s does not fit the rows around it.",
+    "rows_with_bad_stamps": lambda f: _rows_left_out(f, "their time stamps do not fit the rows around them"),
+    "rows_not_of_header": lambda f: _rows_left_out(
+        f, f"they do not have the {f.values['fields']} fields of the header"
     ),
-    "samples_with_bad_stamps": _bad_samples,
+    "rows_without_numbers": lambda f: _rows_left_out(
+        f, f"a field is no number of a flight, such as {f.values['column']} = {f.values['field']}"
+    ),
+    "rows_without_quaternion": lambda f: _rows_left_out(
+        f, "their quaternion does not have norm 1", "t [s] =", [f"{time:.6g}" for time in f.values["times_s"]]
+    ),
+    "rows_without_topic": "{rows} of {total} rows are left out: topic {topic} has no samples near them.",
+    "samples_with_bad_stamps": _samples_left_out,
     "blocks_ordered": _late_blocks,
-    "clock_set_back": lambda f: _clock("The clock was set back", f),
-    "clock_wrapped": lambda f: _clock(f"The counter of the clock ({f.values['counter']}) wrapped", f),
-    "rows_copied": lambda f: f"{f.values['rows']} rows are left out: they copy an earlier one, time included.",
+    "clock_set_back": lambda f: _clock_sentence("The clock was set back", f),
+    "clock_wrapped": lambda f: _clock_sentence(f"The counter of the clock ({f.values['counter']}) wrapped", f),
+    "rows_copied": "{rows} rows are left out: they copy an earlier one, time included.",
     "fields_filled": lambda f: (
         f"{f.values['fields']} empty fields of {f.values['first']} to {f.values['last']} are filled "
         f"{'by the value before' if f.values['held'] else 'by straight lines'}."
     ),
     "battery_without_voltage": "The battery voltage is left out: it is not above 0 V in any row.",
-    "battery_filled": lambda f: (
-        f"The battery voltage is not above 0 V in {f.values['rows']} of {f.values['total']} rows; straight lines fill them."
-    ),
-    "mapping_note": lambda f: str(f.values["text"]),
+    "battery_filled": ("The battery voltage is not above 0 V in {rows} of {total} rows; straight lines fill them."),
+    "mapping_note": "{text}",
     "attitude_level": "The attitude is not logged and is taken as level.",
     "attitude_integrated": "The attitude is not logged: it is integrated from the gyro, and only body axes are compared.",
-    "other_vehicle": lambda f: f"The position of the other vehicle is from {f.values['file']}.",
+    "other_vehicle": "The position of the other vehicle is from {file}.",
     "wind_not_declared": "The mapping declares no wind for a file of this name; still air is assumed.",
-    "wind_declared": lambda f: (
-        f"The declared wind is ({', '.join(f'{v:g}' for v in f.values['wind_m_s'])}) m/s, world axes."
-    ),
-    "rows_cut": lambda f: (
-        f"{f.values['rows']} rows at an end, beyond a gap of {number(f.values['gap_s'])} s, are cut off."
-    ),
-    "steps_resampled": lambda f: (
-        f"Unequal time steps ({number(f.values['shortest_s'])} to {number(f.values['longest_s'])} s) are resampled to "
-        f"{number(f.values['step_s'])} s."
+    "wind_declared": "The declared wind is ({wind_m_s[0]:g}, {wind_m_s[1]:g}, {wind_m_s[2]:g}) m/s, world axes.",
+    "rows_cut": "{rows} rows at an end, beyond a gap of {gap_s:number} s, are cut off.",
+    "steps_resampled": (
+        "Unequal time steps ({shortest_s:number} to {longest_s:number} s) are resampled to {step_s:number} s."
     ),
     "velocity_derived": "Velocity is derived from position.",
     "velocity_unknown": "Neither velocity nor position is logged: drag is predicted as if the vehicle stood still.",
@@ -168,22 +142,21 @@ LOGS = {
     "rates_derived": "Angular velocity is derived from attitude; angular acceleration is not compared.",
     "one_command": "All rotors have one command; angular acceleration is not compared.",
     "torques_not_logged": "By the mapping, these logs show no torques; angular acceleration is not compared.",
-    "on_ground": lambda f: (
-        f"In {percent(f.values['share'])} of the rows it stands on the ground; they are not compared."
-    ),
+    "on_ground": "In {share:percent} of the rows it stands on the ground; they are not compared.",
     "commands_copied": "The commands are left out: they equal the measured rotor speeds, so that they show no lag.",
-    "commands_scaled": lambda f: (
-        f"Commands are scaled by {f.values['factor']:.4f} to the thrust measured above {f.values['height_m']:g} m."
+    "commands_scaled": "Commands are scaled by {factor:.4f} to the thrust measured above {height_m:g} m.",
+    "rotor_log_moved": lambda f: (
+        f"The rotor log leads the other sensors by {f.values['lead_ms']:.3g} ± {f.values['half_width_ms']:.2g} ms and is moved "
+        f"back{'' if f.values['with_commands'] else '; commands stay'}."
     ),
-    "rotor_log_moved": _lead,
-    "position_jump": _jump,
-    "samples_slow": lambda f: (
-        f"{f.values['sensor']} comes only {number(f.values['rate_hz'])} times per second (the log has "
-        f"{number(f.values['log_rate_hz'], 4)} rows); straight lines connect its values."
+    "position_jump": _position_jump,
+    "samples_slow": (
+        "{sensor} comes only {rate_hz:number} times per second (the log has {log_rate_hz:number4} rows); "
+        "straight lines connect its values."
     ),
-    "samples_repeated": lambda f: (
-        f"{f.values['sensor']} repeats its value in {percent(f.values['share'])} of the rows, at most "
-        f"{f.values['longest_rows']} in a row; straight lines connect measured values."
+    "samples_repeated": (
+        "{sensor} repeats its value in {share:percent} of the rows, at most {longest_rows} in a row; straight lines connect "
+        "measured values."
     ),
 }
-"""Template of each code: a text, or a function of the finding."""
+"""Templates of notes on logs, by code."""

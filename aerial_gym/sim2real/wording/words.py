@@ -1,14 +1,20 @@
-"""Formatting shared by all sentences: names of errors, units, lists, numbers and intervals."""
+"""Sentences of findings from templates, and the formats in them: names of errors, units, lists, numbers and intervals."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from math import floor, isfinite, log10
+from string import Formatter
 from typing import Any
 
-from aerial_gym.sim2real.findings import unit_key
+from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 
 Values = Mapping[str, Any]
+
+Template = str | Callable[[Finding], str]
+"""Text with fields such as ``{share:percent}`` (``FORMATS``) for values and subject, or a function of the finding."""
 
 MOST_LISTED = 5
 """Largest number of names in a list; further ones are only counted."""
@@ -43,9 +49,9 @@ def error_words(quantity: str) -> str:
     return f"{axis} error of the rollout{after}{_VARIANTS[kind]}" if kind in _VARIANTS else quantity
 
 
-def errors(quantities: Iterable[str]) -> str:
+def error_list(quantities: Iterable[str]) -> str:
     """Return the names of errors as a list in a sentence."""
-    return names(map(error_words, quantities))
+    return name_list(map(error_words, quantities))
 
 
 def quantity_unit(quantity: str) -> str:
@@ -59,11 +65,11 @@ def quantity_value(values: Values, name: str, unit: str) -> Any:
     return values[f"{name}_{unit_key(unit)}"]
 
 
-def names(items: Iterable[str]) -> str:
+def name_list(items: Iterable[object]) -> str:
     """Return names as a list in a sentence: at most ``MOST_LISTED``, then the number of further ones."""
-    all_of = [str(item) for item in items]
-    more = len(all_of) - MOST_LISTED
-    return join_words([*all_of[:MOST_LISTED], f"{more} more"] if more > 0 else all_of)
+    names = [str(item) for item in items]
+    more = len(names) - MOST_LISTED
+    return join_words([*names[:MOST_LISTED], f"{more} more"] if more > 0 else names)
 
 
 def join_words(parts: Iterable[str], last: str = "and") -> str:
@@ -72,12 +78,12 @@ def join_words(parts: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(before)} {last} {end}" if before else end
 
 
-def number(value: float | None, digits: int = 3) -> str:
+def number_text(value: float | None, digits: int = 3) -> str:
     """Return a number with ``digits`` significant digits; a dash if it is None or not finite."""
     return "–" if value is None or not isfinite(value) else f"{value:.{digits}g}"
 
 
-def percent(share: float, digits: int = 2) -> str:
+def percent_text(share: float, digits: int = 2) -> str:
     """Return the magnitude of a share in per cent."""
     return f"{float(f'{100.0 * abs(share):.{digits}g}'):g} %"
 
@@ -106,8 +112,45 @@ def round_value(value: float, half_width: float | None) -> str:
 def tolerance(half_width: float | None, unit: str) -> str:
     """Return ``± half width unit``, or ``interval not known``."""
     places = decimals(half_width)
-    return "interval not known" if places is None or half_width is None else f"± {half_width:.{places}f}{_space(unit)}"
+    space = " " if unit and unit != "°" else ""
+    return "interval not known" if places is None else f"± {half_width:.{places}f}{space}{unit}"
 
 
-def _space(unit: str) -> str:
-    return f" {unit}" if unit and unit != "°" else unit
+def excitation_text(effect: str) -> str:
+    """Return the sentence on the motion that an effect needs."""
+    return f"Needed: {EFFECTS.get(effect).excitation}."
+
+
+def parameter_list(params: Mapping[str, float]) -> str:
+    """Return parameters as in a robot file: ``name: value, ...``."""
+    return ", ".join(f"{name}: {number_text(value, 4)}" for name, value in params.items())
+
+
+FORMATS: dict[str, Callable[[Any], str]] = {
+    "number": number_text,
+    **{f"number{digits}": partial(number_text, digits=digits) for digits in (1, 2, 4)},
+    "percent": percent_text,
+    "error": error_words,
+    "errors": error_list,
+    "names": name_list,
+    "and": join_words,
+    "or": partial(join_words, last="or"),
+    "excitation": excitation_text,
+    "params": parameter_list,
+}
+"""Formats of values in a template, beside those of Python."""
+
+
+class SentenceFormatter(Formatter):
+    """Formatter of templates that knows ``FORMATS``."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value as text."""
+        return FORMATS[format_spec](value) if format_spec in FORMATS else super().format_field(value, format_spec)
+
+
+def template_sentence(template: Template, finding: Finding) -> str:
+    """Return the sentence of a finding by a template."""
+    if not isinstance(template, str):
+        return template(finding)
+    return SentenceFormatter().vformat(template, (), {**finding.values, "subject": finding.subject})
