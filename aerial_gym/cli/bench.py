@@ -33,8 +33,6 @@ class BenchCmd:
         try:
             return self.benchmark.run()
         except WorkloadError as error:
-            print(
-                f"aerial-gym bench {type(self.benchmark).__name__.removesuffix('Bench').lower()}: {error}",
-                file=sys.stderr,
-            )
+            name = type(self.benchmark).__name__.removesuffix("Bench").lower()
+            print(f"aerial-gym bench {name}: {error}", file=sys.stderr)
             return 1

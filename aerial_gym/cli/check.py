@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.config.console import json_line
 
 if TYPE_CHECKING:
@@ -51,47 +51,39 @@ class CheckCmd:
             if self.json:
                 print(json_line(report.as_mapping()))
             else:
-                _print(report)
+                _print_report(report)
             if self.picture is not None:
                 draw_rotors(robot, self.picture, name=name)
         return int(failed)
 
 
-def _print(report: "RobotReport") -> None:
+def _print_report(report: "RobotReport") -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    console = Console(markup=False)
-    table = Table(
-        title=f"{report.name}: {report.summary}", title_justify="left", box=None, pad_edge=False, show_header=False
-    )
     hover = ", ".join(f"{thrust:.3g}" for thrust in report.hover_thrust_n)
-    table.add_row("mass", f"{report.mass_kg:.4g} kg")
-    table.add_row("hover thrust of each rotor", f"{hover} N, {report.hover_share:.0%} of the range at most")
-    table.add_row("thrust to weight", f"{report.thrust_to_weight:.2f}")
-    table.add_row("independent forces and torques", str(report.rank))
+    rows = [
+        ("mass", f"{report.mass_kg:.4g} kg"),
+        ("hover thrust of each rotor", f"{hover} N, {report.hover_share:.0%} of the range at most"),
+        ("thrust to weight", f"{report.thrust_to_weight:.2f}"),
+        ("independent forces and torques", str(report.rank)),
+    ]
     limits = [f" (rotor {rotor})" if rotor is not None else "" for rotor in report.first_at_limit]
     for quantity, values, unit, ends in (
         ("force along x, y, z at hover", report.force_n, "N", limits[:3]),
         ("torque about x, y, z at hover", report.torque_n_m, "N m", limits[3:]),
         ("angular acceleration", report.angular_acceleration_rad_s2, "rad/s²", ["", "", ""]),
     ):
-        table.add_row(quantity, ", ".join(f"{v:.3g}{end}" for v, end in zip(values, ends, strict=True)) + f" {unit}")
-    console.print(table)
+        rows.append((quantity, ", ".join(f"{v:.3g}{end}" for v, end in zip(values, ends, strict=True)) + f" {unit}"))
+    print_table(rows, title=f"{report.name}: {report.summary}")
     if report.stable_steps:
-        steps = Table(title="largest stable time step, flown", title_justify="left", box=None, pad_edge=False)
-        steps.add_column("controller")
-        steps.add_column("dt")
-        for step in report.stable_steps:
-            steps.add_row(step.controller, step_text(step))
-        console.print(steps)
+        steps = [(step.controller, _stable_step_text(step)) for step in report.stable_steps]
+        print_table(steps, ("controller", "dt"), title="largest stable time step, flown")
     for kind, sentences in (("problem", report.problems), ("note", report.warnings)):
         for sentence in sentences:
-            console.print(f"{kind}: {sentence}")
+            Console(markup=False).print(f"{kind}: {sentence}")
 
 
-def step_text(step: "StableStep") -> str:
-    """Return a stable time step for people."""
+def _stable_step_text(step: "StableStep") -> str:
     if step.refused is not None:
         return f"refused: {step.refused}"
     if step.largest_s is None:

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.config.console import json_line
 from aerial_gym.lazy import pause_garbage_collection
 
@@ -80,8 +79,6 @@ class CloseLoopCmd:
             from aerial_gym.sim2real.identify.selection.scoring import Criteria
             from aerial_gym.sim2real.predict.tolerances import Tolerances
 
-        criteria = Criteria(material=self.material)
-        tolerances = None if self.tolerances is None else load(Tolerances, self.tolerances)
         with progress_bar() as progress:
             verdict = close_loop(
                 self.robot,
@@ -91,8 +88,8 @@ class CloseLoopCmd:
                 mapping=self.mapping,
                 bandwidth=self.bandwidth_hz,
                 seed=self.seed,
-                criteria=criteria,
-                tolerances=tolerances,
+                criteria=Criteria(material=self.material),
+                tolerances=None if self.tolerances is None else load(Tolerances, self.tolerances),
                 effects=self.effects,
                 failures=self.failures,
                 joints=self.joints,
@@ -134,20 +131,16 @@ def _print_verdict(verdict: "Verdict", out: Path) -> None:
     if (more := len(verdict.notes) - len(shown)) > 0:
         console.print(f"  {more} more notes in the report")
     after = verdict.after if verdict.corrects else None
-    table = Table(title="residual on the test flights (rms)", box=None, pad_edge=False)
-    for head in ("channel", "declared", "corrected", "change", "became", "noise floor"):
-        table.add_column(head)
-    for row in channel_rows(verdict.before, after, verdict.outcomes, intervals=False):
-        table.add_row(*(str(row[key]) for key in ("name", "before", "after", "change", "became", "floor")))
-    console.print(table)
+    keys = ("name", "before", "after", "change", "became", "floor")
+    rows = channel_rows(verdict.before, after, verdict.outcomes, intervals=False)
+    head = ("channel", "declared", "corrected", "change", "became", "noise floor")
+    print_table([[str(row[key]) for key in keys] for row in rows], head, title="residual on the test flights (rms)")
+    keys = ("quantity", "horizon", "before", "after", "change", "became")
+    head = ("quantity", "after [s]", "declared", "corrected", "change", "became")
     for variant in verdict.before.rollout:
-        table = Table(title=f"open-loop error, {variant.replace('_', ' ')} (rms)", box=None, pad_edge=False)
-        for head in ("quantity", "after [s]", "declared", "corrected", "change", "became"):
-            table.add_column(head)
-        for row in rollout_rows(verdict, variant, intervals=False):
-            keys = ("quantity", "horizon", "before", "after", "change", "became")
-            table.add_row(*(row[key] for key in keys))
-        console.print(table)
+        rows = rollout_rows(verdict, variant, intervals=False)
+        title = f"open-loop error, {variant.replace('_', ' ')} (rms)"
+        print_table([[row[key] for key in keys] for row in rows], head, title=title)
     if verdict.not_testable:
         console.print(f"not testable: {', '.join(verdict.not_testable)}")
     console.print(

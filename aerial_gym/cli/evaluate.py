@@ -4,10 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +82,5 @@ class EvaluateCmd:
         if self.json:
             print(json.dumps(asdict(result)))
             return 0
-        table = Table(box=None, pad_edge=False, show_header=False)
-        for name, value in asdict(result).items():
-            table.add_row(name, "-" if value is None else f"{value:.4g}")
-        Console(markup=False).print(table)
+        print_table((name, "-" if value is None else f"{value:.4g}") for name, value in asdict(result).items())
         return 0

@@ -8,10 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.table import Table
-
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 
 if TYPE_CHECKING:
     from aerial_gym.export import Exported
@@ -57,38 +54,31 @@ class ExportCmd:
             progress("writing", 1.0)
         for each in exports:
             if each.agrees is False:
-                print(_refusal(each), file=sys.stderr)
+                print(_disagreement_message(each), file=sys.stderr)
         if self.json:
             for each in exports:
-                print(json.dumps(_row(each)))
+                print(json.dumps(_json_row(each)))
         else:
-            table = Table(box=None, pad_edge=False)
-            for column in ("format", "file", "kB", "error", "limit", "output"):
-                table.add_column(column)
-            for each in exports:
-                table.add_row(each.to, str(each.file), f"{each.file.stat().st_size / 1e3:.0f}", *_cells(each))
-            Console(markup=False).print(table)
+            print_table(map(_table_row, exports), ("format", "file", "kB", "error", "limit", "output"))
             print(f"{out / 'policy.json'}: inputs and outputs, entry by entry")
         return int(any(each.agrees is False for each in exports))
 
 
-def _row(each: "Exported") -> dict[str, object]:
-    """Return the JSON object of a file."""
+def _json_row(each: "Exported") -> dict[str, object]:
     row: dict[str, object] = {"to": each.to, "file": str(each.file), "largest_difference": each.largest_difference}
     worst = each.agreement
     return row if worst is None else row | {**asdict(worst), "limit": worst.limit, "agrees": worst.holds}
 
 
-def _cells(each: "Exported") -> tuple[str, str, str]:
-    """Return error, limit and output of a file as text; of one that was not checked, the reason."""
-    worst = each.agreement
-    return (
-        (str(each.not_checked), "", "") if worst is None else (f"{worst.error:.1e}", f"{worst.limit:.1e}", worst.output)
-    )
+def _table_row(each: "Exported") -> tuple[str, ...]:
+    """Return format, file, size, error, limit and output of a file; of one that was not checked, the reason."""
+    row, worst = (each.to, str(each.file), f"{each.file.stat().st_size / 1e3:.0f}"), each.agreement
+    if worst is None:
+        return *row, str(each.not_checked), "", ""
+    return *row, f"{worst.error:.1e}", f"{worst.limit:.1e}", worst.output
 
 
-def _refusal(each: "Exported") -> str:
-    """Return the message about a file that is not the policy."""
+def _disagreement_message(each: "Exported") -> str:
     worst = each.agreement
     assert worst is not None
     return (

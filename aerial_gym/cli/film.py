@@ -43,16 +43,15 @@ def check_film(file: Path) -> None:
         raise MissingDependencyError("--video needs the package 'pillow': pip install pillow") from None
 
 
-def visible_robot(name: str, folder: str) -> str:
+def write_visible_robot(name: str, folder: str) -> str:
     """Write and return a robot file with visible shapes: its own, or arms and rotors, the front ones in red."""
     from aerial_gym.config import dump_yaml
     from aerial_gym.robots.catalog import robot_by_name
 
     robot, file = robot_by_name(name), Path(folder) / "robot.yaml"
-    seen = replace(
-        robot, visible=True, visual=robot.visual or _arms_and_rotors([m.position for m in robot.mounts.layout])
-    )
-    file.write_text(dump_yaml(seen), encoding="utf-8", errors="surrogateescape")
+    shapes = robot.visual or _arms_and_rotors([mount.position for mount in robot.mounts.layout])
+    text = dump_yaml(replace(robot, visible=True, visual=shapes))
+    file.write_text(text, encoding="utf-8", errors="surrogateescape")
     return str(file)
 
 
@@ -101,7 +100,7 @@ class Film:
         self._dt, self._every = task.env.dt, max(1, round(1.0 / (FRAMES_PER_S * task.env.dt)))
         self._steps, self._frames = 0, list["Image"]()
 
-    def look(self, *, begins: bool) -> None:
+    def render_frame(self, *, begins: bool) -> None:
         """Render a frame if one is due; the camera jumps to the robot at the start of an episode."""
         from PIL import Image
 
@@ -114,24 +113,24 @@ class Film:
             pixels = (255.0 * self._images.color[0, 0].clamp(0.0, 1.0)).byte().cpu().numpy()
             frame = Image.fromarray(pixels)
             if self._target is not None:
-                self._mark(frame, (self._target[0] - self._place[0]).tolist())
+                _draw_target(frame, (self._target[0] - self._place[0]).tolist())
             self._frames.append(frame)
         self._steps += 1
-
-    @staticmethod
-    def _mark(frame: "Image", to_target: list[float]) -> None:
-        """Draw a ring where the target is, (3,) from the camera [m], world."""
-        from PIL import ImageDraw
-
-        x, y, z = to_target
-        ahead, up = cos(DOWN) * x - sin(DOWN) * z, sin(DOWN) * x + cos(DOWN) * z
-        if ahead > 0.1:
-            focal = WIDTH / 2 / tan(radians(VIEW_DEG / 2))
-            column, row = WIDTH / 2 - focal * y / ahead, HEIGHT / 2 - focal * up / ahead
-            ImageDraw.Draw(frame).circle((column, row), 5, outline=(20, 120, 40), width=2)
 
     def save(self, file: Path) -> None:
         """Write the frames, each shown as long as it lasted."""
         first, *rest = self._frames
         shown = round(1000.0 * self._every * self._dt)
         first.save(file, save_all=True, append_images=rest, duration=shown, loop=0)
+
+
+def _draw_target(frame: "Image", to_target: list[float]) -> None:
+    """Draw a ring where the target is, (3,) from the camera [m], world."""
+    from PIL import ImageDraw
+
+    x, y, z = to_target
+    ahead, up = cos(DOWN) * x - sin(DOWN) * z, sin(DOWN) * x + cos(DOWN) * z
+    if ahead > 0.1:
+        focal = WIDTH / 2 / tan(radians(VIEW_DEG / 2))
+        column, row = WIDTH / 2 - focal * y / ahead, HEIGHT / 2 - focal * up / ahead
+        ImageDraw.Draw(frame).circle((column, row), 5, outline=(20, 120, 40), width=2)

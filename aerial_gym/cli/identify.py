@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
-from rich.table import Table
 
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.config.console import json_line
 from aerial_gym.errors import ConfigError
 
 if TYPE_CHECKING:
     from aerial_gym.config.robot import RobotCfg
+    from aerial_gym.sim2real.logs.readers.mapping import LogMapping
     from aerial_gym.sim2real.teststand.report import Study
     from aerial_gym.sim2real.teststand.tables import Bench
 
@@ -50,11 +50,10 @@ class MotorCmd:
         if self.num_motors < 1:
             raise ConfigError(f"num_motors = {self.num_motors}: must be at least 1")
         with progress_bar() as progress:
-            benches = _read(self.files, self.columns, self.units)
+            benches = _read_benches(self.files, self.columns, self.units)
             progress("fitting maps and lags, each also without every row or step", 0.1)
-            study = study_motor(benches, num_motors=self.num_motors, robot=_robot(self.robot))
-            _write(self.out, study, vars(self), self.files)
-        return _show(study, self.out, as_json=self.json)
+            study = study_motor(benches, num_motors=self.num_motors, robot=_optional_robot(self.robot))
+        return _report_study(self, study, self.files)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,11 +83,10 @@ class JointCmd:
         from aerial_gym.sim2real.teststand.studies import study_joint
 
         with progress_bar() as progress:
-            (bench,) = _read((self.file,), self.columns, self.units)
+            (bench,) = _read_benches((self.file,), self.columns, self.units)
             progress("fitting springs and creep, each also without every block of time", 0.1)
             study = study_joint(bench, release=self.release_s)
-            _write(self.out, study, vars(self), (self.file,))
-        return _show(study, self.out, as_json=self.json)
+        return _report_study(self, study, (self.file,))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,15 +111,14 @@ class JointsCmd:
 
     def run(self) -> int:
         """Identify and print; return the exit status."""
+        from aerial_gym.robots.catalog import robot_by_name
         from aerial_gym.sim2real.teststand.joints.flights import study_flown_joints
 
-        robot = _robot(self.robot)
-        assert robot is not None
+        robot = robot_by_name(self.robot)
         with progress_bar() as progress:
             progress("reading flights, and fitting every joint", 0.1)
             study = study_flown_joints(robot, self.flights, bandwidth=self.bandwidth_hz, progress=progress)
-            _write(self.out, study, vars(self), self.flights)
-        return _show(study, self.out, as_json=self.json)
+        return _report_study(self, study, self.flights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,47 +164,37 @@ class HoverCmd:
     def run(self) -> int:
         """Identify and print; return the exit status."""
         from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+
+        robot = _optional_robot(self.robot)
+        layout = None if self.mapping is None else find_mapping(self.mapping)
+        study = self._study_balance(robot, layout) if self.baseline else self._study_thrust(robot, layout)
+        return _report_study(self, study, (*self.baseline, *self.flights, *self.test, *self.repeats))
+
+    def _study_thrust(self, robot: "RobotCfg | None", layout: "LogMapping | None") -> "Study":
         from aerial_gym.sim2real.teststand.studies import study_hover
 
-        if self.baseline:
-            return self._balance()
         if self.test or self.repeats or self.added_mass_kg is not None:
             raise ConfigError("--test, --repeats and --added-mass-kg compare flights with a baseline: give --baseline")
-        robot = _robot(self.robot)
         mass = self.mass_kg if self.mass_kg is not None else (None if robot is None else robot.body.mass)
         if mass is None:
             raise ConfigError("identify hover needs a mass: give --robot or --mass-kg")
-        layout = None if self.mapping is None else find_mapping(self.mapping)
         with progress_bar() as progress:
             progress("reading flights", 0.1)
-            study = study_hover(self.flights, layout=layout, mass=mass, mass_std=self.mass_std_kg, robot=robot)
-            _write(self.out, study, vars(self), self.flights)
-        return _show(study, self.out, as_json=self.json)
+            return study_hover(self.flights, layout=layout, mass=mass, mass_std=self.mass_std_kg, robot=robot)
 
-    def _balance(self) -> int:
-        from aerial_gym.sim2real.logs.readers.mapping import find_mapping
+    def _study_balance(self, robot: "RobotCfg | None", layout: "LogMapping | None") -> "Study":
         from aerial_gym.sim2real.teststand.studies import study_balance
 
-        robot = _robot(self.robot)
         if robot is None:
             raise ConfigError("identify hover --baseline needs the places and spin of the rotors: give --robot")
         if self.mass_kg is not None or self.mass_std_kg:
             raise ConfigError(
                 "--mass-kg and --mass-std-kg give a thrust coefficient; with --baseline the mass is the robot's"
             )
+        more = {"test": self.test, "repeats": self.repeats, "added_mass": self.added_mass_kg}
         with progress_bar() as progress:
             progress("reading flights", 0.1)
-            study = study_balance(
-                self.baseline,
-                self.flights,
-                layout=None if self.mapping is None else find_mapping(self.mapping),
-                robot=robot,
-                test=self.test,
-                repeats=self.repeats,
-                added_mass=self.added_mass_kg,
-            )
-            _write(self.out, study, vars(self), (*self.baseline, *self.flights, *self.test, *self.repeats))
-        return _show(study, self.out, as_json=self.json)
+            return study_balance(self.baseline, self.flights, layout=layout, robot=robot, **more)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,7 +216,7 @@ class IdentifyCmd:
         return self.subject.run()
 
 
-def _read(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str]) -> "list[Bench]":
+def _read_benches(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str]) -> "list[Bench]":
     from aerial_gym.sim2real.teststand.tables import KNOWN, read_columns
 
     for quantity in (*columns, *units):
@@ -240,34 +227,27 @@ def _read(files: tuple[Path, ...], columns: dict[str, str], units: dict[str, str
     return [read_columns(path, given=columns, units=units) for path in files]
 
 
-def _robot(name: str | None) -> "RobotCfg | None":
+def _optional_robot(name: str | None) -> "RobotCfg | None":
     from aerial_gym.robots.catalog import robot_by_name
 
     return None if name is None else robot_by_name(name)
 
 
-def _write(out: Path | None, study: "Study", options: dict[str, object], inputs: tuple[Path, ...]) -> None:
+def _report_study(command: MotorCmd | JointCmd | JointsCmd | HoverCmd, study: "Study", inputs: tuple[Path, ...]) -> int:
+    """Write the results of a command to its folder, if it has one, and print them; return the exit status."""
     from aerial_gym.sim2real.teststand.report import write_study
-
-    if out is not None:
-        write_study(out, study, {"command": f"identify {study.title}", **options}, inputs)
-
-
-def _show(study: "Study", out: Path | None, *, as_json: bool) -> int:
     from aerial_gym.sim2real.wording import render_findings, text
 
-    if as_json:
+    out = command.out
+    if out is not None:
+        write_study(out, study, {"command": f"identify {study.title}", **vars(command)}, inputs)
+    if command.json:
         print(json_line(render_findings(study.mapping), allow_nan=False))
         return 0
     console = Console(markup=False)
     console.print(f"{study.title}. {study.intro}")
     for part in study.tables:
-        table = Table(title=part.title, box=None, pad_edge=False)
-        for head in part.head:
-            table.add_column(head)
-        for row in part.rows:
-            table.add_row(*row)
-        console.print(table)
+        print_table(part.rows, part.head, title=part.title)
     for note in study.notes:
         console.print(f"note: {text(note)}")
     if out is not None:

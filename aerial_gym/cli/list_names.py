@@ -67,7 +67,8 @@ class ListCmd:
         kinds = KINDS if self.kind is None else KINDS | PARTS_OF_TASKS
         if self.kind is not None and self.kind not in kinds:
             raise UnknownNameError(f"no kind {self.kind!r}. Known: {', '.join(kinds)}")
-        summaries = {kind: _summaries(kind, homes) for kind, homes in kinds.items() if self.kind in (None, kind)}
+        chosen = kinds if self.kind is None else {self.kind: kinds[self.kind]}
+        summaries = {kind: _name_summaries(kind, homes) for kind, homes in chosen.items()}
         if self.json:
             print(json_line(summaries, indent=2))
             return 0
@@ -78,7 +79,7 @@ class ListCmd:
         return 0
 
 
-def _summaries(kind: str, homes: Sequence[ImportPath]) -> dict[str, str]:
+def _name_summaries(kind: str, homes: Sequence[ImportPath]) -> dict[str, str]:
     """Return the names and lines of a kind, registry by registry, without the marks of code in docstrings."""
     summaries = {name: line for home in homes for name, line in home.load().summaries().items()}
     more = {name: home.summary() for name, home in UNREGISTERED.get(kind, {}).items()}

@@ -7,22 +7,12 @@ import os
 import select
 import sys
 from collections.abc import Sequence
-from typing import Protocol
 
 from aerial_gym import __version__
 from aerial_gym.cli import process
 from aerial_gym.config.console import accept_any_console
 from aerial_gym.errors import AerialGymError, StorageError, TrainingError
 from aerial_gym.lazy import ImportPath
-
-
-class Subcommand(Protocol):
-    """A subcommand."""
-
-    def run(self) -> int:
-        """Run the command; return the exit status."""
-        ...
-
 
 RENAMED: dict[str, str] = {"import-robot": "robot import", "check": "robot check", "tune": "robot tune"}
 """Names of 0.1.0, each with its replacement; they warn for one release."""
@@ -47,17 +37,16 @@ COMMANDS: dict[str, ImportPath] = {
 }
 
 
-def _overview(noun: str = "") -> str:
+def _command_overview(noun: str = "") -> str:
     names = [name for name in COMMANDS if name.startswith(noun)]
     width = max(map(len, names))
     rows = [f"  {name:<{width}} {COMMANDS[name].summary()}" for name in names]
     usage = f"usage: aerial-gym {f'{noun}VERB' if noun else 'COMMAND'} [options]"
-    return "\n".join(
-        [usage, "", *rows, "", "aerial-gym COMMAND --help lists the options; --version prints the version."]
-    )
+    end = "aerial-gym COMMAND --help lists the options; --version prints the version."
+    return "\n".join([usage, "", *rows, "", end])
 
 
-def _split(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
+def _split_command_name(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     """Return the name of the command, of one or two words, and the remaining arguments."""
     if argv[0] in RENAMED:
         name = RENAMED[argv[0]]
@@ -67,36 +56,35 @@ def _split(argv: Sequence[str]) -> tuple[str, Sequence[str]]:
     return (pair, argv[2:]) if pair in COMMANDS else (argv[0], argv[1:])
 
 
-def _parse(argv: Sequence[str]) -> Subcommand | int:
-    """Return the command, or an exit status after help or a wrong request."""
+def _run_command(argv: Sequence[str]) -> int:
+    """Run the command of a command line, or print help or the refusal of a wrong request; return the exit status."""
     if not argv or argv[0] in ("-h", "--help"):
-        print(_overview())
+        print(_command_overview())
         return 0 if argv else 2
     if argv[0] == "--version":
         print(f"aerial-gym {__version__}")
         return 0
-    name, options = _split(argv)
-    if name not in COMMANDS:
-        return _refuse(name, options)
-    command = COMMANDS[name].load()
-    if hasattr(command, "parse"):
-        return command.parse(options)
-    import tyro
-
-    return tyro.cli(command, args=options, prog=f"aerial-gym {name}")
-
-
-def _refuse(name: str, options: Sequence[str]) -> int:
-    """Print the verbs of a noun, or the known commands; return the exit status."""
+    name, options = _split_command_name(argv)
     if any(known.startswith(f"{name} ") for known in COMMANDS):
         asked = bool(options) and options[0] in ("-h", "--help")
-        print(_overview(f"{name} "), file=sys.stdout if asked else sys.stderr)
+        print(_command_overview(f"{name} "), file=sys.stdout if asked else sys.stderr)
         return 0 if asked else 2
-    print(f"aerial-gym: no command {name!r}. Known: {', '.join(COMMANDS)}", file=sys.stderr)
-    return 2
+    if name not in COMMANDS:
+        return _print_error(f"no command {name!r}. Known: {', '.join(COMMANDS)}", 2)
+    command = COMMANDS[name].load()
+    if hasattr(command, "parse"):
+        return command.parse(options).run()
+    import tyro
+
+    return tyro.cli(command, args=options, prog=f"aerial-gym {name}").run()
 
 
-def _is_read() -> bool:
+def _print_error(message: object, status: int) -> int:
+    print(f"aerial-gym: {message}", file=sys.stderr)
+    return status
+
+
+def _stdout_has_reader() -> bool:
     """Return whether stdout has a reader; ``| head`` closes it early, and then nothing is printed."""
     out = select.poll()
     out.register(sys.stdout.fileno(), 0)
@@ -110,33 +98,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     accept_any_console()
     try:
-        command = _parse(sys.argv[1:] if argv is None else argv)
-        status = command if isinstance(command, int) else command.run()
+        status = _run_command(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
         return status
     except SystemExit as stop:  # tyro's own: help (0) or a wrong flag (2)
         return int(stop.code or 0)
     except (StorageError, TrainingError) as error:
-        print(f"aerial-gym: {error}", file=sys.stderr)
-        return 1
+        return _print_error(error, 1)
     except (AerialGymError, FileNotFoundError) as error:
-        print(f"aerial-gym: {error}", file=sys.stderr)
-        return 2
+        return _print_error(error, 2)
     except OSError as error:
-        if isinstance(error, BrokenPipeError) and not _is_read():
+        if isinstance(error, BrokenPipeError) and not _stdout_has_reader():
             return 1
         from aerial_gym.config.storage import storage_message
 
-        print(f"aerial-gym: {storage_message(error)}", file=sys.stderr)
-        return 1
+        return _print_error(storage_message(error), 1)
     except KeyboardInterrupt:
-        print("aerial-gym: interrupted", file=sys.stderr)
-        return 1
+        return _print_error("interrupted", 1)
 
 
 def entry() -> None:
     """Console script."""
-    process.begin()
+    process.prepare_process()
     sys.exit(main())
 
 

@@ -9,11 +9,11 @@ from tempfile import TemporaryDirectory
 
 import torch
 
-from aerial_gym.cli.film import Film, check_film, visible_robot
+from aerial_gym.cli.film import Film, check_film, write_visible_robot
 from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 
-COLUMNS = (
+COLUMNS = [
     "t",
     "env",
     "p_x",
@@ -29,7 +29,7 @@ COLUMNS = (
     "omega_x",
     "omega_y",
     "omega_z",
-)
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class PlayCmd:
         if (self.policy is None) == (self.replay is None):
             raise ConfigError("play: give exactly one of --policy and --replay")
         if self.replay is not None:
-            return self._show(self.replay)
+            return self._write_dump(self.replay)
         assert self.policy is not None
         if self.video is not None:
             check_film(self.video)
@@ -79,43 +79,35 @@ class PlayCmd:
 
         policy, cfg = load_policy(self.policy)
         robot = self.robot or cfg.robot
-        with (
-            TemporaryDirectory() as folder,
-            task_registry.make_task(
-                cfg.task,
-                num_envs=self.num_envs,
-                device="cpu",
-                seed=self.seed,
-                robot=robot
-                if self.video is None
-                else visible_robot(robot or task_registry.get(cfg.task).robot, folder),
-                controller=cfg.controller,
-                backend=self.backend,
-                encoder=cfg.encoder,
-            ) as task,
-            one_thread(),
-        ):
-            check_fits(policy, task, cfg.task)
-            film = None if self.video is None else Film(task)
-            rows = _fly(policy, task, self.num_steps, film)
-            if film is not None and self.video is not None:
-                with storage_errors(self.video, only_full=True):
-                    film.save(self.video)
+        with TemporaryDirectory() as folder:
+            if self.video is not None:
+                robot = write_visible_robot(robot or task_registry.get(cfg.task).robot, folder)
+            made = task_registry.make_task(
+                cfg.task, num_envs=self.num_envs, device="cpu", seed=self.seed, robot=robot,
+                controller=cfg.controller, backend=self.backend, encoder=cfg.encoder,
+            )  # fmt: skip
+            with made as task, one_thread():
+                check_fits(policy, task, cfg.task)
+                film = None if self.video is None else Film(task)
+                rows = _flight_rows(policy, task, self.num_steps, film)
+                if film is not None and self.video is not None:
+                    with storage_errors(self.video, only_full=True):
+                        film.save(self.video)
         if film is None or self.out is not None:
-            self._write([list(COLUMNS), *rows])
+            self._write_rows([COLUMNS, *rows])
         return 0
 
-    def _show(self, dump: Path) -> int:
+    def _write_dump(self, dump: Path) -> int:
         """Print which numbers of each row were NaN or infinite on stderr, and write the last steps of the row."""
         from aerial_gym.robots.finite_watch import read_dump
 
         table, sentences = read_dump(dump)
         for sentence in sentences:
             print(sentence, file=sys.stderr)
-        self._write(table)
+        self._write_rows(table)
         return 0
 
-    def _write(self, rows: Sequence[Sequence[object]]) -> None:
+    def _write_rows(self, rows: Sequence[Sequence[object]]) -> None:
         if self.out is None:
             csv.writer(sys.stdout, lineterminator="\n").writerows(rows)
             return
@@ -124,7 +116,8 @@ class PlayCmd:
 
 
 @torch.no_grad()
-def _fly(policy, task, num_steps: int, film: Film | None) -> list[list[float]]:
+def _flight_rows(policy, task, num_steps: int, film: Film | None) -> list[list[float]]:
+    """Fly, and return the rows of ``COLUMNS``: one for each step and environment."""
     gtd, rows, began = task.env.gtd, [], True
     observation, _ = task.reset()
     policy.reset()
@@ -132,7 +125,7 @@ def _fly(policy, task, num_steps: int, film: Film | None) -> list[list[float]]:
         keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")
         motion = torch.cat([gtd[key] for key in keys], dim=-1).tolist()
         if film is not None:
-            film.look(begins=began)
+            film.render_frame(begins=began)
         rows += [[round(step * task.env.dt, 6), env, *values] for env, values in enumerate(motion)]
         if step < num_steps:
             observation, _, terminated, truncated, _ = task.step(policy(observation))

@@ -11,16 +11,16 @@ from aerial_gym.interop.preload import preload
 _started: float | None = None
 
 
-def begin() -> None:
+def prepare_process() -> None:
     """Note the start of this process, preload libraries of a training, cache bytecode; called by ``entry``."""
     global _started
     _started = time.perf_counter() - time.process_time()  # the interpreter's own start counts
-    keep_bytecode()
+    cache_bytecode()
     if sys.argv[1:2] == ["train"]:
-        preload(_parse_device(sys.argv))
+        preload(_device_option(sys.argv))
 
 
-def _parse_device(argv: list[str]) -> str | None:
+def _device_option(argv: list[str]) -> str | None:
     """Return the device of a command line, given as ``--device NAME`` or ``--device=NAME``; None without one."""
     words = [part for word in argv for part in word.split("=", 1)]
     return words[words.index("--device") + 1] if "--device" in words[:-1] else None
@@ -31,7 +31,7 @@ def start_time() -> float:
     return time.perf_counter() if _started is None else _started
 
 
-def keep_bytecode() -> None:
+def cache_bytecode() -> None:
     """Cache bytecode in the user's cache folder if PyTorch's installation has none and cannot store any.
 
     Containers often set ``PYTHONDONTWRITEBYTECODE`` and install without ``__pycache__`` folders. Every process then compiles

@@ -1,10 +1,11 @@
 """``aerial-gym render-gallery``: one page with a picture of every sensor in every environment."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,12 +46,12 @@ class RenderGalleryCmd:
         sections, total = [], len(environments) * len(sensors)
         with progress_bar() as progress:
             for name in environments:
-                with_all = []
-                env = self._build(name)
+                entries = []
+                env = self._build_environment(name)
                 for sensor, cfg in sensors.items():
-                    progress(f"{name}: {sensor}", (len(sections) * len(sensors) + len(with_all)) / total)
-                    with_all.append({"name": sensor, "summary": cfg.summary, "pictures": _pictures(env, cfg)})
-                sections.append({"name": name, "summary": env.cfg.summary, "sensors": with_all})
+                    progress(f"{name}: {sensor}", (len(sections) * len(sensors) + len(entries)) / total)
+                    entries.append({"name": sensor, "summary": cfg.summary, "pictures": _sensor_pictures(env, cfg)})
+                sections.append({"name": name, "summary": env.cfg.summary, "sensors": entries})
         templates = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
         page = jinja2.Environment(loader=templates, autoescape=True).get_template("gallery.html.j2")
         self.out.mkdir(parents=True, exist_ok=True)
@@ -59,7 +60,7 @@ class RenderGalleryCmd:
         print(path)
         return 0
 
-    def _build(self, name: str) -> "EnvManager":
+    def _build_environment(self, name: str) -> "EnvManager":
         from aerial_gym.env_manager import SimBuilder
 
         env = SimBuilder().build_env(
@@ -75,7 +76,7 @@ class RenderGalleryCmd:
         return env
 
 
-def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
+def _sensor_pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
     """Return every image that a sensor writes at the robot's start, as title and ``data:`` address."""
     import numpy as np
     import torch
@@ -83,55 +84,46 @@ def _pictures(env: "EnvManager", cfg: "RangeSensorCfg") -> list[dict[str, str]]:
     from aerial_gym.math.quaternion import quat_rotate
     from aerial_gym.sensors import RayCaster, make_images
 
-    images = make_images(cfg, 1, device=env.device)
+    images, attitude = make_images(cfg, 1, device=env.device), env.gtd["robot_orientation"]
     caster = RayCaster(
-        cfg,
-        env.asset_manager.scene,
-        images,
-        position=env.gtd["robot_position"],
-        attitude=env.gtd["robot_orientation"],
-        lin_vel=quat_rotate(env.gtd["robot_orientation"], torch.tensor([[1.0, 0.0, 0.0]], device=env.device)),
-        ang_vel=torch.zeros(1, 3, device=env.device),
-        random=env.random,
-    )
+        cfg, env.asset_manager.scene, images, position=env.gtd["robot_position"], attitude=attitude,
+        lin_vel=quat_rotate(attitude, torch.tensor([[1.0, 0.0, 0.0]], device=env.device)),
+        ang_vel=torch.zeros(1, 3, device=env.device), random=env.random,
+    )  # fmt: skip
     caster.reset(torch.ones(1, dtype=torch.bool, device=env.device))
     caster.cast()
 
     def first(image: torch.Tensor) -> "np.ndarray":
         return image[0, 0].cpu().numpy()
 
-    scale = 1.0 if cfg.normalize else cfg.max_range
-    distance = first(images.distance)
-    pictures = [{"title": cfg.kind, "url": _color_url(np.where(distance < 0.0, np.nan, distance / scale))}]
-    for title, ids in (("segmentation", images.segmentation), ("faces", images.face_ids)):
-        if ids is not None:
-            pictures.append({"title": title, "url": _id_url(first(ids))})
-    if images.normals is not None:
-        pictures.append({"title": f"normals, {cfg.normals}", "url": _png(0.5 + 0.5 * first(images.normals))})
-    if images.disparity is not None:
-        shift = first(images.disparity)
-        pictures.append({"title": "disparity", "url": _color_url(1.0 - shift / max(float(shift.max()), 1e-6))})
-    if images.optical_flow is not None:
-        pictures.append({"title": "optical flow at 1 m/s ahead", "url": _flow_url(first(images.optical_flow))})
-    if images.color is not None:
-        pictures.append({"title": "colour", "url": _png(first(images.color))})
-    if images.points is not None:
-        height = first(images.points)[..., 2]
-        span = max(float(np.ptp(height)), 1e-6)
-        pictures.append(
-            {"title": f"height of the points, {cfg.points}", "url": _color_url((height - height.min()) / span)}
-        )
-    return pictures
+    def distance_url(distance: "np.ndarray") -> str:
+        return _share_url(np.where(distance < 0.0, np.nan, distance / (1.0 if cfg.normalize else cfg.max_range)))
+
+    def height_url(points: "np.ndarray") -> str:
+        height = points[..., 2]
+        return _share_url((height - height.min()) / max(float(np.ptp(height)), 1e-6))
+
+    kinds: dict[str, tuple[torch.Tensor | None, Callable[[np.ndarray], str]]] = {
+        str(cfg.kind): (images.distance, distance_url),
+        "segmentation": (images.segmentation, _id_url),
+        "faces": (images.face_ids, _id_url),
+        f"normals, {cfg.normals}": (images.normals, lambda normals: _png_url(0.5 + 0.5 * normals)),
+        "disparity": (images.disparity, lambda shift: _share_url(1.0 - shift / max(float(shift.max()), 1e-6))),
+        "optical flow at 1 m/s ahead": (images.optical_flow, _flow_url),
+        "colour": (images.color, _png_url),
+        f"height of the points, {cfg.points}": (images.points, height_url),
+    }
+    return [{"title": title, "url": url(first(image))} for title, (image, url) in kinds.items() if image is not None]
 
 
-def _color_url(share: "np.ndarray") -> str:
+def _share_url(share: "np.ndarray") -> str:
     """Return shares of 1 in colour, NaN in grey."""
     import numpy as np
     from matplotlib import colormaps
 
     colors = colormaps["viridis_r"](np.nan_to_num(np.clip(share, 0.0, 1.0)))[..., :3]
     colors[np.isnan(share)] = 0.85
-    return _png(colors)
+    return _png_url(colors)
 
 
 def _flow_url(flow: "np.ndarray") -> str:
@@ -145,7 +137,7 @@ def _flow_url(flow: "np.ndarray") -> str:
     length = np.hypot(flow[..., 0], flow[..., 1])
     hue = np.mod(np.arctan2(flow[..., 1], flow[..., 0]) / (2.0 * np.pi), 1.0)
     full = np.clip(length / max(float(np.quantile(length, 0.99)), 1e-6), 0.0, 1.0)
-    return _png(hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1)))
+    return _png_url(hsv_to_rgb(np.stack((hue, full, np.ones_like(hue)), axis=-1)))
 
 
 def _id_url(ids: "np.ndarray") -> str:
@@ -155,10 +147,10 @@ def _id_url(ids: "np.ndarray") -> str:
     palette = np.random.default_rng(3).uniform(0.15, 0.95, (997, 3))
     colors = palette[np.mod(ids, 997)]
     colors[ids < 0] = 0.85
-    return _png(colors)
+    return _png_url(colors)
 
 
-def _png(colors: "np.ndarray") -> str:
+def _png_url(colors: "np.ndarray") -> str:
     import base64
     import io
 

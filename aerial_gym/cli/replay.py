@@ -6,9 +6,8 @@ from typing import Annotated
 
 import tyro
 from rich.console import Console
-from rich.table import Table
 
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.config.console import json_line
 
 
@@ -40,8 +39,8 @@ class ReplayCmd:
     def run(self) -> int:
         """Replay the flights and print the figures; return the exit status."""
         from aerial_gym.sim2real import replay
-        from aerial_gym.sim2real.predict.rollout import QUANTITIES
-        from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows, interval
+        from aerial_gym.sim2real.replay import replay_rollout_rows
+        from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
         from aerial_gym.sim2real.wording import text
 
         with progress_bar() as progress:
@@ -58,25 +57,15 @@ class ReplayCmd:
             print(json_line(result.as_mapping()))
             return 0
         console = Console(markup=False)
-        table = Table(title="measured minus predicted (rms, 95 % interval)", box=None, pad_edge=False)
-        for head in ("channel", "residual", "noise floor"):
-            table.add_column(head)
-        for row in channel_rows(result.evaluation, None):
-            table.add_row(str(row["name"]), str(row["before"]), str(row["floor"]))
-        console.print(table)
-        table = Table(title="open-loop error (rms over windows, 95 % interval)", box=None, pad_edge=False)
-        for head in ("variant", "quantity", "after [s]", "error"):
-            table.add_column(head)
-        for variant, quantities in result.evaluation.rollout.items():
-            for quantity, horizons in quantities.items():
-                for horizon, rms in horizons.items():
-                    name = f"{quantity} [{QUANTITIES[quantity]}]"
-                    table.add_row(variant.replace("_", " "), name, f"{horizon:g}", interval(rms))
-        console.print(table)
+        rows = [[str(row[key]) for key in ("name", "before", "floor")] for row in channel_rows(result.evaluation, None)]
+        head = ("channel", "residual", "noise floor")
+        print_table(rows, head, title="measured minus predicted (rms, 95 % interval)")
+        rows = [[row["variant"].replace("_", " "), *list(row.values())[1:]] for row in replay_rollout_rows(result)]
+        head = ("variant", "quantity", "after [s]", "error")
+        print_table(rows, head, title="open-loop error (rms over windows, 95 % interval)")
         for note in result.notes[:SHOWN_NOTES]:
             console.print(f"note: {text(note)}")
         if (more := len(result.notes) - SHOWN_NOTES) > 0:
-            console.print(
-                f"{more} more notes {'in the report' if self.out else 'with --json, or in the report of --out'}"
-            )
+            place = "in the report" if self.out else "with --json, or in the report of --out"
+            console.print(f"{more} more notes {place}")
         return 0

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 TASK, TRAINER = "position_setpoint_task", "ppo"
 """Default task and trainer."""
 
+CONSTANTS = ("num_envs", "seed", "robot", "controller", "backend", "encoder")
+"""Settings that a resumed training keeps."""
+
 LIMITS = ("max_time_s", "max_env_steps")
 """Of a training; what is given on the command line replaces both of the settings."""
 
@@ -110,36 +113,20 @@ class TrainCmd:
                 raise ConfigError(
                     f"--trainer {self.trainer}: the settings in {known} are of {cfg.trainer}. Leave one out"
                 )
-        names = (
-            "num_envs",
-            "device",
-            "seed",
-            "robot",
-            "controller",
-            "backend",
-            "encoder",
-            "max_time_s",
-            "max_env_steps",
-        )
+        names = (*CONSTANTS, "device", *LIMITS)
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
         if given.keys() & set(LIMITS):
             given = dict.fromkeys(LIMITS) | given
         for name, run in (("teacher", self.teacher), ("initial", self.initial)):
             if run is not None:
                 given[name] = str(run.resolve())
-        result = train(
-            replace(cfg, **given),
-            self.out,
-            resume=self.resume,
-            watch=self.watch,
-            wandb=self.wandb,
-            started=start_time(),
-        )
+        more = {"resume": self.resume, "watch": self.watch, "wandb": self.wandb, "started": start_time()}
+        result = train(replace(cfg, **given), self.out, **more)
         if torchrun_rank() == 0:
-            self._tell(result)
+            self._print_result(result)
         return 1 if result.interrupted else 0
 
-    def _tell(self, result: "TrainingResult") -> None:
+    def _print_result(self, result: "TrainingResult") -> None:
         if self.json:
             print(json.dumps(asdict(result)))
         else:
@@ -147,12 +134,9 @@ class TrainCmd:
             rate = f"{result.env_steps:,} environment steps, {result.env_steps_per_s:,.0f} per second"
             console.print(f"{'interrupted' if result.interrupted else 'trained'}: {rate}, {result.time_s:.0f} s")
             if result.non_finite:
-                where = (
-                    f"play --replay {self.out}/non_finite.csv"
-                    if self.watch
-                    else f"{self.out}/log.txt, or train --watch"
-                )
-                console.print(f"{result.non_finite:,} rows were NaN or infinite and ended as crashes: see {where}")
+                watched, log = f"play --replay {self.out}/non_finite.csv", f"{self.out}/log.txt, or train --watch"
+                rows = f"{result.non_finite:,} rows were NaN or infinite and ended as crashes"
+                console.print(f"{rows}: see {watched if self.watch else log}")
             console.print(f"checkpoint: {result.checkpoint or 'none yet'}")
             again = f"train --out {self.out} --resume" if result.interrupted else f"evaluate --policy {self.out}"
             console.print(f"next: aerial-gym {again}")
@@ -166,7 +150,7 @@ class TrainCmd:
                 raise ConfigError(
                     f"--{flag} {given}: the run in {self.out} is of {own}. Leave it out, or start a new run in another --out"
                 )
-        for name in ("config", "teacher", "initial", "num_envs", "seed", "robot", "controller", "backend", "encoder"):
+        for name in ("config", "teacher", "initial", *CONSTANTS):
             if getattr(self, name) is not None:
                 flag = name.replace("_", "-")
                 raise ConfigError(

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
-from aerial_gym.cli.progress import progress_bar
+from aerial_gym.cli.terminal import print_table, progress_bar
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 
 if TYPE_CHECKING:
@@ -39,10 +38,10 @@ class TrainEncoderCmd(EncoderTrainingCfg):
         if self.json:
             print(json.dumps(asdict(result)))
         else:
-            self._tell(result)
+            self._print_result(result)
         return int(result.interrupted)
 
-    def _tell(self, result: "EncoderResult") -> None:
+    def _print_result(self, result: "EncoderResult") -> None:
         console = Console(markup=False, highlight=False)
         console.print(
             f"{'interrupted' if result.interrupted else 'trained'}: {result.epochs} epochs, {result.time_s:.0f} s"
@@ -50,13 +49,11 @@ class TrainEncoderCmd(EncoderTrainingCfg):
         if result.interrupted:
             console.print(f"next: aerial-gym train-encoder --out {self.out} --resume")
             return
-        table = Table(box=None, pad_edge=False)
-        for column in ("told by, on other scenes", "rms [m]", "mean [m]", "rms of near pixels [m]"):
-            table.add_column(column)
+        rows = []
         for name, errors in [*result.errors.items(), *result.errors_by_env.items()]:
             near = "-" if errors.near_rms_m is None else f"{errors.near_rms_m:.3f}"
-            table.add_row(name, f"{errors.rms_m:.3f}", f"{errors.mean_m:.3f}", near)
-        console.print(table)
+            rows.append((name, f"{errors.rms_m:.3f}", f"{errors.mean_m:.3f}", near))
+        print_table(rows, ("told by, on other scenes", "rms [m]", "mean [m]", "rms of near pixels [m]"))
         console.print(f"latents that tell images apart: {result.active_latents}")
         console.print(
             f"next: aerial-gym train --task navigation_task --robot {result.robot} --encoder {result.encoder}",

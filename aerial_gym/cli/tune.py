@@ -42,19 +42,13 @@ class TuneCmd:
         )  # fmt: skip
         names = ("attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
         rows = {name: [round(number, 6) for number in getattr(tuning.control, name)] for name in names}
-        told = {
-            "lag_s": tuning.lag,
-            "delay_s": tuning.delay,
-            "yaw_limited": tuning.yaw_limited,
-            "radius": tuning.radius,
-        }
         if self.json:
-            print(json.dumps(rows | told))
+            loop = {"lag_s": tuning.lag, "delay_s": tuning.delay}
+            print(json.dumps(rows | loop | {"yaw_limited": tuning.yaw_limited, "radius": tuning.radius}))
         else:
             yaw = "; yaw is slower than asked, as the rotors give no more torque" if tuning.yaw_limited else ""
-            print(
-                f"# rotor lag {tuning.lag:.4g} s, dead time {tuning.delay:.4g} s; spectral radius {tuning.radius:.6f}{yaw}"
-            )
+            loop = f"# rotor lag {tuning.lag:.4g} s, dead time {tuning.delay:.4g} s"
+            print(f"{loop}; spectral radius {tuning.radius:.6f}{yaw}")
             if robot.joints is not None:
                 print(f"# {robot.joints.rigid_note('gains are those for a vehicle that does not bend')}")
             print("control:")

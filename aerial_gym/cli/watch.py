@@ -47,14 +47,14 @@ class WatchCmd:
         robot = robot_by_name(self.robot)
         lines = stdin_lines() if self.log == "-" else file_lines(Path(self.log), follow=self.follow)
         with one_thread():
-            for number, flight in enumerate(_flights(lines)):
+            for number, flight in enumerate(_lines_of_flights(lines)):
                 if number:
                     print(f"{self.log}: begins anew; watched from its first row on", file=sys.stderr)
-                if not self._watch(robot, flight):
+                if not self._watch_flight(robot, flight):
                     break
         return 0
 
-    def _watch(self, robot: "RobotCfg", lines: Iterator[str]) -> bool:
+    def _watch_flight(self, robot: "RobotCfg", lines: Iterator[str]) -> bool:
         """Print a line for each failure in the lines of one flight, then a summary; return False if it was interrupted."""
         from aerial_gym.errors import DataError
         from aerial_gym.sim2real.failures.watch import NAMED, FlightWatch
@@ -70,7 +70,7 @@ class WatchCmd:
         name = "flight" if self.log == "-" else Path(self.log).stem
         watch = FlightWatch(robot, header.names, name=name, false_alarm_hours=self.false_alarm_hours)
         try:
-            for alarm in _alarms(watch, header, numbered, self.log, refuse=not self.follow):
+            for alarm in _alarms_of_lines(watch, header, numbered, self.log, refuse=not self.follow):
                 named += alarm.stage == NAMED
                 sentence = f"{alarm.stage} at {alarm.told_s:.2f} s: {text(alarm.failure.finding)}"
                 print(json_line(render_findings(alarm.as_mapping())) if self.json else sentence, flush=True)
@@ -82,7 +82,7 @@ class WatchCmd:
         return not interrupted
 
 
-def _flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:
+def _lines_of_flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:
     """Yield the lines of each flight: a None between lines begins another one."""
     ended = False
 
@@ -98,7 +98,7 @@ def _flights(lines: Iterator[str | None]) -> Iterator[Iterator[str]]:
         yield flight()
 
 
-def _alarms(
+def _alarms_of_lines(
     watch: "FlightWatch", header: "CsvHeader", lines: Iterator[tuple[int, str]], log: str, *, refuse: bool
 ) -> "Iterator[Alarm]":
     """Yield the alarms while lines come, and when they end; name the first rows that are left out, and count all.
@@ -113,7 +113,7 @@ def _alarms(
     for number, line in lines:
         if header.is_remark(line):
             continue
-        row, rows = _numbers(header.row(line.rstrip("\r\n"))), rows + 1
+        row, rows = _row_numbers(header.row(line.rstrip("\r\n"))), rows + 1
         if row is None:
             unreadable += 1
             named += _report_bad_row(
@@ -143,7 +143,7 @@ def _report_bad_row(named: int, sentence: str) -> bool:
     return named < SHOWN
 
 
-def _numbers(row: str | None) -> list[float] | None:
+def _row_numbers(row: str | None) -> list[float] | None:
     """Return the fields of a row, empty ones as NaN; None if one is no number."""
     try:
         return None if row is None else [float(field.strip() or "nan") for field in row.split(",")]

@@ -19,6 +19,7 @@ from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress, silent
@@ -99,7 +100,7 @@ def replay(
             config = {"command": "replay", "robot": str(robot), "flights": [str(path) for path in flights]}
             config |= {"mapping": mapping and str(mapping), "bandwidth_hz": bandwidth, "seed": seed}
             with whole_folder(Path(out_dir)) as folder:
-                _write(folder, result)
+                _write_report(folder, result)
                 write_record(folder, config, digests)
     progress("done", 1.0)
     return result
@@ -123,13 +124,24 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     )
 
 
-def _write(folder: Path, result: Replay) -> None:
-    from aerial_gym.sim2real.predict.rollout import QUANTITIES
+def replay_rollout_rows(result: Replay) -> list[dict[str, str]]:
+    """Return one row per rollout error: variant, quantity with unit, horizon [s], rms with its interval."""
+    from aerial_gym.sim2real.report.tables import interval
+
+    return [
+        {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval(rms)}
+        for variant, quantities in result.evaluation.rollout.items()
+        for name, horizons in quantities.items()
+        for h, rms in horizons.items()
+    ]
+
+
+def _write_report(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report import plots
     from aerial_gym.sim2real.report.figures import VARIANTS
     from aerial_gym.sim2real.report.profiles import profiles, write_profiles
     from aerial_gym.sim2real.report.report import render, write_residuals
-    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows, interval
+    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
 
     write_json(folder / "replay.json", result.as_mapping())
     write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.params})
@@ -145,18 +157,12 @@ def _write(folder: Path, result: Replay) -> None:
         figures.append({"title": f"The {words} over time", "image": image})
         image = plots.residual_profiles(results, channels, kind)
         figures.append({"title": f"Mean residual of the {words} with its standard error", "image": image})
-    rollouts = [
-        {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval(rms)}
-        for variant, quantities in result.evaluation.rollout.items()
-        for name, horizons in quantities.items()
-        for h, rms in horizons.items()
-    ]
     context = {
         "robot": result.robot,
         "flights": [flight.name for flight in result.flights],
         "bandwidth": result.bandwidth,
         "channels": channel_rows(result.evaluation, None),
-        "rollouts": rollouts,
+        "rollouts": replay_rollout_rows(result),
         "figures": figures,
         "notes": [text(note) for note in result.notes],
         "shown_notes": SHOWN_NOTES,

@@ -11,6 +11,9 @@ from rich.console import Console
 
 from aerial_gym.errors import ConfigError
 
+IDSIA_FLIGHTS = Path("../shared/data/idsia_nanodrone")
+TEMPLATES = Path(__file__).parents[1] / "templates"
+
 
 @dataclass(frozen=True, kw_only=True)
 class DemoCmd:
@@ -34,48 +37,42 @@ class DemoCmd:
 
     def run(self) -> int:
         """Run the three parts and write the page; return the exit status."""
-        from aerial_gym.cli.demo.page import write_page
+        import jinja2
+
         from aerial_gym.cli.demo.parts import close_the_loop, find_flights, record_cameras, train_hover
         from aerial_gym.interop import one_thread
 
-        console = Console(stderr=True)
-        started = time.perf_counter()
-        _make_room(self.out)
-        flights = find_flights(self.flights or _idsia_folder(), self.out, self.seed)
+        console, started = Console(stderr=True), time.perf_counter()
+
+        def announce(stage: str) -> None:
+            console.print(f"{stage} ({time.perf_counter() - started:.0f} s)")
+
+        _remove_earlier_demo(self.out)
+        flights = find_flights(self.flights or (IDSIA_FLIGHTS if IDSIA_FLIGHTS.is_dir() else None), self.out, self.seed)
         with one_thread():
-            console.print(f"[bold]1/3 look[/]: cameras in the obstacle environment ({_duration_text(started)})")
+            announce("[bold]1/3 look[/]: cameras in the obstacle environment")
             seen = record_cameras(self.seed, self.backend)
-            console.print(
-                f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s ({_duration_text(started)})"
-            )
+            announce(f"[bold]2/3 learn[/]: a hover policy from scratch, {self.train_time_s:.0f} s")
             learned = train_hover(self.out, self.seed, self.train_time_s, self.backend)
-            console.print(
-                f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights ({_duration_text(started)})"
-            )
+            announce(f"[bold]3/3 measure[/]: {len(flights.train)} + {len(flights.test)} flights")
             measured = close_the_loop(flights, self.out / "loop")
-        page = write_page(
-            self.out / "index.html",
+        environment = jinja2.Environment(
+            loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
+        )
+        page = environment.get_template("demo.html.j2").render(
             seen=seen,
             learned=learned,
             measured=measured,
             machine=f"{platform.platform()}, Python {platform.python_version()}, torch {metadata.version('torch')}",
             time_s=time.perf_counter() - started,
         )
-        console.print(f"done after {_duration_text(started)}")
-        print(page)
+        (self.out / "index.html").write_text(page, encoding="utf-8", errors="surrogateescape")
+        announce("done")
+        print(self.out / "index.html")
         return 0
 
 
-def _duration_text(started: float) -> str:
-    return f"{time.perf_counter() - started:.0f} s"
-
-
-def _idsia_folder() -> Path | None:
-    folder = Path("../shared/data/idsia_nanodrone")
-    return folder if folder.is_dir() else None
-
-
-def _make_room(out: Path) -> None:
+def _remove_earlier_demo(out: Path) -> None:
     """Remove the files of an earlier demo; refuse a folder that holds anything else."""
     if not out.exists():
         return

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.progress import Progress
 
 from aerial_gym.cli.demo.figures import as_data_url, camera_figure, flights_figure, learning_figure
-from aerial_gym.cli.demo.loop_figures import residual_figure, residual_rows, rollout_figure
+from aerial_gym.cli.terminal import progress_bar
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import DataError
 from aerial_gym.rl_training.evaluation import evaluate
@@ -21,6 +19,8 @@ from aerial_gym.rl_training.settings import load_settings, settings_for
 from aerial_gym.rl_training.training import train
 from aerial_gym.sensors import SENSORS
 from aerial_gym.sim2real.close_loop import close_loop
+from aerial_gym.sim2real.report.plots import residual_bars, rollout_bars
+from aerial_gym.sim2real.report.tables import channel_rows
 from aerial_gym.sim2real.report.verdict_json import verdict_json
 from aerial_gym.task import task_registry
 
@@ -64,8 +64,7 @@ def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None)
         cfg.task, num_envs=NUM_EVALUATION_STARTS, device="cpu", seed=seed + 1_000_003, backend=backend
     ) as task:
         evaluation = evaluate(policy, task)
-        paths = _fly(policy, task)
-        figure = flights_figure(paths, task.env.dt)
+        figure = flights_figure(_position_errors(policy, task), task.env.dt)
     return {
         "result": asdict(result),
         "evaluation": asdict(evaluation),
@@ -75,7 +74,7 @@ def train_hover(out: Path, seed: int, time_s: float, backend: str | None = None)
 
 
 @torch.no_grad()
-def _fly(policy: Any, task: Any) -> Any:
+def _position_errors(policy: Any, task: Any) -> Any:
     """Return the errors (T, n, 3) [m] of some flights of one episode."""
     observation, _ = task.reset()
     policy.reset()
@@ -91,20 +90,11 @@ def _fly(policy: Any, task: Any) -> Any:
 class DemoFlights:
     """Flight logs for the loop, with their description."""
 
-    robot: str
-    """Registered robot or robot file."""
-
-    train: tuple[Path, ...]
-    """Flights that the loop learns from."""
-
-    test: tuple[Path, ...]
-    """Flights that it is scored on."""
-
-    mapping: str | None
-    """Layout of the logs; None for this package's own."""
-
-    story: str
-    """One paragraph for the page."""
+    robot: str  # Registered robot or robot file
+    train: tuple[Path, ...]  # Training flights
+    test: tuple[Path, ...]  # Test flights
+    mapping: str | None  # Layout of the logs; None for this package's own
+    story: str  # One paragraph for the page
 
 
 def find_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
@@ -158,22 +148,15 @@ def _make_flights(folder: Path, seed: int) -> DemoFlights:
 
 
 def close_the_loop(flights: DemoFlights, out: Path) -> dict[str, Any]:
-    """Run the closed loop on the flights; return the content of ``verdict.json`` and two figures."""
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("closing the loop", total=1.0)
+    """Run the closed loop on the flights; return the content of ``verdict.json``, and table and figures of the errors."""
+    with progress_bar() as progress:
         verdict = close_loop(
-            flights.robot,
-            flights.train,
-            flights.test,
-            out,
-            mapping=flights.mapping,
-            progress=lambda stage, share: bar.update(task, description=stage, completed=share),
+            flights.robot, flights.train, flights.test, out, mapping=flights.mapping, progress=progress
         )
-    data = verdict_json(verdict)
+    before, after = verdict.before, verdict.after if verdict.corrects else None
     return {
         "story": flights.story,
-        "verdict": data,
-        "rows": residual_rows(data),
-        "residuals": as_data_url(residual_figure(data)),
-        "rollouts": as_data_url(rollout_figure(data)),
+        "verdict": verdict_json(verdict),
+        "rows": channel_rows(before, after, verdict.outcomes),
+        "figures": [residual_bars(before, after), *(rollout_bars(before, after, name) for name in before.rollout)],
     }

@@ -25,7 +25,7 @@ def installation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_code_is_kept_in_the_cache_folder_where_the_installation_gets_none(installation: Path, tmp_path: Path) -> None:
-    process.keep_bytecode()
+    process.cache_bytecode()
     assert (sys.pycache_prefix, sys.dont_write_bytecode) == (str(tmp_path / "caches/aerial_gym/bytecode"), False)
 
 
@@ -34,7 +34,7 @@ def test_code_is_kept_where_the_installation_cannot_be_written(
 ) -> None:
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     monkeypatch.setattr(process.os, "access", lambda *_: False)
-    process.keep_bytecode()
+    process.cache_bytecode()
     assert sys.pycache_prefix is not None
 
 
@@ -51,18 +51,18 @@ def test_settings_of_python_stay_otherwise(case: str, installation: Path, monkey
     else:
         monkeypatch.setattr(process, "find_spec", lambda _: None)
     before = sys.pycache_prefix, sys.dont_write_bytecode
-    process.keep_bytecode()
+    process.cache_bytecode()
     assert (sys.pycache_prefix, sys.dont_write_bytecode) == before
 
 
 def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """In a process that ran for a while, ``begin`` looks back by the time that it took."""
-    monkeypatch.setattr(process, "keep_bytecode", lambda: None)
+    monkeypatch.setattr(process, "cache_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "list"])
     assert process.start_time() == pytest.approx(time.perf_counter(), abs=0.1)
     used = time.process_time()
-    process.begin()
+    process.prepare_process()
     assert process.start_time() == pytest.approx(time.perf_counter() - used, abs=0.1)
 
 
@@ -79,9 +79,9 @@ def test_a_training_loads_libraries_for_its_device(
     argv: list[str], device: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loaded: list[str | None] = []
-    monkeypatch.setattr(process, "keep_bytecode", lambda: None)
+    monkeypatch.setattr(process, "cache_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(process, "preload", loaded.append)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", *argv])
-    process.begin()
+    process.prepare_process()
     assert loaded == [device]
