@@ -104,14 +104,7 @@ def as_body_shape(own: wp.vec4) -> BodyShape:  # noqa: F811 (Warp tells function
 
 @wp.func
 def _time_of_corner(
-    path: Path,
-    other: Path,
-    lever: wp.vec3,
-    away: wp.vec3,
-    span: float,
-    outward: wp.vec3,
-    surface: float,
-    slack: float,
+    path: Path, other: Path, lever: wp.vec3, away: wp.vec3, span: float, outward: wp.vec3, surface: float, slack: float
 ) -> float:
     """Return a lower bound of the time until a corner reaches a plane that turns with the part; 0 from below it.
 

@@ -27,26 +27,17 @@ _ROOT = """
 """
 
 
-@wp.func_native(
-    _ROOT.format(name="rsqrt", plain="1.0f / wp::sqrt(x)"),
-    "adj_x -= 0.5f * adj_ret / (x * wp::sqrt(x));",
-)
+@wp.func_native(_ROOT.format(name="rsqrt", plain="1.0f / wp::sqrt(x)"), "adj_x -= 0.5f * adj_ret / (x * wp::sqrt(x));")
 def inverse_root(x: float) -> float:
     """Return ``1 / sqrt(x)`` for x > 0, on a GPU within two units in the last place."""
 
 
-@wp.func_native(
-    _ROOT.format(name="sqrt", plain="wp::sqrt(x)"),
-    "adj_x += 0.5f * adj_ret / wp::sqrt(x);",
-)
+@wp.func_native(_ROOT.format(name="sqrt", plain="wp::sqrt(x)"), "adj_x += 0.5f * adj_ret / wp::sqrt(x);")
 def root(x: float) -> float:
     """Return ``sqrt(x)`` for x >= 0, on a GPU within two units in the last place."""
 
 
-@wp.func_native(
-    _ROOT.format(name="rcp", plain="1.0f / x"),
-    "adj_x -= adj_ret / (x * x);",
-)
+@wp.func_native(_ROOT.format(name="rcp", plain="1.0f / x"), "adj_x -= adj_ret / (x * x);")
 def reciprocal(x: float) -> float:
     """Return ``1 / x``, on a GPU within one unit in the last place."""
 
@@ -140,9 +131,7 @@ def solve_motion(push: wp.mat33, mixed: wp.mat33, turn: wp.mat33, force: wp.vec3
 def world_up(q: wp.quat) -> wp.vec3:
     """Return world z in body axes, ``R(q)^T z``: ``rotate_inverse`` of it, written out."""
     return wp.vec3(
-        2.0 * (q[0] * q[2] - q[3] * q[1]),
-        2.0 * (q[1] * q[2] + q[3] * q[0]),
-        1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1]),
+        2.0 * (q[0] * q[2] - q[3] * q[1]), 2.0 * (q[1] * q[2] + q[3] * q[0]), 1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1])
     )
 
 

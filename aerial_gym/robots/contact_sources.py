@@ -80,25 +80,13 @@ class ContactSources:
             from aerial_gym.robots.joints.obstacle_sweep import LinkObstacleSweep
 
             return LinkObstacleSweep(
-                scene,
-                contact,
-                robot,
-                state,
-                around.links,
-                dt=sim.dt,
-                crashes_out=around.crashes,
-                moving=around.moving,
+                scene, contact, robot, state, around.links, dt=sim.dt, crashes_out=around.crashes, moving=around.moving
             )
         from aerial_gym.robots.scene_contact import ContactBody, SceneContact
 
         in_fluid = any(isinstance(EFFECTS.get(name), FluidEffect) for name in robot.effects)
         pushed = ContactBody(
-            mass=mass,
-            inertia=inertia,
-            com=com,
-            spheres=self._spheres,
-            shapes=robot.collision.shapes,
-            in_fluid=in_fluid,
+            mass=mass, inertia=inertia, com=com, spheres=self._spheres, shapes=robot.collision.shapes, in_fluid=in_fluid
         )
         return SceneContact(
             scene,

@@ -193,7 +193,7 @@ FOLLOWING: dict[str, Callable[["GradientTensors"], Tensor]] = {
 """Secondary states as functions of the motion, by GTD key."""
 
 FOLLOWING_JOINTS: dict[str, Callable[["GradientTensors"], Tensor]] = {
-    "dof_state_tensor": lambda now: torch.stack((now["dof_position"], now["dof_velocity"]), dim=-1),
+    "dof_state_tensor": lambda now: torch.stack((now["dof_position"], now["dof_velocity"]), dim=-1)
 }
 """Quantities derived from joint states, by GTD key."""
 

@@ -189,11 +189,7 @@ class InitialState:
         self.work = RowWork(function=start_row, given_type=StartArrays, given=given)
         """The start of one environment, for use in another kernel."""
         self._command = ReusableLaunch(
-            _start,
-            dim=state.num_envs,
-            inputs=[self._mask, given],
-            device=state.position.device,
-            block_dim=BLOCK_DIM,
+            _start, dim=state.num_envs, inputs=[self._mask, given], device=state.position.device, block_dim=BLOCK_DIM
         )
 
     def reset(self, mask: Tensor) -> None:

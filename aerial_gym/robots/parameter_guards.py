@@ -13,11 +13,7 @@ LIVE = ("drawn_parameters", "downwash_position")
 
 
 def guard_parameters(
-    gtd: GlobalTensorDictionary,
-    effects: Sequence[EffectParams],
-    drawn: Collection[int],
-    *,
-    notice: Callable[[], None],
+    gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], drawn: Collection[int], *, notice: Callable[[], None]
 ) -> None:
     """Allow writes to independent parameters, and refuse those to derived ones.
 

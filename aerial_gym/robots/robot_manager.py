@@ -19,12 +19,7 @@ from aerial_gym.errors import ShapeError
 from aerial_gym.interop import with_usual_settings
 from aerial_gym.interop.rows import RowUpdate
 from aerial_gym.math.random import Randomness, take_mask
-from aerial_gym.physics import (
-    PhysicsBackend,
-    Vehicle,
-    build_model,
-    vehicle_from_config,
-)
+from aerial_gym.physics import PhysicsBackend, Vehicle, build_model, vehicle_from_config
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EffectsByKind, ImuEffect
 from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors

@@ -29,12 +29,7 @@ from aerial_gym.interop import ReusableLaunch
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import position_share
-from aerial_gym.physics.fused.contact import (
-    ContactParameters,
-    contact_parameters,
-    displace,
-    make_velocity_change,
-)
+from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, displace, make_velocity_change
 from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.robots.contact_pairs import (
@@ -300,9 +295,5 @@ class SceneContact:
         moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
         self._views = (inputs, moved)
         return ReusableLaunch(
-            _make_push(**self._kinds),
-            dim=scene.num_envs,
-            inputs=[*inputs, self._dt],
-            outputs=moved,
-            device=device,
+            _make_push(**self._kinds), dim=scene.num_envs, inputs=[*inputs, self._dt], outputs=moved, device=device
         )

@@ -16,13 +16,7 @@ from aerial_gym.config.sensor import RangeSensorCfg, SensorCfg, load_any_sensor
 from aerial_gym.config.sensor_mount import SensorMountCfg, is_file
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, suggest_name
-from aerial_gym.math.quaternion import (
-    quat_conjugate,
-    quat_from_euler,
-    quat_multiply,
-    quat_normalize,
-    quat_rotate,
-)
+from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_multiply, quat_normalize, quat_rotate
 from aerial_gym.registry import Registry
 from aerial_gym.sensors.catalog import IMUS, SENSORS
 

@@ -189,8 +189,7 @@ def read_rays(path: str | Path) -> Tensor:
     if not lines:
         raise ConfigError(f"{path}: has no rays")
     numbers = torch.tensor(
-        [_numbers(line, len(header), f"{path}: line {i}") for i, line in enumerate(lines, start=2)],
-        dtype=torch.float64,
+        [_numbers(line, len(header), f"{path}: line {i}") for i, line in enumerate(lines, start=2)], dtype=torch.float64
     )
     return numbers if len(header) == 3 else _from_angles(numbers[:, 0], numbers[:, 1])
 

@@ -93,13 +93,7 @@ class SensorManager:
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
             self.casters[name] = _caster_class()(
-                cfg,
-                scene,
-                taken,
-                **moved,
-                random=random,
-                number=len(self.casters),
-                pose=(poses or {}).get(name),
+                cfg, scene, taken, **moved, random=random, number=len(self.casters), pose=(poses or {}).get(name)
             )
             if cfg.rate_hz is not None:
                 self._clock[name] = torch.full((num_envs,), 1.0 / cfg.rate_hz, device=device)

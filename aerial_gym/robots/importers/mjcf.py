@@ -240,10 +240,7 @@ class _Reader:
                 "quadratic_drag as effects"
             )
         free = slice(int(m.body_dofadr[root]), int(m.body_dofadr[root]) + 6)
-        for label, values in (
-            ("damping", m.dof_damping),
-            ("frictionloss", m.dof_frictionloss),
-        ):
+        for label, values in (("damping", m.dof_damping), ("frictionloss", m.dof_frictionloss)):
             if np.any(np.asarray(values)[free]):
                 yield f"{label} of the free joint: {np.max(np.asarray(values)[free]):g}"
         own = self.joints()

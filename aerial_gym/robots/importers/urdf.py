@@ -108,11 +108,7 @@ def read(
 def _unread_elements(root: ElementTree.Element, *, joints: bool) -> Iterator[str]:
     """Yield the unused elements; visual shapes count only on links without collision shapes."""
     used: Tags = {
-        "link": {
-            "inertial": {tag: {} for tag in ("origin", "mass", "inertia")},
-            "collision": _SHAPE,
-            "visual": _SHAPE,
-        },
+        "link": {"inertial": {tag: {} for tag in ("origin", "mass", "inertia")}, "collision": _SHAPE, "visual": _SHAPE},
         "joint": {**_JOINT, **(_MOVING if joints else {})},
         "gazebo": {"plugin": MOTOR_TAGS, "turnGravityOff": {}, "gravity": {}},
         "properties": {},

@@ -63,13 +63,7 @@ class WarpBodies(Bodies):
     """One model with parameters for each row, and all environments in one set of launches."""
 
     def __init__(
-        self,
-        rows: Tensor,
-        num_envs: int,
-        dt: float,
-        *,
-        floor: Floor | None = None,
-        cfg: ContactCfg | None = None,
+        self, rows: Tensor, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
     ) -> None:
         """Make model and data on the device of ``rows``; other arguments as for ``RolloutBodies``.
 
