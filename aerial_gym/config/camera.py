@@ -6,8 +6,8 @@ Frame and letters: those of ``range_sensor``.
 from dataclasses import dataclass
 from math import hypot, inf
 
+from aerial_gym.config.checks import require
 from aerial_gym.config.range_sensor import RangeSensorCfg
-from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +25,8 @@ class CameraCfg(RangeSensorCfg):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.hfov_deg < 180.0:
-            raise ConfigError(
-                f"{type(self).__name__}.hfov_deg = {self.hfov_deg!r}: must lie between 0 and 180 degrees. "
-                "A fisheye camera sees more"
-            )
+        holds = 0.0 < self.hfov_deg < 180.0
+        require(self, "hfov_deg", holds, "must lie between 0 and 180 degrees. A fisheye camera sees more")
 
     @property
     def has_image_plane(self) -> bool:
@@ -52,8 +49,7 @@ class StereoCfg(CameraCfg):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < abs(self.baseline) < inf:
-            raise ConfigError(f"StereoCfg.baseline = {self.baseline!r}: must be finite and not 0. Left is positive")
+        require(self, "baseline", 0.0 < abs(self.baseline) < inf, "must be finite and not 0. Left is positive")
 
     @property
     def has_second_camera(self) -> bool:
@@ -77,14 +73,10 @@ class FisheyeCfg(RangeSensorCfg):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.hfov_deg <= 360.0:
-            raise ConfigError(f"FisheyeCfg.hfov_deg = {self.hfov_deg!r}: must be > 0 and at most 360 degrees")
-        radius = 0.5 * hypot(self.width - 1, self.height - 1) / self.width
-        if radius * self.hfov_deg >= 180.0:
-            raise ConfigError(
-                f"FisheyeCfg.hfov_deg = {self.hfov_deg!r}: the corner of {self.width} x {self.height} pixels would look "
-                f"{radius * self.hfov_deg:.1f} degrees off the axis; hfov_deg must be less than {180.0 / radius:.1f}"
-            )
+        require(self, "hfov_deg", 0.0 < self.hfov_deg <= 360.0, "must be > 0 and at most 360 degrees")
+        corner = 0.5 * hypot(self.width - 1, self.height - 1) / self.width * self.hfov_deg
+        rule = f"a corner pixel looks {corner:.1f} degrees off the axis: must be less than 180. Give a smaller field of view"
+        require(self, "hfov_deg", corner < 180.0, rule)
 
     @property
     def has_image_plane(self) -> bool:

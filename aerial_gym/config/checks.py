@@ -1,7 +1,7 @@
 """Checks of numbers that all configurations share."""
 
-from collections.abc import Iterator
-from math import inf, isfinite
+from collections.abc import Collection, Iterator
+from math import inf, isfinite, pi
 
 from aerial_gym.errors import ConfigError
 
@@ -17,46 +17,48 @@ LARGEST_SINGLE = (2.0 - 2.0**-23) * 2.0**127
 Vec3 = tuple[float, float, float]
 
 
+def require(config: object, name: str, holds: bool, rule: str) -> None:
+    """Raise ``ConfigError`` with a field, its value and the rule unless the rule holds."""
+    if not holds:
+        raise ConfigError(f"{type(config).__name__}.{name} = {getattr(config, name)!r}: {rule}")
+
+
+def require_choice(config: object, name: str, known: Collection[str]) -> None:
+    """Raise ``ConfigError`` unless a field has one of the known values."""
+    require(config, name, getattr(config, name) in known, f"must be one of {', '.join(known)}")
+
+
 def require_positive(config: object, *names: str) -> None:
     """Raise ``ConfigError`` unless the named numbers are finite and > 0, or None (NaN fails)."""
     for name in names:
         value = getattr(config, name)
-        if value is not None and not 0.0 < value < inf:
-            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be > 0 and finite")
+        require(config, name, value is None or 0.0 < value < inf, "must be > 0 and finite")
 
 
 def require_not_negative(config: object, *names: str) -> None:
     """Raise ``ConfigError`` unless the named numbers, or tuples of numbers, are finite and >= 0, or None (NaN fails)."""
     for name in names:
-        value = getattr(config, name)
-        if value is not None and not all(0.0 <= number < inf for number in _numbers(value)):
-            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be >= 0 and finite")
+        holds = all(0.0 <= number < inf for number in _numbers(getattr(config, name)))
+        require(config, name, holds, "must be >= 0 and finite")
 
 
 def require_finite(config: object, *names: str) -> None:
-    """Raise ``ConfigError`` unless the named numbers or nested tuples of numbers are finite."""
+    """Raise ``ConfigError`` unless the named numbers or nested tuples of numbers are finite, or None."""
     for name in names:
-        value = getattr(config, name)
-        if not all(map(isfinite, _numbers(value))):
-            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be finite")
+        require(config, name, all(map(isfinite, _numbers(getattr(config, name)))), "must be finite")
 
 
 def require_float32(config: object, *names: str) -> None:
     """Raise ``ConfigError`` unless the named numbers are finite in single precision (NaN fails as well)."""
     for name in names:
-        value = getattr(config, name)
-        if not abs(value) <= LARGEST_SINGLE:
-            raise ConfigError(
-                f"{type(config).__name__}.{name} = {value!r}: must be finite, and at most {LARGEST_SINGLE:.2g} either way"
-            )
+        holds = abs(getattr(config, name)) <= LARGEST_SINGLE
+        require(config, name, holds, f"must be finite, and at most {LARGEST_SINGLE:.2g} either way")
 
 
 def require_count(config: object, *names: str, most: int = MAX_COUNT) -> None:
     """Raise ``ConfigError`` unless the named whole numbers are from 1 to ``most``."""
     for name in names:
-        value = getattr(config, name)
-        if not 1 <= value <= most:
-            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: must be >= 1 and at most {most:,}")
+        require(config, name, 1 <= getattr(config, name) <= most, f"must be >= 1 and at most {most:,}")
 
 
 def require_ordered(config: object, low: str, high: str) -> None:
@@ -66,10 +68,43 @@ def require_ordered(config: object, low: str, high: str) -> None:
         raise ConfigError(f"{type(config).__name__}: {low} = {a} must not exceed {high} = {b}")
 
 
+def require_ranges(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the fields ``NAME_low`` and ``NAME_high`` of each name are finite and in order."""
+    for name in names:
+        require_finite(config, f"{name}_low", f"{name}_high")
+        require_ordered(config, f"{name}_low", f"{name}_high")
+
+
+def require_angles(config: object, *names: str) -> None:
+    """Raise ``ConfigError`` unless the named tuples of angles are finite and within +-2 pi, or None."""
+    require_finite(config, *names)
+    for name in names:
+        holds = all(abs(angle) <= 2.0 * pi for angle in getattr(config, name) or ())
+        require(config, name, holds, "must lie within +-2 pi. Angles are in radians")
+
+
+def require_inertia(config: object, *, may_vanish: bool = False) -> None:
+    """Raise ``ConfigError`` unless ``inertia`` is that of a body; ``may_vanish`` allows moments of 0, as of a point."""
+    import numpy as np
+
+    require_finite(config, "inertia")
+    matrix = np.asarray(config.inertia, dtype=float)  # type: ignore[attr-defined]
+    largest = max(float(np.abs(matrix).max()), 1e-30)
+    require(config, "inertia", np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * largest), "must be symmetric")
+    low, middle, high = np.linalg.eigvalsh(matrix).tolist()
+    holds = low >= -1e-12 if may_vanish else low > 0.0
+    require(config, "inertia", holds, f"principal moments must be {'>=' if may_vanish else '>'} 0")
+    holds = high <= (low + middle) * (1.0 + (1e-6 if may_vanish else 1e-9))
+    rule = f"principal moments {[low, middle, high]} violate the triangle inequality; none may exceed the sum of the others"
+    require(
+        config, "inertia", holds, f"{rule}. No body is like that: check digits, units, and that it is of the whole body"
+    )
+
+
 def _numbers(value: object) -> Iterator[float]:
-    """Yield the numbers of a number or of nested tuples."""
+    """Yield the numbers of a number or of nested tuples; none of None."""
     if isinstance(value, (tuple, list)):
         for item in value:
             yield from _numbers(item)
-    else:
+    elif value is not None:
         yield float(value)  # type: ignore[arg-type]

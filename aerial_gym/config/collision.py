@@ -4,11 +4,9 @@ Frames: body is x forward, y left, z up. A shape on a link of a robot that bends
 """
 
 from dataclasses import dataclass
-from math import pi
 
-from aerial_gym.config.checks import Vec3, require_finite, require_positive
+from aerial_gym.config.checks import Vec3, require, require_angles, require_finite, require_positive
 from aerial_gym.config.shape import BASE, PartCfg, ShapeCfg
-from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,10 +44,9 @@ class BoxCfg:
     """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
 
     def __post_init__(self) -> None:
-        _check_place(self)
-        require_finite(self, "size")
-        if not all(edge > 0.0 for edge in self.size):
-            raise ConfigError(f"BoxCfg.size = {self.size!r}: every edge must be > 0")
+        require_finite(self, "center", "size")
+        require_angles(self, "euler")
+        require(self, "size", min(self.size) > 0.0, "every edge must be > 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +69,12 @@ class CapsuleCfg:
     """For robots with joints: the carrier, ``base`` or the joint whose link carries it."""
 
     def __post_init__(self) -> None:
-        _check_place(self)
+        require_finite(self, "center")
+        require_angles(self, "euler")
         require_positive(self, "radius", "height")
 
 
 CollisionShape = SphereCfg | BoxCfg | CapsuleCfg
-
-
-def _check_place(cfg: BoxCfg | CapsuleCfg) -> None:
-    require_finite(cfg, "center", "euler")
-    if any(abs(angle) > 2.0 * pi for angle in cfg.euler):
-        raise ConfigError(f"{type(cfg).__name__}.euler = {cfg.euler!r}: must lie within +-2 pi. Angles are in radians")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,12 +1,10 @@
 """Contact of a robot with ground and obstacles: compliant, with friction."""
 
 from dataclasses import dataclass
-from math import inf, isnan
+from math import inf
 
-from aerial_gym.config.checks import require_not_negative
-from aerial_gym.config.robot import require_positive
+from aerial_gym.config.checks import require, require_not_negative, require_positive
 from aerial_gym.config.sim import STANDARD_GRAVITY
-from aerial_gym.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +27,7 @@ class ContactCfg:
     def __post_init__(self) -> None:
         require_positive(self, "sinking")
         require_not_negative(self, "friction", "damping_ratio")
-        if isnan(self.crash_speed) or self.crash_speed < 0.0:
-            raise ConfigError(f"ContactCfg.crash_speed = {self.crash_speed!r}: must be >= 0; .inf for no crash at all")
+        require(self, "crash_speed", self.crash_speed >= 0.0, "must be >= 0; .inf for no crash at all")
 
     @property
     def stiffness(self) -> float:

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from aerial_gym.config.autopilots.betaflight import BetaflightCfg
 from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeCfg, CrazyfliePidCfg, MellingerCfg
 from aerial_gym.config.autopilots.px4 import Px4Cfg
-from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_positive
+from aerial_gym.config.checks import Vec3, require, require_choice, require_not_negative, require_positive
 from aerial_gym.errors import ConfigError
 
 _DRAWN_BY_NAME = (
@@ -59,11 +59,8 @@ class LeeGainsCfg:
 
     def __post_init__(self) -> None:
         require_positive(self, "max_yaw_rate", "max_inclination")
-        _require_tilt(self, self.max_inclination)
-        for name in ("position", "velocity", "attitude", "rate"):
-            require_finite(self, name)
-            if min(getattr(self, name)) < 0.0:
-                raise ConfigError(f"LeeGainsCfg.{name} = {getattr(self, name)!r}: must be >= 0")
+        require(self, "max_inclination", self.max_inclination < pi / 2, "must be below pi/2")
+        require_not_negative(self, "position", "velocity", "attitude", "rate")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,22 +127,12 @@ class ControlCfg:
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        if self.effectiveness not in EFFECTIVENESS:
-            raise ConfigError(
-                f"ControlCfg.effectiveness = {self.effectiveness!r}: must be one of {', '.join(EFFECTIVENESS)}"
-            )
-        if not 0.0 < self.phase_margin < pi / 2:
-            raise ConfigError(f"ControlCfg.phase_margin = {self.phase_margin!r}: must be > 0 and < pi/2 rad")
+        require_choice(self, "effectiveness", EFFECTIVENESS)
+        require(self, "phase_margin", 0.0 < self.phase_margin < pi / 2, "must be > 0 and < pi/2 rad")
         require_not_negative(self, "attitude_frequency", "attitude_damping", "position_frequency", "position_damping")
         require_positive(self, "max_yaw_rate", "max_inclination")
         require_not_negative(self, "buoyancy")
-        if self.max_inclination is not None:
-            _require_tilt(self, self.max_inclination)
-
-
-def _require_tilt(config: LeeGainsCfg | ControlCfg, tilt: float) -> None:
-    if tilt >= 1.57:
-        raise ConfigError(f"{type(config).__name__}.max_inclination = {tilt!r}: must be below pi/2")
+        require(self, "max_inclination", (self.max_inclination or 0.0) < pi / 2, "must be below pi/2")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,19 +231,13 @@ class ControllerCfg:
         require_not_negative(self, "delay", "action_delay")
         own = [name for name in AUTOPILOTS if getattr(self, name) is not None]
         if own and (self.rate_loop is not None or self.gains is not None):
-            raise ConfigError(
-                f"ControllerCfg.{own[0]}: has gains and a rate loop of its own. Leave gains and rate_loop out"
-            )
+            raise ConfigError(f"ControllerCfg.{own[0]}: has its own gains and rate loop. Leave gains and rate_loop out")
         if len(own) > 1:
             raise ConfigError(f"ControllerCfg: {' and '.join(own)} are {len(own)} autopilots. Leave all but one out")
-        if self.delay > 0.0 and self.inner is None:
-            raise ConfigError(
-                f"ControllerCfg.delay = {self.delay!r}: there is no rate loop to reach. Give rate_loop, or action_delay"
-            )
-        if self.if_unstable not in ("refuse", "warn"):
-            raise ConfigError(f"ControllerCfg.if_unstable = {self.if_unstable!r}: must be 'refuse' or 'warn'")
-        if self.allocation not in ("prioritised", "clamp"):
-            raise ConfigError(f"ControllerCfg.allocation = {self.allocation!r}: must be 'prioritised' or 'clamp'")
+        holds = self.delay == 0.0 or self.inner is not None
+        require(self, "delay", holds, "there is no rate loop to reach. Give rate_loop, or action_delay")
+        require_choice(self, "if_unstable", ("refuse", "warn"))
+        require_choice(self, "allocation", ("prioritised", "clamp"))
 
     @property
     def inner(self) -> RateLoopCfg | Px4Cfg | BetaflightCfg | CrazyfliePidCfg | BrescianiniCfg | None:

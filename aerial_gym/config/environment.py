@@ -5,16 +5,15 @@ Frames: the environment's own world frame, z up; lengths in metres, angles in ra
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import pi
 from pathlib import Path
 
-from aerial_gym.config.checks import MAX_MADE, require_count, require_not_negative
+from aerial_gym.config import checks
+from aerial_gym.config.checks import MAX_MADE, Vec3
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.lamp import LampCfg
 from aerial_gym.config.loader import load
 from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import Vec3, require_finite, require_ordered
 from aerial_gym.config.shape import (
     FIRST_INSTANCE_ID,
     GROUND_ID,
@@ -88,28 +87,18 @@ class AssetCfg:
     """Motion of the instances between resets."""
 
     def __post_init__(self) -> None:
-        if not self.name:
-            raise ConfigError("AssetCfg.name: must not be empty")
-        if not self.shapes and self.family is None:
-            raise ConfigError(f"AssetCfg {self.name!r}: shapes needs at least one entry, or name a family")
-        if self.shapes and self.family is not None:
-            raise ConfigError(f"AssetCfg {self.name!r}: has shapes and a family; give one of them")
-        if not 1 <= self.count <= MAX_MADE:
-            raise ConfigError(f"AssetCfg {self.name!r}: count = {self.count!r} must be >= 1 and at most {MAX_MADE:,}")
-        if not -1 <= self.semantic_id < FIRST_INSTANCE_ID:
-            raise ConfigError(
-                f"AssetCfg {self.name!r}: semantic_id = {self.semantic_id!r} must be 0 to {FIRST_INSTANCE_ID - 1}, "
-                "or -1 for the instance's own id"
-            )
-        require_finite(self, "offset")
-        for name in ("position_ratio", "euler"):
-            require_finite(self, f"{name}_low", f"{name}_high")
-            require_ordered(self, f"{name}_low", f"{name}_high")
-        if any(abs(angle) > 2.0 * pi for angle in (*self.euler_low, *self.euler_high)):
-            raise ConfigError(
-                f"AssetCfg {self.name!r}: euler_low = {self.euler_low}, euler_high = {self.euler_high} must lie within "
-                "+-2 pi. Angles are in radians"
-            )
+        checks.require(self, "name", bool(self.name), "must not be empty")
+        if bool(self.shapes) == (self.family is not None):
+            raise ConfigError(f"AssetCfg {self.name!r}: give shapes, at least one, or a family, and not both")
+        try:
+            checks.require_count(self, "count", most=MAX_MADE)
+            rule = f"must be 0 to {FIRST_INSTANCE_ID - 1}, or -1 for the instance's own id"
+            checks.require(self, "semantic_id", -1 <= self.semantic_id < FIRST_INSTANCE_ID, rule)
+            checks.require_finite(self, "offset")
+            checks.require_ranges(self, "position_ratio", "euler")
+            checks.require_angles(self, "euler_low", "euler_high")
+        except ConfigError as error:
+            raise ConfigError(f"asset {self.name!r}: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,32 +166,21 @@ class EnvironmentCfg:
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        if self.ground_height is not None:
-            require_finite(self, "ground_height")
-        if self.ceiling_height is not None:
-            require_finite(self, "ceiling_height")
-            if self.ground_height is not None and self.ceiling_height <= self.ground_height:
-                raise ConfigError(
-                    f"EnvironmentCfg.ceiling_height = {self.ceiling_height!r}: "
-                    f"must be above ground_height = {self.ground_height!r}"
-                )
+        checks.require_finite(self, "ground_height", "ceiling_height")
+        ground, ceiling = self.ground_height, self.ceiling_height
+        holds = ground is None or ceiling is None or ceiling > ground
+        checks.require(self, "ceiling_height", holds, f"must be above ground_height = {ground!r}")
         if self.contact is not None and self.ground_height is None and not self.assets:
             raise ConfigError("EnvironmentCfg.contact: there is nothing to touch. Give ground_height or assets")
         require_color(self, "ground_color")
-        if not 0 <= self.ground_semantic_id < FIRST_INSTANCE_ID:
-            raise ConfigError(
-                f"EnvironmentCfg.ground_semantic_id = {self.ground_semantic_id!r}: must be 0 to {FIRST_INSTANCE_ID - 1}"
-            )
-        require_not_negative(self, "clearance")
-        require_count(self, "physics_steps_per_env_step", most=MAX_MADE)
-        for name in ("bounds_lower", "bounds_upper"):
-            require_finite(self, f"{name}_low", f"{name}_high")
-            require_ordered(self, f"{name}_low", f"{name}_high")
-        if any(low >= high for low, high in zip(self.bounds_lower_high, self.bounds_upper_low, strict=True)):
-            raise ConfigError(
-                f"EnvironmentCfg: bounds_lower_high = {self.bounds_lower_high} must lie below "
-                f"bounds_upper_low = {self.bounds_upper_low} on every axis"
-            )
+        holds = 0 <= self.ground_semantic_id < FIRST_INSTANCE_ID
+        checks.require(self, "ground_semantic_id", holds, f"must be 0 to {FIRST_INSTANCE_ID - 1}")
+        checks.require_not_negative(self, "clearance")
+        checks.require_count(self, "physics_steps_per_env_step", most=MAX_MADE)
+        checks.require_ranges(self, "bounds_lower", "bounds_upper")
+        holds = all(low < high for low, high in zip(self.bounds_lower_high, self.bounds_upper_low, strict=True))
+        rule = f"must lie below bounds_upper_low = {self.bounds_upper_low} on every axis"
+        checks.require(self, "bounds_lower_high", holds, rule)
         self._check_track()
         names = [asset.name for asset in self.assets]
         for name in names:

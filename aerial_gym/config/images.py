@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from aerial_gym.config.checks import Vec3, require_finite
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import Vec3, require, require_finite
+from aerial_gym.config.shape import require_color
 
 if TYPE_CHECKING:
     from aerial_gym.config.range_sensor import RangeSensorCfg
@@ -41,13 +41,10 @@ class LightCfg:
     """Red, green, blue of a pixel that sees nothing, each 0 to 1."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "sky", "ambient", *(["sun"] if self.sun is not None else []))
-        if self.sun is not None and not any(self.sun):
-            raise ConfigError(f"LightCfg.sun = {self.sun!r}: must point somewhere")
-        if not 0.0 <= self.ambient <= 1.0:
-            raise ConfigError(f"LightCfg.ambient = {self.ambient!r}: must lie in 0 to 1")
-        if not all(0.0 <= share <= 1.0 for share in self.sky):
-            raise ConfigError(f"LightCfg.sky = {self.sky!r}: red, green and blue must lie in 0 to 1")
+        require_finite(self, "sun")
+        require(self, "sun", self.sun is None or any(self.sun), "must point somewhere")
+        require(self, "ambient", 0.0 <= self.ambient <= 1.0, "must lie in 0 to 1")
+        require_color(self, "sky")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,13 +7,11 @@ two-sided density, the Allan deviation at 1 s (N of IEEE Std 952-1997). A bias w
 """
 
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_not_negative, require_positive
+from aerial_gym.config.checks import Vec3, require, require_choice, require_not_negative, require_positive
 from aerial_gym.config.loader import load
 from aerial_gym.config.placement import PlacementCfg
-from aerial_gym.errors import ConfigError
 
 MOST_MISALIGNMENT_DEG = 45.0
 """Largest misalignment; use ``euler`` for larger rotations of the axes."""
@@ -68,25 +66,13 @@ class ImuCfg(PlacementCfg):
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        if self.model != "imu":
-            raise ConfigError(f"ImuCfg.model = {self.model!r}: must be 'imu'; another model is another class")
-        if self.rate_hz is not None and not 0.0 < self.rate_hz < inf:
-            raise ConfigError(f"ImuCfg.rate_hz = {self.rate_hz!r}: must be > 0 and finite, or None for every step")
-        require_not_negative(self, "latency_s")
-        require_positive(self, "accel_range", "gyro_range")
+        require_choice(self, "model", ("imu",))
+        require_positive(self, "rate_hz", "accel_range", "gyro_range")
         self.check_placement()
-        for kind in ("accel", "gyro"):
-            for name in ("noise_density", "bias_walk", "initial_bias"):
-                _require_each(self, f"{kind}_{name}", 0.0, inf, "must be >= 0 and finite")
-        limit = MOST_MISALIGNMENT_DEG
-        _require_each(self, "misalignment_deg", 0.0, limit, f"must lie within 0 and {limit:g} degrees")
-
-
-def _require_each(cfg: ImuCfg, name: str, low: float, high: float, rule: str) -> None:
-    """Raise ``ConfigError`` unless every entry is finite and low <= entry <= high (NaN fails as well)."""
-    value = getattr(cfg, name)
-    if not all(low <= entry <= high and abs(entry) < inf for entry in value):
-        raise ConfigError(f"ImuCfg.{name} = {value!r}: {rule}")
+        errors = ("noise_density", "bias_walk", "initial_bias")
+        require_not_negative(self, "latency_s", *(f"{kind}_{name}" for kind in ("accel", "gyro") for name in errors))
+        holds = all(0.0 <= angle <= MOST_MISALIGNMENT_DEG for angle in self.misalignment_deg)
+        require(self, "misalignment_deg", holds, f"must lie within 0 and {MOST_MISALIGNMENT_DEG:g} degrees")
 
 
 def load_imu(path: str | Path) -> ImuCfg:

@@ -9,7 +9,8 @@ SI units; coordinates of revolute joints in rad, of prismatic ones in m.
 from dataclasses import dataclass
 from math import inf, isclose, isfinite, sqrt
 
-from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_positive
+from aerial_gym.config import checks
+from aerial_gym.config.checks import Vec3
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
@@ -31,22 +32,9 @@ class LinkCfg:
     more than the sum of the others. Zero for a mass that is a point."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.mass < inf:
-            raise ConfigError(f"LinkCfg.mass = {self.mass!r}: must be > 0 and finite; leave out a link without mass")
-        require_finite(self, "com", "inertia")
-        import numpy as np
-
-        matrix = np.asarray(self.inertia, dtype=float)
-        if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * max(float(np.abs(matrix).max()), 1e-30)):
-            raise ConfigError(f"LinkCfg.inertia = {self.inertia!r}: must be symmetric")
-        moments = np.linalg.eigvalsh(matrix)
-        if moments[0] < -1e-12:
-            raise ConfigError(f"LinkCfg.inertia = {self.inertia!r}: principal moments must be >= 0")
-        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-6):
-            raise ConfigError(
-                f"LinkCfg.inertia: principal moments {moments.tolist()} violate the triangle inequality; the largest must not "
-                "exceed the sum of the others. No link is like that: check digits and units"
-            )
+        checks.require(self, "mass", 0.0 < self.mass < inf, "must be > 0 and finite; leave out a link without mass")
+        checks.require_finite(self, "com")
+        checks.require_inertia(self, may_vanish=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +48,7 @@ class CreepCfg:
     """After which 63 % of its effort are gone [s], > 0."""
 
     def __post_init__(self) -> None:
-        require_positive(self, "stiffness", "time")
+        checks.require_positive(self, "stiffness", "time")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,8 +77,8 @@ class SpringCfg:
     """Elements that relax; all have where an episode begins."""
 
     def __post_init__(self) -> None:
-        require_not_negative(self, "stiffness", "quadratic", "damping", "friction")
-        require_finite(self, "rest", "preload")
+        checks.require_not_negative(self, "stiffness", "quadratic", "damping", "friction")
+        checks.require_finite(self, "rest", "preload")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,19 +102,16 @@ class DriveCfg:
     """Lowest and highest command."""
 
     def __post_init__(self) -> None:
-        if self.mode not in DRIVE_MODES:
-            raise ConfigError(f"DriveCfg.mode = {self.mode!r}: choose {', '.join(DRIVE_MODES)}")
-        require_not_negative(self, "stiffness", "damping")
-        require_positive(self, "limit")
+        checks.require_choice(self, "mode", DRIVE_MODES)
+        checks.require_not_negative(self, "stiffness", "damping")
+        checks.require_positive(self, "limit")
         low, high = self.command_range
-        if not (isfinite(low) and isfinite(high) and low < high):
-            raise ConfigError(f"DriveCfg.command_range = {self.command_range!r}: needs low < high")
-        if (self.stiffness > 0.0) != (self.mode == "position"):
-            raise ConfigError(f"DriveCfg.stiffness = {self.stiffness!r}: > 0 in position mode, and only there")
-        if self.mode == "velocity" and self.damping == 0.0:
-            raise ConfigError("DriveCfg.damping: must be > 0 in velocity mode")
-        if self.mode == "effort" and self.damping > 0.0:
-            raise ConfigError("DriveCfg.damping: none in effort mode. Give the joint a spring: {damping: ...}")
+        checks.require(self, "command_range", isfinite(low) and isfinite(high) and low < high, "needs low < high")
+        holds = (self.stiffness > 0.0) == (self.mode == "position")
+        checks.require(self, "stiffness", holds, "must be > 0 in position mode, and only there")
+        checks.require(self, "damping", self.mode != "velocity" or self.damping > 0.0, "must be > 0 in velocity mode")
+        holds = self.mode != "effort" or self.damping == 0.0
+        checks.require(self, "damping", holds, "must be 0 in effort mode. Give the joint a spring: {damping: ...}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,11 +127,10 @@ class EndsCfg:
     """[N m s/rad], >= 0."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "low", "high")
-        if not self.low < self.high:
-            raise ConfigError(f"EndsCfg: low = {self.low!r} must be below high = {self.high!r}")
-        require_positive(self, "stiffness")
-        require_not_negative(self, "damping")
+        checks.require_finite(self, "low", "high")
+        checks.require(self, "low", self.low < self.high, f"must be below high = {self.high!r}")
+        checks.require_positive(self, "stiffness")
+        checks.require_not_negative(self, "damping")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,19 +169,13 @@ class JointCfg:
     """Likewise its rate."""
 
     def __post_init__(self) -> None:
-        if self.name == BASE or not self.name:
-            raise ConfigError(f"JointCfg.name = {self.name!r}: {BASE!r} is the body itself. Choose another name")
-        if self.kind not in ("revolute", "prismatic"):
-            raise ConfigError(f"JointCfg.kind = {self.kind!r}: choose revolute or prismatic")
-        require_finite(self, "axis", "position", "reference", "initial_rate")
-        if not isclose(sqrt(sum(a * a for a in self.axis)), 1.0, abs_tol=1e-6):
-            raise ConfigError(f"JointCfg.axis = {self.axis!r}: must have length 1")
-        if self.initial is not None:
-            require_finite(self, "initial")
-        for name in ("initial", "initial_rate"):
-            values = getattr(self, name)
-            if values is not None and values[0] > values[1]:
-                raise ConfigError(f"JointCfg.{name} = {values!r}: needs low <= high")
+        checks.require(self, "name", self.name not in ("", BASE), f"{BASE!r} is the body itself. Choose another name")
+        checks.require_choice(self, "kind", ("revolute", "prismatic"))
+        checks.require_finite(self, "axis", "position", "reference", "initial", "initial_rate")
+        length = sqrt(sum(a * a for a in self.axis))
+        checks.require(self, "axis", isclose(length, 1.0, abs_tol=1e-6), "must have length 1")
+        checks.require(self, "initial", self.start[0] <= self.start[1], "needs low <= high")
+        checks.require(self, "initial_rate", self.initial_rate[0] <= self.initial_rate[1], "needs low <= high")
 
     @property
     def start(self) -> tuple[float, float]:
@@ -226,9 +204,8 @@ class JointsCfg:
             if joint.name in known:
                 raise ConfigError(f"JointsCfg.layout: two joints are named {joint.name!r}")
             if joint.parent not in known:
-                raise ConfigError(
-                    f"JointsCfg.layout: {joint.name} sits on {joint.parent!r}: must be {BASE} or a joint before it"
-                )
+                rule = f"must be {BASE} or a joint before it"
+                raise ConfigError(f"JointsCfg.layout: {joint.name} sits on {joint.parent!r}: {rule}")
             known.append(joint.name)
         carriers = {joint.parent for joint in self.layout}
         for joint in self.layout:
@@ -255,11 +232,7 @@ class JointsCfg:
         )
 
     def link_number(self, name: str) -> int:
-        """Return the number of a link: 0 of the base, k + 1 of joint k.
-
-        Raises:
-            ConfigError: If no joint has that name.
-        """
+        """Return the number of a link: 0 of the base, k + 1 of joint k; raise ``ConfigError`` without such a link."""
         if name not in self.link_names:
             raise ConfigError(f"no link {name!r}: the links are {', '.join(self.link_names)}")
         return self.link_names.index(name)

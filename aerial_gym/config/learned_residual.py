@@ -6,7 +6,7 @@ of the squared rotor speeds [rad²/s²]. Outputs: force [N] and torque about the
 
 from dataclasses import dataclass
 
-from aerial_gym.config.checks import require_finite, require_ordered
+from aerial_gym.config.checks import require, require_finite, require_ordered
 from aerial_gym.errors import ConfigError
 
 NUM_INPUTS, NUM_OUTPUTS = 7, 6
@@ -74,27 +74,21 @@ class LearnedResidualCfg:
         self._check_shapes()
         require_finite(self, "low", "high", "centre", "scale", "whitening", "limit")
         require_ordered(self, "low", "high")
-        if min(self.scale) <= 0.0:
-            raise ConfigError(f"LearnedResidualCfg.scale = {self.scale!r}: must be > 0")
-        if min(self.limit) < 0.0:
-            raise ConfigError(f"LearnedResidualCfg.limit = {self.limit!r}: must be >= 0")
+        require(self, "scale", min(self.scale) > 0.0, "must be > 0")
+        require(self, "limit", min(self.limit) >= 0.0, "must be >= 0")
 
     def _check_shapes(self) -> None:
         width = NUM_INPUTS
         for name in ("low", "high", "centre", "scale", "whitening"):
-            if len(getattr(self, name)) != width:
-                raise ConfigError(
-                    f"LearnedResidualCfg.{name} has {len(getattr(self, name))} entries: needs {width}, one per input"
-                )
-        if any(len(row) != width for row in self.whitening):
-            raise ConfigError(f"LearnedResidualCfg.whitening: needs {width} rows of {width} numbers, one per input")
+            require(self, name, len(getattr(self, name)) == width, f"needs {width} entries, one per input")
+        holds = all(len(row) == width for row in self.whitening)
+        require(self, "whitening", holds, f"needs {width} rows of {width} numbers, one per input")
         if len(self.limit) != NUM_OUTPUTS or len(self.output.bias) != NUM_OUTPUTS:
             raise ConfigError(
                 f"LearnedResidualCfg: {len(self.output.bias)} outputs with {len(self.limit)} limits: "
                 f"needs {NUM_OUTPUTS} of each, force and torque"
             )
-        if not self.hidden:
-            raise ConfigError("LearnedResidualCfg.hidden: needs at least one layer")
+        require(self, "hidden", bool(self.hidden), "needs at least one layer")
         for place, layer in enumerate((*self.hidden, self.output)):
             if layer.num_inputs != width:
                 raise ConfigError(

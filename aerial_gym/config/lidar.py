@@ -5,9 +5,8 @@ Frame and letters: those of ``range_sensor``. Azimuth turns from x towards y (le
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf
 
-from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.config.checks import Vec3, require, require_finite, require_positive
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError
 
@@ -67,22 +66,16 @@ class LidarCfg(RangeSensorCfg):
     def __post_init__(self) -> None:
         super().__post_init__()
         low, high = self.azimuth_low_deg, self.azimuth_high_deg
-        if not (-360.0 <= low < high <= 360.0 and high - low <= 360.0):
-            raise ConfigError(
-                f"LidarCfg: azimuth_low_deg = {low!r}, azimuth_high_deg = {high!r}: "
-                "needs -360 <= low < high <= 360 and at most one turn between them"
-            )
+        rule = f"with azimuth_high_deg = {high!r} needs -360 <= low < high <= 360 and at most one turn between them"
+        require(self, "azimuth_low_deg", -360.0 <= low < high <= 360.0 and high - low <= 360.0, rule)
         if self.beam_elevations_deg is None:
             self._check_interval()
         else:
             self._check_beams(self.beam_elevations_deg)
         self._check_beam_azimuths()
-        if self.scan_s is not None and not 0.0 < self.scan_s < inf:
-            raise ConfigError(f"LidarCfg.scan_s = {self.scan_s!r}: must be > 0 and finite, or None")
-        if not (isinstance(self.scan_columns, int) and 1 <= self.scan_columns <= self.width):
-            raise ConfigError(
-                f"LidarCfg.scan_columns = {self.scan_columns!r}: must be a whole number from 1 to width = {self.width}"
-            )
+        require_positive(self, "scan_s")
+        holds = isinstance(self.scan_columns, int) and 1 <= self.scan_columns <= self.width
+        require(self, "scan_columns", holds, f"must be a whole number from 1 to width = {self.width}")
 
     @property
     def full_turn(self) -> bool:
@@ -99,10 +92,8 @@ class LidarCfg(RangeSensorCfg):
 
     def _check_beam_azimuths(self) -> None:
         given = self.beam_azimuths_deg
-        if given is not None and not (len(given) == self.height and all(-90.0 <= angle <= 90.0 for angle in given)):
-            raise ConfigError(
-                f"LidarCfg.beam_azimuths_deg = {given!r}: needs height = {self.height} angles within +-90 degrees"
-            )
+        holds = given is None or (len(given) == self.height and all(-90.0 <= angle <= 90.0 for angle in given))
+        require(self, "beam_azimuths_deg", holds, f"needs height = {self.height} angles within +-90 degrees")
         if self.cells and self.beam_elevations_deg is not None:
             raise ConfigError("LidarCfg: give cells or beam_elevations_deg, not both")
 
@@ -110,22 +101,16 @@ class LidarCfg(RangeSensorCfg):
         low, high = self.elevation_low_deg, self.elevation_high_deg
         if low is None or high is None:
             raise ConfigError("LidarCfg: give elevation_low_deg and elevation_high_deg, or beam_elevations_deg")
-        if not -90.0 <= low < high <= 90.0:
-            raise ConfigError(
-                f"LidarCfg: elevation_low_deg = {low!r}, elevation_high_deg = {high!r}: needs -90 <= low < high <= 90"
-            )
+        rule = f"with elevation_high_deg = {high!r} needs -90 <= low < high <= 90"
+        require(self, "elevation_low_deg", -90.0 <= low < high <= 90.0, rule)
 
     def _check_beams(self, beams: tuple[float, ...]) -> None:
         if self.elevation_low_deg is not None or self.elevation_high_deg is not None:
             raise ConfigError("LidarCfg: give elevation limits or beam_elevations_deg, not both")
-        if len(beams) != self.height:
-            raise ConfigError(f"LidarCfg.beam_elevations_deg has {len(beams)} entries, expected height = {self.height}")
-        if not all(-90.0 <= beam <= 90.0 for beam in beams):
-            raise ConfigError(f"LidarCfg.beam_elevations_deg = {beams!r}: must lie within +-90 degrees")
-        if not all(above > below for above, below in pairwise(beams)):
-            raise ConfigError(
-                f"LidarCfg.beam_elevations_deg = {beams!r}: must fall from entry to entry, row 0 is on top"
-            )
+        name, ordered = "beam_elevations_deg", all(above > below for above, below in pairwise(beams))
+        require(self, name, len(beams) == self.height, f"needs height = {self.height} entries")
+        require(self, name, all(-90.0 <= beam <= 90.0 for beam in beams), "must lie within +-90 degrees")
+        require(self, name, ordered, "must fall from entry to entry, row 0 is on top")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,10 +137,9 @@ class RayTableCfg(RangeSensorCfg):
         if self.rays is None:
             return
         require_finite(self, "rays")
-        if len(self.rays) != self.height * self.width:
-            raise ConfigError(
-                f"RayTableCfg.rays has {len(self.rays)} rays, expected height * width = {self.height * self.width}"
-            )
+        count = self.height * self.width
+        if len(self.rays) != count:
+            raise ConfigError(f"RayTableCfg.rays has {len(self.rays)} rays, expected height * width = {count}")
         for i, ray in enumerate(self.rays):
             if not any(ray):
                 raise ConfigError(f"RayTableCfg.rays[{i}] = {ray!r}: must not be zero")

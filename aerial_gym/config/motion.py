@@ -6,8 +6,7 @@ Frames: the environment's own world frame, z up; velocities in m/s, angular velo
 from dataclasses import dataclass
 from math import inf
 
-from aerial_gym.config.robot import Vec3, require_finite, require_ordered
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import Vec3, require, require_choice, require_ranges
 
 MOTIONS = ("none", "twist", "waypoints")
 """Kinds of obstacle motion between resets."""
@@ -43,14 +42,10 @@ class MotionCfg:
     """Behaviour of ``twist`` when the origin reaches the bounds: ``pass`` on, ``bounce`` off, ``wrap`` to the other side."""
 
     def __post_init__(self) -> None:
-        for name, known in (("kind", MOTIONS), ("at_bounds", AT_BOUNDS)):
-            if getattr(self, name) not in known:
-                raise ConfigError(f"MotionCfg.{name} = {getattr(self, name)!r}: must be one of {', '.join(known)}")
-        for name in ("lin_vel", "ang_vel"):
-            require_finite(self, f"{name}_low", f"{name}_high")
-            require_ordered(self, f"{name}_low", f"{name}_high")
-        if not 0.0 <= self.speed[0] <= self.speed[1] < inf:
-            raise ConfigError(f"MotionCfg.speed = {self.speed!r}: needs 0 <= low <= high < inf")
+        require_choice(self, "kind", MOTIONS)
+        require_choice(self, "at_bounds", AT_BOUNDS)
+        require_ranges(self, "lin_vel", "ang_vel")
+        require(self, "speed", 0.0 <= self.speed[0] <= self.speed[1] < inf, "needs 0 <= low <= high < inf")
         still = MotionCfg.__dataclass_fields__
         unused = {
             "none": ("lin_vel_low", "lin_vel_high", "ang_vel_low", "ang_vel_high", "speed", "at_bounds"),
@@ -58,5 +53,4 @@ class MotionCfg:
             "waypoints": ("lin_vel_low", "lin_vel_high", "at_bounds"),
         }
         for name in unused[self.kind]:
-            if getattr(self, name) != still[name].default:
-                raise ConfigError(f"MotionCfg.{name} = {getattr(self, name)!r}: motion {self.kind!r} does not use it")
+            require(self, name, getattr(self, name) == still[name].default, f"motion {self.kind!r} does not use it")

@@ -4,9 +4,8 @@ Frames: body is x forward, y left, z up.
 """
 
 from dataclasses import dataclass
-from math import pi
 
-from aerial_gym.config.checks import Vec3, require_finite, require_ordered
+from aerial_gym.config.checks import Vec3, require_angles, require_finite, require_ordered
 from aerial_gym.errors import ConfigError
 
 
@@ -34,20 +33,13 @@ class PlacementCfg:
 
     def check_placement(self) -> None:
         """Raise ``ConfigError`` unless the numbers are finite and each nominal one lies between its ends."""
+        require_finite(self, "position", "position_low", "position_high")
+        require_angles(self, "euler", "euler_low", "euler_high")
         for name in ("position", "euler"):
-            self._check(name, f"{name}_low", f"{name}_high")
-
-    def _check(self, name: str, low: str, high: str) -> None:
-        label = type(self).__name__
-        if (getattr(self, low) is None) != (getattr(self, high) is None):
-            raise ConfigError(f"{label}: give both {low} and {high}, or neither")
-        names = (name,) if getattr(self, low) is None else (low, name, high)
-        require_finite(self, *names)
-        for one in names if name == "euler" else ():
-            angles = getattr(self, one)
-            if any(abs(angle) > 2.0 * pi for angle in angles):
-                raise ConfigError(f"{label}.{one} = {angles!r}: must lie within +-2 pi. Angles are in radians")
-        if len(names) > 1:
-            require_ordered(self, low, high)
-            require_ordered(self, low, name)
-            require_ordered(self, name, high)
+            low, high = f"{name}_low", f"{name}_high"
+            given = [each for each in (low, high) if getattr(self, each) is not None]
+            if len(given) == 1:
+                raise ConfigError(f"{type(self).__name__}: give both {low} and {high}, or neither")
+            if given:
+                require_ordered(self, low, name)
+                require_ordered(self, name, high)

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
+from aerial_gym.config.checks import require, require_choice
 from aerial_gym.errors import ConfigError
 
 HOW = ("scale", "offset", "value")
@@ -63,49 +64,34 @@ class RandomizeCfg:
     of the two. Together they are drawn from a joint normal distribution; ``low`` and ``high`` then clip what is beyond."""
 
     def __post_init__(self) -> None:
-        if self.how not in HOW:
-            raise ConfigError(f"RandomizeCfg.how = {self.how!r}: must be one of {', '.join(HOW)}")
-        if self.distribution not in DISTRIBUTIONS:
-            known = ", ".join(DISTRIBUTIONS)
-            raise ConfigError(f"RandomizeCfg.distribution = {self.distribution!r}: must be one of {known}")
-        normal = self.distribution == "normal"
-        needed, forbidden = (("mean", "std"), ()) if normal else (("low", "high"), ("mean", "std"))
+        require_choice(self, "how", HOW)
+        require_choice(self, "distribution", DISTRIBUTIONS)
+        normal, subject = self.distribution == "normal", f"a {self.distribution} distribution"
+        needed, forbidden = (("mean", "std"), ()) if normal else (("low", "high"), ("mean", "std", "correlation"))
         for name in needed:
-            if getattr(self, name) is None:
-                raise ConfigError(
-                    f"RandomizeCfg.{name}: a {self.distribution} distribution needs {' and '.join(needed)}"
-                )
+            require(self, name, getattr(self, name) is not None, f"{subject} needs {' and '.join(needed)}")
         for name in forbidden:
-            if getattr(self, name) is not None:
-                raise ConfigError(f"RandomizeCfg.{name}: a {self.distribution} distribution has none")
-        if self.correlation and not normal:
-            raise ConfigError(f"RandomizeCfg.correlation: a {self.distribution} distribution has none")
-        for name, value in self.correlation.items():
-            if not -1.0 <= value <= 1.0:
-                raise ConfigError(f"RandomizeCfg.correlation: {name} = {value!r}: must lie in -1 to 1")
+            require(self, name, not getattr(self, name), f"{subject} has none")
+        holds = all(-1.0 <= value <= 1.0 for value in self.correlation.values())
+        require(self, "correlation", holds, "must lie in -1 to 1")
         for numbers in self.components(max(self.widths())):
             self._check(*numbers)
 
     def _check(self, low: float, high: float, mean: float, std: float) -> None:
-        normal = self.distribution == "normal"
-        if not low <= high or (normal and not low < high):
-            raise ConfigError(f"RandomizeCfg: low = {low!r}, high = {high!r}: needs low <= high")
-        if not normal and not (isfinite(low) and isfinite(high)):
-            raise ConfigError(f"RandomizeCfg: low = {low!r}, high = {high!r}: must be finite")
-        if normal and not (isfinite(mean) and 0.0 < std < inf):
-            raise ConfigError(f"RandomizeCfg: mean = {mean!r}, std = {std!r}: need a finite mean and 0 < std < inf")
-        if normal and not low - 4.0 * std < mean < high + 4.0 * std:
-            raise ConfigError(
-                f"RandomizeCfg: mean = {mean!r}, std = {std!r}: hardly anything lies in low = {low!r} to high = {high!r}"
-            )
-        if self.distribution == "log_uniform" and not low > 0.0:
-            raise ConfigError(f"RandomizeCfg.low = {low!r}: a log_uniform distribution needs 0 < low")
-        if self.distribution == "integer" and not (float(low).is_integer() and float(high).is_integer()):
-            raise ConfigError(
-                f"RandomizeCfg: low = {low!r}, high = {high!r}: an integer distribution needs whole numbers"
-            )
-        if self.how == "scale" and not low >= 0.0:
-            raise ConfigError(f"RandomizeCfg.low = {low!r}: a factor needs a lowest value >= 0 (how: scale)")
+        normal, limits = self.distribution == "normal", f"with high = {self.high!r}"
+        require(self, "low", low < high or (low == high and not normal), f"{limits} needs low <= high")
+        require(self, "low", normal or (isfinite(low) and isfinite(high)), f"{limits} must be finite")
+        if normal:
+            rule = f"with std = {self.std!r} needs a finite mean and 0 < std < inf"
+            require(self, "mean", isfinite(mean) and 0.0 < std < inf, rule)
+            holds = low - 4.0 * std < mean < high + 4.0 * std
+            rule = f"with std = {self.std!r} hardly any draw lies in low = {self.low!r} to high = {self.high!r}"
+            require(self, "mean", holds, rule)
+        holds = self.distribution != "log_uniform" or low > 0.0
+        require(self, "low", holds, "a log_uniform distribution needs 0 < low")
+        holds = self.distribution != "integer" or (float(low).is_integer() and float(high).is_integer())
+        require(self, "low", holds, f"{limits}: an integer distribution needs whole numbers")
+        require(self, "low", self.how != "scale" or low >= 0.0, "a factor needs a lowest value >= 0 (how: scale)")
 
     def value_limits(self, name: str, declared: Sequence[float], *, spread: float = inf) -> list[tuple[float, float]]:
         """Return the lowest and the highest value that each component of a quantity takes.

@@ -6,12 +6,12 @@ Letters: E environments, S sensors of one kind, H x W pixels (row 0 on top, colu
 """
 
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf
 
-from aerial_gym.config.checks import MAX_MADE, require_count, require_finite
+from aerial_gym.config import checks
+from aerial_gym.config.checks import MAX_MADE
 from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
 from aerial_gym.config.placement import PlacementCfg
-from aerial_gym.errors import ConfigError
 
 __all__ = ["FRAMES", "KINDS", "LightCfg", "NoiseCfg", "RangeSensorCfg"]
 
@@ -42,9 +42,8 @@ class NoiseCfg:
     """Probability that a pixel is dropped and holds ``near_pixel``; 0 <= dropout < 1."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "std_a", "std_b", "std_c", "mean_offset")
-        if not 0.0 <= self.dropout < 1.0:
-            raise ConfigError(f"NoiseCfg.dropout = {self.dropout!r}: must be a probability, 0 <= dropout < 1")
+        checks.require_finite(self, "std_a", "std_b", "std_c", "mean_offset")
+        checks.require(self, "dropout", 0.0 <= self.dropout < 1.0, "must be a probability, 0 <= dropout < 1")
 
     def std(self, distance: float) -> float:
         """Return the standard deviation [m] at a distance [m]."""
@@ -115,13 +114,30 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
 
     def __post_init__(self) -> None:
         own = getattr(type(self), "model", None)
-        if self.model != own:
-            raise ConfigError(f"{_field_text(self, 'model')}: must be {own!r}; another model is another class")
-        _check_image(self)
-        _check_outputs(self)
-        _check_noise(self)
+        checks.require(self, "model", self.model == own, f"must be {own!r}; another model is another class")
+        for name in ("width", "height", "count"):
+            checks.require(self, name, isinstance(getattr(self, name), int), "must be whole")
+        checks.require_count(self, "width", "height", "count", most=MAX_MADE)
+        holds = 0.0 <= self.min_range < self.max_range < inf
+        checks.require(
+            self, "min_range", holds, f"must be >= 0 and below max_range = {self.max_range!r}, which is finite"
+        )
+        checks.require_finite(self, "far_out_of_range_value", "near_out_of_range_value")
+        checks.require_choice(self, "kind", KINDS)
+        for name in ("points", "normals"):
+            holds = getattr(self, name) in (None, *FRAMES)
+            checks.require(self, name, holds, f"must be one of {', '.join(FRAMES)}, or None for no such image")
+        rule = f"a {self.model} has no image plane; a pinhole, stereo or fisheye camera has one"
+        checks.require(self, "optical_flow", self.has_image_plane or not self.optical_flow, rule)
+        if self.noise is not None:
+            worst = self.noise.least_std_distance(self.min_range, self.max_range)
+            rule = (
+                f"the standard deviation is {self.noise.std(worst):g} m at {worst:g} m: must be >= 0 within the limits"
+            )
+            checks.require(self, "noise", self.noise.std(worst) >= 0.0, rule)
         self.check_placement()
-        _check_timing(self)
+        checks.require_positive(self, "rate_hz")
+        checks.require_not_negative(self, "latency_s")
 
     @property
     def active_noise(self) -> NoiseCfg | None:
@@ -150,63 +166,3 @@ class RangeSensorCfg(PlacementCfg, ImagesCfg):
         default = -self.max_range if self.normalize else -1.0
         value = default if self.near_out_of_range_value is None else self.near_out_of_range_value
         return value / self.max_range if self.normalize else value
-
-
-def _field_text(cfg: object, name: str) -> str:
-    """Return ``Class.field = value``, the start of most messages."""
-    return f"{type(cfg).__name__}.{name} = {getattr(cfg, name)!r}"
-
-
-def _is_count(value: object) -> bool:
-    return isinstance(value, int) and value >= 1
-
-
-def _check_image(cfg: RangeSensorCfg) -> None:
-    for name in ("width", "height"):
-        if not _is_count(getattr(cfg, name)):
-            raise ConfigError(f"{_field_text(cfg, name)}: must be at least 1 pixel, and whole")
-    require_count(cfg, "width", "height", most=MAX_MADE)
-    if not 0.0 <= cfg.min_range < cfg.max_range < inf:
-        raise ConfigError(
-            f"{type(cfg).__name__}: min_range = {cfg.min_range!r}, max_range = {cfg.max_range!r}: "
-            "needs 0 <= min_range < max_range < inf"
-        )
-    for name in ("far_out_of_range_value", "near_out_of_range_value"):
-        value = getattr(cfg, name)
-        if value is not None and not isfinite(value):
-            raise ConfigError(f"{_field_text(cfg, name)}: must be finite")
-
-
-def _check_outputs(cfg: RangeSensorCfg) -> None:
-    if cfg.kind not in KINDS:
-        raise ConfigError(f"{_field_text(cfg, 'kind')}: must be one of {', '.join(KINDS)}")
-    for name in ("points", "normals"):
-        if getattr(cfg, name) not in (None, *FRAMES):
-            raise ConfigError(
-                f"{_field_text(cfg, name)}: must be one of {', '.join(FRAMES)}, or None for no such image"
-            )
-    if cfg.optical_flow and not cfg.has_image_plane:
-        raise ConfigError(
-            f"{_field_text(cfg, 'optical_flow')}: a {cfg.model} has no image plane; a pinhole, stereo or fisheye camera has one"
-        )
-    if not _is_count(cfg.count):
-        raise ConfigError(f"{_field_text(cfg, 'count')}: must be at least 1 sensor, and whole")
-    require_count(cfg, "count", most=MAX_MADE)
-
-
-def _check_noise(cfg: RangeSensorCfg) -> None:
-    if cfg.noise is None:
-        return
-    worst = cfg.noise.least_std_distance(cfg.min_range, cfg.max_range)
-    if not cfg.noise.std(worst) >= 0.0:
-        raise ConfigError(
-            f"{type(cfg).__name__}.noise: standard deviation {cfg.noise.std(worst):g} m at {worst:g} m: "
-            "std_a r² + std_b r + std_c must be >= 0 from min_range to max_range"
-        )
-
-
-def _check_timing(cfg: RangeSensorCfg) -> None:
-    if cfg.rate_hz is not None and not 0.0 < cfg.rate_hz < inf:
-        raise ConfigError(f"{_field_text(cfg, 'rate_hz')}: must be > 0 and finite, or None for an image at every step")
-    if not 0.0 <= cfg.latency_s < inf:
-        raise ConfigError(f"{_field_text(cfg, 'latency_s')}: must be >= 0 and finite")

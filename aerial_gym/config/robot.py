@@ -9,7 +9,8 @@ from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_ordered, require_positive
+from aerial_gym.config import checks
+from aerial_gym.config.checks import Vec3
 from aerial_gym.config.collision import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, SphereCfg
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.extends import load_extended
@@ -38,9 +39,6 @@ __all__ = [
     "SphereCfg",
     "Vec3",
     "load_robot",
-    "require_finite",
-    "require_ordered",
-    "require_positive",
 ]
 
 
@@ -62,22 +60,9 @@ class BodyCfg:
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        require_positive(self, "mass")
-        require_finite(self, "inertia", "com")
-        import numpy as np
-
-        matrix = np.asarray(self.inertia, dtype=float)
-        if not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9 * np.abs(matrix).max()):
-            raise ConfigError(f"BodyCfg.inertia = {self.inertia!r}: must be symmetric")
-        moments = np.linalg.eigvalsh(matrix)
-        if moments[0] <= 0.0:
-            raise ConfigError(f"BodyCfg.inertia: principal moments {moments.tolist()} must be positive")
-        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
-            raise ConfigError(
-                f"BodyCfg.inertia: principal moments {moments.tolist()} violate the triangle inequality; "
-                "the largest must not exceed the sum of the others. No body is like that: check digits and units, and that it "
-                "is of the whole vehicle"
-            )
+        checks.require_positive(self, "mass")
+        checks.require_finite(self, "com")
+        checks.require_inertia(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,14 +91,11 @@ class BatteryCfg:
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        require_positive(self, "nominal_voltage", "full_voltage", "empty_voltage", "capacity", "efficiency")
-        if self.empty_voltage > self.full_voltage:
-            raise ConfigError(
-                f"BatteryCfg.empty_voltage = {self.empty_voltage!r}: must be at most full_voltage = {self.full_voltage!r}"
-            )
-        require_not_negative(self, "internal_resistance")
-        if self.efficiency > 1.0:
-            raise ConfigError(f"BatteryCfg.efficiency = {self.efficiency!r}: must be at most 1")
+        checks.require_positive(self, "nominal_voltage", "full_voltage", "empty_voltage", "capacity", "efficiency")
+        holds = self.empty_voltage <= self.full_voltage
+        checks.require(self, "empty_voltage", holds, f"must be at most full_voltage = {self.full_voltage!r}")
+        checks.require_not_negative(self, "internal_resistance")
+        checks.require(self, "efficiency", self.efficiency <= 1.0, "must be at most 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,11 +118,9 @@ class MountCfg:
     """Carrier: ``base``, or the joint whose link carries it (``config.joint``)."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "position", "axis")
-        if sum(a * a for a in self.axis) < 1e-12:
-            raise ConfigError(f"MountCfg.axis = {self.axis!r}: must not be zero")
-        if self.spin not in (-1, 1):
-            raise ConfigError(f"MountCfg.spin = {self.spin!r}: must be 1 or -1")
+        checks.require_finite(self, "position", "axis")
+        checks.require(self, "axis", sum(a * a for a in self.axis) >= 1e-12, "must not be zero")
+        checks.require(self, "spin", self.spin in (-1, 1), "must be 1 or -1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,8 +134,7 @@ class MountsCfg:
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        if not self.layout:
-            raise ConfigError("MountsCfg.layout: needs at least one rotor")
+        checks.require(self, "layout", bool(self.layout), "needs at least one rotor")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,9 +166,7 @@ class InitialStateCfg:
     """Highest angular velocity [rad/s], body."""
 
     def __post_init__(self) -> None:
-        for name in ("position_ratio", "euler", "lin_vel", "ang_vel"):
-            require_finite(self, f"{name}_low", f"{name}_high")
-            require_ordered(self, f"{name}_low", f"{name}_high")
+        checks.require_ranges(self, "position_ratio", "euler", "lin_vel", "ang_vel")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,9 +279,7 @@ class RobotCfg:
 
     def _check_rotors(self) -> None:
         if (self.rotor is None) == (not self.rotors):
-            raise ConfigError(
-                "RobotCfg: give exactly one of rotor (one type for all mounts) and rotors (types by name)"
-            )
+            raise ConfigError("RobotCfg: give exactly one of rotor (type of all mounts) and rotors (types by name)")
         for number, mount in enumerate(self.mounts.layout, 1):
             if self.rotor is not None and mount.rotor is not None:
                 raise ConfigError(
@@ -314,7 +289,7 @@ class RobotCfg:
             if self.rotors and mount.rotor not in self.rotors:
                 known = ", ".join(self.rotors)
                 raise ConfigError(
-                    f"RobotCfg.mounts.layout: mount {number} has rotor = {mount.rotor!r}: must be one of {known}"
+                    f"RobotCfg.mounts.layout: mount {number}: rotor = {mount.rotor!r}: must be one of {known}"
                 )
         if unused := set(self.rotors) - {mount.rotor for mount in self.mounts.layout}:
             raise ConfigError(f"RobotCfg.rotors.{min(unused)}: no mount has this type")
@@ -338,27 +313,23 @@ class RobotCfg:
         carried += [(f"sensors: {mount.key}", mount.link) for mount in self.sensor_mounts]
         for label, link in carried:
             if link not in self.link_names:
-                hint = (
-                    "the robot has no joints" if self.joints is None else f"the links are {', '.join(self.link_names)}"
-                )
-                raise ConfigError(f"RobotCfg.{label} sits on link {link!r}, but {hint}")
+                known = ", ".join(self.link_names)
+                raise ConfigError(f"RobotCfg.{label} sits on link {link!r}: must be a link of the robot ({known})")
 
 
 def load_robot(path: str | Path) -> RobotCfg:
-    """Return the robot in a YAML file, which may extend another (``config.extends``); the files of its visual shapes and
-    sensors are taken relative to the file that names them."""
+    """Return the robot in a YAML file, which may extend another; paths are relative to the file that names them."""
     return load_extended(RobotCfg, path, family="robots", located=_absolute_files)
 
 
 def _absolute_files(cfg: RobotCfg, folder: Path) -> RobotCfg:
     """Return a robot with absolute file paths; relative ones count from ``folder``."""
+
+    def located(name: str) -> str:
+        return str(folder / name) if is_file(name) else name
+
     parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
-    sensors = (_absolute_sensor(sensor, folder) for sensor in cfg.sensors)
-    imu = str(folder / cfg.imu) if cfg.imu is not None and is_file(cfg.imu) else cfg.imu
-    return replace(cfg, visual=tuple(parts), sensors=tuple(sensors), imu=imu)
-
-
-def _absolute_sensor(sensor: str | SensorMountCfg, folder: Path) -> str | SensorMountCfg:
-    if isinstance(sensor, SensorMountCfg):
-        return replace(sensor, sensor=str(folder / sensor.sensor)) if is_file(sensor.sensor) else sensor
-    return str(folder / sensor) if is_file(sensor) else sensor
+    sensors = (
+        located(each) if isinstance(each, str) else replace(each, sensor=located(each.sensor)) for each in cfg.sensors
+    )
+    return replace(cfg, visual=tuple(parts), sensors=tuple(sensors), imu=cfg.imu and located(cfg.imu))

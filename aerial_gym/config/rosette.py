@@ -6,7 +6,7 @@ Frame and letters: those of ``range_sensor``; K frames of the scan, P prisms.
 from dataclasses import dataclass
 from math import inf
 
-from aerial_gym.config.checks import MAX_MADE, require_count, require_finite
+from aerial_gym.config.checks import MAX_MADE, require, require_choice, require_count, require_finite
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.errors import ConfigError
 
@@ -31,12 +31,9 @@ class PrismCfg:
 
     def __post_init__(self) -> None:
         require_finite(self, "turns_hz")
-        if not 0.0 < self.wedge_deg < 45.0:
-            raise ConfigError(f"PrismCfg.wedge_deg = {self.wedge_deg!r}: must lie between 0 and 45 degrees")
-        if not 1.0 < self.refractive_index < inf:
-            raise ConfigError(f"PrismCfg.refractive_index = {self.refractive_index!r}: must be > 1 and finite")
-        if self.inclined_face not in ("entry", "exit"):
-            raise ConfigError(f"PrismCfg.inclined_face = {self.inclined_face!r}: must be entry or exit")
+        require(self, "wedge_deg", 0.0 < self.wedge_deg < 45.0, "must lie between 0 and 45 degrees")
+        require(self, "refractive_index", 1.0 < self.refractive_index < inf, "must be > 1 and finite")
+        require_choice(self, "inclined_face", ("entry", "exit"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,20 +69,15 @@ class RosetteCfg(RangeSensorCfg):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_count(self, "frames", "scan_columns", most=MAX_MADE)
-        if self.rate_hz is None:
-            raise ConfigError("RosetteCfg.rate_hz is not given: a frame lasts 1 / rate_hz")
-        if self.kind != "range":
-            raise ConfigError(f"RosetteCfg.kind = {self.kind!r}: must be 'range'")
+        require(self, "rate_hz", self.rate_hz is not None, "must be given, as a frame lasts 1 / rate_hz")
+        require_choice(self, "kind", ("range",))
         if bool(self.prisms) == (self.path is not None):
             raise ConfigError("RosetteCfg: give exactly one of prisms and path")
-        if self.path is None and len(self.lasers_deg) != self.height:
-            raise ConfigError(
-                f"RosetteCfg.lasers_deg has {len(self.lasers_deg)} lasers, expected height = {self.height}"
-            )
-        if not all(-45.0 <= angle <= 45.0 for laser in self.lasers_deg for angle in laser):
-            raise ConfigError(f"RosetteCfg.lasers_deg = {self.lasers_deg!r}: must lie within +-45 degrees")
-        if self.scan_columns > self.width:
-            raise ConfigError(f"RosetteCfg.scan_columns = {self.scan_columns!r}: must be at most width = {self.width}")
+        holds = self.path is not None or len(self.lasers_deg) == self.height
+        require(self, "lasers_deg", holds, f"needs height = {self.height} lasers")
+        holds = all(-45.0 <= angle <= 45.0 for laser in self.lasers_deg for angle in laser)
+        require(self, "lasers_deg", holds, "must lie within +-45 degrees")
+        require(self, "scan_columns", self.scan_columns <= self.width, f"must be at most width = {self.width}")
 
     @property
     def column_s(self) -> float:

@@ -8,7 +8,14 @@ of ``reverse_thrust_map`` at the absolute speed, against its axis, and the oppos
 from dataclasses import dataclass
 from math import inf
 
-from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_positive
+from aerial_gym.config.checks import (
+    Vec3,
+    require,
+    require_choice,
+    require_finite,
+    require_not_negative,
+    require_positive,
+)
 from aerial_gym.errors import ConfigError
 
 ROTOR_TRAITS = ("reversible", "force", "slew", "dead_band")
@@ -63,19 +70,14 @@ class RotorCfg:
     """Source of the numbers."""
 
     def __post_init__(self) -> None:
-        given = [name for name in ("radius", "slew_rate", "slew_rate_down") if getattr(self, name) is not None]
-        require_positive(self, "time_constant_up", "time_constant_down", *given)
-        maps = [name for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map") if getattr(self, name)]
-        require_finite(self, "thrust_map", "thrust_range", *maps)
-        if self.mode not in ("speed", "force"):
-            raise ConfigError(f"RotorCfg.mode = {self.mode!r}: must be speed or force")
+        require_positive(self, "time_constant_up", "time_constant_down", "radius", "slew_rate", "slew_rate_down")
+        require_finite(self, "thrust_map", "thrust_range", "torque_map", "reverse_thrust_map", "reverse_torque_map")
+        require_choice(self, "mode", ("speed", "force"))
         low, high = self.thrust_range
-        if not (low < high and high > 0.0):
-            raise ConfigError(f"RotorCfg.thrust_range = {self.thrust_range!r}: needs low < high, and high > 0")
-        require_not_negative(self, "dead_band")
+        require(self, "thrust_range", low < high and high > 0.0, "needs low < high, and high > 0")
         if (self.torque_ratio is None) == (self.torque_map is None):
             raise ConfigError("RotorCfg: give exactly one of torque_ratio and torque_map")
-        require_not_negative(self, "torque_ratio")
+        require_not_negative(self, "dead_band", "torque_ratio")
         if self.mode == "force":
             self._check_force_mode()
         else:
@@ -83,36 +85,24 @@ class RotorCfg:
 
     def _check_force_mode(self) -> None:
         for name in ("torque_map", "reverse_thrust_map", "reverse_torque_map"):
-            if getattr(self, name) is not None:
-                raise ConfigError(f"RotorCfg.{name}: in force mode the state is the thrust; give torque_ratio alone")
-        if any(self.thrust_map):
-            raise ConfigError(
-                f"RotorCfg.thrust_map = {self.thrust_map!r}: in force mode the state is the thrust; leave it out"
-            )
+            given = getattr(self, name) is not None
+            require(self, name, not given, "in force mode the state is the thrust; give torque_ratio alone")
+        require(self, "thrust_map", not any(self.thrust_map), "in force mode the state is the thrust; leave it out")
 
     def _check_maps(self) -> None:
-        if not self.thrust_map[2] > 0.0:
-            raise ConfigError(f"RotorCfg.thrust_map = {self.thrust_map!r}: the coefficient of w² must be > 0")
-        for name in ("reverse_thrust_map", "reverse_torque_map"):
-            if getattr(self, name) is not None and not self.reversible:
-                raise ConfigError(
-                    f"RotorCfg.{name}: only for a reversible rotor, with a thrust_range that begins below 0"
-                )
+        require(self, "thrust_map", self.thrust_map[2] > 0.0, "the coefficient of w² must be > 0")
         if not self.reversible:
+            for name in ("reverse_thrust_map", "reverse_torque_map"):
+                rule = "only for a reversible rotor, with a thrust_range that begins below 0"
+                require(self, name, getattr(self, name) is None, rule)
             return
         for name in ("thrust_map", "reverse_thrust_map"):
             c0, c1, c2 = getattr(self, name) or self.thrust_map
-            if c0 != 0.0 or c1 < 0.0 or not c2 > 0.0:
-                raise ConfigError(
-                    f"RotorCfg.{name} = {(c0, c1, c2)!r}: of a reversible rotor thrust passes through 0 with the speed; needs "
-                    "c0 = 0, c1 >= 0 and c2 > 0"
-                )
+            rule = "the thrust of a reversible rotor is 0 without speed and grows with it: needs c0 = 0, c1 >= 0 and c2 > 0"
+            require(self, name, c0 == 0.0 and c1 >= 0.0 and c2 > 0.0, rule)
         for name in ("torque_map", "reverse_torque_map"):
-            if (coefficients := getattr(self, name)) is not None and coefficients[0] != 0.0:
-                raise ConfigError(
-                    f"RotorCfg.{name} = {coefficients!r}: of a reversible rotor the torque passes through 0 with the speed; "
-                    "needs q0 = 0"
-                )
+            q0, *_ = getattr(self, name) or (0.0,)
+            require(self, name, q0 == 0.0, "the torque of a reversible rotor is 0 without speed: needs q0 = 0")
 
     @property
     def reversible(self) -> bool:

@@ -5,10 +5,10 @@ Frames: body is x forward, y left, z up; a sensor looks along its own x, an IMU'
 
 import re
 from dataclasses import dataclass
-from math import inf, pi
 from pathlib import Path
 
-from aerial_gym.config.checks import Vec3, require_finite
+from aerial_gym.config import checks
+from aerial_gym.config.checks import Vec3
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
@@ -71,35 +71,28 @@ class SensorMountCfg:
         return self.name or Path(self.sensor).stem
 
     def __post_init__(self) -> None:
-        where = f"SensorMountCfg of {self.sensor!r}"
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", self.key):
-            raise ConfigError(f"{where}: name = {self.key!r}: must be snake_case. Give the mount a name of its own")
-        require_finite(self, *(n for n in ("position", "euler", "quaternion") if getattr(self, n) is not None))
-        if self.euler is not None and self.quaternion is not None:
-            raise ConfigError(f"{where}: give euler or quaternion, not both")
-        if self.euler is not None and any(abs(angle) > 2.0 * pi for angle in self.euler):
-            raise ConfigError(f"{where}: euler = {self.euler!r}: must lie within +-2 pi. Angles are in radians")
-        if self.quaternion is not None and sum(q * q for q in self.quaternion) < 1e-12:
-            raise ConfigError(f"{where}: quaternion = {self.quaternion!r}: must not be zero")
-        if self.rate_hz is not None and not 0.0 < self.rate_hz < inf:
-            raise ConfigError(f"{where}: rate_hz = {self.rate_hz!r}: must be > 0 and finite")
-        if self.latency_s is not None and not 0.0 <= self.latency_s < inf:
-            raise ConfigError(f"{where}: latency_s = {self.latency_s!r}: must be >= 0 and finite")
+        is_name = re.fullmatch(r"[a-z][a-z0-9_]*", self.key) is not None
+        checks.require(self, "key", is_name, "must be snake_case. Give the mount a name of its own")
+        try:
+            checks.require_finite(self, "position", "quaternion")
+            checks.require_angles(self, "euler")
+            checks.require(
+                self, "euler", self.euler is None or self.quaternion is None, "give this or quaternion, not both"
+            )
+            holds = self.quaternion is None or sum(q * q for q in self.quaternion) >= 1e-12
+            checks.require(self, "quaternion", holds, "must not be zero")
+            checks.require_positive(self, "rate_hz")
+            checks.require_not_negative(self, "latency_s")
+        except ConfigError as error:
+            raise ConfigError(f"mount of {self.sensor!r}: {error}") from None
 
 
 def as_mounts(sensors: tuple[str | SensorMountCfg, ...]) -> tuple[SensorMountCfg, ...]:
-    """Return mounts; a plain name is one in the sensor's own place.
-
-    Raises:
-        ConfigError: If two have the same name.
-    """
+    """Return mounts, with a plain name as one in the sensor's own place; raise ``ConfigError`` if two have one name."""
     mounts = tuple(SensorMountCfg(sensor=given) if isinstance(given, str) else given for given in sensors)
-    seen: set[str] = set()
+    keys = [mount.key for mount in mounts]
     for mount in mounts:
-        if mount.key in seen:
-            raise ConfigError(
-                f"RobotCfg.sensors: two mounts are named {mount.key!r}. Give one a name of its own: "
-                f"{{sensor: {mount.sensor}, name: ...}}"
-            )
-        seen.add(mount.key)
+        if keys.count(mount.key) > 1:
+            remedy = f"Give one a name of its own: {{sensor: {mount.sensor}, name: ...}}"
+            raise ConfigError(f"RobotCfg.sensors: two mounts are named {mount.key!r}. {remedy}")
     return mounts

@@ -5,10 +5,11 @@ Frames: each shape's own, z up; lengths in metres, angles in radians.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf, pi
+from math import inf
 from pathlib import Path
 
-from aerial_gym.config.checks import MAX_MADE, Vec3, require_finite, require_positive
+from aerial_gym.config import checks
+from aerial_gym.config.checks import MAX_MADE, Vec3
 from aerial_gym.errors import ConfigError
 
 FIRST_INSTANCE_ID = 100
@@ -38,9 +39,14 @@ _FIELDS_OF_KIND = {
 def require_color(config: object, *names: str) -> None:
     """Raise ``ConfigError`` unless the named colours, where they are given, are red, green and blue in 0 to 1."""
     for name in names:
-        value = getattr(config, name)
-        if value is not None and not all(0.0 <= share <= 1.0 for share in value):
-            raise ConfigError(f"{type(config).__name__}.{name} = {value!r}: red, green and blue must lie in 0 to 1")
+        holds = all(0.0 <= share <= 1.0 for share in getattr(config, name) or ())
+        checks.require(config, name, holds, "red, green and blue must lie in 0 to 1")
+
+
+def require_id(config: object, name: str) -> None:
+    """Raise ``ConfigError`` unless a semantic id, where it is given, is below the ids of instances."""
+    holds = 0 <= (getattr(config, name) or 0) < FIRST_INSTANCE_ID
+    checks.require(config, name, holds, f"must be 0 to {FIRST_INSTANCE_ID - 1}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +65,7 @@ class CheckerCfg:
     """Red, green, blue of every second field, each 0 to 1."""
 
     def __post_init__(self) -> None:
-        require_positive(self, "size")
+        checks.require_positive(self, "size")
         require_color(self, "color")
 
 
@@ -85,11 +91,9 @@ class PartCfg:
     def __post_init__(self) -> None:
         if self.shape.kind in ("compound", "urdf"):
             raise ConfigError(f"PartCfg.shape: a compound cannot hold a {self.shape.kind}; list all its parts")
-        require_finite(self, "position", "euler")
-        if any(abs(angle) > 2.0 * pi for angle in self.euler):
-            raise ConfigError(f"PartCfg.euler = {self.euler!r}: must lie within +-2 pi. Angles are in radians")
-        if self.semantic_id is not None and not 0 <= self.semantic_id < FIRST_INSTANCE_ID:
-            raise ConfigError(f"PartCfg.semantic_id = {self.semantic_id!r}: must be 0 to {FIRST_INSTANCE_ID - 1}")
+        checks.require_finite(self, "position")
+        checks.require_angles(self, "euler")
+        require_id(self, "semantic_id")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,42 +143,39 @@ class ShapeCfg:
     """First id of the other links of a URDF, counting up; if not given, they have the asset's id."""
 
     def __post_init__(self) -> None:
-        if self.kind not in _FIELDS_OF_KIND:
-            raise ConfigError(f"ShapeCfg.kind = {self.kind!r}: must be one of {', '.join(_FIELDS_OF_KIND)}")
+        checks.require_choice(self, "kind", _FIELDS_OF_KIND)
         needed = _FIELDS_OF_KIND[self.kind]
         for name in ("size", "radius", "height", "path", "parts"):
             value = getattr(self, name)
-            if name in needed and value is None:
-                raise ConfigError(f"ShapeCfg.{name}: a {self.kind} needs it")
-            if name not in needed and value is not None:
-                raise ConfigError(
-                    f"ShapeCfg.{name} = {value!r}: a {self.kind} has none. It needs {', '.join(needed) or 'nothing'}"
-                )
+            checks.require(self, name, name not in needed or value is not None, f"a {self.kind} needs it")
+            rule = f"a {self.kind} has none. It needs {', '.join(needed) or 'nothing'}"
+            checks.require(self, name, name in needed or value is None, rule)
             for length in value if isinstance(value, tuple) else (value,):
-                if isinstance(length, (int, float)) and not 0.0 < length < inf:
-                    raise ConfigError(f"ShapeCfg.{name} = {value!r}: must be > 0 and finite")
+                holds = not isinstance(length, (int, float)) or 0.0 < length < inf
+                checks.require(self, name, holds, "must be > 0 and finite")
         require_color(self, "color")
-        if self.checker is not None and self.kind in ("compound", "urdf"):
-            raise ConfigError(f"ShapeCfg.checker: a {self.kind} has none; give it to its parts")
-        if self.parts == ():
-            raise ConfigError("ShapeCfg.parts: a compound needs at least one part")
+        holds = self.checker is None or self.kind not in ("compound", "urdf")
+        checks.require(self, "checker", holds, f"a {self.kind} has none; give it to its parts")
+        checks.require(self, "parts", self.parts != (), "a compound needs at least one part")
         for part in self.parts or ():
             if part.link != BASE:
                 raise ConfigError(f"ShapeCfg.parts: a part on link {part.link!r}: only a robot has links that move")
-        require_positive(self, "scale")
-        if self.scale != 1.0 and self.kind != "mesh":
-            raise ConfigError(
-                f"ShapeCfg.scale = {self.scale!r}: only a mesh is scaled; change the size of a {self.kind}"
-            )
-        if self.up not in (None, "x", "y", "z"):
-            raise ConfigError(f"ShapeCfg.up = {self.up!r}: must be x, y or z")
-        if self.up is not None and self.kind != "mesh":
-            raise ConfigError(f"ShapeCfg.up = {self.up!r}: only a mesh file has an up axis; turn a {self.kind} instead")
-        if self.kind != "urdf" and (self.link_ids or self.first_link_id is not None):
-            raise ConfigError(f"ShapeCfg.link_ids, first_link_id: a {self.kind} has no links; only a urdf has")
-        for link, semantic_id in (*(self.link_ids or {}).items(), ("first_link_id", self.first_link_id or 0)):
-            if not 0 <= semantic_id < FIRST_INSTANCE_ID:
-                raise ConfigError(f"ShapeCfg: {link} = {semantic_id!r} must be 0 to {FIRST_INSTANCE_ID - 1}")
+        checks.require_positive(self, "scale")
+        is_mesh, is_urdf = self.kind == "mesh", self.kind == "urdf"
+        checks.require(
+            self, "scale", is_mesh or self.scale == 1.0, f"only a mesh is scaled; change the size of a {self.kind}"
+        )
+        checks.require(self, "up", self.up in (None, "x", "y", "z"), "must be x, y or z")
+        checks.require(
+            self, "up", is_mesh or self.up is None, f"only a mesh file has an up axis; turn a {self.kind} instead"
+        )
+        checks.require(self, "link_ids", is_urdf or not self.link_ids, f"a {self.kind} has no links; only a urdf has")
+        checks.require(
+            self, "first_link_id", is_urdf or self.first_link_id is None, f"a {self.kind} has no links; only a urdf has"
+        )
+        require_id(self, "first_link_id")
+        holds = all(0 <= number < FIRST_INSTANCE_ID for number in (self.link_ids or {}).values())
+        checks.require(self, "link_ids", holds, f"must be 0 to {FIRST_INSTANCE_ID - 1}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,12 +195,8 @@ class FamilyCfg:
     """Lowest and highest value of numbers that shall differ from the family's own."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.variants <= MAX_MADE:
-            raise ConfigError(
-                f"FamilyCfg {self.name!r}: variants = {self.variants!r} must be >= 1 and at most {MAX_MADE:,}"
-            )
-        if self.seed < 0:
-            raise ConfigError(f"FamilyCfg {self.name!r}: seed = {self.seed!r} must be >= 0")
+        checks.require_count(self, "variants", most=MAX_MADE)
+        checks.require(self, "seed", self.seed >= 0, "must be >= 0")
         for name, (low, high) in self.ranges.items():
             if not 0.0 <= low <= high < inf:
                 raise ConfigError(f"FamilyCfg {self.name!r}: {name} = {(low, high)!r} needs 0 <= low <= high < inf")

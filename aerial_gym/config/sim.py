@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from aerial_gym.config.robot import require_finite, require_positive
+from aerial_gym.config.checks import require_finite, require_positive
 
 STANDARD_GRAVITY = 9.81
 """Default downward acceleration of free fall [m/s²] of sims and flights."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import ClassVar
 
-from aerial_gym.config.checks import require_count
+from aerial_gym.config.checks import require, require_count
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg
@@ -64,25 +64,14 @@ class CurriculumCfg:
     """First level, from min_level to max_level; min_level if not given."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.min_level < self.max_level:
-            raise ConfigError(
-                f"CurriculumCfg: min_level = {self.min_level!r}, max_level = {self.max_level!r}: "
-                "needs 0 <= min_level < max_level"
-            )
-        if self.check_after < 1:
-            raise ConfigError(f"CurriculumCfg.check_after = {self.check_after!r}: must be >= 1")
-        if not 0.0 <= self.lower_below <= self.raise_above <= 1.0:
-            raise ConfigError(
-                f"CurriculumCfg: lower_below = {self.lower_below!r}, raise_above = {self.raise_above!r}: "
-                "needs 0 <= lower_below <= raise_above <= 1"
-            )
+        low, high = self.min_level, self.max_level
+        require(self, "min_level", 0 <= low < high, f"must be >= 0 and below max_level = {high!r}")
+        require(self, "check_after", self.check_after >= 1, "must be >= 1")
+        holds = 0.0 <= self.lower_below <= self.raise_above <= 1.0
+        require(self, "lower_below", holds, f"must be 0 to raise_above = {self.raise_above!r}, which is 1 at most")
         for name in ("raise_by", "lower_by"):
-            if getattr(self, name) < 0:
-                raise ConfigError(f"CurriculumCfg.{name} = {getattr(self, name)!r}: must be >= 0")
-        if not self.min_level <= self.first_level <= self.max_level:
-            raise ConfigError(
-                f"CurriculumCfg.start_level = {self.start_level!r}: must lie in {self.min_level} to {self.max_level}"
-            )
+            require(self, name, getattr(self, name) >= 0, "must be >= 0")
+        require(self, "start_level", low <= self.first_level <= high, f"must lie in {low} to {high}")
 
     @property
     def first_level(self) -> int:
@@ -211,9 +200,8 @@ class TaskCfg:
                 raise ConfigError(f"TaskCfg.rewards.{name}: the name is that of {name}_reward. Choose another")
             for other in reward.times:
                 if other not in self.rewards:
-                    raise ConfigError(
-                        f"TaskCfg.rewards.{name}.times: no reward {other!r}. Known: {', '.join(self.rewards)}"
-                    )
+                    known = ", ".join(self.rewards)
+                    raise ConfigError(f"TaskCfg.rewards.{name}.times: no reward {other!r}. Known: {known}")
                 if self.rewards[other].times:
                     raise ConfigError(f"TaskCfg.rewards.{name}.times: reward {other!r} is multiplied by others itself")
 

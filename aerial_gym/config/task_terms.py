@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from aerial_gym.config.checks import MAX_MADE, require_float32, require_not_negative, require_positive
-from aerial_gym.errors import ConfigError
+from aerial_gym.config import checks
+from aerial_gym.config.checks import MAX_MADE
 
 Params = Mapping[str, object]
 """Numbers, texts and lists of them by name; the term's signature gives their types."""
@@ -17,16 +17,13 @@ Steps = int | tuple[int, int]
 """Steps, or the fewest and the most, of which every episode draws one number."""
 
 
-def _check_steps(config: object, name: str) -> None:
+def _require_steps(config: object, name: str) -> None:
     low, high = steps_range(getattr(config, name))
-    if not 0 <= low <= high <= MAX_MADE:
-        raise ConfigError(
-            f"{type(config).__name__}.{name} = {getattr(config, name)!r}: must be >= 0, or the fewest and the most of them"
-        )
+    checks.require(config, name, 0 <= low <= high <= MAX_MADE, "must be >= 0, or the fewest and the most of them")
 
 
 def steps_range(steps: Steps) -> tuple[int, int]:
-    """Return the fewest and the most."""
+    """Return the fewest and the most steps."""
     return (steps, steps) if isinstance(steps, int) else steps
 
 
@@ -56,14 +53,12 @@ class FaultCfg:
     """Of the episodes that have it, > 0 and <= 1."""
 
     def __post_init__(self) -> None:
-        if self.how not in FAULTS:
-            raise ConfigError(f"FaultCfg.how = {self.how!r}: must be {' or '.join(FAULTS)}")
-        _check_steps(self, "begin_steps")
-        _check_steps(self, "duration_steps")
-        if (self.how == "jump") != (0.0 < self.size < inf):
-            raise ConfigError(f"FaultCfg.size = {self.size!r}: must be > 0 and finite of a jump, and 0 of others")
-        if not 0.0 < self.share <= 1.0:
-            raise ConfigError(f"FaultCfg.share = {self.share!r}: must be > 0 and <= 1")
+        checks.require_choice(self, "how", FAULTS)
+        _require_steps(self, "begin_steps")
+        _require_steps(self, "duration_steps")
+        holds = (self.how == "jump") == (0.0 < self.size < inf)
+        checks.require(self, "size", holds, "must be > 0 and finite of a jump, and 0 of others")
+        checks.require(self, "share", 0.0 < self.share <= 1.0, "must be > 0 and <= 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,20 +98,14 @@ class ObservationCfg:
     """Factor on every entry, noise included; finite and not 0."""
 
     def __post_init__(self) -> None:
-        require_not_negative(self, "noise_std")
-        if not 0.0 <= self.dropout < 1.0:
-            raise ConfigError(f"ObservationCfg.dropout = {self.dropout!r}: must be a probability, 0 <= dropout < 1")
-        if not isfinite(self.dropout_value):
-            raise ConfigError(f"ObservationCfg.dropout_value = {self.dropout_value!r}: must be finite")
-        if self.hold_steps < 0 or (self.hold_steps > 0 and self.dropout == 0.0):
-            raise ConfigError(
-                f"ObservationCfg.hold_steps = {self.hold_steps!r}: must be >= 0, and needs a dropout: nothing else is held"
-            )
-        _check_steps(self, "delay_steps")
-        if not 1 <= self.history <= MAX_MADE:
-            raise ConfigError(f"ObservationCfg.history = {self.history!r}: must be >= 1")
-        if not isfinite(self.scale) or self.scale == 0.0:
-            raise ConfigError(f"ObservationCfg.scale = {self.scale!r}: must be finite and not 0")
+        checks.require_not_negative(self, "noise_std")
+        checks.require(self, "dropout", 0.0 <= self.dropout < 1.0, "must be a probability, 0 <= dropout < 1")
+        checks.require_finite(self, "dropout_value")
+        holds = self.hold_steps == 0 or (self.hold_steps > 0 and self.dropout > 0.0)
+        checks.require(self, "hold_steps", holds, "must be >= 0, and needs a dropout: nothing else is held")
+        _require_steps(self, "delay_steps")
+        checks.require_count(self, "history", most=MAX_MADE)
+        checks.require(self, "scale", isfinite(self.scale) and self.scale != 0.0, "must be finite and not 0")
 
 
 IMAGE_TYPES = ("uint8", "float16", "float32")
@@ -140,11 +129,9 @@ class ImageCfg:
     """Number of successive images, oldest first, the axis before the sensors, >= 1."""
 
     def __post_init__(self) -> None:
-        if self.dtype not in IMAGE_TYPES:
-            raise ConfigError(f"ImageCfg.dtype = {self.dtype!r}: must be {', '.join(IMAGE_TYPES)}")
-        require_positive(self, "largest")
-        if not 1 <= self.history <= MAX_MADE:
-            raise ConfigError(f"ImageCfg.history = {self.history!r}: must be >= 1")
+        checks.require_choice(self, "dtype", IMAGE_TYPES)
+        checks.require_positive(self, "largest")
+        checks.require_count(self, "history", most=MAX_MADE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +154,7 @@ class RewardCfg:
     """Names of reward terms, without factors of their own, whose sum multiplies this term; none: 1."""
 
     def __post_init__(self) -> None:
-        require_float32(self, "weight", "difficulty_weight")
+        checks.require_float32(self, "weight", "difficulty_weight")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,9 +171,8 @@ class EndRewardCfg:
     """``replace``: the reward of that step is this alone; ``add``: it comes on top."""
 
     def __post_init__(self) -> None:
-        require_float32(self, "value", "difficulty_value")
-        if self.how not in ("replace", "add"):
-            raise ConfigError(f"EndRewardCfg.how = {self.how!r}: must be replace or add")
+        checks.require_float32(self, "value", "difficulty_value")
+        checks.require_choice(self, "how", ("replace", "add"))
 
 
 KINDS = ("crash", "success", "time_out")
@@ -218,16 +204,12 @@ class TerminationCfg:
     a ``time_out`` goes on."""
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ConfigError(f"TerminationCfg.kind = {self.kind!r}: must be {', '.join(KINDS)}")
-        if self.when not in WHENS:
-            raise ConfigError(f"TerminationCfg.when = {self.when!r}: must be {', '.join(WHENS)}")
-        if self.when != "now" and self.kind != "success":
-            raise ConfigError(f"TerminationCfg.when = {self.when!r}: only for kind success; a {self.kind} ends now")
-        if self.when != "now" and self.bootstrap is not None:
-            raise ConfigError(
-                f"TerminationCfg.bootstrap = {self.bootstrap!r}: a success that {self.when} ends nothing. Leave it out"
-            )
+        checks.require_choice(self, "kind", KINDS)
+        checks.require_choice(self, "when", WHENS)
+        now = self.when == "now"
+        checks.require(self, "when", now or self.kind == "success", f"only for kind success; a {self.kind} ends now")
+        rule = f"a success that {self.when} ends nothing. Leave it out"
+        checks.require(self, "bootstrap", now or self.bootstrap is None, rule)
 
     @property
     def bootstraps(self) -> bool:
@@ -268,5 +250,5 @@ class ActionCfg:
     units of the command, >= 0."""
 
     def __post_init__(self) -> None:
-        _check_steps(self, "delay_steps")
-        require_not_negative(self, "noise_std", "filter_time_s")
+        _require_steps(self, "delay_steps")
+        checks.require_not_negative(self, "noise_std", "filter_time_s")

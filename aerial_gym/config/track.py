@@ -6,8 +6,8 @@ Frames: world of each environment, z up; a gate is flown through along its own x
 from dataclasses import dataclass
 from math import pi
 
-from aerial_gym.config.checks import Vec3, require_finite, require_not_negative, require_ordered, require_positive
-from aerial_gym.errors import ConfigError
+from aerial_gym.config import checks
+from aerial_gym.config.checks import Vec3
 
 GATES, POLES = "gates", "poles"
 """Names of the first two assets of an environment with a track: one instance for each gate, one for each pole."""
@@ -26,9 +26,8 @@ class GatePlaceCfg:
     """ZYX roll, pitch, yaw [rad], within +-2 pi; with yaw 0 it is flown through along x."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "position", "euler")
-        if any(abs(angle) > 2.0 * pi for angle in self.euler):
-            raise ConfigError(f"GatePlaceCfg.euler = {self.euler!r}: must lie within +-2 pi. Angles are in radians")
+        checks.require_finite(self, "position")
+        checks.require_angles(self, "euler")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +68,11 @@ class LayoutCfg:
     """Largest angle between a gate and the direction of travel [rad], 0 to pi."""
 
     def __post_init__(self) -> None:
-        require_finite(self, "lower", "upper")
-        require_ordered(self, "lower", "upper")
-        require_positive(self, "corridor")
-        require_not_negative(self, "start_distance", "gate_distance", "pole_to_gate", "pole_distance")
-        if not 0.0 <= self.yaw_range <= pi:
-            raise ConfigError(f"LayoutCfg.yaw_range = {self.yaw_range!r}: must be 0 to pi rad")
+        checks.require_finite(self, "lower", "upper")
+        checks.require_ordered(self, "lower", "upper")
+        checks.require_positive(self, "corridor")
+        checks.require_not_negative(self, "start_distance", "gate_distance", "pole_to_gate", "pole_distance")
+        checks.require(self, "yaw_range", 0.0 <= self.yaw_range <= pi, "must be 0 to pi rad")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,17 +110,11 @@ class TrackCfg:
     """Random layout of the whole track; None keeps the listed one."""
 
     def __post_init__(self) -> None:
-        if not self.gates:
-            raise ConfigError("TrackCfg.gates: needs at least one")
-        require_finite(self, "poles")
-        for name in ("gate_position", "gate_euler", "pole"):
-            require_finite(self, f"{name}_low", f"{name}_high")
-            require_ordered(self, f"{name}_low", f"{name}_high")
-        if self.layout is not None and len(self.poles) > len(self.gates):
-            raise ConfigError(
-                f"TrackCfg.layout: {len(self.poles)} poles and {len(self.gates)} gates: draws one pole, at most, on the way to "
-                "each gate"
-            )
+        checks.require(self, "gates", bool(self.gates), "needs at least one")
+        checks.require_finite(self, "poles")
+        checks.require_ranges(self, "gate_position", "gate_euler", "pole")
+        holds = self.layout is None or len(self.poles) <= len(self.gates)
+        checks.require(self, "poles", holds, "layout draws one pole, at most, on the way to each gate")
 
     @property
     def counts(self) -> dict[str, int]:

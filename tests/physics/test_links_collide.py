@@ -144,7 +144,7 @@ def test_links_without_a_pair_and_shapes_without_a_link_are_refused() -> None:
     with pytest.raises(ConfigError, match="no pair of shapes to test"):
         fly(bending(arm(DOWN, 0.0), collision=shapes), torch.device("cpu"))
     rigid = replace(bending(arm(DOWN, 0.0)), joints=None, visual=(), visible=False)
-    with pytest.raises(ConfigError, match="shape 1 sits on link 'arm', but the robot has no joints"):
+    with pytest.raises(ConfigError, match="shape 1 sits on link 'arm': must be a link of the robot .base"):
         replace(rigid, collision=CollisionCfg(capsules=(ROD_OF_ARM,), source="invented"))
     with pytest.raises(ConfigError, match="between_links: the robot has no joints"):
         replace(rigid, collision=CollisionCfg(spheres=(HULL,), between_links=True, source="invented"))

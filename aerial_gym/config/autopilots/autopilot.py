@@ -4,7 +4,7 @@ from dataclasses import fields
 from math import inf
 from typing import Any, ClassVar
 
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import require
 
 
 class AutopilotTuning:
@@ -20,21 +20,15 @@ class AutopilotTuning:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            for value in _numbers(getattr(self, field.name)):
-                if not 0.0 <= value < inf:
-                    raise ConfigError(
-                        f"{type(self).__name__}.{field.name} = {getattr(self, field.name)!r}: must be >= 0 and finite"
-                    )
+            value = getattr(self, field.name)
+            numbers = [
+                each for each in (value if isinstance(value, tuple) else (value,)) if isinstance(each, (int, float))
+            ]
+            require(self, field.name, all(0.0 <= number < inf for number in numbers), "must be >= 0 and finite")
         for name in self.POSITIVE:
-            if getattr(self, name, None) == 0.0:
-                raise ConfigError(f"{type(self).__name__}.{name} = 0: must be > 0")
+            require(self, name, getattr(self, name, None) != 0.0, "must be > 0")
 
     @property
     def explicit(self) -> bool:
         """Whether any gain, limit or filter is not as the class has it: then the parameters are someone's tuning."""
         return any(getattr(self, f.name) != f.default for f in fields(self) if f.name not in self.NOT_GAINS)
-
-
-def _numbers(value: object) -> tuple[float, ...]:
-    parts = value if isinstance(value, tuple) else (value,)
-    return tuple(part for part in parts if isinstance(part, (int, float)))

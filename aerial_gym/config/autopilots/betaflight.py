@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import pi
 
 from aerial_gym.config.autopilots.autopilot import AutopilotTuning
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import require, require_choice
 
 PER_DEGREE = 180.0 / pi / 1000.0
 """From a thousandth of the motors' range per deg/s to the whole range per rad/s."""
@@ -136,16 +136,11 @@ class BetaflightCfg(AutopilotTuning):
         kinds = dict.fromkeys(_TYPES, ("PT1", "BIQUAD"))
         kinds |= {"rates_type": ("NONE", "ACTUAL"), "iterm_relax": ("OFF", "RP", "RPY"), "tpa_mode": ("D", "PD")}
         for name, allowed in kinds.items():
-            if getattr(self, name) not in allowed:
-                raise ConfigError(f"BetaflightCfg.{name} = {getattr(self, name)!r}: must be {' or '.join(allowed)}")
+            require_choice(self, name, allowed)
         most = {"iterm_windup": 100.0, "tpa_rate": 100.0, "roll_expo": 1.0, "pitch_expo": 1.0, "yaw_expo": 1.0}
         for name, limit in most.items():
-            if getattr(self, name) > limit:
-                raise ConfigError(f"BetaflightCfg.{name} = {getattr(self, name)!r}: must be at most {limit:g}")
-        if not 1000.0 <= self.tpa_breakpoint < 2000.0:
-            raise ConfigError(
-                f"BetaflightCfg.tpa_breakpoint = {self.tpa_breakpoint!r}: must be from 1000 to below 2000"
-            )
+            require(self, name, getattr(self, name) <= limit, f"must be at most {limit:g}")
+        require(self, "tpa_breakpoint", 1000.0 <= self.tpa_breakpoint < 2000.0, "must be from 1000 to below 2000")
 
 
 _TYPES = ("gyro_lpf1_type", "gyro_lpf2_type", "dterm_lpf1_type", "dterm_lpf2_type")

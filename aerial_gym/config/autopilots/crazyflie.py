@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from aerial_gym.config.autopilots.autopilot import AutopilotTuning
-from aerial_gym.config.checks import Vec3
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import Vec3, require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,8 +225,6 @@ class BrescianiniCfg(AutopilotTuning):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.mixing_factor is not None and self.mixing_factor > 1.0:
-            raise ConfigError(f"BrescianiniCfg.mixing_factor = {self.mixing_factor!r}: must be from 0 to 1")
+        require(self, "mixing_factor", (self.mixing_factor or 0.0) <= 1.0, "must be from 0 to 1")
         low, high = self.coll_min, self.coll_max
-        if low is not None and high is not None and low >= high:
-            raise ConfigError(f"BrescianiniCfg.coll_min = {low!r}: must be below coll_max = {high!r}")
+        require(self, "coll_min", low is None or high is None or low < high, f"must be below coll_max = {high!r}")

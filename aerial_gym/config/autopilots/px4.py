@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import inf
 
 from aerial_gym.config.autopilots.autopilot import AutopilotTuning
-from aerial_gym.errors import ConfigError
+from aerial_gym.config.checks import require
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,9 +188,6 @@ class Px4Cfg(AutopilotTuning):
             ("MPC_XY_VEL_P_ACC", 0.0, inf), ("IMU_GYRO_NF0_BW", 0.0, inf), ("IMU_GYRO_NF1_BW", 0.0, inf),
         ):  # fmt: skip
             value = getattr(self, name)
-            if value is not None and not low < value <= high:
-                raise ConfigError(f"Px4Cfg.{name} = {value!r}: must be > {low:g} and at most {high:g}")
-        if self.THR_MDL_FAC is not None and self.THR_MDL_FAC > 1.0:
-            raise ConfigError(f"Px4Cfg.THR_MDL_FAC = {self.THR_MDL_FAC!r}: must be from 0 to 1")
-        if self.MC_AIRMODE not in (None, 0, 1, 2):
-            raise ConfigError(f"Px4Cfg.MC_AIRMODE = {self.MC_AIRMODE!r}: must be 0, 1 or 2, or left out")
+            require(self, name, value is None or low < value <= high, f"must be > {low:g} and at most {high:g}")
+        require(self, "THR_MDL_FAC", (self.THR_MDL_FAC or 0.0) <= 1.0, "must be from 0 to 1")
+        require(self, "MC_AIRMODE", self.MC_AIRMODE in (None, 0, 1, 2), "must be 0, 1 or 2, or left out")

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import require_positive
+from aerial_gym.config.checks import require_positive
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import Vehicle
 from aerial_gym.sim2real.arrays import Array, Flags

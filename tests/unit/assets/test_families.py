@@ -216,15 +216,15 @@ def test_families_that_cannot_be_made_are_refused(fields: dict, message: str) ->
 
 
 def test_impossible_family_configurations_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"FamilyCfg 'trees': variants = 0 must be >= 1"):
+    with pytest.raises(ConfigError, match=r"FamilyCfg.variants = 0: must be >= 1"):
         FamilyCfg(name="trees", variants=0)
-    with pytest.raises(ConfigError, match=r"seed = -1 must be >= 0"):
+    with pytest.raises(ConfigError, match=r"seed = -1: must be >= 0"):
         FamilyCfg(name="trees", variants=1, seed=-1)
     with pytest.raises(ConfigError, match=r"height = \(2.0, 1.0\) needs 0 <= low <= high < inf"):
         FamilyCfg(name="trees", variants=1, ranges={"height": (2.0, 1.0)})
-    with pytest.raises(ConfigError, match=r"AssetCfg 'forest': has shapes and a family; give one of them"):
+    with pytest.raises(ConfigError, match=r"AssetCfg 'forest': give shapes, at least one, or a family, and not both"):
         replace(ASSET, shapes=(ShapeCfg(kind="sphere", radius=1.0),))
-    with pytest.raises(ConfigError, match=r"AssetCfg 'forest': shapes needs at least one entry, or name a family"):
+    with pytest.raises(ConfigError, match=r"AssetCfg 'forest': give shapes, at least one, or a family"):
         replace(ASSET, family=None)
 
 

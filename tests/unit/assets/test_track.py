@@ -189,7 +189,7 @@ def test_a_pole_ends_at_its_top(height: float, touches: bool) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: TrackCfg(gates=()), "gates: needs at least one"),
+        (lambda: TrackCfg(gates=()), "TrackCfg.gates = .*: needs at least one"),
         (lambda: straight(gate_euler_low=(0.1, 0.0, 0.0)), r"gate_euler_low = .* must not exceed"),
         (lambda: LayoutCfg(lower=(0.0, 0.0), upper=(1.0, -1.0)), "must not exceed"),
         (lambda: LayoutCfg(lower=(0.0, 0.0), upper=(1.0, 1.0), yaw_range=4.0), "yaw_range = 4.0: must be 0 to pi"),
@@ -204,7 +204,7 @@ def test_a_pole_ends_at_its_top(height: float, touches: bool) -> None:
                 poles=((0.0, 0.0, 1.0),) * 2,
                 layout=LayoutCfg(lower=(0.0, 0.0), upper=(1.0, 1.0)),
             ),
-            "2 poles and 1 gates",
+            "layout draws one pole, at most",
         ),
     ],
 )

@@ -77,7 +77,7 @@ def test_numbers_of_actions_and_images_are_checked() -> None:
         ActionCfg(filter_time_s=-1.0)
     with pytest.raises(ConfigError, match="ActionCfg.delay_steps = -1"):
         ActionCfg(delay_steps=-1)
-    with pytest.raises(ConfigError, match="ImageCfg.dtype = 'int8': must be uint8, float16, float32"):
+    with pytest.raises(ConfigError, match="ImageCfg.dtype = 'int8': must be one of uint8, float16, float32"):
         ImageCfg(dtype="int8")
     with pytest.raises(ConfigError, match="ImageCfg.largest = 0.0"):
         ImageCfg(largest=0.0)

@@ -239,9 +239,9 @@ def test_what_does_not_fit_is_refused_by_name(name: str) -> None:
         replace(CONTROLLERS.get(MELLINGER), delay=0.01)
     with pytest.raises(ConfigError, match=r"CrazyfliePidCfg.rate_kp = \(1.0, -1.0, 1.0\): must be >= 0"):
         CrazyfliePidCfg(rate_kp=(1.0, -1.0, 1.0))
-    with pytest.raises(ConfigError, match="CrazyfliePidCfg.rate_hz = 0: must be > 0"):
+    with pytest.raises(ConfigError, match="CrazyfliePidCfg.rate_hz = 0.0: must be > 0"):
         CrazyfliePidCfg(rate_hz=0.0)
-    with pytest.raises(ConfigError, match="MellingerCfg.mass = 0: must be > 0"):
+    with pytest.raises(ConfigError, match="MellingerCfg.mass = 0.0: must be > 0"):
         MellingerCfg(mass=0.0)
 
 
@@ -262,7 +262,7 @@ def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
         "omega_yaw_max",
         "coll_max",
     ):
-        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0: must be > 0"):
+        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0.0: must be > 0"):
             BrescianiniCfg(**{name: 0.0})
 
 

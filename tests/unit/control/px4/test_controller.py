@@ -215,7 +215,7 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
         make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF0_FRQ=50.0, IMU_GYRO_NF0_BW=260.0))
     with pytest.raises(ConfigError, match="Px4Cfg.rate_hz = 300 Hz"):
         make_law("px4_rate_control", px4=Px4Cfg(rate_hz=300.0))
-    with pytest.raises(ConfigError, match="has gains and a rate loop of its own"):
+    with pytest.raises(ConfigError, match="has its own gains and rate loop"):
         ControllerCfg(summary="-", law="rates", px4=Px4Cfg(), rate_loop=RateLoopCfg())
     for bad in (
         {"MC_ROLL_P": -1.0}, {"MC_YAW_WEIGHT": 0.0}, {"THR_MDL_FAC": 1.5}, {"MPC_TILTMAX_AIR": 90.0},

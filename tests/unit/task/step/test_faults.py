@@ -82,7 +82,7 @@ def test_faults_that_do_not_fit_are_refused() -> None:
         make(1, policy=(term,))
     with pytest.raises(ConfigError, match="TaskCfg.faults.gps: no observation has it"):
         make(1, faults={"gps": LOST})
-    with pytest.raises(ConfigError, match=r"FaultCfg.how = 'drift': must be lost or jump"):
+    with pytest.raises(ConfigError, match=r"FaultCfg.how = 'drift': must be one of lost, jump"):
         replace(LOST, how="drift")
     with pytest.raises(ConfigError, match=r"FaultCfg.size = 0.0: must be > 0 and finite of a jump"):
         replace(JUMP, size=0.0)

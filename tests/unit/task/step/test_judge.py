@@ -170,7 +170,7 @@ def test_a_term_is_weighed_and_multiplied_by_the_sum_of_others() -> None:
 def test_what_cannot_be_is_refused() -> None:
     for changes, message in (
         ({"kind": "crash", "when": "counts"}, "when = 'counts': only for kind success; a crash ends now"),
-        ({"kind": "landing"}, "kind = 'landing': must be crash, success, time_out"),
+        ({"kind": "landing"}, "kind = 'landing': must be one of crash, success, time_out"),
         ({"when": "later"}, "when = 'later': must be now, counts, at_end"),
         ({"when": "at_end", "bootstrap": True}, "a success that at_end ends nothing. Leave it out"),
     ):
@@ -186,7 +186,7 @@ def test_what_cannot_be_is_refused() -> None:
             make(1, rewards=rewards)
     with pytest.raises(ConfigError, match="success_reward: needs a termination of kind success"):
         make(1, success_reward=EndRewardCfg(value=1.0))
-    with pytest.raises(ConfigError, match="EndRewardCfg.how = 'times': must be replace or add"):
+    with pytest.raises(ConfigError, match="EndRewardCfg.how = 'times': must be one of replace, add"):
         EndRewardCfg(value=1.0, how="times")
     with pytest.raises(ConfigError, match="EndRewardCfg.difficulty_value = nan: must be finite"):
         EndRewardCfg(value=1.0, difficulty_value=float("nan"))
