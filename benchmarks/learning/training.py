@@ -141,9 +141,9 @@ class BenchTraining:
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
             if self.trainer == "apg":
-                training = apg.make_training(cfg, task)
+                training = apg.ApgTrainer().make_training(cfg, task)
             else:
-                training = ppo.make_training(cfg, task, fused=not self.plain)
+                training = ppo.PpoTrainer().make_training(cfg, task, fused=not self.plain)
             trained_s, evaluated_s, iteration_s, fresh = 0.0, 0.0, 0.0, None
             started_s = time.perf_counter() - STARTED
             begun = clock()

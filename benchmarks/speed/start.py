@@ -84,7 +84,7 @@ def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dic
         note("torch")
         from aerial_gym.interop.devices import resolve_device
         from aerial_gym.rl_training import TRAINERS, evaluate, load_settings, settings_for
-        from aerial_gym.rl_training.trainers.ppo import make_training
+        from aerial_gym.rl_training.trainers.ppo import PpoTrainer
         from aerial_gym.task import task_registry
     note("imports")
     cfg = load_settings(settings_for("ppo", asked.task, device=asked.device))
@@ -93,7 +93,7 @@ def _run_training(asked: argparse.Namespace, note: Callable[[str], None]) -> dic
     torch.manual_seed(asked.seed)
     task = task_registry.make_task(cfg.task, num_envs=cfg.num_envs, device=asked.device, seed=asked.seed, capture=False)
     note("build")
-    training = make_training(cfg, task)
+    training = PpoTrainer().make_training(cfg, task)
     for part in ("first_iteration", "recording"):
         training._repeat()
         float(training.learner.sums[0])  # waits for the device

@@ -19,12 +19,10 @@ from rl_games.common.ivecenv import IVecEnv
 from rl_games.torch_runner import Runner
 from torch import Tensor, distributed
 
+from aerial_gym.rl_training.adapters.library_run import LibraryRun
 from aerial_gym.rl_training.learner_settings import PpoCfg
-from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
-from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.progress import Progress, Report
-from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard
 from aerial_gym.task import Task
@@ -63,7 +61,7 @@ class TaskVecEnv(IVecEnv):
 
 
 class KeeperAgent(A2CAgent):
-    """PPO that saves and restores through a ``Keeper``; the names of files that the library chooses are not used."""
+    """PPO that saves and restores through a ``CheckpointKeeper``; file names that the library chooses are not used."""
 
     keeper: CheckpointKeeper
     after_epoch: Callable[[], None]
@@ -87,11 +85,11 @@ class KeeperAgent(A2CAgent):
 
     def train_epoch(self) -> tuple[Any, ...]:
         """Train one epoch; ranks other than 0 report its end, as the library does not."""
-        told = super().train_epoch()
+        statistics = super().train_epoch()
         if self.global_rank != 0:
             self.frame += self.curr_frames * self.world_size
             self.after_epoch()
-        return told
+        return statistics
 
     def update_lr(self, lr: float) -> None:
         """Take the rate of rank 0 for good; the library would go back to its own after the next minibatch."""
@@ -100,9 +98,9 @@ class KeeperAgent(A2CAgent):
             self.last_lr = self.optimizer.param_groups[0]["lr"]
 
     def save(self, fn: str) -> None:
-        """Leave it to ``keep``: the library saves in rank 0 alone."""
+        """Do nothing: the library saves in rank 0 alone."""
 
-    def keep(self) -> None:
+    def save_checkpoint(self) -> None:
         """Write a checkpoint."""
         if self.keeper.ready:
             self.keeper.save(self.get_full_state_weights(), env_steps=int(self.frame))
@@ -110,9 +108,9 @@ class KeeperAgent(A2CAgent):
     def restore(self, fn: str, set_epoch: bool = True) -> None:
         """Resume from the checkpoint of the keeper, with its adapted learning rate."""
         del fn, set_epoch
-        self.keeper.restore(self._restore_library)
+        self.keeper.restore(self._load_library_state)
 
-    def _restore_library(self, state: dict[str, Any]) -> None:
+    def _load_library_state(self, state: dict[str, Any]) -> None:
         self.set_full_state_weights(state)
         self.last_lr = self.optimizer.param_groups[0]["lr"]
 
@@ -120,18 +118,16 @@ class KeeperAgent(A2CAgent):
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the agent to end."""
 
-    def __init__(
-        self, cfg: TrainingCfg, progress: Progress, keeper: CheckpointKeeper, interruption: Interruption
-    ) -> None:
-        self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
+    def __init__(self, run: LibraryRun) -> None:
+        self._run = run
         self.algo: KeeperAgent | None = None
 
     def after_init(self, algo: KeeperAgent) -> None:
-        self.algo, algo.keeper = algo, self._keeper
+        self.algo, algo.keeper = algo, self._run.keeper
         algo.after_epoch = lambda: self.after_print_stats(algo.frame, algo.epoch_num, 0.0)
-        self._summaries = None if algo.writer is None else guard(algo.writer)
-        if not self._keeper.resumes:
-            self.save()
+        self._summaries = () if algo.writer is None else (guard(algo.writer),)
+        if not algo.keeper.resumes:
+            algo.save_checkpoint()
 
     def after_print_stats(self, frame: int, epoch_num: int, total_time: float) -> None:
         del frame, total_time
@@ -143,59 +139,33 @@ class _Observer(AlgoObserver):
             episode_return=float(algo.game_rewards.get_mean()[0]) if known else None,
             episode_length=float(algo.game_lengths.get_mean().item()) if known else None,
         )
-        self._interruption.check()
-        if self._summaries is not None:
-            self._summaries.check()
-        if self._progress.update(report):
+        if self._run.report_update(report, self._summaries, algo.save_checkpoint):
             algo.max_epochs = epoch_num  # the agent ends, and saves, after this epoch
-        elif self._keeper.due:
-            self.save()
-        self._follow_schedules(algo)
-
-    def _follow_schedules(self, algo: A2CAgent) -> None:
-        ppo, share = self._cfg.section(PpoCfg), self._progress.share
-        limit = ppo.learning_rate_limit(share)
+        limit, lowest_log_std = self._run.present_limits
         algo.scheduler.max_lr, algo.last_lr = limit, min(algo.last_lr, limit)
-        algo.model.a2c_network.sigma.data.clamp_(min=math.log(ppo.min_std))
-
-    def save(self) -> None:
-        if self.algo is not None:
-            self.algo.keep()
+        algo.model.a2c_network.sigma.data.clamp_(min=lowest_log_std)
 
 
-def run(
-    cfg: TrainingCfg,
-    task: Task,
-    folder: RunFolder,
-    progress: Progress,
-    *,
-    keeper: CheckpointKeeper,
-    interruption: Interruption,
-    ranks: Ranks = ALONE,
-) -> bool:
-    """Train as ``Trainer.run`` states.
-
-    Raises:
-        StorageError: If the disk is full.
-        TrainingError: If the training diverged.
-    """
-    observer = _Observer(cfg, progress, keeper, interruption)
+def train(run: LibraryRun) -> bool:
+    """Train as ``Trainer.run`` states; return whether it was interrupted."""
+    task, observer = run.task, _Observer(run)
     runner = Runner(observer)
     runner.algo_factory.register_builder("a2c_continuous", lambda **kwargs: KeeperAgent(**kwargs))
-    params: dict[str, Any] = library_params(cfg, TaskVecEnv(task), folder.path, device=str(task.device))
-    params["config"]["multi_gpu"] = ranks.size > 1
-    if task.curriculum is not None and ranks.joined:
-        task.curriculum.of_all = ranks.sum_
+    params: dict[str, Any] = library_params(run.cfg, TaskVecEnv(task), run.folder.path, device=str(task.device))
+    params["config"]["multi_gpu"] = run.ranks.size > 1
+    if task.curriculum is not None and run.ranks.joined:
+        task.curriculum.of_all = run.ranks.sum_
     runner.load_config(params)
     interrupted = False
     try:
-        runner.run({"train": True, "play": False, "checkpoint": "of the keeper" if keeper.resumes else None})
+        runner.run({"train": True, "play": False, "checkpoint": "of the keeper" if run.keeper.resumes else None})
     except KeyboardInterrupt:
         interrupted = True
     finally:
         if observer.algo is not None and observer.algo.writer is not None:
             observer.algo.writer.close()
-    observer.save()
+    if observer.algo is not None:
+        observer.algo.save_checkpoint()
     return interrupted
 
 
@@ -228,7 +198,21 @@ def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str)
             },
         },
         "config": {
-            **_library_run(cfg, env, out, device),
+            "name": cfg.task,
+            "full_experiment_name": "rl_games",
+            "train_dir": str(out),
+            "env_name": cfg.task,
+            "vec_env": env,
+            "env_info": env.get_env_info(),
+            "num_actors": cfg.num_envs,
+            "device": device,
+            "ppo": True,
+            "mixed_precision": False,
+            "torch_compile": False,
+            "print_stats": False,
+            "max_epochs": OFF,
+            "save_best_after": OFF,
+            "save_frequency": 0,
             "gamma": ppo.discount,
             "tau": ppo.gae_lambda,
             "learning_rate": ppo.learning_rate,
@@ -251,25 +235,4 @@ def library_params(cfg: TrainingCfg, env: TaskVecEnv, out: Path, *, device: str)
             "mini_epochs": ppo.num_epochs,
             "reward_shaper": {"scale_value": ppo.reward_scale},
         },
-    }
-
-
-def _library_run(cfg: TrainingCfg, env: TaskVecEnv, out: Path, device: str) -> dict[str, object]:
-    """Return the settings that are not about learning: names, folders, limits, the environment."""
-    return {
-        "name": cfg.task,
-        "full_experiment_name": "rl_games",
-        "train_dir": str(out),
-        "env_name": cfg.task,
-        "vec_env": env,
-        "env_info": env.get_env_info(),
-        "num_actors": cfg.num_envs,
-        "device": device,
-        "ppo": True,
-        "mixed_precision": False,
-        "torch_compile": False,
-        "print_stats": False,
-        "max_epochs": OFF,
-        "save_best_after": OFF,
-        "save_frequency": 0,
     }

@@ -36,19 +36,17 @@ from signal_slot.signal_slot import EventLoop, EventLoopStatus
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError, TrainingError
+from aerial_gym.rl_training.adapters.library_run import LibraryRun
 from aerial_gym.rl_training.learner_settings import PpoCfg
-from aerial_gym.rl_training.ranks import ALONE, Ranks
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.interruption import Interruption
-from aerial_gym.rl_training.run.progress import Progress, Report
-from aerial_gym.rl_training.run.run_folder import RunFolder
+from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import SafeEvents, guard
+from aerial_gym.rl_training.trainers.summaries import guard
 from aerial_gym.task import Task
 
 OFF = 10**15
 """A count that is never reached: switches a feature of the library off."""
-
 
 NO_LIMIT = 1e9
 """A value that clips nothing."""
@@ -89,7 +87,7 @@ class TaskBatchedEnv(gymnasium.Env):
 
 
 class _KeeperLearner(Learner):
-    """A learner that saves and restores through a ``Keeper``; the library takes the newest file by its name."""
+    """A learner that saves and restores through a ``CheckpointKeeper``; the library takes the newest file by its name."""
 
     keeper: CheckpointKeeper
 
@@ -120,7 +118,7 @@ class _Runner(SerialRunner):
     def __init__(self, cfg: Config, keeper: CheckpointKeeper) -> None:
         super().__init__(cfg)
         self._keeper = keeper
-        self.summaries: list[SafeEvents] = [guard(writer) for writer in self.writers.values()]
+        self.summaries = [guard(writer) for writer in self.writers.values()]
 
     def _make_learner(self, event_loop: EventLoop, policy_id: int, batcher: Batcher) -> LearnerWorker:
         worker = super()._make_learner(event_loop, policy_id, batcher)
@@ -147,10 +145,8 @@ class _Runner(SerialRunner):
 class _Observer(AlgoObserver):
     """Reports after every update, saves from time to time, and tells the runner to end."""
 
-    def __init__(
-        self, cfg: TrainingCfg, progress: Progress, keeper: CheckpointKeeper, interruption: Interruption
-    ) -> None:
-        self._cfg, self._progress, self._keeper, self._interruption = cfg, progress, keeper, interruption
+    def __init__(self, run: LibraryRun) -> None:
+        self._run = run
 
     def on_training_step(self, runner: _Runner, training_iteration_since_resume: int) -> None:
         del training_iteration_since_resume
@@ -162,62 +158,43 @@ class _Observer(AlgoObserver):
             episode_return=float(sum(returns) / len(returns)) if returns else None,
             episode_length=float(sum(lengths) / len(lengths)) if lengths else None,
         )
-        self._interruption.check()
-        for summaries in runner.summaries:
-            summaries.check()
-        if self._progress.update(report):
+        if self._run.report_update(report, runner.summaries, runner.save):
             runner.total_train_seconds = OFF  # the runner compares it with its limit right after this call
-        elif self._keeper.due:
-            runner.save()
-        self._follow_schedules(runner.learners[0].learner)
-
-    def _follow_schedules(self, learner: Learner) -> None:
-        ppo, share = self._cfg.section(PpoCfg), self._progress.share
-        limit = ppo.learning_rate_limit(share)
+        learner, (limit, lowest_log_std) = runner.learners[0].learner, self._run.present_limits
         learner.lr_scheduler.max_lr, learner.curr_lr = limit, min(learner.curr_lr, limit)
-        learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=math.log(ppo.min_std))
+        learner.actor_critic.action_parameterization.learned_stddev.data.clamp_(min=lowest_log_std)
 
 
-def run(
-    cfg: TrainingCfg,
-    task: Task,
-    folder: RunFolder,
-    progress: Progress,
-    *,
-    keeper: CheckpointKeeper,
-    interruption: Interruption,
-    ranks: Ranks = ALONE,
-) -> bool:
-    """Train as ``Trainer.run`` states, in one process.
+def train(run: LibraryRun) -> bool:
+    """Train as ``Trainer.run`` states, in one process; return whether it was interrupted.
 
     Raises:
         ConfigError: If the library cannot use the device.
-        StorageError: If the disk is full.
-        TrainingError: If the training diverged or the library gave up.
+        TrainingError: If the library gave up.
     """
-    del ranks
+    cfg, task, progress = run.cfg, run.task, run.progress
     if task.device.type == "cuda" and (task.device.index or 0) != 0:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
     name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"
-    with _own_log(), _registration(name, cfg, task, interruption):
-        runner = _Runner(library_config(cfg, folder.path, env_name=name, device=task.device), keeper)
+    with _library_log(), _registration(name, cfg, task, run.interruption):
+        runner = _Runner(library_config(cfg, run.folder.path, env_name=name, device=task.device), run.keeper)
         try:
-            status = _train(runner, _Observer(cfg, progress, keeper, interruption))
+            status = _run_library_training(runner, _Observer(run))
         finally:
             for writer in runner.writers.values():
                 writer.close()
         steps = runner.env_steps.get(0, progress.env_steps)  # the last update came after the last report
         progress.env_steps = int(steps)
     if status not in (ExperimentStatus.SUCCESS, ExperimentStatus.INTERRUPTED):
-        raise TrainingError(f"Sample Factory gave up; {folder.log_file} says why")
+        raise TrainingError(f"Sample Factory gave up; {run.folder.log_file} says why")
     return status == ExperimentStatus.INTERRUPTED
 
 
-def _train(runner: _Runner, observer: _Observer) -> int:
-    """Return the status in which the runner ended; an interrupted one has saved."""
+def _run_library_training(runner: _Runner, observer: _Observer) -> int:
+    """Run the training, save if it is interrupted, and return the runner's status."""
     runner.register_observer(observer)
     try:
-        with _env_info_known(runner.cfg):
+        with _env_info_cache(runner.cfg):
             status = runner.init()
         if status == ExperimentStatus.SUCCESS:
             status = runner.run()
@@ -318,7 +295,7 @@ def _registration(name: str, cfg: TrainingCfg, task: Task, interruption: Interru
 
 
 @contextlib.contextmanager
-def _env_info_known(cfg: Config) -> Iterator[None]:
+def _env_info_cache(cfg: Config) -> Iterator[None]:
     """Fill the library's cache with spaces and sizes; otherwise it builds the task again in another process."""
     file = env_info_cache_filename(cfg)
     info = extract_env_info(make_env_func_batched(cfg, env_config=None), cfg)
@@ -331,7 +308,7 @@ def _env_info_known(cfg: Config) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _own_log() -> Iterator[None]:
+def _library_log() -> Iterator[None]:
     """Redirect the library's terminal logger to the log of the run (the root's handler)."""
     log = logging.getLogger("rl")
     kept, log.handlers = log.handlers, list(logging.getLogger().handlers)

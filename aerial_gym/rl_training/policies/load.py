@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import resolve_device, usual_settings
+from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
@@ -109,6 +110,26 @@ def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> Network
         memory=learner.memory,
         normalize=learner.normalize_observation,
     )
+
+
+def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
+    """Return a new network for the settings and the observations of a task, on its device; drawn from the seed alone.
+
+    Raises:
+        ConfigError: If the task has no observation of a key.
+    """
+    learner = cfg.learner
+    shapes = task.observation_shapes
+    for key in (*learner.policy_keys, *learner.critic_keys):
+        if key not in shapes:
+            raise ConfigError(f"task {cfg.task} has no observation {key!r}. Known: {', '.join(sorted(shapes))}")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(cfg.seed)
+        acting = body_cfg(cfg, {key: shapes[key] for key in learner.policy_keys})
+        judging = body_cfg(cfg, {key: shapes[key] for key in learner.critic_keys or learner.policy_keys})
+        actor = Policy(acting, task.num_actions, initial_std=learner.initial_std, head_variance=learner.head_variance)
+        network = ActorCritic(actor, judging if learner.separate_value_network else None)
+    return network.to(task.device)
 
 
 def _make_inference(policy: Policy) -> Policy:

@@ -24,25 +24,17 @@ class ApgTrainer(NativeTrainer):
     section, settings = "apg", ApgCfg
     differentiable = True
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining[Apg]":
-        """Return a new training."""
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining[Apg]":
+        """Return a new training; warn if the task has a variant with a reward whose slope does not vanish."""
+        from aerial_gym.rl_training.learning.apg import Apg
+        from aerial_gym.rl_training.policies.load import make_network
+        from aerial_gym.rl_training.trainers.native import NativeTraining
+        from aerial_gym.task import task_registry
+
         del ranks
-        return make_training(cfg, task)
-
-
-def make_training(cfg: TrainingCfg, task: "Task") -> "NativeTraining[Apg]":
-    """Return a new training; warn if the task has a variant with a reward whose slope does not vanish.
-
-    Raises:
-        CapabilityError: If the task has no gradients.
-        ConfigError: If the task lacks a key of the observation that the networks need.
-    """
-    from aerial_gym.rl_training.learning.apg import Apg
-    from aerial_gym.rl_training.learning.network import make_network
-    from aerial_gym.rl_training.trainers.native import NativeTraining
-    from aerial_gym.task import task_registry
-
-    smooth = f"smooth_{cfg.task}"
-    if smooth in task_registry.names():
-        _log.warning("trainer apg: the reward of %s is flat far from its target. Train with task %s", cfg.task, smooth)
-    return NativeTraining(cfg, task, Apg(cfg, task, make_network(cfg, task)))
+        smooth = f"smooth_{cfg.task}"
+        if smooth in task_registry.names():
+            _log.warning(
+                "trainer apg: the reward of %s is flat far from its target. Train with task %s", cfg.task, smooth
+            )
+        return NativeTraining(cfg, task, Apg(cfg, task, make_network(cfg, task)))

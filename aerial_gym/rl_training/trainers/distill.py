@@ -32,24 +32,14 @@ class DistillTrainer(NativeTrainer):
             )
         load_policy(cfg.teacher)
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining[Distill]":
-        """Return a new training."""
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining[Distill]":
+        """Return a new training; raise ``ConfigError`` if the teacher does not fit the task."""
+        from aerial_gym.rl_training.learning.distill import Distill
+        from aerial_gym.rl_training.policies.load import check_fits, load_policy, make_network
+        from aerial_gym.rl_training.trainers.native import NativeTraining
+
         del ranks
-        return make_training(cfg, task)
-
-
-def make_training(cfg: TrainingCfg, task: "Task") -> "NativeTraining[Distill]":
-    """Return a new training.
-
-    Raises:
-        ConfigError: If the teacher cannot be read, or the task lacks a key that teacher or student need.
-    """
-    from aerial_gym.rl_training.learning.distill import Distill
-    from aerial_gym.rl_training.learning.network import make_network
-    from aerial_gym.rl_training.policies.load import check_fits, load_policy
-    from aerial_gym.rl_training.trainers.native import NativeTraining
-
-    assert cfg.teacher is not None
-    teacher, its_cfg = load_policy(cfg.teacher, device=task.device)
-    check_fits(teacher, task, its_cfg.task)
-    return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))
+        assert cfg.teacher is not None
+        teacher, teacher_cfg = load_policy(cfg.teacher, device=task.device)
+        check_fits(teacher, task, teacher_cfg.task)
+        return NativeTraining(cfg, task, Distill(cfg, task, make_network(cfg, task), teacher))

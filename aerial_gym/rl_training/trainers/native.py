@@ -6,7 +6,6 @@ from dataclasses import asdict
 from typing import Any, Generic, TypeVar
 
 import torch
-from torch import Tensor
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry.state import check_state, copy_tensors, restore
@@ -33,55 +32,6 @@ OWN_STATE = ("learner", "generator", "task")
 
 RECENT_EPISODES = 100
 """Episodes over which returns and lengths are averaged, at least, as far as there are as many."""
-
-
-def run_iterations(
-    training: "NativeTraining",
-    folder: RunFolder,
-    progress: Progress,
-    *,
-    keeper: CheckpointKeeper,
-    interruption: Interruption,
-) -> bool:
-    """Train until a limit of the settings is reached or the user interrupts; return whether it was interrupted.
-
-    Args:
-        training: A new one.
-        folder: Receives TensorBoard files, where ``tensorboardX`` is installed.
-        progress: Receives the numbers of every read.
-        keeper: Writes checkpoints, and has the one to resume from.
-        interruption: Whether the user asked to end.
-
-    Raises:
-        StorageError: If the disk is full.
-        TrainingError: If the training diverged.
-        CapabilityError: If the task cannot be held in a CUDA graph.
-    """
-    cfg, task = training.cfg, training.task
-    scalars = Scalars(folder.path / cfg.trainer / "summaries")
-    if keeper.resumes:
-        keeper.restore(training.load, own=OWN_STATE)
-    else:
-        if cfg.initial is not None:
-            training.load_initial_weights(cfg.initial)
-        keeper.save(training.state(), env_steps=0, own=OWN_STATE)
-    try:
-        while True:
-            with interruption.defer():
-                report = training.advance()
-            scalars.add(lambda: training.known | asdict(report) | task.episode_means(), training.env_steps)  # noqa: B023
-            if progress.update(report):
-                break
-            training.learner.time_share.fill_(progress.time_share)
-            if keeper.due:
-                keeper.save(training.state(), env_steps=training.env_steps, own=OWN_STATE)
-        interrupted = False
-    except KeyboardInterrupt:
-        interrupted = True
-    finally:
-        scalars.close()
-    keeper.save(training.state(), env_steps=training.env_steps, own=OWN_STATE)
-    return interrupted
 
 
 class NativeTraining(Generic[AnyLearner]):
@@ -111,6 +61,39 @@ class NativeTraining(Generic[AnyLearner]):
         self._numbers = _HostNumbers(self.learner)
         self._recent: deque[list[float]] = deque([[0.0] * len(SUMS)])
 
+    def run(
+        self, folder: RunFolder, progress: Progress, *, keeper: CheckpointKeeper, interruption: Interruption
+    ) -> bool:
+        """Train as ``Trainer.run`` states; TensorBoard files need ``tensorboardX``.
+
+        Raises:
+            CapabilityError: If the task cannot be held in a CUDA graph.
+        """
+        scalars = Scalars(folder.path / self.cfg.trainer / "summaries")
+        if keeper.resumes:
+            keeper.restore(self.load, own=OWN_STATE)
+        else:
+            if self.cfg.initial is not None:
+                self.load_initial_weights(self.cfg.initial)
+            keeper.save(self.state(), env_steps=0, own=OWN_STATE)
+        interrupted = ended = False
+        try:
+            while not ended:
+                with interruption.defer():
+                    report = self.advance()
+                scalars.add(lambda: self.known | asdict(report) | self.task.episode_means(), self.env_steps)  # noqa: B023
+                ended = progress.update(report)
+                if not ended:
+                    self.learner.time_share.fill_(progress.time_share)
+                    if keeper.due:
+                        keeper.save(self.state(), env_steps=self.env_steps, own=OWN_STATE)
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            scalars.close()
+        keeper.save(self.state(), env_steps=self.env_steps, own=OWN_STATE)
+        return interrupted
+
     def advance(self) -> Report:
         """Iterate, on a GPU several times without waiting, and return the numbers, on a GPU those of the call before."""
         per_iteration = self.cfg.num_envs * self.cfg.learner.horizon * self._ranks.size
@@ -121,7 +104,7 @@ class NativeTraining(Generic[AnyLearner]):
             self.env_steps += per_iteration
             if limit is not None and self.env_steps >= limit:
                 break
-        numbers = self._numbers.look()
+        numbers = self._numbers.copy_to_host()
         _ = self.task.num_non_finite if self.task.device.type == "cpu" else 0
         return self._report(numbers)
 
@@ -152,16 +135,13 @@ class NativeTraining(Generic[AnyLearner]):
             },
             "learner": copy_tensors(self.learner.state_tensors()),
             "generator": self.learner.generator.get_state(),
-            "task": {name: value for name, value in self.task.save_state().items() if not _is_image(value)},
+            # without images (E, S, H, W), which the next step rewrites
+            "task": {name: value for name, value in self.task.save_state().items() if value.ndim < 4},
             "env_steps": self.env_steps,
         }
 
     def load_initial_weights(self, source: str) -> None:
-        """Load initial weights from another training: a run folder, or one checkpoint in it.
-
-        Raises:
-            ConfigError: If no matching weights exist.
-        """
+        """Load initial weights from a run folder or a checkpoint; raise ``ConfigError`` if they do not match."""
         file, cfg = find_checkpoint(source)
         model = checkpoint.load(file).get("model")
         if cfg.trainer != self.cfg.trainer or not isinstance(model, Mapping):
@@ -184,32 +164,27 @@ class NativeTraining(Generic[AnyLearner]):
         self._recent = deque([self.learner.sums.tolist()])
 
 
-def _is_image(tensor: Tensor) -> bool:
-    """Return whether a state tensor holds images, (E, S, H, W), which the next step rewrites."""
-    return tensor.ndim >= 4
-
-
 class _HostNumbers:
-    """The learner's numbers on the host; on a GPU they are copied asynchronously and read one look later."""
+    """The learner's numbers on the host; on a GPU they are copied asynchronously and read one call later."""
 
     def __init__(self, learner: Learner) -> None:
         self._learner = learner
         self._cuda = learner.sums.device.type == "cuda"
-        self._places = [
+        self._buffers = [
             torch.zeros(len(SUMS) + len(learner.GAUGES), dtype=torch.float64, pin_memory=self._cuda) for _ in range(2)
         ]
         self._events = [torch.cuda.Event() for _ in range(2)] if self._cuda else []
-        self._looks = 0
+        self._copies = 0
 
-    def look(self) -> list[float]:
-        """Return sums and gauges; on a GPU those of the look before, for which it waits."""
-        new, old = self._looks % 2, (self._looks + 1) % 2
-        self._looks += 1
+    def copy_to_host(self) -> list[float]:
+        """Return sums and gauges; on a GPU those of the call before, for which it waits."""
+        new, old = self._copies % 2, (self._copies + 1) % 2
+        self._copies += 1
         numbers = torch.cat((self._learner.sums, self._learner.gauges))
-        self._places[new].copy_(numbers, non_blocking=True)
         if not self._cuda:
-            return self._places[new].tolist()
+            return numbers.tolist()
+        self._buffers[new].copy_(numbers, non_blocking=True)
         self._events[new].record(torch.cuda.current_stream(self._learner.sums.device))
-        if self._looks > 1:
+        if self._copies > 1:
             self._events[old].synchronize()
-        return self._places[old].tolist()
+        return self._buffers[old].tolist()

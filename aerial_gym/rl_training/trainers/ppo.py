@@ -32,27 +32,18 @@ class PpoTrainer(NativeTrainer):
 
         prepare(device)
 
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining[Ppo]":
-        """Return a new training."""
-        return make_training(cfg, task, ranks=ranks)
+    def make_training(
+        self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None, *, fused: bool = True
+    ) -> "NativeTraining[Ppo]":
+        """Return a new training; ``fused`` runs the networks in fused kernels where possible."""
+        from aerial_gym.rl_training.learning.fused import FusedPpo, fusion_refusal
+        from aerial_gym.rl_training.learning.ppo import Ppo
+        from aerial_gym.rl_training.policies.load import make_network
+        from aerial_gym.rl_training.ranks import ALONE
+        from aerial_gym.rl_training.trainers.native import NativeTraining
 
-
-def make_training(
-    cfg: TrainingCfg, task: "Task", *, fused: bool = True, ranks: "Ranks | None" = None
-) -> "NativeTraining[Ppo]":
-    """Return a new training; ``fused`` runs the networks in kernels of their own where possible.
-
-    Raises:
-        ConfigError: If the task lacks a key of the observation that the networks need.
-    """
-    from aerial_gym.rl_training.learning.fused import FusedPpo, fusion_refusal
-    from aerial_gym.rl_training.learning.network import make_network
-    from aerial_gym.rl_training.learning.ppo import Ppo
-    from aerial_gym.rl_training.ranks import ALONE
-    from aerial_gym.rl_training.trainers.native import NativeTraining
-
-    network = make_network(cfg, task)
-    reason = fusion_refusal(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
-    if reason is not None and task.device.type == "cuda":
-        _log.info("the networks run as torch operations: %s", reason)
-    return NativeTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks or ALONE))
+        network = make_network(cfg, task)
+        reason = fusion_refusal(cfg.section(PpoCfg), network, task.device) if fused else "asked for"
+        if reason is not None and task.device.type == "cuda":
+            _log.info("the networks run as torch operations: %s", reason)
+        return NativeTraining(cfg, task, (FusedPpo if reason is None else Ppo)(cfg, task, network, ranks or ALONE))

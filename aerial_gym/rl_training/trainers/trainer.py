@@ -144,30 +144,24 @@ class NativeTrainer(Trainer):
     captures_task = False
 
     @abstractmethod
-    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks") -> "NativeTraining":
-        """Return a new training."""
+    def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining":
+        """Return a new training.
+
+        Raises:
+            CapabilityError: If the task has no gradients, and the trainer needs them.
+            ConfigError: If the task lacks an observation that the networks need.
+        """
 
     def run(
-        self,
-        cfg: TrainingCfg,
-        task: "Task",
-        folder: "RunFolder",
-        progress: "Progress",
-        *,
-        keeper: "CheckpointKeeper",
-        interruption: "Interruption",
-        ranks: "Ranks",
+        self, cfg: TrainingCfg, task: "Task", folder: "RunFolder", progress: "Progress", *, ranks: "Ranks", **named: Any
     ) -> bool:
         """Repeat the learner until the end; return whether it was interrupted."""
-        from aerial_gym.rl_training.trainers.native import run_iterations
-
-        training = self.make_training(cfg, task, ranks)
-        return run_iterations(training, folder, progress, keeper=keeper, interruption=interruption)
+        return self.make_training(cfg, task, ranks).run(folder, progress, **named)
 
     def policy(
         self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str
     ) -> "Policy":
-        """Return the policy, the networks under ``actor.`` in the checkpoint."""
+        """Return the policy with the networks under ``actor.`` in the checkpoint."""
         from aerial_gym.rl_training.policies.load import native_policy
 
         return native_policy(model, payload.get("network"), cfg, where=where)
@@ -177,27 +171,18 @@ class LibraryTrainer(Trainer):
     """A trainer of another library, with policies of linear layers."""
 
     adapter: ClassVar[str]
-    """Module with ``run``, which takes the arguments of ``Trainer.run``; the only one that imports the library."""
+    """Module with ``train``, which takes a ``LibraryRun``; the only one that imports the library."""
 
     def prepare(self, device: "torch.device") -> None:
         """Import the library."""
         del device
         import_module(self.adapter)
 
-    def run(
-        self,
-        cfg: TrainingCfg,
-        task: "Task",
-        folder: "RunFolder",
-        progress: "Progress",
-        *,
-        keeper: "CheckpointKeeper",
-        interruption: "Interruption",
-        ranks: "Ranks",
-    ) -> bool:
+    def run(self, *arguments: Any, **named: Any) -> bool:
         """Train with the runner of the library; return whether it was interrupted."""
-        run = import_module(self.adapter).run
-        return run(cfg, task, folder, progress, keeper=keeper, interruption=interruption, ranks=ranks)
+        from aerial_gym.rl_training.adapters.library_run import LibraryRun
+
+        return import_module(self.adapter).train(LibraryRun(*arguments, **named))
 
     @abstractmethod
     def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":

@@ -11,7 +11,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.rl_training import training as training_module
 from aerial_gym.rl_training.ranks import ALONE, Ranks, own_device, torchrun_rank
-from aerial_gym.rl_training.trainers.ppo import make_training
+from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.test_curriculum import CFG, make
 
@@ -67,7 +67,7 @@ def test_a_training_of_twins_learns_as_one_and_counts_the_episodes_of_both() -> 
     result = []
     for ranks in (ALONE, Twins(0, 2, joined=True)):
         task = make(curriculum=replace(CFG, check_after=12), episode_len_steps=1, success_radius=100.0)
-        training = make_training(settings(6, horizon=1, num_minibatches=2), task, ranks=ranks)
+        training = PpoTrainer().make_training(settings(6, horizon=1, num_minibatches=2), task, ranks=ranks)
         training.advance()
         assert task.curriculum is not None
         result.append((task.curriculum.state(), training.learner.sums.tolist()[:2], training.env_steps))

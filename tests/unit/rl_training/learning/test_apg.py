@@ -11,10 +11,10 @@ from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning.apg import Apg, check_differentiable, window_return
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.objective import clamp_action
+from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.apg import make_training
+from aerial_gym.rl_training.trainers.apg import ApgTrainer
 from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 
@@ -101,7 +101,7 @@ def test_the_slow_critic_judges_and_follows() -> None:
     """It gives the values of the ends of windows, and takes over its share of what the critic has become."""
     cfg = settings(16, target_share=0.25, terminal_value=True)
     with task_registry.make_task(cfg.task, num_envs=16, device="cpu", differentiable=True) as task:
-        training = make_training(cfg, task)
+        training = ApgTrainer().make_training(cfg, task)
         learner = training.learner
         before = [p.clone() for p in learner._critics[1].parameters()]
         training.advance()
@@ -127,7 +127,7 @@ def test_without_terminal_value_no_critic_learns_and_none_is_asked() -> None:
     ways = []
     for weight in (0.0, 100.0):
         with task_registry.make_task(cfg.task, num_envs=16, device="cpu", seed=0, differentiable=True) as task:
-            training = make_training(cfg, task)
+            training = ApgTrainer().make_training(cfg, task)
             learner = training.learner
             for head in (learner.network.value_head, learner.target.value_head):
                 torch.nn.init.constant_(head.weight, weight)
@@ -142,7 +142,7 @@ def test_a_row_that_goes_astray_teaches_nothing() -> None:
     """Infinite actions of one row end it as a crash; the weights stay finite, and move."""
     cfg = settings(4)
     with task_registry.make_task(cfg.task, num_envs=4, device="cpu", differentiable=True) as task:
-        training = make_training(cfg, task)
+        training = ApgTrainer().make_training(cfg, task)
         training.advance()
         backend = task.env.robot_manager.differentiable
         assert backend is not None
@@ -157,7 +157,7 @@ def test_what_a_policy_makes_of_joints_has_a_gradient() -> None:
     """Of a window, finite and not 0 in each weight of an angle or a rate; that it is right, the tests of the task say."""
     cfg = replace(settings(2, horizon=3), task="position_setpoint_task_morphy")
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
-        learner = make_training(cfg, task).learner
+        learner = ApgTrainer().make_training(cfg, task).learner
         torch.nn.init.normal_(learner.network.actor.head.weight, std=0.3)
         loss, _ = learner._policy_loss(learner._fly())
         loss.backward()
@@ -184,20 +184,20 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
         task_registry.make_task(cfg.task, num_envs=2, device="cpu") as task,
         pytest.raises(CapabilityError, match="smooth_position_setpoint_task was made without gradients"),
     ):
-        make_training(cfg, task)
+        ApgTrainer().make_training(cfg, task)
     drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}
     task = build_task(replace(task_registry.get(cfg.task), randomize=drawn), 2, gradients=torch.float32)
     with pytest.raises(
         CapabilityError, match=r"draws body.mass at resets, .* Take them out of randomize, or train with ppo"
     ):
-        make_training(cfg, task)
+        ApgTrainer().make_training(cfg, task)
 
 
 def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogCaptureFixture) -> None:
     for task_name in ("position_setpoint_task", "smooth_position_setpoint_task"):
         cfg = replace(settings(2), task=task_name)
         with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
-            make_training(cfg, task)
+            ApgTrainer().make_training(cfg, task)
     told = [record.getMessage() for record in caplog.records if "flat" in record.getMessage()]
     assert len(told) == 1
     assert told[0].endswith("Train with task smooth_position_setpoint_task")

@@ -6,7 +6,7 @@ import pytest
 
 from aerial_gym import task_registry
 from aerial_gym.rl_training import evaluate, load_settings, settings_for
-from aerial_gym.rl_training.trainers.apg import make_training
+from aerial_gym.rl_training.trainers.apg import ApgTrainer
 
 UPDATES = 30
 """About 8 s of one core: half of what brings the error to 0.02 m."""
@@ -23,7 +23,7 @@ def test_seconds_of_training_bring_the_robot_to_its_target() -> None:
         task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=9) as fresh,
         task_registry.make_task(cfg.task, num_envs=cfg.num_envs, device="cpu", seed=1, differentiable=True) as task,
     ):
-        training = make_training(cfg, task)
+        training = ApgTrainer().make_training(cfg, task)
         policy = training.learner.network.actor
         before = evaluate(policy, fresh)
         assert before.final_error_mean_m is None or before.final_error_mean_m > 1.0

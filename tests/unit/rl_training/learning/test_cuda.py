@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from aerial_gym.rl_training.learning.distill import Distill
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
+from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.ranks import ALONE, Ranks, join_ranks
 from aerial_gym.rl_training.trainers.native import LOOK_EVERY, NativeTraining
-from aerial_gym.rl_training.trainers.ppo import make_training
+from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry
 from tests.unit.rl_training.learning.test_distill import settings as distillation
 from tests.unit.rl_training.learning.test_ppo import settings
@@ -33,7 +33,7 @@ def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_continues(fused: bool, 
 
     def train(looks: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], float]:
         with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
-            training = make_training(cfg, task, fused=fused)
+            training = PpoTrainer().make_training(cfg, task, fused=fused)
             if state is not None:
                 training.load(state)
             for _ in range(looks):
@@ -61,7 +61,7 @@ def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatc
 
     def train(ranks: Ranks) -> dict[str, torch.Tensor]:
         with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:
-            training = make_training(cfg, task, ranks=ranks)
+            training = PpoTrainer().make_training(cfg, task, ranks=ranks)
             training.advance()
             assert training._repeat.is_captured
             return training.state()["model"]

@@ -12,12 +12,11 @@ from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning.distill import Distill
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
-from aerial_gym.rl_training.policies.load import load_policy
+from aerial_gym.rl_training.policies.load import load_policy, make_network
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.distill import make_training
+from aerial_gym.rl_training.trainers.distill import DistillTrainer
 from aerial_gym.rl_training.training import train
 from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
@@ -113,7 +112,7 @@ def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the
     )
     cfg = replace(settings(), teacher=str(tmp_path / "ppo"), max_env_steps=8 * 64 * 16)
     with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
-        training = make_training(cfg, task)
+        training = DistillTrainer().make_training(cfg, task)
         for _ in range(4):
             training.advance()
         state = training.state()
@@ -121,7 +120,7 @@ def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the
             training.advance()
         whole = training.state()["model"]
     with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
-        training = make_training(cfg, task)
+        training = DistillTrainer().make_training(cfg, task)
         training.load(state)
         for _ in range(4):
             training.advance()

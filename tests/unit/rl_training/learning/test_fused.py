@@ -14,8 +14,8 @@ if not torch.cuda.is_available() and os.environ.get("TRITON_INTERPRET") != "1":
     pytest.skip("needs a GPU, or TRITON_INTERPRET=1", allow_module_level=True)
 
 from aerial_gym.rl_training.learning.fused import FusedPpo, fusion_refusal
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
+from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.task import task_registry
 from tests.unit.rl_training.learning.test_ppo import settings
 

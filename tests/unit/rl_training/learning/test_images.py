@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 
 from aerial_gym.rl_training.evaluation import evaluate
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
-from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
-from aerial_gym.rl_training.trainers.ppo import make_training
+from aerial_gym.rl_training.policies.load import check_fits, make_network, policy_from_payload
+from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.hover import camera_task
 
@@ -77,7 +76,7 @@ def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_be
     keys = {"policy_keys": ("observations", "depth"), "critic_keys": ("observations", "exact")}
     cfg = settings(8, memory=6, horizon=4, num_minibatches=2, num_epochs=1, hidden_layers=(8,), **keys)
     with camera_task(8, capture=False) as task:
-        training = make_training(cfg, task)
+        training = PpoTrainer().make_training(cfg, task)
         for _ in range(2):
             training.advance()
         state = training.state()
@@ -85,6 +84,6 @@ def test_a_task_with_a_camera_is_trained_with_a_memory_and_a_critic_that_sees_be
         check_fits(policy, task, cfg.task)
         assert set(policy.shapes) == {"observations", "depth"}
         assert evaluate(policy, task).num_starts == 8
-        again = make_training(cfg, task)
+        again = PpoTrainer().make_training(cfg, task)
         again.load(state)
         assert again.env_steps == training.env_steps == 2 * 4 * 8

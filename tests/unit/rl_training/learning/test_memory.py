@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.ppo import Ppo
+from aerial_gym.rl_training.policies.load import make_network
 from tests.unit.rl_training.learning.test_ppo import settings
 
 ENVS, LENGTH = 64, 5

@@ -11,11 +11,11 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for
 from aerial_gym.rl_training.learning import adam
 from aerial_gym.rl_training.learning.adam import FlatAdam
-from aerial_gym.rl_training.learning.network import make_network
 from aerial_gym.rl_training.learning.objective import bound_excess, generalized_advantages
 from aerial_gym.rl_training.learning.ppo import Ppo, adapt_rate, clipped_objective, squared_error
+from aerial_gym.rl_training.policies.load import make_network
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.ppo import make_training
+from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry
 
 GAMMA, LAMBDA = 0.9, 0.8
@@ -177,7 +177,7 @@ def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -
 
     def late_reward() -> float:
         with task_registry.make_task(cfg.task, num_envs=512, device="cpu", seed=0, capture=False) as task:
-            training = make_training(cfg, task)
+            training = PpoTrainer().make_training(cfg, task)
             sums = []
             for _ in range(60):
                 training.advance()

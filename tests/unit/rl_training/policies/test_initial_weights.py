@@ -17,7 +17,7 @@ from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.initial_weights import load_initial_weights
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.ppo import make_training
+from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.rl_training.training import train
 from tests.unit.task.hover import build_task
 
@@ -88,7 +88,9 @@ def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
 
     task = task_registry.get("position_setpoint_task")
     terms = (*task.observations["policy"], ObservationCfg(term="lin_vel_body"))
-    training = make_training(cfg, build_task(replace(task, observations={**task.observations, "policy": terms}), 64))
+    training = PpoTrainer().make_training(
+        cfg, build_task(replace(task, observations={**task.observations, "policy": terms}), 64)
+    )
     assert cfg.initial is not None
     training.load_initial_weights(cfg.initial)
     wide, narrow = training.learner.network.actor, draw_observations(first.shapes["observations"][0])
