@@ -4,7 +4,7 @@ Referee of the system identification: shares no code with the package it judges.
 """
 
 from benchmarks.undeclared.cases import CaseFiles, make_case
-from benchmarks.undeclared.catalog import EFFECTS, FEATURES, SIZES, UNKNOWN
+from benchmarks.undeclared.effects import EFFECTS, FEATURES, SIZES, UNKNOWN
 from benchmarks.undeclared.failures import PlantFailure
 from benchmarks.undeclared.nuisance import LOGGED, TRACKED
 

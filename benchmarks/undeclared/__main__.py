@@ -9,37 +9,23 @@ from benchmarks.undeclared import EFFECTS, FEATURES, LOGGED, SIZES, TRACKED, UNK
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.undeclared", description=__doc__)
+    repeat = {"action": "append", "default": []}
     parser.add_argument("--out", type=Path, required=True, help="folder of the case")
-    parser.add_argument(
-        "--effect",
-        action="append",
-        default=[],
-        choices=(*EFFECTS, *UNKNOWN),
-        metavar="EFFECT",
-        help="hidden; may repeat",
-    )
+    known = (*EFFECTS, *UNKNOWN)
+    parser.add_argument("--effect", **repeat, choices=known, metavar="EFFECT", help="hidden; may repeat")
     parser.add_argument(
         "--pair", nargs=2, default=[], metavar="EFFECT", help="two hidden at once: two --effect in one flag"
     )
     parser.add_argument("--size", default="moderate", choices=SIZES, help="size of every --effect")
-    parser.add_argument(
-        "--param", action="append", default=[], metavar="EFFECT.KEY=VALUE", help="explicit value, SI; may repeat"
-    )
+    parser.add_argument("--param", **repeat, metavar="EFFECT.KEY=VALUE", help="explicit value, SI; may repeat")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--num-train", type=int, default=4)
     parser.add_argument("--num-test", type=int, default=3)
     parser.add_argument("--duration-s", type=float, default=16.0)
     parser.add_argument("--rate-hz", type=int, default=400)
-    parser.add_argument(
-        "--feature", action="append", default=[], choices=FEATURES, help="of the flights, beside what effects need"
-    )
-    parser.add_argument(
-        "--failure",
-        action="append",
-        default=[],
-        metavar="FLIGHT:KIND:KEY=VALUE,...",
-        help="in flight, e.g. test_1:motor_failure:motor=2,scale=0.7,time=5; may repeat",
-    )
+    parser.add_argument("--feature", **repeat, choices=FEATURES, help="of the flights, beside what effects need")
+    failure = "in flight, e.g. test_1:motor_failure:motor=2,scale=0.7,time=5; may repeat"
+    parser.add_argument("--failure", **repeat, metavar="FLIGHT:KIND:KEY=VALUE,...", help=failure)
     parser.add_argument("--nuisance", action="store_true", help="make mass, rotors, inertia and sensors slightly off")
     parser.add_argument("--tracked", action="store_true", help="and markers and, flight by flight, the accelerometer")
     parser.add_argument("--logged", action="store_true", help="and sensors late, the accelerometer's scale and place")
@@ -69,10 +55,7 @@ def _flag_failures(flags: list[str]) -> dict[str, PlantFailure]:
         values = {key: float(value) for key, _, value in (pair.partition("=") for pair in parts[2].split(","))}
         if unknown := set(values) - {"time", "motor", "scale", "duration"}:
             raise ValueError(f"--failure {text}: no {sorted(unknown)}. Known: time, motor, scale, duration")
-        motor, rest = int(values.pop("motor", 1)), {"scale": 1.0, "duration": float("inf")} | values
-        result[parts[0]] = PlantFailure(
-            kind=parts[1], motor=motor, time=rest["time"], scale=rest["scale"], duration=rest["duration"]
-        )
+        result[parts[0]] = PlantFailure(kind=parts[1], **values | {"motor": int(values.get("motor", 1))})
     return result
 
 

@@ -1,9 +1,10 @@
 """Make one case: flights of a true vehicle that the declared one does not fully describe."""
 
 import json
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,18 +23,14 @@ from benchmarks.undeclared.surroundings import (
     companion,
     gusts,
 )
-from benchmarks.undeclared.trajectories import (
-    LOWEST_HEIGHT,
-    TEST_FAMILIES,
-    TRAIN_FAMILIES,
-    Reference,
-    plan,
-    stack,
-)
+from benchmarks.undeclared.trajectories import LOWEST_HEIGHT, TEST_FAMILIES, TRAIN_FAMILIES, Reference, plan, stack
 from benchmarks.undeclared.vehicle import DECLARED, PlantVehicle
 
 SETTLE_S = 2.0
 """Hover before a log starts [s], in which the integrals of the autopilot find their values."""
+
+LOWEST_ROOM = 0.05
+"""Least distance of a log from ground and ceiling, which have no contact [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +43,7 @@ class CaseFiles:
     truth: Path  # What is hidden, JSON
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PlantFlight:
     """One flight that a case asks for."""
 
@@ -73,16 +70,16 @@ HEIGHTS = {"train": (0.8, 12.0, 3.0, 25.0), "test": (1.5, 8.0, 20.0)}
 
 def list_flights(num_train: int, num_test: int, features: Sequence[str] = ()) -> list[PlantFlight]:
     """Return the flights of a case; families repeat in turn when there are more flights than families."""
-    flights = []
-    for part, count, families, key in (("train", num_train, TRAIN_FAMILIES, 3), ("test", num_test, TEST_FAMILIES, 4)):
-        for i in range(count):
-            flight = PlantFlight(name=f"{part}_{i + 1}", family=families[i % len(families)], stream=(key, i))
-            flights.append(_place_flight(flight, part, i, features))
-    return flights
+    parts = (("train", num_train, TRAIN_FAMILIES, 3), ("test", num_test, TEST_FAMILIES, 4))
+    return [
+        _place_flight(PlantFlight(f"{part}_{i + 1}", families[i % len(families)], (key, i)), part, i, features)
+        for part, count, families, key in parts
+        for i in range(count)
+    ]
 
 
 def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str]) -> PlantFlight:
-    """Return the flight where and as the features want it; with ground and ceiling they take turns."""
+    """Return the flight with the family, height and scale of the features; ground and ceiling take turns."""
     if "hover" in features and part == "train":
         flight = replace(flight, family="hover")
     if "low" in features or "ceiling" in features:
@@ -97,35 +94,78 @@ def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str
 
 def plan_all(flights: list[PlantFlight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
     """Return the references of all flights, stacked (T, F, ...)."""
-    streams = [np.random.default_rng([seed, *flight.stream]) for flight in flights]
-    plans = [
+    times = {"duration": duration_s, "rate": CONTROL_RATE, "settle": settle_s}
+    return stack([
         plan(
-            flight.family,
-            duration=duration_s,
-            rate=CONTROL_RATE,
-            settle=settle_s,
-            rng=rng,
-            lowest=flight.lowest,
-            ease=flight.ease,
+            flight.family, **times, rng=_stream(seed, 0, flight), lowest=flight.lowest, ease=flight.ease,
             ceiling=CEILING_HEIGHT if flight.below_ceiling else None,
         )
-        for flight, rng in zip(flights, streams, strict=True)
-    ]
-    return stack(plans)
+        for flight in flights
+    ])  # fmt: skip
+
+
+def _stream(seed: int, kind: int, flight: PlantFlight) -> np.random.Generator:
+    return np.random.default_rng([seed, kind + flight.stream[0], flight.stream[1]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantCase:
+    """Request of a case; flights and noise do not depend on the effects, but for the features that these need."""
+
+    effects: Mapping[str, str | Mapping[str, float]]
+    """Hidden effect to its size (small, moderate, large: values drawn from the seed) or to its parameters."""
+
+    seed: int  # Decides values, trajectories and noise
+    num_train: int = 4  # Training flights
+    num_test: int = 3  # Test flights
+    duration_s: float = 16.0  # Length of each log [s]
+
+    nuisance: bool | PlantNuisance = False
+    """Whether mass, rotors, inertia, lag, centre of mass and sensors are slightly off, or by how much."""
+
+    noise: PlantNoise = field(default_factory=PlantNoise)  # Of the sensors
+    features: Sequence[str] = ()  # Of the flights (``FEATURES``), beside those that the effects need
+
+    failures: Mapping[str, PlantFailure] = field(default_factory=dict)
+    """Failure of a flight by its name (``train_1``); the log of that flight ends before it comes to the ground."""
+
+    def __post_init__(self) -> None:
+        if self.num_train < 0 or self.num_test < 0 or self.num_train + self.num_test == 0 or not self.duration_s >= 1.0:
+            numbers = f"num_train={self.num_train}, num_test={self.num_test}, duration_s={self.duration_s}"
+            raise ValueError(f"{numbers}: needs a flight, of at least 1 s")
+
+    @property
+    def nuisance_sizes(self) -> PlantNuisance | None:
+        """Sizes of the small errors; None for none."""
+        return self.nuisance if isinstance(self.nuisance, PlantNuisance) else PlantNuisance() if self.nuisance else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseRecord:
+    """A case in memory; flights include the hover before the logs."""
+
+    case: PlantCase
+    params: dict[str, dict[str, float]]  # Hidden effects and their parameters
+    declared: PlantVehicle
+    true: PlantVehicle
+    bias: Bias  # Of the IMU, by nuisance
+    features: tuple[str, ...]  # Of the flights, with those that the effects need
+    flights: list[PlantFlight]
+    reference: Reference
+    record: PlantRecord
+
+    def room(self) -> np.ndarray:
+        """Return the distance from the ground and from the ceiling, if there is one, [m], (T, F)."""
+        height, ceiling = self.record.position[:, :, 2], self.record.surroundings.ceiling
+        return height if ceiling is None else np.minimum(height, ceiling - height)
 
 
 def surround(
-    true: PlantVehicle,
-    flights: list[PlantFlight],
-    reference: Reference,
-    *,
-    seed: int,
-    features: Sequence[str],
-    failures: Mapping[str, PlantFailure] | None = None,
+    case: PlantCase, true: PlantVehicle, flights: list[PlantFlight], reference: Reference, features: Sequence[str]
 ) -> tuple[PlantSurroundings, Battery | None]:
     """Return the surroundings of the flights, and the battery with a charge of 0 to 1500 C already used in each flight."""
-    fails = Failures([failures.get(f.name) for f in flights], SETTLE_S) if failures else None
-    gust = other = battery = None
+    seed, gust, other, battery = case.seed, None, None, None
+    fails = Failures([case.failures.get(f.name) for f in flights], SETTLE_S) if case.failures else None
     if true.extra.gust[0] > 0.0:
         series = [gusts(*true.extra.gust, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f)) for f in flights]
         gust = np.stack(series, axis=1)
@@ -139,109 +179,47 @@ def surround(
     return surroundings, battery
 
 
-def _stream(seed: int, kind: int, flight: PlantFlight) -> np.random.Generator:
-    return np.random.default_rng([seed, kind + flight.stream[0], flight.stream[1]])
-
-
-def _read_voltage(record: PlantRecord, flights: list[PlantFlight], seed: int) -> PlantRecord:
-    """Return the record with noise on the voltage."""
-    noise = [_stream(seed, 50, f).standard_normal(len(record.voltage)) for f in flights]
-    return replace(record, voltage=record.voltage + VOLTAGE_NOISE * np.stack(noise, axis=1))
-
-
-@dataclass(frozen=True, kw_only=True)
-class CaseRecord:
-    """A case in memory; flights include the hover before the logs."""
-
-    params: dict[str, dict[str, float]]  # Hidden effects and their parameters
-    declared: PlantVehicle
-    true: PlantVehicle
-    bias: Bias  # Of the IMU, by nuisance
-    features: tuple[str, ...]
-    failures: dict[str, PlantFailure]  # By the name of the flight
-    flights: list[PlantFlight]
-    reference: Reference
-    record: PlantRecord
-
-
-def fly_case(
-    *,
-    effects: Mapping[str, str | Mapping[str, float]],
-    seed: int,
-    num_train: int = 4,
-    num_test: int = 3,
-    duration_s: float = 16.0,
-    nuisance: bool | PlantNuisance = False,
-    noise: PlantNoise | None = None,
-    features: Sequence[str] = (),
-    failures: Mapping[str, PlantFailure] | None = None,
-) -> CaseRecord:
-    """Return the flights of a case; arguments and errors as in ``make_case``."""
-    params = hidden_effects.resolve(effects, declared=DECLARED, seed=seed)
+def fly_case(**settings: Any) -> CaseRecord:
+    """Return the flights of a case; settings are the fields of ``PlantCase``, errors those of ``make_case``."""
+    case = PlantCase(**settings)
+    seed, params = case.seed, hidden_effects.resolve(case.effects, declared=DECLARED, seed=case.seed)
     declared, true = hidden_effects.split(DECLARED, params)
-    bias = NO_BIAS
-    if nuisance:
-        sizes = nuisance if isinstance(nuisance, PlantNuisance) else PlantNuisance()
-        true, bias = disturb(true, sizes, seed=seed, hidden=params, num_flights=num_train + num_test)
-    features = hidden_effects.flight_features(effects, features)
-    flights, failures = list_flights(num_train, num_test, features), failures or {}
-    if unknown := set(failures) - {flight.name for flight in flights}:
+    bias, num_flights = NO_BIAS, case.num_train + case.num_test
+    if case.nuisance_sizes is not None:
+        true, bias = disturb(true, case.nuisance_sizes, seed=seed, hidden=params, num_flights=num_flights)
+    features = hidden_effects.flight_features(case.effects, case.features)
+    flights = list_flights(case.num_train, case.num_test, features)
+    if unknown := set(case.failures) - {flight.name for flight in flights}:
         raise ValueError(f"no flight {sorted(unknown)}. Flown: {', '.join(flight.name for flight in flights)}")
-    reference = plan_all(flights, seed=seed, duration_s=duration_s)
+    reference = plan_all(flights, seed=seed, duration_s=case.duration_s)
     streams = [_stream(seed, 10, flight) for flight in flights]
-    sensors = PlantSensors(noise or PlantNoise(), bias, streams, len(reference.yaw), extra=true.extra)
-    surroundings, battery = surround(true, flights, reference, seed=seed, features=features, failures=failures)
+    sensors = PlantSensors(case.noise, bias, streams, len(reference.yaw), extra=true.extra)
+    surroundings, battery = surround(case, true, flights, reference, features)
     record = fly(
         true=true, declared=declared, reference=reference, sensors=sensors, surroundings=surroundings, battery=battery
     )
     if bias.delay.any():
         record = late(record, bias.delay)
-    _require_air(record, flights, failures)
     if battery is not None:
-        record = _read_voltage(record, flights, seed)
-    return CaseRecord(
-        params=params,
-        declared=declared,
-        true=true,
-        bias=bias,
-        features=features,
-        failures=dict(failures),
-        flights=flights,
-        reference=reference,
-        record=record,
-    )
+        noise = [_stream(seed, 50, f).standard_normal(len(record.voltage)) for f in flights]
+        record = replace(record, voltage=record.voltage + VOLTAGE_NOISE * np.stack(noise, axis=1))
+    flown = CaseRecord(
+        case=case, params=params, declared=declared, true=true, bias=bias, features=features, flights=flights,
+        reference=reference, record=record,
+    )  # fmt: skip
+    for flight, room in zip(flights, flown.room().min(axis=0), strict=True):
+        if flight.name not in case.failures and not room > LOWEST_ROOM:
+            raise ValueError(f"{flight.name}: came within {room:.3f} m of ground or ceiling; take a smaller effect")
+    return flown
 
 
-def make_case(
-    out_dir: str | Path,
-    *,
-    effects: Mapping[str, str | Mapping[str, float]],
-    seed: int,
-    num_train: int = 4,
-    num_test: int = 3,
-    duration_s: float = 16.0,
-    nuisance: bool | PlantNuisance = False,
-    rate_hz: int = CONTROL_RATE,
-    noise: PlantNoise | None = None,
-    features: Sequence[str] = (),
-    failures: Mapping[str, PlantFailure] | None = None,
-) -> CaseFiles:
+def make_case(out_dir: str | Path, *, rate_hz: int = CONTROL_RATE, **settings: Any) -> CaseFiles:
     """Simulate a case and write its logs, the declared robot and the truth.
 
     Args:
         out_dir: Folder, made if missing.
-        effects: Hidden effect to its size (small, moderate, large: values drawn from the seed) or to its parameters.
-            Empty: nothing is hidden.
-        seed: Decides values, trajectories and noise; flights and noise do not depend on the effects, but for the
-            features that these need.
-        num_train: Training flights.
-        num_test: Test flights.
-        duration_s: Length of each log [s].
-        nuisance: Whether mass, rotors, inertia, lag, centre of mass and sensors are slightly off, or by how much.
         rate_hz: Rate of the logs [Hz], a divisor of 400.
-        noise: Sensor noise; None takes the defaults.
-        features: Of the flights (``catalog.FEATURES``), beside those that the effects need; for controls.
-        failures: What fails in flight, by the name of the flight (``train_1``); its log ends before it comes to the ground.
+        settings: Fields of ``PlantCase``.
 
     Raises:
         ValueError: For an unknown effect, size, parameter or feature, a number out of range, or a flight that came too
@@ -249,92 +227,39 @@ def make_case(
     """
     if rate_hz <= 0 or CONTROL_RATE % rate_hz:
         raise ValueError(f"rate_hz = {rate_hz!r}: must divide {CONTROL_RATE}")
-    if num_train < 0 or num_test < 0 or num_train + num_test == 0 or not duration_s >= 1.0:
-        raise ValueError(f"{num_train=}, {num_test=}, {duration_s=}: needs a flight, of at least 1 s")
-    noise = noise or PlantNoise()
-    case = fly_case(
-        effects=effects,
-        seed=seed,
-        num_train=num_train,
-        num_test=num_test,
-        duration_s=duration_s,
-        nuisance=nuisance,
-        noise=noise,
-        features=features,
-        failures=failures,
-    )
-    first = round(SETTLE_S * CONTROL_RATE)
-    out = Path(out_dir)
+    flown, first, out = fly_case(**settings), round(SETTLE_S * CONTROL_RATE), Path(out_dir)
+    case, low = flown.case, ~(flown.room() > LOWEST_ROOM)
     out.mkdir(parents=True, exist_ok=True)
-    paths = [out / f"{flight.name}.csv" for flight in case.flights]
+    paths = [out / f"{flight.name}.csv" for flight in flown.flights]
     for index, path in enumerate(paths):
-        last = _in_air(case.record, index) if case.flights[index].name in case.failures else None
-        write_log(path, case.record, index, first=first, last=last, every=CONTROL_RATE // rate_hz)
-    near = "low" in case.features or "ceiling" in case.features
-    write_robot(out / "robot.yaml", case.declared, radius=near)
-    sizes = {name: value if isinstance(value, str) else "explicit" for name, value in effects.items()}
-    truth = _truth(case, first=first, sizes=sizes, seed=seed, noise=noise, nuisance=nuisance, rate_hz=rate_hz)
-    (out / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
-    train, test = tuple(paths[:num_train]), tuple(paths[num_train:])
-    return CaseFiles(train=train, test=test, robot=out / "robot.yaml", truth=out / "truth.json")
+        comes_down = flown.flights[index].name in case.failures and low[:, index].any()
+        last = int(low[:, index].argmax()) if comes_down else None
+        write_log(path, flown.record, index, first=first, last=last, every=CONTROL_RATE // rate_hz)
+    robot, truth = out / "robot.yaml", out / "truth.json"
+    write_robot(robot, flown.declared, radius="low" in flown.features or "ceiling" in flown.features)
+    truth.write_text(json.dumps(_truth(flown, first=first, rate_hz=rate_hz), indent=1) + "\n")
+    train, test = tuple(paths[: case.num_train]), tuple(paths[case.num_train :])
+    return CaseFiles(train=train, test=test, robot=robot, truth=truth)
 
 
-def _truth(
-    case: CaseRecord,
-    *,
-    first: int,
-    sizes: dict[str, str],
-    seed: int,
-    noise: PlantNoise,
-    nuisance: bool | PlantNuisance,
-    rate_hz: int,
-) -> dict[str, object]:
+def _truth(flown: CaseRecord, *, first: int, rate_hz: int) -> dict[str, object]:
     """Return all that is hidden as plain data."""
-    ceiling = case.record.surroundings.ceiling
-    surroundings = {"features": case.features, "nominal_voltage": NOMINAL_VOLTAGE, "ceiling": ceiling}
-    summaries = summarise(case.record, case.reference, declared=case.declared, first=first)
-    flights = zip(case.flights, summaries, strict=True)
+    case, around = flown.case, flown.record.surroundings
+    surroundings = {"features": flown.features, "nominal_voltage": NOMINAL_VOLTAGE, "ceiling": around.ceiling}
+    failed = {f.name: row for row, f in enumerate(flown.flights) if f.name in case.failures}
+    failures = {name: around.failures.document(row) for name, row in failed.items() if around.failures is not None}
+    summaries = summarise(flown.record, flown.reference, declared=flown.declared, first=first)
     return {
-        "effects": case.params,
-        "sizes": sizes,
-        "seed": seed,
-        "noise": asdict(noise),
-        "nuisance": asdict(nuisance if isinstance(nuisance, PlantNuisance) else PlantNuisance()) if nuisance else None,
-        "bias": {name: numbers.tolist() for name, numbers in vars(case.bias).items()},
-        "true_vehicle": vehicle_document(case.true),
-        "declared_vehicle": vehicle_document(case.declared),
+        "effects": flown.params,
+        "sizes": {name: value if isinstance(value, str) else "explicit" for name, value in case.effects.items()},
+        "seed": case.seed,
+        "noise": asdict(case.noise),
+        "nuisance": None if case.nuisance_sizes is None else asdict(case.nuisance_sizes),
+        "bias": {name: numbers.tolist() for name, numbers in vars(flown.bias).items()},
+        "true_vehicle": vehicle_document(flown.true),
+        "declared_vehicle": vehicle_document(flown.declared),
         "rates_hz": {"log": rate_hz, "autopilot": CONTROL_RATE, "plant": CONTROL_RATE * SUBSTEPS},
-        **(surroundings if case.features else {}),
-        **({"failures": _failures(case)} if case.failures else {}),
-        "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in flights},
+        **(surroundings if flown.features else {}),
+        **({"failures": failures} if failures else {}),
+        "flights": {f.name: {"family": f.family, **asdict(s)} for f, s in zip(flown.flights, summaries, strict=True)},
     }
-
-
-def _failures(case: CaseRecord) -> dict[str, dict[str, object]]:
-    """Return the failure of each flight that has one, by flight name."""
-    flown = case.record.surroundings.failures
-    assert flown is not None
-    return {f.name: flown.document(row) for row, f in enumerate(case.flights) if f.name in case.failures}
-
-
-LOWEST_ROOM = 0.05
-"""Neither ground nor ceiling has contact: no log comes nearer [m]."""
-
-
-def _in_air(record: PlantRecord, flight: int) -> int:
-    """Return the number of samples before a flight comes too near to the ground or the ceiling."""
-    height = record.position[:, flight, 2]
-    ceiling = np.inf if record.surroundings.ceiling is None else record.surroundings.ceiling
-    near = np.flatnonzero(~(np.minimum(height, ceiling - height) > LOWEST_ROOM))
-    return int(near[0]) if near.size else len(height)
-
-
-def _require_air(record: PlantRecord, flights: list[PlantFlight], failures: Container[str]) -> None:
-    """Raise if a flight without a failure came within 5 cm of the ground or the ceiling: neither has contact."""
-    height = record.position[:, :, 2]
-    gap = height.min(axis=0)
-    if record.surroundings.ceiling is not None:
-        gap = np.minimum(gap, record.surroundings.ceiling - height.max(axis=0))
-    for flight, room in zip(flights, gap, strict=True):
-        if flight.name not in failures and not room > LOWEST_ROOM:
-            raise ValueError(f"{flight.name}: came within {room:.3f} m of ground or ceiling; take a smaller effect")

@@ -52,6 +52,7 @@ class Plant:
         self._inverse = np.linalg.inv(vehicle.inertia)
         self._gravity = np.array([0.0, 0.0, -GRAVITY])
         self._has_quadratic = bool(np.any(vehicle.quadratic_drag))
+        self._time = 0.0
 
     def begin(self, index: int, voltage: Array) -> None:
         """Start sample ``index`` at a battery voltage [V], (F,): nothing here depends on them."""
@@ -89,25 +90,34 @@ class Plant:
             state: States, (F, 22).
             command: Commanded rotor speeds [rad/s], (F, 4).
         """
-        out = np.empty_like(state)
-        rot, rate, rotor = rotation(state), state[:, RATE], state[:, ROTOR]
-        turn = hat(rate)
+        rotor = state[:, ROTOR]
         wrench = rotor * rotor @ self._wrench_map
-        force = (wrench[:, :3] + self._drag(state))[:, :, None]
-        momentum = (rate @ self._inertia)[:, :, None]  # the inertia is symmetric
-        error = command - rotor
+        force = (rotation(state) @ (wrench[:, :3] + self._drag(state))[:, :, None])[:, :, 0]
+        return self._motion(state, force, wrench[:, 3:], self._lag(command - rotor))
+
+    def _lag(self, error: Array) -> Array:
+        """Return the rotor accelerations [rad/s²] for target less present speeds, (F, 4)."""
+        return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
+
+    def _motion(self, state: Array, force: Array, torque: Array, rotor_dot: Array) -> Array:
+        """Return the time derivative of each state under a force (world) and a torque (body), both (F, 3); 0 elsewhere."""
+        out, rate = np.zeros_like(state), state[:, RATE]
+        turn, momentum = hat(rate), (rate @ self._inertia)[:, :, None]  # the inertia is symmetric
         out[:, POS] = state[:, VEL]
-        out[:, VEL] = (rot @ force)[:, :, 0] / self.vehicle.mass + self._gravity
-        out[:, ROT] = (rot @ turn).reshape(-1, 9)
-        out[:, RATE] = (wrench[:, 3:] - (turn @ momentum)[:, :, 0]) @ self._inverse
-        out[:, ROTOR] = error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
+        out[:, VEL] = force / self.vehicle.mass + self._gravity
+        out[:, ROT] = (rotation(state) @ turn).reshape(-1, 9)
+        out[:, RATE] = (torque - (turn @ momentum)[:, :, 0]) @ self._inverse
+        out[:, ROTOR] = rotor_dot
         return out
 
     def step(self, state: Array, command: Array, dt: float) -> Array:
         """Return the states after ``dt`` [s] under a held command: the classical fourth order Runge-Kutta step."""
+        start = self._time
         k1 = self.derivative(state, command)
+        self._time = start + 0.5 * dt
         k2 = self.derivative(state + (0.5 * dt) * k1, command)
         k3 = self.derivative(state + (0.5 * dt) * k2, command)
+        self._time = start + dt
         k4 = self.derivative(state + dt * k3, command)
         return state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
 

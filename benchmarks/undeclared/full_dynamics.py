@@ -7,10 +7,9 @@ Letters: F flights.
 
 import numpy as np
 
-from benchmarks.undeclared.dynamics import POS, RATE, ROT, ROTOR, VEL, Plant, hat, rotation
-from benchmarks.undeclared.extra import NEUTRAL
+from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, hat, rotation
 from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, PlantSurroundings
-from benchmarks.undeclared.vehicle import ROTOR_RADIUS, Array, PlantVehicle
+from benchmarks.undeclared.vehicle import NEUTRAL, ROTOR_RADIUS, Array, PlantVehicle
 
 CABLE, CABLE_RATE = slice(22, 25), slice(25, 28)
 
@@ -42,9 +41,8 @@ class FullPlant(Plant):
         self._spin_axis = extra.rotor_inertia * vehicle.rotor_spin[:, None] * vehicle.rotor_axis
         self._inflow, self._thrust_map, self._side_map = self._rotor_maps()
         self._has_outside = any((extra.downwash[0], extra.attraction[3], extra.periodic[0], extra.shadow[0]))
-        near = extra.ground or extra.ceiling
-        aero = extra.h_force or extra.flapping or extra.axial_inflow or extra.translational_lift
-        self._aero, self._near = bool(aero), bool(near)
+        self._near = bool(extra.ground or extra.ceiling)
+        self._aero = any((extra.h_force, extra.flapping, extra.axial_inflow, extra.translational_lift))
         self._slung = extra.slung[0] > 0.0
         joints = [joint for joint in (extra.joint_spring, extra.joint_creep) if joint[0] > 0.0]
         first = CABLE_RATE.stop if self._slung else ROTOR.stop
@@ -69,7 +67,7 @@ class FullPlant(Plant):
             state = np.hstack((state, np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (len(state), 1))))
         state = np.hstack((state, np.zeros((len(state), 4 * len(self._joints)))))
         for _ in range(SETTLING if self._joints else 0):
-            slopes = self._arms(state, state[:, ROTOR] ** 2)[1]
+            slopes = self._arm_loads(state, state[:, ROTOR] ** 2)[1]
             for (_, tau, _, angles), slope in zip(self._joints, slopes, strict=True):
                 state[:, angles] += tau * slope
         return state
@@ -77,44 +75,26 @@ class FullPlant(Plant):
     def step(self, state: Array, command: Array, dt: float) -> Array:
         """Return the states after ``dt`` [s] under a held command; the time of each stage is its own."""
         self._command, self._since = command, self._time
-        start = self._since
         if self._failures is not None:
-            self._failures.begin_step(start, state[:, ROTOR])
-        k1 = self.derivative(state, command)
-        self._time = start + 0.5 * dt
-        k2 = self.derivative(state + (0.5 * dt) * k1, command)
-        k3 = self.derivative(state + (0.5 * dt) * k2, command)
-        self._time = start + dt
-        k4 = self.derivative(state + dt * k3, command)
-        state = state + (dt / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+            self._failures.begin_step(self._since, state[:, ROTOR])
+        state = super().step(state, command, dt)
         if self._slung:
             state[:, CABLE] /= np.linalg.norm(state[:, CABLE], axis=1, keepdims=True)
         return state
 
     def derivative(self, state: Array, command: Array) -> Array:
         """Return the time derivative of each state, (F, 22) and more with a load or soft arms."""
-        out = np.zeros_like(state)
-        rot, rate = rotation(state), state[:, RATE]
-        turn = hat(rate)
-        rotor_dot = self._rotor_dot(state, command)
-        squared = self._square_speeds(state)
-        if self._joints:
-            wrench, slopes = self._arms(state, squared)
-            for joint, slope in zip(self._joints, slopes, strict=True):
-                out[:, joint[3]] = slope
-        else:
-            wrench = squared @ self._wrench_map
-        force, torque = self._loads(state, squared, wrench, rotor_dot, turn)
-        world = (rot @ force[:, :, None])[:, :, 0]
+        rotor_dot, squared = self._rotor_dot(state, command), self._square_speeds(state)
+        wrench, slopes = self._arm_loads(state, squared) if self._joints else (squared @ self._wrench_map, [])
+        force, torque = self._body_loads(state, squared, wrench, rotor_dot)
+        world, swing = (rotation(state) @ force[:, :, None])[:, :, 0], None
         if self._slung:
-            world, out[:, CABLE_RATE] = self._pull(state, world)
-            out[:, CABLE] = state[:, CABLE_RATE]
-        momentum = (rate @ self._inertia)[:, :, None]
-        out[:, POS] = state[:, VEL]
-        out[:, VEL] = world / self.vehicle.mass + self._gravity
-        out[:, ROT] = (rot @ turn).reshape(-1, 9)
-        out[:, RATE] = (torque - (turn @ momentum)[:, :, 0]) @ self._inverse
-        out[:, ROTOR] = rotor_dot
+            world, swing = self._cable_pull(state, world)
+        out = self._motion(state, world, torque, rotor_dot)
+        for joint, slope in zip(self._joints, slopes, strict=True):
+            out[:, joint[3]] = slope
+        if swing is not None:
+            out[:, CABLE], out[:, CABLE_RATE] = state[:, CABLE_RATE], swing
         return out
 
     def body_force(self, state: Array) -> Array:
@@ -143,23 +123,17 @@ class FullPlant(Plant):
         self._com_hat = hat(vehicle.com[None])[0].T
 
     def _rotor_maps(self) -> tuple[Array, Array, Array]:
-        """Return constant matrices of the rotors.
-
-        From airspeed of the centre of mass and angular velocity (6) to the airspeed at each hub along its axis (4) and
-        across it (12); from thrust added along each axis (4), and from n times the airspeed across (12), to the wrench (6).
-        """
+        """Return matrices from motion to airspeeds at the hubs, and from thrusts and lateral flows to the wrench."""
+        # From airspeed of the centre of mass and angular velocity (6) to the airspeed at each hub along its axis (4) and
+        # across it (12); from thrust added along each axis (4), and from n times the airspeed across (12), to the wrench (6).
         axis, extra, count = self.vehicle.rotor_axis, self._extra, len(self._hub)
         at_hub = np.stack([np.hstack((np.eye(3), -hat(r[None])[0])) for r in self._hub])  # u + w x r
         along = np.einsum("ri,rij->rj", axis, at_hub)
         across = at_hub - axis[:, :, None] * along[:, None, :]
         inflow = np.vstack((along, across.reshape(3 * count, 6))).T
         thrust = np.hstack((axis, np.cross(self._hub, axis)))
-        side = [
-            np.vstack(
-                (-extra.h_force * np.eye(3), -extra.h_force * hat(r[None])[0] - extra.flapping * hat(a[None])[0])
-            ).T
-            for r, a in zip(self._hub, axis, strict=True)
-        ]
+        moments = -extra.h_force * hat(self._hub) - extra.flapping * hat(axis)
+        side = [np.vstack((-extra.h_force * np.eye(3), moment)).T for moment in moments]
         return inflow, thrust, np.vstack(side)
 
     def _wind(self, state: Array) -> Array:
@@ -177,8 +151,7 @@ class FullPlant(Plant):
         led = self._supply * command
         if self._failures is not None:
             led = self._failures.rotor_targets(led, self._since)
-        error = led - state[:, ROTOR]
-        return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
+        return self._lag(led - state[:, ROTOR])
 
     def _square_speeds(self, state: Array) -> Array:
         """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading and failures take."""
@@ -187,12 +160,10 @@ class FullPlant(Plant):
             squared = self._failures.of_blades(squared, self._since)
         return squared * (1.0 - loss * (1.0 - np.exp(-self._time / time))) if loss else squared
 
-    def _arms(self, state: Array, squared: Array) -> tuple[Array, list[Array]]:
-        """Return force and torque (F, 6) of rotors on soft arms, and how fast the angle of each element grows [rad/s], (F, 4).
-
-        Each arm is a plane chain of straight pieces, x outwards and z upwards, that turn upwards by the angles of the joints
-        before them; the rotor turns with the last piece.
-        """
+    def _arm_loads(self, state: Array, squared: Array) -> tuple[Array, list[Array]]:
+        """Return force and torque (F, 6) of rotors on soft arms, and the angular velocities of each element [rad/s], (F, 4)."""
+        # Each arm is a plane chain of straight pieces, x outwards and z upwards, that turn upwards by the angles of the joints
+        # before them; the rotor turns with the last piece.
         vehicle, x, z, turned, place = self.vehicle, 0.0, 0.0, 0.0, 0.0
         joints = []
         for compliance, tau, hinge, angles in sorted(self._joints, key=lambda joint: joint[2]):
@@ -223,11 +194,8 @@ class FullPlant(Plant):
         }
         return np.hstack((force, torque)), [slopes[joint[3].start] for joint in self._joints]
 
-    def _loads(self, state: Array, squared: Array, wrench: Array, rotor_dot: Array, turn: Array) -> tuple[Array, Array]:
-        """Return force and torque about the centre of mass, body frame, (F, 3) each, without gravity and cable.
-
-        ``wrench`` (F, 6) is that of the rotors in still air.
-        """
+    def _body_loads(self, state: Array, squared: Array, wrench: Array, rotor_dot: Array) -> tuple[Array, Array]:
+        """Return force and torque, body frame, (F, 3) each, without gravity and cable; ``wrench`` is that in still air."""
         extra, rotor = self._extra, state[:, ROTOR]
         force, torque = wrench[:, :3] + self._drag(state), wrench[:, 3:]
         if self._aero or self._near:
@@ -235,7 +203,7 @@ class FullPlant(Plant):
             force, torque = force + push, torque + moment
         if extra.rotor_inertia:
             spin = rotor @ self._spin_axis
-            torque = torque - rotor_dot @ self._spin_axis - (turn @ spin[:, :, None])[:, :, 0]
+            torque = torque - rotor_dot @ self._spin_axis - (hat(state[:, RATE]) @ spin[:, :, None])[:, :, 0]
         return force + self._external_force(state) if self._has_outside else force, torque
 
     def _rotor_changes(self, state: Array, squared: Array) -> tuple[Array, Array]:
@@ -276,12 +244,10 @@ class FullPlant(Plant):
             body[:, 1] += extra.shadow[0] * np.maximum(np.cos(yaw - extra.shadow[1]), 0.0)
         return body
 
-    def _pull(self, state: Array, force: Array) -> tuple[Array, Array]:
-        """Return the world force with the pull of the load, and the second derivative of the cable direction q.
-
-        Derived: m a = F + S q + d l q' + m g and M a_L = -S q - d l q' + M g, with ``a_L - a = l q''`` and
-        ``q . q'' = -|q'|²``; S is the tension of a cable that stays taut. It hangs from the centre of mass: no torque.
-        """
+    def _cable_pull(self, state: Array, force: Array) -> tuple[Array, Array]:
+        """Return the world force with the pull of the load, and the second derivative of the cable direction q."""
+        # Derived: m a = F + S q + d l q' + m g and M a_L = -S q - d l q' + M g, with a_L - a = l q'' and q . q'' = -|q'|²;
+        # S is the tension of a cable that stays taut. It hangs from the centre of mass: no torque.
         mass, length, damping = self._extra.slung
         q, q_dot = state[:, CABLE], state[:, CABLE_RATE]
         speed = (q_dot * q_dot).sum(axis=1, keepdims=True)

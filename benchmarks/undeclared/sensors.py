@@ -10,9 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.undeclared.dynamics import RATE, ROTOR, Plant, hat, rotation
-from benchmarks.undeclared.extra import NEUTRAL, Extra
 from benchmarks.undeclared.nuisance import Bias
-from benchmarks.undeclared.vehicle import Array
+from benchmarks.undeclared.vehicle import NEUTRAL, Array, Extra
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,9 @@ class TrajectoryShape:
 
     path: Array  # Position, world, (T, 3); scaled afterwards
     yaw: Array  # Heading [rad], (T,)
-    excite: Array  # Added to the commands: angular rate [rad/s] (3) and vertical acceleration [m/s²] (1), body, (T, 4)
+    excite: Array | float = (
+        0.0  # Added to commands: angular rate [rad/s] (3), vertical acceleration [m/s²] (1), body, (T, 4)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +102,7 @@ def waypoints(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     points[0] = 0.0
     rest = [(1, np.zeros(4)), (2, np.zeros(4))]
     curve = make_interp_spline(knots, points, k=5, bc_type=(rest, rest))(t)
-    return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3], excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3])
 
 
 def vertical(t: Array, rng: np.random.Generator) -> TrajectoryShape:
@@ -123,7 +125,7 @@ def hover_steps(t: Array, rng: np.random.Generator) -> TrajectoryShape:
 def hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Hover, as still as a pilot holds it: a slow wander of a few centimetres, the heading as it is, no excitation."""
     path = [smooth_step(t / 1.5) * _multisine(t, rng, low=0.1, high=0.3, count=4, slope=1.0) for _ in range(3)]
-    return TrajectoryShape(path=np.stack(path, axis=1), yaw=np.zeros(len(t)), excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=np.stack(path, axis=1), yaw=np.zeros(len(t)))
 
 
 def low_hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
@@ -161,46 +163,31 @@ def square(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     side, sense = 4.0 * np.array([[1, 0, 0.2], [1, 1, 0], [0, 1, 0.2], [0, 0, 0]]), rng.choice((-1.0, 1.0))
     corner = side * (1.0, sense, 1.0)
     path = _moves(t, rng, lambda k: np.array([*corner[k % 4], 0.5 * np.pi * sense * (k + 1)]), move=2.1, hold=0.25)
-    return TrajectoryShape(path=path[:, :3], yaw=path[:, 3], excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=path[:, :3], yaw=path[:, 3])
 
 
 def lissajous(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Three sines whose frequencies have no common multiple; the heading turns steadily."""
     phase, ratio = _phase_ramp(t, rng.uniform(1.0, 1.3)), rng.uniform((1.15, 0.6), (1.35, 0.8))
     path = np.stack((np.sin(phase), 1.0 - np.cos(ratio[0] * phase), 0.4 * np.sin(ratio[1] * phase)), axis=1)
-    return TrajectoryShape(path=path, yaw=rng.choice((-0.6, 0.6)) * phase, excite=np.zeros((len(t), 4)))
+    return TrajectoryShape(path=path, yaw=rng.choice((-0.6, 0.6)) * phase)
 
 
 Family = Callable[[Array, np.random.Generator], TrajectoryShape]
-TOP_SPEED: dict[str, tuple[float, float]] = {
-    "multisine": (3.0, 4.0),
-    "waypoints": (4.0, 5.0),
-    "vertical": (2.5, 3.0),
-    "hover_steps": (1.5, 2.0),
-    "hover": (0.05, 0.1),
-    "figure_eight": (3.5, 5.0),
-    "square": (3.5, 4.5),
-    "lissajous": (3.0, 4.5),
-    "low_hover": (0.8, 1.2),
-    "low_passes": (2.0, 3.0),
+FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
+    "multisine": (multisine, (3.0, 4.0)),
+    "waypoints": (waypoints, (4.0, 5.0)),
+    "vertical": (vertical, (2.5, 3.0)),
+    "hover_steps": (hover_steps, (1.5, 2.0)),
+    "hover": (hover, (0.05, 0.1)),
+    "figure_eight": (figure_eight, (3.5, 5.0)),
+    "square": (square, (3.5, 4.5)),
+    "lissajous": (lissajous, (3.0, 4.5)),
+    "low_hover": (low_hover, (0.8, 1.2)),
+    "low_passes": (low_passes, (2.0, 3.0)),
 }
-"""Range from which the top speed of a flight is drawn [m/s]."""
+"""Each with the range from which the top speed of a flight is drawn [m/s]."""
 
-FAMILIES: dict[str, Family] = {
-    f.__name__: f
-    for f in (
-        multisine,
-        waypoints,
-        vertical,
-        hover_steps,
-        hover,
-        figure_eight,
-        square,
-        lissajous,
-        low_hover,
-        low_passes,
-    )
-}
 TRAIN_FAMILIES = ("multisine", "waypoints", "vertical", "hover_steps")
 TEST_FAMILIES = ("figure_eight", "square", "lissajous")
 
@@ -222,15 +209,16 @@ def plan(
     Its lowest point is at ``lowest`` [m]; under a ``ceiling`` [m] the path is upside down: the highest is that far below.
     """
     t = np.arange(round(duration * rate) + 1) / rate
-    shape = FAMILIES[family](t, rng)
+    draw, top_speed = FAMILIES[family]
+    shape = draw(t, rng)
     speed, acceleration = _largest(shape.path, 1, rate), _largest(shape.path, 2, rate)
-    path = shape.path * min(rng.uniform(*TOP_SPEED[family]) / speed, MAX_ACCELERATION / acceleration) * ease
+    path = shape.path * min(rng.uniform(*top_speed) / speed, MAX_ACCELERATION / acceleration) * ease
     yaw = shape.yaw * min(1.0, MAX_YAW_RATE / max(_largest(shape.yaw[:, None], 1, rate), 1e-9))
     path[:, 2] += lowest - path[:, 2].min()
     if ceiling is not None:
         path[:, 2] = ceiling - path[:, 2]
-    rows = round(settle * rate)
-    position, heading, excite = (_hold_first(x, rows) for x in (path, yaw + rng.uniform(-np.pi, np.pi), shape.excite))
+    rows, excite = round(settle * rate), np.broadcast_to(shape.excite, (len(t), 4))
+    position, heading, excite = (_hold_first(x, rows) for x in (path, yaw + rng.uniform(-np.pi, np.pi), excite))
     velocity = np.gradient(position, 1.0 / rate, axis=0)
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
     return Reference(

@@ -12,10 +12,8 @@ import yaml
 
 from benchmarks.undeclared import EFFECTS, FEATURES, UNKNOWN, make_case
 from benchmarks.undeclared.cases import fly_case, list_flights, plan_all
-from benchmarks.undeclared.catalog import SIZES
 from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
-from benchmarks.undeclared.effects import flight_features, resolve, split
-from benchmarks.undeclared.extra import NEUTRAL, Extra
+from benchmarks.undeclared.effects import SIZES, flight_features, resolve, split
 from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant, make_plant
 from benchmarks.undeclared.logs import vehicle_document
 from benchmarks.undeclared.nuisance import NO_BIAS
@@ -30,7 +28,7 @@ from benchmarks.undeclared.surroundings import (
     companion,
     gusts,
 )
-from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, ROTOR_RADIUS, Array, PlantVehicle
+from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, NEUTRAL, ROTOR_RADIUS, Array, Extra, PlantVehicle
 
 BARE = replace(DECLARED, linear_drag=np.zeros(3), inertia=np.diag([2e-3, 3e-3, 4e-3]))
 HOVER = DECLARED.hover_speed()
