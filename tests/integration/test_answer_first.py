@@ -46,7 +46,6 @@ def group_findings(verdict: dict) -> dict[str, list[dict]]:
 
 
 def test_the_findings_state_what_gets_worse_with_its_numbers(verdict_texts: tuple[dict, dict]) -> None:
-    """The largest rise is named with its interval, and the others are counted."""
     verdict, _ = verdict_texts
     became = verdict["test_flights"]
     assert {became[f"specific_force.{axis}"]["state"] for axis in "xy"} == {"worse"}
@@ -70,7 +69,6 @@ def meaning_findings(verdict: dict) -> list[dict]:
 
 @pytest.mark.parametrize("where", ["verdict.json", "report.html", "report.md", "console"])
 def test_the_answer_comes_first_and_in_order(verdict_texts: tuple[dict, dict], where: str) -> None:
-    """The finding, the gain, what got worse, the next step: nothing of it is folded away, and all details follow."""
     verdict, texts = verdict_texts
     text = " ".join(texts[where].split())
     if where == "report.html":

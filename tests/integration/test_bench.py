@@ -61,7 +61,6 @@ def test_physics_gives_one_object_with_every_key(backend: str, capsys: pytest.Ca
 
 
 def test_the_rate_is_that_of_the_launches(capsys: pytest.CaptureFixture[str]) -> None:
-    """Steps per second times the time of a launch are the steps in a launch, E K."""
     argv = ("bench", "physics", "--num-envs", "8", "--substeps", "5", "--json", *QUICK)
     result = json.loads(run(capsys, *argv)[1])
     assert result["steps_per_s"] * result["launch_us"] * 1e-6 == pytest.approx(40.0)
@@ -78,7 +77,6 @@ def test_task_gives_one_object_with_every_key(capsys: pytest.CaptureFixture[str]
 
 
 def test_task_tells_its_parts_apart(capsys: pytest.CaptureFixture[str]) -> None:
-    """The parts of a step without a sensor, none longer than ten steps of this short run, all of them positive."""
     status, out, _ = run(capsys, "bench", "task", "--num-envs", "16", "--parts", "--json", *QUICK)
     assert status == 0
     result = json.loads(out)

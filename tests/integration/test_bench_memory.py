@@ -48,7 +48,6 @@ def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys:
 
 
 def test_the_backend_that_is_named_is_measured(capsys: pytest.CaptureFixture[str]) -> None:
-    """The fused backend keeps its parameters in arrays of its own; the torch backend reads those of the model."""
     plain = ("memory", "--env-name", "empty_env", "--robot", "base_quadrotor", "--num-envs", "2", "--device", "cpu")
     totals = {}
     for backend in ("torch", "warp"):

@@ -31,7 +31,6 @@ def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
 
 
 def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every other renderer agrees with ours in all pixels but those on edges, and has its own line."""
     names = ("merged", "shared_mesh", "mujoco")
     argv = ("--scene", "boxes_aligned", "--num-envs", "2", "--json", "--against", *names)
     status, out, err = run(capsys, "render", *QUICK, *argv)
@@ -50,7 +49,6 @@ def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) 
 
 @pytest.mark.parametrize("scene", [pytest.param("boxes", marks=pytest.mark.slow), "clutter"])
 def test_mujoco_sees_the_same_depths_and_ids(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Turned boxes, spheres, cylinders and compounds, each environment with its own poses; a run reports no other images."""
     argv = ("--scene", scene, "--num-envs", "3", "--segmentation", "--json", "--against", "mujoco")
     status, out, err = run(capsys, "render", *QUICK, *argv)
     assert status == 0, err

@@ -46,7 +46,6 @@ def test_rendering(tmp_path: Path) -> None:
 
 
 def test_camera(tmp_path: Path) -> None:
-    """Depth is divided by the range, walls have their own labels, and the moving picture has every frame."""
     from PIL import Image
 
     names = run("camera_example.py", "--num_envs", 2, "--num_steps", 12, "--out", tmp_path / "stream.gif")
@@ -69,7 +68,6 @@ def test_custom_task() -> None:
 
 
 def test_two_environments() -> None:
-    """Both hover at their own goals, though one was built after the other with twice as many environments."""
     names = run("two_environments_example.py", "--num_envs", 2, "--num_steps", 500)
     assert names["distance"].shape == (2,)
     assert names["drift"].shape == (4,)
@@ -89,7 +87,6 @@ def test_rl_env_loop() -> None:
 def test_a_script_runs_from_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A script that never names this package's own modules runs as it is, and its arguments are its own."""
     script = tmp_path / "script.py"
     script.write_text(
         "import isaacgym\nimport sys\nfrom aerial_gym.registry.sim_registry import sim_config_registry\n"

@@ -103,7 +103,6 @@ def test_what_cannot_be_captured_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_captured_navigation_step_is_the_eager_step() -> None:
-    """With images, goals, room around them and a curriculum that goes up and down on the way."""
     result = []
     for capture in (False, True):
         cfg = task_registry.get("navigation_task")
@@ -132,7 +131,6 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
 
 @pytest.mark.parametrize("maker", [rich, camera_task])
 def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker: Callable[..., Task]) -> None:
-    """Delays, histories, filters, a moving target, a second group and raw images; episodes end on the way."""
     result = []
     for capture in (False, True):
         task = maker(64, seed=3, device="cuda:0", capture=capture)
@@ -152,8 +150,6 @@ def test_a_captured_step_with_all_that_a_task_remembers_is_the_eager_step(maker:
 
 
 def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
-    """Delay, battery, gusts and payload: memory stays where the graph reads it, gusts move on at each replay, and resets by
-    mask begin anew within the graph."""
     robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
     for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
         effect = EFFECTS.get(name)
@@ -287,7 +283,6 @@ def test_a_masked_reset_of_a_randomised_robot_waits_for_nothing() -> None:
 
 @pytest.mark.parametrize("num_rows", [1, 33, 65, FEW - 1, FEW, FEW + 33])
 def test_rows_arrive_as_they_are_on_a_gpu(num_rows: int) -> None:
-    """Each by its thread and by warps together, the last of which may be a warp of one row."""
     check_transport(num_rows, "cuda:0")
     check_derived(num_rows, "cuda:0")
 

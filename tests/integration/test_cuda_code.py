@@ -90,7 +90,6 @@ def test_physics_kernels_compile(controller: str, integrator: str, names: Sequen
 
 @pytest.mark.slow
 def test_the_physics_kernel_of_links_with_effects_compiles() -> None:
-    """On a stand, where the kernel is smallest."""
     values = {
         "link_drag": {"qx": 0.1},
         "link_buoyancy": {"force": 0.1, "x": 0.01},

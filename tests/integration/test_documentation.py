@@ -120,7 +120,6 @@ def test_all_blocks_of_a_page_run(page: Path) -> None:
 @pytest.mark.parametrize("page", find_pages("compare"), ids=page_name)
 @pytest.mark.usefixtures("folder")
 def test_figures_of_a_page_are_those_of_its_command(page: Path) -> None:
-    """Every number that the command prints stands on the page, in the same order."""
     numbers = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
     text = re.findall(numbers, page.read_text(encoding="utf-8"))
     for block in page_blocks(page):
@@ -176,7 +175,6 @@ class External(HTMLParser):
 
 
 def test_the_site_is_complete_and_loads_nothing_from_a_network(tmp_path: Path) -> None:
-    """One build for all checks. It is strict, so that each link and each page of the navigation resolves."""
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
@@ -199,7 +197,6 @@ def external_urls(site: Path) -> list[str]:
 
 
 def test_external_urls_are_those_that_a_page_loads(tmp_path: Path) -> None:
-    """A link that a reader may follow loads nothing."""
     page = '<script src="https://a/x.js"></script><link href="//b/y.css"><a href="https://c"></a><img src="z.png">'
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     (tmp_path / "style.css").write_text(

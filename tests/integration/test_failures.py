@@ -71,7 +71,6 @@ def run_case(folder: Path, **case: Any) -> dict:
 
 @pytest.mark.slow
 def test_the_loop_names_a_failure_of_one_flight_beside_an_effect_of_all(coarser_plant: None, tmp_path: Path) -> None:
-    """The effect is named as ever, from flights up to the failure; the robot file does not have what one flight had."""
     hidden = {"train_2": Hidden(kind="motor_failure", motor=3, scale=0.85, time=5.0)}
     verdict = run_case(tmp_path, effects={"com_offset": "moderate"}, seed=732, failures=hidden)
     assert [effect["name"] for effect in verdict["effects"]] == ["com_offset"]

@@ -100,7 +100,6 @@ def test_a_gate_is_open_as_far_as_it_is_wide() -> None:
 
 
 def test_a_robot_that_is_moved_is_not_swept_from_its_old_place() -> None:
-    """From one side of a wall to the other, by a write and by a reset; then it flies on, away from the wall."""
     env = build(WALL)
     send_ahead(env)
     env.gtd["robot_position"][:, 0] = -1.0

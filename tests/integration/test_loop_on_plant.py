@@ -89,7 +89,6 @@ HOVERED = {"num_test": 3, "duration_s": 16.0, "rate_hz": 400, "nuisance": True, 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["thrust_coefficient", "payload_mass"])
 def test_what_hover_does_not_tell_is_no_other_name(effect: str, tmp_path: Path) -> None:
-    """Hover hardly tells one from the other: what is hidden is named, or is among those that may be."""
     verdict, _ = run_case(tmp_path, {effect: "moderate"}, 3831, **HOVERED)
     assert verdict["verdict"] in ("explained", "ambiguous")
     assert effect in verdict["candidates"]
@@ -98,7 +97,6 @@ def test_what_hover_does_not_tell_is_no_other_name(effect: str, tmp_path: Path) 
 
 @pytest.mark.slow
 def test_test_flights_bring_doubt_where_hover_speaks_for_another(tmp_path: Path) -> None:
-    """By training alone the payload hangs from a cable; the test flights, which move, speak for one that does not."""
     verdict, _ = run_case(tmp_path, {"payload_mass": "moderate"}, 3847, **HOVERED)
     assert verdict["verdict"] == "ambiguous"
     assert set(verdict["candidates"]) == {"slung_payload", "payload_mass"}
@@ -123,7 +121,6 @@ def test_an_effect_is_named_from_short_and_from_slow_logs(rate_hz: int, duration
 
 @pytest.mark.slow
 def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
-    """The plant and the package refer it to other heights; the wind at a height of the flights is the same."""
     verdict, truth = run_case(tmp_path, {"wind_shear": "moderate"}, 211)
     assert [result["name"] for result in verdict["effects"]] == ["wind_shear"]
     result, true = verdict["effects"][0]["params"], truth["effects"]["wind_shear"]
@@ -135,7 +132,6 @@ def test_wind_shear_is_found_with_its_power(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("size", ["moderate", "large"])
 def test_a_slung_payload_is_found_with_its_mass_and_length(size: str, tmp_path: Path) -> None:
-    """The plant's damping acts at the suspension, that of the package is a drag in the air: it is not compared."""
     verdict, truth = run_case(tmp_path, {"slung_payload": size}, 211)
     assert verdict["effects"][0]["name"] == "slung_payload"
     result, true = verdict["effects"][0]["params"], truth["effects"]["slung_payload"]
@@ -198,7 +194,6 @@ def test_nothing_is_named_where_nothing_is_hidden(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_effects_are_each_worth_something_and_where_they_should(tmp_path: Path) -> None:
-    """A shifted centre of mass is missed in the turns, wind in the forces; what holds in the place of each is less probable."""
     verdict, _ = run_case(tmp_path, {"com_offset": "moderate", "constant_wind": "moderate"}, 213)
     result = {effect["name"]: effect for effect in verdict["effects"]}
     assert set(result) == {"com_offset", "constant_wind"}

@@ -36,7 +36,6 @@ def test_an_unknown_sensor_is_refused_before_anything_is_written(
 def test_the_colour_camera_shows_obstacles_of_different_colours(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The walls, panels and boxes of a hall with lamps: no colour fills half of the picture, and there are many of them."""
     out = str(tmp_path / "gallery")
     command = ["render-gallery", "--out", out, "--environments", "env_with_obstacles", "--sensors", "base_rgb_camera"]
     assert main(command) == 0
@@ -51,7 +50,6 @@ def test_the_colour_camera_shows_obstacles_of_different_colours(
 
 
 def test_the_example_shows_two_equal_cameras_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Colours left, distances right; the level camera above, the tilted one below, which sees the same boxes turned."""
     out = tmp_path / "two.png"
     monkeypatch.setattr("sys.argv", ["two_cameras.py", str(out)])
     runpy.run_path(str(Path(__file__).parents[2] / "examples" / "two_cameras.py"), run_name="__main__")

@@ -79,7 +79,6 @@ def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
 def test_a_followed_log_that_begins_anew_is_watched_as_another_flight(
     files: CaseFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The flight without a failure is being written; its file is then replaced by one with a failure."""
     log, failing = tmp_path / "log.csv", next(path for path in files.train if path.stem == "train_1")
     log.write_bytes(files.test[0].read_bytes())
 

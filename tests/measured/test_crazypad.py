@@ -104,7 +104,6 @@ def test_small_changes_are_not_told_from_scatter(pairs: dict[str, list[HoverEffo
 
 @pytest.mark.parametrize("baseline", [(0, 1), *(pytest.param(one, marks=pytest.mark.slow) for one in ((0,), (1,)))])
 def test_no_name_is_wrong_with_logs_kept_aside(pairs: dict[str, list[HoverEffort]], baseline: tuple[int, ...]) -> None:
-    """Each condition in both orders, with one log of the baseline or both, with all other conditions or all but one."""
     conditions = [name for name in pairs if not name.startswith("normal")]
     for condition in conditions:
         for first in (0, 1):

@@ -21,7 +21,6 @@ HOVER_SUM = 4 * 1695.0
 
 
 def test_the_loop_names_flapping_and_takes_most_off_the_residuals(tmp_path: Path) -> None:
-    """Train on every other square, random and multisine flight; judged on the two melon flights, which no fit has seen."""
     train = sorted(path for pattern in ("square_*", "random*", "multisine_*") for path in DATA.glob(pattern))[::2]
     test = sorted(DATA.glob("melon_*"))
     assert (len(train), len(test)) == (6, 2)

@@ -20,7 +20,6 @@ def test_the_hidden_effect_is_named_on_another_seed(nuisance: tuple[str, ...]) -
 
 
 def test_flights_that_only_hover_make_up_no_effect() -> None:
-    """Nothing hidden is quiet; a balance that is off, or a drag, is named, or ambiguous with the right one."""
     command = [
         sys.executable,
         "-m",

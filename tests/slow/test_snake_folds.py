@@ -57,11 +57,6 @@ def fly(name: str, *, hold: bool = True) -> SnakeFlight:
 @pytest.mark.parametrize("mode", ["position", "velocity", "effort"])
 @pytest.mark.parametrize("rods", ["snakey", "snakey5", "snakey6"])
 def test_a_snake_holds_its_shape_and_folds(rods: str, mode: str) -> None:
-    """At the end joints stand off by load over stiffness: the drag of a rotor, and where five rods spin what that adds.
-
-    On the way by no more than twice that, as a load put on at once swings no linear joint further. While the command runs they
-    lag as the linear law in the reference pose says, within a tenth: inertias change with the shape.
-    """
     name = rods if mode == "velocity" else f"{rods}_{mode}"
     flight, hover = fly(name), SnakeHover.from_robot(ROBOTS.get(name))
     rest = hover.rest(flight.spin).float()

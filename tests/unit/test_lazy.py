@@ -57,7 +57,6 @@ def test_summaries_read_from_sources_are_those_of_the_objects() -> None:
 
 
 def test_garbage_is_looked_for_again_after_imports() -> None:
-    """Not inside, as before afterwards, and where it was not looked for before it is not afterwards."""
     with pause_garbage_collection():
         assert not gc.isenabled()
     assert gc.isenabled()

@@ -13,7 +13,6 @@ EXAMPLE = Path(__file__).parents[3] / "examples" / "custom_task.py"
 def test_the_example_is_trained_and_evaluated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its file is named as seen from its own folder; the run is evaluated from another one."""
     monkeypatch.chdir(EXAMPLE.parent)
     out = str(tmp_path / "run")
     asked = [

@@ -84,7 +84,6 @@ def run_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
 
 @pytest.mark.slow
 def test_a_law_holds_a_point_by_body_rates_and_by_rotor_thrusts(run_example: Told) -> None:
-    """A thrown vehicle starts in any attitude: a wrong axis or angle loses it."""
     caught = run_example("hold.py", 64, "recovery_task", "position_setpoint_task_sim2real_px4")
     assert all(lost < 15.0 for _, (lost, *_) in caught)
     assert all(error < 0.01 and stay == 100.0 for label, (_, error, stay, _) in caught if "px4" in label)
@@ -109,7 +108,6 @@ def test_a_law_holds_a_point_by_attitude_velocities_and_accelerations(run_exampl
 
 @pytest.mark.slow
 def test_a_law_that_waits_above_a_platform_lands_on_it(run_example: Told) -> None:
-    """Straight to it a vehicle touches its edge, or touches it too fast."""
     (_, (_, crash)), (_, (landed, less)) = run_example("land.py", 64)
     assert landed > 40.0
     assert less < 20.0 < crash
@@ -151,7 +149,6 @@ def test_smooth_tracks_are_followed_more_closely_by_their_acceleration(run_examp
 @pytest.mark.slow
 @pytest.mark.parametrize("name", runpy.run_path(str(EXAMPLES / "tasks" / "learn.py"))["TASKS"])
 def test_what_no_law_flies_is_learned(run_example: Told, tmp_path: Path, name: str) -> None:
-    """One update and its flights."""
     ((label, (right, crash)),) = run_example("learn.py", tmp_path, 1, 16, name)
     assert label == name
     assert 0.0 <= right + crash <= 100.0
@@ -160,7 +157,6 @@ def test_what_no_law_flies_is_learned(run_example: Told, tmp_path: Path, name: s
 
 @pytest.mark.parametrize("name", TASKS)
 def test_each_task_has_a_short_example(name: str) -> None:
-    """The reference finds examples by the name of the task in their text."""
     files = [path for path in EXAMPLES.rglob("*.py") if re.search(rf"\b{name}\b", path.read_text(encoding="utf-8"))]
     assert any(len(path.read_text(encoding="utf-8").splitlines()) < 60 for path in files)
 

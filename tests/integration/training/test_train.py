@@ -70,7 +70,6 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(
 def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how_flights_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With a camera of fewer pixels, which makes it quick."""
     out, robot = tmp_path / "run", tmp_path / "robot.yaml"
     robot.write_text(dump_yaml(replace(ROBOTS.get("base_quadrotor"), sensors=("depth_camera_64",))), encoding="utf-8")
     limits = ("--max-env-steps", "512", "--max-time-s", "40", "--json")
@@ -142,7 +141,6 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(
 def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
     trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The signal comes after the second update of a run, the full disk when it goes on."""
     out, update = tmp_path / "run", Progress.update
     updates = []
 
@@ -180,7 +178,6 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
 def test_a_resumed_run_refuses_another_task_and_trainer(
     more: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its own may be named."""
     RunFolder(tmp_path).create(load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")))
     again = ("train", "--out", str(tmp_path), "--resume", "--num-envs", "7")
     assert main([*again, *more]) == 2
@@ -213,7 +210,6 @@ def test_a_resumed_run_refuses_a_checkpoint_of_another_network(
 def test_limits_on_the_command_line_replace_those_of_the_settings(
     given: tuple[str, ...], limits: tuple[float | None, int | None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Asked for so many steps, it makes them however long they take."""
     settings = tmp_path / "settings.yaml"
     cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     settings.write_text(dump_yaml(replace(cfg, max_time_s=120.0, max_env_steps=None)))

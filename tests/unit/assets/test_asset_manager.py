@@ -101,7 +101,6 @@ def test_inner_faces_of_walls_lie_on_the_bounds(device: torch.device) -> None:
 
 
 def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -> None:
-    """With panels and walls alone, a camera in the middle of each room sees no gap, and ids of the front wall."""
     manager, gtd, (lower, upper) = make_manager(OBSTACLES, 8, device)
     manager.set_num_obstacles(0)
     begin(manager, every(8, device))
@@ -124,7 +123,6 @@ def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -
 
 
 def test_reset_leaves_other_environments_bit_for_bit(device: torch.device) -> None:
-    """Rows outside the mask keep every bit, also of NaN; rows inside change, and none of their NaN survives."""
     manager, gtd, _ = make_manager(OBSTACLES, 6, device)
     begin(manager, every(6, device))
     state = gtd["env_asset_state_tensor"]
@@ -207,7 +205,6 @@ def test_states_can_live_in_the_memory_of_another_tensor(device: torch.device) -
 
 
 def test_environments_of_different_sizes_live_side_by_side(device: torch.device) -> None:
-    """An empty one and two of different sizes: resetting one leaves the others alone."""
     empty, empty_gtd, _ = make_manager(ENVIRONMENTS.get("empty_env"), 4, device)
     small, small_gtd, _ = make_manager(OBSTACLES, 2, device)
     large, large_gtd, _ = make_manager(OBSTACLES, 7, device)
@@ -241,7 +238,6 @@ def test_importing_assets_and_sensors_starts_no_device_and_compiles_nothing() ->
 
 @pytest.mark.parametrize("name", [name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).num_assets])
 def test_every_shipped_environment_places_all_its_obstacles_over_its_bounds(name: str, device: torch.device) -> None:
-    """Everything that is present stands within the bounds, but for the half thickness of walls."""
     cfg = ENVIRONMENTS.get(name)
     manager, gtd, (lower, upper) = make_manager(cfg, 50, device)
     begin(manager, every(50, device))

@@ -100,7 +100,6 @@ def test_no_robot_starts_inside_or_near_an_obstacle(name: str) -> None:
 
 
 def test_starts_and_goals_keep_their_room_together() -> None:
-    """Goals are drawn after starts; making room for the one does not take it from the other."""
     made = manager((BOXES, TREES, WALL), 500)
     draw = torch.Generator().manual_seed(0)
     start, goal = (2.0 * torch.rand(500, 3, generator=draw) - 1.0 for _ in range(2))
@@ -116,7 +115,6 @@ def test_starts_and_goals_keep_their_room_together() -> None:
 
 
 def test_obstacles_that_are_far_enough_stay_where_they_are() -> None:
-    """Only what blocks is moved, and what is moved stays within its range."""
     made = manager((BOXES,), 300)
     before = made.scene.asset_state.clone()
     points = torch.zeros(300, 3)
@@ -133,7 +131,6 @@ def test_obstacles_that_are_far_enough_stay_where_they_are() -> None:
 
 
 def test_what_cannot_be_placed_is_parked_and_walls_stay() -> None:
-    """A ball that fills its range has no place; a wall whose place is given stays, though it is in the way."""
     stuck = replace(BOXES, shapes=(ShapeCfg(kind="sphere", radius=3.0),), count=2, keep=True)
     made = manager((stuck, WALL), 5)
     made.clear_start(every(5), torch.zeros(5, 3))

@@ -39,7 +39,6 @@ def distances(shape: ShapeCfg, points: torch.Tensor, pose: torch.Tensor | None =
 
 @pytest.mark.parametrize("name", FAMILIES.names())
 def test_the_same_seed_gives_the_same_shapes_and_another_seed_others(name: str) -> None:
-    """Variants do not depend on how many there are, and differ from each other."""
     cfg = FamilyCfg(name=name, variants=4, seed=3)
     shapes = family_shapes(cfg)
     assert shapes == family_shapes(cfg)
@@ -59,7 +58,6 @@ def test_rods_have_the_thickness_and_length_requested() -> None:
 
 
 def test_trees_are_13_cylinders_whose_branches_begin_on_the_trunk() -> None:
-    """The lower end of each branch lies on the axis of the trunk; the trunk stands on the origin."""
     for tree in family_shapes(FamilyCfg(name="trees", variants=20, seed=1)):
         trunk, *branches = tree.parts or ()
         assert len(branches) == 12
@@ -75,7 +73,6 @@ def test_trees_are_13_cylinders_whose_branches_begin_on_the_trunk() -> None:
 
 
 def test_the_inside_of_a_room_is_as_large_as_asked_and_closed() -> None:
-    """Without furniture the distance of a point to the room is that to the nearest of six planes."""
     size = {
         "length": (6.0, 6.0),
         "width": (4.0, 4.0),
@@ -110,7 +107,6 @@ def test_a_doorway_is_as_wide_and_high_as_asked() -> None:
 
 
 def test_furniture_in_rooms_stands_on_the_floor_within_the_walls() -> None:
-    """Every corner of every board lies above the floor and, for shelves and unturned tables, within the walls."""
     for room in family_shapes(FamilyCfg(name="rooms", variants=10)):
         walls, furniture = (room.parts or ())[:6], (room.parts or ())[6:]
         assert furniture
@@ -122,7 +118,6 @@ def test_furniture_in_rooms_stands_on_the_floor_within_the_walls() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_compound_moves_and_turns_rigidly(seed: int) -> None:
-    """A compound of two boxes at a random pose: the distance of a point is the smaller of two closed forms."""
     generator = torch.Generator().manual_seed(seed)
     sizes, places = ((0.4, 0.6, 0.2), (1.0, 0.1, 0.3)), ((0.5, 0.0, 0.1), (-0.7, 0.4, -0.2))
     eulers = ((0.3, -0.5, 1.0), (0.0, 0.0, 0.0))

@@ -69,10 +69,6 @@ def manager(motion: MotionCfg, num_envs: int = 5, **fields) -> tuple[AssetManage
 
 
 def test_a_constant_twist_gives_a_straight_line_and_an_exact_rotation() -> None:
-    """After n steps: p + n v dt, and the attitude turned by the rotation vector n w dt, on the left: w is in the world.
-
-    Each step rounds once, so the error is at most n half units in the last place of what is added up.
-    """
     made, gtd = manager(TWIST)
     start = gtd["env_asset_state_tensor"].double().clone()
     steps, dt = 200, 0.01
@@ -102,7 +98,6 @@ def test_twists_are_drawn_within_their_ranges() -> None:
 
 
 def test_obstacles_on_waypoints_go_back_and_forth() -> None:
-    """Distance from the first point is the triangular wave of speed times time, on the line, at constant speed."""
     made, gtd = manager(MotionCfg(kind="waypoints", speed=(0.5, 2.0)), 30)
     a, b = gtd["obstacle_waypoints"].double().unbind(2)
     length = (b - a).norm(dim=-1)
@@ -126,7 +121,6 @@ def test_obstacles_on_waypoints_go_back_and_forth() -> None:
 
 
 def test_obstacles_bounce_off_the_bounds() -> None:
-    """On each axis the place is the triangular wave between the bounds, and the angular velocity stays."""
     made, gtd = manager(replace(TWIST, at_bounds="bounce"), 20)
     start = gtd["env_asset_state_tensor"].double().clone()
     low, high = torch.tensor([-4.0, -3.0, -2.0]).double(), torch.tensor([4.0, 3.0, 2.0]).double()
@@ -279,7 +273,6 @@ def test_a_step_keeps_the_memory_where_it_is() -> None:
 
 
 def test_a_camera_sees_where_obstacles_are_after_the_step() -> None:
-    """The image after the step is that of obstacles put by hand where their twists lead, and not of those before."""
     env = simulate("dynamic_env", robot_name="base_quadrotor_with_camera")
     image, obstacles = env.gtd["depth_range_pixels"], env.gtd["env_asset_state_tensor"]
     before = obstacles.clone()

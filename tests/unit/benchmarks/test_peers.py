@@ -95,7 +95,6 @@ def test_a_peers_file_imports_none_of_our_code_but_the_timing() -> None:
 
 
 def test_a_peer_is_timed_and_watched() -> None:
-    """Blocks are counted with their steps and vehicles; a height that does not change, or is NaN, stops the run."""
     height = [0.0]
 
     def climb() -> None:

@@ -58,7 +58,6 @@ def hexarotor(folder: Path, **changes: Any) -> type:
 
 
 def test_a_robot_of_one_s_own_flies(tmp_path: Path) -> None:
-    """Mass, inertia and shape are those of the URDF, the matrix comes back, and it hovers where it shall."""
     cls = hexarotor(tmp_path)
     cfg = robots.translate_robot(cls)
     assert cfg.body.mass == pytest.approx(1.2)
@@ -105,8 +104,6 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path, changes: dict[str, A
 
 
 def test_a_robot_without_gravity_floats() -> None:
-    """Only robots feel gravity, there too, so that it is the simulation's to leave it out."""
-
     class WeightlessRobot(robots.BaseQuadCfg):
         class robot_asset(robots.BaseQuadCfg.robot_asset):  # pyright: ignore
             disable_gravity = True

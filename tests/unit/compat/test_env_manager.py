@@ -33,7 +33,6 @@ def test_reset_idx_leaves_other_rows_alone(env_ids: object) -> None:
 
 
 def test_flags_outlive_the_reset_until_the_next_step() -> None:
-    """A task returns the very tensors, after the reset, as its terminations and truncations."""
     env = build()
     tensors = env.get_obs()
     tensors["crashes"][:] = torch.tensor([True, False, False, False])
@@ -59,7 +58,6 @@ def test_reset_on_collision_keeps_crashed_rows() -> None:
 
 
 def test_a_written_state_reaches_the_physics_in_its_row_alone() -> None:
-    """The angular velocity there is in the world: about world x for a robot that looks along y is about its body -y."""
     env = build()
     tensors = env.get_obs()
     keys = ("robot_position", "robot_orientation", "robot_linvel", "robot_body_angvel")

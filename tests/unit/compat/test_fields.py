@@ -135,7 +135,6 @@ CASES = [
 def test_every_attribute_does_what_the_table_says(
     title: str, table: ConfigTable, field: ConfigField, tmp_path: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A changed value changes our configuration, is noted in the log as without effect, or is refused with the way out."""
     parent = CLASSES[title]
     stands_for = getattr(parent, STANDS_FOR)
     (tmp_path / "post.urdf").write_text(URDF)
@@ -167,7 +166,6 @@ def test_every_attribute_does_what_the_table_says(
 
 @pytest.mark.parametrize(("title", "table"), TABLES, ids=[title for title, _ in TABLES])
 def test_a_class_stands_for_its_configuration(title: str, table: ConfigTable) -> None:
-    """Read back unchanged, also from a class derived with a nested class of its own, it is the very same numbers."""
     parent = CLASSES[title]
     stands_for = getattr(parent, STANDS_FOR)
     assert table.translate(parent, stands_for) == stands_for
@@ -199,8 +197,6 @@ def test_an_unknown_attribute_is_refused_by_name() -> None:
 
 
 def test_changes_are_made_all_at_once() -> None:
-    """Bounds that are only in order together do not pass through a state in which they are not."""
-
     class Far:
         class env:
             lower_bound_min = lower_bound_max = [100.0, 100.0, 100.0]
@@ -213,7 +209,6 @@ def test_changes_are_made_all_at_once() -> None:
 
 
 def test_asset_classes_are_read_when_something_is_built() -> None:
-    """Scripts change shared classes in place before they build."""
     panels = assets.CLASSES["panels"]
     try:
         panels.num_assets = 7
@@ -264,7 +259,6 @@ def test_units_of_the_motor_model() -> None:
 
 
 def test_force_mode_has_no_thrust_map() -> None:
-    """There the state of such a motor is its thrust, with limits that may be negative: a reversible rotor."""
     motor = "control_allocator_config.motor_model_config"
     values = {"use_rps": False, "min_thrust": -5.0, "max_thrust": 5.0, "max_thrust_rate": 200.0}
     rotor = robots.translate_robot(
@@ -313,8 +307,6 @@ def test_an_imu_of_one_s_own() -> None:
 
 
 def test_gains_of_a_class_are_explicit_gains() -> None:
-    """A minimum above its maximum, as some classes there have it, is put in order."""
-
     class Quick(controllers.control):
         K_rot_tensor_min = [1.6, 1.6, 0.4]
         K_rot_tensor_max = [1.5, 1.7, 0.5]

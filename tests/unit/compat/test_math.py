@@ -15,7 +15,6 @@ def test_every_helper_is_there() -> None:
 
 
 def test_euler_angles_and_axes() -> None:
-    """A quarter turn about z takes body x to world y; Euler angles come back."""
     q = helpers.quat_from_euler_xyz(torch.zeros(1), torch.zeros(1), torch.full((1,), torch.pi / 2))
     torch.testing.assert_close(q, torch.tensor([[0.0, 0.0, HALF, HALF]]))
     torch.testing.assert_close(helpers.quat_axis(q, 0), torch.tensor([[0.0, 1.0, 0.0]]), atol=1e-6, rtol=0.0)

@@ -11,7 +11,6 @@ from aerial_gym.compat.modules import GONE, MODULES
 
 @pytest.mark.parametrize("path", [path for path, names in MODULES.items() if "" not in names])
 def test_every_path_gives_its_names(path: str) -> None:
-    """Both ways of importing a name work, and it is the same thing each time."""
     module = import_module(f"aerial_gym.{path}")
     for name in module.__all__:
         first = getattr(module, name)
@@ -22,7 +21,6 @@ def test_every_path_gives_its_names(path: str) -> None:
 
 @pytest.mark.parametrize("path", GONE)
 def test_what_is_gone_says_what_to_do(path: str) -> None:
-    """The way out is not empty, and no real module of this package hides behind the message."""
     with pytest.raises(
         ModuleNotFoundError, match="has no counterpart here: .+ See docs/guides/coming_from_aerial_gym.md"
     ):

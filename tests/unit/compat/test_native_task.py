@@ -43,8 +43,6 @@ def test_it_is_our_task() -> None:
 
 
 def test_a_configuration_class_changes_it() -> None:
-    """An episode has as many steps as the class says, and the observation is the last one of it where the class says so."""
-
     class Short(task_registry.get_task_config(NAME)):
         episode_len_steps = 3
         return_state_before_reset = True
@@ -97,8 +95,6 @@ def test_a_reward_that_would_not_be_called_is_refused() -> None:
 
 
 def test_wrappers_of_scripts_take_it() -> None:
-    """As in trainings there: the observation alone, and one flag for both ends."""
-
     class ExtractObs(gymnasium.Wrapper):
         def reset(self, **kwargs: object) -> torch.Tensor:  # pyright: ignore
             obs, *_ = super().reset(**kwargs)  # pyright: ignore
@@ -130,7 +126,6 @@ def test_what_it_cannot_says_what_to_do() -> None:
 
 
 def test_numbers_of_rewards_are_those_of_the_terms() -> None:
-    """By the names of the task file: reward and number; what the class does not name keeps its value."""
     names = task_registry.get_task_config(NAME).reward_parameters
     assert (names["near.height"], names["upright.offset"], names["near.weight"], names["crash"]) == (
         3.0,

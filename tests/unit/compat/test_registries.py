@@ -70,7 +70,6 @@ def test_all_names_are_those_of_both() -> None:
 
 @pytest.mark.parametrize("name", ROBOTS.names())
 def test_every_robot_of_ours_has_a_class(name: str) -> None:
-    """Read back it is the robot; only depth cameras are divided by their range, as there."""
     cls = robot_registry.get_robot_config(name)
     assert robot_registry.get_robot_class(name) is BaseMultirotor
     translated = robots.translate_robot(cls)
@@ -88,8 +87,6 @@ def test_a_file_of_ours_is_a_robot() -> None:
 
 
 def test_another_class_under_a_name_is_refused() -> None:
-    """The same one, or one that a notebook defines again, is taken; there every name could be overwritten in silence."""
-
     class Slow(sims.BaseSimConfig):
         class sim(sims.BaseSimConfig.sim):  # pyright: ignore
             dt = 0.05
@@ -178,8 +175,6 @@ def test_gains_that_all_share_can_be_changed_in_place() -> None:
 
 
 def test_a_task_gets_a_configuration_of_its_own() -> None:
-    """There, tensors that a task writes into its class reach the next task."""
-
     class Config:
         reward_parameters = {"a": 1.0}
         num_envs = 4

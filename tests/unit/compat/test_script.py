@@ -27,7 +27,6 @@ def test_imports_are_taken_out_and_lines_stay(before: str, after: str) -> None:
 
 
 def test_modules_of_a_script_may_import_what_is_not_installed(tmp_path: Path) -> None:
-    """They get gymnasium's spaces, the helpers, and a sentence for each use of Isaac Gym; afterwards nothing of it stays."""
     (tmp_path / "my_task_module.py").write_text(
         "import isaacgym\nfrom isaacgym import gymapi, gymtorch\nfrom isaacgym.torch_utils import *\n"
         "from gym.spaces import Box\nfrom gym import spaces, Wrapper\n"

@@ -74,7 +74,6 @@ def test_contact_and_colour_are_there_where_they_are_made() -> None:
 
 
 def test_keys_are_views_and_assignments_reach_the_simulation(env: EnvManager) -> None:
-    """A tensor that is assigned is written into the one that everybody reads; another shape is an error."""
     tensors, crashes = env.get_obs(), env.env.gtd["crashes"]
     assert tensors["crashes"] is crashes
     tensors["crashes"] = torch.tensor([True, False, True])

@@ -79,7 +79,6 @@ def test_larger_shipped_environments_hold_the_values_of_aerial_gym() -> None:
 
 
 def test_worlds_without_walls_are_possible() -> None:
-    """Obstacles in open air: leave out the walls and the ground."""
     env = ENVIRONMENTS.get("env_with_obstacles")
     open_air = replace(env, assets=tuple(asset for asset in env.assets if not asset.name.endswith("_wall")))
     assert (open_air.num_assets, open_air.num_kept, open_air.ground_height) == (38, 3, None)
@@ -164,7 +163,6 @@ def test_impossible_environments_are_refused(fields: dict, message: str) -> None
 
 
 def test_mesh_files_are_found_beside_the_environment_file(tmp_path) -> None:
-    """A relative path in a user's YAML file means the folder of that file, and the mesh there can be loaded."""
     trimesh.creation.box((1.0, 2.0, 3.0)).export(tmp_path / "rock.stl")
     (tmp_path / "env.yaml").write_text(
         "summary: a rock\nphysics_steps_per_env_step: 1\nsource: test\n"

@@ -20,7 +20,6 @@ def write_file(path: Path, text: str) -> Path:
 
 
 def test_a_robot_is_its_base_but_for_what_it_says(tmp_path: Path) -> None:
-    """A number and an entry of a mapping take the place of the base's, a list is replaced, null takes away."""
     text = (
         "extends: base_quadrotor_in_gusts\nbody: {mass: 0.3}\neffects: {rotor_drag: {dx: 0.2}, gusts: null}\n"
         "collision: {spheres: [], boxes: [{size: [0.3, 0.3, 0.1]}]}\n"
@@ -45,7 +44,6 @@ def test_entries_with_names_are_changed_by_name(tmp_path: Path) -> None:
 
 
 def test_paths_are_relative_to_the_file_that_names_them_and_a_saved_robot_needs_no_other(tmp_path: Path) -> None:
-    """A grandchild in one folder, its base in another, whose base comes with the package."""
     middle = (
         "extends: base_quadrotor\nvisible: true\nvisual: [{shape: {kind: mesh, path: hull.stl}}]\nsensors: [own.yaml]\n"
     )

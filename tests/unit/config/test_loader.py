@@ -41,7 +41,6 @@ def test_every_robot_can_hover_inside_its_thrust_limits_and_names_its_sources(na
 
 
 def test_tinyprop_is_table_4_of_the_appendix() -> None:
-    """The composite inertia is the table's, and its thrust constant holds in revolutions per second."""
     robot = ROBOTS.get("tinyprop")
     assert robot.body.mass == 0.373
     np.testing.assert_allclose(np.diag(robot.body.inertia), [1.5914e-3, 1.5312e-3, 2.5329e-3], rtol=1e-6)

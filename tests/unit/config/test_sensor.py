@@ -138,7 +138,6 @@ def test_the_airy_dome_faces_backwards() -> None:
 
 
 def test_the_coarse_dome_is_the_airy_with_fewer_rays_noise_and_no_points() -> None:
-    """All of them at every step. None of its rays are the same: a full turn keeps half a step from both ends."""
     fine, coarse = SENSORS.get("rslidar_airy"), SENSORS.get("coarse_dome_lidar")
     assert isinstance(fine, LidarCfg)
     told = {"summary": fine.summary, "source": fine.source}

@@ -121,7 +121,6 @@ def test_a_wrench_within_the_limits_is_the_pseudo_inverse_bit_for_bit(name: str)
 
 
 def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
-    """The option that stays: roll is lost where prioritised allocation keeps it."""
     robot = ROBOTS.get("tinyprop")
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     wanted = torch.tensor([[0.0, 0.0, 4.7, 0.05, 0.0, 0.0]], dtype=F64)
@@ -181,7 +180,6 @@ def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
 
 
 def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> None:
-    """A constant torque ratio is the same at every thrust, so the matrix is the same as with weight."""
     vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
     torch.testing.assert_close(allocation_matrix(vehicle, 0.0), allocation_matrix(vehicle, 9.81))
     make_controller(CONTROLLERS.get("no_control"), vehicle, 0.0)
@@ -191,7 +189,6 @@ def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> No
 
 @pytest.mark.slow
 def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
-    """Of a weighted sum of thrusts by the wrench, on a hexarotor, at limits of every kind."""
     robot = VEHICLES["hexarotor"]
     start_warp()
     types, twin = rotor_types(6), make_allot_thrust(6, idle=False, lateral=True, differentiable=True)

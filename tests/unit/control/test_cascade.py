@@ -181,7 +181,6 @@ def test_a_wish_reaches_the_rate_loop_exactly_its_delay_later_and_is_held() -> N
 
 
 def test_the_integral_stands_still_while_its_rotors_are_at_their_limits() -> None:
-    """Far more yaw than there is: yaw's integral waits, roll's goes on; a turned error lets it move again."""
     law = make_law(PID)
     actions = [torch.tensor([[0.0, 0.05, 0.0, 50.0]], dtype=F64)] * 4 + [
         torch.tensor([[0.0, 0.0, 0.0, -0.01]], dtype=F64)
@@ -321,7 +320,6 @@ def test_the_fused_twin_flies_like_torch(case: str, request: pytest.FixtureReque
 
 @pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
 def test_a_masked_reset_begins_anew_and_leaves_others_bit_for_bit(backend: type) -> None:
-    """After the reset masked rows fly as with a fresh backend from where they are, the others as if nothing had been."""
     reset, untouched = backend(), backend()
     vehicle = vehicle_from_config(ROBOT, num_envs=4)
     mask = torch.tensor([True, False, True, False])

@@ -60,7 +60,6 @@ def reference_inverse(matrix: np.ndarray, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("name", VEHICLES)
 def test_of_the_nominal_vehicle_it_is_the_pseudo_inverse_of_what_is_asked(name: str) -> None:
-    """And where nothing comes with that, of the whole matrix."""
     matrix = vehicle_matrix(name)
     actuation = find_actuation(matrix[0])
     result, exact = right_inverse(matrix, actuation), matrix[0].numpy()
@@ -104,8 +103,6 @@ def test_gradients_are_those_of_differences() -> None:
 
 @pytest.mark.parametrize(("arm", "turns"), [(1e-3, True), (1e-4, True), (1e-6, False), (0.0, False)])
 def test_a_torque_without_lever_arm_is_asked_of_no_rotor(arm: float, turns: bool) -> None:
-    """All hubs nearly on the y axis: below a hundred thousandth of the nominal arms nothing is asked of pitch, and the rest is
-    the pseudo-inverse without it."""
     nominal = vehicle_matrix("quadrotor").float()
     matrix = nominal.clone()
     matrix[0, 4] *= arm
@@ -121,7 +118,6 @@ def test_a_torque_without_lever_arm_is_asked_of_no_rotor(arm: float, turns: bool
 
 @pytest.mark.parametrize("share", [0.0, 1e-7])
 def test_what_depends_on_more_important_torques_is_asked_of_no_rotor(share: float) -> None:
-    """All rotors turn the same way: yaw torque is the torque ratio times thrust. Thrust is kept, being the more important."""
     nominal = vehicle_matrix("quadrotor").float()
     matrix = nominal.clone()
     matrix[0, 5] = -0.01 * matrix[0, 2] + share * nominal[0, 5]

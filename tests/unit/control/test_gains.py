@@ -122,7 +122,6 @@ def test_each_environment_may_have_gains_of_its_own() -> None:
 
 @pytest.mark.parametrize("field", ["randomize", "rate_gain_low", "position_gain_high"])
 def test_a_file_with_ranges_of_gains_is_told_where_they_went(field: str) -> None:
-    """One sentence that names field and file, and how the same is said now."""
     gains = {"randomize": False} if field == "randomize" else {field: [1.0, 1.0, 1.0]}
     with pytest.raises(ConfigError) as e:
         build(ControlCfg, {"gains": gains}, where="robot.yaml: control")

@@ -69,7 +69,6 @@ def fall(
 
 
 def test_the_crazyflies_mellinger_is_refused_from_a_right_angle() -> None:
-    """Its moment is zero where the thrust along the body is not positive: m g cos(tilt) at the setpoint."""
     check(from_angles(-89.0, 89.0), "crazyflie_mellinger_control")
     for robot in (
         from_angles(-91.0, 91.0),
@@ -143,7 +142,6 @@ def test_the_verdict_is_that_of_a_flight(cfg: ControllerCfg, rolls: list[float],
 
 @pytest.mark.parametrize("name", ["lee_rates_control", "betaflight_rate_control", "no_control", "rotor_speed_control"])
 def test_laws_that_hold_no_attitude_are_not_judged(name: str) -> None:
-    """What turns the vehicle over is the policy."""
     check(from_angles(-180.0, 180.0), name)
 
 

@@ -114,7 +114,6 @@ def test_a_randomised_robot_in_gusts_is_the_same_among_few_many_and_alone() -> N
     [("empty_env", "tinyprop"), pytest.param("landing_env", "base_quadrotor_on_skids", marks=pytest.mark.slow)],
 )
 def test_the_torch_backend_flies_an_environment_the_same_among_any_number(env: str, robot: str) -> None:
-    """Neither what is left over from whole vectors of the processor nor the first environment's place matters."""
     many = build(env, robot, 130, backend="torch", randomize=RANDOMIZE)
     fly(many)
     for num_envs, first in ((1, 0), (1, 129), (3, 7), (4, 0), (65, 1)):

@@ -79,7 +79,6 @@ def test_kernels_have_the_gradients_of_torch_operations(robot: str) -> None:
 
 
 def test_what_remembers_runs_as_torch_operations() -> None:
-    """Gradients go back through the memory of an effect; a kernel of one step knows nothing of it."""
     robot = replace(ROBOTS.get("base_quadrotor"), effects={"actuation_delay": {"delay": 0.01}})
     single, exact = (build(dtype=dtype, robot_name=robot) for dtype in (torch.float32, F64))
     result, expected = flight_gradient(single), flight_gradient(exact)
@@ -124,7 +123,6 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
 
 
 def test_obstacles_are_met_as_without_gradients() -> None:
-    """The collision test follows the substeps; distances and crashes are those of the fused backend."""
     traced = build("lee_velocity_control", env_name="env_with_obstacles")
     fused = build("lee_velocity_control", env_name="env_with_obstacles", differentiable=False, dtype=torch.float32)
     for _ in range(5):
@@ -144,7 +142,6 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
 
 
 def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> None:
-    """Mass and thrust map differ between environments; once a reset draws new ones, no gradient goes back over the old."""
     drawn = {
         "body.mass": RandomizeCfg(low=0.8, high=1.2),
         "rotor.thrust_map": RandomizeCfg(low=0.9, high=1.1, each_rotor=True),
@@ -162,7 +159,6 @@ def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> 
 
 
 def test_drawn_gains_never_overwrite_a_graph_in_silence() -> None:
-    """Torch does not see a kernel write: it must be told of whatever was drawn, gains alone too."""
     drawn = {"gains.rate": RandomizeCfg(low=0.8, high=1.2)}
     env = build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
     for _ in range(2):
@@ -193,7 +189,6 @@ def test_slew_rates_of_mixed_rotors_are_drawn_both_ways() -> None:
 
 
 def test_resets_one_after_the_other_cut_each_their_own_rows() -> None:
-    """What a later reset, or a task, writes into the mask of all resets does not reach back into a graph."""
     env, action = build(), torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
     env.step(action)
     env.reset(torch.tensor([True, False]))

@@ -108,7 +108,6 @@ def test_a_flight_with_gradients_is_the_plain_flight(robot: str) -> None:
 
 
 def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
-    """A joint begins anew where it was drawn, dashpots with it; what those of other rows remember stays in the graph."""
     env = build("morphy_creeping")
     first, later = (torch.full((NUM_ENVS, 4), u, dtype=F64, requires_grad=True) for u in (0.5, 0.8))
     env.step(first)
@@ -148,7 +147,6 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
 
 
 def test_a_saved_flight_goes_on_as_if_it_had_not_stopped() -> None:
-    """Joints and dashpots come from the state, not from the graph that was flown meanwhile."""
     one, other = build("morphy_creeping"), build("morphy_creeping")
     for env, thrust in ((one, 0.9), (other, 0.3)):
         for _ in range(3):
@@ -162,10 +160,6 @@ def test_a_saved_flight_goes_on_as_if_it_had_not_stopped() -> None:
 
 
 def test_links_that_collide_are_seen_as_without_gradients() -> None:
-    """The test between links follows the joints of the graph; distances and crashes are those of the fused backend.
-
-    The first and the third rod fold onto each other.
-    """
     snake = bend("snakey", collision=replace(ROBOTS.get("snakey").collision, between_links=True))
     assert snake.joints is not None
     layout = tuple(

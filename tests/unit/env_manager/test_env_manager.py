@@ -46,7 +46,6 @@ OFTEN = ("dynamic_env", "empty_env", "forest_env", "landing_env")
     ],
 )
 def test_all_states_belong_to_the_same_instant(env_name: str, robot_name: str) -> None:
-    """After a step and a reset by mask, body velocities and angles follow from the pose and world velocities."""
     env = build(env_name=env_name, robot_name=robot_name)
     fly(env)
     env.reset(torch.tensor([True, False, False, True]))
@@ -98,7 +97,6 @@ def test_actions_are_kept_at_the_rate_of_environment_steps() -> None:
 
 
 def test_flying_into_a_wall_is_a_crash_and_clearance_tells_how_far() -> None:
-    """Flying forward without end must hit something; before the hit the clearance is positive."""
     env = build(8, env_name="env_with_obstacles")
     env.reset()
     crashed = torch.zeros(8, dtype=torch.bool)
@@ -174,7 +172,6 @@ def test_an_environment_can_be_a_file(tmp_path) -> None:
 
 
 def test_configurations_stand_in_place_of_names() -> None:
-    """What is registered nowhere is built as it is: the same flight as by the names of the same configurations."""
     sim, env, robot, controller = (
         registry.get(name)
         for registry, name in (

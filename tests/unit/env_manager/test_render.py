@@ -30,7 +30,6 @@ def copy_images(env: EnvManager) -> dict[str, Tensor]:
 
 
 def test_looking_before_a_reset_and_once_more_where_it_was_gives_the_same_images() -> None:
-    """Clocks, latencies and the noise of each image go on as if it had been looked at after the reset alone."""
     once, twice = build(), build()
     for env in (once, twice):
         env.reset()

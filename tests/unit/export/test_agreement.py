@@ -78,7 +78,6 @@ def test_a_constant_output_passes_only_unchanged() -> None:
 
 
 def test_each_output_has_a_limit_of_its_own() -> None:
-    """An angle that is wrong by a fifth is not hidden beside a rotor speed."""
     comparison = Comparison(["speed", "angle"])
     exact = torch.tensor([[0.0, 0.0], [3000.0, 1e-4]], dtype=torch.float64)
     results = torch.tensor([[1e-4, 2e-5], [3000.0, 1e-4]])

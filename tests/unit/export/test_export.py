@@ -63,7 +63,6 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
 @COMPILER
 @pytest.mark.parametrize(("action", "controller"), list(TRANSFORMS.values()), ids=list(TRANSFORMS))
 def test_commands_are_those_of_the_task(action: ActionCfg, controller: str, tmp_path: Path) -> None:
-    """Transform and limits are inside: what comes out is what the controller of the simulation takes."""
     cfg = replace(HOVER, action=action, controller=controller)
     policy = random_policy()
     policy.head.weight.data *= 0.1  # most actions then lie within the limits
@@ -123,7 +122,6 @@ def test_an_exported_policy_flies(form: str, memory: bool, rate_hz: int, tmp_pat
 
 
 def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
-    """A term that the task scales is given unscaled; two terms of a past stand side by side, oldest first."""
     terms = (
         ObservationCfg(term="position_error_world", scale=0.1, noise_std=0.02, delay_steps=(1, 2)),
         ObservationCfg(term="lin_vel_body", history=2, dropout=0.1, dropout_value=-1.0),
@@ -148,7 +146,6 @@ def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:
 
 
 def test_a_policy_of_many_vehicles_is_written_for_one_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The end of its range is that of the rotors of this robot, and a hexarotor is told six of them by four actions."""
     with task_registry.make_task("any_quadrotor_task", num_envs=1, device="cpu") as task:
         (width,) = task.observation_space["observations"].shape
     policy, cfg = random_policy(width), replace(training(), task="any_quadrotor_task", controller=None)

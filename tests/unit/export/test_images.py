@@ -98,7 +98,6 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
 @COMPILER
 @pytest.mark.usefixtures("few")
 def test_two_images_of_two_frames_go_in_by_name(tmp_path: Path) -> None:
-    """Each by its own network; frames are channels, oldest first."""
     images = {"depth": ImageCfg(history=2), "far": ImageCfg(dtype="float32", largest=20.0)}
     policy = random_policy({"far": (1, 24, 40), "observations": OBSERVATIONS, "depth": (2, 24, 40)})
     made = image_layout(policy, images)
@@ -114,7 +113,6 @@ def test_two_images_of_two_frames_go_in_by_name(tmp_path: Path) -> None:
 
 @COMPILER
 def test_what_a_task_shows_goes_in_as_it_is(tmp_path: Path) -> None:
-    """The pilot of a C file gives the actions of torch in the simulator, step by step."""
     policy = random_policy({"observations": OBSERVATIONS, "depth": IMAGE})
     file = write_policy(policy, image_layout(policy), tmp_path, ["c99"], check=False)[0].file
     pilot = load_exported(file)
@@ -141,7 +139,6 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
 
 
 def test_latents_are_a_vector_whose_encoder_is_a_second_file(tmp_path: Path) -> None:
-    """The exported policy takes them as they are, and the encoder has a file of its own."""
     policy = random_policy({"observations": (81,)})
     with task_registry.make_task("dce_navigation_task", num_envs=1, device="cpu") as task:
         made = policy_layout(policy, training(), task, name="latents", source="nowhere")

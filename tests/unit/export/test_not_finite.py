@@ -66,7 +66,6 @@ def test_every_activation(activation: str, memory: int, tmp_path: Path) -> None:
 @NEEDS_C
 @pytest.mark.parametrize("name", list(TRANSFORMS))
 def test_every_transform(name: str, tmp_path: Path) -> None:
-    """Also those that give a number for any action, such as the sideways speed of forward flight."""
     policy = random_policy(activation="relu")
     made = make_layout(policy, name)
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):
@@ -103,7 +102,6 @@ def test_fast_math_does_not_remove_the_check(tmp_path: Path, monkeypatch: pytest
 
 @NEEDS_C
 def test_the_c_function_returns_an_error_until_the_memory_is_reset(tmp_path: Path) -> None:
-    """The state after a bad step is bad: the caller keeps a copy of the state, or resets."""
     policy = random_policy(memory=5)
     (written,) = write_policy(policy, layout(policy), tmp_path, ["c99"], check=False)
     driver = """#include "hover.h"
@@ -134,7 +132,6 @@ int codes(float bad, int *out) {
 
 @NEEDS_C
 def test_an_overflow_inside_is_no_command(tmp_path: Path) -> None:
-    """Finite observations whose sums overflow: torch has infinity minus infinity, or infinity, before its limits."""
     policy = random_policy(activation="relu", normalize=False)
     made = layout(policy)
     seen = torch.full((1, made.num_observations), 3e38) * torch.tensor([1.0, -1.0] * 7)[: made.num_observations]

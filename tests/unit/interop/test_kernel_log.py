@@ -17,7 +17,6 @@ RowFunction(lambda a: 2.0 * a, (torch.zeros(2, 3),))(torch.zeros(2, 3))
 
 @pytest.mark.slow
 def test_a_compilation_is_told_once_per_machine(tmp_path: Path) -> None:
-    """The first process with an empty cache names the module, the device and the cache; the second says nothing."""
     environment = {"WARP_CACHE_PATH": str(tmp_path), "PATH": "", "PYTHONPATH": ":".join(sys.path)}
     said = [
         subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, env=environment, check=True)

@@ -52,7 +52,6 @@ class Idle:
 
 
 def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compilation stands still until it is let go: making a launch returns before, launching after."""
     go, force_load = threading.Event(), wp.force_load
     loaded: list[object] = []
 
@@ -110,7 +109,6 @@ def test_a_forked_process_compiles_with_workers_of_its_own(cpu: wp.Device) -> No
 
 
 def test_what_an_empty_environment_does_not_need_is_not_compiled(idle: wp.Device) -> None:
-    """No obstacle is placed there and nothing can be touched: each of the two takes half a second or more to compile."""
     env = simulation("base_quadrotor", "lee_velocity_control")
     env.reset()
     env.step(torch.zeros(2, 4))

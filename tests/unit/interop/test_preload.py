@@ -57,7 +57,6 @@ def test_no_context_is_made_without_a_working_driver(monkeypatch: pytest.MonkeyP
 
 
 def test_a_machine_without_a_driver_is_none_the_worse() -> None:
-    """In a process of its own: torch and Warp are not imported for it, and work afterwards."""
     code = (
         "import sys; from aerial_gym.interop.preload import preload; preload('auto').join(); "
         "assert 'torch' not in sys.modules and 'warp' not in sys.modules; import torch; assert torch.ones(2).sum() == 2"

@@ -108,8 +108,6 @@ def test_simulations_are_the_same_under_all_settings(case: tuple[str, str, str, 
 
 @pytest.mark.parametrize("name", ["position_setpoint_task", "any_quadrotor_task"])
 def test_tasks_are_the_same_under_all_settings(name: str) -> None:
-    """Actions are of the caller's default type; a task that was made under inference mode flies on outside it."""
-
     def observe(task: object, seed: int) -> Tensor:
         task.reset(seed=seed)  # type: ignore[attr-defined]
         for _ in range(3):

@@ -33,7 +33,6 @@ def test_what_follows_from_other_numbers_takes_no_rows() -> None:
 
 
 def test_lags_that_rise_and_fall_apart_take_rows_of_their_own() -> None:
-    """Equal lags are read from one row, others from two, also where they come to differ later: as in torch."""
     ends = []
     for backend in (TorchBackend(), WarpBackend()):
         vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=ENVS)
@@ -56,7 +55,6 @@ def test_lags_that_rise_and_fall_apart_take_rows_of_their_own() -> None:
 
 
 def test_maps_and_inertias_of_any_kind_arrive_whole() -> None:
-    """Products of inertia; then maps with constant and linear terms in place of squares alone: as in torch."""
     ends = []
     for backend in (TorchBackend(), WarpBackend()):
         vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=ENVS)

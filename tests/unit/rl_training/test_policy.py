@@ -160,7 +160,6 @@ def test_evaluation_of_known_flights() -> None:
 
 
 def test_evaluation_of_a_race_tells_gates_and_times() -> None:
-    """What comes after the end of the first flight belongs to another one."""
     gates = torch.tensor([[1, 0, 1, 0, 1, 1], [1, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 1], [0] * 6]).bool()
     done, crash = torch.zeros(4, 6, dtype=torch.bool), torch.zeros(4, 6, dtype=torch.bool)
     done[0, 2], done[0, 4], done[1, 1], crash[2, 1] = True, True, True, True  # after 1.5 s and 1 s; a crash after 1 s
@@ -181,8 +180,6 @@ def test_evaluation_of_a_race_tells_gates_and_times() -> None:
 
 
 def test_a_task_without_a_target_has_returns_alone() -> None:
-    """What it is to be near has no meaning there; crashes and returns have."""
-
     class Aimless(ScriptTask):
         def step(self, actions: torch.Tensor):
             *rest, info = super().step(actions)
@@ -283,7 +280,6 @@ def test_a_policy_that_diverged_or_was_trained_for_another_task_is_refused() -> 
 
 
 def test_every_file_of_settings_can_be_read() -> None:
-    """Its name says its trainer, and its task is registered."""
     for path in sorted(TRAINING_CONFIGS.glob("*.yaml")):
         cfg = load_settings(path)
         assert path.stem.startswith(cfg.trainer), path.stem

@@ -12,7 +12,6 @@ from aerial_gym.rl_training.run.progress import Progress, Report
 
 @pytest.mark.parametrize("show", [True, False])
 def test_lines_say_how_far_it_is(show: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The first report and the last are shown, those between at most every ten seconds; nothing where nothing is wanted."""
     cfg = replace(
         load_settings(settings_for("rl_games", "position_setpoint_task")), max_env_steps=1000, max_time_s=None
     )

@@ -63,7 +63,6 @@ class Twins(Ranks):
 
 
 def test_a_training_of_twins_learns_as_one_and_counts_the_episodes_of_both() -> None:
-    """Six episodes of one step end here, and six there: the twelve that the curriculum waits for."""
     result = []
     for ranks in (ALONE, Twins(0, 2, joined=True)):
         task = make(curriculum=replace(CFG, check_after=12), episode_len_steps=1, success_radius=100.0)

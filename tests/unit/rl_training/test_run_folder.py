@@ -8,7 +8,6 @@ from aerial_gym.rl_training.run.run_folder import RunFolder
 
 
 def test_a_session_keeps_the_curves_of_one_of_the_same_second(tmp_path: Path) -> None:
-    """Files of TensorBoard are named by the second: a session that is resumed at once begins in the next one."""
     while time.time() % 1.0 > 0.5:
         time.sleep(0.05)
     now = int(time.time())

@@ -113,8 +113,6 @@ def test_each_environment_has_the_pseudo_inverse_of_its_own_matrix(draw_env: Env
 
 
 def test_what_is_commanded_is_what_the_rotors_make(draw_env: EnvManager) -> None:
-    """Thrust and torques about hover, no rotor at a limit: exact with the actual effectiveness, and off by what is drawn
-    without."""
     g = torch.Generator().manual_seed(0)
     wanted = torch.zeros(6, 6)
     wanted[:, 2] = QUAD.body.mass * 9.81
@@ -159,7 +157,6 @@ def test_a_reset_writes_the_rows_of_its_mask_alone(draw_env: EnvManager) -> None
 
 
 def test_the_kernel_reads_no_number_that_is_zero_anyway() -> None:
-    """Of each rotor: four numbers of the allocation, two limits, one of the thrust map. Geometry alone takes the first four."""
     more = {}
     for name, cfg in (("all", DRAWN), ("arms", {"mounts.*.position": DRAWN["mounts.*.position"]})):
         width = [
@@ -232,8 +229,6 @@ def test_a_loaded_state_has_the_allocation_that_was_saved(backend: str) -> None:
 
 
 def test_rotors_of_any_kind_make_what_is_commanded() -> None:
-    """Plain, reversible and in force mode, of a lopsided vehicle: what is asked of its declared rotors is made exactly
-    by the drawn ones, as the physics has them; and the fused kernel keeps the numbers of torch."""
     cfg = {
         "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
         "mounts.*.position": RandomizeCfg(how="offset", low=-0.02, high=0.02, each_rotor=True),
@@ -259,7 +254,6 @@ def test_rotors_of_any_kind_make_what_is_commanded() -> None:
 
 @pytest.mark.parametrize("backend", [pytest.param("warp", marks=pytest.mark.slow), "torch"])
 def test_without_arms_along_x_nothing_is_asked_of_pitch(backend: str) -> None:
-    """A draw that leaves the matrix without rank: roll, thrust and yaw are those of numpy's pseudo-inverse, pitch is let be."""
     flat = {"mounts.*.position": RandomizeCfg(low=(0.0, 0.9, 1.0), high=(0.0, 1.1, 1.0))}
     env = make(flat, backend=backend)
     hubs = np.array([mount.position for mount in QUAD.mounts.layout])
@@ -273,7 +267,6 @@ def test_without_arms_along_x_nothing_is_asked_of_pitch(backend: str) -> None:
 
 
 def test_an_effect_of_the_robot_file_counts_without_draws() -> None:
-    """And so does what is written to its parameters later."""
     robot = replace(QUAD, effects={"com_offset": {"x": 0.02, "y": 0.0, "z": 0.0}}, effects_source="test")
     env = make({}, robot=robot)
     for x in (0.02, -0.01):

@@ -34,7 +34,6 @@ def land(robot: str, backend: str) -> tuple[torch.Tensor, torch.Tensor, torch.Te
     ],
 )
 def test_a_robot_with_a_flat_shape_stands_where_it_lands(robot: str, backend: str) -> None:
-    """Level, but for unequal loads on a ground that gives way by a millimetre, and at rest."""
     tilt, speed, turn = land(robot, backend)
     assert tilt.max() < 0.02
     assert speed.max() < 1e-3
@@ -42,7 +41,6 @@ def test_a_robot_with_a_flat_shape_stands_where_it_lands(robot: str, backend: st
 
 
 def test_a_sphere_keeps_rolling() -> None:
-    """Why there are flat shapes: base_quadrotor, a sphere as in the Aerial Gym Simulator, does not come to rest."""
     _, speed, turn = land("base_quadrotor", "warp")
     assert speed.min() > 0.1
     assert turn.min() > 0.5

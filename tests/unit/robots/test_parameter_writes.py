@@ -76,7 +76,6 @@ def write(target: Tensor) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_every_key_is_live_or_refuses_or_is_an_output(backend: str) -> None:
-    """A write changes another key in the next step or reset, raises, or is overwritten by the step."""
     env = build(backend, DRAWN, "env_with_obstacles")
     start = env.save_state()
     expected = future(env)
@@ -108,7 +107,6 @@ def test_every_key_is_live_or_refuses_or_is_an_output(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_written_payload_is_in_the_next_step(backend: str) -> None:
-    """One environment with a tenth of the mass more: the shown mass follows."""
     env = build(backend)
     mass = env.gtd["robot_mass"].clone()
     env.gtd["effect_payload_mass"][1] += 0.1 * float(mass[1])

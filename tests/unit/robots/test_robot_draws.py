@@ -181,7 +181,6 @@ def test_it_flies_as_the_robot_whose_file_says_the_drawn_numbers(many: EnvManage
 
 
 def test_a_stretched_body_has_the_inertia_of_its_points() -> None:
-    """A cloud of point masses, each coordinate times sqrt(factor): the inertia is that of the moved points."""
     g = torch.Generator().manual_seed(0)
     points, mass = (
         torch.randn(20, 3, dtype=torch.float64, generator=g),

@@ -29,7 +29,6 @@ def reference(image: Tensor, cells: tuple[int, int], *, largest: float, empty: f
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize(("height", "width"), [(135, 240), (8, 8), (5, 70), (64, 7), (20, 520), (24, 40)])
 def test_cells_hold_the_smallest_distance_of_their_pixels(device: str, height: int, width: int) -> None:
-    """Sizes that cells do not divide, cells beyond the image, sensors beside the first; pixels without a distance."""
     image = 0.2 + 9.8 * torch.rand(3, 2, height, width, generator=torch.Generator().manual_seed(0))
     image[:, :, ::5, ::3] = -1.0
     image[1, 0, height // 2 :, width // 2 :] = -1.0  # whole cells

@@ -51,7 +51,6 @@ def wall(depth: float) -> Scene:
 
 
 def test_a_pixel_that_sees_nothing_holds_what_the_table_says() -> None:
-    """The wall is out of range, and every buffer held poison before."""
     images = make_images(STEREO, 2, device=torch.device("cpu"), poisoned=True)
     assert set(images) == set(IMAGES)
     RayCaster(STEREO, wall(30.0), images, **POSE, lin_vel=torch.zeros(2, 3), ang_vel=torch.zeros(2, 3)).cast()
@@ -84,7 +83,6 @@ def test_a_kernel_has_arrays_for_the_images_of_its_sensor_alone() -> None:
 
 
 def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With these two alone it has a buffer, a key, a delay line and an array of the kernel, and is checked."""
     row = Image(key="heading_pixels", unit="m", frame="sensor", meaning="x of the ray, distance", components=2)
     monkeypatch.setitem(IMAGES, "heading", row)
 

@@ -57,7 +57,6 @@ def pose(position: tuple[float, float, float], roll: float = 0.0, pitch: float =
 
 
 def test_a_robot_file_mounts_names_files_and_poses(tmp_path: Path) -> None:
-    """Two equal cameras, a sensor file beside the robot file, two IMUs: all without any Python."""
     (tmp_path / "tiny.yaml").write_text(dump_yaml(CAMERA), encoding="utf-8")
     imu = replace(IMUS.get("vn100"), summary="my own IMU")
     (tmp_path / "own_imu.yaml").write_text(dump_yaml(imu), encoding="utf-8")
@@ -115,7 +114,6 @@ def test_equal_names_unknown_sensors_and_other_files_are_refused(tmp_path: Path)
 
 
 def test_a_camera_rolled_by_90_degrees_sees_the_left_at_the_bottom() -> None:
-    """Its y, image left, is the body's z; its z, image up, is minus the body's y: what lies at body +y is in the lower half."""
     ahead = [4.0, 0.0, 0.0]
     scene = boxes([ahead, [4.0, 2.0, 0.0], [4.0, 0.0, 2.0]])
     sensors, gtd = manager({"camera": CAMERA}, {"camera": pose((0.0, 0.0, 0.0), roll=0.5 * pi)}, scene)
@@ -164,7 +162,6 @@ def test_a_mount_in_the_nominal_place_changes_nothing() -> None:
 
 
 def test_two_equal_cameras_and_two_equal_imus_measure_apart() -> None:
-    """One camera looks ahead, its twin back; an IMU measures every step, its twin every second one and late."""
     ahead = SensorMountCfg(sensor="depth_camera_64", position=(0.2, 0.0, 0.0))
     rear = replace(ahead, name="rear", position=(-0.2, 0.0, 0.0), quaternion=(0.0, 0.0, 2.0, 0.0))
     tail = SensorMountCfg(sensor="base_imu", name="tail", position=(-0.2, 0.0, 0.0), rate_hz=50.0, latency_s=0.02)

@@ -132,7 +132,6 @@ def test_the_verdict_names_the_hidden_drag(result: Path) -> None:
 
 
 def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
-    """One effect alone: the model without it is the declared one, so that its contribution is before over after."""
     verdict = json.loads((result / "verdict.json").read_text())
     (effect,) = verdict["effects"]
     for horizon in ("0.5", "1"):
@@ -162,7 +161,6 @@ def test_the_verdict_says_what_the_effect_is_worth(result: Path) -> None:
 
 @pytest.mark.slow
 def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_path: Path) -> None:
-    """Without a gyro, thrust over mass is all that flights show: which of both it is stays open, and the verdict says so."""
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
     for seed in range(3):
         table = flight(40 + seed, thrust_scale=0.9, noise=1.0, seconds=6.0, rate=100.0)
@@ -268,7 +266,6 @@ def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, st
 
 @pytest.mark.slow
 def test_only_what_is_requested_is_searched(tmp_path: Path) -> None:
-    """Drag and weaker rotors are hidden: with one of them asked for, the other is not named and not weighed."""
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
     for seed in range(3):
         write(
@@ -391,7 +388,6 @@ def test_training_and_testing_need_a_flight_each(folder: Path, tmp_path: Path) -
 
 
 def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path) -> None:
-    """A vehicle with declared drag, logged without velocity: what drag leaves is no cause of its own."""
     robot = replace(ROBOT, effects={"rotor_drag": {"dx": DRAG, "dy": DRAG, "dz": DRAG}}, effects_source="flown with it")
     paths = [tmp_path / f"f{seed}.csv" for seed in range(2)]
     for seed, path in enumerate(paths):

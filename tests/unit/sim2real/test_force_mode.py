@@ -83,7 +83,6 @@ def test_the_hidden_effect_is_named(
 
 
 def test_a_dead_time_is_replayed_from_commands_in_newtons(tmp_path: Path) -> None:
-    """The declared model with the right delay leaves the noise; without it, clearly more angular acceleration."""
     log = write(force_flight(50, late=3), tmp_path / "late.csv")
     left = []
     for effects in ({}, {"actuation_delay": {"delay": 0.03}}):

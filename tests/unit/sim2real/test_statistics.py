@@ -64,7 +64,6 @@ def test_one_group_has_no_standard_error() -> None:
 
 @pytest.mark.parametrize("freedom", [1, 4, 300])
 def test_distributions_are_those_of_scipy(freedom: int) -> None:
-    """Far tails included; less than nothing is exceeded by every sum of squares."""
     for value in (-3.0, 0.2, 9.0):
         assert normal_tail(value) == pytest.approx(stats.norm.sf(value), rel=1e-13)
         assert student_tail(value, freedom) == pytest.approx(stats.t.sf(value, freedom), rel=1e-13)
@@ -76,7 +75,6 @@ def test_distributions_are_those_of_scipy(freedom: int) -> None:
 
 
 def test_the_line_through_points_is_that_of_scipy() -> None:
-    """Slope, intercept, and the p-value of the slope."""
     x, noise = np.random.default_rng(3).standard_normal((2, 40))
     expected = stats.linregress(x, 2.0 + 0.3 * x + noise)
     values = np.array(expected)

@@ -40,7 +40,6 @@ def test_an_action_is_a_share_of_what_the_rotors_can_be_told(
 
 @pytest.mark.parametrize("robot", ["base_quadrotor", "x500"])
 def test_an_action_goes_to_the_rotor_at_its_place(robot: str) -> None:
-    """Clockwise from the nose: front right, back right, back left, front left, whichever number the rotor has."""
     places = ((1, -1), (-1, -1), (-1, 1), (1, 1))
     mounts = ROBOTS.get(robot).mounts.layout
     with task_registry.make_task(NAME, num_envs=1, device="cpu", robot=robot) as task:
@@ -52,7 +51,6 @@ def test_an_action_goes_to_the_rotor_at_its_place(robot: str) -> None:
 
 
 def test_places_are_counted_clockwise_from_the_nose() -> None:
-    """A rotor at the nose is the first one, on whichever side of it rounding has put it; those of one direction keep order."""
     assert rotor_order([(0.0, 1.0, 0.0), (1.0, 1e-9, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0)]) == (3, 0, 1, 2)
     assert rotor_order([(1.0, -1.0, 0.1), (1.0, -1.0, -0.1), (-1.0, -1.0, 0.0)]) == (0, 1, 2)
 
@@ -107,7 +105,6 @@ def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -
     ),
 )
 def test_other_rotors_lift_and_turn_as_a_quadrotor_would(controller: str, robot: str) -> None:
-    """Half of each alone, then more on the right, at the tail, or at the rotors that turn clockwise: signs of the torques."""
     with task_registry.make_task(NAME, num_envs=4, device="cpu", robot=robot, controller=controller) as task:
         task.reset()
         half = 2.0 * 0.5**0.5 - 1.0
@@ -142,7 +139,6 @@ def test_what_cannot_turn_about_each_axis_is_refused() -> None:
     ("robot", "joints"), [("snakey6", "yaw_1 velocity, .*"), ("tilt_tricopter", "[a-z_]+ position")]
 )
 def test_a_robot_that_is_told_joints_as_well_is_refused(robot: str, joints: str) -> None:
-    """Whether its rotors are told thrusts or speeds."""
     with pytest.raises(ConfigError, match=f"also takes {joints} of its .* position_setpoint_task_reconfigurable"):
         task_registry.make_task(NAME, num_envs=2, device="cpu", robot=robot)
 

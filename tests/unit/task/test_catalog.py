@@ -36,7 +36,6 @@ def test_a_file_and_a_module_hold_tasks(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_file_may_extend_a_registered_task(tmp_path: Path) -> None:
-    """Mappings are merged, null takes away, and lists are given whole."""
     file = tmp_path / "mine.yaml"
     file.write_text(
         "extends: tracking_task\nepisode_len_steps: 7\nrewards: {calm: null}\nobservations: {policy: [{term: attitude}]}\n"
@@ -48,7 +47,6 @@ def test_a_file_may_extend_a_registered_task(tmp_path: Path) -> None:
 
 
 def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
-    """They stand beside it, wherever it is read from; a file that is not there is told by name."""
     (tmp_path / "my_terms.py").write_text(
         "from aerial_gym.task import REWARDS\n"
         "@REWARDS.term()\n"

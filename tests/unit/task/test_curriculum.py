@@ -85,7 +85,6 @@ def test_failures_lower_it_and_the_difficulty_is_the_share_of_the_way() -> None:
 
 
 def test_processes_that_learn_together_decide_on_the_episodes_of_all() -> None:
-    """Six end here and succeed, six in another process and do not: half of twelve is too few to go up, six of six were not."""
     task = make(curriculum=replace(CFG, check_after=12), episode_len_steps=1, success_radius=100.0)
     assert task.curriculum is not None
     task.curriculum.of_all = lambda counts: counts + torch.tensor([6, 0])

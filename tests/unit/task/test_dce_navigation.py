@@ -35,7 +35,6 @@ def test_three_actions_are_those_of_navigation_without_its_idle_one() -> None:
 
 
 def test_encoder_of_the_package_tells_how_far_the_robot_could_fly() -> None:
-    """What it was trained for stands in the file."""
     trained = load_encoder(ENCODER).trained
     assert (trained["target"], trained["robot"]) == ("collision", "base_quadrotor_with_coarse_camera")
 

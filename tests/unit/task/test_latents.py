@@ -66,7 +66,6 @@ def _build(cfg: TaskCfg) -> None:
 
 
 def test_run_folder_keeps_its_encoder(encoder: str, tmp_path: Path) -> None:
-    """Wherever the folder goes, and whatever becomes of the file."""
     cfg = replace(load_settings(settings_for("ppo", "navigation_task")), robot=ROBOT, encoder=encoder)
     RunFolder(tmp_path / "run").create(cfg)
     Path(encoder).unlink()

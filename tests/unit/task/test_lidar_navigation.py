@@ -104,7 +104,6 @@ def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
 
 
 def test_cells_are_as_many_as_the_term_says() -> None:
-    """Several sizes side by side; a size that is none, and a robot that sees nothing, are told."""
     sizes = ((8, 10), (4, 5), (1, 1))
     policy = tuple(ObservationCfg(term="inverse_nearest", params={"rows": r, "columns": c}) for r, c in sizes)
     policy += (

@@ -211,7 +211,6 @@ def test_no_episode_starts_or_aims_inside_or_near_an_obstacle(name: str) -> None
 
 
 def test_goals_of_running_episodes_stay_and_new_ones_differ() -> None:
-    """In bounds that are the same in every episode."""
     task = make(8, env="forest_env", curriculum=None)
     task.reset()
     task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps - 1
@@ -224,7 +223,6 @@ def test_goals_of_running_episodes_stay_and_new_ones_differ() -> None:
 
 
 def test_progress_counts_within_an_episode_only() -> None:
-    """After a step, and after the reset in it, the distance before is that of the state from which the next one starts."""
     task = make(8, episode_len_steps=3)
     task.reset()
     for _ in range(4):
@@ -267,7 +265,6 @@ class ConstantPilot:
 
 
 def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
-    """Robots that stay time out, unless everywhere is near enough; what flies full speed ahead meets the far wall."""
     stay, ahead = (ConstantPilot(torch.tensor([speed, 0.0, 0.0, 0.0])) for speed in (-1.0, 1.0))
     short = evaluate(stay, make(6, episode_len_steps=4))
     assert (short.success_rate, short.crash_rate, short.timeout_rate) == (0.0, 0.0, 1.0)

@@ -81,7 +81,6 @@ def test_a_bad_action_or_state_ends_its_row_alone(backend: str, value: float, ca
 def test_a_bad_reward_or_observation_ends_its_row(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Both are functions of the state: here they break where a row is marked by its height."""
     reward, term = REWARDS.get("distance_bell"), OBSERVATIONS.get("position_error_world")
 
     def spoil(target_position, robot_position, *, height, width):
@@ -111,7 +110,6 @@ def test_a_bad_reward_or_observation_ends_its_row(
 
 
 def test_the_watch_keeps_the_last_steps_and_play_shows_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """More steps than are kept lead to the first row; the second goes bad in the third step of its next episode."""
     with make() as task:
         with pytest.raises(ConfigError, match=r"Call task.watch\(\) before the first reset"):
             task.dump(tmp_path / "dump.csv")

@@ -12,7 +12,6 @@ NAME = "payload_task"
 
 
 def test_the_vehicle_belongs_a_link_above_the_place_of_the_load() -> None:
-    """Mass, length and place are drawn in every episode; hanging at rest there, the load is where it should be."""
     with task_registry.make_task(NAME, num_envs=500, device="cpu", seed=0) as task:
         obs, _ = task.reset()
         mass, length, _ = task.env.gtd["effect_slung_payload"].unbind(-1)

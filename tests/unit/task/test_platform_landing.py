@@ -64,7 +64,6 @@ def test_a_touchdown_is_near_and_slow(speed: float, beside: float, ended: str) -
 
 
 def test_touchdowns_are_told_from_other_touches() -> None:
-    """A push near the target below the speed lands; without a push, too far away, or too fast, it is none."""
     force = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [-1.0, 0.0, 0.0]])
     place = torch.tensor([[0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.3, 0.3, 0.0], [0.0, 0.0, 0.0]])
     velocity = torch.tensor([[0.0, 0.0, -0.4], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.4, 0.4, 0.0]])

@@ -104,7 +104,6 @@ def test_a_level_is_flown(tmp_path: Path) -> None:
 
 
 def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
-    """Gates and poles half a metre inside; the start anywhere."""
     task = task_registry.get(level(tmp_path, drawn=True))
     track, start = task_environment(task).track, task.start
     assert track is not None
@@ -137,7 +136,6 @@ kwargs = {minval = [-0.1, -0.2, -0.3], maxval = [0.1, 0.2, 0.3]}
 
 
 def test_disturbances_are_a_random_force_at_500_hz_and_noise_on_commands(tmp_path: Path) -> None:
-    """The level's numbers, and what flies: forces within them, in a level without them none."""
     path = level(tmp_path, ("[env.randomizations.drone_pos]", DISTURBANCES))
     task = task_registry.get(path)
     assert task.action.noise_std == 0.001

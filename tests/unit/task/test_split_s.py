@@ -33,7 +33,6 @@ def move_robot(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
 
 
 def test_one_over_the_other_is_flown_through_back_and_forth() -> None:
-    """Through the upper one along -x; then the lower one counts along x alone, and not where the upper one is."""
     with task_registry.make_task(NAME, num_envs=2, device="cpu", seed=0) as task:
         task.reset()
         at_gate(task, UPPER)
@@ -63,7 +62,6 @@ def test_the_lower_one_is_not_passed_backwards_nor_at_the_height_of_the_upper_on
 
 
 def test_the_way_through_a_gate_is_told_three_ways_alike() -> None:
-    """Direction, orientation and that of the gate before it, for all gates of the track."""
     with task_registry.make_task(NAME, num_envs=7, device="cpu", seed=0) as task:
         task.reset()
         task.values.own["first_gate"].copy_(torch.arange(7))

@@ -19,7 +19,6 @@ def drive_commands(robot: str) -> list[float]:
 
 
 def test_drives_hold_the_reference_pose_and_a_tail_what_turns_it_by_nothing() -> None:
-    """A square bends by a right angle at each corner; the tail leans by atan(k / L). Those without drives are told nothing."""
     torch.testing.assert_close(
         drive_commands("snakey_position"), [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0], rtol=1e-6, atol=0
     )

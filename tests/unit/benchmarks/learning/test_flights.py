@@ -19,7 +19,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_flights_end_with_their_episodes(run: str) -> None:
-    """A row is finite up to its end and NaN behind it; who crashed ended before the time was over."""
     result = flights.fly(run, 8)
     known = ~result.offset[..., 0].isnan()
     assert bool((known[:, 1:] <= known[:, :-1]).all())

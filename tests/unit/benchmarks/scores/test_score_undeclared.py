@@ -107,7 +107,6 @@ def fake_row(job: Job) -> dict[str, object]:
 
 
 def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows that were kept are not made again; a failed case is; no file is left half written."""
     jobs, made = plan_jobs(flags(effects=["rotor_drag"], seeds=[1, 2])), []
 
     def score_job(job: Job) -> dict[str, object]:
@@ -126,7 +125,6 @@ def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_tables_count_the_rows() -> None:
-    """Names, parameters with coverage, controls and unknown causes each have their table."""
     jobs = plan_jobs(flags(effects=["rotor_drag", "gusts"], unknown=True))
     rows = [fake_row(job) for job in jobs]
     assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"

@@ -85,7 +85,6 @@ def test_torque_free_rotation_conserves_momentum_and_energy_with_order_four() ->
 
 
 def test_torque_free_rotation_turns_the_right_way() -> None:
-    """A body turning about +z by a quarter carries its x axis to world +y."""
     state = level_state()
     state[:, RATE] = (0.0, 0.0, 0.5 * np.pi)
     end = run(Plant(replace(NO_DRAG, inertia=np.diag([2e-3, 3e-3, 4e-3]))), state, IDLE, span=1.0, dt=0.001)
@@ -102,7 +101,6 @@ def test_rotor_lag_is_the_exponential(start: float, target: float, tau: float) -
 
 
 def test_flight_of_a_batch_equals_the_flight_alone() -> None:
-    """Rows do not know each other."""
     plant, states = Plant(DECLARED), np.concatenate((level_state(rotor=900.0), tumble_state(), level_state()))
     command = np.full((3, 4), 1200.0)
     together = run(plant, states, command, span=0.02, dt=0.0005)
@@ -148,7 +146,6 @@ def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -
 
 @pytest.mark.usefixtures("coarser_plant")
 def test_training_flights_excite_every_axis() -> None:
-    """Angular acceleration of all axes and thrust per mass vary well above the noise; headings spread."""
     record, reference = _record(DECLARED, DECLARED, num_train=4, num_test=0, span=3.0, noise=NOISELESS)
     rate = record.state[400:, :, RATE]
     spread = (np.diff(rate, axis=0) * CONTROL_RATE).std(axis=0).mean(axis=0)
@@ -158,7 +155,6 @@ def test_training_flights_excite_every_axis() -> None:
 
 
 def test_logged_command_is_held_from_its_row() -> None:
-    """Between rows each rotor follows the exponential towards the command of the earlier row."""
     record, _ = _record(DECLARED, DECLARED, num_train=1, num_test=0, span=1.0, noise=NOISELESS)
     rotor, command = record.measured["rotor"][:-1], record.command[:-1]
     expected = command + (rotor - command) * np.exp(-1.0 / CONTROL_RATE / 0.038)
@@ -188,7 +184,6 @@ def test_sensor_noise_has_the_stated_size() -> None:
 
 
 def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between_flights() -> None:
-    """One rotation for all flights, a bias for each beside the common one, and the other errors as without them."""
     plain, aligned = disturb(DECLARED, PlantNuisance(), seed=5)
     vehicle, bias = disturb(DECLARED, TRACKED, seed=5, num_flights=3)
     assert (vehicle.mass, vehicle.tau_up) == (plain.mass, plain.tau_up)
@@ -213,7 +208,6 @@ def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between
 
 
 def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None:
-    """What it reads is the derivative of the velocity of its place, without gravity, times its scale."""
     plant, place, scale = Plant(DECLARED), np.array([0.03, -0.02, 0.05]), np.array([0.02, -0.01, 0.03])
     state, dt = tumble_state(), 1e-5
 
@@ -231,7 +225,6 @@ def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None
 
 
 def test_what_is_late_in_a_log_is_what_was_measured_earlier() -> None:
-    """Whole samples are moved as they are, half ones lie between; the position goes with the rotation."""
     time = np.arange(20.0)[:, None]
     shapes = {"rotor": (4,), "acc": (3,), "rate": (3,), "rotation": (3, 3), "velocity": (3,), "position": (3,)}
     measured = {
@@ -268,7 +261,6 @@ def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
 
 @pytest.mark.usefixtures("coarser_plant")
 def test_case_writes_the_contract(tmp_path: Path) -> None:
-    """Columns, rate, unit quaternions, the declared robot without the effect, and the truth with it."""
     effects = {"com_offset": {"x": 0.006, "y": -0.004}, "motor_time_constant": "small"}
     files = make_case(tmp_path, effects=effects, seed=2, num_train=1, num_test=1, duration_s=1.5, rate_hz=200)
     assert [p.name for p in (*files.train, *files.test)] == ["train_1.csv", "test_1.csv"]
@@ -301,7 +293,6 @@ def test_case_writes_the_contract(tmp_path: Path) -> None:
 
 
 def test_hidden_rotor_drag_is_not_declared() -> None:
-    """The declared vehicle loses its drag, the true one has the drawn one."""
     params = resolve({"rotor_drag": "moderate"}, declared=DECLARED, seed=0)
     declared, true = split(DECLARED, params)
     assert not np.any(declared.linear_drag)
@@ -343,13 +334,11 @@ def test_same_seed_same_files(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_requests_are_refused(effects: dict, message: str, tmp_path: Path) -> None:
-    """The message names the thing and what is known."""
     with pytest.raises(ValueError, match=message):
         make_case(tmp_path, effects=effects, seed=0)
 
 
 def test_the_referee_shares_no_code_with_the_package() -> None:
-    """No file of the plant imports aerial_gym, directly or by name."""
     folder = Path(__file__).parents[4] / "benchmarks" / "undeclared"
     files = sorted(folder.glob("*.py"))
     assert len(files) >= 10

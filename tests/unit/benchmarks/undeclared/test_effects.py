@@ -390,7 +390,6 @@ def test_flights_follow_their_reference_with_several_effects(effects: tuple[str,
 
 @pytest.mark.usefixtures("coarser_plant")
 def test_flights_have_the_features_they_need(tmp_path: Path) -> None:
-    """Near the ground and below the ceiling in turn, columns of the other vehicle and the ceiling, a radius, a battery."""
     short = {"seed": 2, "num_train": 4, "num_test": 0, "duration_s": 1.0}
     files = make_case(tmp_path / "all", effects={}, features=FEATURES, **short)
     tables = [np.genfromtxt(path, delimiter=",", names=True) for path in files.train]
@@ -437,6 +436,5 @@ def test_effects_need_their_surroundings(name: str, message: str) -> None:
 
 @pytest.mark.usefixtures("coarser_plant")
 def test_a_flight_into_the_ground_is_refused(tmp_path: Path) -> None:
-    """A load that the rotors cannot carry near the ground: said by the name of the flight."""
     with pytest.raises(ValueError, match="train_1: came within"):
         make_case(tmp_path, effects={"payload_mass": {"dm": 3.0}}, seed=0, num_train=1, num_test=0, duration_s=1.0)

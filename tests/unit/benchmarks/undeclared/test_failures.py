@@ -50,7 +50,6 @@ def test_a_stuck_rotor_keeps_the_speed_of_its_time() -> None:
 
 
 def test_the_truth_says_which_speed_a_stuck_rotor_keeps() -> None:
-    """That at its time; nothing before it has stuck, and nothing of other failures."""
     fails = Failures([None, PlantFailure(kind="stuck_rotor", motor=2, time=0.03)], 0.0)
     assert "speed" not in fails.document(1)
     fly(fails, 0.1)

@@ -189,7 +189,6 @@ def test_brescianini_leans_within_the_inclination_for_a_far_lower_setpoint() -> 
 
 
 def test_brescianini_has_derived_thrust_limits() -> None:
-    """The largest thrust of the rotors where the body almost lies, a tenth of the weight where it is upside down."""
     law = make_law(BRESCIANINI)
     assert isinstance(law, BrescianiniController)
     lying, upside_down = (float(brescianini_demand(law, at_rest((roll, 0.0, 0.0)))[0, 0]) for roll in (1.55, 3.0))
@@ -212,7 +211,6 @@ def test_brescianini_holds_thrust_and_rates_for_its_rate_loop() -> None:
 
 
 def test_brescianini_flies_vehicles_that_are_no_crazyflie() -> None:
-    """Six rotors, and four of which none turns it about z: the derived share of the heading is none."""
     for robot in ("typhoon_hexarotor", "neural_fly_quad"):
         cfg = ROBOTS.get(robot)
         law = make_law(BRESCIANINI, cfg)
@@ -268,7 +266,6 @@ def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
 
 @pytest.mark.parametrize("name", [MELLINGER, PID, BRESCIANINI])
 def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
-    """No torque about z is asked for, and nothing is infinite."""
     robot = replace(X500, control=replace(X500.control, attitude_frequency=(5.0, 5.0, 0.0)))
     law = make_law(name, robot)
     turned = run_law(law, at_rest((0.0, 0.0, 0.5), (0.0, 0.0, 0.4)), [0.0] * 4)
@@ -293,7 +290,6 @@ def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -
 
 
 def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
-    """Of what a shifted centre of mass leaves along x less than a tenth; its limit takes half of the torque at hover."""
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     own = CrazyflieLeeCfg(KI=(1.0, 1.0, 0.1))
     laws = make_law(LEE, dt=0.02, crazyflie_lee=own), make_law(LEE, dt=0.02)

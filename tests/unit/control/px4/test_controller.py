@@ -137,7 +137,6 @@ def test_a_notch_stops_its_frequency_and_is_as_wide_as_told() -> None:
 
 
 def test_notches_act_on_the_body_rates_before_the_low_pass() -> None:
-    """A shaking in the middle of either notch changes no command once both are at rest, and one beside them does."""
     px4 = Px4Cfg(IMU_GYRO_CUTOFF=60.0, IMU_GYRO_NF0_FRQ=87.0, IMU_GYRO_NF1_FRQ=150.0, IMU_GYRO_NF1_BW=10.0)
     law, end = make_law("px4_rate_control", px4=replace(px4, MC_ROLLRATE_I=0.0)), []
     for frequency in (87.0, 150.0, 120.0):

@@ -47,12 +47,10 @@ def mix_row(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, l
     ],
 )
 def test_it_tells_which_torque_is_not_given(wanted: list[float], airmode: int, short: list[int]) -> None:
-    """In the last one no thrust makes room for the pitch: motors are cut off, and what else is wanted counts as not given."""
     torch.testing.assert_close(mix_row(wanted, airmode).short, torch.tensor([short], dtype=F64))
 
 
 def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
-    """At little thrust a small roll error is more than the motors have without airmode, and all theirs with it."""
     vehicle = vehicle_from_config(ROBOTS.get("x500"), num_envs=1, dtype=F64)
     grown = []
     for airmode in (0, 1):

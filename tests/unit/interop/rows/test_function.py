@@ -76,7 +76,6 @@ def test_kernels_do_what_torch_does(rows: tuple[Tensor, Tensor]) -> None:
 
 
 def test_integers_and_shared_numbers() -> None:
-    """Counters, flags and one number for all rows come in as they are; a shared number is read anew at each call."""
     steps, done, level = (
         torch.tensor([3, 10, 11], dtype=torch.int32),
         torch.tensor([True, False, False]),
@@ -165,8 +164,7 @@ def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
         trace(function, (torch.rand(4, 3),))  # type: ignore[arg-type]
 
 
-def test_torch_trace_loads_no_compiler() -> None:
-    """torch's own compiler takes ten seconds to import: that is what this is for."""
+def test_tracing_loads_no_compiler() -> None:
     import subprocess
     import sys
 

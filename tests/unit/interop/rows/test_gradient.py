@@ -18,7 +18,6 @@ def rows() -> tuple[Tensor, Tensor]:
 
 
 def test_gradients_are_those_of_torch(rows: tuple[Tensor, Tensor]) -> None:
-    """Of every operation that fits into a row kernel and has one, at once; corners included."""
     without = ("sums", "constants")  # a product has none in a kernel, and a factor is infinite
     table = {name: function for name, function in {**POINTWISE, **MOVING}.items() if name not in without}
     table = {name: function for name, function in table.items() if function(*rows).requires_grad}

@@ -25,7 +25,6 @@ def test_effects_of_a_kind_keep_their_order() -> None:
 
 
 def test_forces_come_by_kind_and_the_load_last() -> None:
-    """Parameters and memory of a step stand in this order; the backends take the load's memory from the end."""
     forces = some().forces
     assert [effect.name for effect, _ in forces] == ["constant_wind", "rotor_drag", "quadratic_drag", "slung_payload"]
     assert [float(params[0, 0]) for _, params in forces] == [2.0, 1.0, 3.0, 0.0]
@@ -58,7 +57,6 @@ def test_an_effect_has_a_twin_where_its_kind_needs_one() -> None:
 
 
 def test_places_follow_one_another_without_a_gap() -> None:
-    """Each effect begins where the one before ends; what a rotor remembers counts once for each of R."""
     names = ("battery_sag", "joint_spring", "constant_wind")
     effects = EffectsByKind((EFFECTS.get(name), torch.zeros(2, len(EFFECTS.get(name).parameters))) for name in names)
     places = effects.places(num_rotors=5)

@@ -24,7 +24,6 @@ def write_tree(**options):
 
 
 def test_numbers_are_those_of_one_environment_in_the_order_of_mujoco() -> None:
-    """Quaternions wxyz; inertia xx, yy, zz, xy, xz, yz; gravity down."""
     root = write_tree(env=1)
     arm = root.find("worldbody/body/body")
     assert arm is not None
@@ -50,7 +49,6 @@ def test_without_a_floor_nothing_touches_and_with_one_points_have_a_size() -> No
 
 
 def test_obstacles_are_bodies_of_their_environment_all_of_one_size() -> None:
-    """A part that an environment has not touches nothing; obstacles touch shapes of links alone, moving ones weigh nothing."""
     table = (Solid(kind="box", size=(1.0, 2.0, 3.0)), Solid(kind="cylinder", size=(0.5, 1.0, 0.0)))
     part = torch.tensor([[0, 1], [1, -1]])
     solids = Solids(table=table, part=part, carrier=torch.zeros_like(part), state=torch.zeros(2, 1, 13))

@@ -45,7 +45,6 @@ def test_components_tell_all_of_what_has_their_rank(most_exact: int, monkeypatch
 
 
 def test_components_of_images_tell_another_target_by_least_squares() -> None:
-    """A target that is linear in the image comes out exactly."""
     images = draw_images(3)
     target = 1.0 - 0.5 * images.flip(2)
     told = reconstruct_by_components(make_images(images, target), 3)(images)

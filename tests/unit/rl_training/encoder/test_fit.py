@@ -20,7 +20,6 @@ def edges(count: int = 64) -> ImageSet:
 
 
 def test_learns_more_than_the_mean_image() -> None:
-    """The mean image has the bound P ln(deviation): an encoder that tells where the edge is has a lower one, by far."""
     images = edges()
     fit = EncoderFit(replace(CFG, epochs=60, learning_rate=3e-3), images)
     losses = [fit.epoch() for _ in range(60)]

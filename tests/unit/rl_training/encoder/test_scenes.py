@@ -23,7 +23,6 @@ def test_set_is_fixed_by_its_seed_and_shared_between_environments() -> None:
 
 
 def test_collisions_are_nearer_than_what_is_seen() -> None:
-    """By the radius at least along each ray, which for depth along the axis is less: r cos; where anything is seen."""
     cfg = replace(CFG, envs=("env_with_obstacles",), target="collision", radius_m=0.3)
     result = render_images(cfg, 4, seed=0, device=CPU)
     sees = result.seen < 1.0

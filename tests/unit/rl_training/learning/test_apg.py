@@ -30,7 +30,6 @@ def settings(num_envs: int = 32, **apg: object) -> TrainingCfg:
 
 
 def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_continue() -> None:
-    """Against the definition, episode by episode: gamma^k r, and gamma^n V at the end of the window or of a truncated one."""
     generator = torch.Generator().manual_seed(0)
     steps, rows = 9, 40
     reward, value = (torch.randn(steps, rows, generator=generator, dtype=F64) for _ in range(2))
@@ -98,7 +97,6 @@ def make_learner(cfg: TrainingCfg, task: Task) -> Apg:
 
 @pytest.mark.slow
 def test_the_slow_critic_judges_and_follows() -> None:
-    """It gives the values of the ends of windows, and takes over its share of what the critic has become."""
     cfg = settings(16, target_share=0.25, terminal_value=True)
     with task_registry.make_task(cfg.task, num_envs=16, device="cpu", differentiable=True) as task:
         training = ApgTrainer().make_training(cfg, task)
@@ -122,7 +120,6 @@ def test_beyond_the_bound_an_action_may_come_back_and_go_no_further() -> None:
 
 
 def test_without_terminal_value_no_critic_learns_and_none_is_asked() -> None:
-    """The policy takes the same way whatever the critic says, and the critic stays as it was."""
     cfg = settings(16)
     ways = []
     for weight in (0.0, 100.0):
@@ -139,7 +136,6 @@ def test_without_terminal_value_no_critic_learns_and_none_is_asked() -> None:
 
 
 def test_a_row_that_goes_astray_teaches_nothing() -> None:
-    """Infinite actions of one row end it as a crash; the weights stay finite, and move."""
     cfg = settings(4)
     with task_registry.make_task(cfg.task, num_envs=4, device="cpu", differentiable=True) as task:
         training = ApgTrainer().make_training(cfg, task)

@@ -53,7 +53,6 @@ def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_continues(fused: bool, 
 
 
 def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One process of one: what goes through NCCL comes back as it was. The bound is that of the test above."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -79,7 +78,6 @@ def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatc
 
 @pytest.mark.parametrize("memory", [0, 16])
 def test_a_distillation_is_a_graph(memory: int) -> None:
-    """Student and teacher in it, both with a memory or without; after as many steps the student is nearer."""
     cfg = replace(distillation(256, memory=memory, learning_rate=5e-3), device="cuda", max_env_steps=10**6)
     seen = NetworkBodyCfg(shapes={"observations": (13,)}, hidden_layers=(16,), memory=memory)
     with task_registry.make_task(cfg.task, num_envs=256, device="cuda", seed=0, capture=False) as task:

@@ -63,7 +63,6 @@ def difference(iterations: int, **distill: object) -> float:
 
 @pytest.mark.slow
 def test_a_student_who_sees_the_same_comes_to_do_the_same() -> None:
-    """Against one that does not learn: the root of the mean square of what differs is less than half."""
     quick = {"num_epochs": 4, "end_learning_rate": 5e-4}
     assert difference(30, learning_rate=5e-3, **quick) < 0.5 * difference(30, learning_rate=1e-9, num_epochs=1)
 

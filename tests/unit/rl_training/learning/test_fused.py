@@ -30,7 +30,6 @@ RELATIVE = 5e-3 if DEVICE == "cuda" else 2e-5
 def test_gradient_values_and_actions_are_those_of_torch(
     activation: str, clip_value: bool, critic: tuple[str, ...]
 ) -> None:
-    """From weights that were moved since the segment was flown, so that ratios are clipped on both sides."""
     name = "position_setpoint_task_sim2real" if critic else "position_setpoint_task"
     cfg = settings(
         24,

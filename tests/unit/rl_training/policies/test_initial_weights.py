@@ -77,7 +77,6 @@ def settings(steps: int = 2048, **ppo: object) -> TrainingCfg:
 
 
 def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
-    """With a step of Adam too small to matter; and in a task that shows two more numbers behind the others."""
     train(settings(), tmp_path / "first", show_progress=False)
     first, _ = load_policy(tmp_path / "first")
     still = {"learning_rate": 1e-12, "max_learning_rate": 1e-12, "end_learning_rate": 1e-12}

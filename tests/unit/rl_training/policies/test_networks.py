@@ -22,7 +22,6 @@ def randn(*shape: int, seed: int = 0) -> Tensor:
 
 
 def test_the_normaliser_knows_mean_and_variance_of_all_batches_together() -> None:
-    """Of batches of different size, mean and spread, against numpy on all of them at once."""
     normalizer, batches = RunningNormalizer((3,)), []
     for size, spread, middle in ((1, 1.0, 0.0), (40, 2.0, 5.0), (700, 0.1, -3.0), (2, 30.0, 1.0)):
         batches.append(middle + spread * randn(size, 3, seed=size))
@@ -139,7 +138,6 @@ def test_a_policy_forgets_where_it_is_told_to_and_nowhere_else() -> None:
 
 @pytest.mark.parametrize("shared", [False, True])
 def test_memories_of_policy_and_critic_stand_apart(shared: bool) -> None:
-    """Values of a whole sequence are those of its halves, with the memory handed on."""
     network = ActorCritic(Policy(recurrent(), 2), None if shared else recurrent())
     torch.nn.init.normal_(network.value_head.weight)
     assert network.empty_memory(3).shape == (3, 6 if shared else 12)

@@ -45,7 +45,6 @@ def test_derived_gains_follow_the_time_step() -> None:
 
 @pytest.mark.slow
 def test_gains_that_hold_nothing_have_no_step() -> None:
-    """Without damping an attitude swings for ever."""
     robot = ROBOTS.get("magpie")
     assert robot.control.gains is not None
     loose = replace(robot.control, gains=replace(robot.control.gains, rate=(0.0, 0.0, 0.0388)))
@@ -69,7 +68,6 @@ def test_a_controller_that_holds_nothing_is_refused() -> None:
 def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_rest(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The heading counts, which no rotor turns: with the sign of its law changed the servo runs away from it."""
     robot, controller = ROBOTS.get("tilt_tricopter"), CONTROLLERS.get("lee_attitude_control")
     assert largest_stable_step(robot, controller, name="it").at_least
     servo = flights.make_tail(robot, 0.1, 9.81)

@@ -12,7 +12,6 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip insta
 
 @pytest.mark.parametrize("robot", ["tilted_hexarotor", "coaxial_octarotor", "base_random"])
 def test_every_rotor_is_in_the_picture(robot: str, tmp_path: Path) -> None:
-    """A number from above and one from the side for each rotor, and a title."""
     path = tmp_path / "rotors.svg"
     draw_rotors(ROBOTS.get(robot), path, name=robot)
     text = path.read_text(encoding="utf-8")

@@ -70,7 +70,6 @@ def test_a_centre_of_mass_beyond_the_rotors_cannot_hover() -> None:
 
 
 def test_a_torque_that_nothing_takes_away_is_a_problem() -> None:
-    """Three rotors that spin one way turn the vehicle by m g k."""
     robot = ROBOTS.get("lmf1")
     places = ((0.1, 0.0, 0.0), (-0.05, 0.0866, 0.0), (-0.05, -0.0866, 0.0))
     report = make_report(with_mounts(robot, *(MountCfg(position=place, spin=1) for place in places)))
@@ -96,7 +95,6 @@ def test_numbers_in_other_units_are_noticed() -> None:
 
 
 def test_what_cannot_be_is_refused_with_a_way_out() -> None:
-    """The better known hexarotor model of public simulators: its largest moment is beyond the sum of the others."""
     rows = ((0.0347563, 0.0, 0.0), (0.0, 0.0458929, 0.0), (0.0, 0.0, 0.0977))
     with pytest.raises(ConfigError, match=r"triangle inequality.*check digits and units"):
         BodyCfg(mass=1.5, inertia=rows, source="RotorS, firefly.xacro")

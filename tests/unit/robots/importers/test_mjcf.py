@@ -84,7 +84,6 @@ def test_the_lag_is_that_of_the_file_or_the_given_one(actuator: str, lag: float,
 
 
 def test_an_integrator_asks_for_a_lag_and_takes_it(tmp_path: Path) -> None:
-    """Its control is the rate of thrust: its limits are those of the rate where it may fall as well as grow."""
     text = vehicle('ctrlrange="-30 60" dyntype="integrator" actrange="0 6" gainprm="0.5"')
     path, out = tmp_path / "robot.xml", tmp_path / "robot.yaml"
     path.write_text(text)
@@ -113,7 +112,6 @@ def test_gravity_compensation_is_an_upward_force(tmp_path: Path) -> None:
 
 
 def test_gravity_compensation_on_a_joint_stays_on_its_link(tmp_path: Path) -> None:
-    """Offsets are from the centres of mass of the links: the arm's own is at its one body, that of the base at the hull."""
     arm = POD.format("", 1, "0 0 -0.1").replace("<inertial", '<joint name="swing" axis="0 1 0"/><inertial')
     robot = read(tmp_path, vehicle(more=arm + POD.format(1, 1, "0 0.3 0")), RotorHints(lag=0.04, joints=True)).robot
     params = robot.effects["link_buoyancy"]

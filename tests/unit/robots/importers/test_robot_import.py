@@ -119,7 +119,6 @@ def test_skydio_x2_of_the_mujoco_collection_with_spins_of_a_quadrotor(tmp_path: 
 
 
 def test_crazyflie_2_of_the_mujoco_collection_takes_rotors_of_another_file(tmp_path: Path) -> None:
-    """Its file has one thrust and three torques in the middle of the body, which are no rotors."""
     pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
     path = put(tmp_path, CF2)
     with pytest.raises(ConfigError, match=r"actuator 'x_moment': gives a torque and no force.*--rotors-of ROBOT"):

@@ -117,7 +117,6 @@ REVOLVED = {
 
 @pytest.mark.parametrize("kind", REVOLVED)
 def test_solids_weigh_what_their_slices_weigh(kind: str, tmp_path: Path) -> None:
-    """Against a numerical integration along the axis; a cone's tip is up, and its origin half way."""
     sizes, radius, half = REVOLVED[kind]
     volume, height, across, along = revolution_solid(radius, -half, half)
     mass, com, inertia = body_alone(tmp_path, '<inertial auto="true"/>' + shape(kind, sizes, 300.0))
@@ -151,7 +150,6 @@ def test_an_automatic_inertial_takes_density_and_mass(
 
 
 def test_an_automatic_inertial_of_a_mesh_in_its_own_unit(tmp_path: Path) -> None:
-    """Triangles of a closed box, in millimetres by <scale>; its origin is in a corner."""
     box = trimesh.creation.box((300.0, 300.0, 100.0))
     box.apply_translation((150.0, 150.0, 50.0))
     (tmp_path / "model").mkdir()
@@ -182,7 +180,6 @@ def test_an_automatic_inertial_without_a_volume_is_refused(content: str, tmp_pat
 
 
 def test_a_link_without_gravity_is_carried(tmp_path: Path) -> None:
-    """The force that takes away its weight is the effect buoyancy, and the autopilot counts on it."""
     pod = f'<link name="pod"><pose>0 0.1 0 0 0 0</pose><gravity>false</gravity>{inertial(0.5, 1e-3, 1e-3, 1e-3)}</link>'
     robot = read(tmp_path, vehicle(more=pod)).robot
     assert robot.body.mass == pytest.approx(1.54)
@@ -234,7 +231,6 @@ def test_a_link_stands_where_its_frames_put_it(more: str, place, tmp_path: Path)
 @pytest.mark.parametrize("merge", [False, True])
 @pytest.mark.parametrize("motors_in_it", [False, True])
 def test_an_included_vehicle_keeps_motors_and_poses(merge: bool, motors_in_it: bool, tmp_path: Path) -> None:
-    """Names of motors are scoped by the model they stand in; the pose of the include moves all of it alike."""
     inner = vehicle(attributes='placement_frame="rotor_0"')
     motors = "".join(motor(i, turning, IRIS_MOTOR) for i, turning in enumerate(PX4_TURNING))
     if not motors_in_it:
@@ -387,7 +383,6 @@ INCLUDE = '<sdf version="1.9"><model name="{}"><include><uri>model://{}</uri></i
     ],
 )
 def test_broken_files_are_refused(models: dict[str, str], tmp_path: Path) -> None:
-    """Also those that include themselves; without a traceback, so as a wrong request."""
     path = write(tmp_path, **models)
     if "two" in models:
         path = tmp_path / "one" / "model.sdf"

@@ -130,7 +130,6 @@ def test_a_joint_that_moves_is_no_loss(tmp_path: Path) -> None:
 
 
 def test_rotors_are_in_the_order_of_the_links(tmp_path: Path) -> None:
-    """Also those further from the root: spins are given in that order."""
     hints = RotorHints(spins=(1, -1, 1, -1), lag=0.05, accept_losses=True)
     flat, deep = (read(tmp_path, text, hints).robot.mounts.layout for text in (cf2x(), tilt_arm()))
     assert [mount.position for mount in deep] == [mount.position for mount in flat]

@@ -53,7 +53,6 @@ def least_squares(evidence: Evidence, rotor: int, column: np.ndarray | None) -> 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_sums_give_the_least_squares_of_every_onset_of_a_change(seed: int) -> None:
-    """Change, squares and log odds as by solving each of the K R problems from its rows, but for the ridge of a change."""
     work = make_work(seed)
     evidence = Evidence(work, LEAST)
     onsets = evidence.changes("motor_failure", SHARE)

@@ -34,7 +34,6 @@ def run_watch(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> li
 
 
 def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
-    """Looks are half a second apart, an onset needs blocks after it, and a name needs two seconds."""
     suspected, named = run_watch(failure_table())
     assert (suspected.stage, named.stage) == (SUSPECTED, NAMED)
     assert ONSET < suspected.told_s < ONSET + 1.6
@@ -66,13 +65,11 @@ def test_a_log_that_ends_early_names_what_is_suspected() -> None:
 
 
 def test_a_gap_begins_anew() -> None:
-    """What was before it is forgotten: the rotor that gives less after it does so all along."""
     table = failure_table()
     assert run_watch(table, np.asarray((table["t"] < ONSET - 0.3) | (table["t"] > ONSET))) == []
 
 
 def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
-    """Half a second behind it is compared, and looks are half a second apart."""
     table = flight(3, noise=1.0)
     there = (table["t"] >= ONSET) & (table["t"] < ONSET + 2.0)
     table.loc[there, "p_x"] += 1.0
@@ -92,7 +89,6 @@ def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
 )
 @pytest.mark.parametrize("empty", [False, True])
 def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns: list[str], empty: bool) -> None:
-    """Its values stay, or are empty; a position that comes back has not jumped."""
     table = flight(3, noise=1.0)
     gone = (table["t"] >= ONSET) & (table["t"] < ONSET + 1.5)
     table.loc[gone, columns] = np.nan if empty else table.loc[~gone & (table["t"] < ONSET), columns].to_numpy()[-1]
@@ -105,7 +101,6 @@ def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns
 
 
 def test_a_sensor_that_never_comes_back_is_told_once() -> None:
-    """Longer than what is looked at together, and while the vehicle stands still for a moment."""
     table = flight(3, noise=1.0, seconds=30.0)
     table.loc[table["t"] >= ONSET, ["v_x", "v_y", "v_z"]] = table.loc[
         table["t"] < ONSET, ["v_x", "v_y", "v_z"]
@@ -147,7 +142,6 @@ def test_what_cannot_be_watched_is_refused() -> None:
 
 
 def test_bad_rows_change_nothing_that_is_told() -> None:
-    """Absurd, zero, missing and repeated stamps, rows without attitude: the same alarms within a few rows."""
     table = failure_table()
     bad = table.copy()
     bad.loc[[300, 700, 1300], "t"] = [99.0, 0.0, np.nan]
@@ -163,7 +157,6 @@ def test_bad_rows_change_nothing_that_is_told() -> None:
 
 
 def test_a_clock_that_is_set_back_in_flight_is_followed() -> None:
-    """The failure is named as much later as it is without the step."""
     table = failure_table().assign(t=lambda rows: rows["t"] - 2.0 * (rows.index >= 600))
     watch = FlightWatch(ROBOT, list(table.columns))
     alarms = [alarm for row in table.to_numpy() for alarm in watch.add(row)] + watch.finish()

@@ -73,7 +73,6 @@ def cubic(tmp_path_factory: pytest.TempPathFactory) -> tuple[ResidualFit, list[F
 
 
 def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tuple[ResidualFit, list[Flight]]) -> None:
-    """At least four fifths of the force's mean square are taken on the test flight; the torque, which is noise, stays zero."""
     learned, held = cubic
     assert learned.effect is not None
     assert min(learned.gaps[name] or 0.0 for name in FORCES) > 0.8

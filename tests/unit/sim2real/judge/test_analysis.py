@@ -51,7 +51,6 @@ def mass_notes(size: float, left: list[float]) -> list[Finding]:
 def test_of_a_strained_tolerance_it_is_said_what_it_changes(
     left: list[float], changed: dict[str, tuple[float, float]]
 ) -> None:
-    """Better and worse, and not what changes by less than is material; nothing where no tolerance is strained."""
     first, last = mass_notes(4.0, left)
     assert first == Finding("tolerance_strained", "mass", {"deviation_std": 4.0})
     assert last.code == ("strained_changes" if changed else "strained_changes_little")
@@ -78,7 +77,6 @@ def logs(count: int, *, band: float) -> SimpleNamespace:
     ],
 )
 def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
-    """Three flights, compared as far as was asked, are worth no note."""
     result = about_logs(logs(count, band=band))  # type: ignore[arg-type]
     assert {note.code: note.values for note in result} == told
 
@@ -98,7 +96,6 @@ def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None
 
 
 def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> None:
-    """An offset of flights in the best set, none of a structure that follows the place."""
     own = NuisanceColumns(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
     (note,) = own_notes(make_selection(make_choice(make_fit(structures=(own, PLACE)))))
     assert (note.code, note.values) == (
@@ -109,7 +106,6 @@ def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> N
 
 
 def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:
-    """No row is predicted with it, and what is found in its place replaces it."""
     robot = replace(ROBOT, effects={**RANDOM, "rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.0}}, effects_source="test")
     declared = SimpleNamespace(robot=robot, stated=robot, train=SimpleNamespace(flights=[hover("a", 5.0)]))
     params = params_from_robot(robot).with_effect("payload_mass", np.array([0.02]))

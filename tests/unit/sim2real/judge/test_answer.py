@@ -78,7 +78,6 @@ def test_each_kind_of_verdict_has_its_statements(kind: str, more: dict[str, Any]
 
 
 def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
-    """Gains of channels with dynamics, none below half of the largest; harm with its interval and the number of others."""
     changes = {
         "specific_force.x": -0.9,
         "specific_force.y": -0.2,

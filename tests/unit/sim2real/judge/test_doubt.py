@@ -32,7 +32,6 @@ def test_the_density_is_that_of_a_normal_residual_with_unknown_parameters() -> N
 
 
 def test_what_training_knows_test_flights_cannot_move() -> None:
-    """Of two sets with the same residual the one whose parameters may still make it is the more probable."""
     rng = np.random.default_rng(5)
     jacobian, weight = rng.normal(size=(200, CHANNELS, PARAMETERS)), np.array([4.0, 4.0])
     residual = jacobian @ np.array([0.5, -1.0, 0.7]) + 0.5 * rng.normal(size=(200, CHANNELS))

@@ -30,7 +30,6 @@ def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(
 
 
 def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without --failures: one note more, with the flight and the odds; without a suspicion the same result."""
     event = SimpleNamespace(values={"failure": "motor_failure"})
     result = SimpleNamespace(flight="f1", finding=event, log_odds=24.81)
     judged = SimpleNamespace(verdict=SimpleNamespace(verdict="none", notes=("other",)), corrected="robot")

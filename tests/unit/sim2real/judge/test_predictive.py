@@ -122,8 +122,6 @@ def judge_flight(
 
 
 def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tmp_path) -> None:
-    """An inertia that is off by two deviations shows once the vehicle turns: within its tolerance, not unexplained,
-    and said. After training that moves it is found, and nothing is left."""
     with one_thread():
         result = judge_flight(tmp_path, 1.04, still=True)
         assert result.channels == ()
@@ -133,7 +131,6 @@ def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tm
 
 
 def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> None:
-    """A drag along x whose flights scatter k times as much as noise leaves k² times the squares open along x, no others."""
     table = flight(60, drag=0.2, noise=0.1, seconds=8.0, rate=100.0)
     flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "one.csv"))))
     channels = find_channels([flown])

@@ -34,7 +34,6 @@ def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
 
 
 def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As an effect of a user may name one; of a named effect alone, for nothing looks like what is not there."""
     monkeypatch.setattr(EFFECTS.get("rotor_drag"), "confused_with", ("quadratic_drag", "drag_of_a_tether"))
     wind = SimpleNamespace(wind=SimpleNamespace(untestable=None))
     named, robot = (

@@ -90,7 +90,6 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
 
 
 def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:
-    """A log that cannot tell is moved as the others are; those without an offset, or without commands, say nothing."""
     rng, kept = np.random.default_rng(8), np.exp(-1.0 / (RATE * 0.04))
 
     def make_log(size: float) -> FlightLog:
@@ -115,7 +114,6 @@ def test_a_signal_that_does_not_agree_at_all_is_not_shifted() -> None:
 
 
 def test_a_lead_at_the_end_of_the_range_is_not_believed() -> None:
-    """Something that lags by more than any clock, such as a load that swings below, is no offset of the rotor log."""
     rng = np.random.default_rng(4)
     thrust = 3.0 * noise(rng, 3.0)
     most = round(LARGEST_SHIFT_S * RATE)

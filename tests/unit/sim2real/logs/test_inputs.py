@@ -37,7 +37,6 @@ def test_a_flight_that_cannot_be_used_is_left_out_and_said_so(logs: list[Path]) 
 
 
 def test_a_flight_that_turns_otherwise_than_declared_is_left_out_too(logs: list[Path]) -> None:
-    """The order of the rotors is looked at last, when clocks are set."""
     table = pd.read_csv(logs[0])
     write(table.rename(columns={"rotor_1": "rotor_2", "rotor_2": "rotor_1"}), logs[0])
     result = read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
@@ -58,6 +57,5 @@ def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:
 
 
 def test_a_file_that_is_not_there_ends_the_run_at_its_start(logs: list[Path]) -> None:
-    """A name that is mistyped is no flight that cannot be used."""
     with pytest.raises(DataError, match=r"f9\.csv: no such file"):
         read_inputs(ROBOT, [*logs[:2], logs[0].parent / "f9.csv"], logs[3:], mapping=None, bandwidth=10.0)

@@ -64,7 +64,6 @@ def ground_rows(parts: list[pd.DataFrame], folder: Path, *, lift_off: float) -> 
 
 @pytest.mark.parametrize("idle", [0.0, 200.0])
 def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_path: Path, idle: float) -> None:
-    """All but a few rows at the touch, where low-passed thrust is that of neither; none of the flight."""
     results = load_parts([on_ground(table, 150, idle=idle), table, on_ground(table, 150, idle=idle, at=-1)], tmp_path)
     assert results.on_ground is not None
     inner = np.r_[0:130, len(table) + 170 : len(table) + 300]
@@ -91,7 +90,6 @@ def test_a_height_at_which_it_stood_is_the_ground_and_a_lower_one_is_none(table:
 
 
 def test_a_low_slow_hover_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
-    """A hover that hardly moves lies within a centimetre of the lowest place of its log, and is flown by its rotors."""
     hover = on_ground(table, 400, idle=np.sqrt(0.6 * 9.81 / 4.8e-6)).assign(p_z=0.8)
     assert ground_rows([hover, table], tmp_path, lift_off=0.01) is None
 
@@ -115,7 +113,6 @@ def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd
 
 
 def test_the_ground_is_found_without_an_accelerometer(table: pd.DataFrame, tmp_path: Path) -> None:
-    """The velocity tells as well that it does not fall."""
     whole = pd.concat([on_ground(table, 150, idle=200.0), table], ignore_index=True)
     results = load_parts([whole.drop(columns=["acc_x", "acc_y", "acc_z"])], tmp_path)
     assert results.on_ground is not None
@@ -124,7 +121,6 @@ def test_the_ground_is_found_without_an_accelerometer(table: pd.DataFrame, tmp_p
 
 
 def test_a_drop_with_idle_rotors_is_flight(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Nothing carries a vehicle that falls: its accelerometer reads next to nothing."""
     falling = on_ground(table, 60, idle=100.0, at=-1)
     falling[["acc_x", "acc_y", "acc_z"]] *= 0.01
     assert load_parts([table, falling], tmp_path).on_ground is None

@@ -52,7 +52,6 @@ def jump_notes(log: FlightLog) -> list[tuple[np.ndarray, float]]:
 
 
 def test_steps_are_least_squares_beside_a_slope() -> None:
-    """Against the same fitted window by window."""
     rng, half = np.random.default_rng(0), 4
     left = rng.standard_normal((30, 2)).cumsum(axis=0)
     at = np.arange(2 * half)
@@ -63,7 +62,6 @@ def test_steps_are_least_squares_beside_a_slope() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_fix_that_moves_and_returns_is_found_and_taken_out(seed: int) -> None:
-    """Two metres for four seconds of a turn, and a step that stays; times within a row, sizes within four deviations."""
     clean = fly(seed)
     steps = {9.0: (2.0, -1.0, 0.5), 13.0: (-2.0, 1.0, -0.5), 22.0: (0.0, 0.0, 1.5)}
     mended = mend_position_jumps(with_steps(clean, steps))
@@ -79,13 +77,11 @@ def test_a_fix_that_moves_and_returns_is_found_and_taken_out(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_nothing_jumps_where_nothing_does(seed: int) -> None:
-    """Motion, noise, a velocity that is off all along, and positions known to a millimetre are no jumps."""
     for log in (fly(seed), fly(seed, noise=0.001), fly(seed, noise=0.0, bias=0.3), fly(seed, seconds=4.0)):
         assert mend_position_jumps(log) is log
 
 
 def test_a_velocity_that_leaps_is_no_jump_and_one_derived_from_a_jump_hides_none() -> None:
-    """Rows that came late make a derived velocity three times too large for a moment; a fix that moves makes a spike of it."""
     late = fly(6, noise=0.001)
     assert late.lin_vel is not None
     late.lin_vel[700:704] *= 3.0
@@ -100,7 +96,6 @@ def test_a_velocity_that_leaps_is_no_jump_and_one_derived_from_a_jump_hides_none
 
 
 def test_a_slow_jump_is_one_and_too_many_are_left() -> None:
-    """A step over three rows is told once, from its first row to its last; a position that jumps all the time is not mended."""
     log = with_steps(fly(3), {10.0: (1.0, 0.0, 0.0), 10.1: (1.0, 0.0, 0.0), 10.2: (1.0, 0.0, 0.0)})
     ((size, time),) = jump_notes(mend_position_jumps(log))
     assert abs(time - 10.1) <= 0.15
@@ -139,7 +134,6 @@ def make_offset(x: float, y: float, z: float, *, std: float = 0.001) -> Offset:
     ],
 )
 def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: Offset, told: bool) -> None:
-    """A step too small to be told alone: it is where it has the other sign of a jump that was sure, and its size."""
     rng = np.random.default_rng(1)
     left = 0.006 * rng.standard_normal((1000, 3))
     left[600:] += (-0.11, 0.11, -0.11)
@@ -169,7 +163,6 @@ def test_the_odds_of_a_return() -> None:
 
 
 def test_jumps_that_took_each_other_back_leave_nothing_to_return() -> None:
-    """What is left of them is at most what a jump is not told by, or the least jump."""
     assert make_offset(LIMIT * 0.011, 0.0, 0.0, std=0.01).sure
     assert not make_offset(LIMIT * 0.009, 0.0, 0.0, std=0.01).sure
     assert not make_offset(0.09, 0.0, 0.0, std=1e-6).sure

@@ -108,7 +108,6 @@ def test_copies_of_a_row_are_left_out(table: pd.DataFrame, tmp_path: Path) -> No
 
 
 def test_a_pose_that_repeats_all_along_a_short_log_is_said(table: pd.DataFrame, tmp_path: Path) -> None:
-    """The vehicle does not go far enough for it to be frozen."""
     short = table[:30].copy()
     short[["v_x", "v_y", "v_z"]] *= 0.11 / np.abs(short[["v_x", "v_y", "v_z"]].to_numpy()).max()
     short[["p_x", "p_y", "p_z"]] = short[["p_x", "p_y", "p_z"]].to_numpy()[0]

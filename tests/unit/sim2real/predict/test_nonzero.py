@@ -8,7 +8,6 @@ from aerial_gym.sim2real.predict.nonzero import not_zero
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_one_number_is_enough_whatever_it_is(dtype: type) -> None:
-    """The least one, one below zero, one that is none; zeros of either sign are zeros, in any layout."""
     rows = np.zeros((200, 6), dtype=dtype)
     rows[17, 1], rows[199, 2], rows[0, 3], rows[50, 4] = np.finfo(dtype).smallest_subnormal, np.nan, -1.0, -0.0
     expected = [False, True, True, True, False, False]

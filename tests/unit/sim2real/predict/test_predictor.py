@@ -230,7 +230,6 @@ def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() ->
 
 
 def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To rounding, and in their order: three flights of different lengths."""
     paths = [write(flight(seed, seconds=6.0 + seed), tmp_path / f"{seed}.csv") for seed in range(3)]
     flights = load_flights(paths, ROBOT, mapping=None, bandwidth=BAND)
     channels = find_channels(flights)
@@ -246,7 +245,6 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
 
 
 def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path) -> None:
-    """Kinematic channels of a model without such errors are filtered once; those with them, in every prediction."""
     results = load(tmp_path)
     predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
     for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
@@ -295,10 +293,6 @@ def test_rollouts_of_slow_logs_are_integrated_finely_enough(tmp_path: Path, monk
 
 
 def test_rollouts_side_by_side_are_those_of_each_model_and_variant_alone(tmp_path: Path) -> None:
-    """To rounding, as rows that differ are worked out in another order; free ones differ from those with given attitude.
-
-    The last model remembers, so that each is flown by itself.
-    """
     results, variants = load(tmp_path), {"free": False, "given": True}
     com, wind, drag = np.array([0.01, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.full(3, 0.25)
     models = [
@@ -420,7 +414,6 @@ def test_tolerances_change_what_they_say() -> None:
 
 
 def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
-    """A constant bias has no derivative, so that only the rate read beside the attitude moves, by that bias."""
     results = load(tmp_path)
     predictor = Predictor(
         ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=(tolerances := Tolerances())
@@ -574,7 +567,6 @@ def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: P
 def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(
     tmp_path: Path, params: dict[str, np.ndarray]
 ) -> None:
-    """What the body feels of a drag, of a wind, of a load is what it feels with the attitude as it was; not without."""
     aligned, off = turn_attitude(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
     params, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())
     felt = [channel.kind in ("specific_force", "angular_acceleration") for channel in find_channels([aligned])]
@@ -601,7 +593,6 @@ def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Pa
 
 
 def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> None:
-    """White noise of sensors and rotors through filter and derivative; the exact flight leaves nothing else."""
     results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
     channels = find_channels([results])
     left = residual(results, ModelParams())
@@ -714,7 +705,6 @@ def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() ->
 
 
 def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp_path: Path) -> None:
-    """Of a bias and a tilt of the inertial unit they show nothing; beside a gyro the bias of that remains."""
     table = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
     results = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
     names = Tolerances().names(4)

@@ -33,7 +33,6 @@ def test_a_logarithmic_axis_has_equal_steps_for_equal_factors_and_bars_stand_on_
 
 @pytest.mark.parametrize("rows", [100, 100_000])
 def test_a_long_line_keeps_what_is_seen_of_it(rows: int) -> None:
-    """No more than two points a column of pixels, and the lowest and highest of each; a short line has all its points."""
     panel = Panel(place=(0.0, 0.0, 3000.0, 1000.0))
     time, values = np.arange(rows) / rows, np.random.default_rng(0).normal(size=rows)
     panel.line(time, values, "#123456")
@@ -44,7 +43,6 @@ def test_a_long_line_keeps_what_is_seen_of_it(rows: int) -> None:
 
 
 def test_what_is_not_known_is_a_gap() -> None:
-    """In a line; an error bar with an end that is not known is left out, and so is a mark of which nothing is."""
     panel, empty = Panel(place=(0.0, 0.0, 2200.0, 1100.0)), np.nan
     panel.line(np.arange(6.0), np.array([empty, 0.0, 1.0, empty, 0.0, 1.0]), "#123456")
     panel.error_bars(np.arange(3.0), np.array([0.0, empty, 0.0]), np.ones(3), "#123456")
@@ -68,8 +66,6 @@ def test_numbers_of_an_axis_are_round(low: float, high: float, expected: list[fl
 
 
 def test_a_figure_is_well_formed_and_shared_axes_are_alike() -> None:
-    """Letters that mean something to a page are written as such, missing numbers are left out, and a panel with nothing in it
-    stays blank; the panels of a column have one axis."""
     figure, grid = panels(3, 2, width=2.0, height=1.0, title="a < b & c", sharex=True)
     grid[0][0].line(np.array([0.0, 1.0, np.nan]), np.array([1.0, 2.0, 3.0]), "#123456", label="<one>")
     grid[1][0].dots(np.array([0.0, 5.0]), np.array([1.0, 1.0]), "#123456")

@@ -5,7 +5,6 @@ from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_sele
 
 
 def test_only_single_effects_that_were_fitted_are_drawn() -> None:
-    """The two most probable ones, not a pendulum whose fit went nowhere, for which nothing can be predicted."""
     nowhere, drag = (
         make_fit("slung_payload", log=float("-inf")),
         make_fit("rotor_drag", log=-5.0, odds={"rotor_drag": -1.0}),

@@ -61,7 +61,6 @@ def test_names_that_share_a_reason_share_a_line() -> None:
 
 
 def test_every_effect_that_is_not_named_has_a_reason() -> None:
-    """The most probable first, what could not be tested last; the named one is not among them."""
     rise = Rise(value=0.01, low=0.0, high=0.02)
     chosen = make_choice(
         make_fit("rotor_drag", log=0.0),

@@ -111,7 +111,6 @@ def test_a_cut_propeller_is_balanced_in_yaw_by_the_others() -> None:
 
 
 def test_statics_agree_with_mujoco() -> None:
-    """A weld of a weight off the centre, an uneven cross and a declared centre of mass: inverse statics of another engine."""
     mounts = [
         replace(mount, position=place)
         for mount, place in zip(
@@ -171,8 +170,6 @@ def test_scatter_alone_is_refused_as_often_as_it_says_and_intervals_cover() -> N
 
 
 def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() -> None:
-    """Nothing changed: Student's distribution itself. One parameter: its product with a normal effect of each size, integrated
-    over both by another rule."""
     scatter = pool_scatter([np.random.default_rng(4).standard_normal((9, 2)) * (0.1, 0.2)])
     degrees, share = scatter.freedom - 1, 1.5
     student = stats.multivariate_t(shape=share * scatter.squares / degrees, df=degrees)

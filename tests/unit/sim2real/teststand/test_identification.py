@@ -138,7 +138,6 @@ def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: P
 
 
 def test_held_out_errors_are_those_of_fits_without_the_row(tmp_path: Path) -> None:
-    """Every row predicted by a polynomial that numpy fits to the others."""
     fit = single_fit(static_table(np.random.default_rng(8), 0.02), tmp_path)
     result = fit.thrust_map.candidates["w², w and constant"].held_out
     for row in range(fit.speed.size):
@@ -148,7 +147,6 @@ def test_held_out_errors_are_those_of_fits_without_the_row(tmp_path: Path) -> No
 
 
 def test_no_term_is_added_that_does_not_pay(tmp_path: Path) -> None:
-    """Thrust that is w² alone: held-out error takes w² alone in most draws, and never by the fit to its own rows."""
     chosen = []
     for seed in range(20):
         fit = single_fit(static_table(np.random.default_rng(seed), 0.01, (0.0, 0.0, 8e-7)), tmp_path)
@@ -346,7 +344,6 @@ def test_a_joint_file_lists_the_elements_that_a_robot_file_has() -> None:
 
 
 def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -> None:
-    """Shifting all angles of one half of the blocks shifts their errors by just as much."""
     params = {"stiffness": 4800.0, "damping": 60.0, "rest": 0.125}
     record = release(rate=200.0, seconds=0.6)
     record = replace(record, angle=joint_angle(record, params))
@@ -515,7 +512,6 @@ def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
 
 
 def test_steps_give_slew_rates_that_a_robot_file_holds(tmp_path: Path) -> None:
-    """Falling is limited, rising is not: the rotor has a slew rate down, and none up."""
     params = {"tau": 0.03, "slew_down": 2e4}
     fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
     assert fit.in_robot == fit.chosen

@@ -85,7 +85,6 @@ POINTS = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0))
 
 @pytest.mark.parametrize("loop", [False, True])
 def test_a_sequence_moves_on_where_the_robot_is_close(loop: bool) -> None:
-    """The first robot comes to each point, the second to none, the third to the first one alone, in its second step."""
     params = {"points": POINTS, "radius": 0.3, "loop": loop}
     done = {"done": TerminationCfg(term="sequence_done", kind="success")}
     rewards = {"reached": RewardCfg(term="target_reached", params={"value": 2.0})}
@@ -106,7 +105,6 @@ def test_a_sequence_moves_on_where_the_robot_is_close(loop: bool) -> None:
 
 
 def test_progress_is_towards_the_target_of_the_step() -> None:
-    """Where the target moves on, the distance before is that to the new one: no jump is rewarded."""
     command = CommandCfg(generator="sequence", params={"points": ((0.0, 0.0, 0.0), (5.0, 0.0, 0.0)), "radius": 0.3})
     rewards = {"progress": RewardCfg(term="progress", params={"closer": 1.0, "further": 1.0})}
     task = make(3, command=command, rewards=rewards, terminations=CONTACT)
@@ -120,7 +118,6 @@ def test_progress_is_towards_the_target_of_the_step() -> None:
 
 @pytest.mark.parametrize("curve", ["circle", "lemniscate", "helix"])
 def test_a_trajectory_is_a_function_of_the_time_in_the_episode(curve: str) -> None:
-    """At every step the place of the formula, in rewards, observations and final observations alike."""
     params = {"curve": curve, "size": (2.0, 1.0, 0.5), "period": 3.0, "center": (0.0, 0.0, 1.0)}
     entries = tuple(ObservationCfg(term=name) for name in ("target_position", "target_velocity"))
     task = make(3, command=CommandCfg(generator="trajectory", params=params), policy=entries, episode_len_steps=7)
@@ -160,7 +157,6 @@ GATES = {"centers": ((1.0, 0.0, 0.0), (1.0, 2.0, 0.0)), "yaws": (0.0, pi / 2), "
 
 
 def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
-    """The second gate is flown through along y. What crosses from behind, or beside the opening, does not pass."""
     rewards = {"gate": RewardCfg(term="gate_passed")}
     ends = {
         "missed": TerminationCfg(term="gate_missed", kind="crash"),
@@ -218,8 +214,6 @@ def test_generators_that_cannot_be_are_refused(command: CommandCfg, message: str
 
 
 def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It flees: a metre above the robot, wherever that is."""
-
     class FleeCommand(Command):
         reads = ("robot_position",)
 
@@ -243,7 +237,6 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_term_that_is_no_part_of_the_kernel_sees_the_target_of_the_instant(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A median sorts: such a term runs before the kernel that moves the target."""
     params = {"curve": "circle", "size": (2.0, 1.0, 0.5), "period": 0.5}
     middle = Term(name="middle", value=lambda target_position: target_position.median(dim=-1).values)
     monkeypatch.setitem(REWARDS._entries, "middle", middle)

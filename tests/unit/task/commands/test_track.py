@@ -163,7 +163,6 @@ def test_the_way_through_a_gate_by_hand(place: tuple[float, float, float], lengt
 
 
 def test_the_way_leads_where_it_gets_shorter() -> None:
-    """Away from axis and circle its direction is that of the negative gradient of the length, found by autograd."""
     generator = torch.Generator().manual_seed(0)
     place = (4.0 * torch.rand(5000, 3, dtype=torch.float64, generator=generator) - 2.0).requires_grad_()
     upright = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64).expand(5000, 4)
@@ -176,7 +175,6 @@ def test_the_way_leads_where_it_gets_shorter() -> None:
 
 
 def test_the_way_ahead_is_told_in_the_vehicle_frame() -> None:
-    """Turned back into the world it leads to the gate's axis, along the axis near the gate; of a gate that has been seen."""
     task = race(20)
     task.reset()
     gtd, ahead = task.env.gtd, torch.tensor([[1.0, 0.0, 0.0]]).expand(20, 3)
@@ -191,7 +189,6 @@ def test_the_way_ahead_is_told_in_the_vehicle_frame() -> None:
 
 
 def test_what_is_rewarded_is_the_way_from_gate_to_gate() -> None:
-    """Through the first gate and on: the reward is the length that was gained; that another gate is next adds nothing."""
     task = race(20)
     task.reset()
     column = task.reward_names.index("way")
@@ -211,7 +208,6 @@ def test_what_is_rewarded_is_the_way_from_gate_to_gate() -> None:
 
 
 def test_only_a_training_begins_behind_gates() -> None:
-    """Of the episodes, the share that the task says, spread evenly over the gates but the last one."""
     task = race(3000)
     params = task.cfg.command.params  # type: ignore[union-attr]
     task.reset()

@@ -74,7 +74,6 @@ LIKE_OTHERS = (
 
 @pytest.mark.parametrize("name", rare_values([*task_registry.names(), "rich", "seeing"], LIKE_OTHERS))
 def test_a_step_of_a_task_can_be_captured(name: str) -> None:
-    """Some environments end on the way, so that the masked reset, with all that it draws, is in the step."""
     own = {"rich": rich, "seeing": camera_task}
     task = own[name](4) if name in own else task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
     task.reset()
@@ -87,7 +86,6 @@ def test_a_step_of_a_task_can_be_captured(name: str) -> None:
 
 
 def test_mounted_sensors_with_rate_and_latency_can_be_captured() -> None:
-    """Two cameras, one of them late and at a rate, with places that a reset draws, and two IMUs, likewise."""
     late = {"rate_hz": 50.0, "latency_s": 0.02}
     mounts = (
         "base_depth_camera",

@@ -87,7 +87,6 @@ def test_gradients_of_rewards_and_observations_are_their_differences() -> None:
 
 @pytest.mark.parametrize("name", ["morphy", pytest.param("reconfigurable", marks=pytest.mark.slow)])
 def test_gradients_of_a_task_with_joints_are_its_differences(name: str) -> None:
-    """Of angles and rates that are seen and paid for, under thrusts and drives; rows end within the window."""
     cfg = replace(task_registry.get(f"position_setpoint_task_{name}"), episode_len_steps=3)
     task = build_task(cfg, NUM_ENVS, gradients=F64)
     actions = torch.rand(3, NUM_ENVS, task.num_actions, dtype=F64, generator=torch.Generator().manual_seed(1)) - 0.5
@@ -159,7 +158,6 @@ def test_a_reset_cuts_its_own_row_and_detach_all() -> None:
 
 @pytest.mark.slow
 def test_a_saved_task_goes_on_as_if_it_had_not_stopped() -> None:
-    """Lines, filter and the distance before come from the state, not from what was kept beside it."""
     first, second = (build_task(full_task(), NUM_ENVS, seed=4, gradients=torch.float32) for _ in range(2))
     actions = torch.rand(8, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1)) - 0.5
     for task in (first, second):
@@ -204,7 +202,6 @@ def change_task(**changes: object) -> TaskCfg:
 
 @pytest.mark.parametrize("key", ["robot_link_state_tensor", "robot_link_body_angvel"])
 def test_frames_of_links_are_refused_by_name(key: str) -> None:
-    """They follow from the joints in a kernel."""
     cfg = task_registry.get("position_setpoint_task_morphy")
     cfg = replace(cfg, observations={"policy": (ObservationCfg(term=key),)})
     with pytest.raises(CapabilityError, match=f"observation term '{key}': reads {key}, which has no gradient"):

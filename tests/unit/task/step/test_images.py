@@ -57,7 +57,6 @@ def test_an_image_that_is_not_there_is_told() -> None:
 
 
 def test_the_last_image_of_an_episode_is_of_its_last_instant() -> None:
-    """Rows end one by one; all that is seen before a reset is what the sensor sees from there, and after it from the start."""
     images = {"depth": ImageCfg(dtype="float32", history=2)}
     task, blind = (make(2, camera=True, images=given, episode_len_steps=5) for given in (images, {}))
     first = task.reset()[0]["depth"][:, 1].clone()

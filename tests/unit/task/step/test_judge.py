@@ -61,7 +61,6 @@ def test_a_success_ends_the_episode_at_once(bootstrap: bool | None) -> None:
 
 @pytest.mark.parametrize(("when", "successes"), [("counts", [True, True, False]), ("at_end", [False, True, False])])
 def test_a_success_that_does_not_end_is_counted_at_the_end(when: str, successes: list[bool]) -> None:
-    """The first arrives and leaves, the second is there at the end alone, the third never; all end by their length."""
     task = make_task(replace(AT_TARGET, when=when), episode_len_steps=3)
     info = {"successes": torch.zeros(3)}
     for distances in ((0.5, 2.0, 2.0), (3.0, 2.0, 2.0), (3.0, 0.5, 2.0)):

@@ -80,7 +80,6 @@ def test_the_observation_before_a_reset_is_that_of_the_old_episode() -> None:
 
 
 def test_noise_comes_before_the_delay_and_is_scaled_with_the_rest() -> None:
-    """A late noisy entry shows the same noisy number that an entry without delay showed then."""
     now, late = (
         ObservationCfg(term="position_error_world", noise_std=0.1, scale=2.0, history=history, delay_steps=delay)
         for history, delay in ((4, 0), (3, 1))

@@ -61,8 +61,6 @@ def test_kernels_of_the_shipped_tasks_compute_what_torch_does(flight_task: Task)
 def test_a_term_that_cannot_be_traced_is_named_and_still_right(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """A median sorts, which no kernel does: it runs as torch operations, in its column."""
-
     def middle(robot_position: Tensor) -> Tensor:
         return robot_position.sort(dim=-1).values[:, 1:2]
 

@@ -30,7 +30,6 @@ def equation_10(
 
 
 def test_the_reward_is_that_of_equation_10() -> None:
-    """Along flights of random thrusts, which tumble: every term is then away from where it is flat."""
     with task_registry.make_task(NAME, num_envs=64, device="cpu", seed=2) as task:
         gtd, generator = task.env.gtd, torch.Generator().manual_seed(0)
         task.reset()

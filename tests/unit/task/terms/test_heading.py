@@ -50,7 +50,6 @@ def yaw_attitude(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> Tensor:
 def test_the_heading_error_is_the_short_turn_from_the_robot_to_the_target(
     target: float, yaw: float, error: float
 ) -> None:
-    """Whatever the tilt."""
     for tilt in (0.0, 0.3):
         result = heading_error(number(target), yaw_attitude(yaw, tilt, -tilt))
         assert result.shape == (1, 1)

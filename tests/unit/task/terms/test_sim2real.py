@@ -72,7 +72,6 @@ def by_motors(before: np.ndarray, now: Values) -> np.ndarray:
     ],
 )
 def test_the_reward_is_what_is_coded_there(name: str, formula, low: list[float], high: list[float]) -> None:
-    """Along flights of random commands; every command is the affine map of its action."""
     with task_registry.make_task(name, num_envs=64, device="cpu", seed=2) as task:
         gtd, generator = task.env.gtd, torch.Generator().manual_seed(0)
         task.reset()

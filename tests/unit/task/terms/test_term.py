@@ -91,7 +91,6 @@ def test_keys_and_buffers_are_terms_by_their_own_name() -> None:
 
 
 def test_a_buffer_of_ones_own_remembers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The highest point of an episode so far: what it was before the step, when a reward reads it."""
     registry = type(BUFFERS)("task buffer")
 
     @registry.buffer("highest", unit="m")

@@ -14,7 +14,6 @@ from tests.unit.sim2real.predict.test_scene import hover
 
 @pytest.mark.parametrize("name", ["com_offset", "motor_tilt"])
 def test_what_torques_tell_is_not_looked_for_where_none_are_compared(name: str) -> None:
-    """A log without torques among others is enough, one of the test flights as well; forces have their own effects."""
     whole = hover("a", 5.0)
     without = replace(whole, gyro=False)
     assert lacks(name, ROBOT, [whole], [whole]) is None

@@ -27,7 +27,6 @@ def test_odds_are_those_of_evidence_over_the_overdispersion(overdispersion: floa
 
 
 def test_the_same_effects_beside_other_structures_are_one_set() -> None:
-    """Two of the same evidence beside another: two thirds; an effect has the probability of all sets that hold it."""
     sets = [
         make_fit("payload_mass", "rotor_drag", log=-5.0),
         make_fit("rotor_drag", "payload_mass", log=-5.0, structures=(PLACE,)),
@@ -39,7 +38,6 @@ def test_the_same_effects_beside_other_structures_are_one_set() -> None:
 
 
 def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pendulum over the top has no evidence and no support: it is tried without an effect."""
     monkeypatch.setattr(Fitter, "refit_without_effects", lambda _self, _fitted, names, _compared: names)
     nowhere = replace(make_fit("slung_payload", "rotor_drag", log=float("-inf")), support={})
     assert not nowhere.holds
@@ -47,7 +45,6 @@ def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has derivatives by nothing: as many rows, and no column."""
     given: list[list[np.ndarray]] = []
     monkeypatch.setattr(Fitter, "fit", lambda *args, **_: given.append(args[4]))
     one, fitter = make_fit(log=-5.0), object.__new__(Fitter)
@@ -58,21 +55,18 @@ def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatc
 
 
 def test_not_the_weakest_effect_goes_but_the_one_without_which_the_rest_holds() -> None:
-    """Less speaks for the drag beside the tilt of a motor; alone the drag holds, and the tilt does not."""
     both = make_fit("rotor_drag", "motor_tilt", odds={"rotor_drag": -2.0, "motor_tilt": -1.0})
     tilt, drag = make_fit("motor_tilt", log=-3.0, odds={"motor_tilt": -1.0}), make_fit("rotor_drag", log=-5.0)
     assert FitStub(tilt, drag, make_fit(log=-9.0)).drop_unsupported(both) is drag
 
 
 def test_where_even_nothing_is_no_fit_the_search_ends() -> None:
-    """The declared model itself predicts no number."""
     empty = make_fit(log=float("-inf"))
     assert FitStub(empty).drop_unsupported(empty) is empty
     assert FitStub(empty).drop_unsupported(make_fit("rotor_drag", odds={"rotor_drag": -1.0})) is empty
 
 
 def test_a_fit_that_no_longer_holds_from_its_most_probable_parameters_is_not_taken() -> None:
-    """It is more probable by a hair and just beside the edge: the search ends with the one that holds."""
     drag = make_fit("rotor_drag", log=-2.0)
     beside = make_fit("rotor_drag", log=-1.9, odds={"rotor_drag": -0.1})
     result, ends = FitStub(beside).in_file(drag)
@@ -81,7 +75,6 @@ def test_a_fit_that_no_longer_holds_from_its_most_probable_parameters_is_not_tak
 
 
 def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
-    """The mass goes, and then the wind as well, which held only beside it."""
     odds = {"payload_mass": -2.0, "constant_wind": -1.0}
     whole = make_fit("rotor_drag", "payload_mass", "constant_wind", odds=odds)
     pair, drag = make_fit("rotor_drag", "constant_wind", odds=odds), make_fit("rotor_drag")
@@ -106,7 +99,6 @@ def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
 
 
 def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None:
-    """Another fit of the same set, from another start, may have ended elsewhere."""
     set_of_one, there = make_fit("rotor_drag"), [np.zeros((4, 1, 3))]
     asked: list[tuple[object, ...]] = []
 
@@ -128,7 +120,6 @@ def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None
 def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two(
     name: str, start: list[float], count: int
 ) -> None:
-    """A pendulum is far from linear in its length; what a rotor lacks is not: both starts lead to the same fit."""
     size = len(start) - (name == "weak_motor")
     one = Candidate(
         name=name,

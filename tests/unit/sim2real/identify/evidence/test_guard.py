@@ -95,5 +95,4 @@ def test_what_flights_contradict_goes_and_the_rest_stays() -> None:
 
 @pytest.mark.parametrize(("flights", "parts"), [(1, 4), (2, 2), (3, 2), (4, 1), (7, 1)])
 def test_few_flights_are_taken_in_parts(flights: int, parts: int) -> None:
-    """Four parts at least: quarters of one flight, halves of two or three."""
     assert parts_of_a_flight(flights) == parts

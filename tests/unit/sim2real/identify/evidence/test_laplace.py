@@ -67,7 +67,6 @@ def test_a_deviation_beyond_its_tolerance_pays_for_an_effect() -> None:
 
 
 def test_columns_that_are_in_every_set_may_be_integrated_out_once() -> None:
-    """The same evidence with tolerances among the columns and without them."""
     rng = np.random.default_rng(4)
     sums, made_of = normal(rng.normal(size=(40, 5)), rng.normal(size=40)), candidates(2, 1, num_tolerances=2)
     once = sums.marginal(made_of.tolerances)
@@ -77,7 +76,6 @@ def test_columns_that_are_in_every_set_may_be_integrated_out_once() -> None:
 
 
 def test_many_sets_at_once_have_the_evidence_of_each() -> None:
-    """Sets of different widths, with bounds and a structure among them."""
     rng = np.random.default_rng(5)
     sums = normal(rng.normal(size=(40, 7)), rng.normal(size=40))
     made_of = replace(candidates(2, 1, 3, low=-0.1, num_tolerances=1), structures=frozenset({2}))
@@ -87,7 +85,6 @@ def test_many_sets_at_once_have_the_evidence_of_each() -> None:
 
 
 def test_neighbours_in_structures_have_the_evidence_of_each() -> None:
-    """What sets have in common is integrated out once: up to three of four structures, or one less than all, beside effects."""
     rng = np.random.default_rng(7)
     sums = normal(rng.normal(size=(60, 12)), rng.normal(size=60))
     made_of = replace(candidates(2, 1, 3, 2, 1, 2, low=-0.1, num_tolerances=1), structures=frozenset({2, 3, 4, 5}))

@@ -17,7 +17,6 @@ def all_subsets(count: int) -> list[tuple[int, ...]]:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_search_finds_what_looking_at_every_subset_finds(seed: int) -> None:
-    """Seven candidates that share much of what they explain, up to four of them true."""
     rng = np.random.default_rng(seed)
     columns = rng.normal(size=(60, 9)) @ (np.eye(9) + 0.6 * rng.normal(size=(9, 9)))
     truth = np.where(rng.random(9) < 0.4, rng.normal(size=9), 0.0)
@@ -31,7 +30,6 @@ def test_the_search_finds_what_looking_at_every_subset_finds(seed: int) -> None:
 
 
 def test_two_effects_that_each_alone_would_spoil_are_found_together() -> None:
-    """Their columns nearly cancel: alone neither explains a thing, together all of it."""
     rng = np.random.default_rng(1)
     common, own = rng.normal(size=200), rng.normal(size=200)
     columns = np.stack((10.0 * common + own, -10.0 * common + own, rng.normal(size=200)), axis=1)
@@ -43,7 +41,6 @@ def test_two_effects_that_each_alone_would_spoil_are_found_together() -> None:
 
 
 def test_two_effects_that_replace_each_other_share_the_probability_and_neither_goes() -> None:
-    """Equal columns: one is needed, which one the flights cannot tell."""
     rng = np.random.default_rng(2)
     column = rng.normal(size=100)
     sums = normal(np.stack((column, column), axis=1), column + rng.normal(size=100))
@@ -53,7 +50,6 @@ def test_two_effects_that_replace_each_other_share_the_probability_and_neither_g
 
 
 def test_a_set_has_no_two_candidates_of_one_name() -> None:
-    """One effect from two starts: the better start alone."""
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(100, 2))
     sums = normal(columns, columns @ np.array([1.0, 1.0]) + 0.1 * rng.normal(size=100))
@@ -74,7 +70,6 @@ def test_a_long_list_finds_nothing_in_noise_by_its_length(count: int) -> None:
 
 
 def test_a_wide_case_and_what_it_contains_are_never_in_one_set() -> None:
-    """Two columns that only together explain the readings, and may not be together."""
     rng = np.random.default_rng(7)
     columns = rng.normal(size=(100, 2))
     sums = normal(columns, columns @ np.array([1.0, 1.0]) + 0.1 * rng.normal(size=100))

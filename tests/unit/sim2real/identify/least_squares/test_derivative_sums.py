@@ -83,7 +83,6 @@ def test_weighted_sums_are_those_of_the_channels_times_their_weights(parts: int)
 
 
 def test_sums_by_channel_are_those_of_whole_flights() -> None:
-    """Also where a channel has no residual at all."""
     own = flights(5)
     for residual in own.residuals:
         residual[:, 2] = 0.0

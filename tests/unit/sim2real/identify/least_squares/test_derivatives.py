@@ -32,7 +32,6 @@ def of_deviations(params: ModelParams) -> list[np.ndarray]:
 
 
 def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
-    """Of a product the derivatives at no deviation say nothing, and those at the deviations twice as much."""
     deviation = np.zeros(NUM_TOLERANCES)
     deviation[:3] = 0.8, -1.5, 2.0
     params = ModelParams(effects={}, deviation=deviation)
@@ -44,7 +43,6 @@ def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
 
 
 def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -> None:
-    """Each deviation of the vehicle moves its channel by one, each of the log by a hundred."""
     sizes = np.where(of_logs(4), 100.0, 1.0)
 
     def predict(params: ModelParams) -> list[np.ndarray]:

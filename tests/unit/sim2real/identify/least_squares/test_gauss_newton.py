@@ -82,7 +82,6 @@ def _in_sigmas(fit: ModelFit) -> object:
 
 
 def test_the_best_step_solves_least_squares_and_respects_bounds() -> None:
-    """Without bounds the truth comes back from noise-free data; a bound holds and the rest adapts as if it were known."""
     rng = np.random.default_rng(7)
     truth = np.array([0.5, -0.2, 0.3])
     fit = linear_fit(rng, truth, colour=15.0, deviation=np.zeros(NUM_TOLERANCES))
@@ -260,7 +259,6 @@ def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -
 
 
 def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -> None:
-    """The evidence has what they promise: it is off by a tenth of what is enough."""
     _, reached, _, whole = fit_exponential(Goal())
     fit, _, _, few = fit_exponential(Goal(enough=5.0))
     assert few < whole
@@ -268,7 +266,6 @@ def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -
 
 
 def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From beside the optimum, with derivatives of there: what is left is within what the fit says it may have missed."""
     effects, start = ("constant_wind",), ModelParams(effects={"constant_wind": np.array([0.49, -0.29, 0.19])})
     anew, worths, missed = [], [], []
     predictor = Exponential(0.3)
@@ -288,7 +285,6 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
 
 @pytest.mark.parametrize("derivatives", [None, [np.full((40, 1, 3), np.nan)]])
 def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[np.ndarray] | None) -> None:
-    """A pendulum that goes over the top right beside the start: its prediction is finite, its derivative is not."""
     edge = ModelParams(effects={"constant_wind": np.array([1.0, 0.0, 0.0])})
 
     def predict(params: ModelParams) -> list[np.ndarray]:

@@ -29,7 +29,6 @@ def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() 
 
 
 def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
-    """As the selection has it: a column of each flight with a normal prior, integrated out of the sums."""
     residuals, jacobians = flights(np.random.default_rng(2))
     size, weight = 0.4, 3.0
     offsets = OwnOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]), most=np.ones(2))

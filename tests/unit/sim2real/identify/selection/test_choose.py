@@ -71,7 +71,6 @@ def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray
 def test_the_hidden_effects_are_the_most_probable_set(
     tmp_path: Path, hidden: dict[str, float], expected: tuple[str, ...], parameter: float | None
 ) -> None:
-    """The path's forces are exact; nothing, and a drag beside stronger rotors."""
     results = most_probable(tmp_path, **hidden)
     assert set(results.effects) == set(expected)
     assert results.sets[tuple(sorted(expected))] > 0.8
@@ -83,7 +82,6 @@ def test_the_hidden_effects_are_the_most_probable_set(
 
 
 def test_what_is_worth_a_trifle_has_no_name(tmp_path: Path) -> None:
-    """A drag without which the residual is several times as large, for a user to whom less than fifty times is a trifle."""
     results = most_probable(tmp_path, FEW, 100.0, material=50.0, drag=0.05)
     assert results.effects == ()
     assert "rotor_drag" not in results.named.params.effects
@@ -170,7 +168,6 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
 
 
 def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_one() -> None:
-    """Without the structure drag and mass do not both hold: the better of both is left, and nothing that was not named."""
     whole = make_fit("rotor_drag", "payload_mass", structures=(PLACE,))
     both = make_fit("rotor_drag", "payload_mass", odds={"payload_mass": -1.0})
     drag, mass, more = (
@@ -187,7 +184,6 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
 
 
 def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() -> None:
-    """Odds of two to one are a false alarm in a third of all cases; a mass that is sure without it stays."""
     odds = {"torque_ratio": 0.7, "payload_mass": 2.0}
     both = make_fit("payload_mass", "torque_ratio", odds=odds)
     mass = make_fit("payload_mass", log=-0.7, odds={"payload_mass": 3.1})
@@ -202,7 +198,6 @@ def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() 
 
 @pytest.mark.parametrize(("beside", "without", "named"), [(5.0, 0.7, True), (5.0, -0.1, False), (2.0, 0.7, False)])
 def test_what_a_structure_explains_is_no_doubt_in_an_effect(beside: float, without: float, named: bool) -> None:
-    """Flights agree on the drag beside what follows the place: it is named if it holds without that as well."""
     best = make_fit("rotor_drag", odds={"rotor_drag": beside}, structures=(PLACE,))
     bare, empty = make_fit("rotor_drag", log=-4.0, odds={"rotor_drag": without}), make_fit(log=-9.0)
     results, unsure = object.__new__(_Chooser).drop_unproven(bare, best, FitStub(empty))
@@ -221,7 +216,6 @@ def test_what_speaks_for_another_rotor_speaks_not_for_this_one(rotor: float, nam
 
 
 def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> None:
-    """Less speaks for the tilt of a motor, and without it neither is sure; without the drag the tilt is: it stays."""
     odds = {"rotor_drag": 2.5, "motor_tilt": 2.0}
     both = make_fit("rotor_drag", "motor_tilt", odds=odds)
     drag, tilt = (
@@ -233,7 +227,6 @@ def test_the_set_is_chosen_again_when_an_effect_is_not_told_from_nothing() -> No
 
 
 def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
-    """Probable by what it does together with a drag; the best set without it is left, and it is said."""
     both, drag = make_fit("rotor_drag", "com_offset"), make_fit("rotor_drag", log=-4.0)
     hidden = both.support | {"com_offset": replace(both.support["com_offset"], shown=False)}
     results, blind = object.__new__(_Chooser).drop_unidentified(replace(both, support=hidden), FitStub(drag))
@@ -243,7 +236,6 @@ def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
 
 
 def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One reason each, the last that held: noise alone, a bound, odds that are too small, or what holds only beside others."""
     more = ("payload_mass", "weak_motor", "torque_ratio", "com_offset", "motor_tilt")
     best, named = make_fit("rotor_drag", *more), make_fit("rotor_drag")
     chooser, results = object.__new__(_Chooser), {"torque_ratio": 0.7, "com_offset": 5.0}
@@ -276,7 +268,6 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])
 def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
-    """A wind that grows with height contains a steady one; beside another structure it is another set, and so is drag."""
     wide = make_fit("wind_shear", log=0.0)
     rest = [
         make_fit("rotor_drag", log=-0.1),
@@ -289,6 +280,5 @@ def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant
 
 @pytest.mark.parametrize(("fits", "expected"), [(-1.0, "constant_wind"), (-5.0, "wind_shear")])
 def test_a_wider_case_is_told_by_what_it_fits_better(fits: float, expected: str) -> None:
-    """Behind by what was expected of its vertical wind, a steady wind that fits as well is meant."""
     wide, steady = make_fit("wind_shear", log=0.0), make_fit("constant_wind", log=-8.0, fits=fits)
     assert narrowest(wide, [wide, steady], 3.0).effects == (expected,)

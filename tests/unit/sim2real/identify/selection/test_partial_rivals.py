@@ -67,13 +67,11 @@ def test_an_inertia_about_yaw_may_as_well_be_a_torque_ratio(fitter: Fitter) -> N
 
 
 def test_quiet_flights_tell_them_apart(tmp_path: Path) -> None:
-    """The inertia about z turns roll into pitch as well, as a torque does not; eight times the noise hides it."""
     quiet = make_fitter(tmp_path, 1.0)
     assert rivals_in_part(quiet, fit_start(quiet, inertia_error=TRUE.tolist()), NAMES, NAMES) == ()
 
 
 def test_what_is_no_candidate_or_in_the_set_is_no_rival(fitter: Fitter) -> None:
-    """Nor is there one in the place of an effect's only parameter."""
     named = fit_start(fitter, inertia_error=TRUE.tolist())
     assert rivals_in_part(fitter, named, named.effects, ("inertia_error", "rotor_drag")) == ()
     both = fit_start(fitter, torque_ratio=[1.0 / 1.6], inertia_error=[1.3, 1.4, 1.0])

@@ -173,7 +173,6 @@ def test_a_wider_case_is_a_rival_and_no_tie() -> None:
 
 
 def test_what_stands_beside_a_wider_case_replaces_what_else_is_lacking() -> None:
-    """Two lags in place of one are that lag; the tilt beside them is no other cause of it, but of the bias."""
     best = make_fit("motor_time_constant", "imu_bias", log=-10.0)
     result = make_selection(make_choice(best, make_fit("motor_asymmetry", "motor_tilt", log=-10.5)))
     assert [rival.effect for rival in result.effect_rivals("motor_time_constant")] == ["motor_asymmetry"]
@@ -182,7 +181,6 @@ def test_what_stands_beside_a_wider_case_replaces_what_else_is_lacking() -> None
 
 
 def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
-    """An unknown, a random and one under water are refused, before anything is fitted; gusts are found in what remains."""
     predictor = make_predictor(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
     for name, error, message in (
         ("rotor_dragg", UnknownNameError, "Did you mean 'rotor_drag'"),
@@ -194,7 +192,6 @@ def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
 
 
 def test_an_effect_that_flights_cannot_show_is_told_when_it_is_requested(tmp_path: Path) -> None:
-    """Nothing else is looked for: nothing is named, and why is said."""
     result = select_hidden(tmp_path, ("ceiling_effect",), seconds=4.0, drag=0.25)
     assert result.effect_names == ()
     assert set(result.not_testable) == {"ceiling_effect"}
@@ -217,10 +214,6 @@ class PriorScorer(_Scorer):
 
 
 def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
-    """A drag along z and the offset along y are unknown by more than their scale: they change nothing, and are not fitted.
-
-    Nor do they in the models without one of the two, with which the named ones are compared.
-    """
     named = make_fit(
         "rotor_drag", "com_offset", params={"rotor_drag": [0.2, 0.3, 0.4], "com_offset": [0.004, 0.005, 0.006]}
     )
@@ -243,7 +236,6 @@ def test_parameters_that_flights_do_not_show_stay_neutral() -> None:
 
 
 def test_an_effect_of_which_the_last_fit_shows_no_parameter_has_no_name() -> None:
-    """All of the offset is unknown by more than its scale: the drag is left, without which nothing is."""
     named = make_fit("com_offset", "rotor_drag")
     given = PriorScorer(named, {"com_offset": [1.1, 7.0, 1.2], "rotor_drag": [0.1, 0.9, 0.2]})
     drag, offset = (make_fit(name, params={name: [9.0, 8.0, 7.0]}) for name in ("rotor_drag", "com_offset"))

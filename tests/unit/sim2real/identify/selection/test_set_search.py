@@ -61,7 +61,6 @@ def make_view(promised: dict[Model, float], *sets: EffectSetFit) -> CandidateVie
 def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit_can_mend(
     times: float, tried: bool
 ) -> None:
-    """A fit gains less than so many times what was promised: what is behind shrinks by no more."""
     best, drag = make_fit("com_offset", overdispersion=4.0), make_fit("rotor_drag", log=-1e3)
     behind = times * MOST_TO_PROMISE * FAR_BEHIND * occam_window(best)
     view = make_view({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
@@ -70,7 +69,6 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
 
 
 def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds_where_it_is_linear() -> None:
-    """Drag is a million behind and does not hold in the linear model: it is fitted; the others, further behind, are not."""
     best, drag = make_fit("com_offset"), make_fit("rotor_drag", log=-1e6)
     view = make_view({(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}, best, drag)
     view.guard.drop_unsupported = lambda _model: ()  # type: ignore[method-assign]
@@ -141,7 +139,6 @@ class SearchStub(SetSearch):
     ],
 )
 def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...], gone: list[str]) -> None:
-    """After three climbs without or with them they are not taken anew."""
     climber = SearchStub(*weights)
     climber.run()
     assert climber.gone == gone
@@ -161,10 +158,6 @@ def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...],
 def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
     deviations: tuple[float | None, ...], turns: int
 ) -> None:
-    """Each fit about the deviations of the one before; where a prediction is not finite there are none.
-
-    A turn that moves them further than the one before is not taken.
-    """
     fits = [replace(make_fit(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
     number, about, fitters = 0, list[ModelParams](), list[Any]()
 
@@ -188,7 +181,6 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
 
 
 def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
-    """Of drag and a tilt the tilt does not hold: drag is where the climb goes on, not nothing."""
     both = make_fit("rotor_drag", "motor_tilt", odds={"motor_tilt": -1.0})
     drag = make_fit("rotor_drag", log=-3.0)
     climber = SimpleNamespace(

@@ -131,7 +131,6 @@ def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_
 
 
 def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) -> None:
-    """Drag and lift by speed, rotor inertia by turns, none of them by hover; nothing is advised that no log can show."""
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.0635))
     hidden = SimpleNamespace(not_testable={"ground_effect": ""}, effect_names=())
     assert showable(hidden, robot, []) == ["ground_effect"]  # type: ignore[arg-type]

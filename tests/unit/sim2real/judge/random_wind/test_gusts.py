@@ -217,7 +217,6 @@ def test_noise_has_no_memory_as_often_as_stated() -> None:
 
 
 def test_gusts_beside_a_verdict_are_a_candidate_of_it() -> None:
-    """Where nothing else is named they explain the flights; a named or unexplained result stays so."""
     wind = RandomWind(std=1.0, p_value=1e-9)
     point = Finding("left_open", "", {"channels": ["specific_force.x"]})
 

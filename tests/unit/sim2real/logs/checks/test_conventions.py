@@ -163,7 +163,6 @@ def test_a_log_that_is_not_what_it_claims(table: pd.DataFrame, tmp_path: Path, c
 
 
 def test_the_order_of_the_quaternion_shows_in_a_quiet_hover_too(tmp_path: Path) -> None:
-    """Without motion the gyro cannot tell, but gravity can."""
     rng, rows = np.random.default_rng(0), 400
     hover = flight(2, seconds=4.0, rate=100.0)
     still = {"q_x": 0.0, "q_y": 0.0, "q_z": 0.0, "q_w": 1.0, "v_x": 0.0, "v_y": 0.0, "v_z": 0.0}
@@ -200,7 +199,6 @@ def test_a_gap_in_time_is_refused_and_jitter_is_not(table: pd.DataFrame, tmp_pat
 def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(
     table: pd.DataFrame, tmp_path: Path, change: object, message: str
 ) -> None:
-    """A value may repeat beside a gap; the gap is what is named."""
     slow = table.copy()
     slow.loc[200, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
     slow.loc[300, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]

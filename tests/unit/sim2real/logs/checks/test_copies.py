@@ -31,7 +31,6 @@ def table() -> pd.DataFrame:
     ],
 )
 def test_a_copy_is_refused(table: pd.DataFrame, tmp_path: Path, change: object, share: str) -> None:
-    """As it is, at another time, trimmed, thinned, with fewer or reordered columns, or with another flight behind it."""
     first, second = write(table, tmp_path / "a.csv"), tmp_path / "b.csv"
     write(change(table), second)  # type: ignore[operator]
     seen = LogRegister()
@@ -53,7 +52,6 @@ def test_a_test_flight_that_is_a_copy_is_left_out(table: pd.DataFrame, tmp_path:
 
 
 def test_flights_that_begin_alike_or_rest_alike_are_different(table: pd.DataFrame, tmp_path: Path) -> None:
-    """A simulator without noise flies the same first half second; a vehicle on the ground reads the same over and over."""
     logs = [table, *(flight(n, seconds=8.0, rate=100.0, noise=1.0) for n in (2, 3, 4))]
     logs[1][:50] = table[:50]
     for rests in logs[2:]:

@@ -60,7 +60,6 @@ def test_a_bias_of_the_accelerometer(table: pd.DataFrame, tmp_path: Path, size: 
 def test_a_turned_sensor(
     table: pd.DataFrame, tmp_path: Path, columns: list[str], sensor: str, axis: int, degrees: float
 ) -> None:
-    """A sensor turned by +a about an axis reads a vector that is turned by -a."""
     turn = Rotation.from_euler("xyz"[axis], degrees, degrees=True)
     changed = table.copy()
     changed[columns] = turn.inv().apply(table[columns].to_numpy(copy=True))
@@ -70,7 +69,6 @@ def test_a_turned_sensor(
 
 
 def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Without drag the specific force lies along body z: a turn of the accelerometer about z changes nothing."""
     result = errors(table, tmp_path, "accelerometer")
     assert np.isinf(result.half_width[5])
     assert np.isfinite(result.half_width[:5]).all()
@@ -99,6 +97,5 @@ def test_faults_of_the_imu_stand_in_the_notes_of_a_check(table: pd.DataFrame, tm
 
 
 def test_a_drag_the_model_lacks_is_no_fault_of_the_imu(tmp_path: Path) -> None:
-    """The accelerometer feels drag, and so does the velocity: kinematics does not see it."""
     draggy = flight(5, seconds=16.0, rate=200.0, noise=1.0, drag=0.3)
     assert [note for a in kinematic_errors(read_log(draggy, tmp_path)) for note in a.findings()] == []

@@ -54,7 +54,6 @@ def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame
 def test_columns_in_another_order_are_told_by_what_they_turn(
     table: pd.DataFrame, tmp_path: Path, names: list[str], order: tuple[int, ...]
 ) -> None:
-    """Column k holds the rotor order[k]; the message lists the columns in the order of the robot file."""
     mixed = table.assign(**{names[k]: table[names[rotor]] for k, rotor in enumerate(order)})
     right = ", ".join(names[order.index(rotor)] for rotor in range(4))
     with pytest.raises(DataError, match=rf"in the declared order predict .* the probable order is {right}: reorder"):

@@ -60,7 +60,6 @@ def test_a_good_log_passes_whatever_it_lacks(table: pd.DataFrame, tmp_path: Path
 def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
     table: pd.DataFrame, tmp_path: Path, unit: str, factor: float
 ) -> None:
-    """The mapping entry that the sentence gives makes the same log a good one."""
     wrong = scale_columns(table, V, 1.0 / factor)
     match = rf"v_x, v_y, v_z were in {unit} \(factor .*\): give lin_vel unit: {unit} in a mapping file"
     with pytest.raises(DataError, match=match):
@@ -123,7 +122,6 @@ def test_other_units_signs_and_orders(table: pd.DataFrame, tmp_path: Path, chang
 
 
 def test_a_log_that_hardly_moves_cannot_tell_and_passes(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Noise alone has no factor, in whatever unit it is written."""
     rng, hover = np.random.default_rng(3), table.copy()
     hover[P] = 0.01 * rng.standard_normal((len(table), 3)) + (0.0, 0.0, 1.0)
     hover[V] = 0.05 * rng.standard_normal((len(table), 3))

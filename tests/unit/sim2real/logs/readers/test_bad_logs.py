@@ -159,7 +159,6 @@ def test_a_set_back_with_lost_rows_is_refused_at_its_line(table: pd.DataFrame, t
 def test_a_log_that_was_sorted_after_its_clock_was_set_back_is_refused(
     shift: float, unique: bool, table: pd.DataFrame, tmp_path: Path
 ) -> None:
-    """Rows of two time courses follow each other; equal stamps stay, or a random one of them is dropped."""
     mixed = set_back(table, seconds=2.0 + shift).sample(frac=1.0, random_state=0).sort_values("t", kind="stable")
     if unique:
         mixed = mixed.assign(key=mixed["t"].round(9)).drop_duplicates("key").drop(columns="key")

@@ -144,7 +144,6 @@ def test_units_order_and_gaps_of_a_mapping(table: pd.DataFrame, tmp_path: Path) 
 
 
 def test_single_empty_fields_become_lines_and_commands_hold(table: pd.DataFrame, tmp_path: Path) -> None:
-    """A sensor at a quarter of the log's rate, and a command that was lost for two rows."""
     command = table[["rotor_1"]].set_axis(["cmd_1"], axis=1).assign(**{f"cmd_{n}": 700.0 + n for n in (2, 3, 4)})
     sparse = pd.concat((table, command), axis=1)
     sparse["omega_x"] = sparse["omega_x"].where(sparse.index % 4 == 0)
@@ -166,7 +165,6 @@ def test_a_gap_that_is_too_long_for_its_mapping(table: pd.DataFrame, tmp_path: P
 
 
 def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Turn a log into NED and FRD with rotation matrices; the mapping must turn it back."""
     world, body = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]), np.diag([1.0, -1, -1])
     other = table.copy()
     for columns, turn in (("p", world), ("v", world), ("omega", body), ("acc", body)):

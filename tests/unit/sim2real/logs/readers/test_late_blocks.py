@@ -92,7 +92,6 @@ def test_a_clock_that_was_set_back_is_not_sorted(back: float, ahead: int) -> Non
 @pytest.mark.parametrize("size", [2, 35, 300])
 @pytest.mark.parametrize("by", [-700.5, -20.0, 20.0, 700.5, 1e6])
 def test_a_block_with_wrong_stamps_is_left_out(by: float, size: int, first: int) -> None:
-    """By so many steps, over other rows, and then the clock is where it was."""
     true, block = true_time(0.3), np.arange(first, first + size)
     stamps = true.copy()
     stamps[block] += STEP * by
@@ -115,7 +114,6 @@ def test_two_halves_of_a_whole_turn_of_a_counter_are_a_wrap(period: float) -> No
 @pytest.mark.parametrize("counter", ["32 bits of 1 us", "32 bits of 1 ms", "16 bits of 1 ms"])
 @pytest.mark.parametrize(("lost", "doubt"), [(0, False), (2, False), (9, True), (30, True)])
 def test_a_wrap_with_lost_rows_may_be_a_restart(counter: str, lost: int, doubt: bool) -> None:
-    """A clock that starts anew near the period of its counter looks like a wrap with lost rows; next to none, it is one."""
     period = COUNTERS_S[counter]
     stamps = period + STEP * (np.arange(ROWS) - 900.5 + lost * (np.arange(ROWS) >= 900))
     result = check_stamps(stamps % period, "a")
@@ -157,7 +155,6 @@ def test_a_stream_leaves_out_the_late_block(first: int, second: int, start: int)
 
 @pytest.mark.parametrize("back", [10.5, 41.0, 300.0, 1e4])
 def test_a_stream_whose_clock_was_set_back_continues(back: float) -> None:
-    """Also into a gap that it passed before."""
     number = np.arange(ROWS)
     rows, reader = live(true_time() + STEP * (100.0 * (number >= 1300) - back * (number >= 1500)))
     assert (len(rows), reader.steps, reader.bad) == (ROWS, 1, [])

@@ -77,7 +77,6 @@ def test_a_collective_thrust_setpoint_is_a_speed_of_every_rotor_and_no_torque(
 
 
 def test_an_attitude_that_is_not_logged_is_integrated_from_the_gyro(table: pd.DataFrame, tmp_path: Path) -> None:
-    """From level, where the flight starts elsewhere: the turn between any two rows is the one flown, to the step's error."""
     rotors = {"columns": ["rotor_{n}"]}
     mapping = layout(attitude=None, rotor_speed=rotors, lacks="no attitude")
     log = read(table, tmp_path, mapping)
@@ -169,7 +168,6 @@ def test_commands_are_scaled_to_the_thrust_measured_above_a_height(table: pd.Dat
 
 
 def test_the_lowest_place_of_a_flight_is_no_ground(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Nothing shows that it stood there: its rotors carry it in every row."""
     fields = {"rotor_speed": {"columns": ["rotor_{n}"]}, "position": {"columns": ["p_x", "p_y", "p_z"]}}
     path = write(table, tmp_path / "a.csv")
     for size in (0.0, 0.1):

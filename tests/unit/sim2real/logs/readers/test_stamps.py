@@ -83,7 +83,6 @@ def test_a_clock_that_was_set_back_goes_on_by_one_step(back: float) -> None:
     [("32 bits of 1 us", 4294.967296), ("16 bits of 1 ms", 65.536), ("the day", 86400.0), ("the GPS week", 604800.0)],
 )
 def test_a_counter_that_wraps_goes_on_exactly(counter: str, period: float) -> None:
-    """Two rows are lost where it wraps: the period tells that time went on by three steps."""
     true = np.delete(TRUE - TRUE[900] + period + 0.5 * STEP, [900, 901])
     result = check_stamps(true % period, "a")
     assert [step.counter for step in result.steps] == [counter]

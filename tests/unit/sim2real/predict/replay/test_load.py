@@ -107,7 +107,6 @@ def test_a_swing_that_was_there_before_the_log_is_found_from_its_pull() -> None:
 
 
 def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
-    """A thousandth of the vehicle's mass, and a force that it cannot pull with: the prior of the start holds."""
     time = np.arange(400) / RATE
     missed = np.tile([0.05, 0.0, 0.0], (400, 1))
     light = LoadReplay([hover("a", 1.0)], [time[:300]]).loads(make_model(6e-4, 0.8, 0.0), [missed[:300]])
@@ -115,7 +114,6 @@ def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
 
 
 def test_a_pendulum_that_steps_cannot_follow_has_no_direction() -> None:
-    """A link of a thousandth of a millimetre: its swing diverges, and a fit is told so by numbers that are none."""
     flight = hover("a", 1.0)
     start = np.tile([0.5, 0.0, 0.0], (flight.time.size, 1))
     shaken = replace(flight, lin_vel=start * np.sin(40.0 * flight.time)[:, None])
@@ -154,7 +152,6 @@ def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
 
 
 def test_a_load_starts_along_the_apparent_gravity_and_stays_there() -> None:
-    """Under a vehicle that speeds up evenly the link leans back by atan(a / g) and does not swing."""
     rows = np.arange(400) / RATE
     flight = replace(hover("a", 1.0), lin_vel=np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400))))
     load = LoadReplay([flight], [rows[:300]]).loads(make_model(0.1, 0.7, 0.0)).numpy()

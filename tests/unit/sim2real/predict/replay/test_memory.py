@@ -36,7 +36,6 @@ G, THRUST, ARM = 9.81, 0.6 * 9.81 / 4.0, hypot(0.1, 0.1)
 
 @pytest.mark.parametrize("tau", [0.004, 0.05, 3.0])
 def test_elements_are_followed_exactly_between_rows(tau: float) -> None:
-    """Against the equation of motion, integrated with a load that runs in straight lines."""
     step, rng = 0.01, np.random.default_rng(0)
     rest = rng.normal(size=(120, 2))
     time = step * np.arange(120)
@@ -142,7 +141,6 @@ def test_neutral_joints_cost_no_prediction(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> None:
-    """Rotors idle for a second, then push: the first row bears the idle thrust, not that of hover."""
     flight = hover("a", 5.0)
     assert flight.rotor_speed is not None
     on_ground = flight.time < 1.0

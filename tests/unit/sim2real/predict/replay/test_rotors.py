@@ -97,7 +97,6 @@ def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
 
 
 def test_what_commands_lead_to_is_worked_out_once_for_each_lag(tmp_path: Path) -> None:
-    """Of a vehicle of which no battery is declared as well, whose voltages are no numbers and so unlike themselves."""
     replay, result = RotorReplay([step_flight(tmp_path, rate=200.0, seconds=2.0)]), []
     for robot in (ROBOT, ROBOT, POWERED, POWERED, ROBOT):
         result.append(replay.speeds(build_model(vehicle_from_config(robot, num_envs=1, dtype=F64)), 0.0))
@@ -301,7 +300,6 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
 
 
 def test_no_battery_is_made_up(tmp_path: Path) -> None:
-    """A declared battery stays; without voltage, with a steady one or without commands there is none."""
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
     assert with_battery(POWERED, [result]) == POWERED
     for poor in (replace(result, battery=None), replace(result, battery=np.full(result.num_rows, 16.0))):
@@ -310,7 +308,6 @@ def test_no_battery_is_made_up(tmp_path: Path) -> None:
 
 
 def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
-    """The highest mean over half a second."""
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
     assert result.battery is not None
     for flown in (result, replace(result, rotor_speed=None)):

@@ -102,7 +102,6 @@ def test_a_slow_log_cannot_tell() -> None:
 
 
 def test_a_deviation_adds_a_share_of_the_torque() -> None:
-    """Of its changes: what is constant is no noise. Only about its own axis, and as much in another model."""
     flight = hold_heading()
     predictor, share = make_predictor(flight), torque_std(flight)[2]
     names = Tolerances().names(4)

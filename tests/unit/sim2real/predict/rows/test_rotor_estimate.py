@@ -104,7 +104,6 @@ def led_by_commands(flight: Flight, true: Array, tau: float) -> Flight:
 
 
 def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> None:
-    """The declared lag behind commands that pitch: the estimate is what the declared rotors do, far closer than the log."""
     flight, true = pitch_flight(0.3)
     led = led_by_commands(flight, true, ROBOT.rotor.time_constant_up)
     result = estimate_rotors(ROBOT, [led], BAND)[0]
@@ -140,7 +139,6 @@ def test_a_log_of_commands_alone_has_nothing_to_expect() -> None:
 
 
 def test_modes_are_those_of_thrust_roll_pitch_and_yaw_and_what_makes_none() -> None:
-    """Orthonormal, in the order of what they make; six rotors have two that make nothing."""
     angle = np.pi / 3.0 * np.arange(6)
     made = np.zeros((6, 6))
     made[2:] = np.ones(6), np.sin(angle), -np.cos(angle), 0.01 * (-1.0) ** np.arange(6)

@@ -7,7 +7,6 @@ from aerial_gym.sim2real.predict.rows.spectra import apply_gain, noise_level, po
 
 
 def test_the_noise_is_that_of_the_quietest_octave() -> None:
-    """A density that falls to its level, and rises again: the mean of the octave between."""
     frequency = np.arange(0.0, 100.0, 0.5)
     density = np.where(frequency < 20.0, 50.0, np.where(frequency > 45.0, 9.0, 2.0))[:, None]
     result = noise_level(frequency, density, 10.0, 200.0)
