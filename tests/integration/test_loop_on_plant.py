@@ -105,10 +105,7 @@ def test_test_flights_bring_doubt_where_hover_speaks_for_another(tmp_path: Path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("rate_hz", "duration_s"),
-    [(50, 6.0), (400, 3.0), (25, 16.0)],
-)
+@pytest.mark.parametrize(("rate_hz", "duration_s"), [(50, 6.0), (400, 3.0), (25, 16.0)])
 def test_an_effect_is_named_from_short_and_from_slow_logs(rate_hz: int, duration_s: float, tmp_path: Path) -> None:
     flights = {"rate_hz": rate_hz, "duration_s": duration_s, "num_train": 2}
     verdict, truth = run_case(tmp_path, {"com_offset": "moderate"}, 212, **flights)

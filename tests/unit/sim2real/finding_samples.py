@@ -272,16 +272,8 @@ SAMPLES = [
     Finding("commands_scaled", "f1", {"factor": 0.909, "height_m": 0.5}),
     Finding("rotor_log_moved", "f1", {"lead_ms": 20.0, "half_width_ms": 0.98, "with_commands": False}),
     Finding("rotor_log_moved", "f1", {"lead_ms": 20.0, "half_width_ms": 0.98, "with_commands": True}),
-    Finding(
-        "position_jump",
-        "f1",
-        {**SIZE, "start_s": 4.0, "end_s": 4.0, "moved_back": True},
-    ),
-    Finding(
-        "position_jump",
-        "f1",
-        {**SIZE, "start_s": 4.0, "end_s": 4.2, "moved_back": False},
-    ),
+    Finding("position_jump", "f1", {**SIZE, "start_s": 4.0, "end_s": 4.0, "moved_back": True}),
+    Finding("position_jump", "f1", {**SIZE, "start_s": 4.0, "end_s": 4.2, "moved_back": False}),
     Finding("samples_slow", "f1", {"sensor": "ang_vel", "rate_hz": 50.0, "log_rate_hz": 200.0}),
     Finding("samples_repeated", "f1", {"sensor": "position", "share": 0.05, "longest_rows": 2}),
     # test stand

@@ -82,14 +82,7 @@ def make_choice(
     best: EffectSetFit, *rest: EffectSetFit, named: EffectSetFit | None = None, **result: Any
 ) -> MostProbableSet:
     """Return the choice of one set among others, in which nothing else was found."""
-    none: dict[str, Any] = {
-        "without": {},
-        "adds": {},
-        "hidden": (),
-        "surrogates": {},
-        "immaterial": {},
-        "refused": {},
-    }
+    none: dict[str, Any] = {"without": {}, "adds": {}, "hidden": (), "surrogates": {}, "immaterial": {}, "refused": {}}
     return MostProbableSet(
         named=named or best,
         best=best,

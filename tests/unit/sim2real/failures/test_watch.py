@@ -84,8 +84,7 @@ def test_a_position_that_jumps_and_returns_is_told_with_its_size() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sensor", "columns"),
-    [("ang_vel", ["omega_x", "omega_y", "omega_z"]), ("position", ["p_x", "p_y", "p_z"])],
+    ("sensor", "columns"), [("ang_vel", ["omega_x", "omega_y", "omega_z"]), ("position", ["p_x", "p_y", "p_z"])]
 )
 @pytest.mark.parametrize("empty", [False, True])
 def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns: list[str], empty: bool) -> None:

@@ -444,13 +444,7 @@ def two_and_one() -> np.ndarray:
     return deviation
 
 
-LATE = {
-    "rotors": ("rotor_",),
-    "acc": ("acc_",),
-    "gyro": ("omega_",),
-    "attitude": ("q_", "p_"),
-    "velocity": ("v_",),
-}
+LATE = {"rotors": ("rotor_",), "acc": ("acc_",), "gyro": ("omega_",), "attitude": ("q_", "p_"), "velocity": ("v_",)}
 """Columns of what may be late by itself."""
 
 

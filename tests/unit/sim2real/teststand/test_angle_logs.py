@@ -130,12 +130,7 @@ def robot() -> RobotCfg:
 
 
 SAME = {"stiffness": STIFFNESS, "damping": DAMPING, "rest": REST, "friction": 0.0}
-HIDDEN = [
-    SAME | {"stiffness": 0.9},
-    SAME | {"damping": 0.008, "rest": 0.04},
-    SAME | {"friction": 0.01},
-    SAME,
-]
+HIDDEN = [SAME | {"stiffness": 0.9}, SAME | {"damping": 0.008, "rest": 0.04}, SAME | {"friction": 0.01}, SAME]
 
 
 @pytest.fixture(scope="module")

@@ -16,13 +16,7 @@ from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.teststand.balance import (
-    Balance,
-    HoverEffort,
-    group_repeats,
-    hover_effort,
-    judge_balance,
-)
+from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.causes import cause_probabilities, causes, tell_apart
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
@@ -120,9 +114,7 @@ def test_statics_agree_with_mujoco() -> None:
         )
     ]
     robot = replace(
-        ROBOT,
-        mounts=replace(ROBOT.mounts, layout=tuple(mounts)),
-        body=replace(ROBOT.body, com=(0.003, -0.002, 0.0)),
+        ROBOT, mounts=replace(ROBOT.mounts, layout=tuple(mounts)), body=replace(ROBOT.body, com=(0.003, -0.002, 0.0))
     )
 
     def thrust(dm: float, place: tuple[float, float, float]) -> np.ndarray:

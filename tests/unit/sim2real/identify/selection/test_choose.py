@@ -63,10 +63,7 @@ def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray
 
 @pytest.mark.parametrize(
     ("hidden", "expected", "parameter"),
-    [
-        ({}, (), None),
-        ({"drag": 0.05, "thrust_scale": 1.04}, ("rotor_drag", "thrust_coefficient"), 0.05),
-    ],
+    [({}, (), None), ({"drag": 0.05, "thrust_scale": 1.04}, ("rotor_drag", "thrust_coefficient"), 0.05)],
 )
 def test_the_hidden_effects_are_the_most_probable_set(
     tmp_path: Path, hidden: dict[str, float], expected: tuple[str, ...], parameter: float | None

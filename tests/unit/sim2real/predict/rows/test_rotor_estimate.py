@@ -10,12 +10,7 @@ from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rows.rotor_estimate import (
-    _modes,
-    _share_of_motion,
-    as_measured,
-    estimate_rotors,
-)
+from aerial_gym.sim2real.predict.rows.rotor_estimate import _modes, _share_of_motion, as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT
 from tests.unit.sim2real.predict.test_scene import hover
