@@ -88,9 +88,7 @@ def test_nothing_is_said_where_nobody_listens() -> None:
     """As with ``aerial-gym list --json | head -1``."""
     command = [sys.executable, "-c", "from aerial_gym.cli.main import entry; entry()", "list", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
         process.stdout.close()
-        assert process.stderr is not None
         assert (process.stderr.read(), process.wait()) == (b"", 1)
 
 

@@ -29,7 +29,7 @@ def run(monkeypatch: pytest.MonkeyPatch, encoding: str, *arguments: str) -> Outp
     status = main(arguments)
     for stream in streams:
         stream.flush()
-    out, err = (stream.buffer.getvalue() for stream in streams)  # type: ignore[attr-defined]
+    out, err = (stream.buffer.getvalue() for stream in streams)
     return Output(status, out, err)
 
 

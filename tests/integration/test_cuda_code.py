@@ -140,8 +140,6 @@ def test_the_kernel_of_a_randomised_robot_compiles() -> None:
         },
     )
     update = env.robot_manager._update
-    assert update is not None
-    assert update._rows is not None
     compile_for_gpu(update._rows.kernel.module)
 
 
@@ -159,8 +157,6 @@ def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) ->
         },
     )
     manager = env.robot_manager
-    assert manager._update is not None
-    assert manager._update._rows is not None
     compile_for_gpu(manager._update._rows.kernel.module)
     assert isinstance(manager.backend, WarpBackend)
     compile_for_gpu(manager.backend.kernel.module)

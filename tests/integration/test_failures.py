@@ -48,7 +48,6 @@ def test_each_failure_is_named_with_rotor_size_and_time(
 ) -> None:
     """Within four standard deviations; a stuck rotor has the speed that it had."""
     failure, hidden = flight_failures[flight], HIDDEN[flight].document()
-    assert failure is not None
     assert failure.name == hidden["kind"]
     assert failure.probability > 0.99
     for name in ("motor", "scale", "time"):

@@ -18,7 +18,7 @@ def judge_case(
     folder: Path, effects: dict[str, str], seed: int, errors: PlantNuisance, size: dict[str, int | float] = SHORT
 ) -> Verdict:
     """Return the closed loop's verdict on a case, short by default, which must name exactly the hidden effects."""
-    files = make_case(folder, effects=effects, seed=seed, nuisance=errors, **size)  # type: ignore[arg-type]
+    files = make_case(folder, effects=effects, seed=seed, nuisance=errors, **size)
     robot = robot_by_name(files.robot)
     train, test = load_train_and_test(robot, files.train, files.test, None, 10.0)
     verdict = judge_flights(robot, train, test, bandwidth=10.0).verdict

@@ -58,7 +58,6 @@ def let_go(robot: RobotCfg, start: float, time: np.ndarray, *, dt: float) -> np.
 def with_elevations(spring: SpringCfg) -> RobotCfg:
     """Return Morphy on a stand, whose arms may be let go beyond their ends."""
     robot = ROBOTS.get("morphy_fixed_base")
-    assert robot.joints is not None
     layout = tuple(
         replace(joint, ends=None, spring=spring) if joint.name.startswith("elevation") else joint
         for joint in robot.joints.layout
@@ -96,7 +95,6 @@ def test_a_law_found_in_half_of_a_record_holds_in_the_other(dt: float, law_held:
     record = Release(path=str(RECORD), time=time[after], angle=angle[after], start=start)
     early, late, odd = record.time < 1.0, record.time > 0.5 * record.time[-1], alternate_blocks(record) == 1
     robot = ROBOTS.get("morphy_fixed_base")
-    assert robot.joints is not None
     published = robot.joints.layout[0].spring
     assert published is not None
     wrong = let_go(with_elevations(published), start, record.time, dt=dt) - record.angle

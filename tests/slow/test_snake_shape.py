@@ -24,7 +24,6 @@ BENT = 0.02
 def bending_time(name: str, dt: float, seconds: float = 5.0) -> float:
     """Return when a joint is off by more than ``BENT`` [s]; infinite where none is."""
     robot = ROBOTS.get(name)
-    assert robot.joints is not None
     env = simulation(
         robot, "lee_position_control", sim=replace(SIMS.get("base_sim_2ms"), dt=dt), env="empty_env_2ms", seed=1
     )

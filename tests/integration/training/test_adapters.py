@@ -69,7 +69,7 @@ def reference_steps() -> Iterator[tuple[Tensor, dict[str, Tensor], Tensor, Tenso
     for step in range(STEPS):
         actions = 2.0 * torch.rand(ENVS, task.num_actions, generator=generator) - 1.0
         actions = actions * (step < STEPS // 2)
-        yield actions, *task.step(actions)  # type: ignore[misc]
+        yield actions, *task.step(actions)
 
 
 def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
@@ -144,10 +144,8 @@ def test_stable_baselines3_gets_the_last_observation_of_an_episode() -> None:
 
 @pytest.mark.parametrize("adapter", [skrl, rsl_rl, stable_baselines3])
 def test_the_examples_train(adapter: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    name = adapter().__name__.rpartition(".")[2]  # type: ignore[operator]
+    name = adapter().__name__.rpartition(".")[2]
     spec = importlib.util.spec_from_file_location(f"with_{name}", EXAMPLES / f"with_{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
     example.main(num_envs=32, iterations=2, device="cpu", out=tmp_path / "run")

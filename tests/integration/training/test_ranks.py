@@ -49,7 +49,7 @@ def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
         for rank in range(2)
     ]
     try:
-        return [(each.wait(LIMIT_S), each.stderr.read()) for each in processes]  # type: ignore[union-attr]
+        return [(each.wait(LIMIT_S), each.stderr.read()) for each in processes]
     finally:
         for each in processes:
             each.kill()
@@ -92,14 +92,11 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(
     for status, said in start_two("resume", tmp_path, ports=4):
         assert status == 0, said
     whole, parts = (RunFolder(tmp_path / name).newest_readable() for name in ("whole", "parts"))
-    assert whole is not None
-    assert parts is not None
     assert whole[0].name == parts[0].name == f"checkpoint_{6 * STEPS_OF_ONE:015d}.pth"
     assert len(whole[1]["others"]) == 1
     assert_equal(whole[1], parts[1])
     assert "of 1 processes, and goes on with 2" in (tmp_path / "more" / "log.txt").read_text()
     more = RunFolder(tmp_path / "more").newest_readable()
-    assert more is not None
     for payload in (whole[1], more[1]):
         for name in ("adam.mean", "adam.square", "adam.steps", "rate", "sums"):
             assert torch.equal(payload["learner"][name], payload["others"][0]["learner"][name]), name
@@ -122,7 +119,6 @@ def test_two_processes_of_rl_games_have_equal_weights_and_continue(tmp_path: Pat
             assert torch.equal(first[name], second[name]), name
     assert len(list(tmp_path.glob("save_*"))) == 2 * 3
     last = RunFolder(tmp_path / "run").newest_readable()
-    assert last is not None
     assert last[1]["run"]["env_steps"] == last[1]["frame"] == 5 * 32 * 64
     assert len(last[1]["others"]) == 1
 
@@ -142,16 +138,14 @@ def assert_equal(first: object, second: object, where: str = "") -> None:
     But for what depends on the clock, the tallies of a log, and for global random states, which nothing uses.
     """
     if isinstance(first, dict):
-        assert isinstance(second, dict)
         assert first.keys() == second.keys()
         for key in first:
             if key not in ("random", "settings", "task.ended_tallies"):
                 assert_equal(first[key], second[key], f"{where}/{key}")
     elif isinstance(first, list):
-        assert isinstance(second, list)
         for number, (one, other) in enumerate(zip(first, second, strict=True)):
             assert_equal(one, other, f"{where}/{number}")
     elif isinstance(first, torch.Tensor):
-        assert torch.equal(first, second), where  # type: ignore[arg-type]
+        assert torch.equal(first, second), where
     else:
         assert first == second, where

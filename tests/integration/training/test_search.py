@@ -22,5 +22,4 @@ def test_a_search_leaves_a_policy(more: tuple[str, ...], tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     [said] = [line for line in done.stdout.splitlines() if line.startswith("evaluate it:")]
     kept = RunFolder(said.split("--policy ")[1]).newest_readable()
-    assert kept is not None
     assert kept[1]["env_steps"] >= 2 * 4096

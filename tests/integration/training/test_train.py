@@ -155,7 +155,6 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
     result = json.loads(capsys.readouterr().out)
     assert result["interrupted"]
     saved = RunFolder(out).newest_readable()
-    assert saved is not None
     assert saved[1]["run"]["env_steps"] >= updates[-1]
 
     def full(descriptor: int) -> None:

@@ -92,7 +92,6 @@ def test_a_drawn_track_keeps_its_distances() -> None:
     env = simulate("racing_random_track_env", 2000)
     env.reset()
     layout, gtd = env_track(env).layout, env.gtd
-    assert layout is not None
     gates, poles, start = gtd["gate_nominal_position"], gtd["pole_nominal_position"], gtd["robot_position"][:, None]
     for places in (gates, poles):
         assert (places[..., :2] >= torch.tensor(layout.lower) - ROUNDING).all()
@@ -123,7 +122,6 @@ def test_a_drawn_track_keeps_its_distances() -> None:
 def test_a_layout_without_room_takes_what_comes_closest() -> None:
     """Two gates 1 m apart do not fit into 0.2 m: the second is as far from the first as some of 64 draws can be."""
     base = ENVIRONMENTS.get("racing_random_track_env")
-    assert base.track is not None
     narrow = LayoutCfg(lower=(-0.1, -0.1), upper=(0.1, 0.1), start_distance=0.0)
     track = replace(base.track, gates=base.track.gates[:2], poles=(), layout=narrow)
     env = simulate(replace(base, track=track, assets=(replace(base.assets[0], count=2),)), 200)
@@ -208,6 +206,6 @@ def test_a_pole_ends_at_its_top(height: float, touches: bool) -> None:
         ),
     ],
 )
-def test_tracks_that_cannot_be_are_refused(make, message: str) -> None:  # type: ignore[no-untyped-def]
+def test_tracks_that_cannot_be_are_refused(make, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make()

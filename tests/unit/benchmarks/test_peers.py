@@ -57,7 +57,6 @@ def test_ours_and_the_peers_take_turns() -> None:
 
 def test_a_missing_peer_is_skipped_with_a_sentence() -> None:
     sentence = skip_reason("l2f", "/nowhere/bin/python", "cpu")
-    assert sentence is not None
     assert sentence.startswith("l2f is skipped: /nowhere/bin/python cannot import it (")
     assert skip_reason("l2f", sys.executable, "cuda") == "l2f is skipped: it runs on cpu only."
 

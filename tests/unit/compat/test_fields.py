@@ -226,9 +226,7 @@ def test_folders_of_that_simulator_have_shapes_here() -> None:
         asset_folder = "/nowhere/aerial_gym/resources/models/environment_assets/trees"
 
     cfg = assets.translate_asset("wood", TreeAssets)
-    assert cfg is not None
     assert cfg.name == "wood"
-    assert cfg.family is not None
     assert cfg.family.name == "trees"
 
     class EmptyAssets(assets.BaseAssetParams):
@@ -264,7 +262,6 @@ def test_force_mode_has_no_thrust_map() -> None:
     rotor = robots.translate_robot(
         make_subclass(robots.BaseQuadCfg, {f"{motor}.{k}": v for k, v in values.items()})
     ).rotor
-    assert rotor is not None
     assert (rotor.mode, rotor.thrust_map, rotor.thrust_range, rotor.slew_rate) == (
         "force",
         (0.0,) * 3,
@@ -313,7 +310,6 @@ def test_gains_of_a_class_are_explicit_gains() -> None:
         randomize_params = True
 
     cfg = controllers.translate_controller(controllers.LAWS["LeeAttitudeController"], Quick)
-    assert cfg.gains is not None
     assert cfg.gains.attitude == pytest.approx((1.55, 1.65, 0.45))
     assert cfg.if_unstable == "warn"
     drawn = controllers.gain_randomization(controllers.LAWS["LeeAttitudeController"], Quick)

@@ -29,7 +29,7 @@ def test_a_console_shows_plain_letters_for_what_it_lacks(
     monkeypatch.setattr(sys, "stderr", io.StringIO())  # cannot be told
     accept_any_console()
     print(text, end="", flush=True)
-    assert stream.buffer.getvalue().decode(encoding) == shown  # type: ignore[attr-defined]
+    assert stream.buffer.getvalue().decode(encoding) == shown
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "gbk", "UTF8", None])
@@ -38,7 +38,7 @@ def test_json_on_stdout_loses_nothing(encoding: str | None, monkeypatch: pytest.
         pass
 
     stream = Stream()
-    Stream.encoding = encoding  # type: ignore[assignment]
+    Stream.encoding = encoding
     monkeypatch.setattr(sys, "stdout", stream)
     line = json_line({"unit": "m/s²", "path": "日"})
     assert json.loads(line) == {"unit": "m/s²", "path": "日"}

@@ -34,12 +34,8 @@ def test_a_robot_is_its_base_but_for_what_it_says(tmp_path: Path) -> None:
 def test_entries_with_names_are_changed_by_name(tmp_path: Path) -> None:
     text = "extends: morphy\njoints: {layout: {azimuth_2: {spring: {rest: 0.1}}}}\n"
     joints, base = load_robot(write_file(tmp_path / "mine.yaml", text)).joints, ROBOTS.get("morphy").joints
-    assert joints is not None
-    assert base is not None
     for joint, before in zip(joints.layout, base.layout, strict=True):
         assert (joint == before) == (joint.name != "azimuth_2")
-        assert joint.spring is not None
-        assert before.spring is not None
         assert replace(joint.spring, rest=before.spring.rest) == before.spring
 
 
@@ -79,5 +75,4 @@ def test_settings_of_training_build_on_others(tmp_path: Path) -> None:
     file = write_file(tmp_path / "mine.yaml", "extends: ppo_position_setpoint\nppo: {horizon: 64}\nseed: 3\n")
     cfg, base = load_settings(file), load_settings(TRAINING_CONFIGS / "ppo_position_setpoint.yaml")
     assert cfg.ppo is not None
-    assert base.ppo is not None
     assert cfg == replace(base, seed=3, ppo=replace(base.ppo, horizon=64))

@@ -26,9 +26,7 @@ F64 = torch.float64
 def lee_controller(robot: RobotCfg, *, dt: float = 0.01, control: ControlCfg | None = None) -> LeeController:
     vehicle = vehicle_from_config(robot, num_envs=2, dtype=F64)
     control = robot.control if control is None else control
-    result = make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=dt, control=control)
-    assert isinstance(result, LeeController)
-    return result
+    return make_controller(CONTROLLERS.get("lee_position_control"), vehicle, 9.81, dt=dt, control=control)
 
 
 @pytest.mark.parametrize("margin", [0.4, pi / 4, 1.1])

@@ -164,7 +164,6 @@ def test_gains_about_an_axis_without_torque_are_refused() -> None:
     kind = {"gravity": 9.81, "dt": 0.01, "integrator": "euler", "names": ("neural_fly_quad", "p")}
     with pytest.raises(ConfigError, match="the explicit gains control yaw, but its rotors give no torque there"):
         check_closed_loop(robot, law, **kind)
-    assert law.gains is not None
     roll, pitch, _ = law.gains.attitude
     check_closed_loop(robot, replace(law, gains=replace(law.gains, attitude=(roll, pitch, 0.0))), **kind)
     check_closed_loop(robot, CONTROLLERS.get("lmf2_velocity_control"), **kind)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg
-from aerial_gym.control import CONTROLLERS, LeeController, make_controller
+from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position
 from aerial_gym.errors import ConfigError
@@ -82,7 +82,7 @@ def test_the_sampled_loop_has_the_placed_poles() -> None:
             for kind in ("frequency", "damping")
         }
         loop = ClosedLoop(
-            replace(quick, control=ControlCfg(**numbers)),  # type: ignore[arg-type]
+            replace(quick, control=ControlCfg(**numbers)),
             CONTROLLERS.get("lee_position_control"), gravity=9.81, integrator="rk4", names=("x500", "lee_position_control"),
         )  # fmt: skip
         poles = torch.log(loop.modes(dt)) / dt
@@ -102,7 +102,6 @@ def test_a_flight_with_lag_and_dead_time_has_the_bandwidth() -> None:
     delay = 3.5 * dt
     result = tune_attitude(vehicle, bandwidth=bandwidth, damping=0.7, delay=delay, dt=dt)
     law = make_controller(CONTROLLERS.get("lee_attitude_control"), vehicle, 9.81, dt=dt)
-    assert isinstance(law, LeeController)
     inertia = vehicle.inertia.diagonal(dim1=1, dim2=2)
     law.gains = replace(law.gains, attitude=inertia * result.proportional, rate=inertia * result.derivative)
     late = (EFFECTS.get("actuation_delay"), torch.full((4, 1), delay, dtype=F64))

@@ -39,7 +39,6 @@ def build(robot: RobotCfg | str, **options) -> EnvManager:
 def bend(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
     """Return a robot whose joints begin up to 0.3 rad from their reference, with dry friction [N m] in their springs."""
     robot = ROBOTS.get(name)
-    assert robot.joints is not None
     layout = tuple(
         replace(
             joint,
@@ -49,7 +48,7 @@ def bend(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
         )
         for joint in robot.joints.layout
     )
-    return replace(robot, joints=replace(robot.joints, layout=layout), **changes)  # type: ignore[arg-type]
+    return replace(robot, joints=replace(robot.joints, layout=layout), **changes)
 
 
 def make_actions(env: EnvManager, low: float, high: float) -> Tensor:
@@ -119,8 +118,6 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
         assert gradient[1].abs().max() > 0.0
     env.step(later)
     backend = env.robot_manager.differentiable
-    assert backend is not None
-    assert backend._inner._crept is not None
     (gradient,) = torch.autograd.grad(backend._inner._crept.sum(), first)
     assert gradient[0].tolist() == [0.0] * 4
     assert gradient[1].abs().max() > 0.0
@@ -161,7 +158,6 @@ def test_a_saved_flight_goes_on_as_if_it_had_not_stopped() -> None:
 
 def test_links_that_collide_are_seen_as_without_gradients() -> None:
     snake = bend("snakey", collision=replace(ROBOTS.get("snakey").collision, between_links=True))
-    assert snake.joints is not None
     layout = tuple(
         replace(joint, initial=(2.08, 2.08), initial_rate=(3.0, 3.0)) if joint.name.startswith("yaw") else joint
         for joint in snake.joints.layout

@@ -76,7 +76,6 @@ def test_c_and_torchscript_give_what_torch_gives(
         policy, image_layout(policy, {"depth": ImageCfg(dtype=dtype)}), tmp_path, ["c99", "torchscript"]
     )
     for each in result:
-        assert each.largest_difference is not None, each
         assert each.largest_difference < TOLERANCE, each
     text = (tmp_path / "pixels.c").read_text()
     assert "alloc" not in text
@@ -90,7 +89,6 @@ def test_onnx_gives_what_torch_gives(memory: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxscript")
     policy = random_policy({"observations": OBSERVATIONS, "depth": IMAGE}, memory=memory)
     (result,) = write_policy(policy, image_layout(policy), tmp_path, ["onnx"])
-    assert result.largest_difference is not None
     assert result.largest_difference < TOLERANCE
 
 
@@ -106,7 +104,6 @@ def test_two_images_of_two_frames_go_in_by_name(tmp_path: Path) -> None:
         ("depth", (2, 24, 40), 10.0, 1.0),
     ]
     (result,) = write_policy(policy, made, tmp_path, ["c99"])
-    assert result.largest_difference is not None
     assert result.largest_difference < TOLERANCE
     assert Layout.read(tmp_path) == replace(made, params=dict(made.params))
 

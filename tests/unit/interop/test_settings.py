@@ -109,9 +109,9 @@ def test_simulations_are_the_same_under_all_settings(case: tuple[str, str, str, 
 @pytest.mark.parametrize("name", ["position_setpoint_task", "any_quadrotor_task"])
 def test_tasks_are_the_same_under_all_settings(name: str) -> None:
     def observe(task: object, seed: int) -> Tensor:
-        task.reset(seed=seed)  # type: ignore[attr-defined]
+        task.reset(seed=seed)
         for _ in range(3):
-            result = task.step(torch.zeros(2, task.num_actions, device="cpu"))  # type: ignore[attr-defined]
+            result = task.step(torch.zeros(2, task.num_actions, device="cpu"))
         return result[0]["observations"].clone()
 
     expected = observe(task_registry.make_task(name, num_envs=2, device="cpu", seed=0), 5)
@@ -167,7 +167,7 @@ def test_a_graph_is_recorded_on_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(torch.cuda, "graph", graph)
     monkeypatch.setattr(torch.cuda, "Stream", lambda place: SimpleNamespace(device=place))
     second = torch.device("cuda", 1)
-    with record_graph(SimpleNamespace(), second, errors="thread_local"):  # type: ignore[arg-type]
+    with record_graph(SimpleNamespace(), second, errors="thread_local"):
         assert current[-1] == second
     assert seen == [(second, second, "thread_local")]
     assert current == [torch.device("cuda", 0)]

@@ -20,7 +20,7 @@ class Plain(WarpBackend):
 
     capabilities = replace(
         WarpBackend().capabilities, rotors=(), contact=False, effects=(), integrators=("euler",), joints=False
-    )  # type: ignore[assignment]
+    )
 
 
 @pytest.mark.parametrize(

@@ -146,7 +146,7 @@ class ScriptTask:
 def test_evaluation_of_known_flights() -> None:
     seen = []
     pilot = ScriptPilot(lambda obs: obs["observations"][:, :1])
-    result = evaluate(pilot, ScriptTask(), on_step=lambda step, steps: seen.append((step, steps)))  # type: ignore[arg-type]
+    result = evaluate(pilot, ScriptTask(), on_step=lambda step, steps: seen.append((step, steps)))
     assert pilot.forgot == [None, 0, 1, 0, 0, 0, 0]  # all at the start, then the row that crashed
     assert seen == [(i, 6) for i in range(1, 7)]
     assert (result.num_starts, result.episode_s) == (4, 3.0)
@@ -173,7 +173,7 @@ def test_evaluation_of_a_race_tells_gates_and_times() -> None:
             told = {"successes": done[:, k], "crashes": crash[:, k], "gate_passed": gates[:, k]}
             return obs, reward, done[:, k] | crash[:, k], torch.zeros(4, dtype=torch.bool), told
 
-    result = evaluate(ScriptPilot(lambda obs: obs["observations"][:, :1]), Race())  # type: ignore[arg-type]
+    result = evaluate(ScriptPilot(lambda obs: obs["observations"][:, :1]), Race())
     assert (result.success_rate, result.crash_rate, result.timeout_rate) == (0.5, 0.25, 0.25)
     assert result.gates_passed_mean == pytest.approx((2 + 2 + 0 + 0) / 4)
     assert result.success_time_mean_s == pytest.approx((1.5 + 1.0) / 2)
@@ -185,7 +185,7 @@ def test_a_task_without_a_target_has_returns_alone() -> None:
             *rest, info = super().step(actions)
             return *rest, {"crashes": info["crashes"]}
 
-    result = evaluate(ScriptPilot(lambda obs: obs["observations"][:, :1]), Aimless())  # type: ignore[arg-type]
+    result = evaluate(ScriptPilot(lambda obs: obs["observations"][:, :1]), Aimless())
     assert (result.final_error_mean_m, result.settling_time_mean_s) == (None, None)
     assert (result.gates_passed_mean, result.success_time_mean_s) == (None, None)
     assert (result.settled_rate, result.success_rate) == (0.0, 0.0)
@@ -195,7 +195,7 @@ def test_a_task_without_a_target_has_returns_alone() -> None:
 
 def test_a_policy_on_another_device_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"is on meta, the task on cpu. Use load_policy\(..., device=task.device\)"):
-        evaluate(torch.nn.Linear(2, 1, device="meta"), ScriptTask())  # type: ignore[arg-type]
+        evaluate(torch.nn.Linear(2, 1, device="meta"), ScriptTask())
 
 
 def test_a_policy_that_is_not_there_is_refused(tmp_path: Path) -> None:

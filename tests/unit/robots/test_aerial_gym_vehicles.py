@@ -93,7 +93,6 @@ def test_the_derived_matrix_of_base_random_is_the_published_one() -> None:
 def test_the_derived_matrix_of_base_octarotor_is_the_published_one_at_its_torque_ratio() -> None:
     """With 0.1 m in place of the 0.01 m of its motor model all 48 entries agree."""
     robot = ROBOTS.get("base_octarotor")
-    assert robot.rotor is not None
     assert robot.rotor.torque_ratio == 0.01
     as_allocated = replace(robot, rotor=replace(robot.rotor, torque_ratio=0.1))
     published = torch.tensor(OCTAROTOR_MATRIX, dtype=torch.float64)

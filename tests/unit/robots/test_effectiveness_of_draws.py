@@ -99,7 +99,6 @@ def reference_inverse(matrix: np.ndarray) -> np.ndarray:
 def test_each_environment_has_the_pseudo_inverse_of_its_own_matrix(draw_env: EnvManager) -> None:
     """To round-off of float32: the condition of the matrix with rows of length 1 times a few roundings of its entries."""
     manager = draw_env.robot_manager
-    assert manager._update is not None
     assert manager._update.why_slow == ""
     for i, inverse in enumerate(manager.controller.allocation.inverse.double().numpy()):
         matrix = effectiveness(draw_env, i)

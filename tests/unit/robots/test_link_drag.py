@@ -52,16 +52,16 @@ def test_the_loop_lists_it_as_not_testable_and_keeps_it(drag_robot: RobotCfg) ->
         SimpleNamespace(not_testable={}, effect_names=()),
         SimpleNamespace(wind=SimpleNamespace(untestable=None)),
     )
-    told = not_testable(selection, drag_robot, air)  # type: ignore[arg-type]
+    told = not_testable(selection, drag_robot, air)
     assert {name: finding.code for name, finding in told.items()} == dict.fromkeys(
         ("link_drag", "link_buoyancy", "link_added_mass"), "acts_on_links"
     )
-    assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}  # type: ignore[arg-type]
+    assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}
     declared = SimpleNamespace(
         robot=drag_robot, stated=drag_robot, train=SimpleNamespace(flights=[SimpleNamespace(name="f")])
     )
     params = params_from_robot(drag_robot).with_effect("rotor_drag", torch.tensor([0.1, 0.2, 0.3]).numpy())
-    result = correct_robot(declared, params, ["rotor_drag"])  # type: ignore[arg-type]
+    result = correct_robot(declared, params, ["rotor_drag"])
     assert set(result.effects) == {"link_drag", "quadratic_drag", "rotor_drag"}
     assert result.effects["link_drag"] == drag_robot.effects["link_drag"]
     check_effects(result)
@@ -69,7 +69,7 @@ def test_the_loop_lists_it_as_not_testable_and_keeps_it(drag_robot: RobotCfg) ->
 
 def test_it_cannot_be_requested() -> None:
     with pytest.raises(ConfigError, match="link_drag acts on links where they are.* cannot be asked for"):
-        select_effects(None, None, None, lambda *_: None, candidates=("link_drag",))  # type: ignore[arg-type]
+        select_effects(None, None, None, lambda *_: None, candidates=("link_drag",))
 
 
 def test_a_rigid_robot_file_is_refused() -> None:

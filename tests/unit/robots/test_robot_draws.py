@@ -102,7 +102,6 @@ def test_an_episode_begins_as_without_draws(many: EnvManager) -> None:
 def test_only_the_rows_of_the_mask_are_written(many: EnvManager) -> None:
     """What the backend keeps is afterwards what building it anew gives, but for round-off of float32."""
     manager, mask = many.robot_manager, torch.tensor([True, False, True, False, False, True])
-    assert manager._update is not None
     assert manager._update.why_slow == ""
     targets = [*manager.backend.parameter_targets(), many.gtd["robot_mass"], many.gtd["robot_inertia"]]
     targets += [many.gtd["effect_rotor_drag"], manager.controller.gains.velocity]
@@ -126,7 +125,6 @@ def as_file(env: EnvManager, i: int) -> RobotCfg:
     body = replace(
         QUAD.body, mass=mass, inertia=tuple(map(tuple, inertia.tolist())), com=tuple(draws["body.com"].tolist())
     )
-    assert QUAD.rotor is not None
     rotors, layout = {}, []
     for number, mount in enumerate(QUAD.mounts.layout):
         factor, lag = float(draws["rotor.thrust_map"][number]), float(draws["rotor.time_constant"])

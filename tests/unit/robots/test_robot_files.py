@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from aerial_gym.config import CONFIG_DIR
-from aerial_gym.config.collision import CapsuleCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.robots import ROBOTS
@@ -48,11 +47,9 @@ def test_speeds_and_offsets_are_those_of_the_sources() -> None:
 
 def test_arms_creep_as_identified_per_inertia_of_a_point_mass() -> None:
     joints, inertia = ROBOTS.get("morphy_creeping").joints, 0.01625 * 0.07**2
-    assert joints is not None
     springs = [joint.spring for joint in joints.layout if joint.name.startswith("elevation")]
     assert len(springs) == 4
     for spring in springs:
-        assert spring is not None
         result = (spring.stiffness, spring.damping, *(each.stiffness for each in spring.creep))
         np.testing.assert_allclose(result, inertia * np.array((4877.9, 56.623, 3474.6, 1665.6, 656.34)), rtol=1e-12)
 
@@ -61,7 +58,6 @@ def test_arms_creep_as_identified_per_inertia_of_a_point_mass() -> None:
 def test_a_snake_is_a_regular_polygon_of_equal_rods(rods: int) -> None:
     """Rod k lies along ``(cos k c, sin k c)``, ``c = 2 pi / N``, and follows the one before; the body is all rods together."""
     robot = ROBOTS.get(f"snakey{'' if rods == 4 else rods}")
-    assert robot.joints is not None
     headings, end = 2.0 * pi / rods * np.arange(rods), np.array((-0.5, 0.0, 0.0))
     for k, (heading, mount) in enumerate(zip(headings, robot.mounts.layout, strict=True)):
         along = np.array((cos(heading), sin(heading), 0.0))
@@ -78,14 +74,11 @@ def test_a_snake_is_a_regular_polygon_of_equal_rods(rods: int) -> None:
 
 def _check_rod(robot: RobotCfg, k: int, heading: float) -> None:
     capsule, middle = robot.collision.shapes[k], robot.mounts.layout[k].position
-    assert isinstance(capsule, CapsuleCfg)
     assert (capsule.radius, capsule.height + 2.0 * capsule.radius) == (0.02, 1.0)
     np.testing.assert_allclose((*capsule.center, *capsule.euler), (*middle, 0.0, 0.5 * pi, heading), atol=1e-14)
     assert capsule.link == robot.mounts.layout[k].link == ("base" if k == 0 else f"roll_{k}")
     if k:
-        assert robot.joints is not None
         link = robot.joints.layout[2 * k - 1].link
-        assert link is not None
         np.testing.assert_allclose((link.mass, *link.com), (0.30625, *middle), atol=1e-14)
         np.testing.assert_allclose(link.inertia, _inertia_of_rod(heading), atol=1e-14)
 

@@ -61,7 +61,7 @@ class FitStub(Fitter):
 
     def __init__(self, *sets: EffectSetFit) -> None:
         self.sets = {(one.effects, bool(one.structures)): one for one in sets}
-        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()  # type: ignore[assignment]
+        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()
         self._derivatives = {}
 
     def fit(

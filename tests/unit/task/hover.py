@@ -27,7 +27,7 @@ def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: obj
     """Return it; ``policy`` alone is the group of that name."""
     if "policy" in changes:
         changes["observations"] = {"policy": changes.pop("policy")}
-    cfg = replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
+    cfg = replace(task_registry.get("position_setpoint_task"), **changes)
     return build_task(cfg, num_envs, seed=seed, first_env=first_env)
 
 

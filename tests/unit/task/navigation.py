@@ -16,11 +16,11 @@ def make_cfg(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None 
     goal = cfg.terminations["goal"]
     goal = replace(goal, params={"radius": success_radius or goal.params["radius"]})
     cfg = replace(cfg, terminations={**cfg.terminations, "goal": goal})
-    return replace(cfg, **changes)  # type: ignore[arg-type]
+    return replace(cfg, **changes)
 
 
 def make(num_envs: int = 6, *, seed: int = 0, camera: bool = False, **changes: object) -> Task:
     """Return it; without its camera, which takes most of its time, unless asked for."""
-    cfg = make_cfg(task_registry.get("navigation_task"), camera=camera, **changes)  # type: ignore[arg-type]
+    cfg = make_cfg(task_registry.get("navigation_task"), camera=camera, **changes)
     env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=num_envs, seed=seed)
     return Task(cfg, env)

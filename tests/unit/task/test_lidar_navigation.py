@@ -26,7 +26,7 @@ def make(num_envs: int = 4, **changes: object) -> Task:
     """Return the task without noise of its own, with the lidar of the Aerial Gym Simulator, which has none either."""
     quiet = {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}
     cfg = replace(CFG, robot="base_quadrotor_with_dome_lidar", observations=quiet)
-    cfg = replace(cfg, **changes)  # type: ignore[arg-type]
+    cfg = replace(cfg, **changes)
     assert cfg.start is not None
     return build_task(cfg, num_envs, robot=replace(ROBOTS.get(cfg.robot), initial_state=cfg.start))
 
@@ -209,7 +209,6 @@ def test_starts_have_any_heading_and_goals_keep_their_distance() -> None:
 
 def test_the_curriculum_goes_from_25_to_70_rows_of_which_6_are_walls() -> None:
     """Two more above a share of 0.7, one less below 0.6, after 2048 episodes; walls always stand."""
-    assert CFG.curriculum is not None
     cfg = replace(CFG.curriculum, check_after=4)
     assert (CFG.curriculum.check_after, cfg.min_level, cfg.max_level) == (2048, 25, 70)
     task = make(4, curriculum=cfg)
@@ -242,6 +241,5 @@ def test_the_coarse_dome_shows_in_cells_about_what_the_full_one_shows() -> None:
 
 
 def test_a_point_without_a_heading_is_not_enough() -> None:
-    assert CFG.command is not None
     with pytest.raises(UnknownNameError, match="reads 'target_yaw'"):
         make(1, command=replace(CFG.command, generator="drawn_point"))

@@ -103,7 +103,7 @@ def test_reward_is_the_published_formula(state: dict[str, Tensor], expected: flo
     ],
 )
 def test_actions_are_speed_inclination_and_yaw_rate(action: list[float], command: list[float]) -> None:
-    result = forward_flight(torch.tensor([action]), **CFG.action.params)  # type: ignore[arg-type]
+    result = forward_flight(torch.tensor([action]), **CFG.action.params)
     torch.testing.assert_close(result, torch.tensor([command]), rtol=1e-6, atol=1e-6)
 
 

@@ -60,7 +60,6 @@ def level(folder: Path, *changes: tuple[str, str], drawn: bool = False) -> str:
 
 
 def task_environment(task: TaskCfg) -> EnvironmentCfg:
-    assert isinstance(task.env, EnvironmentCfg)
     return task.env
 
 
@@ -68,8 +67,6 @@ def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
     task = task_registry.get(level(tmp_path))
     env = task_environment(task)
     track, start = env.track, task.start
-    assert track is not None
-    assert start is not None
     assert (task.sim, env.physics_steps_per_env_step) == ("base_sim_2ms", 5)  # 500 Hz, 100 Hz
     assert [(gate.position, gate.euler) for gate in track.gates] == [
         ((1.0, 2.0, 0.75), (0.0, 0.1, 1.5)),
@@ -80,7 +77,6 @@ def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
     assert (track.gate_euler_low, track.gate_euler_high) == ((0.0, -0.01, -0.02), (0.0, 0.01, 0.02))
     assert (track.pole_low, track.pole_high) == ((-0.4, -0.5, 0.0), (0.4, 0.5, 0.0))
     assert [asset.count for asset in env.assets] == [2, 1]
-    assert task.command is not None
     assert task.command.params["sensor_range"] == 0.9
     mass, inertia = task.randomize["body.mass"], task.randomize["body.inertia"]
     assert (mass.how, mass.low, mass.high, mass.keep_inertia) == ("offset", -0.002, 0.004, True)
@@ -106,9 +102,6 @@ def test_a_level_is_flown(tmp_path: Path) -> None:
 def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
     task = task_registry.get(level(tmp_path, drawn=True))
     track, start = task_environment(task).track, task.start
-    assert track is not None
-    assert start is not None
-    assert track.layout is not None
     assert (track.layout.lower, track.layout.upper) == (pytest.approx((-1.9, -1.3)), pytest.approx((2.1, 1.1)))
     assert start.position_ratio_low == pytest.approx((0.6 / 6.0, 1.2 / 6.0, 0.1 / 2.5))
     assert start.position_ratio_high == pytest.approx((5.6 / 6.0, 4.6 / 6.0, 0.125 / 2.5))
@@ -120,7 +113,6 @@ def test_what_is_not_drawn_is_as_it_is_listed(tmp_path: Path) -> None:
     Path(path).write_text(text, encoding="utf-8")
     task = task_registry.get(path)
     track = task_environment(task).track
-    assert track is not None
     assert not task.randomize
     assert track.gate_position_low == track.gate_position_high == (0.0, 0.0, 0.0)
 

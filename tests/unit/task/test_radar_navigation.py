@@ -42,8 +42,6 @@ def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
         1.0,
     )
     assert (CFG.env, CFG.robot, CFG.start) == ("env_with_obstacles", "lmf2_radar", None)
-    assert CFG.curriculum is not None
-    assert LIDAR.curriculum is not None
     assert (CFG.curriculum.min_level, CFG.curriculum.max_level) == (25, task().env.asset_manager.num_assets)
     as_lidar = replace(
         CFG,

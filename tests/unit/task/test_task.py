@@ -13,7 +13,7 @@ from tests.unit.task.rewards import term_reward
 
 def make(num_envs: int = 8, *, seed: int = 0, **changes: object) -> Task:
     task = task_registry.make_task("position_setpoint_task", num_envs=num_envs, device="cpu", seed=seed)
-    return Task(replace(task.cfg, **changes), task.env) if changes else task  # type: ignore[arg-type]
+    return Task(replace(task.cfg, **changes), task.env) if changes else task
 
 
 def test_spaces_and_shapes() -> None:
@@ -50,7 +50,6 @@ def test_final_observation_is_of_the_old_episode_and_the_observation_of_the_new(
             torch.testing.assert_close(obs["observations"], info["final_observation"])
             previous = obs["observations"].clone()
     assert truncated.all()
-    assert previous is not None
     assert (info["final_observation"][:, :3] - previous[:, :3]).norm(dim=-1).max() < 0.05
     assert (obs["observations"][:, :3] - info["final_observation"][:, :3]).norm(dim=-1).min() > 1e-3
     torch.testing.assert_close(obs["observations"][:, :3], -task.env.gtd["robot_position"])

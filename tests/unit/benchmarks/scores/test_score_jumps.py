@@ -54,7 +54,6 @@ def test_jumps_and_stops_of_a_quiet_flight_are_told_in_time() -> None:
 def test_the_largest_difference_passes_one_where_a_jump_is_told() -> None:
     """Noise of 1 cm makes differences of some 3 mm: a jump of 12 cm is 40 times that, one of 1 m 300 times."""
     log, noise = swing(), 0.01 * np.random.default_rng(3).standard_normal((1600, 3))
-    assert log.position is not None
     assert largest_share(log) == 0.0
     for size, whether in ((1.0, True), (0.12, False)):
         moved = replace(log, position=log.position + noise + (log.time > 8.0)[:, None] * (size, 0.0, 0.0))

@@ -35,9 +35,7 @@ PLAIN = BetaflightCfg(
 def make_law(own: BetaflightCfg | None = None, robot: RobotCfg = RACER, dt: float = DT) -> BetaflightController:
     cfg = CONTROLLERS.get(NAME)
     cfg = cfg if own is None else replace(cfg, betaflight=own)
-    law = make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt)
-    assert isinstance(law, BetaflightController)
-    return law
+    return make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt)
 
 
 def rest_state(ang_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> BodyState:
@@ -273,7 +271,6 @@ def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
 
 
 def with_rotor_lag(seconds: float) -> RobotCfg:
-    assert RACER.rotor is not None
     return replace(RACER, rotor=replace(RACER.rotor, time_constant_up=seconds, time_constant_down=seconds))
 
 

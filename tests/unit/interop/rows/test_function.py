@@ -161,7 +161,7 @@ REFUSED: dict[str, tuple[Callable[[Tensor], object], str]] = {
 def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
     function, reason = REFUSED[name]
     with pytest.raises(UntraceableError, match=reason):
-        trace(function, (torch.rand(4, 3),))  # type: ignore[arg-type]
+        trace(function, (torch.rand(4, 3),))
 
 
 def test_tracing_loads_no_compiler() -> None:

@@ -26,14 +26,11 @@ def write_tree(**options):
 def test_numbers_are_those_of_one_environment_in_the_order_of_mujoco() -> None:
     root = write_tree(env=1)
     arm = root.find("worldbody/body/body")
-    assert arm is not None
     assert arm.get("quat") == "0.7 0.5 -0.5 0.1"
     inertial = arm.find("inertial")
-    assert inertial is not None
     assert inertial.attrib["fullinertia"] == "1.0 2.0 3.0 4.0 5.0 6.0"
     assert inertial.attrib["mass"] == "0.1"
     option = root.find("option")
-    assert option is not None
     assert option.attrib["gravity"] == "0.0 0.0 -9.81"
 
 
@@ -42,8 +39,6 @@ def test_without_a_floor_nothing_touches_and_with_one_points_have_a_size() -> No
     root = write_tree(floor=Floor(height=-0.5, spheres=((0.1, 0.0, 0.0, 0.0),), friction=0.4))
     assert root.find("option/flag[@contact='disable']") is None
     plane, foot = root.find("worldbody/geom"), root.find("worldbody/body/geom")
-    assert plane is not None
-    assert foot is not None
     assert plane.attrib["pos"] == "0.0 0.0 -0.5"
     assert float(foot.attrib["size"]) == 1e-9
 

@@ -25,8 +25,7 @@ GAMMA = 0.9
 def settings(num_envs: int = 32, **apg: object) -> TrainingCfg:
     cfg = load_settings(settings_for("apg", "position_setpoint_task", device="cpu"))
     cfg = replace(cfg, num_envs=num_envs, device="cpu", max_time_s=None, max_env_steps=100_000)
-    assert cfg.apg is not None
-    return replace(cfg, apg=replace(cfg.apg, **{"horizon": 8} | apg))  # type: ignore[arg-type]
+    return replace(cfg, apg=replace(cfg.apg, **{"horizon": 8} | apg))
 
 
 def test_the_return_of_a_window_is_that_of_its_episodes_judged_where_they_continue() -> None:
@@ -141,7 +140,6 @@ def test_a_row_that_goes_astray_teaches_nothing() -> None:
         training = ApgTrainer().make_training(cfg, task)
         training.advance()
         backend = task.env.robot_manager.differentiable
-        assert backend is not None
         backend.state.lin_vel[1] = float("inf")
         before = training.learner.network.actor.head.weight.clone()
         training.advance()
@@ -158,7 +156,6 @@ def test_what_a_policy_makes_of_joints_has_a_gradient() -> None:
         loss, _ = learner._policy_loss(learner._fly())
         loss.backward()
         gradient = learner.network.actor.body.layers[0].weight.grad
-        assert gradient is not None
         assert bool(gradient.isfinite().all())
         assert bool((gradient[:, -16:].abs().amax(dim=0) > 0.0).all())
 
@@ -170,7 +167,6 @@ def test_a_window_with_joints_is_no_cuda_graph() -> None:
         task.device = torch.device("cuda")
         with pytest.raises(CapabilityError, match=r"robot with joints.* Give capture: false"):
             check_differentiable(task, cfg)
-        assert cfg.apg is not None
         check_differentiable(task, replace(cfg, apg=replace(cfg.apg, capture=False)))
 
 
@@ -201,7 +197,6 @@ def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogC
 
 def test_settings_that_do_not_fit_are_refused() -> None:
     cfg = settings()
-    assert cfg.apg is not None
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")).ppo
     with pytest.raises(ConfigError, match="trainer apg needs its numbers under apg, and no others"):
         replace(cfg, ppo=ppo)
@@ -213,4 +208,4 @@ def test_settings_that_do_not_fit_are_refused() -> None:
         ({"target_share": 1.5}, "must be at most 1"),
     ):
         with pytest.raises(ConfigError, match=message):
-            replace(cfg.apg, **change)  # type: ignore[arg-type]
+            replace(cfg.apg, **change)

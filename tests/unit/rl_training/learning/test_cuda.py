@@ -48,8 +48,8 @@ def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_continues(fused: bool, 
     first, _ = train(1)
     second, _ = train(1, first)
     for other in (again, second):
-        for name, tensor in whole["model"].items():  # type: ignore[attr-defined]
-            torch.testing.assert_close(other["model"][name], tensor, atol=1e-3, rtol=1e-3, msg=name)  # type: ignore[index]
+        for name, tensor in whole["model"].items():
+            torch.testing.assert_close(other["model"][name], tensor, atol=1e-3, rtol=1e-3, msg=name)
 
 
 def test_a_training_that_talks_by_nccl_is_a_graph_and_learns_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

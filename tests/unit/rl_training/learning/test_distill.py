@@ -27,14 +27,13 @@ SENSED = tuple(ObservationCfg(term=term) for term in ("position_error_world", "a
 def settings(num_envs: int = 64, **distill: object) -> TrainingCfg:
     cfg = load_settings(settings_for("distill", "position_setpoint_task", device="cpu"))
     cfg = replace(cfg, num_envs=num_envs, device="cpu", max_time_s=None, max_env_steps=30_000)
-    assert cfg.distill is not None
-    return replace(cfg, distill=replace(cfg.distill, **{"horizon": 16} | distill))  # type: ignore[arg-type]
+    return replace(cfg, distill=replace(cfg.distill, **{"horizon": 16} | distill))
 
 
 def hover(**changes: int) -> Task:
     """The position task, with a group that lacks velocities."""
     cfg = task_registry.get("position_setpoint_task")
-    return build_task(replace(cfg, observations={**cfg.observations, "sensed": SENSED}, **changes), 64)  # type: ignore[arg-type]
+    return build_task(replace(cfg, observations={**cfg.observations, "sensed": SENSED}, **changes), 64)
 
 
 def damping() -> Policy:

@@ -52,7 +52,7 @@ def late_cost(memory: int) -> float:
     cfg = settings(ENVS, memory=memory, horizon=8, num_minibatches=2, hidden_layers=(16,), initial_std=0.3)
     cfg = replace(cfg, ppo=replace(cfg.ppo, num_epochs=4, discount=0.9, max_learning_rate=5e-3, min_std=0.01))
     task = Recall()
-    learner = Ppo(cfg, task, make_network(cfg, task))  # type: ignore[arg-type]
+    learner = Ppo(cfg, task, make_network(cfg, task))
     learner.begin()
     for _ in range(60):
         learner.iterate()

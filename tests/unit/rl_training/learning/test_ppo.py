@@ -155,12 +155,11 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
     cfg = settings(2, horizon=4, gae_lambda=1.0, discount=0.9, normalize_observation=False, normalize_value=False)
     cfg = replace(cfg, ppo=replace(cfg.ppo, hidden_layers=(1,), activation="relu", reward_scale=1.0, num_minibatches=1))
     task = StepCounter()
-    network = make_network(cfg, task)  # type: ignore[arg-type]
-    assert network.own_body is not None
+    network = make_network(cfg, task)
     layer = network.own_body.layers[0]
     for tensor, number in ((layer.weight, 1.0), (layer.bias, 0.0), (network.value_head.weight, 10.0)):
-        tensor.data.fill_(number)  # type: ignore[union-attr, operator]
-    learner = Ppo(cfg, task, network)  # type: ignore[arg-type]
+        tensor.data.fill_(number)
+    learner = Ppo(cfg, task, network)
     learner.begin()
     with torch.no_grad():
         samples = learner._judge(learner._fly())
@@ -199,4 +198,4 @@ def test_settings_that_other_trainers_do_not_know_are_refused() -> None:
 
 def test_a_key_that_the_task_does_not_have_is_refused() -> None:
     with pytest.raises(ConfigError, match="has no observation 'depth'. Known: observations"):
-        make_network(settings(policy_keys=("observations", "depth")), StepCounter())  # type: ignore[arg-type]
+        make_network(settings(policy_keys=("observations", "depth")), StepCounter())

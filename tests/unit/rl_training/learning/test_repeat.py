@@ -50,7 +50,7 @@ def test_a_training_repeats_bit_for_bit_and_goes_on_as_if_it_had_not_stopped(nam
     first, before = train(2)
     second, after = train(2, first)
     assert reports[:2] == before
-    assert [gauges for _, gauges in reports] == [gauges for _, gauges in before + after]  # type: ignore[misc]
+    assert [gauges for _, gauges in reports] == [gauges for _, gauges in before + after]
     for part in ("model", "learner", "task"):
-        for name, tensor in whole[part].items():  # type: ignore[attr-defined]
-            assert torch.equal(tensor, second[part][name]), name  # type: ignore[index]
+        for name, tensor in whole[part].items():
+            assert torch.equal(tensor, second[part][name]), name

@@ -46,7 +46,6 @@ def test_derived_gains_follow_the_time_step() -> None:
 @pytest.mark.slow
 def test_gains_that_hold_nothing_have_no_step() -> None:
     robot = ROBOTS.get("magpie")
-    assert robot.control.gains is not None
     loose = replace(robot.control, gains=replace(robot.control.gains, rate=(0.0, 0.0, 0.0388)))
     result = largest_stable_step(replace(robot, control=loose), CONTROLLERS.get("lee_attitude_control"), name="it")
     assert (result.largest_s, result.refused) == (None, None)
@@ -71,7 +70,6 @@ def test_a_tail_flies_on_its_servo_and_one_that_leans_the_wrong_way_does_not_res
     robot, controller = ROBOTS.get("tilt_tricopter"), CONTROLLERS.get("lee_attitude_control")
     assert largest_stable_step(robot, controller, name="it").at_least
     servo = flights.make_tail(robot, 0.1, 9.81)
-    assert servo is not None
     monkeypatch.setattr(flights, "make_tail", lambda *_: replace(servo, heading=-servo.heading))
     monkeypatch.setattr(flights, "STEP_RANGE", (0.05, 0.1))
     result = largest_stable_step(robot, controller, name="it")

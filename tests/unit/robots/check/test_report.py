@@ -42,7 +42,6 @@ def test_a_flat_quadrotor_is_what_is_worked_out_by_hand() -> None:
 def test_the_rotor_that_ends_an_axis_is_named() -> None:
     """Where three rotors give 20 N and the third 3.2 N, that one ends all that turns or lifts."""
     robot = ROBOTS.get("lmf1")
-    assert robot.rotor is not None
     weak, strong = (replace(robot.rotor, thrust_range=(0.0, most)) for most in (3.2, 20.0))
     layout = tuple(replace(mount, rotor="weak" if i == 2 else "strong") for i, mount in enumerate(robot.mounts.layout))
     mounts, rotors = replace(robot.mounts, layout=layout), {"weak": weak, "strong": strong}
@@ -81,7 +80,6 @@ def test_a_torque_that_nothing_takes_away_is_a_problem() -> None:
 
 def test_numbers_in_other_units_are_noticed() -> None:
     robot = ROBOTS.get("racing_quadrotor")
-    assert robot.rotor is not None
     assert make_report(robot).warnings == ()
     inertia = tuple(tuple(1e3 * n for n in row) for row in robot.body.inertia)
     in_grams = replace(robot, body=replace(robot.body, inertia=inertia))

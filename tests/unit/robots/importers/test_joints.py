@@ -116,7 +116,6 @@ def package_dynamics(robot: RobotCfg, angle: np.ndarray):
     """Return mass matrix (6 + D, 6 + D), origins (L, 3) and centres of mass (L, 3) of links."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     bends = build_articulation(robot, like=vehicle.mass)
-    assert bends is not None
     state = TreeState.at_rest(1, bends.num_joints, like=vehicle.mass.unsqueeze(-1))
     state = TreeState(**{**vars(state), "joint_pos": torch.from_numpy(angle).unsqueeze(0)})
     result = equations(bends.tree, bends.links(vehicle), state, gravity=9.81)
@@ -127,7 +126,6 @@ def package_dynamics(robot: RobotCfg, angle: np.ndarray):
 def test_mass_matrix_and_centres_are_those_of_mujoco(make, like, count, tmp_path: Path) -> None:
     """On a base that is held, as MuJoCo loads a URDF: 1e-9 at the reference pose and four others."""
     robot, path = import_text(tmp_path, make(), like)
-    assert robot.joints is not None
     assert len(robot.joints.layout) == count
     model = mujoco.MjModel.from_xml_path(str(path))
     data, rng = mujoco.MjData(model), np.random.default_rng(0)
@@ -157,11 +155,7 @@ def _is_welded(model, body: int, root: int) -> bool:
 
 def test_limits_damping_friction_rotors_and_shapes_are_imported(tmp_path: Path) -> None:
     robot, _ = import_text(tmp_path, morphy(), "morphy_stiff")
-    assert robot.joints is not None
     elevation, azimuth = robot.joints.layout[0], next(j for j in robot.joints.layout if j.name == "azimuth_0")
-    assert elevation.spring is not None
-    assert elevation.ends is not None
-    assert azimuth.spring is not None
     assert (elevation.spring.damping, elevation.ends.low, elevation.ends.high) == (0.018, -0.25, 0.25)
     assert (azimuth.spring.friction, azimuth.parent) == (0.002, "elevation_0")
     np.testing.assert_allclose(
@@ -215,12 +209,9 @@ def test_an_mjcf_with_two_joints_on_a_body_a_slide_and_a_spring(tmp_path: Path) 
     path.write_text(MJCF)
     result = import_robot(path, RotorHints(lag=0.03, joints=True))
     robot = result.robot
-    assert robot.joints is not None
     assert robot.joints.names == ("swing", "turn", "slide")
     swing, turn, slide = robot.joints.layout
     assert swing.link is None
-    assert swing.spring is not None
-    assert swing.ends is not None
     assert (swing.spring.stiffness, swing.spring.rest, swing.spring.friction) == (0.4, 0.1, 0.003)
     assert (swing.ends.low, swing.ends.high, turn.reference, slide.kind) == (-0.5, 0.6, 0.2, "prismatic")
     assert any("servo" in note for note in result.notes)
@@ -245,5 +236,5 @@ def test_what_cannot_be_taken_over_is_said(tmp_path: Path, capsys: pytest.Captur
     out = tmp_path / "mine.yaml"
     given = ["robot", "import", str(path), "--joints", "--rotors-of", "morphy_stiff", "--spins", "1", "-1", "1", "-1"]
     assert main([*given, "--out", str(out)]) == 0
-    assert len(load_robot(out).joints.layout) == 8  # type: ignore[union-attr]
+    assert len(load_robot(out).joints.layout) == 8
     assert capsys.readouterr().out == f"{out}\n"

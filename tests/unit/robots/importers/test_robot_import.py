@@ -33,7 +33,6 @@ def test_x500_of_px4(tmp_path: Path) -> None:
     robot, blades = result.robot, 4 * 0.016076923076923075
     assert robot.body.mass == pytest.approx(2.0 + blades)
     assert robot.body.com == pytest.approx((0.0, 0.0, 0.06 * blades / (2.0 + blades)))
-    assert robot.rotor is not None
     assert robot.rotor.thrust_map == (0.0, 0.0, 8.54858e-06)
     assert (robot.rotor.time_constant_up, robot.rotor.time_constant_down) == (0.0125, 0.025)
     assert (robot.rotor.torque_ratio, robot.rotor.thrust_range) == (0.016, (0.0, 8.54858))
@@ -114,7 +113,6 @@ def test_skydio_x2_of_the_mujoco_collection_with_spins_of_a_quadrotor(tmp_path: 
     assert report.thrust_to_weight == pytest.approx(52.0 / (1.325 * 9.81))
     assert [mount.spin for mount in robot.mounts.layout] == [1, -1, 1, -1]
     assert len(robot.collision.boxes) == 5
-    assert robot.rotor is not None
     assert (robot.rotor.torque_ratio, robot.rotor.time_constant_up) == (0.0201, 0.03)
 
 
@@ -200,7 +198,6 @@ def test_motor_plugins_in_a_urdf_are_read(tmp_path: Path) -> None:
         text = text.replace(f'<child link="rotor_{i}"/>', f'<child link="rotor_{i}"/><axis xyz="0 0 1"/>')
     robot = import_robot(put(tmp_path, text.replace("</robot>", f"<gazebo>{plugins}</gazebo></robot>"))).robot
     assert [mount.spin for mount in robot.mounts.layout] == [1, -1, 1, -1]
-    assert robot.rotor is not None
     assert robot.rotor.thrust_range[1] == pytest.approx(5.84e-6 * 1100.0**2)
 
 
@@ -265,7 +262,6 @@ def test_a_thrust_that_follows_at_once_asks_for_a_lag_unless_the_file_has_one(tm
     lagging = diagonal.replace("<motor ", '<general dyntype="filterexact" dynprm="0.07" biastype="none" ')
     robot = import_robot(put(tmp_path, lagging)).robot
     assert [mount.spin for mount in robot.mounts.layout] == [1, -1, 1, -1]  # the body feels the opposite of the turning
-    assert robot.rotor is not None
     assert robot.rotor.time_constant_up == 0.07
 
 

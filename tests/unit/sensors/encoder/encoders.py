@@ -13,9 +13,7 @@ ROBOT = "base_quadrotor_with_coarse_camera"
 
 def coarse_camera() -> RangeSensorCfg:
     """Return the sensor of ``ROBOT``."""
-    result = sensor_by_name(str(ROBOTS.get(ROBOT).sensors[0]))
-    assert isinstance(result, RangeSensorCfg)
-    return result
+    return sensor_by_name(str(ROBOTS.get(ROBOT).sensors[0]))
 
 
 def random_encoder(*, latents: int = 64, seed: int = 0) -> Encoder:

@@ -48,7 +48,6 @@ def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
 def test_the_whole_flight_tells_the_same(tmp_path: Path) -> None:
     log = read_flight_log(write(failure_table(), tmp_path / "a.csv"))
     result = FailureFinder(ROBOT).find_first(complete_flight(log))
-    assert result is not None
     assert (result.name, result.params["motor"]) == ("weak_motor", 2.0)
     assert result.params["scale"] == pytest.approx(LEFT, abs=4.0 * result.std["scale"])
 

@@ -77,7 +77,6 @@ def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tup
     assert learned.effect is not None
     assert min(learned.gaps[name] or 0.0 for name in FORCES) > 0.8
     assert {learned.gaps[name] for name in TURNS} == {0.0}
-    assert learned.cfg is not None
     assert learned.cfg.limit[3:] == (0.0, 0.0, 0.0)
     assert 0 <= learned.rows_outside < 0.1 * learned.rows
     params, with_it = params_from_robot(ROBOT), replace(params_from_robot(ROBOT), learned=learned.effect)
@@ -88,7 +87,6 @@ def test_a_drag_without_a_name_is_learned_and_holds_on_another_flight(cubic: tup
 
 def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[ResidualFit, list[Flight]]) -> None:
     learned, held = cubic
-    assert learned.cfg is not None
     far = tuple(tuple(100.0 * number for number in row) for row in learned.cfg.whitening)
     narrow = replace(learned, cfg=replace(learned.cfg, whitening=far))
     judged = judge_on_test(narrow, make_predictor(held), params_from_robot(ROBOT), None)
@@ -150,7 +148,6 @@ def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     assert last["share_of_gap"]["specific_force.y"] > 0.3
     assert last["rows_outside"] <= last["rows"]
     robot = load_robot(out / "robot.yaml")
-    assert robot.learned_residual is not None
     assert "f0, f1, f2" in robot.learned_residual.source
     held = load_train_and_test(ROBOT, train, [test], None, 10.0)[1]
     residual = np.concatenate(make_predictor(held).residuals(params_from_robot(robot)))

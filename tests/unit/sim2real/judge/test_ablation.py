@@ -72,7 +72,7 @@ def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(
 
 def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> None:
     def notes(material: Ablation) -> list[Finding]:
-        return immaterial([SimpleNamespace(name="rotor_drag", ablation=material)])  # type: ignore[list-item]
+        return immaterial([SimpleNamespace(name="rotor_drag", ablation=material)])
 
     assert notes(worth((0.08, 0.06, 0.1), (0.0, 0.0, 0.0))) == []
     (note,) = notes(worth((0.09, -0.16, 0.37), (0.0, 0.0, 0.0)))

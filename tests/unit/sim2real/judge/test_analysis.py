@@ -38,7 +38,7 @@ def mass_notes(size: float, left: list[float]) -> list[Finding]:
     model, least = SimpleNamespace(effects={}), Criteria().material
     unexplained = SimpleNamespace(deviation=deviation, left=[np.outer([1.0, -1.0], left)])
     named = SimpleNamespace(residual=[SimpleNamespace(value=0.2)] * 3)
-    return strain_notes(declared, model, least, unexplained, named)  # type: ignore[arg-type]
+    return strain_notes(declared, model, least, unexplained, named)
 
 
 @pytest.mark.parametrize(
@@ -74,15 +74,15 @@ def logs(count: int, *, band: float) -> SimpleNamespace:
     ],
 )
 def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
-    result = about_logs(logs(count, band=band))  # type: ignore[arg-type]
+    result = about_logs(logs(count, band=band))
     assert {note.code: note.values for note in result} == told
 
 
 def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
     open_to = SimpleNamespace(left_open=("specific_force.x", "angular_acceleration.z"))
-    (note,) = open_notes(open_to)  # type: ignore[arg-type]
+    (note,) = open_notes(open_to)
     assert note == Finding("left_open_note", "", {"channels": ["specific_force.x", "angular_acceleration.z"]})
-    assert open_notes(SimpleNamespace(left_open=())) == []  # type: ignore[arg-type]
+    assert open_notes(SimpleNamespace(left_open=())) == []
 
 
 def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
@@ -106,9 +106,9 @@ def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:
     robot = replace(ROBOT, effects={**RANDOM, "rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.0}}, effects_source="test")
     declared = SimpleNamespace(robot=robot, stated=robot, train=SimpleNamespace(flights=[hover("a", 5.0)]))
     params = params_from_robot(robot).with_effect("payload_mass", np.array([0.02]))
-    result = correct_robot(declared, params, ["payload_mass"]).effects  # type: ignore[arg-type]
+    result = correct_robot(declared, params, ["payload_mass"]).effects
     assert {name: result[name] for name in RANDOM} == RANDOM
     assert {"rotor_drag", "payload_mass"} == set(result) - set(RANDOM)
     params = params.with_effect("gusts", np.array([2.0, 0.5]))
-    result = correct_robot(declared, params, ["payload_mass", "gusts"]).effects  # type: ignore[arg-type]
+    result = correct_robot(declared, params, ["payload_mass", "gusts"]).effects
     assert result["gusts"] == {"std": 2.0, "corr_time": 0.5}

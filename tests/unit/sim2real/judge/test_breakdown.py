@@ -26,7 +26,7 @@ def parts() -> dict[str, list[Part]]:
     )
     empty = SimpleNamespace(rollouts={})
     floors = [np.array([0.05, 0.04, 0.03]), None]
-    return by_flight(predictor, (0, 1), (empty, empty), floors, least=0.05, seed=0)  # type: ignore[arg-type]
+    return by_flight(predictor, (0, 1), (empty, empty), floors, least=0.05, seed=0)
 
 
 def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Part]]) -> None:
@@ -43,7 +43,7 @@ def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Pa
 
 def test_the_table_marks_what_got_worse(parts: dict[str, list[Part]]) -> None:
     verdict = SimpleNamespace(flights=parts, corrects=True)
-    table = flight_table(verdict, ["specific_force"])  # type: ignore[arg-type]
+    table = flight_table(verdict, ["specific_force"])
     assert table["names"] == ["calm", "gusty"]
     (worse,) = table["worse"]
     assert worse.startswith("specific force x +30.0%")
@@ -52,4 +52,4 @@ def test_the_table_marks_what_got_worse(parts: dict[str, list[Part]]) -> None:
     cells = table["rows"][0]["cells"]
     assert (cells["calm"]["state"], cells["gusty"]["state"]) == ("worse", "better")
     assert (cells["calm"]["floor"], cells["gusty"]["floor"]) == ("0.05", None)
-    assert flight_table(verdict, ["rotor_speed"])["rows"] == []  # type: ignore[arg-type]
+    assert flight_table(verdict, ["rotor_speed"])["rows"] == []

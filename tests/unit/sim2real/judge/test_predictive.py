@@ -80,7 +80,6 @@ def judge_flight(
         flown = complete_flight(uniform_log(read_flight_log(write(table, folder / f"{seed}.csv"))))
         if still and seed < 3:
             rest = hover(f"{seed}", 5.0)
-            assert rest.specific_force is not None
             assert rest.rotor_speed is not None
             flown = replace(
                 rest,
@@ -88,7 +87,6 @@ def judge_flight(
                 specific_force=rest.specific_force + 5e-3 * rng.standard_normal((len(rest.time), 3)),
             )
         if seed == 3 and more is not None:
-            assert flown.specific_force is not None
             flown = replace(flown, specific_force=flown.specific_force + np.outer(more(flown.time), [1.0, 0.0, 0.0]))
         flights.append(flown)
     channels, sizes = find_channels(flights), Tolerances()
@@ -118,7 +116,7 @@ def judge_flight(
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
     rms = np.sqrt(np.mean(np.square(np.concatenate(test.residuals(declared))), axis=0))
     after = SimpleNamespace(residual=[SimpleNamespace(value=value) for value in rms])
-    return find_unexplained(train, test, selection, (declared, declared), after, floor)  # type: ignore[arg-type]
+    return find_unexplained(train, test, selection, (declared, declared), after, floor)
 
 
 def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tmp_path) -> None:
@@ -147,7 +145,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
             criteria=Criteria(),
             own_offsets=no_offsets(weights.weight),
         )
-        within, whole = left_open(predictor, params, selection)  # type: ignore[arg-type]
+        within, whole = left_open(predictor, params, selection)
         np.testing.assert_allclose(within, whole, rtol=1e-9)
         return within
 

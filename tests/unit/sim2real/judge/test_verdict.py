@@ -28,9 +28,9 @@ def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
     unseen = {name: Finding("not_excited", name) for name in ("joint_spring", "ground_effect")}
     hidden = SimpleNamespace(not_testable=unseen, effect_names=())
     rigid, soft = (SimpleNamespace(effects=effects, joints=None) for effects in ({}, {"joint_creep": {}}))
-    told = not_testable(hidden, rigid, wind)  # type: ignore[arg-type]
+    told = not_testable(hidden, rigid, wind)
     assert [told[name].code for name in unseen] == ["no_soft_arms", "not_excited"]
-    assert not_testable(hidden, soft, wind)["joint_spring"].code == "not_excited"  # type: ignore[arg-type]
+    assert not_testable(hidden, soft, wind)["joint_spring"].code == "not_excited"
 
 
 def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,11 +40,11 @@ def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(m
         SimpleNamespace(not_testable={}, effect_names=("rotor_drag",)),
         SimpleNamespace(effects={}, joints=None),
     )
-    assert not_testable(named, robot, wind) == {  # type: ignore[arg-type]
+    assert not_testable(named, robot, wind) == {
         "drag_of_a_tether": Finding("no_such_effect", "drag_of_a_tether", {"alike": "rotor_drag"})
     }
     named.effect_names = ()
-    assert not_testable(named, robot, wind) == {}  # type: ignore[arg-type]
+    assert not_testable(named, robot, wind) == {}
 
 
 def test_a_note_on_several_logs_is_one_note() -> None:
@@ -54,7 +54,7 @@ def test_a_note_on_several_logs_is_one_note() -> None:
     declared = SimpleNamespace(
         flights=flights, bandwidth=10.0, asked_bandwidth=10.0, train=SimpleNamespace(flights=flights)
     )
-    told = about_logs(declared)  # type: ignore[arg-type]
+    told = about_logs(declared)
     assert [(note.subject, note.code) for note in told] == [
         ("all logs", "velocity_unknown"),
         ("a, c", "rates_derived"),
@@ -93,8 +93,8 @@ def test_an_effect_is_as_sure_as_the_sets_that_hold_it_are_probable(behind: floa
         num_effect_params=3,
     )
     final = SimpleNamespace(effects=fit.effects, fit=fit, spread=uncertainty(fit, np.ones(1)))
-    selection = make_selection(make_choice(best, make_fit(log=-behind)), final=final)  # type: ignore[arg-type]
-    (named,) = verdict.effect_entries(selection, {"rotor_drag": None}, {"rotor_drag": None}, ROBOT)  # type: ignore[dict-item]
+    selection = make_selection(make_choice(best, make_fit(log=-behind)), final=final)
+    (named,) = verdict.effect_entries(selection, {"rotor_drag": None}, {"rotor_drag": None}, ROBOT)
     assert named.confidence == pytest.approx(confidence)
     assert named.confidence == min(selection.chosen.inclusion["rotor_drag"], verdict.MOST_CONFIDENT)
     assert list(named.std) == ["dx", "dy", "dz"]

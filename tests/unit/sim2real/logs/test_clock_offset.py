@@ -52,8 +52,6 @@ def test_an_offset_is_undone(offset: float) -> None:
     moved = shift_rotor_log(
         log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1)), ClockOffset(rows=offset, std=0.1)
     )
-    assert moved.rotor_speed is not None
-    assert moved.specific_force is not None
     assert moved.time.size == TIME.size - np.ceil(abs(offset))
     np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], offset, atol=1e-9)
     lead = {"lead_ms": pytest.approx(5.0 * offset), "half_width_ms": pytest.approx(0.98), "with_commands": True}
@@ -80,7 +78,6 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
     ahead = ClockOffset(rows=float(offset), std=0.1)
     assert commands_share_clock([logged], [ahead], 0.04) is together
     moved = shift_rotor_log(logged, ahead, commands=together)
-    assert moved.rotor_command is not None
     inner = slice(20, moved.time.size - 20)
     row = np.round(moved.time * RATE).astype(int)
     np.testing.assert_allclose(moved.rotor_command[inner, 0], command[row][inner])

@@ -14,5 +14,4 @@ def test_a_part_of_a_log_has_the_same_rows_of_everything() -> None:
     for rows in (slice(1, 3), np.array([False, True, True, False])):
         part = take_rows(log, rows)
         assert (part.time.tolist(), part.attitude.tolist()) == ([1.0, 2.0], np.eye(4)[1:3].tolist())
-        assert part.battery is not None
         assert part.battery.tolist() == [10.0, 20.0]

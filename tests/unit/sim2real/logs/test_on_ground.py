@@ -65,7 +65,6 @@ def ground_rows(parts: list[pd.DataFrame], folder: Path, *, lift_off: float) -> 
 @pytest.mark.parametrize("idle", [0.0, 200.0])
 def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_path: Path, idle: float) -> None:
     results = load_parts([on_ground(table, 150, idle=idle), table, on_ground(table, 150, idle=idle, at=-1)], tmp_path)
-    assert results.on_ground is not None
     inner = np.r_[0:130, len(table) + 170 : len(table) + 300]
     assert results.on_ground[inner].all()
     assert not results.on_ground[160 : 140 + len(table)].any()
@@ -84,7 +83,6 @@ def test_a_height_at_which_it_stood_is_the_ground_and_a_lower_one_is_none(table:
     """It stands on a table 5 m high, skims it, and flies far below as well: there nothing but its rotors carries it."""
     stands, skims = on_ground(table, 150, idle=200.0).assign(p_z=5.0), table[:100].assign(p_z=5.01)
     results = ground_rows([stands, skims, table.assign(p_z=table["p_z"] - 3.0)], tmp_path, lift_off=0.02)
-    assert results is not None
     assert results[:250].all()
     assert not results[250:].any()
 
@@ -115,7 +113,6 @@ def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd
 def test_the_ground_is_found_without_an_accelerometer(table: pd.DataFrame, tmp_path: Path) -> None:
     whole = pd.concat([on_ground(table, 150, idle=200.0), table], ignore_index=True)
     results = load_parts([whole.drop(columns=["acc_x", "acc_y", "acc_z"])], tmp_path)
-    assert results.on_ground is not None
     assert results.on_ground[20:130].all()
     assert not results.on_ground[160:].any()
 

@@ -35,7 +35,6 @@ def fly(seed: int, *, noise: float = 0.01, bias: float = 0.05, seconds: float = 
 
 def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -> FlightLog:
     """Return the log with steps added to its position from some times [s] on."""
-    assert log.position is not None
     position = log.position.copy()
     for at, size in steps.items():
         position[log.time >= at] += size
@@ -70,8 +69,6 @@ def test_a_fix_that_moves_and_returns_is_found_and_taken_out(seed: int) -> None:
     for (size, time), (at, truth) in zip(result, steps.items(), strict=True):
         assert abs(time - at) < 1.5 / RATE
         np.testing.assert_allclose(size, truth, atol=0.06)
-    assert mended.position is not None
-    assert clean.position is not None
     assert np.abs(mended.position - clean.position).max() < 0.1
 
 
@@ -83,11 +80,9 @@ def test_nothing_jumps_where_nothing_does(seed: int) -> None:
 
 def test_a_velocity_that_leaps_is_no_jump_and_one_derived_from_a_jump_hides_none() -> None:
     late = fly(6, noise=0.001)
-    assert late.lin_vel is not None
     late.lin_vel[700:704] *= 3.0
     assert mend_position_jumps(late) is late
     log = with_steps(fly(7, noise=0.001), {10.0: (0.5, 0.0, 0.0)})
-    assert log.position is not None
     velocity = np.gradient(log.position, 1.0 / RATE, axis=0)
     derived = FlightLog(path="log.csv", time=log.time, attitude=log.attitude, position=log.position, lin_vel=velocity)
     ((size, time),) = jump_notes(mend_position_jumps(derived))
@@ -109,7 +104,6 @@ def test_a_slow_jump_is_one_and_too_many_are_left() -> None:
 def test_a_log_is_read_without_its_jumps() -> None:
     mended = repair_log(with_steps(fly(8), {12.0: (0.0, 2.0, 0.0)}))
     assert "position_jump" in [note.code for note in mended.notes]
-    assert mended.position is not None
     assert np.abs(np.diff(mended.position, axis=0)).max() < 0.2
 
 

@@ -82,8 +82,6 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
     step = np.where(time < 2.0, 100.0, 300.0)[:, None]
     result = uniform_log(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
     assert np.ptp(np.diff(result.time)) < 1e-12
-    assert result.position is not None
-    assert result.rotor_command is not None
     np.testing.assert_allclose(result.position[:, 1], 2.0 * result.time, atol=1e-12)
     assert set(np.unique(result.rotor_command)) == {100.0, 300.0}
     assert result.notes[0].code == "steps_resampled"

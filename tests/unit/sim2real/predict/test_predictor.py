@@ -43,7 +43,7 @@ BAND = 10.0
 
 
 def load(folder: Path, **options: float) -> Flight:
-    path = write(flight(3, **options), folder / "a.csv")  # type: ignore[arg-type]
+    path = write(flight(3, **options), folder / "a.csv")
     return complete_flight(uniform_log(read_flight_log(path)))
 
 
@@ -84,8 +84,6 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
     both = Predictor(ROBOT, [still, told], bandwidth=BAND, channels=channels, tolerances=Tolerances())
     np.testing.assert_allclose(both.residuals(params)[1], residual(told, params), atol=1e-9)
     known, unknown = (roll_out(ROBOT, [f], params, horizons=(1.0,), given_attitude=True) for f in (told, blind))
-    assert known.position is not None
-    assert unknown.position is not None
     assert known.position.max() < 0.02
     rate = drag / ROBOT.body.mass
     expected = push / rate**2 * (rate + np.exp(-rate) - 1.0)  # of a push against linear drag, after 1 s
@@ -114,7 +112,6 @@ def test_rows_on_the_ground_are_not_compared_nor_rolled_out(tmp_path: Path) -> N
 def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> None:
     """A jolt in rows on the ground would raise it."""
     results = load(tmp_path, noise=1.0, seconds=20.0)
-    assert results.specific_force is not None
     on_ground = np.zeros(results.num_rows, dtype=bool)
     on_ground[1000:1050] = True
     jolted = results.specific_force.copy()
@@ -129,7 +126,6 @@ def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> No
         floor = noise_floor(
             ROBOT, [replace(results, specific_force=force, on_ground=mask)], ModelParams(), channels, bandwidth=BAND
         )
-        assert floor is not None
         floors[name] = floor[:3]
     np.testing.assert_allclose(floors["masked"], floors["clean"], rtol=0.25)
     assert (floors["all"] > 3.0 * floors["clean"]).all()
@@ -161,7 +157,6 @@ def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> 
     alpha = np.gradient(omega, 1.0 / results.rate, axis=0)
     lever = -np.cross(alpha, shift) - np.cross(omega, np.cross(omega, shift))
     assert np.abs(change[:, :3] - lever[rows]).max() < 0.1 * np.abs(lever[rows]).max()
-    assert results.rotor_speed is not None
     lift = (1.2e-6 * results.rotor_speed**2).sum(axis=1)[rows]
     torque = np.cross(-shift, np.stack((0 * lift, 0 * lift, lift), axis=1))
     expected = torque / np.diag(ROBOT.body.inertia)
@@ -260,14 +255,11 @@ def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_ma
     results = load(tmp_path, rate=400.0)
     errors = roll_out(ROBOT, [results], ModelParams(), horizons=(0.1, 0.5, 1.0))
     assert errors.driven_by == "measured rotor speeds"
-    assert errors.position is not None
-    assert errors.attitude is not None
     assert errors.position[:, 2].max() < 1e-3
     assert errors.attitude[:, 2].max() < 1e-3
     heavy = replace(ROBOT, body=replace(ROBOT.body, mass=1.05 * ROBOT.body.mass))
     given = roll_out(heavy, [results], ModelParams(), horizons=(0.1, 0.5, 1.0), given_attitude=True)
     assert given.attitude is None
-    assert given.position is not None
     assert np.median(given.position[:, 2]) == pytest.approx(0.5 * 9.81 * (1.0 - 1.0 / 1.05), rel=0.15)
 
 
@@ -275,9 +267,6 @@ def test_a_rollout_that_diverges_is_as_far_off_as_counts(tmp_path: Path) -> None
     """Flapping 10,000 times too strong is too stiff for the steps: no number holds the rollout, and every error is finite."""
     stiff = ModelParams(effects={"h_force_flapping": np.array([0.1, 0.1])})
     errors = roll_out(ROBOT, [load(tmp_path)], stiff, horizons=(0.1, 1.0))
-    assert errors.position is not None
-    assert errors.velocity is not None
-    assert errors.attitude is not None
     assert (errors.position[:, 1] == FARTHEST).all()
     assert (errors.velocity[:, 1] == FARTHEST).all()
     assert (errors.attitude <= np.pi).all()
@@ -335,7 +324,6 @@ def test_commands_drive_the_rotors_through_the_lag(tmp_path: Path) -> None:
     rotor = replace(ROBOT.rotor, time_constant_up=0.05, time_constant_down=0.05)
     vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=torch.float64)
     speeds = RotorReplay([driven]).speeds(build_model(vehicle), 0.0)[0]
-    assert speeds is not None
     time = np.maximum(np.arange(rows) - 100, 0) / results.rate
     np.testing.assert_allclose(speeds[:, 0], 1100.0 - 200.0 * np.exp(-time / 0.05), rtol=1e-9)
 
@@ -375,8 +363,6 @@ def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
     poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
     results = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
     assert not results.gyro
-    assert results.lin_vel is not None
-    assert full.lin_vel is not None
     inner = slice(100, -100)
     np.testing.assert_allclose(results.lin_vel[inner], full.lin_vel[inner], atol=0.01)
     np.testing.assert_allclose(results.ang_vel[inner], full.ang_vel[inner], atol=0.02)
@@ -489,7 +475,6 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
     """1 % along y and -0.5 % along z; 1 cm ahead, 5 mm below: forces as they were, and nothing else is touched."""
     table = flight(3)
     results = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
-    assert results.specific_force is not None
     place, scale = np.array([0.01, 0.0, -0.005]), np.array([0.0, 0.01, -0.005])
     rate = results.ang_vel
     turning = lowpass(rate, results.rate, 40.0, derivative=True)
@@ -591,7 +576,6 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
     channels = find_channels([results])
     left = residual(results, ModelParams())
     floor = noise_floor(ROBOT, [results], ModelParams(), channels, bandwidth=BAND)
-    assert floor is not None
     ratio = np.sqrt((left**2).mean(axis=0)) / floor
     assert np.all((ratio > 0.7) & (ratio < 1.2)), ratio
     # Below 10 Hz, white noise of 0.05 m/s² at 400 Hz keeps sqrt(sum H²) of its power: 0.05 sqrt(2 * 0.92 * 10 / 400) = 0.011.
@@ -609,11 +593,9 @@ def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(
     What is white there alone would give 0.1 to 0.6 of it along z. Of one step or another, rms is known to half of itself.
     """
     results = load(tmp_path, rate=400.0, noise=noise, seconds=20.0)
-    assert results.rotor_speed is not None
     coarse = replace(results, rotor_speed=np.round(results.rotor_speed / step) * step)
     channels = find_channels([results])
     floor = noise_floor(ROBOT, [coarse], ModelParams(), channels, bandwidth=BAND)
-    assert floor is not None
     made = [channels.index(Channel(kind="specific_force", axis="z"))]
     made += [channels.index(Channel(kind="angular_acceleration", axis=axis)) for axis in "xyz"]
     ratio = (np.sqrt((residual(coarse, ModelParams()) ** 2).mean(axis=0)) / floor)[made]
@@ -624,7 +606,6 @@ def test_what_a_log_holds_in_full_has_no_noise_of_rounding(tmp_path: Path) -> No
     results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
     channels = find_channels([results])
     floor = noise_floor(ROBOT, [results], ModelParams(), channels, bandwidth=BAND)
-    assert floor is not None
     square = square_of_slow_rounding(ROBOT, results, ModelParams(), channels, BAND)
     assert (square < 0.01 * floor**2).all()
 
@@ -639,8 +620,6 @@ def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path:
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
     smooth = replace(results, specific_force=lowpass(results.specific_force, 400.0, 30.0))
     raw, filtered = (noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (results, smooth))
-    assert raw is not None
-    assert filtered is not None
     assert np.all(filtered[:2] > 0.5 * raw[:2])
     assert np.all(filtered / raw < 1.3)
 
@@ -655,8 +634,6 @@ def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_pat
     slow, fast = (load(tmp_path, rate=each, noise=1.0, seconds=30.0) for each in (rate, 400.0))
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
     floors = [noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (slow, fast)]
-    assert floors[0] is not None
-    assert floors[1] is not None
     ratio = (floors[0] / floors[1] / np.sqrt(400.0 / rate))[: 3 if rate > 50.0 else 2]
     assert np.all((ratio > 0.85) & (ratio < 1.15)), ratio
 
@@ -750,7 +727,7 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
 
     def count_call(*args: object, **options: object) -> ForceBreakdown:
         asked.append(1)
-        return force_breakdown(*args, **options)  # type: ignore[arg-type]
+        return force_breakdown(*args, **options)
 
     monkeypatch.setattr("aerial_gym.sim2real.predict.rows.flight_batch.force_breakdown", count_call)
     predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
@@ -773,4 +750,4 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
     ("rate", "bandwidth", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
 )
 def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, bandwidth: float, rows: int) -> None:
-    assert thin_rows(SimpleNamespace(rate=rate), bandwidth) == rows  # type: ignore[arg-type]
+    assert thin_rows(SimpleNamespace(rate=rate), bandwidth) == rows

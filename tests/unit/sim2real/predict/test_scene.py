@@ -108,7 +108,6 @@ def test_a_rollout_feels_its_surroundings(effect: str) -> None:
         "downwash": ([0.6, 0.3], (-np.exp(-0.5 * (0.2 / 0.3) ** 2), 0.0)),
     }[effect]
     errors = roll_out(NEAR, flights, ModelParams(effects={effect: np.array(params)}), horizons=(0.1,))
-    assert errors.position is not None
     for place in (0, 1):
         moved = errors.position[errors.windows.flight == place, 0]
         np.testing.assert_allclose(moved, abs(acc[place]) * 0.1**2 / 2.0, rtol=0.02, atol=1e-12)
@@ -146,7 +145,6 @@ def test_gaps_in_the_place_of_another_vehicle_stay_gaps(tmp_path: Path) -> None:
     table = flight(0, seconds=3.0, rate=100.0).assign(other_p_x=1.0, other_p_y=2.0, other_p_z=3.0)
     table.loc[50:79, ["other_p_x", "other_p_y", "other_p_z"]] = np.nan
     log = read_flight_log(write(table, tmp_path / "a.csv"))
-    assert log.other_position is not None
     assert np.isnan(log.other_position).any(axis=1).sum() == 30
     np.testing.assert_array_equal(log.other_position[80], (1.0, 2.0, 3.0))
 

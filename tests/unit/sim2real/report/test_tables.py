@@ -27,13 +27,13 @@ def test_every_channel_is_told_once_with_what_became_of_it() -> None:
         outcome("angular_acceleration.x", 0.1, -0.1, 0.4),
         outcome("free.velocity", 0.5, 0.4, 0.6, 1.0),  # no channel
     )
-    assert became_rows(SimpleNamespace(outcomes=result)) == {  # type: ignore[arg-type]
+    assert became_rows(SimpleNamespace(outcomes=result)) == {
         "worse": "specific force z (+20%)",
         "better": "specific force x (-51%); rotor speed 1 (-87%), 2 (-86%)",
         "same": "specific force y",
         "not shown": "angular acceleration x (+10%)",
     }
-    assert next(iter(became_rows(SimpleNamespace(outcomes=result)))) == "worse"  # type: ignore[arg-type]
+    assert next(iter(became_rows(SimpleNamespace(outcomes=result)))) == "worse"
 
 
 def test_every_effect_says_how_sure_it_is() -> None:
@@ -47,7 +47,7 @@ def test_every_effect_says_how_sure_it_is() -> None:
         ties=("motor_tilt",),
     )
     gusts = NamedEffect(name="gusts", params={"std": 0.5}, std={}, noise_std={}, frozen=(), confidence=0.999)
-    rows = effect_rows(SimpleNamespace(effects=(offset, gusts)))  # type: ignore[arg-type]
+    rows = effect_rows(SimpleNamespace(effects=(offset, gusts)))
     assert rows[0]["parameters"] == "x = 0.004 ± 0.0002 m, y = -0.002 ± 0.00039 m"
     assert rows[0]["sure"] == "confidence 0.98, may as well be motor_tilt"
     assert rows[1] == {"name": "gusts", "parameters": "std = 0.5 m/s", "sure": "confidence 0.999"}

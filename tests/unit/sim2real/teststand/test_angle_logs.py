@@ -44,7 +44,7 @@ def plant(springs: list[dict[str, float]]) -> str:
         f'<motor name="rotor{n}" site="rotor{n}" gear="0 0 1 0 0 {-spin * DRAG}"/>'
         for n, (_, _, spin) in enumerate(CORNERS)
     )
-    a, b, c = CORE["inertia"]  # type: ignore[misc]
+    a, b, c = CORE["inertia"]
     return f"""<mujoco><option timestep="0.0002" integrator="implicitfast" gravity="0 0 -9.80665"/><worldbody>
     <body name="core" pos="0 0 5"><freejoint/><inertial pos="0 0 0" mass="{CORE["mass"]}" diaginertia="{a} {b} {c}"/>{arms}
     </body></worldbody><actuator>{motors}</actuator></mujoco>"""
@@ -54,7 +54,7 @@ def flight(springs: list[dict[str, float]], seed: int, *, seconds: float = 12.0,
     """Return a log at 250 Hz of a flight that a plain attitude law holds about hover while thrusts are shaken."""
     model = mujoco.MjModel.from_xml_string(plant(springs))
     data, rng = mujoco.MjData(model), np.random.default_rng(seed)
-    mass, every = CORE["mass"] + 4 * ARM, round(0.004 / model.opt.timestep)  # type: ignore[operator]
+    mass, every = CORE["mass"] + 4 * ARM, round(0.004 / model.opt.timestep)
     tones = rng.uniform(0.4, 6.0, (4, 6)), rng.uniform(0.0, 2 * np.pi, (4, 6))
     mix = np.array([(1.0, y * TIP, -x * TIP, -spin * DRAG) for x, y, spin in CORNERS]).T
     rows = []
@@ -90,9 +90,9 @@ def robot() -> RobotCfg:
     """Return the declared vehicle: the same masses, all springs alike."""
     arm = np.diag((2e-5, 2e-5, 3e-5))
     places = [np.array((x * TIP, y * TIP, 0.01)) for x, y, _ in CORNERS]
-    mass = CORE["mass"] + 4 * ARM  # type: ignore[operator]
+    mass = CORE["mass"] + 4 * ARM
     com = ARM * sum(places) / mass
-    whole = np.diag(CORE["inertia"]) + CORE["mass"] * (com @ com * np.eye(3) - np.outer(com, com))  # type: ignore[operator]
+    whole = np.diag(CORE["inertia"]) + CORE["mass"] * (com @ com * np.eye(3) - np.outer(com, com))
     for place in places:
         lever = place - com
         whole = whole + arm + ARM * (lever @ lever * np.eye(3) - np.outer(lever, lever))
@@ -102,14 +102,14 @@ def robot() -> RobotCfg:
 
     return RobotCfg(
         summary="four arms on springs",
-        body=BodyCfg(mass=mass, inertia=rows(whole), com=tuple(com.tolist()), source="invented"),  # type: ignore[arg-type]
+        body=BodyCfg(mass=mass, inertia=rows(whole), com=tuple(com.tolist()), source="invented"),
         rotor=RotorCfg(
             thrust_map=(0.0, 0.0, THRUST), torque_ratio=DRAG, time_constant_up=0.02, time_constant_down=0.02,
             thrust_range=(0.0, 8.0), source="invented",
         ),
         mounts=MountsCfg(
             layout=tuple(
-                MountCfg(position=tuple(place.tolist()), spin=spin, link=f"arm{n}")  # type: ignore[arg-type]
+                MountCfg(position=tuple(place.tolist()), spin=spin, link=f"arm{n}")
                 for n, (place, (_, _, spin)) in enumerate(zip(places, CORNERS, strict=True))
             ),
             source="invented",
@@ -118,7 +118,7 @@ def robot() -> RobotCfg:
             layout=tuple(
                 JointCfg(
                     name=f"arm{n}", axis=(-y / 2**0.5, x / 2**0.5, 0.0), position=(x * HINGE, y * HINGE, 0.01),
-                    link=LinkCfg(mass=ARM, com=tuple(places[n].tolist()), inertia=rows(arm)),  # type: ignore[arg-type]
+                    link=LinkCfg(mass=ARM, com=tuple(places[n].tolist()), inertia=rows(arm)),
                     spring=SpringCfg(stiffness=STIFFNESS, damping=DAMPING, rest=REST),
                 )
                 for n, (x, y, _) in enumerate(CORNERS)
@@ -166,10 +166,8 @@ def test_what_is_hidden_in_each_joint_is_named_and_found(result: tuple[dict, Pat
 
 def test_the_robot_file_has_what_was_found(result: tuple[dict, Path]) -> None:
     results = load_robot(result[1] / "out" / "robot.yaml").joints
-    assert results is not None
     springs = [joint.spring for joint in results.layout]
     assert springs[3] == SpringCfg(stiffness=STIFFNESS, damping=DAMPING, rest=REST)
-    assert springs[2] is not None
     assert springs[2].friction == pytest.approx(0.01, rel=0.12)
     assert "identify joints: f0.csv, f1.csv" in results.source
 
@@ -188,7 +186,6 @@ def test_what_a_log_or_a_robot_lacks_is_said(
     assert main(["identify", "joints", "base_quadrotor", str(path)]) == 2
     assert "this robot has no joints" in capsys.readouterr().err
     plain = robot()
-    assert plain.joints is not None
     drive = DriveCfg(mode="effort", limit=1.0, command_range=(-1.0, 1.0))
     first = replace(plain.joints.layout[0], spring=None, drive=drive)
     driven = replace(plain, joints=replace(plain.joints, layout=(first, *plain.joints.layout[1:])))

@@ -74,7 +74,6 @@ def test_a_weight_is_carried_by_the_rotors_that_balance_it() -> None:
     assert fit_values(between, "payload_mass + com_offset") == pytest.approx(
         {"dm": 0.003, "x": 0.0, "y": 0.1 * ARM}, rel=1e-4, abs=1e-7
     )
-    assert between.fits[3].place is not None
     assert [axis.value for axis in between.fits[3].place] == pytest.approx([0.0, ARM], rel=1e-4, abs=1e-6)
     assert (between.verdict, between.candidates) == ("explained", ("payload_mass + com_offset",))
     at_hub = judge_pairs(0, 1.0 + part * np.array([-1.0, 1.0, 3.0, 1.0]), size=1e-6)
@@ -214,14 +213,11 @@ def test_a_ratio_is_open_where_its_divisor_may_be_zero() -> None:
     fit = fit_scatter(np.zeros(4), np.eye(4)[:, :2], pool_scatter([noise]), 1.0)
     t, q = 2.2281388519649385, 2.2281388519649385**2  # 12 - 2 = 10 degrees of freedom
     plain = replace(fit, params=np.array([6.0, 2.0]), covariance=np.diag([4.0, 0.0])).ratio(0, 1)
-    assert plain is not None
     assert (plain.value, plain.low, plain.high) == pytest.approx((3.0, 3.0 - t, 3.0 + t))
     even = replace(fit, params=np.array([10.0, 10.0]), covariance=np.eye(2)).ratio(0, 1)
-    assert even is not None
     for end in (even.low, even.high):
         assert (10.0 - 10.0 * end) ** 2 == pytest.approx(q * (1.0 + end**2))
     tied = replace(fit, params=np.array([30.0, 10.0]), covariance=np.array([[9.0, 3.0], [3.0, 1.0]])).ratio(0, 1)
-    assert tied is not None  # both err alike: the ratio is exact
     assert (tied.low, tied.high) == pytest.approx((3.0, 3.0), abs=1e-6)
     assert replace(fit, params=np.array([6.0, 2.0]), covariance=np.eye(2)).ratio(0, 1) is None
 

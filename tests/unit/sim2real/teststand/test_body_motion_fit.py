@@ -98,7 +98,6 @@ def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
         fit_hidden_joints(plain, [ride], bandwidth=BAND)
     with pytest.raises(DataError, match=r"logs of different rates: \[125.0, 250.0\] rows per second"):
         fit_hidden_joints(plain, [ride, make_ride(table[::2], tmp_path / "g.csv")], bandwidth=BAND)
-    assert plain.joints is not None
     drive = DriveCfg(mode="effort", limit=1.0, command_range=(-1.0, 1.0))
     first = replace(plain.joints.layout[0], spring=None, drive=drive)
     driven = replace(plain, joints=replace(plain.joints, layout=(first, *plain.joints.layout[1:])))
@@ -135,9 +134,9 @@ def test_hidden_springs_are_named_and_found(seed: int, tmp_path: Path) -> None:
         assert params["damping"] == pytest.approx(hidden["damping"], rel=0.25 if rubs else 0.1)
         assert params["rest"] == pytest.approx(hidden["rest"], abs=0.01)
         assert params["friction"] == pytest.approx(hidden["friction"], rel=0.15, abs=5e-4)
-    springs = [joint.spring for joint in load_robot(out / "robot.yaml").joints.layout]  # type: ignore[union-attr]
-    assert springs[3] == robot().joints.layout[3].spring  # type: ignore[union-attr]
-    assert springs[0].stiffness == pytest.approx(0.9, rel=0.03)  # type: ignore[union-attr]
+    springs = [joint.spring for joint in load_robot(out / "robot.yaml").joints.layout]
+    assert springs[3] == robot().joints.layout[3].spring
+    assert springs[0].stiffness == pytest.approx(0.9, rel=0.03)
 
 
 @pytest.mark.slow
@@ -156,8 +155,8 @@ def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
     assert verdict.joint_findings[0].values["numbers"][0]["declared"] == 1.2
     told = json.loads((out / "verdict.json").read_text())
     assert [joint["name"] for joint in told["joints"] if joint["changed"]] == ["arm0", "arm1", "arm2"]
-    springs = [joint.spring for joint in load_robot(out / "robot.yaml").joints.layout]  # type: ignore[union-attr]
-    assert springs[0].stiffness == pytest.approx(0.9, rel=0.01)  # type: ignore[union-attr]
+    springs = [joint.spring for joint in load_robot(out / "robot.yaml").joints.layout]
+    assert springs[0].stiffness == pytest.approx(0.9, rel=0.01)
     codes = [one["code"] for one in told["findings"]]
     assert codes[0] == "joint_found"
     assert codes.count("joint_effort") == 4

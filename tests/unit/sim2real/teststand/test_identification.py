@@ -127,9 +127,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
 def test_the_map_and_the_ratio_are_found_and_the_intervals_hold_them(tmp_path: Path) -> None:
     fit = single_fit(static_table(np.random.default_rng(3), 0.01), tmp_path)
     assert fit.thrust_map.chosen in ("w² and w", "w², w and constant")
-    assert fit.torque_map is not None
     assert fit.torque_map.chosen == "torque ratio"
-    assert fit.torque_ratio is not None
     assert fit.torque_ratio.low < RATIO < fit.torque_ratio.high
     full = fit.thrust_map.candidates["w², w and constant"].coefficients
     for power in range(3):
@@ -177,8 +175,6 @@ def test_units_do_not_change_the_map(
         table.assign(**{column: table[column] * factor}).rename(columns={column: name}), tmp_path, **units
     )
     assert other.thrust_coefficient.value == pytest.approx(plain.thrust_coefficient.value, rel=1e-9)
-    assert other.torque_ratio is not None
-    assert plain.torque_ratio is not None
     assert other.torque_ratio.value == pytest.approx(plain.torque_ratio.value, rel=1e-9)
 
 
@@ -195,7 +191,7 @@ def test_units_do_not_change_the_map(
     ],
 )
 def test_tables_that_are_not_what_they_claim(tmp_path: Path, change: object, message: str) -> None:
-    table = change(static_table(np.random.default_rng(5), 0.01))  # type: ignore[operator]
+    table = change(static_table(np.random.default_rng(5), 0.01))
     with pytest.raises(DataError, match=message):
         fit_static(bench(table, tmp_path))
 
@@ -286,7 +282,7 @@ def test_a_slew_limit_that_no_step_reaches_is_only_bounded_from_one_side(tmp_pat
 )
 def test_records_that_show_no_steps(tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        step_record(bench(change(step_table({"tau": 0.04}, noise=1.0)), tmp_path))  # type: ignore[operator]
+        step_record(bench(change(step_table({"tau": 0.04}, noise=1.0)), tmp_path))
 
 
 JOINT = {
@@ -420,7 +416,6 @@ def test_hover_gives_the_thrust_coefficient_by_weight() -> None:
     declared = (0.0, 0.0, 4.4e-8)
     fit = fit_hover([hover(0), hover(1), hover(2)], mass=0.045, declared=declared)
     assert fit.thrust_coefficient.value == pytest.approx(4e-8, rel=1e-3)
-    assert fit.scale is not None
     assert fit.scale.value == pytest.approx(4.0 / 4.4, rel=1e-3)
     assert fit.models["declared"].error.value == pytest.approx(0.1 * 9.81, rel=0.02)
     assert fit.models[fit.chosen].error.value < 0.05
@@ -506,7 +501,7 @@ def test_a_signed_table_gives_a_reversible_rotor(tmp_path: Path) -> None:
     assert changes["reverse_thrust_map"] == pytest.approx((0.0, 1e-4, 0.6e-6), rel=0.05)
     torques = np.polyval(np.array(changes["reverse_torque_map"])[::-1], 1500.0)
     assert torques == pytest.approx(0.02 * (0.6e-6 * 1500.0**2 + 0.15), rel=0.01)
-    rotor = RotorCfg(time_constant_up=0.03, time_constant_down=0.03, source="test", **changes)  # type: ignore[arg-type]
+    rotor = RotorCfg(time_constant_up=0.03, time_constant_down=0.03, source="test", **changes)
     assert rotor.reversible
     assert rotor.speed_for_thrust(-1.0) == pytest.approx(-1210.0, rel=0.01)
 

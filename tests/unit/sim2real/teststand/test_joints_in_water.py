@@ -35,4 +35,4 @@ def test_free_joints_under_water_gave_no_effort() -> None:
 def test_joints_that_nobody_logged_are_not_told_under_water() -> None:
     robot = replace(under_water(make_joints(), IN_WATER), effects_source="test")
     with pytest.raises(ConfigError, match="identify joints: link_added_mass cannot be simulated without .* Log them"):
-        body_motion(robot, None, bandwidth=15.0)  # type: ignore[arg-type]
+        body_motion(robot, None, bandwidth=15.0)

@@ -217,12 +217,12 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     class FleeCommand(Command):
         reads = ("robot_position",)
 
-        def __init__(self, values, env, *, height: float) -> None:  # type: ignore[no-untyped-def]
+        def __init__(self, values, env, *, height: float) -> None:
             super().__init__(values, env)
             self._target()
             self._height = height
 
-        def next_values(self, values):  # type: ignore[no-untyped-def]
+        def next_values(self, values):
             position = values["robot_position"]
             return {"target_position": torch.cat((position[:, :2], position[:, 2:] + self._height), dim=-1)}
 
@@ -233,7 +233,7 @@ def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
         obs, *_ = task.step(STAY)
         torch.testing.assert_close(obs["observations"][:, :3], torch.tensor([[0.0, 0.0, 1.5]] * 3))
     with pytest.raises(ConfigError, match="command fleeing: parameter 'height' is missing"):
-        make(1, command=replace(task.cfg.command, params={}))  # type: ignore[type-var]
+        make(1, command=replace(task.cfg.command, params={}))
 
 
 def test_a_term_that_is_no_part_of_the_kernel_sees_the_target_of_the_instant(monkeypatch: pytest.MonkeyPatch) -> None:

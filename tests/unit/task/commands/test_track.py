@@ -209,7 +209,7 @@ def test_what_is_rewarded_is_the_way_from_gate_to_gate() -> None:
 
 def test_only_a_training_begins_behind_gates() -> None:
     task = race(3000)
-    params = task.cfg.command.params  # type: ignore[union-attr]
+    params = task.cfg.command.params
     task.reset()
     assert not task.values["first_gate"].any()
     start = task.env.gtd["robot_position"].clone()
@@ -218,7 +218,7 @@ def test_only_a_training_begins_behind_gates() -> None:
     first, gtd = task.values["first_gate"], task.env.gtd
     assert torch.equal(first, task.values["target_index"])
     assert torch.equal(gtd["robot_position"][first == 0], start[first == 0])
-    share = float(params["practice_share"])  # type: ignore[arg-type]
+    share = float(params["practice_share"])
     for gate in range(4):
         expected = 1.0 - share if gate == 0 else share / 3.0
         result = float((first == gate).float().mean())
@@ -232,7 +232,7 @@ def test_only_a_training_begins_behind_gates() -> None:
         assert (away[:, 0] >= -1e-5).all()
         velocity = quat_rotate_inverse(turn, gtd["robot_linvel"][rows])
         assert (velocity[:, 1:].abs() < 1e-5).all()
-        assert 0.0 <= float(velocity[:, 0].min()) < float(velocity[:, 0].max()) <= params["practice_speed"]  # type: ignore[operator]
+        assert 0.0 <= float(velocity[:, 0].min()) < float(velocity[:, 0].max()) <= params["practice_speed"]
     torch.testing.assert_close(gtd["robot_state_tensor"][:, :3], gtd["robot_position"])
     told = gtd["robot_clearance"].clone()
     task.env._collision.measure()
@@ -283,7 +283,7 @@ def test_leaving_the_arena_is_a_crash_and_lifting_off_is_not() -> None:
 
 
 def with_track(env: EnvironmentCfg, **changes: object) -> Task:
-    cfg = replace(task_registry.get("racing_task"), env=env, **changes)  # type: ignore[arg-type]
+    cfg = replace(task_registry.get("racing_task"), env=env, **changes)
     built = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=env, num_envs=3)
     return Task(cfg, built)
 

@@ -178,7 +178,6 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
     task.reset()
 
     def places() -> dict[str, int]:
-        assert task.values.graph is not None
         own = {name: tensor.data_ptr() for name, tensor in task.values.graph._own.items()}
         return own | {name: tensor.data_ptr() for name, tensor in task.env.gradient_tensors.items() if name in MOTION}
 
@@ -197,7 +196,7 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
 
 
 def change_task(**changes: object) -> TaskCfg:
-    return replace(task_registry.get("position_setpoint_task"), **changes)  # type: ignore[arg-type]
+    return replace(task_registry.get("position_setpoint_task"), **changes)
 
 
 @pytest.mark.parametrize("key", ["robot_link_state_tensor", "robot_link_body_angvel"])

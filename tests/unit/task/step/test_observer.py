@@ -19,7 +19,7 @@ LENGTH = 9
 
 def fly(**entry: object) -> tuple[Task, Tensor, Tensor]:
     """Return a task, what it showed and what is true, (steps, E, ...), over two and a half episodes of two ages."""
-    entries = (ObservationCfg(term="position_error_world", **entry), ObservationCfg(term="robot_position"))  # type: ignore[arg-type]
+    entries = (ObservationCfg(term="position_error_world", **entry), ObservationCfg(term="robot_position"))
     task = make(3, policy=entries, episode_len_steps=LENGTH)
     rows = [task.reset()[0]["observations"].clone()]
     task.env.gtd["sim_steps"][1] = 4

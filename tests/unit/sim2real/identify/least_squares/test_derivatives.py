@@ -35,10 +35,10 @@ def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
     deviation = np.zeros(NUM_TOLERANCES)
     deviation[:3] = 0.8, -1.5, 2.0
     params = ModelParams(effects={}, deviation=deviation)
-    (columns,) = tolerance_jacobian(predictor(predict=of_deviations), params)  # type: ignore[arg-type]
+    (columns,) = tolerance_jacobian(predictor(predict=of_deviations), params)
     together = of_deviations(params)[0]
     np.testing.assert_allclose(columns @ deviation, together, atol=1e-9)
-    (nowhere,) = tolerance_jacobian(predictor(predict=of_deviations), ModelParams(effects={}))  # type: ignore[arg-type]
+    (nowhere,) = tolerance_jacobian(predictor(predict=of_deviations), ModelParams(effects={}))
     np.testing.assert_allclose(nowhere @ deviation, np.outer(ROWS, (0.8, 2.0)), atol=1e-9)
 
 
@@ -49,7 +49,7 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
         d = np.zeros(NUM_TOLERANCES) if params.deviation is None else params.deviation
         return [np.full((5, 1), float(sizes @ d))]
 
-    tolerance = tolerance_jacobian(predictor(predict=predict), ModelParams(effects={}))  # type: ignore[arg-type]
+    tolerance = tolerance_jacobian(predictor(predict=predict), ModelParams(effects={}))
     result = tolerance_rms(tolerance, 4)
     assert result == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
 
@@ -66,7 +66,7 @@ def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_al
     (_, top), scale = parameter_bounds(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
     params = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
     beside = [np.full((3, 2, 1), 7.0)]
-    (result,) = effect_jacobian(predictor(predict=predict), params, ("weak_motor",), predict(params), beside=beside)  # type: ignore[arg-type]
+    (result,) = effect_jacobian(predictor(predict=predict), params, ("weak_motor",), predict(params), beside=beside)
     assert result.shape == (3, 2, 3)
     assert asked == [top, pytest.approx(top - 1e-3 * scale)]
     np.testing.assert_array_equal(result[:, :, 0], 0.0)

@@ -173,7 +173,7 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
     )
     for start in (truth, 10.0, -6.0):
         fit, _, _ = fit_effects(
-            predictor,  # type: ignore[arg-type]
+            predictor,
             ("constant_wind",),
             ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
             NuisanceSums(predictor.times, [[np.zeros((40, 1, 0))]], np.full(1, 1e6)),
@@ -205,7 +205,7 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
     for wrong in (None, (1.0, 1.0, 1.0), (1.3, 0.4, 1.0)):
         calls.clear()
         fit, _, _ = fit_effects(
-            predictor,  # type: ignore[arg-type]
+            predictor,
             ("constant_wind",),
             start,
             NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e8)),
@@ -243,7 +243,7 @@ def fit_exponential(goal: Goal) -> tuple[ModelFit, float, float, int]:
     """Return a fit from zero, its log likelihood, what it may have missed at most, and its predictions."""
     predictor, start = Exponential(0.3), ModelParams(effects={"constant_wind": np.zeros(3)})
     beside, before = NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3)), predictor.calls
-    fit, _, more = fit_effects(predictor, ("constant_wind",), start, beside, goal=goal)  # type: ignore[arg-type]
+    fit, _, more = fit_effects(predictor, ("constant_wind",), start, beside, goal=goal)
     count = predictor.calls - before
     left = [m - p for m, p in zip(predictor.measured, predictor.predict(fit.params), strict=True)]
     return fit, -0.5 * misfit(beside, left), more, count
@@ -269,12 +269,12 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
     effects, start = ("constant_wind",), ModelParams(effects={"constant_wind": np.array([0.49, -0.29, 0.19])})
     anew, worths, missed = [], [], []
     predictor = Exponential(0.3)
-    near = effect_jacobian(predictor, start, effects, predictor.predict(start))  # type: ignore[arg-type]
+    near = effect_jacobian(predictor, start, effects, predictor.predict(start))
     beside = NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3))
     for enough in (10.0, 0.0):
         taken = []
         monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
-        fit, _, more = fit_effects(predictor, effects, start, beside, derivatives=near, goal=Goal(enough=enough))  # type: ignore[arg-type]
+        fit, _, more = fit_effects(predictor, effects, start, beside, derivatives=near, goal=Goal(enough=enough))
         anew.append(len(taken))
         worths.append(worth(fit))
         missed.append(more)
@@ -295,7 +295,7 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
         robot=ROBOTS.get("tinyprop"), times=[np.arange(40) / 30.0], measured=[np.full((40, 1), 2.0)], predict=predict
     )
     beside = NuisanceSums(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
-    fit, _, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)  # type: ignore[arg-type]
+    fit, _, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)
     assert fit.params is edge
     assert not fit.finite
 

@@ -148,12 +148,12 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
     noise = np.random.default_rng(0).normal(size=(600, 1))
     chooser, fitter = object.__new__(_Chooser), object.__new__(Fitter)
     chooser.material = material
-    chooser.predictor = SimpleNamespace(  # type: ignore[assignment]
+    chooser.predictor = SimpleNamespace(
         times=[np.arange(600) / 50.0],
         channels=[Channel(kind="specific_force", axis="x")],
         residuals=lambda params: [SIZES[tuple(params.effects)] * noise],
     )
-    fitter.refit_without_effects = lambda one, gone: make_fit(*(name for name in one.effects if name not in gone))  # type: ignore[method-assign]
+    fitter.refit_without_effects = lambda one, gone: make_fit(*(name for name in one.effects if name not in gone))
     whole = make_fit(*max(SIZES, key=len))
     results, immaterial, without = chooser.without_trifles(whole, fitter)
     assert results.effects == kept
@@ -252,7 +252,7 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
     view = SimpleNamespace(
         fits={best.label: best}, has_fit=lambda label: True, present=best, fitter=fitter, library=None
     )
-    refused = chooser.result(view).refused  # type: ignore[arg-type]
+    refused = chooser.result(view).refused
     assert {name: finding.code for name, finding in refused.items()} == {
         "payload_mass": "flights_disagree",
         "weak_motor": "at_bound",

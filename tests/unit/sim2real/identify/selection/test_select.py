@@ -117,7 +117,6 @@ def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> Non
         table = flight(seed, rate=100.0, noise=1.0, outside=np.outer(push, (0.0, 0.0, 1.0)))
         path = write(table, tmp_path / f"{seed}.csv")
         (read,) = load_flights([path], ROBOT, mapping=None, bandwidth=10.0)
-        assert read.position is not None
         flights.append(replace(read, other_position=read.position + np.column_stack((away, np.ones(1200)))))
     predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
     names = ("downwash", "thrust_coefficient", "rotor_drag")
@@ -202,7 +201,7 @@ class PriorScorer(_Scorer):
 
     def __init__(self, named: EffectSetFit, variance: Mapping[str, Sequence[float]]) -> None:
         self.chosen, self.declared = make_choice(named), ModelParams()
-        self.predictor = SimpleNamespace(robot=ROBOT)  # type: ignore[assignment]
+        self.predictor = SimpleNamespace(robot=ROBOT)
         self.variance = variance
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:

@@ -23,7 +23,7 @@ NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
 class Singles(FitStub):
     """Fits of one effect of ``NAMES`` each."""
 
-    def fit_set(self, _library: object, _sets: object, model: Model, *_: object) -> EffectSetFit:  # type: ignore[override]
+    def fit_set(self, _library: object, _sets: object, model: Model, *_: object) -> EffectSetFit:
         """Return the set."""
         return self.fit(tuple(NAMES[k] for k in model), (), self.start(model))
 
@@ -71,7 +71,7 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
 def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds_where_it_is_linear() -> None:
     best, drag = make_fit("com_offset"), make_fit("rotor_drag", log=-1e6)
     view = make_view({(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}, best, drag)
-    view.guard.drop_unsupported = lambda _model: ()  # type: ignore[method-assign]
+    view.guard.drop_unsupported = lambda _model: ()
     SetSearch.fit_rivals(cast("Any", None), view)
     assert set(view.fits) == {best.label}
     SetSearch.fit_nearest(cast("Any", None), view)

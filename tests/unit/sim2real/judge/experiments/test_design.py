@@ -32,7 +32,7 @@ def make_catalogue(folder: Path, *, only: str | None = None) -> Catalogue:
     train = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=TOLERANCES)
     weight = np.array([STD[channel.kind] ** -2 for channel in channels])
     none = SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=())
-    return Catalogue(train, SimpleNamespace(weights=SimpleNamespace(weight=weight), final=none))  # type: ignore[arg-type]
+    return Catalogue(train, SimpleNamespace(weights=SimpleNamespace(weight=weight), final=none))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,6 @@ def test_a_manoeuvre_beyond_the_rotors_is_left_out(catalogue: Catalogue) -> None
     assert fly("jump up and down by a few centimetres, thrust up and down by a third", heavy, like, rate=100.0) is None
     without = replace(like, lin_vel=None, position=None, rotor_speed=None)
     blind = fly("hover", ROBOT, without, rate=100.0)
-    assert blind is not None
     assert blind.lin_vel is blind.position is blind.rotor_speed is None
 
 
@@ -133,18 +132,18 @@ def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_
 def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) -> None:
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.0635))
     hidden = SimpleNamespace(not_testable={"ground_effect": ""}, effect_names=())
-    assert showable(hidden, robot, []) == ["ground_effect"]  # type: ignore[arg-type]
-    assert showable(hidden, ROBOT, []) == []  # type: ignore[arg-type]
+    assert showable(hidden, robot, []) == ["ground_effect"]
+    assert showable(hidden, ROBOT, []) == []
     arms = SimpleNamespace(not_testable={"joint_creep": ""}, effect_names=())
-    assert showable(arms, ROBOT, []) == []  # type: ignore[arg-type]
+    assert showable(arms, ROBOT, []) == []
     bent = SimpleNamespace(not_testable={"joint_creep": ""}, effect_names=("joint_spring",))
-    assert showable(bent, ROBOT, []) == ["joint_creep"]  # type: ignore[arg-type]
+    assert showable(bent, ROBOT, []) == ["joint_creep"]
     selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=()))
     names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
-    advice = manoeuvres_for_effects(catalogue, selection, ModelParams(), names)  # type: ignore[arg-type]
+    advice = manoeuvres_for_effects(catalogue, selection, ModelParams(), names)
     assert list(advice) == names
     assert advice["quadratic_drag"].fly == "sweep along both axes, slow and then fast, up to 5 m/s"
     assert all(result.hover < 1e-3 for result in advice.values())
     for name in names:
         assert advice[name].as_mapping()["tells"] == [name]
-    assert manoeuvre_for_ties(catalogue, selection, {}) is None  # type: ignore[arg-type]
+    assert manoeuvre_for_ties(catalogue, selection, {}) is None

@@ -129,7 +129,6 @@ def fly_in_wind(number: int, std: float = 0.0) -> Flight:
     rng = np.random.default_rng(number)
     time = np.arange(round(12.0 * RATE)) / RATE
     still = hover(str(number), 1.0)
-    assert still.rotor_speed is not None
     felt = draw_wind(rng, time, std, 1.0) * [0.5, 0.4, 0.3] + 0.02 * rng.standard_normal((time.size, 3))
     zeros = np.zeros((time.size, 3))
     return replace(
@@ -153,7 +152,7 @@ def look(flights: list[Flight], params: ModelParams = DRAGGED, **more: object) -
         "remaining": np.ones(len(channels), dtype=bool),
         **more,
     }
-    return find_random_wind(predictor, params, Criteria(), **settings)  # type: ignore[arg-type]
+    return find_random_wind(predictor, params, Criteria(), **settings)
 
 
 def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:

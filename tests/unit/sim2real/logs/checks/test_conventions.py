@@ -159,7 +159,7 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
 )
 def test_a_log_that_is_not_what_it_claims(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        check(change(table), tmp_path)  # type: ignore[operator]
+        check(change(table), tmp_path)
 
 
 def test_the_order_of_the_quaternion_shows_in_a_quiet_hover_too(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(
     slow = table.copy()
     slow.loc[200, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
     slow.loc[300, ["p_x", "p_y", "p_z"]] = slow.loc[199, ["p_x", "p_y", "p_z"]]
-    path = write(change(slow), tmp_path / "a.csv")  # type: ignore[operator]
+    path = write(change(slow), tmp_path / "a.csv")
     with pytest.raises(DataError, match=message):
         load_flight(path, ROBOT, mapping=None, bandwidth=10.0)
     path = write(table.assign(t=table["t"] + 1.7e9), tmp_path / "epoch.csv")

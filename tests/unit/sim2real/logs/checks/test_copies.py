@@ -32,7 +32,7 @@ def table() -> pd.DataFrame:
 )
 def test_a_copy_is_refused(table: pd.DataFrame, tmp_path: Path, change: object, share: str) -> None:
     first, second = write(table, tmp_path / "a.csv"), tmp_path / "b.csv"
-    write(change(table), second)  # type: ignore[operator]
+    write(change(table), second)
     seen = LogRegister()
     seen.add(read_flight_log(first))
     with pytest.raises(DataError, match=rf"b\.csv: {share} of the measurements are those of .*a\.csv, value by value"):

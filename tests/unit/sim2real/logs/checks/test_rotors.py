@@ -40,7 +40,7 @@ def test_good_columns_stay(table: pd.DataFrame, tmp_path: Path) -> None:
 )
 def test_columns_that_cannot_be(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
-        load_log(change(table), tmp_path)  # type: ignore[operator]
+        load_log(change(table), tmp_path)
 
 
 def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame, tmp_path: Path) -> None:

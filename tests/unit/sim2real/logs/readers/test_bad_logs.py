@@ -27,7 +27,6 @@ def check_rows(log: FlightLog, table: pd.DataFrame, atol: float = 0.0) -> None:
     """The log holds these rows."""
     np.testing.assert_allclose(log.time, table["t"], atol=1e-6)
     np.testing.assert_allclose(log.attitude, table[["q_x", "q_y", "q_z", "q_w"]], atol=atol)
-    assert log.rotor_speed is not None
     np.testing.assert_allclose(log.rotor_speed, table[[f"rotor_{n}" for n in range(1, 5)]], atol=atol)
 
 
@@ -85,7 +84,6 @@ def test_a_line_that_is_no_row_is_left_out(bad: str, line: int, table: pd.DataFr
     log = read_flight_log(tmp_path / "a.csv")
     check_rows(log, table.drop(index=line - 2))
     assert any(line in note.values.get("lines", ()) for note in log.notes)
-    assert log.lines is not None
     assert log.lines[line - 2] == line + 1
 
 
@@ -104,7 +102,6 @@ def test_words_for_no_value_are_empty_fields(empty: str, table: pd.DataFrame, tm
     broken.loc[7, "acc_z"] = empty
     log = read_flight_log(write(broken, tmp_path / "a.csv"))
     assert log.position is None
-    assert log.specific_force is not None
     assert log.specific_force[7, 2] == pytest.approx(0.5 * (table["acc_z"][6] + table["acc_z"][8]))
 
 
@@ -120,7 +117,7 @@ def test_quaternions_of_zeros_cost_their_rows(table: pd.DataFrame, tmp_path: Pat
 
 def test_bad_voltages_cost_the_voltage_alone(table: pd.DataFrame, tmp_path: Path) -> None:
     starts = table.assign(vbat=np.where(np.arange(len(table)) < 5, 0.0, 16.0))
-    np.testing.assert_allclose(read_flight_log(write(starts, tmp_path / "a.csv")).battery, 16.0)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read_flight_log(write(starts, tmp_path / "a.csv")).battery, 16.0)
     for number, column in enumerate((0.0, np.where(np.arange(len(table)) % 500 == 0, 16.0, np.nan))):
         log = read_flight_log(write(table.assign(vbat=column), tmp_path / f"b{number}.csv"))
         assert log.battery is None
@@ -289,7 +286,6 @@ def test_two_exchanged_blocks_of_a_file_cost_nothing(
     rows[start : start + 2 * size] = np.roll(rows[start : start + 2 * size], size)
     log = read_flight_log(write(table.iloc[rows], tmp_path / "a.csv"))
     check_rows(log, table)
-    assert log.lines is not None
     np.testing.assert_array_equal(log.lines[rows], np.arange(2, len(table) + 2))
     assert len(log.notes) == len(read_flight_log(write(table, tmp_path / "b.csv")).notes) + 1
 

@@ -52,10 +52,8 @@ def test_commands_from_duty_cycle_and_voltage(table: pd.DataFrame, tmp_path: Pat
     table.loc[3, "pwm1"] = 0.0
     command = {"columns": ["pwm{n}"], "times": "vbat", "gain": 600.0, "offset": 500.0}
     log = read(table, tmp_path, layout(rotor_command=command, battery={"columns": ["vbat"]}))
-    assert log.rotor_command is not None
     np.testing.assert_allclose(log.rotor_command[0], (1700.0, 1100.0))
     np.testing.assert_allclose(log.rotor_command[3], (0.0, 1100.0))
-    assert log.battery is not None
     np.testing.assert_allclose(log.battery, 4.0)
 
 
@@ -67,7 +65,6 @@ def test_a_collective_thrust_setpoint_is_a_speed_of_every_rotor_and_no_torque(
     command = {"columns": ["sp"], "over": "hover", "power": 0.5, "gain": 500.0, "repeat": 4}
     mapping = layout(rotor_command=command)
     log = read(table, tmp_path, mapping)
-    assert log.rotor_command is not None
     np.testing.assert_allclose(log.rotor_command[0], 1000.0)
     np.testing.assert_allclose(log.rotor_command[157], 500.0 * np.sqrt(4.0 + np.sin(1.57)), rtol=1e-9)
     assert log.rotor_command.shape == (len(table), 4)
@@ -100,7 +97,6 @@ def test_the_other_vehicle_comes_from_its_own_file_and_its_gaps_stay(table: pd.D
     other = table.assign(p_x=table["t"] * 2.0).drop(index=range(100, 150)).iloc[:-20]
     write(other, tmp_path / "swap_two.csv")
     log = read(table, tmp_path, mapping, "swap_one.csv")
-    assert log.other_position is not None
     np.testing.assert_allclose(log.other_position[50, 0], 1.0)
     assert np.isnan(log.other_position[120]).all()
     assert np.isnan(log.other_position[-1]).all()
@@ -151,12 +147,10 @@ def test_commands_are_scaled_to_the_thrust_measured_above_a_height(table: pd.Dat
     }
     path = write(table, tmp_path / "a.csv")
     scaled = load_flight(path, ROBOT, mapping=layout(hover_above_m=above, **fields), bandwidth=5.0)
-    assert scaled.rotor_command is not None
     np.testing.assert_allclose(scaled.rotor_command, np.where(high, 1.0, 0.7 / 1.1) * flown, rtol=1e-3)
     (note,) = (note for note in scaled.notes if note.code == "commands_scaled")
     assert note.values["factor"] == pytest.approx(0.909, abs=1e-3)
     as_logged = load_flight(path, ROBOT, mapping=layout(**fields), bandwidth=5.0)
-    assert as_logged.rotor_command is not None
     np.testing.assert_allclose(as_logged.rotor_command[0], table.loc[0, ["cmd_1", "cmd_2", "cmd_3", "cmd_4"]].tolist())
     with pytest.raises(DataError, match=r"hardly flies above 90 m"):
         load_flight(path, ROBOT, mapping=layout(hover_above_m=90.0, **fields), bandwidth=5.0)
@@ -217,7 +211,6 @@ def check_px4(log: FlightLog, table: pd.DataFrame) -> None:
     for name, (prefix, size) in sizes.items():
         expected = rows[[f"{prefix}_x", f"{prefix}_y", f"{prefix}_z"]].to_numpy()
         np.testing.assert_allclose(getattr(log, name)[inner], expected[inner], atol=size)
-    assert log.rotor_speed is not None
     np.testing.assert_allclose(log.rotor_speed, rows.filter(like="rotor_"), rtol=1e-3)
 
 
@@ -235,7 +228,6 @@ def test_px4_topics_are_turned_into_the_frames_of_the_contract(tmp_path: Path) -
     table = flight(5, seconds=6.0, rate=200.0)
     log = PlainMapping.read(topics(table), tmp_path)
     check_px4(log, table)
-    assert log.battery is not None
     np.testing.assert_allclose(log.battery, 15.0)
 
 
@@ -255,13 +247,13 @@ def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
         "esc_status": {"timestamp": stamp} | {f"esc[{i}].esc_rpm": 6000.0 * one * (i < 4) for i in range(8)},
     }
     log = PlainMapping.read(result, tmp_path)
-    np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))  # type: ignore[index]
-    np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))  # type: ignore[index]
-    np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))  # type: ignore[index]
-    np.testing.assert_allclose(log.ang_vel[0], (0.3, -0.4, -0.5))  # type: ignore[index]
+    np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))
+    np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))
+    np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))
+    np.testing.assert_allclose(log.ang_vel[0], (0.3, -0.4, -0.5))
     np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([1.0, 0.0, 0.0]), (0.0, 1.0, 0.0), atol=1e-12)
     np.testing.assert_allclose(Rotation.from_quat(log.attitude[0]).apply([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0), atol=1e-12)
-    np.testing.assert_allclose(log.rotor_speed, np.full((rows, 4), 200.0 * np.pi))  # type: ignore[arg-type]
+    np.testing.assert_allclose(log.rotor_speed, np.full((rows, 4), 200.0 * np.pi))
 
 
 @pytest.mark.parametrize("name", ["vehicle_angular_velocity", "esc_status", "vehicle_local_position"])
@@ -287,7 +279,7 @@ def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path
     with pytest.raises(DataError, match=r"needs the columns rpm_"):
         read_flight_log(path, mapping=find_mapping("px4_ulog"))
     mapping = layout(rotor_command={"columns": ["control_{n}"], "gain": 1100.0}, body_frame="frd", world_frame="ned")
-    np.testing.assert_allclose(read_flight_log(path, mapping=mapping).rotor_command, 550.0)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read_flight_log(path, mapping=mapping).rotor_command, 550.0)
 
 
 def test_topics_without_an_attitude_are_refused() -> None:

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffect
-from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -61,7 +60,6 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     ``tan d = W tau``, and push the vehicle to the left by ``f sin h / sqrt(2)`` each. Straight lines between rows: 3e-4."""
     compliance, hinge, turn = 0.5, 0.25, 2.0 * pi
     flight = hover("a", 5.0)
-    assert flight.rotor_speed is not None
     time, sway = flight.time, np.zeros((400, 4))
     sway[:, :2] = 0.3
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(1.0 + sway * np.sin(turn * time)[:, None]))
@@ -88,7 +86,6 @@ def test_rollouts_begin_with_arms_as_the_log_bends_them(speeds: str) -> None:
     rest = 0.8 * 0.6 * ARM * THRUST
     params = ModelParams(effects={"joint_creep": np.array([0.8, 20.0, 0.4])})
     errors = roll_out(ROBOT, [flight], params, horizons=(0.5,))
-    assert errors.velocity is not None
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(rest)) * 0.5, rtol=1e-6)
 
 
@@ -102,7 +99,6 @@ def test_rollouts_begin_with_arms_that_are_as_far_from_rest_as_a_deviation_says(
     unbent[names.index("joint_rest")] = -1.0 / Tolerances().joint_rest
     params = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])}, deviation=unbent)
     errors = roll_out(ROBOT, [flight], params, horizons=(0.1,))
-    assert errors.velocity is not None
     for late, sign in ((0.0, 1.0), (0.005, -1.0)):
         time = errors.windows.row[:, None] / RATE + np.linspace(0.0, 0.1, 201) + late
         angle = 0.8 * 0.6 * ARM * THRUST * (1.0 - np.exp(-time / tau))
@@ -115,7 +111,6 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
     In straight lines between rows the step comes half a row early, 5 ms of tau = 2 s: 0.3 % of the loss.
     """
     flight = hover("a", 5.0)
-    assert flight.rotor_speed is not None
     more = np.where(flight.time >= 1.0, 1.44, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(more)[:, None])
     params, tau = ModelParams(effects={"joint_creep": np.array([0.8, 2.0, 0.4])}), 2.0
@@ -125,8 +120,6 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
     late = start >= 1.0
     rest = 0.8 * 0.6 * ARM * THRUST
     angle = rest * (1.44 - 0.44 * np.exp(-(start + 0.05 - 1.0) / tau))
-    assert errors.velocity is not None
-    assert bare.velocity is not None
     lost = (bare.velocity - errors.velocity)[late, 0]  # both rise: 0.44 g more than the weight
     np.testing.assert_allclose(lost, 1.44 * G * (1.0 - np.cos(angle[late])) * 0.1, rtol=4e-3)
 
@@ -142,11 +135,9 @@ def test_neutral_joints_cost_no_prediction(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> None:
     flight = hover("a", 5.0)
-    assert flight.rotor_speed is not None
     on_ground = flight.time < 1.0
     speed = torch.from_numpy(np.where(on_ground, 0.2, 1.0)[:, None] * flight.rotor_speed)
     creep, vehicle = EFFECTS.get("joint_creep"), vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
-    assert isinstance(creep, ArmJoint)
     params = torch.tensor([[0.8, 2.0, 0.4]], dtype=torch.float64)
     rest = 0.8 * 0.6 * ARM * THRUST
     for stands, share in ((on_ground, 0.04), (None, 1.0)):
@@ -190,7 +181,6 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance:
     After 0.1 s each has lost ``1 - cos h`` of the thrust of each rotor.
     """
     still = hover("a", 5.0)
-    assert still.rotor_speed is not None
     uneven = np.array([4.0, 2.0, 4.0, 2.0]) / 3.0
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]
     params = ModelParams(effects={"joint_creep": np.array([compliance, 30.0, 0.4])})
@@ -208,11 +198,9 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance:
 def test_rollouts_take_the_errors_of_rotor_sensors_out_of_the_thrust() -> None:
     """Speeds that read 10 % too high bend no arm further."""
     flight = hover("a", 5.0)
-    assert flight.rotor_speed is not None
     flight = replace(flight, rotor_speed=1.1 * flight.rotor_speed)
     effects = {"joint_creep": np.array([0.8, 20.0, 0.4]), "rotor_speed_scale": np.array([1.1])}
     errors = roll_out(ROBOT, [flight], ModelParams(effects=effects), horizons=(0.5,))
-    assert errors.velocity is not None
     np.testing.assert_allclose(errors.velocity, G * (1.0 - cos(0.8 * 0.6 * ARM * THRUST)) * 0.5, rtol=1e-6)
 
 
@@ -244,7 +232,6 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
     """Neither predictor nor rollout knows it: speeds that rise by a tenth at 2 s push ``k w (1 + 0.1 (1 - exp(-(t - 2))))``."""
     monkeypatch.setitem(EFFECTS._entries, Wake.name, Wake())
     flight, gain = hover("a", 5.0), 1e-3
-    assert flight.rotor_speed is not None
     still = float(flight.rotor_speed[0].mean())
     more = np.where(flight.time >= 2.0, 1.1, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * more[:, None])

@@ -83,14 +83,12 @@ def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp
     assert result[1] is None
     for number in (0, 2):
         speed, time = result[number], np.arange(flights[number].num_rows) / flights[number].rate
-        assert speed is not None
         assert speed.shape == (time.size, 4)
         np.testing.assert_allclose(speed[:, 3], up_and_down(time, 0.5), rtol=1e-12)
 
 
 def test_rotors_without_lag_follow_at_once(tmp_path: Path) -> None:
     driven = step_flight(tmp_path, rate=100.0, seconds=3.0)
-    assert driven.rotor_command is not None
     model, none = make_model(), torch.zeros(1, 4, dtype=F64)
     quick = replace(model, vehicle=replace(model.vehicle, time_constant_up=none, time_constant_down=none))
     np.testing.assert_array_equal(replay_speeds(driven, quick)[1:], driven.rotor_command[:-1])
@@ -162,7 +160,6 @@ def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
     flat = replace(bare, battery=np.full(bare.num_rows, 15.8))
     falling = replace(bare, battery=np.linspace(15.8, 15.0, bare.num_rows))
     refused = lacks("battery_sag", ROBOT, [falling])
-    assert refused is not None
     assert "the robot file must give battery" in refused.values["error"]
     without = Finding("logs_lack", "battery_sag", {"flights": "100", "need": "battery"})
     assert lacks("battery_sag", POWERED, [falling], [bare]) == without
@@ -261,8 +258,6 @@ def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Pa
     ]
     assert errors[0].driven_by == "commands"
     position = [error.position for error in errors]
-    assert position[0] is not None
-    assert position[1] is not None
     assert position[0].max() < 0.005
     assert np.median(position[1][:, 1]) > 20.0 * np.median(position[0][:, 1])
     result = replay_flights(robot, [result], bandwidth=10.0)
@@ -290,7 +285,6 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
         for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
     ]
     battery = with_battery(ROBOT, flights).battery
-    assert battery is not None
     slope = (battery.full_voltage - battery.empty_voltage) / battery.capacity
     assert battery.internal_resistance == pytest.approx(0.05, rel=0.1)
     assert slope == pytest.approx(1e-3, rel=0.1)
@@ -309,10 +303,8 @@ def test_no_battery_is_made_up(tmp_path: Path) -> None:
 
 def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
-    assert result.battery is not None
     for flown in (result, replace(result, rotor_speed=None)):
         battery = with_battery(ROBOT, [flown]).battery
-        assert battery is not None
         assert battery.nominal_voltage == pytest.approx(result.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
         assert "highest voltage seen" in battery.source
 
@@ -320,7 +312,6 @@ def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(t
 def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_rotors() -> None:
     """After a step at 1 s: ``w1 + (w0 - w1) exp(-t / tau)``, with each of two lags."""
     still = hover("a", 5.0)
-    assert still.rotor_speed is not None
     low, high = float(still.rotor_speed[0, 0]), 1.1 * float(still.rotor_speed[0, 0])
     command = np.where(still.time[:, None] >= 1.0, high, np.full((1, 4), low))
     flights = [replace(still, rotor_speed=None, rotor_command=command)]
@@ -336,7 +327,6 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
 def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
     """``command_hold`` off by 1 / 0.3: every command holds a row earlier, as if its column were moved up by one."""
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
-    assert result.rotor_command is not None
     early = replace(result, rotor_command=np.concatenate((result.rotor_command[1:], result.rotor_command[-1:])))
     names = Tolerances().names(4)
     shifted = np.zeros(len(names))
@@ -347,7 +337,7 @@ def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
         for log, model in ((result, replace(params, deviation=shifted)), (early, params), (result, params))
     ]
     np.testing.assert_allclose(errors[0], errors[1], rtol=1e-9)
-    assert not np.allclose(errors[0], errors[2], rtol=1e-3)  # type: ignore[arg-type]
+    assert not np.allclose(errors[0], errors[2], rtol=1e-3)
 
 
 def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:

@@ -26,7 +26,6 @@ def pitch_flight(motion: float, seed: int = 0, **more: object) -> tuple[Flight, 
     """Return a hover whose rotors pitch it by slow random motion (rms, rad/s), logged with noise, and their true speeds."""
     rng, rows = np.random.default_rng(seed), round(SECONDS * RATE)
     still = hover("hover", 5.0)
-    assert still.rotor_speed is not None
     slow = lowpass(rng.standard_normal(rows), RATE, 2.0)
     true = still.rotor_speed[0] + (motion * slow / slow.std())[:, None] * PITCH
     zeros = np.zeros((rows, 3))
@@ -58,7 +57,6 @@ def test_what_is_true_follows_what_is_expected_one_to_one(motion: float) -> None
     for seed in range(8):
         flight, true = pitch_flight(motion, seed)
         result = estimate_rotors(ROBOT, [flight], BAND)[0]
-        assert result is not None
         assert flight.rotor_speed is not None
         measured.append(slope(true, flight.rotor_speed))
         expected.append(slope(true, result.speed))
@@ -73,8 +71,6 @@ def test_what_is_true_follows_what_is_expected_one_to_one(motion: float) -> None
 def test_of_a_still_hover_little_scatter_stays() -> None:
     flight, _ = pitch_flight(0.0)
     result = estimate_rotors(ROBOT, [flight], BAND)[0]
-    assert result is not None
-    assert flight.rotor_speed is not None
     assert (pitch_motion(result.speed) ** 2).mean() < 0.02 * (pitch_motion(flight.rotor_speed) ** 2).mean()
     np.testing.assert_allclose(result.speed.mean(axis=0), flight.rotor_speed.mean(axis=0), rtol=1e-6)
 
@@ -83,7 +79,6 @@ def test_where_a_vehicle_moves_speeds_stay_as_they_were_measured() -> None:
     """In the band: 60 rad/s beside noise of 1.3 rad/s; and the share is then sure."""
     flight, _ = pitch_flight(30.0)
     result = estimate_rotors(ROBOT, [flight], BAND)[0]
-    assert result is not None
     assert flight.rotor_speed is not None
     changed = pitch_motion(result.speed) - pitch_motion(flight.rotor_speed)
     assert np.sqrt((changed**2).mean()) < NOISE * np.sqrt(BAND / (RATE / 2.0))
@@ -102,7 +97,6 @@ def test_what_commands_lead_to_is_expected_where_noise_is_all_that_differs() -> 
     flight, true = pitch_flight(0.3)
     led = led_by_commands(flight, true, ROBOT.rotor.time_constant_up)
     result = estimate_rotors(ROBOT, [led], BAND)[0]
-    assert result is not None
     assert led.rotor_speed is not None
     missed = (pitch_motion(result.speed) - pitch_motion(true)).std()
     assert missed < 0.3 * (pitch_motion(led.rotor_speed) - pitch_motion(true)).std()
@@ -113,8 +107,6 @@ def test_where_motion_is_more_than_noise_a_lag_that_is_wrong_changes_nothing() -
     flight, true = pitch_flight(30.0)
     led = led_by_commands(flight, true, 0.9 * ROBOT.rotor.time_constant_up)
     one, other = (estimate_rotors(ROBOT, [index], BAND)[0] for index in (flight, led))
-    assert one is not None
-    assert other is not None
     assert (pitch_motion(one.speed) - pitch_motion(other.speed)).std() < 0.1
 
 
@@ -122,8 +114,6 @@ def test_a_log_that_is_too_slow_or_without_noise_stays_as_it_is() -> None:
     slow = hover("slow", 5.0, rate=20.0)
     for flight, band in ((slow, 4.0), (pitch_flight(1.0)[0], 80.0), (hover("exact", 5.0), BAND)):
         result, measured = estimate_rotors(ROBOT, [flight], band)[0], as_measured(flight)
-        assert result is not None
-        assert measured is not None
         np.testing.assert_array_equal(result.speed, measured.speed)
         assert not result.unsure.any()
 

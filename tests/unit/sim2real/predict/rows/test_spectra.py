@@ -10,7 +10,6 @@ def test_the_noise_is_that_of_the_quietest_octave() -> None:
     frequency = np.arange(0.0, 100.0, 0.5)
     density = np.where(frequency < 20.0, 50.0, np.where(frequency > 45.0, 9.0, 2.0))[:, None]
     result = noise_level(frequency, density, 10.0, 200.0)
-    assert result is not None
     assert result[0] == pytest.approx(2.0)
     assert result[1] == 30.0
     assert noise_level(frequency, density, 40.0, 200.0) is None  # no octave between 60 and 90 Hz
