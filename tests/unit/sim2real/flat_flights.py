@@ -3,7 +3,9 @@
 Independent of the simulator: no equation of motion is integrated. Letters: T rows, R rotors.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,8 +13,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
-from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
+from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.predict.channels import Channel, find_channels
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.predict.predictor import Predictor
+from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 
@@ -119,3 +127,43 @@ def write(table: pd.DataFrame, path: Path) -> Path:
     """Write a log and return its path."""
     table.to_csv(path, index=False)
     return path
+
+
+def uniform_flight(table: pd.DataFrame, folder: Path, name: str = "log") -> Flight:
+    """Return a flight with all rows of its log, from a file that is written for it."""
+    return complete_flight(uniform_log(read_flight_log(write(table, folder / f"{name}.csv"))))
+
+
+def load_tables(folder: Path, tables: Iterable[pd.DataFrame], robot: RobotCfg = ROBOT) -> list[Flight]:
+    """Return the flights f0, f1, ... of logs, from files that are written for them."""
+    paths = [write(table, folder / f"f{n}.csv") for n, table in enumerate(tables)]
+    return load_flights(paths, robot, mapping=None, bandwidth=10.0)
+
+
+def make_predictor(flights: Sequence[Flight], robot: RobotCfg = ROBOT, **options: Any) -> Predictor:
+    """Return a predictor of flights, by default of all their channels up to 10 Hz with the usual tolerances."""
+    defaults = {"bandwidth": 10.0, "channels": find_channels(flights), "tolerances": Tolerances()}
+    return Predictor(robot, flights, **defaults | options)
+
+
+class PredictorStub(Predictor):
+    """Predictor of a model that a test writes down, at 30 Hz; by default it has neither flights nor rows."""
+
+    def __init__(
+        self,
+        predict: Callable[[ModelParams], list[Array]] | None = None,
+        measured: Sequence[Array] = (),
+        *,
+        robot: RobotCfg = ROBOT,
+        flights: Sequence[Flight] = (),
+        channels: Sequence[Channel] = (),
+        bandwidth: float = 10.0,
+    ) -> None:
+        self.robot, self.flights, self.channels, self.bandwidth = robot, tuple(flights), tuple(channels), bandwidth
+        self.measured, self.times = list(measured), [np.arange(len(rows)) / 30.0 for rows in measured]
+        self.tolerances, self.model, self.calls = Tolerances(), predict, 0
+
+    def predict(self, params: ModelParams) -> list[Array]:
+        """Return what the model of the test predicts."""
+        self.calls += 1
+        return self.model(params)

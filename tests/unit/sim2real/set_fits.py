@@ -1,23 +1,23 @@
 """Fitted sets of effects, and selections made of them, without flights: evidence as a test wants it."""
 
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.evidence.guard import Support
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
+from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, FitScore, LeftOut
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub
 
 PLACE = NuisanceColumns(kind="position", channel="specific_force.x", columns=[], size=1.0)
 
@@ -61,17 +61,9 @@ class FitStub(Fitter):
 
     def __init__(self, *sets: EffectSetFit) -> None:
         self.sets = {(one.effects, bool(one.structures)): one for one in sets}
-        self.predictor, self.declared = SimpleNamespace(robot=ROBOT), ModelParams()
-        self._derivatives = {}
+        self.predictor, self.declared, self._derivatives, self._beside = PredictorStub(), ModelParams(), {}, {}
 
-    def fit(
-        self,
-        effects: Sequence[str],
-        structures: Sequence[NuisanceColumns],
-        start: ModelParams,
-        _=None,
-        **_compared: object,
-    ) -> EffectSetFit:
+    def fit(self, effects: Sequence[str], structures: Sequence[NuisanceColumns], start: ModelParams, *_, **_compared):
         """Return the set; its start has its effects and no others."""
         assert set(start.effects) == set(effects)
         empty = make_fit(*effects, log=-1e3, odds=dict.fromkeys(effects, -1.0))
@@ -93,16 +85,49 @@ def make_choice(
     )
 
 
-def make_selection(
-    chosen: MostProbableSet, final: FitScore | None = None, not_testable: dict[str, Finding] | None = None
-) -> SelectionResult:
-    """Return the selection with a choice."""
-    scored = final or cast("FitScore", SimpleNamespace(effects=chosen.effects))
-    return SelectionResult(
-        declared=scored,
-        final=scored,
-        chosen=chosen,
-        not_testable=not_testable or {},
-        left_out=cast("LeftOut", None),
-        criteria=Criteria(),
+def make_score(
+    params: ModelParams, effects: tuple[str, ...] = (), *, variance: Sequence[float] = (), frozen: Frozen = frozenset()
+) -> FitScore:
+    """Return the score of a fit whose parameters of ``effects`` have these variances in units of scale, one by default."""
+    size = sum(params.effects[name].size for name in effects)
+    moments = Moments(
+        count=np.ones(1),
+        square=np.ones((1, 1)),
+        gradient=np.zeros((1, 1, size)),
+        product=np.eye(size)[None, None],
+        flight=np.zeros(1, dtype=np.int64),
     )
+    limit = np.full(size, np.inf)
+    fit = ModelFit(
+        effects=effects, params=params, moments=moments, low=-limit, high=limit, num_effect_params=size, frozen=frozen
+    )
+    covariance = np.diag(variance) if len(variance) else np.eye(size)
+    spread = Uncertainty(
+        columns=fit.free_effects,
+        step=np.zeros(size),
+        plain=covariance,
+        blocks=covariance,
+        flights=None,
+        tolerance=np.zeros((size, size)),
+        num_blocks=50,
+        num_flights=2,
+    )
+    return FitScore(fit=fit, spread=spread, left_out=np.ones((1, 1)))
+
+
+def make_selection(
+    chosen: MostProbableSet | None = None, final: FitScore | None = None, **more: Any
+) -> SelectionResult:
+    """Return the selection with a choice; by default no effect is named."""
+    chosen = chosen or make_choice(make_fit())
+    scored = final or make_score(chosen.named.params, chosen.effects)
+    left_out = LeftOut(
+        count=np.ones(1),
+        flight=np.zeros(1, dtype=np.int64),
+        weights=chosen.weights,
+        criteria=Criteria(),
+        channels=(),
+        tolerated=np.zeros(1),
+    )
+    defaults = {"not_testable": {}, "left_out": left_out, "criteria": Criteria()}
+    return SelectionResult(declared=scored, final=scored, chosen=chosen, **defaults | more)

@@ -1,7 +1,5 @@
 """What effects are worth, and before and after in parts, against numbers that are known."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -11,6 +9,7 @@ from aerial_gym.sim2real.judge.ablation import Ablation, rejection, reliable_ban
 from aerial_gym.sim2real.judge.evaluation import gap_closed
 from aerial_gym.sim2real.judge.verdict import immaterial
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
+from tests.unit.sim2real.judge.builders import make_named_effect
 from tests.unit.sim2real.set_fits import make_fit
 
 
@@ -72,7 +71,7 @@ def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(
 
 def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> None:
     def notes(material: Ablation) -> list[Finding]:
-        return immaterial([SimpleNamespace(name="rotor_drag", ablation=material)])
+        return immaterial([make_named_effect("rotor_drag", ablation=material)])
 
     assert notes(worth((0.08, 0.06, 0.1), (0.0, 0.0, 0.0))) == []
     (note,) = notes(worth((0.09, -0.16, 0.37), (0.0, 0.0, 0.0)))

@@ -1,7 +1,6 @@
 """What the last stage of the loop tells a reader, of results that are given."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,28 +16,24 @@ from aerial_gym.sim2real.judge.analysis import (
     strain_notes,
     surrogate_notes,
 )
-from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.model_params import params_from_robot
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.judge.builders import make_evaluation, make_excess, make_setup
 from tests.unit.sim2real.predict.test_scene import hover
 from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_selection
 
 RANDOM = {"gusts": {"std": 1.5, "corr_time": 0.8}, "random_force": {"x": 0.1, "y": 0.1, "z": 0.2, "hold": 0.01}}
-FORCES = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
 
 
 def mass_notes(size: float, left: list[float]) -> list[Finding]:
     """Return the notes where the mass is off by ``size`` deviations, which leaves such forces in place of 0.2 m/s²."""
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("mass")] = size
-    declared = SimpleNamespace(
-        tolerances=Tolerances(), train=SimpleNamespace(flights=[hover("a", 5.0)]), stated=ROBOT, channels=FORCES
+    excess = make_excess(deviation, left=[np.outer([1.0, -1.0], left)])
+    return strain_notes(
+        make_setup([hover("a", 5.0)]), ModelParams(), Criteria().material, excess, make_evaluation(0.2, 0.2, 0.2)
     )
-    model, least = SimpleNamespace(effects={}), Criteria().material
-    unexplained = SimpleNamespace(deviation=deviation, left=[np.outer([1.0, -1.0], left)])
-    named = SimpleNamespace(residual=[SimpleNamespace(value=0.2)] * 3)
-    return strain_notes(declared, model, least, unexplained, named)
 
 
 @pytest.mark.parametrize(
@@ -56,14 +51,6 @@ def test_of_a_strained_tolerance_it_is_said_what_it_changes(
     assert mass_notes(2.0, left) == []
 
 
-def logs(count: int, *, band: float) -> SimpleNamespace:
-    """Return stand-ins of flights with rates of 50, 51, ... Hz, and a requested bandwidth of 10 Hz."""
-    flights = [SimpleNamespace(name=f"f{n}", notes=(), rate=50.0 + n) for n in range(count)]
-    return SimpleNamespace(
-        flights=flights, bandwidth=band, asked_bandwidth=10.0, train=SimpleNamespace(flights=flights)
-    )
-
-
 @pytest.mark.parametrize(
     ("count", "band", "told"),
     [
@@ -74,15 +61,14 @@ def logs(count: int, *, band: float) -> SimpleNamespace:
     ],
 )
 def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
-    result = about_logs(logs(count, band=band))
-    assert {note.code: note.values for note in result} == told
+    flights = [hover(f"f{n}", 5.0, rate=50.0 + n) for n in range(count)]
+    assert {note.code: note.values for note in about_logs(make_setup(flights, band=band))} == told
 
 
 def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
-    open_to = SimpleNamespace(left_open=("specific_force.x", "angular_acceleration.z"))
-    (note,) = open_notes(open_to)
+    (note,) = open_notes(make_excess(left_open=("specific_force.x", "angular_acceleration.z")))
     assert note == Finding("left_open_note", "", {"channels": ["specific_force.x", "angular_acceleration.z"]})
-    assert open_notes(SimpleNamespace(left_open=())) == []
+    assert open_notes(make_excess()) == []
 
 
 def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
@@ -95,16 +81,14 @@ def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None
 def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> None:
     own = NuisanceColumns(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
     (note,) = own_notes(make_selection(make_choice(make_fit(structures=(own, PLACE)))))
-    assert (note.code, note.values) == (
-        "offsets_sizes",
-        {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]},
-    )
+    assert note.code == "offsets_sizes"
+    assert note.values == {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]}
     assert own_notes(make_selection(make_choice(make_fit(structures=(PLACE,))))) == []
 
 
 def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:
     robot = replace(ROBOT, effects={**RANDOM, "rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.0}}, effects_source="test")
-    declared = SimpleNamespace(robot=robot, stated=robot, train=SimpleNamespace(flights=[hover("a", 5.0)]))
+    declared = make_setup([hover("a", 5.0)], robot)
     params = params_from_robot(robot).with_effect("payload_mass", np.array([0.02]))
     result = correct_robot(declared, params, ["payload_mass"]).effects
     assert {name: result[name] for name in RANDOM} == RANDOM

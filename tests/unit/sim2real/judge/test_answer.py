@@ -1,7 +1,6 @@
 """The answer of a verdict: which statement stands in which part, with the numbers of the verdict."""
 
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -9,53 +8,32 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
 from aerial_gym.sim2real.judge.answer import VerdictAnswer, answer, meaning
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Outcome
-from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict
+from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.statistics import Rise, Rms
+from tests.unit.sim2real.judge.builders import make_evaluation, make_named_effect, make_outcome, make_verdict
 
 CHANNELS = tuple(
     Channel(kind=kind, axis=axis)
     for kind in ("specific_force", "angular_acceleration", "kinematic_force")
     for axis in "xyz"
 )
+EFFECT, TIED = make_named_effect(), make_named_effect(ties=("weak_motor",))
 
 
-def model(*rms: float) -> SimpleNamespace:
+def model(*rms: float) -> ModelEvaluation:
     """Return an evaluation with these errors of the channels, above floors of 0.1."""
-    residual = [Rms(value=value, low=0.9 * value, high=1.1 * value) for value in rms]
-    return SimpleNamespace(channels=CHANNELS, residual=residual, floor=(0.1,) * 9, rollout={})
+    return make_evaluation(*rms, channels=CHANNELS, floor=0.1)
 
 
-def outcome(quantity: str, value: float, width: float = 0.01) -> Outcome:
-    return Outcome(quantity=quantity, rise=Rise(value=value, low=value - width, high=value + width), least=0.05)
-
-
-def make_named_effect(name: str = "com_offset", **more: Any) -> NamedEffect:
-    numbers = {"params": {"x": 0.004, "y": 0.0}, "std": {"x": 1e-4, "y": 1e-4}, "noise_std": {}, "frozen": ()}
-    return NamedEffect(name=name, confidence=0.99, **numbers | more)
+def outcome(quantity: str, value: float) -> Outcome:
+    return make_outcome(quantity, value, value - 0.01, value + 0.01)
 
 
 def verdict(kind: str, **more: Any) -> Verdict:
-    """Return a verdict without effects, outcomes or open points but for those that are given."""
-    parts: dict[str, Any] = {
-        "open_points": (),
-        "effects": (),
-        "outcomes": (),
-        "failures": (),
-        "joint_findings": (),
-        "unexplained": (),
-        "not_shown": (),
-        "manoeuvre": None,
-        "fly_next": {},
-        "structure": Structure(),
-        "before": model(*[1.0] * 9),
-        "after": model(*[1.0] * 9),
-    }
-    parts |= more
-    corrects = bool(parts["effects"])
-    return cast("Verdict", SimpleNamespace(verdict=kind, corrects=corrects, **parts))
+    return make_verdict(kind, **{"before": model(*[1.0] * 9), "after": model(*[1.0] * 9)} | more)
 
 
 def codes(parts: VerdictAnswer) -> list[list[str]]:
@@ -68,7 +46,7 @@ def codes(parts: VerdictAnswer) -> list[list[str]]:
         ("none", {}, [["declared_explains"], [], [], ["keep_declared"]]),
         ("none", {"open_points": (Finding("floor_unknown"),)}, [["effects_none"], [], ["floor_unknown"], ["log_faster"]]),
         ("not shown", {"open_points": (Finding("left_open"),)}, [["effects_none"], [], ["left_open"], ["train_like_test"]]),
-        ("ambiguous", {"effects": (make_named_effect(ties=("weak_motor",)),)}, [["effect_found"], [], [], ["weigh_or_log"]]),
+        ("ambiguous", {"effects": (TIED,)}, [["effect_found"], [], [], ["weigh_or_log"]]),
         ("explained", {"joint_findings": (Finding("joint_found", "arm0"),)},
          [["joint_found", "declared_explains"], [], [], ["load_robot_file"]]),
     ],
@@ -87,38 +65,23 @@ def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
         "kinematic_force.x": -0.99,
     }
     became = tuple(outcome(quantity, rise) for quantity, rise in changes.items())
-    statement = answer(
-        verdict(
-            "explained",
-            effects=(make_named_effect(),),
-            outcomes=became,
-            after=model(0.1, 0.8, 1, 1.3, 0.03, 1.1, 0.01, 1, 1),
-        )
-    )
+    after = model(0.1, 0.8, 1, 1.3, 0.03, 1.1, 0.01, 1, 1)
+    statement = answer(verdict("explained", effects=(EFFECT,), outcomes=became, after=after))
     (gain,), (harm,) = statement.gain, statement.open
     errors = [(row["quantity"], row.get("after_m_s2", row.get("after_rad_s2"))) for row in gain.values["errors"]]
     assert errors == [("angular_acceleration.y", 0.03), ("specific_force.x", 0.1)]
-    assert (harm.code, harm.subject, harm.values["after_rad_s2"], harm.values["more"]) == (
-        "error_rises",
-        "angular_acceleration.x",
-        1.3,
-        1,
-    )
+    assert (harm.code, harm.subject) == ("error_rises", "angular_acceleration.x")
+    assert (harm.values["after_rad_s2"], harm.values["more"]) == (1.3, 1)
     (step,) = statement.next
     assert step == Finding("keep_declared_where", "", {"errors": ["angular_acceleration.x", "angular_acceleration.z"]})
 
 
 @pytest.mark.parametrize(("rise", "step"), [(0.2, "keep_declared_for_harm"), (-0.001, "load_robot_file")])
 def test_no_gain_is_claimed_without_one(rise: float, step: str) -> None:
-    statement = answer(
-        verdict("explained", effects=(make_named_effect(),), outcomes=(outcome("specific_force.x", rise),))
-    )
+    statement = answer(verdict("explained", effects=(EFFECT,), outcomes=(outcome("specific_force.x", rise),)))
     assert [one.code for one in (*statement.gain, *statement.next)] == ["no_error_falls", step]
-    codes_of_meaning = [
-        one.code
-        for one in meaning(verdict("explained", effects=(make_named_effect(),), outcomes=statement.gain and ()))
-    ]
-    assert "correction_helps" not in codes_of_meaning
+    told = meaning(verdict("explained", effects=(EFFECT,), outcomes=statement.gain and ()))
+    assert "correction_helps" not in [one.code for one in told]
 
 
 def test_an_unexplained_error_leads_with_its_size_over_the_noise_floor() -> None:
@@ -127,14 +90,13 @@ def test_an_unexplained_error_leads_with_its_size_over_the_noise_floor() -> None
     rest = {"open_points": (point,), "unexplained": ("specific_force.z",), "structure": structure}
     statement = answer(verdict("unexplained", after=model(1, 1, 0.31, *[1] * 6), **rest))
     assert codes(statement) == [["remains_unexplained", "effects_none"], [], ["structure_found"], ["fly_structure"]]
-    assert statement.result[0].values["errors"] == [
-        {"channel": "specific_force.z", "rms_m_s2": 0.31, "floor_m_s2": 0.1}
-    ]
+    (error,) = statement.result[0].values["errors"]
+    assert error == {"channel": "specific_force.z", "rms_m_s2": 0.31, "floor_m_s2": 0.1}
 
 
 def test_the_manoeuvre_that_decides_is_the_next_step() -> None:
     advice = Advice(fly="hover", tells=("com_offset", "weak_motor"), score=9.0, hover=1.0)
-    statement = answer(verdict("ambiguous", effects=(make_named_effect(ties=("weak_motor",)),), manoeuvre=advice))
+    statement = answer(verdict("ambiguous", effects=(TIED,), manoeuvre=advice))
     assert statement.next == (Finding("fly", "hover", {"tells": ["com_offset", "weak_motor"]}),)
 
 

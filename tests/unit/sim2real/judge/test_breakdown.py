@@ -1,15 +1,15 @@
 """Before and after axis by axis and flight by flight, against known numbers; what gets worse on one flight is marked."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from aerial_gym.sim2real.judge.breakdown import Part, by_flight
-from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report.tables import flight_table
+from tests.unit.sim2real.flat_flights import PredictorStub
+from tests.unit.sim2real.judge.builders import FORCES, make_evaluation, make_named_effect, make_verdict
+from tests.unit.sim2real.predict.test_scene import hover
 
-CHANNELS = tuple(Channel(kind="specific_force", axis=axis) for axis in "xyz")
 FACTORS = {"calm": (1.3, 0.5, 1.0), "gusty": (0.7, 0.5, 1.01)}
 """By which each flight's residual changes along each axis: x gets worse in one flight and better in the other."""
 
@@ -18,15 +18,15 @@ FACTORS = {"calm": (1.3, 0.5, 1.0), "gusty": (0.7, 0.5, 1.01)}
 def parts() -> dict[str, list[Part]]:
     rng = np.random.default_rng(0)
     before = {name: size * rng.standard_normal((600, 3)) for name, size in (("calm", 0.1), ("gusty", 0.4))}
-    predictor = SimpleNamespace(
-        flights=[SimpleNamespace(name=name) for name in FACTORS],
-        channels=CHANNELS,
-        times=[np.arange(600) / 30.0] * 2,
-        residuals=lambda model: [rows * (FACTORS[name] if model else 1.0) for name, rows in before.items()],
+    models = ModelParams(), ModelParams(effects={"rotor_drag": np.ones(3)})
+    predictor = PredictorStub(
+        lambda model: [rows * (1.0 - np.array(FACTORS[name])) * bool(model.effects) for name, rows in before.items()],
+        list(before.values()),
+        flights=[hover(name, 1.0) for name in FACTORS],
+        channels=FORCES,
     )
-    empty = SimpleNamespace(rollouts={})
-    floors = [np.array([0.05, 0.04, 0.03]), None]
-    return by_flight(predictor, (0, 1), (empty, empty), floors, least=0.05, seed=0)
+    floors, empty = [np.array([0.05, 0.04, 0.03]), None], make_evaluation(0.1, 0.1, 0.1)
+    return by_flight(predictor, models, (empty, empty), floors, least=0.05, seed=0)
 
 
 def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Part]]) -> None:
@@ -42,7 +42,7 @@ def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Pa
 
 
 def test_the_table_marks_what_got_worse(parts: dict[str, list[Part]]) -> None:
-    verdict = SimpleNamespace(flights=parts, corrects=True)
+    verdict = make_verdict(flights=parts, effects=(make_named_effect(),))
     table = flight_table(verdict, ["specific_force"])
     assert table["names"] == ["calm", "gusty"]
     (worse,) = table["worse"]

@@ -1,10 +1,26 @@
 """A failure that not every flight has is told with what would train with it."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import pytest
 
+from aerial_gym.sim2real.failures.flight_event import Failure
+from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge import failure_verdict
+from aerial_gym.sim2real.judge.analysis import LoopResult
+from aerial_gym.sim2real.predict.model_params import ModelParams
+from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.judge.builders import make_setup, make_verdict
+from tests.unit.sim2real.set_fits import make_selection
+
+OTHER = Finding("velocity_unknown")
+
+
+def make_failure(name: str, params: dict[str, float]) -> Failure:
+    spans = {"time": (2.9, 3.1), "scale": (0.4, 0.6)}
+    return Failure(
+        flight="f1", name=name, params=params, interval=spans, log_odds=24.81, probability=0.9, rival="stuck_rotor"
+    )
 
 
 @pytest.mark.parametrize(
@@ -16,26 +32,29 @@ from aerial_gym.sim2real.judge import failure_verdict
     ],
 )
 def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(
-    monkeypatch: pytest.MonkeyPatch, name: str, params: dict[str, float], trains: dict[str, float]
+    name: str, params: dict[str, float], trains: dict[str, float]
 ) -> None:
-    result = SimpleNamespace(name=name, params=params, flight="f1", time=params["time"])
-    note = failure_verdict._training_advice(result)
+    failure = make_failure(name, params)
+    told = failure_verdict._add_failures(make_verdict("none", notes=(OTHER,)), [failure], None)
+    assert (told.verdict, told.failures) == ("explained", (failure,))
+    note, other = told.notes
+    assert other is OTHER
     assert (note.code, note.subject, note.values["effect"]) == ("train_with_failure", "f1", "motor_failure")
     assert note.values["params"] == pytest.approx(trains)
-    before = SimpleNamespace(verdict="none", effects=(), candidates=(), notes=("other",), failures=())
-    monkeypatch.setattr(failure_verdict, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
-    told = failure_verdict._add_failures(before, [result], None)
-    assert told.notes == (note, "other")
-    assert (told.verdict, told.failures) == ("explained", (result,))
 
 
-def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    event = SimpleNamespace(values={"failure": "motor_failure"})
-    result = SimpleNamespace(flight="f1", finding=event, log_odds=24.81)
-    judged = SimpleNamespace(verdict=SimpleNamespace(verdict="none", notes=("other",)), corrected="robot")
-    monkeypatch.setattr(failure_verdict, "replace", lambda one, **changes: SimpleNamespace(**(vars(one) | changes)))
-    told = failure_verdict.with_suspicions(judged, [result])
-    assert (told.corrected, told.verdict.verdict, told.verdict.notes[0]) == ("robot", "none", "other")
-    note = told.verdict.notes[1]
-    assert (note.code, note.subject, note.values["log_odds"]) == ("failure_suspected", "f1", 24.81)
+def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else() -> None:
+    params, verdict = ModelParams(), make_verdict("none", notes=(OTHER,))
+    judged = LoopResult(
+        declared=make_setup(),
+        selection=make_selection(),
+        params=params,
+        within=params,
+        corrected=ROBOT,
+        verdict=verdict,
+    )
+    failure = make_failure("motor_failure", {"time": 3.0})
+    told = failure_verdict.with_suspicions(judged, [failure])
+    expected = Finding("failure_suspected", "f1", {**failure.finding.values, "log_odds": 24.81})
+    assert told == replace(judged, verdict=replace(verdict, notes=(OTHER, expected)))
     assert failure_verdict.with_suspicions(judged, []) is judged

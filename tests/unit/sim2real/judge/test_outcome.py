@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.judge.outcome import Outcome
-from aerial_gym.sim2real.statistics import Rise, rise_with_interval
-
-
-def outcome(quantity: str, value: float, low: float, high: float, horizon: float | None = None) -> Outcome:
-    return Outcome(quantity=quantity, horizon=horizon, rise=Rise(value=value, low=low, high=high), least=0.05)
+from aerial_gym.sim2real.statistics import rise_with_interval
+from tests.unit.sim2real.judge.builders import make_outcome
 
 
 @pytest.mark.parametrize(
@@ -25,13 +21,13 @@ def outcome(quantity: str, value: float, low: float, high: float, horizon: float
     ],
 )
 def test_a_change_is_called_what_its_interval_shows(rise: tuple, state: str, suspect: bool) -> None:
-    result = outcome("x", *rise)
+    result = make_outcome("x", *rise)
     assert (result.state, result.suspect) == (state, suspect)
 
 
 def test_an_outcome_of_a_rollout_has_its_horizon_in_its_name() -> None:
-    assert outcome("specific_force.x", 0.1, 0.0, 0.2).name == "specific_force.x"
-    assert outcome("free.velocity", 0.1, 0.0, 0.2, 0.5).name == "free.velocity.0.5"
+    assert make_outcome("specific_force.x", 0.1, 0.0, 0.2).name == "specific_force.x"
+    assert make_outcome("free.velocity", 0.1, 0.0, 0.2, 0.5).name == "free.velocity.0.5"
 
 
 def test_an_interval_over_flights_holds_where_flights_differ() -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -10,23 +10,21 @@ import pytest
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
+from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
+from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
-from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
 from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, find_unexplained
-from aerial_gym.sim2real.logs.flights import complete_flight
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
+from tests.unit.sim2real.judge.builders import make_evaluation
 from tests.unit.sim2real.predict.test_scene import hover
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_score, make_selection
 
 INERTIA = {f"angular_acceleration.{axis}" for axis in "xyz"}
 
@@ -77,7 +75,7 @@ def judge_flight(
     rng, flights = np.random.default_rng(0), []
     for seed in range(4):
         table = flight(60 + seed, drag=drag * (seed == 3), noise=0.1, seconds=8.0, rate=100.0)
-        flown = complete_flight(uniform_log(read_flight_log(write(table, folder / f"{seed}.csv"))))
+        flown = uniform_flight(table, folder, str(seed))
         if still and seed < 3:
             rest = hover(f"{seed}", 5.0)
             assert rest.rotor_speed is not None
@@ -89,34 +87,26 @@ def judge_flight(
         if seed == 3 and more is not None:
             flown = replace(flown, specific_force=flown.specific_force + np.outer(more(flown.time), [1.0, 0.0, 0.0]))
         flights.append(flown)
-    channels, sizes = find_channels(flights), Tolerances()
-    train, test = (
-        Predictor(robot, part, bandwidth=10.0, channels=channels, tolerances=sizes)
-        for part in (flights[:3], flights[3:])
-    )
+    train = make_predictor(flights[:3], robot, channels=find_channels(flights))
+    test, channels = make_predictor(flights[3:], robot, channels=train.channels), train.channels
     declared = params_from_robot(robot)
     tolerance = tolerance_jacobian(train, declared)
     weights = inverse_variance_weights(train.residuals(declared))
     fit = linearise(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
-    selection = SimpleNamespace(
-        final=SimpleNamespace(fit=fit, spread=SimpleNamespace(columns=(), std=())),
-        weights=weights,
-        criteria=Criteria(),
-        effect_names=(),
-        surrogates={},
+    columns = [
+        NuisanceColumns(kind=OF_FLIGHTS, channel=name, columns=[], size=size, most=most) for name, size in own.items()
+    ]
+    selection = make_selection(
+        replace(make_choice(make_fit(structures=tuple(columns))), weights=weights),
+        final=replace(make_score(declared), fit=fit),
         looked_for=looked_for,
-        own_offsets=OwnOffsets(
-            size=np.array([own.get(c.name, 0.0) for c in channels]),
-            weight=weights.weight,
-            most=np.full(len(channels), most),
-        ),
-        left_out=SimpleNamespace(tolerated=np.sqrt(squares)),
     )
+    left_out = replace(selection.left_out, channels=channels, tolerated=np.sqrt(squares))
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
     rms = np.sqrt(np.mean(np.square(np.concatenate(test.residuals(declared))), axis=0))
-    after = SimpleNamespace(residual=[SimpleNamespace(value=value) for value in rms])
-    return find_unexplained(train, test, selection, (declared, declared), after, floor)
+    after = make_evaluation(*rms.tolist(), channels=channels)
+    return find_unexplained(train, test, replace(selection, left_out=left_out), (declared, declared), after, floor)
 
 
 def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tmp_path) -> None:
@@ -129,23 +119,29 @@ def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tm
 
 
 def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> None:
-    table = flight(60, drag=0.2, noise=0.1, seconds=8.0, rate=100.0)
-    flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "one.csv"))))
-    channels = find_channels([flown])
-    predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances(acc_bias=1e-6))
+    flown = uniform_flight(flight(60, drag=0.2, noise=0.1, seconds=8.0, rate=100.0), tmp_path)
+    predictor = make_predictor([flown], tolerances=Tolerances(acc_bias=1e-6))
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     fit = linearise(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
     weights = inverse_variance_weights(predictor.residuals(params))
+    chosen = replace(make_choice(make_fit()), weights=weights)
+    selection = make_selection(chosen)
+    selection = replace(selection, left_out=replace(selection.left_out, channels=predictor.channels))
 
     def limit(std: float) -> np.ndarray:
-        spread = SimpleNamespace(columns=np.array([0]), std=np.array([std]))
-        selection = SimpleNamespace(
-            final=SimpleNamespace(fit=fit, spread=spread),
-            weights=weights,
-            criteria=Criteria(),
-            own_offsets=no_offsets(weights.weight),
+        zero = np.zeros((1, 1))
+        spread = Uncertainty(
+            columns=np.array([0]),
+            step=np.zeros(3),
+            plain=zero,
+            blocks=zero,
+            flights=None,
+            tolerance=np.array([[std**2]]),
+            num_blocks=50,
+            num_flights=2,
         )
-        within, whole = left_open(predictor, params, selection)
+        final = replace(selection.final, fit=fit, spread=spread)
+        within, whole = left_open(predictor, params, replace(selection, final=final))
         np.testing.assert_allclose(within, whole, rtol=1e-9)
         return within
 
@@ -170,13 +166,10 @@ def test_what_no_tolerance_covers_is_open_to_the_effect_that_training_does_not_s
 def test_an_offset_as_large_as_those_of_other_flights_is_open_and_what_moves_is_not(tmp_path) -> None:
     """0.2 m/s² along x in the test flight alone: nothing new where offsets of flights scatter by 0.1, and they move nothing."""
     with one_thread():
-        alone = judge_flight(tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2))
-        as_others = judge_flight(
-            tmp_path, 1.0, still=False, more=lambda time: np.full(time.size, 0.2), own={"specific_force.x": 0.1}
-        )
-        moving = judge_flight(
-            tmp_path, 1.0, still=False, more=lambda time: 0.3 * np.sin(5.0 * time), own={"specific_force.x": 0.1}
-        )
+        own, shifted = {"specific_force.x": 0.1}, lambda time: np.full(time.size, 0.2)
+        alone = judge_flight(tmp_path, 1.0, still=False, more=shifted)
+        as_others = judge_flight(tmp_path, 1.0, still=False, more=shifted, own=own)
+        moving = judge_flight(tmp_path, 1.0, still=False, more=lambda time: 0.3 * np.sin(5.0 * time), own=own)
     assert "specific_force.x" in alone.channels
     assert (as_others.channels, as_others.left_open) == ((), ())
     assert as_others.of_flights == ("specific_force.x",)

@@ -26,9 +26,8 @@ def test_noise_is_called_noise_as_often_as_stated() -> None:
         times = [0.03 * np.arange(len(rows)) for rows in both]
         result += [w.probability for w in whiteness(times, both, (FORCE, TURN), BAND)]
     for share in (0.05, 0.2, 0.5):
-        assert np.mean(np.array(result) < share) == pytest.approx(
-            share, abs=4.0 * np.sqrt(share * (1 - share) / 400) + 0.02
-        )
+        scatter = 4.0 * np.sqrt(share * (1 - share) / 400) + 0.02
+        assert np.mean(np.array(result) < share) == pytest.approx(share, abs=scatter)
 
 
 @pytest.mark.parametrize("kind", ["line", "drift"])

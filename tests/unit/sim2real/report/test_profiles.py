@@ -7,28 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aerial_gym.sim2real.logs.flights import Flight, load_flights
-from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.report.profiles import profiles, write_profiles
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
 
 SCALE = 0.9
 TRUE = ModelParams(effects={"thrust_coefficient": np.array([SCALE])})
 
 
-def make_predictor(flights: list[Flight]) -> Predictor:
-    return Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
-
-
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
-    folder = tmp_path_factory.mktemp("flights")
     tables = [flight(seed, thrust_scale=SCALE, noise=0.3, seconds=8.0, rate=100.0) for seed in (1, 2, 3)]
-    paths = [write(table.assign(vbat=15.0 - table["t"] / 8.0), folder / f"f{n}.csv") for n, table in enumerate(tables)]
-    return load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
+    return load_tables(tmp_path_factory.mktemp("flights"), (one.assign(vbat=15.0 - one["t"] / 8.0) for one in tables))
 
 
 def test_the_mean_residual_lies_on_the_line_of_what_is_missing(flights: list[Flight]) -> None:
@@ -49,17 +40,14 @@ def test_the_mean_residual_lies_on_the_line_of_what_is_missing(flights: list[Fli
 
 def test_only_what_every_log_has_is_drawn(flights: list[Flight]) -> None:
     lost = [replace(flights[0], battery=None), replace(flights[1], position=None), flights[2]]
-    assert [p.against for p in profiles(make_predictor(lost), {"declared": ModelParams()})] == [
-        "thrust [N]",
-        "speed [m/s]",
-    ]
+    told = profiles(make_predictor(lost), {"declared": ModelParams()})
+    assert [profile.against for profile in told] == ["thrust [N]", "speed [m/s]"]
     commanded = [replace(one, rotor_command=one.rotor_speed, rotor_speed=None) for one in flights]
     (first, *_) = profiles(make_predictor(commanded), {"declared": ModelParams()})
     (same, *_) = profiles(make_predictor(flights), {"declared": ModelParams()})
     assert first.against == "thrust [N]"
-    assert first.middle[0] == pytest.approx(
-        same.middle[0], rel=0.02
-    )  # other rows are kept: commands need time to settle
+    # Other rows are kept: commands need time to settle.
+    assert first.middle[0] == pytest.approx(same.middle[0], rel=0.02)
 
 
 def test_the_table_has_every_bin_of_every_channel(flights: list[Flight], tmp_path: Path) -> None:

@@ -7,28 +7,22 @@ from aerial_gym.robots.parameter_draws import joint_factor
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 from aerial_gym.sim2real.report.ranges import uncertainty_ranges
+from tests.unit.sim2real.judge.builders import make_named_effect
 
 DX, DY, WIND = "effects.rotor_drag.dx", "effects.rotor_drag.dy", "effects.constant_wind.x"
 
 
-def make_effect(
-    name: str, params: dict[str, float], std: dict[str, float], **correlation: dict[str, float]
-) -> NamedEffect:
-    return NamedEffect(
-        name=name, params=params, std=std, noise_std=std, frozen=(), confidence=0.99, correlation=correlation
-    )
+def make_effect(name: str, params: dict[str, float], std: dict[str, float], **correlation: dict) -> NamedEffect:
+    return make_named_effect(name, params=params, std=std, noise_std=std, correlation=correlation)
 
 
 def test_correlations_stand_beside_deviations_where_both_are_drawn() -> None:
-    ranges = uncertainty_ranges(
-        ROBOTS.get("base_quadrotor"),
-        (
-            make_effect(
-                "rotor_drag", {"dx": 0.2, "dy": 0.1, "dz": 0.3}, {"dx": 0.02, "dy": 0.01}, dy={"rotor_drag.dx": -0.8}
-            ),
-            make_effect("constant_wind", {"x": 1.0}, {"x": 0.5}, x={"rotor_drag.dx": 0.5, "rotor_drag.dz": 0.1}),
-        ),
+    drag, drag_std = {"dx": 0.2, "dy": 0.1, "dz": 0.3}, {"dx": 0.02, "dy": 0.01}
+    effects = (
+        make_effect("rotor_drag", drag, drag_std, dy={"rotor_drag.dx": -0.8}),
+        make_effect("constant_wind", {"x": 1.0}, {"x": 0.5}, x={"rotor_drag.dx": 0.5, "rotor_drag.dz": 0.1}),
     )
+    ranges = uncertainty_ranges(ROBOTS.get("base_quadrotor"), effects)
     assert list(ranges) == [DX, DY, WIND]
     assert [dict(each.correlation) for each in ranges.values()] == [{}, {DX: -0.8}, {DX: 0.5}]
     names, factor = joint_factor(ranges)

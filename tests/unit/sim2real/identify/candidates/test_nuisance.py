@@ -1,23 +1,15 @@
 """What is each flight's own among the structures that compete with effects."""
 
-from types import SimpleNamespace
-from typing import Any, cast
-
 import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.candidates.nuisance import _offsets, flight_offsets, most_of_flights
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerance_rms
-from aerial_gym.sim2real.logs.flights import complete_flight
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import uniform_log
-from aerial_gym.sim2real.predict.channels import find_channels
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import params_from_robot
-from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 
-CHANNELS = cast("Any", [SimpleNamespace(name=f"specific_force.{axis}") for axis in "xyz"])
+CHANNELS = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
 MEANS = np.array([[0.1, 3.0, 0.2], [-0.1, -3.0, 0.2], [0.3, 0.0, 0.2]])
 """Of three flights in each channel; the last one does not differ."""
 
@@ -57,15 +49,14 @@ def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
     tables = {"felt": flight(3), "derived": flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])}
     sizes = {}
     for name, table in tables.items():
-        flown = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{name}.csv"))))
-        channels = find_channels([flown])
-        predictor = Predictor(ROBOT, [flown], bandwidth=10.0, channels=channels, tolerances=Tolerances())
+        flown = uniform_flight(table, tmp_path, name)
+        predictor = make_predictor([flown])
+        channels = predictor.channels
         tolerance = tolerance_jacobian(predictor, params_from_robot(ROBOT))
         result = most_of_flights(predictor, tolerance_rms(tolerance, ROBOT.num_rotors))
         sizes[name] = dict(zip((channel.name for channel in channels), result, strict=True))
     assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
     assert sizes["derived"]["specific_force.x"] == 0.0
-    assert sizes["derived"]["angular_acceleration.x"] == pytest.approx(
-        sizes["felt"]["angular_acceleration.x"], rel=1e-6
-    )
+    turned = "angular_acceleration.x"
+    assert sizes["derived"][turned] == pytest.approx(sizes["felt"][turned], rel=1e-6)
     assert sizes["felt"]["angular_acceleration.x"] > 0.0

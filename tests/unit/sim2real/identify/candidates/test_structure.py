@@ -7,17 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.identify.candidates.structure import find_structure
-from aerial_gym.sim2real.logs.flights import Flight, load_flights
+from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import flight, load_tables
 
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
     """Return four flights of 8 s."""
-    folder = tmp_path_factory.mktemp("flights")
-    paths = [write(flight(20 + n, noise=1.0, seconds=8.0, rate=100.0), folder / f"f{n}.csv") for n in range(4)]
-    return load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
+    tables = [flight(20 + n, noise=1.0, seconds=8.0, rate=100.0) for n in range(4)]
+    return load_tables(tmp_path_factory.mktemp("flights"), tables)
 
 
 @pytest.mark.parametrize("kind", ["position", "time", "periodic", "heading", "velocity", "none"])

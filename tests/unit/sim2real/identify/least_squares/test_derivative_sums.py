@@ -1,6 +1,7 @@
 """Sums of weighted products, against the same by channel, and against dense least squares."""
 
-from types import SimpleNamespace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,24 +20,29 @@ from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 RATE, WEIGHT = 30.0, np.array([0.5, 2.0, 7.0])
 
 
-def flights(seed: int) -> SimpleNamespace:
-    """Return two flights with residuals, a dense derivative, and ones of the first and of the last two channels alone."""
+@dataclass
+class Sums:
+    """Two flights with residuals, a dense derivative, and ones of the first and of the last two channels alone."""
+
+    times: list[np.ndarray]
+    residuals: list[np.ndarray]
+    dense: list[np.ndarray]
+    first: list[SparseDerivatives]
+    last: list[SparseDerivatives]
+
+
+def flights(seed: int) -> Sums:
     rng, times = np.random.default_rng(seed), [np.arange(rows) / RATE for rows in (240, 150)]
     dense = [rng.standard_normal((time.size, 3, 4)) for time in times]
     for part in dense:
         part[:, 1, :2] = 0.0  # two columns that leave a channel alone
-    return SimpleNamespace(
-        times=times,
-        residuals=[rng.standard_normal((time.size, 3)) for time in times],
-        dense=dense,
-        first=[
-            SparseDerivatives(values=rng.standard_normal((time.size, 1, 2)), channels=(0,), width=2) for time in times
-        ],
-        last=[
-            SparseDerivatives(values=rng.standard_normal((time.size, 2, 2)), channels=(2, 1), width=3, first=1)
-            for time in times
-        ],
-    )
+
+    def sparse(columns: int, **place: Any) -> list[SparseDerivatives]:
+        return [SparseDerivatives(values=rng.standard_normal((time.size, columns, 2)), **place) for time in times]
+
+    residuals = [rng.standard_normal((time.size, 3)) for time in times]
+    first, last = sparse(1, channels=(0,), width=2), sparse(2, channels=(2, 1), width=3, first=1)
+    return Sums(times=times, residuals=residuals, dense=dense, first=first, last=last)
 
 
 def whole(part: SparseDerivatives) -> np.ndarray:

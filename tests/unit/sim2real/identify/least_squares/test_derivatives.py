@@ -1,7 +1,5 @@
 """Derivatives of predictions whose closed form is known."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -15,14 +13,11 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 from aerial_gym.sim2real.identify.least_squares.parameters import parameter_bounds, scales
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import of_logs
+from tests.unit.sim2real.flat_flights import PredictorStub
 
 ROBOT = ROBOTS.get("base_quadrotor")
 ROWS = np.array([1.0, -2.0, 3.0])
 NUM_TOLERANCES = of_logs(4).size
-
-
-def predictor(**predicts: object) -> SimpleNamespace:
-    return SimpleNamespace(robot=ROBOT, num_tolerances=NUM_TOLERANCES, **predicts)
 
 
 def of_deviations(params: ModelParams) -> list[np.ndarray]:
@@ -35,10 +30,10 @@ def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
     deviation = np.zeros(NUM_TOLERANCES)
     deviation[:3] = 0.8, -1.5, 2.0
     params = ModelParams(effects={}, deviation=deviation)
-    (columns,) = tolerance_jacobian(predictor(predict=of_deviations), params)
+    (columns,) = tolerance_jacobian(PredictorStub(of_deviations, robot=ROBOT), params)
     together = of_deviations(params)[0]
     np.testing.assert_allclose(columns @ deviation, together, atol=1e-9)
-    (nowhere,) = tolerance_jacobian(predictor(predict=of_deviations), ModelParams(effects={}))
+    (nowhere,) = tolerance_jacobian(PredictorStub(of_deviations, robot=ROBOT), ModelParams(effects={}))
     np.testing.assert_allclose(nowhere @ deviation, np.outer(ROWS, (0.8, 2.0)), atol=1e-9)
 
 
@@ -49,7 +44,7 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
         d = np.zeros(NUM_TOLERANCES) if params.deviation is None else params.deviation
         return [np.full((5, 1), float(sizes @ d))]
 
-    tolerance = tolerance_jacobian(predictor(predict=predict), ModelParams(effects={}))
+    tolerance = tolerance_jacobian(PredictorStub(predict, robot=ROBOT), ModelParams(effects={}))
     result = tolerance_rms(tolerance, 4)
     assert result == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
 
@@ -66,7 +61,8 @@ def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_al
     (_, top), scale = parameter_bounds(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
     params = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
     beside = [np.full((3, 2, 1), 7.0)]
-    (result,) = effect_jacobian(predictor(predict=predict), params, ("weak_motor",), predict(params), beside=beside)
+    predictor = PredictorStub(predict, robot=ROBOT)
+    (result,) = effect_jacobian(predictor, params, ("weak_motor",), predict(params), beside=beside)
     assert result.shape == (3, 2, 3)
     assert asked == [top, pytest.approx(top - 1e-3 * scale)]
     np.testing.assert_array_equal(result[:, :, 0], 0.0)

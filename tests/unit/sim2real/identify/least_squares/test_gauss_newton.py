@@ -1,11 +1,10 @@
 """The statistics of the fit on data made from the model itself, where the truth is known exactly."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.identify.least_squares import gauss_newton
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
@@ -20,8 +19,10 @@ from aerial_gym.sim2real.identify.least_squares.moments import (
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.statistics import rms_with_interval
+from tests.unit.sim2real.flat_flights import PredictorStub
 
 RATE, ROWS, FLIGHTS, CHANNELS = 30.0, 480, 5, 2
+WIND, TRUTH = "constant_wind", np.array([0.5, -0.3, 0.2])
 EFFECT, NUM_PARAMS, NUM_TOLERANCES = "rotor_drag", 3, 2
 
 
@@ -58,9 +59,10 @@ def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_
     truth, inside, widths = np.array([0.5, -0.2, 0.3]), [], []
     for _ in range(240):
         fit = linear_fit(rng, truth, colour=colour, deviation=0.3 * rng.standard_normal(NUM_TOLERANCES))
-        scaled = ModelFit(**{**vars(fit), "moments": _in_sigmas(fit)})
-        weight = np.ones(CHANNELS)
-        spread = uncertainty(scaled, weight)
+        factor = np.repeat((1.0, 0.3), (NUM_PARAMS, NUM_TOLERANCES))  # a deviation of one is one sigma
+        sums = fit.moments
+        scaled = replace(sums, gradient=sums.gradient * factor, product=sums.product * factor * factor[:, None])
+        spread = uncertainty(replace(fit, moments=scaled), np.ones(CHANNELS))
         inside.append(np.abs(spread.step[:NUM_PARAMS] - truth) < spread.half_width)
         widths.append(spread.half_width)
     coverage = float(np.mean(inside))
@@ -68,41 +70,18 @@ def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_
     assert np.median(widths) < 0.5  # no better by being useless
 
 
-def _in_sigmas(fit: ModelFit) -> object:
-    """Return the moments with the tolerances' columns scaled, so that a deviation of one is one sigma (0.3 above)."""
-    factor = np.concatenate((np.ones(NUM_PARAMS), np.full(NUM_TOLERANCES, 0.3)))
-    moments = fit.moments
-    return type(moments)(
-        count=moments.count,
-        square=moments.square,
-        gradient=moments.gradient * factor,
-        product=moments.product * factor * factor[:, None],
-        flight=moments.flight,
-    )
-
-
 def test_the_best_step_solves_least_squares_and_respects_bounds() -> None:
     rng = np.random.default_rng(7)
     truth = np.array([0.5, -0.2, 0.3])
     fit = linear_fit(rng, truth, colour=15.0, deviation=np.zeros(NUM_TOLERANCES))
-    exact = ModelFit(**{**vars(fit), "moments": _noise_free(fit, truth)})
+    full, sums = np.append(truth, np.zeros(NUM_TOLERANCES)), fit.moments
+    noise_free = replace(sums, square=np.einsum("bckl,k,l->bc", sums.product, full, full), gradient=sums.product @ full)
+    exact = replace(fit, moments=noise_free)
     np.testing.assert_allclose(best_step(exact, np.ones(CHANNELS), exact.free_effects)[:3], truth, atol=1e-5)
-    bounded = ModelFit(**{**vars(exact), "low": np.array([0.0, 0.0, 0.0, -3.0, -3.0])})
+    bounded = replace(exact, low=np.array([0.0, 0.0, 0.0, -3.0, -3.0]))
     result = best_step(bounded, np.ones(CHANNELS), bounded.free_effects)
-    fixed = ModelFit(**{**vars(exact), "frozen": frozenset({(EFFECT, 1)})})
+    fixed = replace(exact, frozen=frozenset({(EFFECT, 1)}))
     np.testing.assert_allclose(result, best_step(fixed, np.ones(CHANNELS), fixed.free_effects), atol=1e-9)
-
-
-def _noise_free(fit: ModelFit, truth: np.ndarray) -> object:
-    full = np.concatenate((truth, np.zeros(NUM_TOLERANCES)))
-    moments = fit.moments
-    return type(moments)(
-        count=moments.count,
-        square=np.einsum("bckl,k,l->bc", moments.product, full, full),
-        gradient=moments.product @ full,
-        product=moments.product,
-        flight=moments.flight,
-    )
 
 
 def test_squares_after_a_step_are_those_of_the_rows() -> None:
@@ -116,10 +95,8 @@ def test_squares_after_a_step_are_those_of_the_rows() -> None:
 def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() -> None:
     """Three flights of 8 s have four blocks each; joined by flight they are what whole flights give."""
     rng = np.random.default_rng(10)
-    residuals, jacobians = (
-        [rng.standard_normal((240, 2)) for _ in "abc"],
-        [rng.standard_normal((240, 2, 3)) for _ in "abc"],
-    )
+    residuals = [rng.standard_normal((240, 2)) for _ in range(3)]
+    jacobians = [rng.standard_normal((240, 2, 3)) for _ in range(3)]
     times = [np.arange(240) / 30.0] * 3
     blocks, flights = (block_moments(times, residuals, jacobians, length=length) for length in (2.0, np.inf))
     joined = blocks.merge_labels(blocks.flight)
@@ -161,75 +138,44 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
     """Steps of Gauss-Newton on ``arctan x`` grow without end from far away; halved ones reach the truth."""
     rng = np.random.default_rng(2)
     excitation, truth = 1.0 + 0.1 * rng.standard_normal((40, 1)), 3.0
+    measured = np.arctan(excitation * truth) + 1e-3 * rng.standard_normal((40, 1))
+    predictor = PredictorStub(lambda params: [np.arctan(excitation * params.effects[WIND][0])], [measured])
+    for start in (truth, 10.0, -6.0):
+        params = ModelParams(effects={WIND: np.array([start, 0.0, 0.0])})
+        fit, _, _ = fit_effects(predictor, (WIND,), params, beside(predictor, 1e6))
+        assert fit.params.effects[WIND][0] == pytest.approx(truth, rel=0.01)
+
+
+def beside(predictor: PredictorStub, weight: float) -> NuisanceSums:
+    """Return sums of rows without nuisance columns, each of which has a weight."""
+    return NuisanceSums(predictor.times, [[np.zeros((len(predictor.times[0]), 1, 0))]], np.full(1, weight))
+
+
+def exponential(seed: int, remainder: float) -> tuple[PredictorStub, np.ndarray]:
+    """Return a predictor of ``exp`` of parameters, measured at ``TRUTH`` with noise, and its (200, 3) derivative at zero."""
+    rng = np.random.default_rng(seed)
+    excitation = rng.standard_normal((200, 3))
 
     def predict(params: ModelParams) -> list[np.ndarray]:
-        return [np.arctan(excitation * params.effects["constant_wind"][0])]
+        return [np.exp(0.5 * excitation @ params.effects[WIND])[:, None]]
 
-    predictor = SimpleNamespace(
-        robot=ROBOTS.get("tinyprop"),
-        times=[np.arange(40) / 30.0],
-        measured=[np.arctan(excitation * truth) + 1e-3 * rng.standard_normal((40, 1))],
-        predict=predict,
-    )
-    for start in (truth, 10.0, -6.0):
-        fit, _, _ = fit_effects(
-            predictor,
-            ("constant_wind",),
-            ModelParams(effects={"constant_wind": np.array([start, 0.0, 0.0])}),
-            NuisanceSums(predictor.times, [[np.zeros((40, 1, 0))]], np.full(1, 1e6)),
-        )
-        assert fit.params.effects["constant_wind"][0] == pytest.approx(truth, rel=0.01)
+    measured = predict(ModelParams(effects={WIND: TRUTH}))[0] + remainder * rng.standard_normal((200, 1))
+    return PredictorStub(predict, [measured]), 0.5 * excitation
 
 
 def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
     """Right ones save predictions; ones that are 30 % too large and 60 % too small are mended; ``exp`` of three parameters."""
-    rng = np.random.default_rng(3)
-    excitation, truth = rng.standard_normal((200, 3)), np.array([0.5, -0.3, 0.2])
-    calls = []
-
-    def predict(params: ModelParams) -> list[np.ndarray]:
-        calls.append(params)
-        return [np.exp(0.5 * excitation @ params.effects["constant_wind"])[:, None]]
-
-    there = ModelParams(effects={"constant_wind": truth})
-    measured = [predict(there)[0] + 1e-4 * rng.standard_normal((200, 1))]
-    predictor = SimpleNamespace(
-        robot=ROBOTS.get("tinyprop"),
-        times=[np.arange(200) / 30.0],
-        measured=measured,
-        predict=predict,
-        residuals=lambda params: [measured[0] - predict(params)[0]],
-    )
-    start = ModelParams(effects={"constant_wind": np.zeros(3)})
+    predictor, derivative = exponential(3, 1e-4)
+    start = ModelParams(effects={WIND: np.zeros(3)})
     result, costs = [], []
     for wrong in (None, (1.0, 1.0, 1.0), (1.3, 0.4, 1.0)):
-        calls.clear()
-        fit, _, _ = fit_effects(
-            predictor,
-            ("constant_wind",),
-            start,
-            NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e8)),
-            derivatives=None if wrong is None else [0.5 * (excitation * wrong)[:, None, :]],
-        )
-        result.append(fit.params.effects["constant_wind"])
-        costs.append(len(calls))
-    np.testing.assert_allclose(result, [truth] * 3, atol=1e-4)
+        predictor.calls = 0
+        near = None if wrong is None else [(derivative * wrong)[:, None, :]]
+        fit, _, _ = fit_effects(predictor, (WIND,), start, beside(predictor, 1e8), derivatives=near)
+        result.append(fit.params.effects[WIND])
+        costs.append(predictor.calls)
+    np.testing.assert_allclose(result, [TRUTH] * 3, atol=1e-4)
     assert costs[1] < costs[0]
-
-
-class Exponential:
-    """A predictor of ``exp`` of three parameters, that counts, beside measurements with a remainder of its own."""
-
-    def __init__(self, remainder: float) -> None:
-        rng = np.random.default_rng(4)
-        self.excitation, self.calls = rng.standard_normal((200, 3)), 0
-        self.robot, self.times = ROBOTS.get("tinyprop"), [np.arange(200) / 30.0]
-        truth = ModelParams(effects={"constant_wind": np.array([0.5, -0.3, 0.2])})
-        self.measured = [self.predict(truth)[0] + remainder * rng.standard_normal((200, 1))]
-
-    def predict(self, params: ModelParams) -> list[np.ndarray]:
-        self.calls += 1
-        return [np.exp(0.5 * self.excitation @ params.effects["constant_wind"])[:, None]]
 
 
 def worth(fit: ModelFit) -> float:
@@ -241,12 +187,11 @@ def worth(fit: ModelFit) -> float:
 
 def fit_exponential(goal: Goal) -> tuple[ModelFit, float, float, int]:
     """Return a fit from zero, its log likelihood, what it may have missed at most, and its predictions."""
-    predictor, start = Exponential(0.3), ModelParams(effects={"constant_wind": np.zeros(3)})
-    beside, before = NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3)), predictor.calls
-    fit, _, more = fit_effects(predictor, ("constant_wind",), start, beside, goal=goal)
-    count = predictor.calls - before
-    left = [m - p for m, p in zip(predictor.measured, predictor.predict(fit.params), strict=True)]
-    return fit, -0.5 * misfit(beside, left), more, count
+    predictor, _ = exponential(4, 0.3)
+    sums = beside(predictor, 1e3)
+    fit, _, more = fit_effects(predictor, (WIND,), ModelParams(effects={WIND: np.zeros(3)}), sums, goal=goal)
+    count = predictor.calls
+    return fit, -0.5 * misfit(sums, predictor.residuals(fit.params)), more, count
 
 
 def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -> None:
@@ -266,15 +211,14 @@ def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -
 
 
 def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monkeypatch: pytest.MonkeyPatch) -> None:
-    effects, start = ("constant_wind",), ModelParams(effects={"constant_wind": np.array([0.49, -0.29, 0.19])})
-    anew, worths, missed = [], [], []
-    predictor = Exponential(0.3)
-    near = effect_jacobian(predictor, start, effects, predictor.predict(start))
-    beside = NuisanceSums(predictor.times, [[np.zeros((200, 1, 0))]], np.full(1, 1e3))
+    start, worths, missed, anew = ModelParams(effects={WIND: np.array([0.49, -0.29, 0.19])}), [], [], []
+    predictor, _ = exponential(4, 0.3)
+    near = effect_jacobian(predictor, start, (WIND,), predictor.predict(start))
     for enough in (10.0, 0.0):
         taken = []
         monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
-        fit, _, more = fit_effects(predictor, effects, start, beside, derivatives=near, goal=Goal(enough=enough))
+        goal = Goal(enough=enough)
+        fit, _, more = fit_effects(predictor, (WIND,), start, beside(predictor, 1e3), derivatives=near, goal=goal)
         anew.append(len(taken))
         worths.append(worth(fit))
         missed.append(more)
@@ -285,17 +229,13 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
 
 @pytest.mark.parametrize("derivatives", [None, [np.full((40, 1, 3), np.nan)]])
 def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[np.ndarray] | None) -> None:
-    edge = ModelParams(effects={"constant_wind": np.array([1.0, 0.0, 0.0])})
+    edge = ModelParams(effects={WIND: np.array([1.0, 0.0, 0.0])})
 
     def predict(params: ModelParams) -> list[np.ndarray]:
-        wind = params.effects["constant_wind"]
-        return [np.full((40, 1), 1.0 if np.array_equal(wind, edge.effects["constant_wind"]) else np.nan)]
+        return [np.full((40, 1), 1.0 if np.array_equal(params.effects[WIND], edge.effects[WIND]) else np.nan)]
 
-    predictor = SimpleNamespace(
-        robot=ROBOTS.get("tinyprop"), times=[np.arange(40) / 30.0], measured=[np.full((40, 1), 2.0)], predict=predict
-    )
-    beside = NuisanceSums(predictor.times, [[np.ones((40, 1, 1))]], np.ones(1))
-    fit, _, _ = fit_effects(predictor, ("constant_wind",), edge, beside, derivatives=derivatives)
+    predictor = PredictorStub(predict, [np.full((40, 1), 2.0)])
+    fit, _, _ = fit_effects(predictor, (WIND,), edge, beside(predictor, 1.0), derivatives=derivatives)
     assert fit.params is edge
     assert not fit.finite
 

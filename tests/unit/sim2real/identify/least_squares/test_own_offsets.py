@@ -17,7 +17,7 @@ def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() 
     residuals, jacobians = flights(np.random.default_rng(1))
     offsets = OwnOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
     for r, j, out, along in zip(
-        residuals, jacobians, offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians), strict=True
+        residuals, jacobians, *map(offsets.remove_offsets, (residuals, jacobians)), strict=True
     ):
         for channel, (size, weight) in enumerate(zip(offsets.size, offsets.weight, strict=True)):
             inverse = np.linalg.inv(np.eye(len(r)) / weight + size**2)
@@ -42,12 +42,10 @@ def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
             constant -= 0.5 * weight * r[:, channel] @ r[:, channel]
     kept = Normal(product=product, gradient=gradient, constant=constant).integrate_out(np.arange(3, 6), np.arange(3))
     pairs = list(zip(offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians), strict=True))
-    np.testing.assert_allclose(
-        kept.product, sum(weight * np.einsum("rck,rcl->kl", j, j) for _, j in pairs), rtol=1e-10, atol=1e-12
-    )
-    np.testing.assert_allclose(
-        kept.gradient, sum(weight * np.einsum("rck,rc->k", j, r) for r, j in pairs), rtol=1e-10, atol=1e-12
-    )
+    product_kept = sum(weight * np.einsum("rck,rcl->kl", j, j) for _, j in pairs)
+    gradient_kept = sum(weight * np.einsum("rck,rc->k", j, r) for r, j in pairs)
+    np.testing.assert_allclose(kept.product, product_kept, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(kept.gradient, gradient_kept, rtol=1e-10, atol=1e-12)
 
     left = -0.5 * sum(weight * np.square(r).sum() for r, _ in pairs)
     np.testing.assert_allclose(kept.constant, left + offsets.log_likelihood([len(r) for r in residuals]), rtol=1e-12)

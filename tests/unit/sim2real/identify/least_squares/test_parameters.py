@@ -15,11 +15,7 @@ from aerial_gym.sim2real.predict.model_params import ModelParams
 ROBOT = ROBOTS.get("base_quadrotor")
 EFFECTS = ("weak_motor", "rotor_drag")
 POINT = ModelParams(
-    effects={
-        "rotor_drag": np.array([0.1, 0.2, 0.3]),
-        "com_offset": np.array([0.01, 0.0, 0.0]),
-        "weak_motor": np.array([3.0, 0.9]),
-    }
+    effects={"rotor_drag": np.array([0.1, 0.2, 0.3]), "com_offset": np.zeros(3), "weak_motor": np.array([3.0, 0.9])}
 )
 
 

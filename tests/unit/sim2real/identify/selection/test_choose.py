@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,26 +9,27 @@ import pytest
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.parameters import scales
 from aerial_gym.sim2real.identify.selection import choose
+from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, _Chooser, choose_effects, narrowest
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
-from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.channels import Channel, find_channels
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import silent
-from tests.unit.sim2real.flat_flights import ROBOT, flight
+from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub, flight, load_tables, make_predictor
 from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
 NAMES = (
-    "rotor_drag",
-    "quadratic_drag",
-    "thrust_coefficient",
-    "payload_mass",
-    "constant_wind",
-    "com_offset",
-    "weak_motor",
+    *(
+        "rotor_drag",
+        "quadratic_drag",
+        "thrust_coefficient",
+        "payload_mass",
+        "constant_wind",
+        "com_offset",
+        "weak_motor",
+    ),
 )
 FEW = ("rotor_drag", "thrust_coefficient", "payload_mass", "constant_wind")
 MATERIAL = Criteria().material
@@ -44,13 +44,8 @@ def most_probable(
 
 def fly(folder: Path, rate: float, **hidden: float) -> Predictor:
     """Return three flights of 8 s with sensor noise."""
-    files = []
-    for seed in range(3):
-        files.append(folder / f"flight_{seed}.csv")
-        flight(seed, noise=1.0, seconds=8.0, rate=rate, **hidden).to_csv(files[-1], index=False)
-    flights = load_flights(files, ROBOT, mapping=None, bandwidth=10.0)
-    channels = find_channels(flights)
-    return Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    tables = [flight(seed, noise=1.0, seconds=8.0, rate=rate, **hidden) for seed in range(3)]
+    return make_predictor(load_tables(folder, tables))
 
 
 def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray:
@@ -94,20 +89,15 @@ def test_a_force_that_follows_the_place_is_a_structure_and_no_effect(tmp_path: P
     assert results.structures == ("position in specific_force.x",)
 
 
-def test_an_effect_whose_size_follows_the_time_only_stands_in_for_what_does(tmp_path: Path) -> None:
-    """Rotors that lose 8 % of their thrust in each flight are no rotors of another thrust coefficient."""
-    results = most_probable(tmp_path, FEW, 100.0, fading=0.08)
-    assert results.effects == ()
-    assert results.surrogates == {"thrust_coefficient": "time"}
-
-
-def test_a_size_that_follows_the_time_as_flights_do_not_agree_makes_no_substitute(tmp_path: Path) -> None:
-    """The same flights; but where parameters scatter between flights 1e5 times as much as noise, little speaks for time."""
+def test_an_effect_whose_size_follows_the_time_is_a_surrogate_unless_flights_disagree(tmp_path: Path) -> None:
+    """Rotors lose 8 % of their thrust in each flight. Scatter between flights 1e5 times that of noise hides the fall."""
     flights = fly(tmp_path, 100.0, fading=0.08)
     climber = SetSearch(flights, params_from_robot(ROBOT), FEW, silent)
     view = climber.run()
     chooser = _Chooser(climber, MATERIAL)
-    assert chooser.proxy_effects(view.present, view.fitter) == {"thrust_coefficient": "time"}
+    results = chooser.result(view)
+    assert results.effects == ()
+    assert results.surrogates == {"thrust_coefficient": "time"}
     scattered = {name: replace(one, overdispersion=1e5) for name, one in view.present.support.items()}
     assert chooser.proxy_effects(replace(view.present, support=scattered), view.fitter) == {}
 
@@ -148,10 +138,10 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
     noise = np.random.default_rng(0).normal(size=(600, 1))
     chooser, fitter = object.__new__(_Chooser), object.__new__(Fitter)
     chooser.material = material
-    chooser.predictor = SimpleNamespace(
-        times=[np.arange(600) / 50.0],
+    chooser.predictor = PredictorStub(
+        lambda params: [-SIZES[tuple(params.effects)] * noise],
+        [np.zeros((600, 1))],
         channels=[Channel(kind="specific_force", axis="x")],
-        residuals=lambda params: [SIZES[tuple(params.effects)] * noise],
     )
     fitter.refit_without_effects = lambda one, gone: make_fit(*(name for name in one.effects if name not in gone))
     whole = make_fit(*max(SIZES, key=len))
@@ -167,13 +157,8 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
 def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_one() -> None:
     whole = make_fit("rotor_drag", "payload_mass", structures=(PLACE,))
     both = make_fit("rotor_drag", "payload_mass", odds={"payload_mass": -1.0})
-    drag, mass, more = (
-        make_fit("rotor_drag", log=-5.0),
-        make_fit("payload_mass", log=-3.0),
-        make_fit("imu_bias", log=-1.0),
-    )
-    beside = make_fit("rotor_drag", log=-0.5, structures=(PLACE,))
-    fits = (whole, drag, mass, more, beside)
+    drag, mass = make_fit("rotor_drag", log=-5.0), make_fit("payload_mass", log=-3.0)
+    fits = (whole, drag, mass, make_fit("imu_bias", log=-1.0), make_fit("rotor_drag", log=-0.5, structures=(PLACE,)))
     fitter, chooser = FitStub(both, drag, make_fit()), object.__new__(_Chooser)
     assert chooser.bare(whole, (), fits, fitter) is mass
     assert chooser.bare(whole, ("payload_mass",), fits, fitter) is drag
@@ -235,12 +220,13 @@ def test_an_effect_of_which_flights_show_no_parameter_has_no_name() -> None:
 def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
     more = ("payload_mass", "weak_motor", "torque_ratio", "com_offset", "motor_tilt")
     best, named = make_fit("rotor_drag", *more), make_fit("rotor_drag")
-    chooser, results = object.__new__(_Chooser), {"torque_ratio": 0.7, "com_offset": 5.0}
+    chooser, fitter = object.__new__(_Chooser), FitStub()
     chooser.names, chooser.tolerated = best.effects, np.zeros(1)
+    fitter.in_file, fitter.weights = lambda one: (named, {"weak_motor": ["scale"]}), None
     for name, result in (
         ("proxy_effects", {}),
         ("bare", best),
-        ("drop_unproven", (named, results)),
+        ("drop_unproven", (named, {"torque_ratio": 0.7, "com_offset": 5.0})),
         ("drop_unidentified", (named, ["motor_tilt"])),
         ("without_trifles", (named, {}, {})),
         ("adds", {}),
@@ -248,9 +234,16 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.setattr(chooser, name, lambda *_, result=result: result)
     monkeypatch.setattr(choose, "observable_candidates", lambda library: [])
     monkeypatch.setattr(choose, "rivals_in_part", lambda *_: ())
-    fitter = SimpleNamespace(in_file=lambda one: (named, {"weak_motor": ["scale"]}), weights=None)
-    view = SimpleNamespace(
-        fits={best.label: best}, has_fit=lambda label: True, present=best, fitter=fitter, library=None
+    view = CandidateView(
+        present=best,
+        fits={best.label: best},
+        own={},
+        fresh={best.label},
+        fitter=fitter,
+        library=None,
+        structures=[],
+        sets=None,
+        guard=None,
     )
     refused = chooser.result(view).refused
     assert {name: finding.code for name, finding in refused.items()} == {
@@ -266,13 +259,9 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(("behind", "expected"), [(1.0, "constant_wind"), (5.0, "wind_shear")])
 def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
     wide = make_fit("wind_shear", log=0.0)
-    rest = [
-        make_fit("rotor_drag", log=-0.1),
-        make_fit(log=-0.2),
-        make_fit("constant_wind", log=0.0, structures=(PLACE,)),
-    ]
-    assert narrowest(wide, [wide, *rest], 3.0) is wide
-    assert narrowest(wide, [wide, *rest, make_fit("constant_wind", log=-behind)], 3.0).effects == (expected,)
+    rest = [wide, make_fit("rotor_drag", log=-0.1), make_fit(log=-0.2), make_fit("constant_wind", structures=(PLACE,))]
+    assert narrowest(wide, rest, 3.0) is wide
+    assert narrowest(wide, [*rest, make_fit("constant_wind", log=-behind)], 3.0).effects == (expected,)
 
 
 @pytest.mark.parametrize(("fits", "expected"), [(-1.0, "constant_wind"), (-5.0, "wind_shear")])

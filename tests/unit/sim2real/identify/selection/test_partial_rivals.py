@@ -7,15 +7,11 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
-from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
+from aerial_gym.sim2real.identify.least_squares.weighting import inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.partial_rivals import rivals_in_part
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
-from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import params_from_robot
-from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT, flight
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
 
 TRUE = np.array([1.3, 1.4, 1.6])
 """Moments of inertia per declared ones."""
@@ -25,15 +21,10 @@ NAMES = ("inertia_error", "torque_ratio", "thrust_coefficient", "payload_mass", 
 
 def make_fitter(folder: Path, noise: float) -> Fitter:
     """Return a fitter for flights of a vehicle with misdeclared moments of inertia, which yaws by rotor drag alone."""
-    files = []
-    for seed in range(2):
-        files.append(folder / f"flight_{seed}.csv")
-        flight(seed, noise=noise, seconds=8.0, rate=100.0).to_csv(files[-1], index=False)
     inertia = np.array(ROBOT.body.inertia) / np.sqrt(np.outer(TRUE, TRUE))
     robot = replace(ROBOT, body=replace(ROBOT.body, inertia=tuple(map(tuple, inertia.tolist()))))
-    flights = load_flights(files, robot, mapping=None, bandwidth=10.0)
-    channels, declared = find_channels(flights), params_from_robot(robot)
-    predictor = Predictor(robot, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    tables = [flight(seed, noise=noise, seconds=8.0, rate=100.0) for seed in range(2)]
+    predictor, declared = make_predictor(load_tables(folder, tables, robot), robot), params_from_robot(robot)
     true = declared.with_effect("inertia_error", TRUE)
     return Fitter(predictor, declared, len(NAMES), inverse_variance_weights(predictor.residuals(true)), true)
 

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,13 +17,9 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, FitScore
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects
 from aerial_gym.sim2real.judge.verdict import find_ties
-from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
-from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
-from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_selection
+from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub, flight, load_tables, make_predictor
+from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_score, make_selection
 
 ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
 
@@ -39,15 +34,9 @@ def select_hidden(
     **hidden: Any,
 ) -> SelectionResult:
     """Return the effects selected from four flights with sensor noise, among some candidates."""
-    logs = [flight(seed, seconds=seconds, rate=100.0, noise=1.0, **hidden) for seed in range(4)]
-    predictor = make_predictor(folder, [change(log) for log in logs], robot)
+    logs = [change(flight(seed, seconds=seconds, rate=100.0, noise=1.0, **hidden)) for seed in range(4)]
+    predictor = make_predictor(load_tables(folder, logs, robot), robot)
     return select_effects(predictor, params_from_robot(robot), Criteria(), candidates=candidates)
-
-
-def make_predictor(folder: Path, logs: Sequence[pd.DataFrame], robot: RobotCfg = ROBOT) -> Predictor:
-    paths = [write(log, folder / f"f{n}.csv") for n, log in enumerate(logs)]
-    flights = load_flights(paths, robot, mapping=None, bandwidth=10.0)
-    return Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
 
 
 def fade_thrust(table: pd.DataFrame) -> pd.DataFrame:
@@ -115,12 +104,11 @@ def test_a_wake_is_found_whatever_its_width(width: float, tmp_path: Path) -> Non
         away = 2.0 * width * np.sin(2.0 * np.pi * np.outer(time, (0.31, 0.47)) + seed)
         push = -0.6 * np.exp(-0.5 * (away**2).sum(axis=1) / width**2)
         table = flight(seed, rate=100.0, noise=1.0, outside=np.outer(push, (0.0, 0.0, 1.0)))
-        path = write(table, tmp_path / f"{seed}.csv")
-        (read,) = load_flights([path], ROBOT, mapping=None, bandwidth=10.0)
-        flights.append(replace(read, other_position=read.position + np.column_stack((away, np.ones(1200)))))
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+        (read,) = load_tables(tmp_path, [table])
+        other = read.position + np.column_stack((away, np.ones(1200)))
+        flights.append(replace(read, name=str(seed), other_position=other))
     names = ("downwash", "thrust_coefficient", "rotor_drag")
-    result = select_effects(predictor, params_from_robot(ROBOT), Criteria(), candidates=names)
+    result = select_effects(make_predictor(flights), params_from_robot(ROBOT), Criteria(), candidates=names)
     assert result.effect_names == ("downwash",)
     force, sigma = result.final.fit.params.effects["downwash"]
     assert force == pytest.approx(0.6, rel=0.1)
@@ -180,7 +168,7 @@ def test_what_stands_beside_a_wider_case_replaces_what_else_is_lacking() -> None
 
 
 def test_only_effects_that_can_be_looked_for_are(tmp_path: Path) -> None:
-    predictor = make_predictor(tmp_path, [flight(1, seconds=4.0, rate=100.0)])
+    predictor = make_predictor(load_tables(tmp_path, [flight(1, seconds=4.0, rate=100.0)]))
     for name, error, message in (
         ("rotor_dragg", UnknownNameError, "Did you mean 'rotor_drag'"),
         ("gusts", ConfigError, "gusts is random and predicts no row"),
@@ -201,15 +189,11 @@ class PriorScorer(_Scorer):
 
     def __init__(self, named: EffectSetFit, variance: Mapping[str, Sequence[float]]) -> None:
         self.chosen, self.declared = make_choice(named), ModelParams()
-        self.predictor = SimpleNamespace(robot=ROBOT)
-        self.variance = variance
+        self.predictor, self.variance = PredictorStub(), variance
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
         """Return a fit with parameters of all effects, one after the other."""
-        owners = [(name, k) for name in effects for k in range(start.effects[name].size)]
-        fit = SimpleNamespace(owners=owners, free_effects=np.arange(len(owners)), params=start, frozen=frozen)
-        variance = np.diag([value for name in effects for value in self.variance[name]])
-        return cast("FitScore", SimpleNamespace(fit=fit, spread=SimpleNamespace(plain=variance)))
+        return make_score(start, effects, variance=[v for name in effects for v in self.variance[name]], frozen=frozen)
 
 
 def test_parameters_that_flights_do_not_show_stay_neutral() -> None:

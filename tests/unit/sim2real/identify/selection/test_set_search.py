@@ -1,20 +1,22 @@
 """Which sets are fitted on the way to the most probable one, with fits that are given."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.candidates.library import Candidate
-from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
+from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
+from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
+from aerial_gym.sim2real.identify.evidence.guard import Guard
 from aerial_gym.sim2real.identify.evidence.laplace import Model
+from aerial_gym.sim2real.identify.evidence.search import Sets
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window
 from aerial_gym.sim2real.identify.selection.set_search import MOST_TURNS, SetSearch
 from aerial_gym.sim2real.predict.model_params import ModelParams
+from tests.unit.sim2real.identify.evidence.linear import candidates as linear_candidates
 from tests.unit.sim2real.set_fits import FitStub, make_fit
 
 NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
@@ -25,35 +27,41 @@ class Singles(FitStub):
 
     def fit_set(self, _library: object, _sets: object, model: Model, *_: object) -> EffectSetFit:
         """Return the set."""
-        return self.fit(tuple(NAMES[k] for k in model), (), self.start(model))
-
-    def start(self, model: Model) -> Any:
-        """Return the effects of a set."""
-        return SimpleNamespace(effects={NAMES[k]: None for k in model})
+        effects = tuple(NAMES[k] for k in model)
+        return self.fit(effects, (), ModelParams(effects=dict.fromkeys(effects, np.zeros(0))))
 
 
-def make_view(promised: dict[Model, float], *sets: EffectSetFit) -> CandidateView:
+class GuardStub(Guard):
+    """Guard that removes all candidates or none."""
+
+    def __init__(self, *, keeps: bool = True) -> None:
+        self.keeps = keeps
+
+    def drop_unsupported(self, model: Model) -> Model:
+        """Return the set if it is kept."""
+        return model if self.keeps else ()
+
+
+def make_view(
+    promised: dict[Model, float], *sets: EffectSetFit, fitter: Fitter | None = None, keeps: bool = True
+) -> CandidateView:
     """Return a view about the first of the sets, a centre of mass, with what the linear model has of all."""
     none, start = np.zeros(0, dtype=np.int64), np.zeros(3)
-    candidates = [
+    candidates = tuple(
         Candidate(name=name, named=k == 0, columns=none, low=start, high=start, start=start)
         for k, name in enumerate(NAMES)
-    ]
-    linear = SimpleNamespace(
-        log_posterior=promised,
-        log_posteriors=lambda models: np.array([promised[model] for model in models]),
-        candidates=SimpleNamespace(structures=frozenset()),
     )
+    label = sets[0].label
     return CandidateView(
         present=sets[0],
-        fits={sets[0].label: sets[0]},
-        own={sets[0].label: cast("Any", None)},
+        fits={label: sets[0]},
+        own={label: fitter} if fitter is None else {},
         fresh=set(),
-        fitter=Singles(*sets),
-        library=cast("Any", SimpleNamespace(candidates=candidates)),
+        fitter=fitter or Singles(*sets),
+        library=Library(candidates=candidates, moments=None, weight=np.ones(1), tolerances=none),
         structures=[],
-        sets=cast("Any", linear),
-        guard=cast("Any", SimpleNamespace(drop_unsupported=lambda model: model)),
+        sets=Sets(candidates=linear_candidates(*[0] * len(NAMES)), normal=None, log_posterior=promised),
+        guard=GuardStub(keeps=keeps),
     )
 
 
@@ -70,11 +78,11 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
 
 def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds_where_it_is_linear() -> None:
     best, drag = make_fit("com_offset"), make_fit("rotor_drag", log=-1e6)
-    view = make_view({(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}, best, drag)
-    view.guard.drop_unsupported = lambda _model: ()
-    SetSearch.fit_rivals(cast("Any", None), view)
+    promised = {(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}
+    view, climber = make_view(promised, best, drag, keeps=False), SearchStub()
+    climber.fit_rivals(view)
     assert set(view.fits) == {best.label}
-    SetSearch.fit_nearest(cast("Any", None), view)
+    climber.fit_nearest(view)
     assert set(view.fits) == {best.label, drag.label}
 
 
@@ -84,18 +92,7 @@ def test_of_a_set_that_cannot_come_near_the_best_no_part_is_fitted(ahead: float,
     best, drag = make_fit("com_offset", overdispersion=4.0), make_fit("rotor_drag", log=-1e3)
     least = best.log_posterior - FAR_BEHIND * occam_window(best)
     both = make_fit("rotor_drag", "motor_tilt", log=-1e3, odds={"motor_tilt": -1.0})
-    empty = cast("Any", None)
-    view = CandidateView(
-        present=best,
-        fits={best.label: best},
-        own={},
-        fresh=set(),
-        fitter=FitStub(drag),
-        library=empty,
-        structures=[],
-        sets=empty,
-        guard=empty,
-    )
+    view = make_view({}, best, fitter=FitStub(drag))
     view.add(replace(both, most=least + ahead))
     assert both.label in view.fits
     assert (drag.label in view.fits) == tried
@@ -114,15 +111,14 @@ class SearchStub(SetSearch):
 
     def start(self) -> CandidateView:
         """Return the first view of the search."""
-        return self.start_view(self.declared, (), (), self.residual_weights(cast("Any", None)))
+        return self.start_view(self.declared, (), (), self.residual_weights(None))
 
-    def start_view(
-        self, params: ModelParams, effects: Any, structures: Any, weights: Weighting, *_: Any
-    ) -> CandidateView:
+    def start_view(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting, *_: Any):
         """Return a view with the given weights, and record the start."""
         self.gone.append("start")
-        fitter = SimpleNamespace(weights=weights)
-        return cast("Any", SimpleNamespace(present=make_fit(), fitter=fitter, let_go=lambda: None))
+        fitter = FitStub()
+        fitter.weights = weights
+        return make_view({}, make_fit(), fitter=fitter)
 
     def climb(self, ways: Any) -> None:
         """Stay."""
@@ -159,34 +155,35 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
     deviations: tuple[float | None, ...], turns: int
 ) -> None:
     fits = [replace(make_fit(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
-    number, about, fitters = 0, list[ModelParams](), list[Any]()
+    number, about = 0, list[ModelParams]()
 
-    def refit(before: EffectSetFit, _: object) -> EffectSetFit:
-        nonlocal number
-        assert before is fits[number]
-        number += 1
-        return fits[number]
+    class Refits(FitStub):
+        weights = None
 
-    def linear_fitter(params: ModelParams, _: object) -> Any:
-        about.append(params)
-        fitters.append(SimpleNamespace(refit=refit, forget_nuisance_sums=lambda: None, weights=None))
-        return fitters[-1]
+        def refit(self, before: EffectSetFit, _: object) -> EffectSetFit:
+            nonlocal number
+            assert before is fits[number]
+            number += 1
+            return fits[number]
 
-    climber, first = SimpleNamespace(fitter_at_model=linear_fitter), linear_fitter(ModelParams(), None)
-    result, fitter = SetSearch.relinearise(cast("Any", climber), fits[0], first)
+        def forget_nuisance_sums(self) -> None:
+            pass
+
+    fitters = [Refits() for _ in fits]
+    climber = SearchStub()
+    climber.fitter_at_model = lambda params, _: about.append(params) or fitters[len(about)]
+    result, fitter = climber.relinearise(fits[0], fitters[0])
     assert result is fits[turns]
     assert fitter is fitters[turns]
-    for params, one in zip(about[1:], fits[:number], strict=True):
+    for params, one in zip(about, fits[:number], strict=True):
         np.testing.assert_array_equal(params.deviation, one.deviation)
 
 
 def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it() -> None:
     both = make_fit("rotor_drag", "motor_tilt", odds={"motor_tilt": -1.0})
     drag = make_fit("rotor_drag", log=-3.0)
-    climber = SimpleNamespace(
-        declared=ModelParams(),
-        fitter_at_model=lambda *_: FitStub(both, drag, make_fit(log=-50.0)),
-        candidate_view=lambda present, own, fits, _: (present, list(own), list(fits)),
-    )
-    result = SetSearch.start_view(cast("Any", climber), both.params, both.effects, (), cast("Any", None))
+    climber = SearchStub()
+    climber.fitter_at_model = lambda *_: FitStub(both, drag, make_fit(log=-50.0))
+    climber.candidate_view = lambda present, own, fits, _: (present, list(own), list(fits))
+    result = SetSearch.start_view(climber, both.params, both.effects, (), None)
     assert result == (drag, [drag.label], [()])

@@ -2,20 +2,21 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
+from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.experiments.design import Catalogue, manoeuvre_for_ties, manoeuvres_for_effects, showable
 from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, fly
-from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection
 
 TOLERANCES = Tolerances()
 STD = {
@@ -26,13 +27,13 @@ STD = {
 
 def make_catalogue(folder: Path, *, only: str | None = None) -> Catalogue:
     """Return the catalogue for a flight of the made-up quadrotor, with white residuals of known size."""
-    write(flight(1, seconds=4.0, rate=100.0), folder / "f.csv")
-    flights = load_flights([folder / "f.csv"], ROBOT, mapping=None, bandwidth=10.0)
+    flights = load_tables(folder, [flight(1, seconds=4.0, rate=100.0)])
     channels = [channel for channel in find_channels(flights) if only in (None, channel.kind)]
-    train = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=TOLERANCES)
-    weight = np.array([STD[channel.kind] ** -2 for channel in channels])
-    none = SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=())
-    return Catalogue(train, SimpleNamespace(weights=SimpleNamespace(weight=weight), final=none))
+    weights = Weighting(
+        variance=np.array([STD[channel.kind] ** 2 for channel in channels]), effective=np.ones(len(channels))
+    )
+    chosen = replace(make_choice(make_fit()), weights=weights)
+    return Catalogue(make_predictor(flights, channels=channels), make_selection(chosen))
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +42,8 @@ def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
 
 
 def model(**effects: list[float]) -> tuple[ModelParams, tuple[str, ...]]:
-    return ModelParams(effects={name: np.array(values, dtype=float) for name, values in effects.items()}), tuple(
-        effects
-    )
+    params = {name: np.array(values, dtype=float) for name, values in effects.items()}
+    return ModelParams(effects=params), tuple(effects)
 
 
 def by_name(catalogue: Catalogue, scores: np.ndarray) -> dict[str, float]:
@@ -131,19 +131,19 @@ def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_
 
 def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) -> None:
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.0635))
-    hidden = SimpleNamespace(not_testable={"ground_effect": ""}, effect_names=())
-    assert showable(hidden, robot, []) == ["ground_effect"]
-    assert showable(hidden, ROBOT, []) == []
-    arms = SimpleNamespace(not_testable={"joint_creep": ""}, effect_names=())
-    assert showable(arms, ROBOT, []) == []
-    bent = SimpleNamespace(not_testable={"joint_creep": ""}, effect_names=("joint_spring",))
-    assert showable(bent, ROBOT, []) == ["joint_creep"]
-    selection = SimpleNamespace(final=SimpleNamespace(fit=SimpleNamespace(params=ModelParams()), effects=()))
-    names = ["quadratic_drag", "rotor_inertia", "translational_lift"]
-    advice = manoeuvres_for_effects(catalogue, selection, ModelParams(), names)
+
+    def selection(hidden: str, *named: str) -> SelectionResult:
+        return make_selection(make_choice(make_fit(*named)), not_testable={hidden: Finding("not_excited", hidden)})
+
+    assert showable(selection("ground_effect"), robot, []) == ["ground_effect"]
+    assert showable(selection("ground_effect"), ROBOT, []) == []
+    assert showable(selection("joint_creep"), ROBOT, []) == []
+    assert showable(selection("joint_creep", "joint_spring"), ROBOT, []) == ["joint_creep"]
+    nothing, names = make_selection(), ["quadratic_drag", "rotor_inertia", "translational_lift"]
+    advice = manoeuvres_for_effects(catalogue, nothing, ModelParams(), names)
     assert list(advice) == names
     assert advice["quadratic_drag"].fly == "sweep along both axes, slow and then fast, up to 5 m/s"
     assert all(result.hover < 1e-3 for result in advice.values())
     for name in names:
         assert advice[name].as_mapping()["tells"] == [name]
-    assert manoeuvre_for_ties(catalogue, selection, {}) is None
+    assert manoeuvre_for_ties(catalogue, nothing, {}) is None

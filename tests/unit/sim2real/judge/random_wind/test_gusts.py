@@ -25,11 +25,8 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
 )
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
 BAND, STEP, ROWS = 10.0, 0.1, 120
@@ -144,20 +141,15 @@ def fly_in_wind(number: int, std: float = 0.0) -> Flight:
 
 
 def look(flights: list[Flight], params: ModelParams = DRAGGED, **more: object) -> RandomWind:
-    channels = find_channels(flights)
-    predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances())
-    settings = {
-        "floor": np.full(len(channels), 0.01),
-        "tolerated": np.full(len(channels), 0.01),
-        "remaining": np.ones(len(channels), dtype=bool),
-        **more,
-    }
-    return find_random_wind(predictor, params, Criteria(), **settings)
+    predictor = make_predictor(flights)
+    count = len(predictor.channels)
+    settings = {"floor": np.full(count, 0.01), "tolerated": np.full(count, 0.01), "remaining": np.ones(count, bool)}
+    return find_random_wind(predictor, params, Criteria(), **settings | more)
 
 
 def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     flights = [fly_in_wind(number, 1.2) for number in range(3)]
-    predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights)
     response = wind_response(predictor, DRAGGED)[0][:, :3]
     np.testing.assert_allclose(response, np.tile(np.diag([0.5, 0.4, 0.3]), (len(response), 1, 1)), atol=1e-6)
     result = look(flights)
@@ -165,9 +157,8 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     for value, truth, spread in zip(result.params().values(), (1.2, 1.0), result.spread, strict=True):
         assert abs(np.log(value / truth)) < 3.0 * spread
     added = result.adds(predictor, DRAGGED)[:3]
-    expected = (
-        result.std * np.array([0.5, 0.4, 0.3]) * np.sqrt(process_covariance(result.corr_time, BAND, np.zeros(1))[0])
-    )
+    share = np.sqrt(process_covariance(result.corr_time, BAND, np.zeros(1))[0])
+    expected = result.std * np.array([0.5, 0.4, 0.3]) * share
     np.testing.assert_allclose(added, expected, rtol=1e-6)
     named = result.as_effect(ROBOT)
     assert (named.name, named.params) == ("gusts", result.params())
@@ -219,11 +210,8 @@ def test_gusts_beside_a_verdict_are_a_candidate_of_it() -> None:
     none, open_yet, more = (
         wind.decision(decision(*given)) for given in (("none",), ("not shown",), ("unexplained", "rotor_drag"))
     )
-    assert (none.kind, none.candidates, [one.code for one in none.findings]) == (
-        "explained",
-        ("gusts",),
-        ["gusts_reach_floor"],
-    )
+    codes = [one.code for one in none.findings]
+    assert (none.kind, none.candidates, codes) == ("explained", ("gusts",), ["gusts_reach_floor"])
     assert (open_yet.kind, open_yet.findings) == ("explained", (point,))
     assert (more.kind, more.candidates, more.findings) == ("unexplained", ("rotor_drag", "gusts"), (point,))
     refused = replace(wind, objections=(Finding("may_be_noise", "gusts", {"p_value": 0.1}),))

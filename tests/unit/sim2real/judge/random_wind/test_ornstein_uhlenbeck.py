@@ -33,10 +33,8 @@ def test_rows_are_whitened_as_by_the_cholesky_factor() -> None:
 
 def test_the_likelihood_is_that_of_differences_from_the_mean() -> None:
     """Restricted likelihood: of any N - 1 contrasts, up to a constant that no parameter enters; flights and axes add up."""
-    series, processes = (
-        make_series(12, 20),
-        [(0.5, 0.8, np.array([0.2, 0.3, 0.4])), (0.9, 2.0, np.array([0.1, 0.2, 0.6]))],
-    )
+    series = make_series(12, 20)
+    processes = [(0.5, 0.8, np.array([0.2, 0.3, 0.4])), (0.9, 2.0, np.array([0.1, 0.2, 0.6]))]
     expected = np.zeros(2)
     for place, process in enumerate(processes):
         for axis, first in enumerate(covariances(series, *process)):
