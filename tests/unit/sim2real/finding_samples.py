@@ -75,23 +75,10 @@ STRAINED = ("mass", "acc_bias_x", "sensor_delay_gyro", "imu_place_x", "attitude_
 STRAINED = (*STRAINED, "answered_noise_x")
 PROCESSES = ("memory", "line", "shape", "axes", "flights", "heading")
 TIED = {"parameter": "sz", "other": "torque_ratio", "params": {"scale": 0.62}, "log_odds": 0.4}
-WRAPPED = {
-    "counter": "the minute",
-    "before_s": 59.99,
-    "after_s": 0.0,
-    "shift_s": 60.0,
-    "sample": 40,
-    "topic": "esc_status",
-}
-FAILURE = {
-    "failure": "motor_failure",
-    "rotor": 3,
-    "place": "rear left",
-    "share": 0.85,
-    "share_low": 0.84,
-    "share_high": 0.86,
-}
-FAILURE |= {"time_s": 5.0, "time_low_s": 4.988, "time_high_s": 5.012}
+TIMES = {"before_s": 59.99, "after_s": 0.0, "shift_s": 60.0}
+WRAPPED = {"counter": "the minute", **TIMES, "sample": 40, "topic": "esc_status"}
+FAILURE = {"failure": "motor_failure", "rotor": 3, "place": "rear left", "share": 0.85}
+FAILURE |= {"share_low": 0.84, "share_high": 0.86, "time_s": 5.0, "time_low_s": 4.988, "time_high_s": 5.012}
 RISES = {"before_m_s2": 0.21, "after_m_s2": 0.24, "rise": 0.14, "rise_low": 0.02, "rise_high": 0.21}
 FALLS = [
     {"quantity": "angular_acceleration.y", "before_rad_s2": 17.2, "after_rad_s2": 0.45},
@@ -114,7 +101,7 @@ SAMPLES = [
     *EFFECT_SAMPLES,
     Finding("failure_found", "train_2", FAILURE),
     Finding(
-        "failure_found", "train_2", {"failure": "stuck_rotor", "rotor": 2, "place": "", "state_rad_s": 812.0, **SPANS}
+        "failure_found", "train_2", {"failure": "stuck_rotor", "rotor": 2, "place": "", "state_rad_s": 812.0} | SPANS
     ),
     Finding("failure_found", "f1", BROWN_OUT),
     Finding("joint_found", "arm0", {"numbers": NUMBERS, "changed": ["stiffness", "rest"]}),
@@ -145,9 +132,8 @@ SAMPLES = [
     Finding("fly", "climb and descend, up to 2 m/s", {"tells": ["axial_inflow"]}),
     Finding("weigh_or_log", "", {"tells": ["payload_mass", "thrust_coefficient"]}),
     *(Finding("fly_structure", kind) for kind in ("position", "heading", "velocity", "voltage", "time", "periodic")),
-    *map(
-        Finding, ("inspect_rest", "log_velocity", "log_faster", "train_like_test", "load_robot_file", "keep_declared")
-    ),
+    *map(Finding, ("inspect_rest", "log_velocity", "log_faster", "train_like_test")),
+    *map(Finding, ("load_robot_file", "keep_declared")),
     Finding("keep_declared_where", "", {"errors": XZ}),
     Finding("keep_declared_for_harm"),
     *map(Finding, ("trust_corrected", "trust_declared", "trust_as_shown", "trust_nothing", "trust_ambiguous")),
@@ -202,9 +188,8 @@ SAMPLES = [
     Finding("joint_effort", "arm0", {"before_n_m": 0.12, "after_n_m": 0.03}),
     Finding("joints_felt", "", {"errors_before_and_after": {"specific_force.x": [0.3, 0.1]}}),
     Finding("not_excited", "ground_effect"),
-    *map(
-        Finding, ("no_soft_arms", "acts_on_links", "no_inertial_sensor", "torques_not_compared", "parameters_unknown")
-    ),
+    *map(Finding, ("no_soft_arms", "acts_on_links", "no_inertial_sensor", "torques_not_compared")),
+    Finding("parameters_unknown"),
     Finding("no_such_effect", "drag_of_a_tether", {"alike": "rotor_drag"}),
     *(
         Finding("logs_lack", "downwash", {"flights": "all logs", "need": need})
@@ -258,12 +243,9 @@ SAMPLES = [
     Finding("battery_without_voltage", "f1"),
     Finding("battery_filled", "f1", {"rows": 3, "total": 800}),
     Finding("mapping_note", "all logs", {"text": "Rotors stand in the order of PX4's outputs."}),
-    *(
-        Finding(code, "all logs")
-        for code in ("attitude_level", "attitude_integrated", "wind_not_declared", "velocity_derived")
-    ),
-    *(Finding(code, "all logs") for code in ("velocity_unknown", "force_derived", "rates_derived", "one_command")),
-    *(Finding(code, "all logs") for code in ("torques_not_logged", "commands_copied")),
+    *(Finding(code, "all logs") for code in ("attitude_level", "attitude_integrated", "wind_not_declared")),
+    *(Finding(code, "all logs") for code in ("velocity_derived", "velocity_unknown", "force_derived", "rates_derived")),
+    *(Finding(code, "all logs") for code in ("one_command", "torques_not_logged", "commands_copied")),
     Finding("other_vehicle", "f1", {"file": "swap_two.csv"}),
     Finding("wind_declared", "f1", {"wind_m_s": [-4.2, 0.0, 0.0]}),
     Finding("rows_cut", "f1", {"rows": 15, "gap_s": 0.16}),
@@ -288,14 +270,9 @@ SAMPLES = [
     Finding("other_cause", "", {"probability": 0.012}),
     Finding("curvature_kept", "a.csv", {"quantity": "thrust", "cubic_n": 0.012, "chosen_n": 0.034}),
     Finding("curvature_kept", "a.csv", {"quantity": "torque", "cubic_n_m": 0.0012, "chosen_n_m": 0.0034}),
-    *map(
-        Finding,
-        ("mass_exact", "no_unseen_log", "flights_differ", "balance_assumptions", "weigh_vehicle", "measure_thrust"),
-    ),
-    *map(
-        Finding,
-        ("turn_with_gyro", "swap_propeller", "links_as_declared", "thrust_scale_fitted", "intervals_of_flights"),
-    ),
+    *map(Finding, ("mass_exact", "no_unseen_log", "flights_differ", "balance_assumptions", "weigh_vehicle")),
+    *map(Finding, ("measure_thrust", "turn_with_gyro", "swap_propeller", "links_as_declared", "thrust_scale_fitted")),
+    Finding("intervals_of_flights"),
     Finding("joint_driven", "arm0"),
     Finding("joint_creeps", "arm0"),
     Finding("published_law", "", {"stiffness": 5834.85, "damping": 229.24, "rest": 0.12566}),

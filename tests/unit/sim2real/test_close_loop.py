@@ -165,9 +165,8 @@ def test_two_effects_that_only_forces_show_are_told_apart_by_no_manoeuvre(tmp_pa
     for seed in range(3):
         table = flight(40 + seed, thrust_scale=0.9, noise=1.0, seconds=6.0, rate=100.0)
         write(table.drop(columns=["omega_x", "omega_y", "omega_z"]), tmp_path / f"f{seed}.csv")
-    close_loop(
-        tmp_path / "robot.yaml", [tmp_path / "f0.csv", tmp_path / "f1.csv"], [tmp_path / "f2.csv"], tmp_path / "out"
-    )
+    train, test = [tmp_path / "f0.csv", tmp_path / "f1.csv"], [tmp_path / "f2.csv"]
+    close_loop(tmp_path / "robot.yaml", train, test, tmp_path / "out")
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert verdict["verdict"] == "ambiguous"
     assert {"thrust_coefficient", "payload_mass"} <= set(verdict["candidates"])
@@ -185,9 +184,8 @@ def test_the_corrected_robot_loads_and_leaves_nothing_to_find(result: Path, fold
     assert corrected.effects["rotor_drag"]["dx"] == pytest.approx(DRAG, rel=0.05)
     assert "f0, f1, f2" in corrected.effects_source
     assert replace(corrected, effects={}, effects_source="", randomize={}) == ROBOT
-    second = close_loop(
-        result / "robot.yaml", [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"], folder / "second"
-    )
+    train, test = [folder / f"f{n}.csv" for n in range(3)], [folder / "f3.csv"]
+    second = close_loop(result / "robot.yaml", train, test, folder / "second")
     assert second.verdict == "none"
     assert second.effects == ()
 
@@ -195,14 +193,8 @@ def test_the_corrected_robot_loads_and_leaves_nothing_to_find(result: Path, fold
 def test_a_robot_draws_what_was_found_from_its_intervals(result: Path) -> None:
     """Over 4,000 environments: mean and deviation of each drawn drag are those of the verdict, within 5 standard errors."""
     (effect,) = json.loads((result / "verdict.json").read_text())["effects"]
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="empty_env",
-        robot_name=result / "robot.yaml",
-        controller_name="lee_velocity_control",
-        num_envs=4000,
-        device="cpu",
-    )
+    build = {"sim_name": "base_sim", "env_name": "empty_env", "controller_name": "lee_velocity_control"}
+    env = SimBuilder().build_env(robot_name=result / "robot.yaml", num_envs=4000, device="cpu", **build)
     env.reset()
     draws = env.draws()
     assert set(draws) == {f"effects.rotor_drag.{axis}" for axis in effect["std"]}
@@ -268,10 +260,8 @@ def test_a_flight_that_cannot_be_used_is_said_to_be_left_out(run: tuple[Path, st
 def test_only_what_is_requested_is_searched(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT))
     for seed in range(3):
-        write(
-            flight(60 + seed, drag=DRAG, thrust_scale=0.9, seconds=4.0, rate=100.0, noise=1.0),
-            tmp_path / f"f{seed}.csv",
-        )
+        table = flight(60 + seed, drag=DRAG, thrust_scale=0.9, seconds=4.0, rate=100.0, noise=1.0)
+        write(table, tmp_path / f"f{seed}.csv")
     logs = [str(tmp_path / f"f{seed}.csv") for seed in range(3)]
     arguments = ["--train", *logs[:2], "--test", logs[2], "--out", str(tmp_path / "out"), "--effects", "rotor_drag"]
     assert main(["close-loop", "--robot", str(tmp_path / "robot.yaml"), *arguments]) == 0
@@ -313,9 +303,8 @@ def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.Captu
 
 def test_replay_fits_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     results = replay(folder / "robot.yaml", [folder / "f3.csv"], folder / "replayed")
-    assert {path.name for path in (folder / "replayed").iterdir()} == {
-        *("replay.json", "report.html", "residuals.csv", "profiles.csv", "run.json")
-    }
+    files = {"replay.json", "report.html", "residuals.csv", "profiles.csv", "run.json"}
+    assert {path.name for path in (folder / "replayed").iterdir()} == files
     assert results.evaluation.residual[0].value > 0.1
     assert main(["replay", str(folder / "robot.yaml"), str(folder / "f3.csv"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -406,9 +395,8 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
 def test_a_vehicle_that_bends_is_said_to_be_taken_as_rigid_and_gets_no_effect_that_it_cannot_have(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arm = LinkCfg(
-        mass=0.02, com=ROBOT.mounts.layout[0].position, inertia=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    )
+    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    arm = LinkCfg(mass=0.02, com=ROBOT.mounts.layout[0].position, inertia=still)
     hinge = JointCfg(name="arm", axis=(0.0, 1.0, 0.0), position=(0.05, -0.05, 0.01), link=arm)
     bending = replace(ROBOT, joints=JointsCfg(layout=(hinge,), source="invented"))
     (tmp_path / "robot.yaml").write_text(dump_yaml(bending))

@@ -96,9 +96,8 @@ def test_a_dead_time_is_replayed_from_commands_in_newtons(tmp_path: Path) -> Non
 def test_measured_speeds_of_rotors_in_force_mode_are_refused(tmp_path: Path) -> None:
     (tmp_path / "robot.yaml").write_text(dump_yaml(FORCED))
     log = write(flight(1), tmp_path / "speeds.csv")
-    with pytest.raises(
-        DataError, match=r"speeds.csv: has measured rotor speeds .* commands \(cmd_\* in N\), or declare"
-    ):
+    words = r"speeds.csv: has measured rotor speeds .* commands \(cmd_\* in N\), or declare"
+    with pytest.raises(DataError, match=words):
         replay(tmp_path / "robot.yaml", [log], None)
     table = force_flight(1)
     table[COMMANDS] = (table[COMMANDS] / 5.0).clip(0.0, 1.0)

@@ -8,50 +8,32 @@ import pytest
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, least_log_odds, same_in_all, until_failure
 from aerial_gym.sim2real.failures.scan import _lag_response
-from aerial_gym.sim2real.logs.flights import Flight
 from tests.unit.sim2real.failures.test_evidence import make_work
 from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.predict.test_scene import hover
 
 
 def failure(flight: str, time: float = 5.0, **params: float) -> Failure:
     values = {"motor": 2.0, "scale": 0.8, "time": time} | params
-    ends = {
-        "scale": (values["scale"] - 0.01, values["scale"] + 0.01),
-        "time": (values["time"] - 0.02, values["time"] + 0.02),
-    }
+    half_widths = {"scale": 0.01, "time": 0.02}
     return Failure(
         flight=flight,
         name="motor_failure",
         params=values,
         std={"scale": 0.005, "time": 0.01},
-        interval=ends,
+        interval={name: (values[name] - size, values[name] + size) for name, size in half_widths.items()},
         log_odds=100.0,
         probability=1.0,
         rival="",
     )
 
 
-def flight(name: str, seconds: float = 8.0, rate: float = 100.0) -> Flight:
-    time = np.arange(round(seconds * rate)) / rate
-    return Flight(
-        path=f"{name}.csv",
-        time=time,
-        attitude=np.tile((0.0, 0.0, 0.0, 1.0), (time.size, 1)),
-        rotor_command=np.ones((time.size, 4)),
-        name=name,
-        rate=rate,
-        ang_vel=np.zeros((time.size, 3)),
-        gyro=True,
-        accelerometer=False,
-    )
-
-
 def test_flights_end_before_their_failures_or_are_left_out() -> None:
-    """A failure known to 20 ms at 5 s leaves 4.98 s; one at 1 s leaves less than 2 s, and so nothing."""
-    event = until_failure([flight("a"), flight("b"), flight("c")], [failure("b"), failure("c", 1.0)])
-    assert [(one.name, one.num_rows) for one in event] == [("a", 800), ("b", 498)]
-    assert event[1].attitude.shape == (498, 4)
-    assert event[1].rotor_command.shape == (498, 4)
+    """A failure known to 20 ms at 3 s leaves 2.98 s; one at 1 s leaves less than 2 s, and so nothing."""
+    flights = [hover(name, 1.0, rotor_command=np.ones((400, 4))) for name in "abc"]
+    event = until_failure(flights, [failure("b", 3.0), failure("c", 1.0)])
+    assert [(one.name, one.num_rows) for one in event] == [("a", 400), ("b", 298)]
+    assert event[1].attitude.shape == event[1].rotor_command.shape == (298, 4)
 
 
 def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> None:
@@ -59,26 +41,19 @@ def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> N
     every = same_in_all(both, 2)
     assert every.params == pytest.approx({"motor": 2.0, "scale": 0.8, "time": 5.01})
     assert every.std["time"] == pytest.approx(0.01 / np.sqrt(2.0))
+    others = (failure("b", 5.1), failure("b", 5.0, scale=0.7), failure("b", 5.0, motor=3.0))
+    for other in (*others, replace(both[1], name="weak_motor")):
+        assert same_in_all([both[0], other], 2) is None
     assert same_in_all(both, 3) is None
-    assert same_in_all([both[0], failure("b", 5.1)], 2) is None
-    assert same_in_all([both[0], failure("b", 5.0, scale=0.7)], 2) is None
-    assert same_in_all([both[0], failure("b", 5.0, motor=3.0)], 2) is None
-    assert same_in_all([both[0], replace(both[1], name="weak_motor")], 2) is None
 
 
 def test_a_failure_is_a_finding_with_its_intervals() -> None:
     event = replace(failure("a"), place="front left").finding
     assert (event.code, event.subject) == ("failure_found", "a")
-    numbers = {
-        "time_s": 5.0,
-        "time_low_s": 4.98,
-        "time_high_s": 5.02,
-        "share": 0.8,
-        "share_low": 0.79,
-        "share_high": 0.81,
-    }
+    times = {"time_s": 5.0, "time_low_s": 4.98, "time_high_s": 5.02}
+    shares = {"share": 0.8, "share_low": 0.79, "share_high": 0.81}
     names = {"failure": "motor_failure", "rotor": 2, "place": "front left"}
-    assert event.values == pytest.approx(numbers | names)
+    assert event.values == pytest.approx(times | shares | names)
 
 
 def test_the_limit_is_that_of_blocks_between_false_alarms() -> None:
@@ -94,6 +69,5 @@ def test_a_change_rises_in_blocks_as_the_lag_lets_it() -> None:
     at = work.time[:, None] + work.length * (np.arange(10000) + 0.5) / 10000
     for row, start in enumerate(begin):
         since = np.clip(at - start, 0.0, None)
-        np.testing.assert_allclose(
-            _lag_response(work, begin)[row], (1.0 - np.exp(-since / work.lag)).mean(axis=1), atol=1e-7
-        )
+        expected = (1.0 - np.exp(-since / work.lag)).mean(axis=1)
+        np.testing.assert_allclose(_lag_response(work, begin)[row], expected, atol=1e-7)

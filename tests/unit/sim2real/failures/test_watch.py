@@ -1,5 +1,6 @@
 """Rows that come one by one: what is told, when, and what is refused; how often noise alone is taken for a failure."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,14 @@ def failure_table() -> pd.DataFrame:
 
 def run_watch(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> list[Alarm]:
     """Return the alarms of a watch over some rows of a table."""
+    return watch_rows(table, kept)[0]
+
+
+def watch_rows(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> tuple[list[Alarm], tuple[int, int]]:
+    """Return these alarms, and the numbers of bad rows and of clock steps."""
     watch = FlightWatch(ROBOT, list(table.columns))
-    return [alarm for row in table.to_numpy()[kept] for alarm in watch.add(row)] + watch.finish()
+    alarms = [alarm for row in table.to_numpy()[kept] for alarm in watch.add(row)] + watch.finish()
+    return alarms, (watch.bad_rows, watch.clock_steps)
 
 
 def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
@@ -100,9 +107,8 @@ def test_a_sensor_that_stops_is_told_and_no_rotor_is_blamed(sensor: str, columns
 
 def test_a_sensor_that_never_comes_back_is_told_once() -> None:
     table = flight(3, noise=1.0, seconds=30.0)
-    table.loc[table["t"] >= ONSET, ["v_x", "v_y", "v_z"]] = table.loc[
-        table["t"] < ONSET, ["v_x", "v_y", "v_z"]
-    ].to_numpy()[-1]
+    columns = ["v_x", "v_y", "v_z"]
+    table.loc[table["t"] >= ONSET, columns] = table.loc[table["t"] < ONSET, columns].to_numpy()[-1]
     table.loc[(table["t"] > 8.0) & (table["t"] < 9.0), ["omega_x", "omega_y", "omega_z"]] *= 1e-3
     (alarm,) = run_watch(table)
     assert (alarm.failure.name, alarm.failure.params["time"]) == ("sensor_dropout", pytest.approx(ONSET, abs=0.01))
@@ -145,31 +151,29 @@ def test_bad_rows_change_nothing_that_is_told() -> None:
     bad.loc[[300, 700, 1300], "t"] = [99.0, 0.0, np.nan]
     bad.loc[900, ["q_x", "q_y", "q_z", "q_w"]] = 0.0
     bad.loc[1000, "t"] = bad.loc[999, "t"]
-    watch = FlightWatch(ROBOT, list(bad.columns))
-    alarms = [alarm for row in bad.to_numpy() for alarm in watch.add(row)] + watch.finish()
-    clean = run_watch(table)
+    (alarms, counts), clean = watch_rows(bad), run_watch(table)
+    assert counts == (5, 0)
     assert [alarm.stage for alarm in alarms] == [alarm.stage for alarm in clean]
     assert alarms[-1].failure.params["motor"] == clean[-1].failure.params["motor"]
     assert alarms[-1].failure.time == pytest.approx(clean[-1].failure.time, abs=0.05)
-    assert (watch.bad_rows, watch.clock_steps) == (5, 0)
 
 
-def test_a_clock_that_is_set_back_in_flight_is_followed() -> None:
-    table = failure_table().assign(t=lambda rows: rows["t"] - 2.0 * (rows.index >= 600))
-    watch = FlightWatch(ROBOT, list(table.columns))
-    alarms = [alarm for row in table.to_numpy() for alarm in watch.add(row)] + watch.finish()
-    assert (watch.bad_rows, watch.clock_steps) == (0, 1)
-    assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
-    assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
-
-
-def test_a_late_block_of_rows_is_left_out_while_the_watch_continues() -> None:
-    """Two blocks of 40 rows in exchanged order before the failure: the later one is missed, and no clock was set back."""
-    table, rows = failure_table(), np.arange(len(failure_table()))
+def exchange_blocks(table: pd.DataFrame) -> pd.DataFrame:
+    rows = np.arange(len(table))
     rows[400:480] = np.roll(rows[400:480], 40)
-    watch = FlightWatch(ROBOT, list(table.columns))
-    alarms = [alarm for row in table.to_numpy()[rows] for alarm in watch.add(row)] + watch.finish()
-    assert (watch.bad_rows, watch.clock_steps) == (40, 0)
+    return table.iloc[rows]
+
+
+@pytest.mark.parametrize(
+    ("change", "counts"),
+    [(lambda table: table.assign(t=table["t"] - 2.0 * (table.index >= 600)), (0, 1)), (exchange_blocks, (40, 0))],
+    ids=["clock set back", "late block"],
+)
+def test_a_step_of_the_clock_is_followed_and_a_late_block_of_40_rows_is_left_out(
+    change: Callable[[pd.DataFrame], pd.DataFrame], counts: tuple[int, int]
+) -> None:
+    alarms, counted = watch_rows(change(failure_table()))
+    assert counted == counts
     assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]
     assert alarms[1].failure.time == pytest.approx(ONSET, abs=0.2)
 

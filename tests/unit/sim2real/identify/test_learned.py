@@ -18,12 +18,10 @@ from aerial_gym.sim2real.identify.least_squares.moments import block_moments, in
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.physics.vehicles import random_network
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
 
 CUBIC = 0.08
@@ -32,17 +30,9 @@ FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
 
 def fly(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path], Path]:
     """Return three training flights and a test flight."""
-    paths = [
-        write(flight(20 + n, noise=1.0, seconds=seconds, rate=100.0, cubic=cubic), folder / f"f{n}.csv")
-        for n in range(4)
-    ]
-    return paths[:3], paths[3]
-
-
-def make_predictor(flights: list[Flight]) -> Predictor:
-    return Predictor(
-        ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances()
-    )  # fmt: skip
+    tables = [flight(20 + n, noise=1.0, seconds=seconds, rate=100.0, cubic=cubic) for n in range(4)]
+    *train, test = [write(table, folder / f"f{n}.csv") for n, table in enumerate(tables)]
+    return train, test
 
 
 def make_judge(predictor: Predictor) -> LeftOut:

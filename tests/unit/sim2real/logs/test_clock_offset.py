@@ -23,6 +23,14 @@ def noise(rng: np.random.Generator, band: float) -> np.ndarray:
     return lowpass(rng.standard_normal((TIME.size, 1)), RATE, band)[:, 0]
 
 
+def lagged(command: np.ndarray, constant: float) -> np.ndarray:
+    """Return the speeds that held commands lead to through a lag [s]."""
+    speed, kept = command.copy(), np.exp(-1.0 / (RATE * constant))
+    for row in range(1, TIME.size):
+        speed[row] = kept * speed[row - 1] + (1.0 - kept) * command[row - 1]
+    return speed
+
+
 def late(values: np.ndarray, rows: float) -> np.ndarray:
     """Return a periodic signal that comes so many rows later."""
     frequency = np.fft.rfftfreq(values.size)
@@ -49,9 +57,8 @@ def test_an_offset_of_the_rotor_log_is_found_with_its_spread(offset: float) -> N
 @pytest.mark.parametrize("offset", [-4.0, 2.0, 2.25])
 def test_an_offset_is_undone(offset: float) -> None:
     speed = np.arange(TIME.size, dtype=float)[:, None]
-    moved = shift_rotor_log(
-        log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1)), ClockOffset(rows=offset, std=0.1)
-    )
+    logged = log(TIME, rotor_speed=speed, specific_force=np.repeat(speed, 3, axis=1))
+    moved = shift_rotor_log(logged, ClockOffset(rows=offset, std=0.1))
     assert moved.time.size == TIME.size - np.ceil(abs(offset))
     np.testing.assert_allclose(moved.specific_force[:, 0] - moved.rotor_speed[:, 0], offset, atol=1e-9)
     lead = {"lead_ms": pytest.approx(5.0 * offset), "half_width_ms": pytest.approx(0.98), "with_commands": True}
@@ -66,15 +73,9 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
 ) -> None:
     """Whatever the lag is, 0.04 s as declared or not, it is no shift."""
     command = 900.0 + 40.0 * noise(np.random.default_rng(5), 15.0)
-    speed, kept = command.copy(), np.exp(-1.0 / (RATE * constant))
-    for row in range(1, TIME.size):
-        speed[row] = kept * speed[row - 1] + (1.0 - kept) * command[row - 1]
-    speed += np.random.default_rng(6).standard_normal(TIME.size)
-    logged = log(
-        TIME,
-        rotor_speed=np.roll(speed, -offset)[:, None],
-        rotor_command=np.roll(command, -offset if together else 0)[:, None],
-    )
+    speed = lagged(command, constant) + np.random.default_rng(6).standard_normal(TIME.size)
+    asked = np.roll(command, -offset if together else 0)[:, None]
+    logged = log(TIME, rotor_speed=np.roll(speed, -offset)[:, None], rotor_command=asked)
     ahead = ClockOffset(rows=float(offset), std=0.1)
     assert commands_share_clock([logged], [ahead], 0.04) is together
     moved = shift_rotor_log(logged, ahead, commands=together)
@@ -87,14 +88,11 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
 
 
 def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:
-    rng, kept = np.random.default_rng(8), np.exp(-1.0 / (RATE * 0.04))
+    rng = np.random.default_rng(8)
 
     def make_log(size: float) -> FlightLog:
         command = 900.0 + size * noise(rng, 15.0)
-        speed = command.copy()
-        for row in range(1, TIME.size):
-            speed[row] = kept * speed[row - 1] + (1.0 - kept) * command[row - 1]
-        speed = np.roll(speed + rng.standard_normal(TIME.size), -4)
+        speed = np.roll(lagged(command, 0.04) + rng.standard_normal(TIME.size), -4)
         return log(TIME, rotor_speed=speed[:, None], rotor_command=command[:, None])
 
     clear, vague = [make_log(40.0) for _ in range(2)], make_log(0.1)
@@ -127,10 +125,8 @@ def make_curve(rng: np.random.Generator, offset: float, *, size: float) -> Offse
 
 def test_a_flight_that_hardly_varies_is_moved_as_the_others_are() -> None:
     rng = np.random.default_rng(7)
-    loud, quiet = (
-        [make_curve(rng, 4.0, size=1.0) for _ in range(3)],
-        [make_curve(rng, 4.0, size=0.03) for _ in range(2)],
-    )
+    loud = [make_curve(rng, 4.0, size=1.0) for _ in range(3)]
+    quiet = [make_curve(rng, 4.0, size=0.03) for _ in range(2)]
     assert all(one.offset == ClockOffset() for one in quiet)
     offsets = common_offsets([*loud, *quiet], 5)
     assert len({(offset.rows, offset.std) for offset in offsets}) == 1
@@ -160,16 +156,11 @@ def test_flights_that_judge_do_not_move_those_for_training() -> None:
     rng = np.random.default_rng(10)
     quiet, test = [make_curve(rng, 4.0, size=0.03) for _ in range(2)], make_curve(rng, 4.0, size=1.0)
     assert common_offsets([*quiet, test], 2) == [ClockOffset(), ClockOffset(), test.offset]
-    train, other, silent = (
-        make_curve(rng, 4.0, size=1.0),
-        make_curve(rng, -6.0, size=1.0),
-        make_curve(rng, 4.0, size=0.03),
-    )
+    train, other, silent = (make_curve(rng, rows, size=size) for rows, size in ((4.0, 1.0), (-6.0, 1.0), (4.0, 0.03)))
     offsets = common_offsets([train, other, silent], 1)
     for offset, expected in zip(offsets, (train.offset, other.offset, train.offset), strict=True):
-        assert (offset.rows, offset.std) == pytest.approx(
-            (expected.rows, expected.std), rel=1e-9
-        )  # sums in another order
+        # Sums come in another order.
+        assert (offset.rows, offset.std) == pytest.approx((expected.rows, expected.std), rel=1e-9)
 
 
 @pytest.mark.parametrize(("offset", "moved"), [(1.6, False), (-1.6, False), (2.4, True), (-2.4, True)])
@@ -194,9 +185,8 @@ def test_where_flights_contradict_each_other_an_offset_must_be_clear() -> None:
     still, moved = make_curve(rng, 0.0, size=1.0), make_curve(rng, 2.2, size=1.0)
     assert common_offsets([moved], 1)[0].rows == pytest.approx(2.2, abs=0.2)  # between rows a parabola
     assert common_offsets([moved, still], 2) == [ClockOffset(), ClockOffset()]
-    assert common_offsets([moved, still], 1)[0].rows == pytest.approx(
-        2.2, abs=0.2
-    )  # what only judges contradicts nothing
+    # A flight that only judges contradicts nothing.
+    assert common_offsets([moved, still], 1)[0].rows == pytest.approx(2.2, abs=0.2)
     far = make_curve(rng, 3.2, size=1.0)
     assert common_offsets([far, still], 2) == [far.offset, ClockOffset()]
     limits = [time for time in np.arange(5.0, 20.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0, 20.0)]

@@ -50,9 +50,8 @@ def test_a_run_that_has_no_flight_left_says_why(logs: list[Path]) -> None:
         read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
     for path in logs[:3]:
         spoil(path)
-    with pytest.raises(
-        DataError, match=r"f0\.csv, line 102: .*none of 3 flights to train on is left; the first .* of 4"
-    ):
+    words = r"f0\.csv, line 102: .*none of 3 flights to train on is left; the first .* of 4"
+    with pytest.raises(DataError, match=words):
         read_inputs(ROBOT, logs[:3], logs[3:], mapping=None, bandwidth=10.0)
 
 

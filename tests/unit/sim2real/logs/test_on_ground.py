@@ -14,14 +14,11 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import params_from_robot
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import HORIZONS_S
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.predict.windows import find_windows, longest_windows
 from aerial_gym.sim2real.replay import replay_flights
-from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, make_predictor, write
 
 RATE = 100.0
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]
@@ -69,9 +66,7 @@ def test_rows_on_the_ground_are_found_without_a_height(table: pd.DataFrame, tmp_
     assert results.on_ground[inner].all()
     assert not results.on_ground[160 : 140 + len(table)].any()
     assert "on_ground" in [note.code for note in results.notes]
-    channels = find_channels([results])
-    predictor = Predictor(ROBOT, [results], bandwidth=5.0, channels=channels, tolerances=Tolerances())
-    residual = predictor.residuals(params_from_robot(ROBOT))[0]
+    residual = make_predictor([results], bandwidth=5.0).residuals(params_from_robot(ROBOT))[0]
     assert np.abs(residual[:, 2]).max() < 0.5  # standing, it would be g
 
 
@@ -105,9 +100,8 @@ def test_rotors_that_are_cut_in_the_air_carry_until_they_have_followed(table: pd
     cut["v_z"] = 9.81 * np.cumsum(share - 1.0) / RATE
     path = join_parts([log, cut], tmp_path)
     assert rows_on_ground(read_flight_log(path), slow) is None
-    assert (
-        rows_on_ground(read_flight_log(path), quick) is not None
-    )  # with such rotors nothing but the ground would carry it
+    # With quick rotors nothing but the ground would carry it.
+    assert rows_on_ground(read_flight_log(path), quick) is not None
 
 
 def test_the_ground_is_found_without_an_accelerometer(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -146,9 +140,8 @@ def test_a_hop_is_compared_where_it_is_long_enough_and_refused_where_it_is_not(
         assert longest_windows([hopped], HORIZONS_S)[0] == horizons
     lowest = load_flight(write(hop(0.8), tmp_path / "low.csv"), ROBOT, mapping=None, bandwidth=10.0)
     windows = find_windows([lowest], 0.1)
-    lowest = replace(
-        lowest, on_ground=np.asarray(lowest.on_ground) | np.isin(np.arange(lowest.num_rows), windows.row + 3)
-    )
+    landed = np.isin(np.arange(lowest.num_rows), windows.row + 3)
+    lowest = replace(lowest, on_ground=np.asarray(lowest.on_ground) | landed)
     result = replay_flights(ROBOT, [lowest], bandwidth=10.0)
     assert all(np.isfinite(rms.value) for rms in result.evaluation.residual)
     assert result.evaluation.rollout == {}

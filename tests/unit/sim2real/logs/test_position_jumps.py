@@ -1,5 +1,7 @@
 """Steps that a position makes and its velocity does not: found, measured and taken out; motion and noise are none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,16 +40,13 @@ def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -
     position = log.position.copy()
     for at, size in steps.items():
         position[log.time >= at] += size
-    return FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=position, lin_vel=log.lin_vel)
+    return replace(log, position=position)
 
 
 def jump_notes(log: FlightLog) -> list[tuple[np.ndarray, float]]:
     """Return size and time of each jump that notes tell."""
-    result = []
-    for note in log.notes:
-        assert note.code == "position_jump"
-        result.append((np.array(note.values["size_m"]), note.values["start_s"]))
-    return result
+    assert {note.code for note in log.notes} == {"position_jump"}
+    return [(np.array(note.values["size_m"]), note.values["start_s"]) for note in log.notes]
 
 
 def test_steps_are_least_squares_beside_a_slope() -> None:
@@ -83,8 +82,7 @@ def test_a_velocity_that_leaps_is_no_jump_and_one_derived_from_a_jump_hides_none
     late.lin_vel[700:704] *= 3.0
     assert mend_position_jumps(late) is late
     log = with_steps(fly(7, noise=0.001), {10.0: (0.5, 0.0, 0.0)})
-    velocity = np.gradient(log.position, 1.0 / RATE, axis=0)
-    derived = FlightLog(path="log.csv", time=log.time, attitude=log.attitude, position=log.position, lin_vel=velocity)
+    derived = replace(log, lin_vel=np.gradient(log.position, 1.0 / RATE, axis=0))
     ((size, time),) = jump_notes(mend_position_jumps(derived))
     assert abs(time - 10.0) <= 1.5 / RATE
     assert size[0] == pytest.approx(0.5, abs=0.02)
@@ -108,8 +106,7 @@ def test_a_log_is_read_without_its_jumps() -> None:
 
 
 def test_without_a_velocity_nothing_is_told() -> None:
-    log = with_steps(fly(5), {10.0: (2.0, 0.0, 0.0)})
-    alone = FlightLog(path=log.path, time=log.time, attitude=log.attitude, position=log.position)
+    alone = replace(with_steps(fly(5), {10.0: (2.0, 0.0, 0.0)}), lin_vel=None)
     assert mend_position_jumps(alone) is alone
 
 

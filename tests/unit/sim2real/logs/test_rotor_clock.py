@@ -27,9 +27,8 @@ def climbs(folder: Path, late: float, *, rate: float, vigour: float = 0.1) -> Fl
     table[["v_x", "v_y", "acc_x", "acc_y"]] = 0.01 * rng.standard_normal((rows, 4))
     table["v_z"] = np.cumsum(climb) / rate
     table["acc_z"] = 9.81 + climb + 0.07 * rng.standard_normal(rows)
-    table[ROTORS] = np.roll(np.sqrt(thrust / 4.8e-6), round(late * rate))[:, None] * (
-        1.0 + 0.003 * rng.standard_normal((rows, 4))
-    )
+    scatter = 1.0 + 0.003 * rng.standard_normal((rows, 4))
+    table[ROTORS] = np.roll(np.sqrt(thrust / 4.8e-6), round(late * rate))[:, None] * scatter
     cut = round(rate)
     return read_flight_log(write(table[cut:-cut], folder / "a.csv"))
 

@@ -46,11 +46,8 @@ def test_a_slow_sensor_becomes_straight_lines_between_its_values(table: pd.DataF
     """A gyro of 50 Hz in a log of 200 Hz: every fourth row is as it was, those between lie on the lines."""
     log = mend(freeze(table, GYRO, np.setdiff1d(np.arange(1, len(table)), np.arange(0, len(table), 4))), tmp_path)
     (note,) = (note for note in log.notes if note.values.get("sensor") == "ang_vel")
-    assert (note.code, note.values["rate_hz"], note.values["log_rate_hz"]) == (
-        "samples_slow",
-        pytest.approx(50.0, rel=1e-3),
-        pytest.approx(200.0, rel=1e-3),
-    )
+    assert note.code == "samples_slow"
+    assert (note.values["rate_hz"], note.values["log_rate_hz"]) == pytest.approx((50.0, 200.0), rel=1e-3)
     true = table[GYRO].to_numpy()
     np.testing.assert_allclose(log.ang_vel[::4], true[::4], atol=1e-9)
     np.testing.assert_allclose(log.ang_vel[2:-4:4], 0.5 * (true[:-4:4] + true[4::4]), atol=1e-9)

@@ -123,7 +123,5 @@ def test_signs_take_every_jump_out_of_a_quaternion() -> None:
 
 
 def test_columns_run_in_straight_lines_between_rows() -> None:
-    result = interpolate(
-        np.array([0.5, 1.5]), np.array([0.0, 1.0, 2.0]), np.array([[0.0, 4.0], [2.0, 2.0], [2.0, 0.0]])
-    )
-    assert result.tolist() == [[1.0, 3.0], [2.0, 1.0]]
+    values = np.array([[0.0, 4.0], [2.0, 2.0], [2.0, 0.0]])
+    assert interpolate(np.array([0.5, 1.5]), np.arange(3.0), values).tolist() == [[1.0, 3.0], [2.0, 1.0]]

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
+from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.rigid_body import ForceBreakdown, force_breakdown
 from aerial_gym.sim2real.findings import Finding
@@ -21,14 +20,12 @@ from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, normal_equations
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
-from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor, square_of_slow_rounding
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import FARTHEST, rollout_errors_of_models
 from aerial_gym.sim2real.predict.rows.batches import group_flights
 from aerial_gym.sim2real.predict.rows.dataset import thin_rows
@@ -36,37 +33,38 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, de
 from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
 from tests.repetitions import frequent_values
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor, uniform_flight
 from tests.unit.sim2real.one_rollout import roll_out
+from tests.unit.sim2real.predict.test_scene import hover
 
 BAND = 10.0
 
 
 def load(folder: Path, **options: float) -> Flight:
-    path = write(flight(3, **options), folder / "a.csv")
-    return complete_flight(uniform_log(read_flight_log(path)))
+    return uniform_flight(flight(3, **options), folder)
 
 
-def residual(result: Flight, params: ModelParams, **options: bool) -> np.ndarray:
-    channels = find_channels([result])
-    predictor = Predictor(ROBOT, [result], bandwidth=BAND, channels=channels, tolerances=Tolerances(), **options)
-    return predictor.residuals(params)[0]
+def residual(result: Flight, params: ModelParams) -> np.ndarray:
+    return make_predictor([result]).residuals(params)[0]
 
 
-def test_an_exact_flight_is_predicted_exactly(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("flown", "effects"),
+    [
+        ({}, {}),
+        ({"drag": 0.25}, {"rotor_drag": np.full(3, 0.25)}),
+        ({"thrust_scale": 1.07}, {"thrust_coefficient": np.array([1.07])}),
+    ],
+)
+def test_an_exact_flight_is_predicted_exactly_by_the_effect_that_was_flown(
+    flown: dict[str, float], effects: dict[str, np.ndarray], tmp_path: Path
+) -> None:
     """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
-    results = load(tmp_path)
-    left = residual(results, params_from_robot(ROBOT))
+    results = load(tmp_path, **flown)
+    left, without = (residual(results, ModelParams(effects=params)) for params in (effects, {}))
     assert np.abs(left[:, :3]).max() < 0.02
     assert np.abs(left[:, 3:]).max() < 0.05
-
-
-def test_drag_that_was_flown_is_predicted_by_the_effect_and_by_nothing_else(tmp_path: Path) -> None:
-    results = load(tmp_path, drag=0.25)
-    params = params_from_robot(ROBOT)
-    without, withdrag = residual(results, params), residual(results, params.with_effect("rotor_drag", np.full(3, 0.25)))
-    assert np.sqrt((without[:, :2] ** 2).mean()) > 0.2
-    assert np.abs(withdrag[:, :3]).max() < 0.02
+    assert bool(effects) == (np.sqrt((without[:, :3] ** 2).mean(axis=0)).max() > 0.2)
 
 
 def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path) -> None:
@@ -80,8 +78,7 @@ def test_a_known_wind_is_flown_through_in_residuals_and_rollouts(tmp_path: Path)
     left = np.linalg.norm(residual(blind, params)[:, :3], axis=1)
     np.testing.assert_allclose(left, push, atol=0.03)
     still = load(tmp_path)  # the wind of one flight is not that of another
-    channels = find_channels([still, told])
-    both = Predictor(ROBOT, [still, told], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    both = make_predictor([still, told])
     np.testing.assert_allclose(both.residuals(params)[1], residual(told, params), atol=1e-9)
     known, unknown = (roll_out(ROBOT, [f], params, horizons=(1.0,), given_attitude=True) for f in (told, blind))
     assert known.position.max() < 0.02
@@ -96,10 +93,7 @@ def test_rows_on_the_ground_are_not_compared_nor_rolled_out(tmp_path: Path) -> N
     on_ground = np.zeros(results.num_rows, dtype=bool)
     on_ground[1000:1100] = True
     touched = replace(results, on_ground=on_ground)
-    channels = find_channels([results])
-    one, other = (
-        Predictor(ROBOT, [f], bandwidth=BAND, channels=channels, tolerances=Tolerances()) for f in (results, touched)
-    )
+    one, other = (make_predictor([f], channels=find_channels([results])) for f in (results, touched))
     near = 2.0 / BAND + 0.005  # and one row
     clear = (one.times[0] < 5.0 - near - 1e-9) | (one.times[0] > 5.495 + near + 1e-9)
     np.testing.assert_allclose(other.times[0], one.times[0][clear])
@@ -118,15 +112,10 @@ def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> No
     jolted[on_ground] += np.random.default_rng(0).normal(0.0, 20.0, (50, 3))
     channels = find_channels([results])
     floors = {}
-    for name, force, mask in (
-        ("clean", results.specific_force, None),
-        ("masked", jolted, on_ground),
-        ("all", jolted, None),
-    ):
-        floor = noise_floor(
-            ROBOT, [replace(results, specific_force=force, on_ground=mask)], ModelParams(), channels, bandwidth=BAND
-        )
-        floors[name] = floor[:3]
+    cases = {"clean": (results.specific_force, None), "masked": (jolted, on_ground), "all": (jolted, None)}
+    for name, (force, mask) in cases.items():
+        flown = replace(results, specific_force=force, on_ground=mask)
+        floors[name] = noise_floor(ROBOT, [flown], ModelParams(), channels, bandwidth=BAND)[:3]
     np.testing.assert_allclose(floors["masked"], floors["clean"], rtol=0.25)
     assert (floors["all"] > 3.0 * floors["clean"]).all()
 
@@ -134,23 +123,16 @@ def test_the_noise_floor_is_that_of_flight_between_touches(tmp_path: Path) -> No
 def test_without_a_position_there_is_no_ground_nearby(tmp_path: Path) -> None:
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.06))
     lost = replace(load(tmp_path), position=None)
-    channels = find_channels([lost])
-    predictor = Predictor(robot, [lost], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+    predictor = make_predictor([lost], robot)
     near = predictor.predict(ModelParams(effects={"ground_effect": np.array([3.0])}))[0]
     np.testing.assert_allclose(near, predictor.predict(ModelParams())[0], atol=1e-6)
-
-
-def test_the_thrust_that_was_flown_scales(tmp_path: Path) -> None:
-    results = load(tmp_path, thrust_scale=1.07)
-    left = residual(results, params_from_robot(ROBOT).with_effect("thrust_coefficient", np.array([1.07])))
-    assert np.abs(left[:, 2]).max() < 0.02
 
 
 def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> None:
     """Against ``f - alpha x c - w x (w x c)`` and ``J^-1 (r - c) x f`` with numbers of the log, c small."""
     results = load(tmp_path)
     shift = np.array([0.004, -0.003, 0.002])
-    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
+    predictor = make_predictor([results])
     change = predictor.predict(ModelParams(effects={"com_offset": shift}))[0] - predictor.predict(ModelParams())[0]
     rows = np.round(predictor.times[0] * results.rate).astype(int)
     omega = results.ang_vel
@@ -165,11 +147,7 @@ def test_a_shifted_centre_of_mass_feels_the_measured_turning(tmp_path: Path) -> 
 
 def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
     results = load(tmp_path, rate=500.0, noise=1.0)
-    channels = find_channels([results])
-    thin, full = (
-        Predictor(ROBOT, [results], bandwidth=BAND, channels=channels, tolerances=Tolerances(), every_row=every)
-        for every in (False, True)
-    )
+    thin, full = (make_predictor([results], every_row=every) for every in (False, True))
     place = np.round((thin.times[0] - full.times[0][0]) * results.rate).astype(int)
     for some, every in (
         (thin.predict(ModelParams())[0], full.predict(ModelParams())[0]),
@@ -181,7 +159,7 @@ def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
 def test_the_jacobian_of_a_wrench_effect_is_its_regressor(tmp_path: Path) -> None:
     """d f / d (drag) = -v_body / m per unit, at any drag; scale 0.1 N s/m."""
     results = load(tmp_path)
-    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
+    predictor = make_predictor([results])
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     jacobian = effect_jacobian(predictor, params, ("rotor_drag",), predictor.predict(params))[0]
     zero = predictor.predict(ModelParams())[0]
@@ -209,7 +187,7 @@ def test_a_prediction_does_not_depend_on_the_earlier_models(tmp_path: Path) -> N
     results = load(tmp_path)
 
     def new() -> Predictor:
-        return Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
+        return make_predictor([results])
 
     alone = {name: new().predict(params)[0] for name, params in MODELS.items()}
     distinct = {values.tobytes() for values in alone.values()}
@@ -225,13 +203,11 @@ def test_neighbouring_flights_are_evaluated_together_up_to_a_number_of_rows() ->
 
 
 def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = [write(flight(seed, seconds=6.0 + seed), tmp_path / f"{seed}.csv") for seed in range(3)]
-    flights = load_flights(paths, ROBOT, mapping=None, bandwidth=BAND)
-    channels = find_channels(flights)
+    flights = load_tables(tmp_path, [flight(seed, seconds=6.0 + seed) for seed in range(3)])
     predictors = []
     for most in (1, 10**6):
         monkeypatch.setattr("aerial_gym.sim2real.predict.rows.batches.MOST_ROWS", most)
-        predictors.append(Predictor(ROBOT, flights, bandwidth=BAND, channels=channels, tolerances=Tolerances()))
+        predictors.append(make_predictor(flights))
     for name, params in MODELS.items():
         for alone, beside in zip(*(predictor.predict(params) for predictor in predictors), strict=True):
             np.testing.assert_allclose(alone, beside, rtol=1e-9, atol=1e-10, err_msg=name)
@@ -241,13 +217,11 @@ def test_flights_are_predicted_alike_alone_and_together(tmp_path: Path, monkeypa
 
 def test_an_error_of_the_sensors_that_is_none_changes_no_channel(tmp_path: Path) -> None:
     results = load(tmp_path)
-    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
+    predictor = make_predictor([results])
     for deviation in (None, np.linspace(-1.0, 1.0, predictor.num_tolerances)):
         params = ModelParams(deviation=deviation)
-        without, neutral = (
-            predictor.predict(p)[0] for p in (params, params.with_effect("imu_misalignment", np.zeros(3)))
-        )
-        np.testing.assert_allclose(without, neutral, atol=1e-10)
+        neutral = params.with_effect("imu_misalignment", np.zeros(3))
+        np.testing.assert_allclose(*(predictor.predict(p)[0] for p in (params, neutral)), atol=1e-10)
 
 
 def test_rollouts_of_an_exact_flight_stay_on_it_and_find_the_error_of_a_wrong_mass(tmp_path: Path) -> None:
@@ -291,9 +265,8 @@ def test_rollouts_side_by_side_are_those_of_each_model_and_variant_alone(tmp_pat
     ]
     creeping = ModelParams(effects={"joint_creep": np.array([0.4, 30.0, 0.4])})
     for some in (models, [*models[:1], creeping]):
-        together = rollout_errors_of_models(
-            ROBOT, [results], some, variants, links=[None] * len(some), horizons=(0.1, 0.5)
-        )
+        options = {"links": [None] * len(some), "horizons": (0.1, 0.5)}
+        together = rollout_errors_of_models(ROBOT, [results], some, variants, **options)
         for of_model, params in zip(together, some, strict=True):
             for variant, given in variants.items():
                 alone = roll_out(ROBOT, [results], params, horizons=(0.1, 0.5), given_attitude=given)
@@ -315,30 +288,11 @@ def test_windows_cover_every_flight_and_fit_the_longest_horizon(tmp_path: Path) 
     assert not set(windows.cluster[windows.flight == 0]) & set(windows.cluster[windows.flight == 1])
 
 
-def test_commands_drive_the_rotors_through_the_lag(tmp_path: Path) -> None:
-    """A step of the command: ``w = w_c + (w_0 - w_c) exp(-t / tau)`` on rows, with the command held from its row on."""
-    results = load(tmp_path, seconds=4.0)
-    rows = results.num_rows
-    step = np.where(np.arange(rows)[:, None] < 100, 900.0, 1100.0).repeat(4, axis=1)
-    driven = replace(results, rotor_command=step, rotor_speed=np.full((rows, 4), 900.0))
-    rotor = replace(ROBOT.rotor, time_constant_up=0.05, time_constant_down=0.05)
-    vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=torch.float64)
-    speeds = RotorReplay([driven]).speeds(build_model(vehicle), 0.0)[0]
-    time = np.maximum(np.arange(rows) - 100, 0) / results.rate
-    np.testing.assert_allclose(speeds[:, 0], 1100.0 - 200.0 * np.exp(-time / 0.05), rtol=1e-9)
-
-
 def test_flights_with_and_without_measured_rotors_do_not_mix(tmp_path: Path) -> None:
     results = load(tmp_path)
     commanded = replace(results, rotor_command=results.rotor_speed, rotor_speed=None)
     with pytest.raises(DataError, match="some flights have measured rotor speeds and some have not"):
-        Predictor(
-            ROBOT,
-            [results, commanded],
-            bandwidth=BAND,
-            channels=find_channels([results, commanded]),
-            tolerances=Tolerances(),
-        )
+        make_predictor([results, commanded])
 
 
 def test_channels_are_what_every_flight_has(tmp_path: Path) -> None:
@@ -353,22 +307,20 @@ def test_channels_are_what_every_flight_has(tmp_path: Path) -> None:
 
 def test_missing_sensors_are_derived_or_left_out(tmp_path: Path) -> None:
     table = flight(4)
-    full = load_flights([write(table, tmp_path / "a.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    (full,) = load_tables(tmp_path, [table])
     rest = [column for column in table if not column.startswith(("v_", "acc_", "omega_"))]
-    bare = complete_flight(
-        uniform_log(read_flight_log(write(table[[*rest, "omega_x", "omega_y", "omega_z"]], tmp_path / "b.csv")))
-    )
+    bare = uniform_flight(table[[*rest, "omega_x", "omega_y", "omega_z"]], tmp_path)
     assert bare.lin_vel is None  # derived only by load_flights
     assert bare.notes == (Finding("velocity_unknown"),)
     poor = table[[*rest, "acc_x", "acc_y", "acc_z"]]
-    results = load_flights([write(poor, tmp_path / "c.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    (results,) = load_tables(tmp_path, [poor])
     assert not results.gyro
     inner = slice(100, -100)
     np.testing.assert_allclose(results.lin_vel[inner], full.lin_vel[inner], atol=0.01)
     np.testing.assert_allclose(results.ang_vel[inner], full.ang_vel[inner], atol=0.02)
     assert {"velocity_derived", "rates_derived"} <= {note.code for note in results.notes}
     forces = [column for column in table if not column.startswith("acc_")]
-    results = load_flights([write(table[forces], tmp_path / "d.csv")], ROBOT, mapping=None, bandwidth=BAND)[0]
+    (results,) = load_tables(tmp_path, [table[forces]])
     assert results.notes == (Finding("force_derived"),)
 
 
@@ -401,11 +353,8 @@ def test_tolerances_change_what_they_say() -> None:
 
 def test_a_gyro_that_is_off_within_its_tolerance_shows_in_the_kinematic_rate_alone(tmp_path: Path) -> None:
     results = load(tmp_path)
-    predictor = Predictor(
-        ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=(tolerances := Tolerances())
-    )
-    deviation = np.zeros(predictor.num_tolerances)
-    deviation[tolerances.names(4).index("gyro_bias_z")] = 3.0
+    predictor = make_predictor([results])
+    deviation = draw_deviations(gyro_bias_z=3.0)
     moved = predictor.predict(ModelParams(deviation=deviation))[0] - predictor.predict(ModelParams())[0]
     for place, channel in enumerate(predictor.channels):
         expected = 0.006 if channel.name == "kinematic_rate.z" else 0.0
@@ -416,18 +365,12 @@ def turn_attitude(table: pd.DataFrame, turn: Rotation, folder: Path) -> tuple[Fl
     """Return a flight as it was, and with its logged attitude turned against the body."""
     logged, columns = table.copy(), ["q_x", "q_y", "q_z", "q_w"]
     logged[columns] = (Rotation.from_quat(table[columns].to_numpy()) * turn).as_quat()
-    aligned, off = (
-        complete_flight(uniform_log(read_flight_log(write(one, folder / f"{name}.csv"))))
-        for name, one in (("aligned", table), ("off", logged))
-    )
-    return aligned, off
+    return uniform_flight(table, folder, "aligned"), uniform_flight(logged, folder, "off")
 
 
 def two_and_one() -> np.ndarray:
     """Return the tolerance parameters that turn such a log back by 0.02 rad about y and -0.01 rad about z."""
-    deviation = np.zeros(len(names := Tolerances().names(4)))
-    deviation[names.index("attitude_y")], deviation[names.index("attitude_z")] = 2.0, -1.0
-    return deviation
+    return draw_deviations(attitude_y=2.0, attitude_z=-1.0)
 
 
 LATE = {"rotors": ("rotor_",), "acc": ("acc_",), "gyro": ("omega_",), "attitude": ("q_", "p_"), "velocity": ("v_",)}
@@ -458,10 +401,9 @@ def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(
     if not accelerometer:
         table = table.drop(columns=["acc_x", "acc_y", "acc_z"])
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.6), "constant_wind": np.array([2.0, -1.0, 0.5])})
-    logs = [table, delay_columns(table, label, 0.006)]
     on_time, late = (
-        complete_flight(uniform_log(read_flight_log(write(log, tmp_path / f"{number}.csv"))))
-        for number, log in enumerate(logs)
+        uniform_flight(log, tmp_path, name)
+        for name, log in (("on_time", table), ("late", delay_columns(table, label, 0.006)))
     )
     as_was, moved = residual(on_time, params), residual(late, params)
     back = residual(late, replace(params, deviation=draw_deviations(**{f"sensor_delay_{label}": 2.0})))
@@ -474,14 +416,14 @@ def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(
 def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_put_back(tmp_path: Path) -> None:
     """1 % along y and -0.5 % along z; 1 cm ahead, 5 mm below: forces as they were, and nothing else is touched."""
     table = flight(3)
-    results = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    results = uniform_flight(table, tmp_path, "a")
     place, scale = np.array([0.01, 0.0, -0.005]), np.array([0.0, 0.01, -0.005])
     rate = results.ang_vel
     turning = lowpass(rate, results.rate, 40.0, derivative=True)
     felt = results.specific_force + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
-    names = [channel.kind for channel in find_channels([results])]
+    kind_of = [channel.kind for channel in find_channels([results])]
     forces, implied = (
-        [k for k, name in enumerate(names) if name == kind] for kind in ("specific_force", "kinematic_force")
+        [k for k, kind in enumerate(kind_of) if kind == f"{name}_force"] for name in ("specific", "kinematic")
     )
     as_was = residual(results, ModelParams())
     for read, sizes, kinds in (
@@ -490,12 +432,11 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
     ):
         off = replace(results, specific_force=read)
         moved, back = residual(off, ModelParams()), residual(off, ModelParams(deviation=draw_deviations(**sizes)))
-        remaining = [k for k in range(len(names)) if k not in kinds]
+        others = [k for k in range(len(kind_of)) if k not in kinds]
         assert np.abs(moved - as_was)[:, kinds].max() > 0.02
         assert np.abs(back - as_was)[:, kinds].max() < 0.05 * np.abs(moved - as_was)[:, kinds].max()
-        np.testing.assert_array_equal(
-            residual(results, ModelParams(deviation=draw_deviations(**sizes)))[:, remaining], as_was[:, remaining]
-        )
+        unread = residual(results, ModelParams(deviation=draw_deviations(**sizes)))
+        np.testing.assert_array_equal(unread[:, others], as_was[:, others])
 
 
 def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_path: Path) -> None:
@@ -504,10 +445,10 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
     for seed in range(3):
         table = flight(seed, noise=1.0, drag=0.2)
         table[["v_x", "v_y", "v_z"]] += 0.02 * rng.standard_normal((len(table), 3))
-        flights.append(complete_flight(uniform_log(read_flight_log(write(table, tmp_path / f"{seed}.csv")))))
+        flights.append(uniform_flight(table, tmp_path, str(seed)))
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     sizes = Tolerances(acc_scale=0.1)
-    predictor = Predictor(ROBOT, flights, bandwidth=BAND, channels=find_channels(flights), tolerances=sizes)
+    predictor = make_predictor(flights, tolerances=sizes)
     fit = linearise(predictor, (), params, tolerance_jacobian(predictor, params))
     kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
     weight = inverse_variance_weights(predictor.residuals(params)).weight * kinematic
@@ -560,10 +501,8 @@ def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Pa
     Derivatives where nothing deviates miss 4 % of the change of the force in this gentle flight; of third order is 0.03 %.
     """
     results = load(tmp_path, rate=400.0)
-    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
-    names = predictor.tolerances.names(4)
-    deviation = np.zeros(len(names))
-    deviation[[names.index("sensor_delay_gyro"), names.index("imu_place_z")]] = -3.0, 2.0
+    predictor = make_predictor([results])
+    deviation = draw_deviations(sensor_delay_gyro=-3.0, imu_place_z=2.0)
     params = ModelParams(deviation=deviation)
     change = (predictor.predict(params)[0] - predictor.predict(ModelParams())[0])[:, :2]
     at_once, half_way = ((tolerance_jacobian(predictor, one)[0] @ deviation)[:, :2] for one in (ModelParams(), params))
@@ -640,9 +579,8 @@ def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_pat
 
 def test_no_floor_where_the_log_is_too_slow(tmp_path: Path) -> None:
     results = load(tmp_path, rate=25.0)
-    assert (
-        noise_floor(ROBOT, [results], ModelParams(), [Channel(kind="specific_force", axis="x")], bandwidth=8.0) is None
-    )
+    channels = [Channel(kind="specific_force", axis="x")]
+    assert noise_floor(ROBOT, [results], ModelParams(), channels, bandwidth=8.0) is None
 
 
 def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
@@ -657,27 +595,16 @@ def test_a_tolerance_that_strains_is_told_by_its_name() -> None:
 
 def test_a_deviation_that_was_cut_off_or_of_what_is_not_there_is_no_finding() -> None:
     tolerances = Tolerances()
-    names = tolerances.names(4)
-    deviation = np.zeros(len(names))
-    for name, size in (
-        ("mass", 3.5),
-        ("inertia_x", 5.0),
-        ("com_y", -5.0),
-        ("nominal_voltage", 5.0),
-        ("joint_rest", 4.0),
-    ):
-        deviation[names.index(name)] = size
+    deviation = draw_deviations(mass=3.5, inertia_x=5.0, com_y=-5.0, nominal_voltage=5.0, joint_rest=4.0)
     notes = tolerances.implausible_deviations(deviation, absent={"nominal_voltage", "joint_rest"}, farthest=5.0)
     cut = {"tolerances": ["inertia_x", "com_y"], "deviation_std": 5.0}
-    assert notes == [
-        Finding("tolerance_strained", "mass", {"deviation_std": 3.5}),
-        Finding("tolerances_cut_off", "", cut),
-    ]
+    strained = Finding("tolerance_strained", "mass", {"deviation_std": 3.5})
+    assert notes == [strained, Finding("tolerances_cut_off", "", cut)]
 
 
 def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp_path: Path) -> None:
     table = flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])
-    results = complete_flight(uniform_log(read_flight_log(write(table, tmp_path / "a.csv"))))
+    results = uniform_flight(table, tmp_path, "a")
     names = Tolerances().names(4)
     bias, tilt = np.array([0.5, -0.3, 0.2, 0.0, 0.0, 0.0]), np.array([0.05, -0.03, 0.0])
     off = np.array([5.0 * name.startswith("acc_bias") for name in names])
@@ -698,11 +625,10 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
 def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None:
     """Every parameter of every effect and every tolerance, one after the other, each as a predictor of its own says: 1e-9."""
     results = load(tmp_path, drag=0.25)
-    channels = find_channels([results])
     robot = replace(ROBOT, battery=BATTERY)
 
     def fresh() -> Predictor:
-        return Predictor(robot, [results], bandwidth=BAND, channels=channels, tolerances=Tolerances())
+        return make_predictor([results], robot)
 
     names = [n for n in EFFECTS if not EFFECTS.get(n).random and not isinstance(EFFECTS.get(n), LoadEffect)]
     names = [n for n in names if not lacks(n, robot, [results])]
@@ -730,13 +656,10 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
         return force_breakdown(*args, **options)
 
     monkeypatch.setattr("aerial_gym.sim2real.predict.rows.flight_batch.force_breakdown", count_call)
-    predictor = Predictor(ROBOT, [results], bandwidth=BAND, channels=find_channels([results]), tolerances=Tolerances())
+    predictor = make_predictor([results])
     params = params_from_robot(ROBOT)
-    alike = [
-        params,
-        params.with_effect("inertia_error", np.ones(3)),
-        params.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0])),
-    ]
+    misaligned = params.with_effect("motor_tilt", np.array([2.0, 0.0, 0.0]))
+    alike = [params, params.with_effect("inertia_error", np.ones(3)), misaligned]
     first, *remaining = (predictor.predict(one)[0] for one in alike)
     assert len(asked) == 1
     for other in remaining:
@@ -750,4 +673,4 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
     ("rate", "bandwidth", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
 )
 def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, bandwidth: float, rows: int) -> None:
-    assert thin_rows(SimpleNamespace(rate=rate), bandwidth) == rows
+    assert thin_rows(hover("a", 1.0, rate=rate), bandwidth) == rows

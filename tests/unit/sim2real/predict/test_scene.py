@@ -14,13 +14,10 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.memory_loop import judge_flights
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.replay import replay_flights
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
 
 RADIUS, HUB = 0.1, 0.01
@@ -32,32 +29,25 @@ def hover(name: str, height: float, **more: object) -> Flight:
     """Return 4 s of level hover at a height of the body origin; the hubs are 1 cm above it."""
     rows = 400
     zeros = np.zeros((rows, 3))
-    speed = np.full((rows, 4), np.sqrt(0.6 * G / 4.0 / 1.2e-6))
-    return Flight(
-        **{
-            "name": name,
-            "path": name,
-            "rate": RATE,
-            "time": np.arange(rows) / RATE,
-            "position": zeros + np.array([0.0, 0.0, height]),
-            "attitude": np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)),
-            "lin_vel": zeros,
-            "ang_vel": zeros,
-            "attitude_integrated": False,
-            "gyro": True,
-            "specific_force": zeros + np.array([0.0, 0.0, G]),
-            "accelerometer": True,
-            "rotor_speed": speed,
-            "rotor_command": None,
-            "notes": (),
-            **more,
-        }
-    )
+    defaults = {
+        "path": name,
+        "rate": RATE,
+        "time": np.arange(rows) / RATE,
+        "position": zeros + np.array([0.0, 0.0, height]),
+        "attitude": np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)),
+        "lin_vel": zeros,
+        "ang_vel": zeros,
+        "gyro": True,
+        "specific_force": zeros + np.array([0.0, 0.0, G]),
+        "accelerometer": True,
+        "rotor_speed": np.full((rows, 4), np.sqrt(0.6 * G / 4.0 / 1.2e-6)),
+    }
+    return Flight(name=name, **defaults | more)
 
 
 def lift(flights: list[Flight], effect: str, params: list[float]) -> list[np.ndarray]:
     """Return the contribution of an effect to the specific force along z in each flight [m/s²]."""
-    predictor = Predictor(NEAR, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights, NEAR)
     with_effect = predictor.predict(ModelParams(effects={effect: np.array(params)}))
     return [(more - own)[:, 2] for more, own in zip(with_effect, predictor.predict(ModelParams()), strict=True)]
 

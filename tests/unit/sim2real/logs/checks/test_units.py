@@ -34,10 +34,9 @@ def check(table: pd.DataFrame, folder: Path) -> list[str]:
     return notes
 
 
-def scale_columns(table: pd.DataFrame, columns: list[str], factor: object) -> pd.DataFrame:
-    result = table.copy()
-    result[columns] *= np.asarray(factor)
-    return result
+def scale(table: pd.DataFrame, columns: list[str], factor: object) -> pd.DataFrame:
+    return table.assign(**{name: table[name] * k for name, k in zip(columns, np.broadcast_to(factor, 3), strict=True)})
+
 
 
 def swap_columns(table: pd.DataFrame, columns: list[str]) -> pd.DataFrame:
@@ -60,7 +59,7 @@ def test_a_good_log_passes_whatever_it_lacks(table: pd.DataFrame, tmp_path: Path
 def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
     table: pd.DataFrame, tmp_path: Path, unit: str, factor: float
 ) -> None:
-    wrong = scale_columns(table, V, 1.0 / factor)
+    wrong = scale(table, V, 1.0 / factor)
     match = rf"v_x, v_y, v_z were in {unit} \(factor .*\): give lin_vel unit: {unit} in a mapping file"
     with pytest.raises(DataError, match=match):
         check(wrong, tmp_path)
@@ -73,43 +72,28 @@ def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
     path = write(wrong, tmp_path / "b.csv")
     mended = load_flight(path, ROBOT, mapping=find_mapping(tmp_path / "mended.yaml"), bandwidth=10.0)
     right = load_flight(write(table, tmp_path / "c.csv"), ROBOT, mapping=None, bandwidth=10.0)
-    np.testing.assert_allclose(mended.lin_vel, right.lin_vel, rtol=1e-9, atol=1e-12)  # pyright: ignore[reportArgumentType]
+    np.testing.assert_allclose(mended.lin_vel, right.lin_vel, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (
-            lambda t: scale_columns(t, P, 1 / 0.3048),
-            r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft",
-        ),
-        (lambda t: scale_columns(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
-        (
-            lambda t: scale_columns(t, V, 1.6),
-            r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_vel gain",
-        ),
-        (
-            lambda t: scale_columns(t, P, (-1, 1, 1)),
-            r"it looks as if p_x have the wrong sign: multiply each column by -1",
-        ),
-        (lambda t: scale_columns(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
-        (lambda t: scale_columns(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),
+        (lambda t: scale(t, P, 1 / 0.3048), r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft"),
+        (lambda t: scale(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
+        (lambda t: scale(t, V, 1.6), r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_vel gain"),
+        (lambda t: scale(t, P, (-1, 1, 1)), r"it looks as if p_x have the wrong sign: multiply each column by -1"),
+        (lambda t: scale(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
+        (lambda t: scale(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),
         (lambda t: swap_columns(t, V), r"the axes of v were exchanged: name its columns in the order y, x, z"),
         (lambda t: swap_columns(t, P), r"the axes of p were exchanged: name its columns in the order y, x, z"),
         (
-            lambda t: scale_columns(scale_columns(t, V, 1 / 0.3048), P, 1 / 0.3048),
+            lambda t: scale(scale(t, V, 1 / 0.3048), P, 1 / 0.3048),
             r"the change of velocity and position contradicts acc .* v_z were in ft/s .*unit: ft/s.*p_z were in ft .*unit: ft",
         ),
+        (lambda t: scale(t, V, 1 / 0.44704).drop(columns=P), r"the change of velocity .* v_x, v_y, v_z were in mph"),
+        (lambda t: scale(t, P, 1 / 0.3048).drop(columns=V), r"the change of position .* p_x, p_y, p_z were in ft "),
         (
-            lambda t: scale_columns(t, V, 1 / 0.44704).drop(columns=P),
-            r"the change of velocity .* v_x, v_y, v_z were in mph",
-        ),
-        (
-            lambda t: scale_columns(t, P, 1 / 0.3048).drop(columns=V),
-            r"the change of position .* p_x, p_y, p_z were in ft ",
-        ),
-        (
-            lambda t: scale_columns(scale_columns(t, V, (1, -1, 1)), P, (1, -1, 1)),
+            lambda t: scale(scale(t, V, (1, -1, 1)), P, (1, -1, 1)),
             r"contradict acc and attitude; it looks as if v_y and p_y have the wrong sign: multiply the columns by -1",
         ),
     ],
@@ -126,11 +110,11 @@ def test_a_log_that_hardly_moves_cannot_tell_and_passes(table: pd.DataFrame, tmp
     hover[V] = 0.05 * rng.standard_normal((len(table), 3))
     hover[ACC] = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]]).apply([0.0, 0.0, 9.81], inverse=True)
     for factor in (1.0, 1 / 0.44704):
-        assert check(scale_columns(hover, V, factor), tmp_path) == []
+        assert check(scale(hover, V, factor), tmp_path) == []
 
 
 def test_a_lesser_factor_is_said_and_left(table: pd.DataFrame, tmp_path: Path) -> None:
-    (note,) = check(scale_columns(table, V, (1.1, 1.0, 1.0)), tmp_path)
+    (note,) = check(scale(table, V, (1.1, 1.0, 1.0)), tmp_path)
     assert (note.code, note.values["axes"]) == ("velocity_factor", ["x"])
     assert note.values["factor"] == pytest.approx([1.1], abs=0.01)
     assert note.values["low"] < note.values["factor"] < note.values["high"]

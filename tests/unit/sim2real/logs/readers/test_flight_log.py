@@ -34,11 +34,6 @@ def test_a_log_comes_back_as_it_was_written(table: pd.DataFrame, tmp_path: Path)
     assert log.name == "a"
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_byte_order_mark_and_line_ends_do_not_matter(table: pd.DataFrame, tmp_path: Path, end: str) -> None:
-    path = tmp_path / "a.csv"
-    path.write_bytes(b"\xef\xbb\xbf" + table.to_csv(index=False, lineterminator=end).encode())
-    np.testing.assert_array_equal(read_flight_log(path).time, table["t"])
 
 
 def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_path: Path) -> None:
@@ -57,21 +52,13 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
         ),
         (
             lambda t: t.rename(columns={f"rotor_{n}": f"motor_{n}" for n in range(1, 5)}),
-            r"rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or describe them in a mapping file",
+            r"needs the columns rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or .* mapping file",
         ),
         (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
-        (
-            lambda t: t.drop(columns="acc_y"),
-            r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove",
-        ),
+        (lambda t: t.drop(columns="acc_y"), r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove"),
         (lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]), r"column 'q_x' is missing or empty.*mapping"),
-        (lambda t: t.rename(columns={"q_w": "qw"}), r"column 'q_w' is missing or empty while 'q_x' is there"),
-        (lambda t: t.drop(columns=[f"rotor_{n}" for n in range(1, 5)]), r"needs the columns rotor_\{n\} or cmd_\{n\}"),
         (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
-        (
-            lambda t: t.assign(t=t["t"].round(1)),
-            r"t is the same in \d+ rows as in the row before; its digits are too few",
-        ),
+        (lambda t: t.assign(t=t["t"].round(1)), r"t is the same in \d+ rows as in the row before; its digits are too few"),
         (lambda t: t.assign(t=-t["t"]), r"time does not increase .*in the order in which they were measured"),
         (
             lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
@@ -118,9 +105,7 @@ def test_files_that_are_no_text_or_not_there(tmp_path: Path) -> None:
 
 def test_a_foreign_layout_is_recognised_and_named(table: pd.DataFrame, tmp_path: Path) -> None:
     names = {"q": "q{}", "p": "p{}", "v": "v{}", "omega": "w{}", "acc": "f{}_b"}
-    foreign = table.rename(
-        columns={f"{actual}_{a}": reference.format(a) for actual, reference in names.items() for a in "xyzw"}
-    )
+    foreign = table.rename(columns={f"{own}_{a}": other.format(a) for own, other in names.items() for a in "xyzw"})
     with pytest.raises(DataError, match=r"Did you mean 'qx'\?.*give --mapping idsia_nanodrone"):
         read_flight_log(write(foreign, tmp_path / "a.csv"))
 
@@ -172,13 +157,9 @@ def test_north_east_down_and_forward_right_down_become_ours(table: pd.DataFrame,
     log = read_flight_log(write(other, tmp_path / "a.csv"), mapping=layout)
     actual = Rotation.from_quat(table[["q_x", "q_y", "q_z", "q_w"]])
     assert (Rotation.from_quat(log.attitude).inv() * actual).magnitude().max() < 1e-9
-    for values, prefix in (
-        (log.position, "p"),
-        (log.lin_vel, "v"),
-        (log.ang_vel, "omega"),
-        (log.specific_force, "acc"),
-    ):
-        np.testing.assert_allclose(values, table[[f"{prefix}_{axis}" for axis in "xyz"]], rtol=1e-12, atol=1e-12)
+    for name, prefix in (("position", "p"), ("lin_vel", "v"), ("ang_vel", "omega"), ("specific_force", "acc")):
+        expected = table[[f"{prefix}_{axis}" for axis in "xyz"]]
+        np.testing.assert_allclose(getattr(log, name), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
@@ -196,12 +177,6 @@ def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
         find_mapping(tmp_path / "m.yaml")
 
 
-def test_battery_and_another_vehicle_are_read_if_they_are_there(table: pd.DataFrame, tmp_path: Path) -> None:
-    assert read_flight_log(write(table.drop(columns="vbat", errors="ignore"), tmp_path / "a.csv")).battery is None
-    more = table.assign(vbat=16.0 - 0.01 * table["t"], other_p_x=1.0, other_p_y=2.0, other_p_z=3.0)
-    log = read_flight_log(write(more, tmp_path / "b.csv"))
-    np.testing.assert_allclose(log.battery, more["vbat"])
-    np.testing.assert_allclose(log.other_position[-1], (1.0, 2.0, 3.0))
 
 
 @pytest.mark.parametrize("broken", ['"1', '1"2"', '"', '"a\n'])

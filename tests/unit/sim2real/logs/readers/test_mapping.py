@@ -214,19 +214,17 @@ def check_px4(log: FlightLog, table: pd.DataFrame) -> None:
     np.testing.assert_allclose(log.rotor_speed, rows.filter(like="rotor_"), rtol=1e-3)
 
 
-class PlainMapping:
-    """Reads topics with the package's own ULog mapping, without a file."""
-
-    @staticmethod
-    def read(results: dict[str, dict[str, np.ndarray]], folder: Path) -> FlightLog:
-        path = folder / "ulog.csv"
-        topics_table(results, "a.ulg", [])[0].to_csv(path, index=False)
-        return read_flight_log(path, mapping=find_mapping("px4_ulog"))
+def read_topics(
+    results: dict[str, dict[str, np.ndarray]], folder: Path, mapping: LogMapping | None = None
+) -> FlightLog:
+    """Return the log of ULog topics, read with a mapping, by default with the package's own, without a ULog file."""
+    topics_table(results, "a.ulg", [])[0].to_csv(folder / "ulog.csv", index=False)
+    return read_flight_log(folder / "ulog.csv", mapping=mapping or find_mapping("px4_ulog"))
 
 
 def test_px4_topics_are_turned_into_the_frames_of_the_contract(tmp_path: Path) -> None:
     table = flight(5, seconds=6.0, rate=200.0)
-    log = PlainMapping.read(topics(table), tmp_path)
+    log = read_topics(topics(table), tmp_path)
     check_px4(log, table)
     np.testing.assert_allclose(log.battery, 15.0)
 
@@ -235,18 +233,18 @@ def test_px4_hover_has_gravity_up_and_north_is_enu_y(tmp_path: Path) -> None:
     """Hover facing north, moving north at 1 m/s and climbing at 0.5 m/s: signed cases, each by hand."""
     rows = 400
     one, stamp = np.ones(rows), (np.arange(rows) * 5000 + 10_000_000).astype(np.uint64)
-    result = {
-        "vehicle_attitude": {"timestamp": stamp, "q[0]": one, "q[1]": 0 * one, "q[2]": 0 * one, "q[3]": 0 * one},
-        "vehicle_local_position": {"timestamp": stamp}
-        | dict(
-            zip(("x", "y", "z", "vx", "vy", "vz"), (2 * one, 3 * one, -4 * one, one, 0 * one, -0.5 * one), strict=True)
-        ),
-        "sensor_combined": {"timestamp": stamp}
-        | {f"accelerometer_m_s2[{i}]": v * one for i, v in enumerate((0.1, 0.2, -9.81))}
-        | {f"gyro_rad[{i}]": v * one for i, v in enumerate((0.3, 0.4, 0.5))},
-        "esc_status": {"timestamp": stamp} | {f"esc[{i}].esc_rpm": 6000.0 * one * (i < 4) for i in range(8)},
+    sizes = {
+        "vehicle_attitude": dict(zip((f"q[{i}]" for i in range(4)), (1, 0, 0, 0), strict=True)),
+        "vehicle_local_position": dict(zip(("x", "y", "z", "vx", "vy", "vz"), (2, 3, -4, 1, 0, -0.5), strict=True)),
+        "sensor_combined": {f"accelerometer_m_s2[{i}]": v for i, v in enumerate((0.1, 0.2, -9.81))}
+        | {f"gyro_rad[{i}]": v for i, v in enumerate((0.3, 0.4, 0.5))},
+        "esc_status": {f"esc[{i}].esc_rpm": 6000.0 * (i < 4) for i in range(8)},
     }
-    log = PlainMapping.read(result, tmp_path)
+    result = {
+        topic: {"timestamp": stamp} | {name: one * value for name, value in values.items()}
+        for topic, values in sizes.items()
+    }
+    log = read_topics(result, tmp_path)
     np.testing.assert_allclose(log.position[0], (3.0, 2.0, 4.0))
     np.testing.assert_allclose(log.lin_vel[0], (0.0, 1.0, 0.5))
     np.testing.assert_allclose(log.specific_force[0], (0.1, -0.2, 9.81))
@@ -274,12 +272,10 @@ def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path
     stamp = result.pop("esc_status")["timestamp"]
     control = {f"control[{i}]": np.full(stamp.size, 0.5 if i < 4 else np.nan) for i in range(12)}
     result["actuator_motors"] = {"timestamp": stamp} | control
-    path = tmp_path / "a.csv"
-    topics_table(result, "a.ulg", [])[0].to_csv(path, index=False)
     with pytest.raises(DataError, match=r"needs the columns rpm_"):
-        read_flight_log(path, mapping=find_mapping("px4_ulog"))
+        read_topics(result, tmp_path)
     mapping = layout(rotor_command={"columns": ["control_{n}"], "gain": 1100.0}, body_frame="frd", world_frame="ned")
-    np.testing.assert_allclose(read_flight_log(path, mapping=mapping).rotor_command, 550.0)
+    np.testing.assert_allclose(read_topics(result, tmp_path, mapping).rotor_command, 550.0)
 
 
 def test_topics_without_an_attitude_are_refused() -> None:

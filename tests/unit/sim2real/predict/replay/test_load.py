@@ -23,15 +23,12 @@ from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
 from aerial_gym.sim2real.predict.replay.load_swing import swing
 from aerial_gym.sim2real.predict.scene import lacks_of_scene
-from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.physics.vehicles import F64, asymmetric_robot, random_state
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
@@ -160,7 +157,7 @@ def test_a_load_starts_along_the_apparent_gravity_and_stays_there() -> None:
 def test_a_still_load_is_felt_as_thrust_over_both_masses() -> None:
     """Rotors that carry M g with a load m below: f = M g / (M + m) on z, and no torque about a centre of mass above it."""
     flights = [hover("a", 1.0)]
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights)
     result = predictor.predict(ModelParams(effects={"slung_payload": np.array([0.15, 0.8, 0.0])}))[0]
     np.testing.assert_allclose(result[:, :3], np.tile([0.0, 0.0, 0.6 * G / 0.75], (len(result), 1)), atol=1e-6)
     np.testing.assert_allclose(result[:, 3:6], 0.0, atol=1e-9)
@@ -234,9 +231,8 @@ def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() 
 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
     bare = replace(hover("a", 1.0), lin_vel=None)
-    assert lacks_of_scene("slung_payload", [bare]) == Finding(
-        "logs_lack", "slung_payload", {"flights": "a", "need": "lin_vel"}
-    )
+    expected = Finding("logs_lack", "slung_payload", {"flights": "a", "need": "lin_vel"})
+    assert lacks_of_scene("slung_payload", [bare]) == expected
 
 
 def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
@@ -260,7 +256,7 @@ def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
         rotor_speed=np.tile(still.rotor_speed[:1], (time.size, 1)) * sqrt(0.75 / 0.6),
     )
     flights = [flight]
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights)
     params = ModelParams(effects={"slung_payload": np.array([mass, length, 0.0])})
     links = predictor.links(params)
     assert predictor.links(ModelParams()) is None

@@ -15,15 +15,13 @@ from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffect
 from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.robots.catalog import robot_by_name
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.memory import make_track
 from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.sensors import NOISELESS
-from tests.unit.sim2real.flat_flights import ROBOT, load_flight
+from tests.unit.sim2real.flat_flights import ROBOT, load_flight, make_predictor
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
@@ -64,7 +62,7 @@ def test_predictions_follow_the_arms(name: str, tau: float) -> None:
     sway[:, :2] = 0.3
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(1.0 + sway * np.sin(turn * time)[:, None]))
     flights = [flight]
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights)
     params = ModelParams(effects={name: np.array([compliance, tau, hinge])})
     result, rigid = (predictor.predict(p)[0][:, 1] for p in (params, ModelParams()))
     lag, less = np.arctan(turn * tau), 1.0 / hypot(1.0, turn * tau)
@@ -126,7 +124,7 @@ def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
 
 def test_neutral_joints_cost_no_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     flights = [hover("a", 5.0)]
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights)
     neutral = ModelParams(effects={"joint_spring": np.array(EFFECTS.get("joint_spring").neutral(ROBOT))})
     (bare,) = predictor.predict(ModelParams())
     monkeypatch.delattr("aerial_gym.sim2real.predict.rows.flight_batch.accelerations")
@@ -149,7 +147,7 @@ def test_arms_that_have_only_begun_to_creep_are_a_deviation_within_the_tolerance
     """Two thirds of the rest are missing at first, and fade with tau: so much thrust more is felt, ``g (cos h - cos h_f)``."""
     flights, tau, rest = [hover("a", 5.0)], 1.5, 0.8 * 0.6 * ARM * THRUST
     tolerances = Tolerances(joint_rest=1.0 / 3.0)
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=tolerances)
+    predictor = make_predictor(flights, tolerances=tolerances)
     params = ModelParams(effects={"joint_creep": np.array([0.8, tau, 0.4])})
     deviation = np.zeros(predictor.num_tolerances)
     deviation[tolerances.names(4).index("joint_rest")] = -2.0
@@ -167,7 +165,7 @@ def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
     files = make_case(tmp_path, effects=hidden, seed=410, num_train=1, num_test=0, duration_s=2.0, noise=NOISELESS)
     robot = robot_by_name(files.robot)
     flights = [load_flight(files.train[0], robot, mapping=None, bandwidth=10.0)]
-    predictor = Predictor(robot, flights, bandwidth=10.0, channels=find_channels(flights), tolerances=Tolerances())
+    predictor = make_predictor(flights, robot)
     declared = params_from_robot(robot)
     soft = declared.with_effect("joint_spring", np.array([1.6, 0.04, 0.4]))
     missed, left = (np.sqrt((predictor.residuals(p)[0][:, :6] ** 2).mean(axis=0)) for p in (declared, soft))
@@ -185,9 +183,8 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance:
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]
     params = ModelParams(effects={"joint_creep": np.array([compliance, 30.0, 0.4])})
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
-    run = WindowBatch(
-        vehicle, expand_effects(params, 4), flights, np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200])
-    )
+    windows = np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200])
+    run = WindowBatch(vehicle, expand_effects(params, 4), flights, *windows)
     ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
     push = np.stack([np.ones(4), np.ones(4), uneven, uneven])
     angle = compliance * 0.6 * ARM * THRUST * push
@@ -240,7 +237,7 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
     def push(time: Array) -> Array:
         return gain * still * (1.0 + 0.1 * -np.expm1(-np.maximum(time - 2.0, 0.0)))
 
-    predictor = Predictor(ROBOT, [flight], bandwidth=10.0, channels=find_channels([flight]), tolerances=Tolerances())
+    predictor = make_predictor([flight])
     result, bare = (predictor.predict(p)[0][:, 0] for p in (params, ModelParams()))
     np.testing.assert_allclose(result - bare, push(predictor.times[0]) / ROBOT.body.mass, rtol=2e-3)
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)

@@ -17,18 +17,15 @@ from aerial_gym.sim2real.identify.candidates.testable import lacks
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
-from aerial_gym.sim2real.logs.flights import Flight, complete_flight
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import uniform_log
-from aerial_gym.sim2real.predict.channels import Channel, find_channels
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.replay import replay_flights
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 from tests.unit.sim2real.one_rollout import roll_out
 from tests.unit.sim2real.predict.test_scene import RATE, hover
 
@@ -41,14 +38,14 @@ BATTERY = BatteryCfg(
     capacity=4000.0,
     source="test",
 )
+ROTOR_SPEEDS = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
 POWERED = replace(ROBOT, battery=BATTERY)
 TAU_UP, TAU_DOWN = 0.05, 0.03
 
 
 def step_flight(folder: Path, *, rate: float, seconds: float, step_s: float = 0.5, high: float = 1100.0) -> Flight:
     """Return a flight whose command steps from 900 rad/s up at ``step_s`` and back half a second later, from rest at 900."""
-    path = write(flight(3, rate=rate, seconds=seconds), folder / f"{rate:g}.csv")
-    result = complete_flight(uniform_log(read_flight_log(path)))
+    result = uniform_flight(flight(3, rate=rate, seconds=seconds), folder, f"{rate:g}")
     time = np.arange(result.num_rows) / rate
     command = np.where((time >= step_s - 1e-9) & (time < step_s + 0.5 - 1e-9), high, 900.0)[:, None].repeat(4, axis=1)
     return replace(result, rotor_command=command, rotor_speed=np.full_like(command, 900.0))
@@ -70,9 +67,7 @@ def make_model(effects: dict[str, list[float]] | None = None, *, robot: RobotCfg
 
 
 def replay_speeds(results: Flight, model: Model) -> np.ndarray:
-    speed = RotorReplay([results]).speeds(model, 0.0)[0]
-    assert speed is not None
-    return speed
+    return RotorReplay([results]).speeds(model, 0.0)[0]
 
 
 def test_flights_of_several_rates_and_lengths_rise_and_fall_by_their_own_lag(tmp_path: Path) -> None:
@@ -192,19 +187,13 @@ def flight_from_commands(
     Inverted: ``c = (w + tau w') / factor`` at the middle of the span for which a command holds, ``delay`` after its row.
     The voltage is a made-up curve, or with ``full`` [V] that of a battery that is drained.
     """
-    path = write(flight(seed, rate=400.0, seconds=8.0), folder / f"flown{seed}.csv")
-    result = complete_flight(uniform_log(read_flight_log(path)))
+    result = uniform_flight(flight(seed, rate=400.0, seconds=8.0), folder, f"flown{seed}")
     assert result.rotor_speed is not None
     arrives = result.time + delay + 0.5 / 400.0
     curve = CubicSpline(result.time, result.rotor_speed)
     wanted = curve(arrives) + 0.04 * curve(arrives, 1)
-
-    volts = CubicSpline(
-        result.time,
-        drain_battery(result.time, result.rotor_speed, full)
-        if full
-        else 15.8 - 0.1 * result.time + 0.2 * np.sin(3.0 * result.time),
-    )
+    own = 15.8 - 0.1 * result.time + 0.2 * np.sin(3.0 * result.time)
+    volts = CubicSpline(result.time, drain_battery(result.time, result.rotor_speed, full) if full else own)
     noise = volt_noise * np.random.default_rng(seed).standard_normal(result.num_rows)
     factor = 1.0 - gain * (1.0 - volts(arrives) / 16.0)
     return replace(result, rotor_command=wanted / factor[:, None], battery=volts(result.time) + noise)
@@ -216,8 +205,7 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
     Beside the tolerances, of which the hold of a command and a late rotor log make the same as a delay, to half a millisecond.
     """
     flights = [flight_from_commands(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
-    channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
-    predictor = Predictor(POWERED, flights, bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    predictor = make_predictor(flights, POWERED, channels=ROTOR_SPEEDS)
     start = ModelParams(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
     tolerance = tolerance_jacobian(predictor, start)
     for tolerated, within in (([part[:, :, :0] for part in tolerance], 5e-5), (tolerance, 5e-4)):
@@ -232,19 +220,11 @@ def test_sensors_that_are_all_late_are_a_delay_of_the_commands(tmp_path: Path) -
 
     Of rows that are thinned to the band too: a spline through these missed 2 %.
     """
-    flights = [flight_from_commands(tmp_path, delay=0.0, gain=0.0)]
-    channels = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
-    tolerances = Tolerances()
-    predictor = Predictor(ROBOT, flights, bandwidth=10.0, channels=channels, tolerances=tolerances)
-    all_late = np.array([2.5 * name.startswith("sensor_delay") for name in tolerances.names(4)])
-    on_time, late, delayed = (
-        predictor.predict(params)[0]
-        for params in (
-            ModelParams(),
-            ModelParams(deviation=all_late),
-            ModelParams(effects={"actuation_delay": np.array([0.0075])}),
-        )
-    )
+    predictor = make_predictor([flight_from_commands(tmp_path, delay=0.0, gain=0.0)], channels=ROTOR_SPEEDS)
+    all_late = np.array([2.5 * name.startswith("sensor_delay") for name in Tolerances().names(4)])
+    delay = ModelParams(effects={"actuation_delay": np.array([0.0075])})
+    models = (ModelParams(), ModelParams(deviation=all_late), delay)
+    on_time, late, delayed = (predictor.predict(params)[0] for params in models)
     assert np.abs(late - on_time).max() > 1.0
     np.testing.assert_allclose(late, delayed, rtol=0.0, atol=1e-3 * np.abs(late - on_time).max())
 
@@ -253,13 +233,11 @@ def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Pa
     """Open loop for 1 s from the commands: millimetres with the effects declared, far more without them."""
     result = flight_from_commands(tmp_path, delay=0.03, gain=1.0)
     robot = replace(POWERED, effects={"actuation_delay": {"delay": 0.03}, "battery_sag": {"gain": 1.0}})
-    errors = [
-        roll_out(robot, [result], params, horizons=(0.5, 1.0)) for params in (params_from_robot(robot), ModelParams())
-    ]
-    assert errors[0].driven_by == "commands"
-    position = [error.position for error in errors]
-    assert position[0].max() < 0.005
-    assert np.median(position[1][:, 1]) > 20.0 * np.median(position[0][:, 1])
+    models = params_from_robot(robot), ModelParams()
+    with_effects, without = (roll_out(robot, [result], params, horizons=(0.5, 1.0)) for params in models)
+    assert with_effects.driven_by == "commands"
+    assert with_effects.position.max() < 0.005
+    assert np.median(without.position[:, 1]) > 20.0 * np.median(with_effects.position[:, 1])
     result = replay_flights(robot, [result], bandwidth=10.0)
     rms = {c.name: r.value for c, r in zip(result.evaluation.channels, result.evaluation.residual, strict=True)}
     assert max(value for name, value in rms.items() if name.startswith("rotor_speed")) < 0.5
@@ -267,9 +245,8 @@ def test_a_robot_file_with_delay_and_battery_predicts_and_rolls_out(tmp_path: Pa
 
 def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: Path) -> None:
     result = replace(flight_from_commands(tmp_path, delay=0.03, gain=0.0), rotor_speed=None)
-    channels = find_channels([result])
-    assert "rotor_speed" not in {channel.kind for channel in channels}
-    predictor = Predictor(POWERED, [result], bandwidth=10.0, channels=channels, tolerances=Tolerances())
+    predictor = make_predictor([result], POWERED)
+    assert "rotor_speed" not in {channel.kind for channel in predictor.channels}
     left = [predictor.residuals(ModelParams(effects={"actuation_delay": np.array([d])}))[0] for d in (0.0, 0.03)]
     sizes = [np.sqrt((values[:, 2:5] ** 2).mean(axis=0)) for values in left]  # force z, angular acceleration x and y
     assert np.all(sizes[1] < 0.1 * sizes[0])
@@ -332,12 +309,10 @@ def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
     shifted = np.zeros(len(names))
     shifted[names.index("command_hold")] = 1.0 / Tolerances().command_hold
     params = params_from_robot(ROBOT)
-    errors = [
-        roll_out(ROBOT, [log], model, horizons=(0.5,)).velocity
-        for log, model in ((result, replace(params, deviation=shifted)), (early, params), (result, params))
-    ]
-    np.testing.assert_allclose(errors[0], errors[1], rtol=1e-9)
-    assert not np.allclose(errors[0], errors[2], rtol=1e-3)
+    cases = ((result, replace(params, deviation=shifted)), (early, params), (result, params))
+    deviated, moved, held = (roll_out(ROBOT, [log], model, horizons=(0.5,)).velocity for log, model in cases)
+    np.testing.assert_allclose(deviated, moved, rtol=1e-9)
+    assert not np.allclose(deviated, held, rtol=1e-3)
 
 
 def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
@@ -351,9 +326,8 @@ def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
     assert speed[65] == pytest.approx(1050.0, rel=1e-12)
     assert speed[90] == pytest.approx(1100.0 - 50.0 * np.exp(-0.25 / TAU_UP), rel=1e-12)
     assert speed[110] == pytest.approx(speed[100] - 50.0, rel=1e-12)
-    assert speed[150] == pytest.approx(
-        900.0 + 15.0 * np.exp(-(0.5 - (speed[100] - 915.0) / 500.0) / TAU_DOWN), rel=1e-12
-    )
+    down = 0.5 - (speed[100] - 915.0) / 500.0
+    assert speed[150] == pytest.approx(900.0 + 15.0 * np.exp(-down / TAU_DOWN), rel=1e-12)
     assert lacks("actuation_delay", replace(ROBOT, rotor=rotor), [driven]) is None
 
 
@@ -361,8 +335,7 @@ def test_commands_in_the_dead_band_stop_replayed_rotors(tmp_path: Path) -> None:
     """Below 1000 rad/s the command is no command: from 900 the rotors run down, and up again while it is 1100."""
     driven = step_flight(tmp_path, rate=100.0, seconds=2.0)
     rotor = replace(ROBOT.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN, dead_band=1000.0)
-    speed = replay_speeds(driven, build_model(vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64)))[
-        :, 0
-    ]
+    vehicle = vehicle_from_config(replace(ROBOT, rotor=rotor), num_envs=1, dtype=F64)
+    speed = replay_speeds(driven, build_model(vehicle))[:, 0]
     assert speed[40] == pytest.approx(900.0 * np.exp(-0.4 / TAU_DOWN), rel=1e-10)
     assert speed[99] > 1090.0

@@ -17,24 +17,17 @@ from aerial_gym.physics.rigid_body import (
     suspension_pull,
     with_fluid,
 )
-from aerial_gym.sim2real.logs.flights import Flight, complete_flight
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import lowpass, uniform_log
+from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.rows.band_response import InBand
 from aerial_gym.sim2real.predict.rows.batches import expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.rotor_estimate import estimate_rotors
-from tests.unit.sim2real.flat_flights import ROBOT, flight, write
+from tests.unit.sim2real.flat_flights import ROBOT, flight, uniform_flight
 
 BAND = 10.0
 WATER = {"added_mass": (0.3, 0.2, 0.4)}
-
-
-def load(folder: Path, number: int, **options: float) -> Flight:
-    path = write(flight(number, **options), folder / f"{number}.csv")
-    return complete_flight(uniform_log(read_flight_log(path)))
 
 
 @pytest.mark.parametrize(
@@ -59,7 +52,10 @@ def load(folder: Path, number: int, **options: float) -> Flight:
 )
 def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[float, ...]], tmp_path: Path) -> None:
     """Against the accelerations of all forces together in every row, low-passed: to rounding, 1e-11 of 10 m/s²."""
-    flights = [load(tmp_path, 3, seconds=4.0), load(tmp_path, 5, seconds=5.0, drag=0.2)]
+    flights = [
+        uniform_flight(flight(3, seconds=4.0), tmp_path, "3"),
+        uniform_flight(flight(5, seconds=5.0, drag=0.2), tmp_path, "5"),
+    ]
     rotors = estimate_rotors(ROBOT, flights, BAND)
     data = Dataset(flights, rotors=rotors, bandwidth=BAND, channels=find_channels(flights), every_row=False)
     count = data.speed.shape[0]
@@ -70,17 +66,15 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
     condition, link = condition_in(model, state, torch.zeros_like(data.speed)), None
     if model.effects[LoadEffect]:
         swing = torch.linspace(0.0, 6.0, count, dtype=torch.float64)
-        link = torch.stack(
-            [0.3 * swing.sin(), 0.0 * swing, -(1.0 - (0.3 * swing.sin()) ** 2).sqrt()] + [0.1 * swing] * 3, 1
-        )
+        x = 0.3 * swing.sin()
+        link = torch.stack([x, 0.0 * swing, -(1.0 - x**2).sqrt()] + [0.1 * swing] * 3, 1)
     whole = accelerations(model, state, load=link, condition=condition)
     acting = with_fluid(model, condition, force_breakdown(model, condition))
     if link is not None:
         alone = accelerations(replace(model, effects=model.effects.exclude(LoadEffect)), state, condition=condition)
         gravity = model.gravity * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-        suspension = origin_suspension(
-            model, state.attitude, quat_rotate(state.attitude, alone.specific_force) - gravity
-        )
+        free_fall = quat_rotate(state.attitude, alone.specific_force) - gravity
+        suspension = origin_suspension(model, state.attitude, free_fall)
         force, torque, _ = suspension_pull(model, state.attitude, suspension, link)
         pull = torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=1)
         acting.wrenches.append(("load", pull))
@@ -96,12 +90,8 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
     assert float(result.ang_acc.abs().max()) > 1.0
     if not model.effects[LoadEffect] and not model.effects[FluidEffect]:
         hubs = condition_at_origin(model, state, torch.zeros_like(data.speed))
-        apart = band.body_response(
-            model,
-            data.speed,
-            force_breakdown(model, condition, apart=True, hubs=hubs),
-            about=torch.zeros(3, dtype=torch.float64),
-        )
+        parts = force_breakdown(model, condition, apart=True, hubs=hubs)
+        apart = band.body_response(model, data.speed, parts, about=torch.zeros(3, dtype=torch.float64))
         torch.testing.assert_close(apart.specific_force, result.specific_force, rtol=0.0, atol=1e-10)
         torch.testing.assert_close(apart.ang_acc, result.ang_acc, rtol=0.0, atol=1e-10)
     again = band.body_response(model, data.speed.clone(), acting)

@@ -1,17 +1,17 @@
 """What an autopilot's answer to noise of the gyro does to a comparison of torques, on a loop integrated here."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import G, hover
 
 BAND, SECONDS, YAW = 10.0, 40.0, 5
@@ -44,37 +44,24 @@ def hold_heading(
             drift += -step * 2.0 * drift + 0.02 * np.sqrt(step) * rng.standard_normal()
             moved += step * (wish - moved) / LAG
             turn += step * (per_speed * moved + drift)
-    still = hover("hover", 5.0)
+    still, zeros = hover("hover", 5.0), np.zeros((rows, 3))
     tiled = {name: np.tile(getattr(still, name)[0], (rows, 1)) for name in ("position", "attitude", "specific_force")}
-    logged = {"rotor_command": command} if told else {"rotor_speed": speed}
-    return hover(
-        "hover",
-        5.0,
-        **(
-            tiled
-            | {"rotor_speed": None, "lin_vel": np.zeros((rows, 3)), "ang_vel": read}
-            | {"rate": rate, "time": np.arange(rows) / rate}
-            | logged
-        ),
-    )
-
-
-def make_predictor(flight: Flight) -> Predictor:
-    return Predictor(ROBOT, [flight], bandwidth=BAND, channels=find_channels([flight]), tolerances=Tolerances())
+    logged = {"rotor_command": command, "rotor_speed": None} if told else {"rotor_speed": speed}
+    time = np.arange(rows) / rate
+    return replace(still, rate=rate, time=time, lin_vel=zeros, ang_vel=read, **tiled, **logged)
 
 
 def torque_std(flight: Flight) -> Array:
     """Return one standard deviation of the seeming torque, (3,)."""
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
-    return torque_gain_uncertainty(flight, vehicle, make_predictor(flight).predict(ModelParams())[0][:, 3:6], BAND)
+    return torque_gain_uncertainty(flight, vehicle, make_predictor([flight]).predict(ModelParams())[0][:, 3:6], BAND)
 
 
 def seems_larger(flight: Flight) -> float:
     """Return the relative excess of the measured yaw over the predicted one: their regression slope less 1."""
-    predictor = make_predictor(flight)
-    expected, measured = (
-        rows[0][:, YAW] - rows[0][:, YAW].mean() for rows in (predictor.predict(ModelParams()), predictor.measured)
-    )
+    predictor = make_predictor([flight])
+    tables = predictor.predict(ModelParams()), predictor.measured
+    expected, measured = (rows[0][:, YAW] - rows[0][:, YAW].mean() for rows in tables)
     return float(measured @ expected / (expected @ expected)) - 1.0
 
 
@@ -103,15 +90,12 @@ def test_a_slow_log_cannot_tell() -> None:
 
 def test_a_deviation_adds_a_share_of_the_torque() -> None:
     flight = hold_heading()
-    predictor, share = make_predictor(flight), torque_std(flight)[2]
+    predictor, share = make_predictor([flight]), torque_std(flight)[2]
     names = Tolerances().names(4)
     base = predictor.predict(ModelParams())[0]
+    deviation = 1.5 * np.eye(len(names))[names.index("answered_noise_z")]
     for effects in ({}, {"torque_ratio": np.array([1.5])}):
-        changed = (
-            predictor.predict(
-                ModelParams(effects=effects, deviation=1.5 * np.eye(len(names))[names.index("answered_noise_z")])
-            )[0]
-            - predictor.predict(ModelParams(effects=effects))[0]
-        )
+        params = ModelParams(effects=effects)
+        changed = predictor.predict(replace(params, deviation=deviation))[0] - predictor.predict(params)[0]
         np.testing.assert_allclose(changed[:, YAW], 1.5 * share * (base[:, YAW] - base[:, YAW].mean()), atol=1e-9)
         np.testing.assert_array_equal(np.delete(changed, YAW, axis=1), 0.0)

@@ -7,12 +7,10 @@ import pytest
 
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rows.rotor_estimate import _modes, _share_of_motion, as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
-from tests.unit.sim2real.flat_flights import ROBOT
+from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import hover
 
 NOISE, RATE, SECONDS, BAND = 3.0, 200.0, 60.0, 10.0
@@ -148,14 +146,12 @@ def test_the_share_of_motion_is_as_sure_as_it_says() -> None:
 def test_rotors_that_moved_more_than_expected_are_a_deviation_like_any_other() -> None:
     """One standard deviation in the mode of roll or yaw adds what is unsure of it to that torque, half of one half."""
     flight, _ = pitch_flight(0.6)
-    predictor = Predictor(ROBOT, [flight], bandwidth=BAND, channels=find_channels([flight]), tolerances=Tolerances())
+    predictor = make_predictor([flight])
     names = Tolerances().names(4)
     base = predictor.predict(ModelParams())[0]
     place = {"rotor_motion_2": 3, "rotor_motion_4": 5}
     for name, channel in place.items():
-        one, half = (
-            predictor.predict(ModelParams(deviation=size * np.eye(len(names))[names.index(name)]))[0] - base
-            for size in (1.0, 0.5)
-        )
+        unit = np.eye(len(names))[names.index(name)]
+        one, half = (predictor.predict(ModelParams(deviation=size * unit))[0] - base for size in (1.0, 0.5))
         assert np.abs(one[:, channel]).max() > 0.0
         np.testing.assert_allclose(half[:, channel], 0.5 * one[:, channel], atol=0.01 * np.abs(one[:, channel]).max())
