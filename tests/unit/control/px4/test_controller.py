@@ -16,7 +16,7 @@ from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.loader import build
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, make_controller
-from aerial_gym.control.allocation import Allocation
+from aerial_gym.control.allocation import Allocation, allocation_matrix
 from aerial_gym.control.filters.biquad import apply_filter, butterworth, notch
 from aerial_gym.control.px4.controller import Px4Controller
 from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
@@ -145,6 +145,46 @@ def test_notches_act_on_the_body_rates_before_the_low_pass() -> None:
             commands.append(command[0])
         end.append(float(torch.stack(commands[-100:]).std(0).max() / command.mean()))
     assert max(end[:2]) < 1e-6 * end[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "px4", "axis", "proportional", "derivative", "unit"),
+    [
+        ("px4_rate_control", Px4Cfg(MC_YAW_TQ_CUTOFF=20.0, MC_YAWRATE_P=0.2, MC_YAWRATE_I=0.0), 5, 0.2, 0.0, 2.0),
+        (
+            "px4_rate_control",
+            Px4Cfg(IMU_DGYRO_CUTOFF=20.0, MC_ROLLRATE_P=0.1, MC_ROLLRATE_I=0.0, MC_ROLLRATE_D=0.01),
+            3, 0.1, 0.01, 80.0 * 0.174 * sqrt(0.5),
+        ),
+        (
+            "px4_velocity_control",
+            Px4Cfg(MPC_VELD_LP=20.0, MPC_Z_VEL_P_ACC=4.0, MPC_Z_VEL_I_ACC=0.0, MPC_Z_VEL_D_ACC=0.2),
+            2, 4.0, 0.2, X500.body.mass,
+        ),
+    ],
+)  # fmt: skip
+def test_first_order_low_passes_leave_the_same_share_of_a_gap_every_run(
+    name: str, px4: Px4Cfg, axis: int, proportional: float, derivative: float, unit: float
+) -> None:
+    """Backward Euler of ``y' = (x - y) / T``: a share ``q = 1 / (1 + dt / T)`` of the gap remains, ``T = 1 / (2 pi f)``.
+
+    The yaw torque answers a step; roll and climb speed grow evenly, so that their filtered derivative is a step.
+    """
+    law, dt, slope = make_law(name, px4=px4), 0.002, 0.5
+    q = 1.0 / (1.0 + 2.0 * pi * 20.0 * dt)
+    state, action = state_at_rest(1, 4, device=CPU, dtype=F64), torch.zeros(1, 4, dtype=F64)
+    action[0, 3] = 0.05 if axis == 5 else 0.0
+    memory = fresh_law_memory(law.needs, 1, state.position)
+    matrix, weight = allocation_matrix(law.allocation.vehicle, 9.81)[0], X500.body.mass * 9.81
+    for k in range(20):
+        speed = slope * k * dt
+        state.ang_vel[0, 0], state.lin_vel[0, 2] = (speed, 0.0) if axis == 3 else (0.0, speed if axis == 2 else 0.0)
+        command, memory = law.command(state, action, memory)
+        expected = -proportional * speed - derivative * slope * (1.0 - q**k)
+        if axis == 5:
+            expected = proportional * 0.05 * (1.0 - q ** (k + 1))
+        wrench = matrix @ (X500.rotor.thrust_map[2] * command[0].square())
+        assert float(wrench[axis]) - (weight if axis == 2 else 0.0) == pytest.approx(unit * expected, abs=1e-9)
 
 
 def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
