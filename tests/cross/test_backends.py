@@ -61,7 +61,6 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
 
 
 def random_actions(controller, model: Model, num_envs: int) -> Tensor:
-    """Return commands that a vehicle near hover could be given."""
     g = torch.Generator().manual_seed(3)
     draw = torch.rand(num_envs, len(controller.action_names), dtype=torch.float64, generator=g)
     first = controller.action_names[0]
@@ -97,11 +96,9 @@ def fly(
     steps=STEPS,
     nudges=(0,),
 ) -> list[BodyState]:
-    """Return the state after every step; with ``follow`` each step starts from the state before it there.
-
-    The batch flies once for each of ``nudges``, one below the other: a nudge above 0 moves the start, and what is followed, by
-    a unit in the last place at most, each number another way.
-    """
+    """Return the state after every step; with ``follow`` each step starts from the state before it there. The batch flies
+    once for each of ``nudges``, one below the other: a nudge above 0 moves the start, and what is followed, by a unit in the
+    last place at most, each number another way."""
     copies = len(nudges)
     model, law = build(robot, controller, num_envs, dtype, effects, adjust, copies)
     random = Randomness(copies * num_envs)
@@ -118,7 +115,6 @@ def fly(
 
 
 def perturb(state: BodyState, nudges: Sequence[int]) -> BodyState:
-    """Return the states moved by each nudge, one below the other."""
     parts: dict[str, list[Tensor]] = {name: [] for name in vars(state)}
     for nudge in nudges:
         g = torch.Generator().manual_seed(nudge)
@@ -195,7 +191,6 @@ def test_every_robot_flies_like_torch(robot: str) -> None:
 
 @pytest.mark.parametrize("law", ["position", "velocity", "acceleration", "attitude"])
 def test_commands_beyond_the_limits_are_limited_like_torch(law: str) -> None:
-    """Ten times larger commands: yaw rate, inclination and the least upward force are at their limits."""
     controller = CONTROLLERS.get(f"lee_{law}_control")
     assert_same_flight(ROBOTS.get("tinyprop"), controller, "euler", steps_alone=True, size=20.0)
 
@@ -281,7 +276,6 @@ sensors or logs have (``imu_*``, ``rotor_speed_scale``) moves no state."""
     ids="+".join,
 )
 def test_every_effect_flies_like_torch(effects: tuple[str, ...]) -> None:
-    """With drag, which shows wind."""
     robot, steps = asymmetric_robot(), LONG if "joint_creep" in effects else STEPS
     together = tuple(dict.fromkeys((*effects, "rotor_drag")))
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "rk4", effects=together, steps=steps)
@@ -352,7 +346,6 @@ def test_gains_of_each_environment_are_read() -> None:
 
 @pytest.mark.usefixtures("optimise_kernels")
 def test_an_environment_does_not_depend_on_its_batch() -> None:
-    """Row i of a batch is bit for bit what it is alone, and what it is when the batch is split over threads."""
     robot, controller = asymmetric_robot(), CONTROLLERS.get("rotor_speed_control")
     threads = torch.get_num_threads()
     ends = {}
@@ -379,7 +372,6 @@ def test_an_environment_does_not_depend_on_its_batch() -> None:
 
 @pytest.mark.parametrize("change", ["shared mass", "mass per environment", "centre of mass", "effect in place"])
 def test_changed_parameters_are_taken(change: str) -> None:
-    """Parameters changed after the first step act from the next on, whether they were shared before and are shared now."""
     robot, controller = ROBOTS.get("tinyprop"), CONTROLLERS.get("rotor_speed_control")
     results = []
     for backend in (TorchBackend(), WarpBackend()):
@@ -411,8 +403,6 @@ def vehicle_with_mass(model: Model, factor: float) -> Tensor:
 
 
 class TorchLaw:
-    """A control law without Warp code."""
-
     action_names = ("nothing",)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:

@@ -93,7 +93,6 @@ def test_with_a_learned_residual() -> None:
 
 
 def test_with_added_mass_under_euler() -> None:
-    """That step has code of its own."""
     effects = ("added_mass", "added_inertia", "slung_payload")
     assert_rows_alike(asymmetric_robot(), "no_control", torch.float32, effects=effects, integrator="euler")
 

@@ -116,11 +116,8 @@ def test_the_simulator_that_counts_motors_twice_doubles_the_inertia() -> None:
 
 
 def test_base_random_is_the_sum_of_its_motors_about_its_origin() -> None:
-    """A base of 0.225 kg and motors of 3.125 g, all points, moments about the origin; to 1e-6 of the largest.
-
-    Its centre of mass is declared there as well, where the published allocation takes its moments: that of the parts is 23 mm
-    away.
-    """
+    """A base of 0.225 kg and motors of 3.125 g, all points, moments about the origin; to 1e-6 of the largest. Its centre of
+    mass is declared there as well, where the published allocation takes its moments: that of the parts is 23 mm away."""
     robot = ROBOTS.get("base_random")
     motors = [(0.003125, mount.position, (0.0, 0.0, 0.0)) for mount in robot.mounts.layout]
     mass, com, inertia = composite([base(0.225, 0.0, 0.0, 0.0), *motors])

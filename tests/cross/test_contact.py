@@ -27,11 +27,9 @@ def low_starts(count: int, dtype: torch.dtype) -> BodyState:
 @pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_one_step_on_the_ground_is_that_of_torch(integrator: str, request: pytest.FixtureRequest) -> None:
     """Fused kernel and scene (a plane) against float64 torch: 64 vehicles with an offset centre of mass, one step of 10 ms.
-
-    Float32 with the penalty R loses about ``PENALTY`` of 1e-7; a branch on the very edge may fall to the other side. The ground
-    is tested at the poses, a scene also along the step and from a distance of ``NEAR`` on. What it flags beside is flagged by
-    ground in steps of 0.1 ms, here a foot that leaves the ground, or by ground with feet larger by ``NEAR``.
-    """
+    Float32 with the penalty R loses about ``PENALTY`` of 1e-7; a branch on the very edge may fall to the other side. The
+    ground is tested at the poses, a scene also along the step and from a distance of ``NEAR`` on. What it flags beside is
+    flagged by ground in steps of 0.1 ms, here a foot that leaves the ground, or by ground with feet larger by ``NEAR``."""
     if integrator == "rk4":
         request.getfixturevalue("optimise_kernels")
     count, robot = 64, asymmetric_robot()
@@ -72,11 +70,9 @@ def test_one_step_on_the_ground_is_that_of_torch(integrator: str, request: pytes
 
 
 def test_landing_and_sliding_agree_with_mujoco() -> None:
-    """A ball that comes down at an angle, and feet that slide: where and how they end, 0.5 s later.
-
-    Both engines have other compliances of about 1 mm and 10 ms, over which the paths may differ: 1 % of the path, 3 % of
-    the speed before rolling sets in.
-    """
+    """A ball that comes down at an angle, and feet that slide: where and how they end, 0.5 s later. Both engines have other
+    compliances of about 1 mm and 10 ms, over which the paths may differ: 1 % of the path, 3 % of the speed before rolling
+    sets in."""
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
     level = tuple((x, y, r, r) for x, y, _, r in FEET)
     for spheres, height in ((BALL, 0.15), (level, 0.0)):

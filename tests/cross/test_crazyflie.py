@@ -35,9 +35,7 @@ def test_lee_is_the_firmwares_wherever_thrust_is_along_the_body(vectors: dict[st
 
 def test_lee_with_integrals_is_the_firmwares(vectors: dict[str, Tensor]) -> None:
     """Ten steps of a thousand runs; the few are left out whose thrust was ever below a centinewton, as it levels off there.
-
-    Without either integral they do not agree.
-    """
+    Without either integral they do not agree."""
     actual, reference = lee_integral_pair(vectors)
     lifts = (reference[..., 0] > 1e-2).all(0)
     torch.testing.assert_close(actual[:, lifts, 0], reference[:, lifts, 0], atol=1e-6, rtol=0)

@@ -36,7 +36,6 @@ NUM_ENVS, STEPS = 32, 50
 
 
 def snake(name: str) -> RobotCfg:
-    """Return a registered snake with dry friction in every other joint."""
     robot = ROBOTS.get(name)
     assert robot.joints is not None
     layout = tuple(
@@ -89,8 +88,6 @@ def _rows(matrix: np.ndarray) -> tuple[Vec3, Vec3, Vec3]:
 
 
 class RobotFlight:
-    """A robot on one backend."""
-
     def __init__(self, robot: RobotCfg, backend: TorchBackend | WarpBackend, dtype: torch.dtype) -> None:
         self.vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
         bends = build_articulation(robot, like=self.vehicle.mass)
@@ -100,7 +97,6 @@ class RobotFlight:
         backend.allocate(build_model(self.vehicle, [], articulation=bends), law, integrator="euler")
 
     def step(self, start: ArticulatedState, action: Tensor) -> ArticulatedState:
-        """Return the state after one step, in float64."""
         state = ArticulatedState(**{name: rows.clone().to(self.dtype) for name, rows in vars(start).items()})
         self.backend.step(state, action.to(self.dtype), DT, 1)
         return ArticulatedState(**{name: rows.double() for name, rows in vars(state).items()})

@@ -64,7 +64,6 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     [("lee_velocity_control", "euler"), pytest.param("rotor_speed_control", "rk4", marks=pytest.mark.slow)],
 )
 def test_gradients_agree_with_torch(controller: str, integrator: str) -> None:
-    """For the action, every tensor of the initial state, mass, inertia and the parameters of every effect."""
     exact = gradients(TorchBackend(), torch.float64, controller, integrator)
     single = gradients(TorchBackend(), torch.float32, controller, integrator)
     taped = gradients(WarpBackend(differentiable=True), torch.float32, controller, integrator)

@@ -42,7 +42,6 @@ def test_an_sdf_weighs_what_the_engine_says_of_its_parts(name: str, write, tmp_p
 
 @pytest.mark.parametrize("name", rare_values(["x500", "iris", "x2", "cf2"], ["x500", "iris", "x2"]))
 def test_an_imported_robot_holds_its_place(name: str, tmp_path: Path) -> None:
-    """From 16 drawn starts to within 2 cm in 10 s, and within 2 % of a step of a metre."""
     path = tmp_path / f"{name}.xml"
     if name in ("x2", "cf2"):
         path.write_text({"x2": X2, "cf2": CF2}[name], encoding="utf-8")

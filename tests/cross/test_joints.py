@@ -39,7 +39,6 @@ NUM_ENVS, DT, SUBSTEPS, STEPS = 24, 0.002, 5, 10
 
 
 def odd_tree() -> RobotCfg:
-    """A robot that has everything: a slide, a bent chain, two joints on one link, each kind of drive, a base that is held."""
     lump = ((4e-5, 1e-6, 0.0), (1e-6, 5e-5, 2e-6), (0.0, 2e-6, 6e-5))
     robot = ROBOTS.get("base_quadrotor")
     ends = EndsCfg(low=-0.2, high=0.3, stiffness=3.0, damping=0.02)
@@ -95,7 +94,6 @@ def ground_effect_tree(radius: float = 0.4) -> RobotCfg:
 
 
 def heavier(vehicle: Vehicle) -> Vehicle:
-    """Environments that differ, as after a reset that draws."""
     scale = 1.0 + 0.2 * torch.linspace(0.0, 1.0, NUM_ENVS, dtype=vehicle.mass.dtype)
     scale = scale.repeat(vehicle.num_envs // NUM_ENVS)
     com = vehicle.com + 0.002 * scale.unsqueeze(-1)
@@ -209,7 +207,6 @@ def test_a_differentiable_fused_rollout_moves_no_joints() -> None:
 
 
 def test_an_environment_of_bending_robots_among_obstacles_sees_the_ground_and_ends_there() -> None:
-    """Morphy without thrust falls from between obstacles to the ground; sensors and collision test run on."""
     env = simulation(
         replace(ROBOTS.get("morphy"), sensors=("coarse_depth_camera", "base_imu")),
         sim="base_sim_2ms",

@@ -204,7 +204,6 @@ def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows
 
 
 def perturb(start: Start, bound: Bound) -> Start:
-    """Return the same with rates that are off by the bound of a step, in a direction drawn at random; float64."""
     gen = torch.Generator().manual_seed(12)
     aside = torch.randn(bound.scale.shape, dtype=torch.float64, generator=gen)
     aside = bound.largest.unsqueeze(1) * torch.nn.functional.normalize(aside, dim=1) / bound.scale

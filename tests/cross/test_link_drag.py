@@ -98,10 +98,8 @@ def fly(
 
 @pytest.mark.parametrize("case", frequent_values(CASES, ("on a stand",)))
 def test_the_fused_step_with_drag_is_that_of_the_reference(case: str) -> None:
-    """A star of universal joints, a chain, a stand, and a tree that has everything; drag is seen in all that moves.
-
-    A tree flies with it always among the effects at hubs of ``test_joints``.
-    """
+    """A star of universal joints, a chain, a stand, and a tree that has everything; drag is seen in all that moves. A tree
+    flies with it always among the effects at hubs of ``test_joints``."""
     name, drag, remaining = CASES[case]
     robot = with_drag(name, drag)
     exact = fly(TorchBackend(), robot, remaining, torch.float64)
@@ -118,7 +116,6 @@ def test_the_fused_step_with_drag_is_that_of_the_reference(case: str) -> None:
 
 
 def test_each_environment_flies_as_it_does_alone() -> None:
-    """Of a batch of 8 and the first two of it, bit for bit, with numbers of their own."""
     name, drag, remaining = CASES["on a stand"]
     robot, ends = with_drag(name, drag), []
     for count in (8, 2):

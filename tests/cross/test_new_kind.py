@@ -27,8 +27,6 @@ TAU, G = 0.5, 9.81
 
 
 class DuctEffect(RotorEffect, WrenchEffect):
-    """A kind with two hooks: it multiplies thrust, and pushes forward by a rotor speed that it remembers with a lag."""
-
     acts_on = "rotor"
     single = "duct"
     memory = (0.0,)
@@ -73,8 +71,6 @@ class DuctEffect(RotorEffect, WrenchEffect):
 
 
 class Duct(DuctEffect):
-    """An effect of this kind."""
-
     name = "duct_of_this_test"
     summary = "a duct around the rotors"
     parameters = (

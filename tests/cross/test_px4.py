@@ -34,21 +34,17 @@ def test_rate_control_is_px4s(vectors: dict[str, Tensor]) -> None:
 
 
 def test_the_mixer_is_px4s() -> None:
-    """All three airmodes, quadrotors and six motors with random parts; four in five commands are beyond the limits.
-
-    A step along a column is a quotient by a part of at least 0.2, and there are at most six: 8 roundings of numbers up to 5.
-    """
+    """All three airmodes, quadrotors and six motors with random parts; four in five commands are beyond the limits. A step
+    along a column is a quotient by a part of at least 0.2, and there are at most six: 8 roundings of numbers up to 5."""
     actual, reference = mixer_pair()
     assert actual.shape == (10_000, 6)
     assert float((actual - reference).abs().max()) <= 8 * EPS * 5.0
 
 
 def test_attitude_control_is_px4s(vectors: dict[str, Tensor]) -> None:
-    """From any attitude to any other.
-
-    Rounding grows where the turn is ill-conditioned: between opposite tilts by the length n of half the turn between them, and
-    where the heading error w, z nears 0 or 180 degrees, as PX4 takes arc cosine and arc sine, which lose digits there.
-    """
+    """From any attitude to any other. Rounding grows where the turn is ill-conditioned: between opposite tilts by the length
+    n of half the turn between them, and where the heading error w, z nears 0 or 180 degrees, as PX4 takes arc cosine and arc
+    sine, which lose digits there."""
     attitude, wanted, _, gain, weight, _ = attitude_cases()
     actual, reference = attitude_pair(vectors)
     up, goal = (quat_rotate(q, q.new_tensor((0.0, 0.0, 1.0)).expand(len(q), 3)) for q in (attitude, wanted))

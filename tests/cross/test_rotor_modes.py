@@ -91,7 +91,6 @@ def test_effects_on_reversible_rotors_fly_like_torch() -> None:
 
 
 def test_gradients_of_mixed_rotors_are_those_of_torch() -> None:
-    """Of a generic function after some substeps, with respect to action, start and slew rates."""
     grads = []
     for backend, dtype in ((TorchBackend(), torch.float64), (WarpBackend(differentiable=True), torch.float32)):
         model, declared = make_model(three_type_robot(), dtype, vary=False, effects=())

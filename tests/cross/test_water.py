@@ -33,7 +33,6 @@ def test_a_hull_moves_like_torch(integrator: str, effects: tuple[str, ...]) -> N
 
 
 def test_a_vehicle_in_water_moves_like_torch() -> None:
-    """With reversible rotors in force mode."""
     assert_same_flight(ROBOTS.get("base_octarotor"), CONTROLLERS.get("no_control"), "euler", effects=WATER)
 
 

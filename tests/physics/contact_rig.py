@@ -37,15 +37,12 @@ CPU = torch.device("cpu")
 
 
 def make_robot(*, com: tuple[float, float, float] = (0.0, 0.0, 0.0), inertia: Sequence[float] = INERTIA):
-    """Return a robot of ``MASS`` with principal moments [kg m²]; lift needs rotors that turn."""
     ix, iy, iz = inertia
     body = BodyCfg(mass=MASS, inertia=((ix, 0.0, 0.0), (0.0, iy, 0.0), (0.0, 0.0, iz)), com=com, source="test")
     return replace(asymmetric_robot(), body=body)
 
 
 class GroundRig:
-    """A batch over a ground at z = 0."""
-
     def __init__(
         self,
         backend: TorchBackend | WarpBackend,
@@ -57,7 +54,6 @@ class GroundRig:
         integrator: str = "euler",
         gravity: float = GRAVITY,
     ) -> None:
-        """Take the state that is advanced in place."""
         num_envs, dtype = state.num_envs, state.position.dtype
         vehicle = vehicle_from_config(robot or make_robot(), num_envs=num_envs, dtype=dtype)
         self.backend, self.state = backend, state
@@ -71,13 +67,10 @@ class GroundRig:
         self._still = torch.zeros(num_envs, 4, dtype=dtype)
 
     def run(self, span: float, dt: float) -> None:
-        """Advance by ``span`` [s] in one call."""
         self.backend.step(self.state, self._still, dt, round(span / dt))
 
 
 class ObstacleRig:
-    """A batch among obstacles; each environment has the same shapes at poses of its own."""
-
     def __init__(
         self,
         shapes: Sequence[ShapeCfg],
@@ -94,10 +87,8 @@ class ObstacleRig:
         backend: TorchBackend | WarpBackend | None = None,
         moves: bool = True,
     ) -> None:
-        """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place.
-
-        The robot has spheres, or the shapes of ``body``. Obstacles keep their twists, unless nothing ``moves``.
-        """
+        """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place. The robot has
+        spheres, or the shapes of ``body``. Obstacles keep their twists, unless nothing ``moves``."""
         num_envs, rows = state.num_envs, torch.arange(len(shapes))
         vehicle = vehicle_from_config(robot or make_robot(), num_envs=num_envs)
         self.state, self.dt, self.asset_state = state, dt, asset_state
@@ -126,7 +117,6 @@ class ObstacleRig:
         self._still = torch.zeros(num_envs, 4)
 
     def run(self, span: float) -> None:
-        """Advance robots, and obstacles along their twists, by ``span`` [s] in one call."""
         self.backend.step(self.state, self._still, self.dt, round(span / self.dt))
 
 
@@ -160,7 +150,6 @@ def start(num_envs: int = 1, *, height: float = 0.0, dtype: torch.dtype = torch.
 def obstacle(
     num_envs: int, *, position=(0.0, 0.0, 0.0), attitude=(0.0, 0.0, 0.0, 1.0), lin_vel=(0.0,) * 3, ang_vel=(0.0,) * 3
 ) -> Tensor:
-    """Return pose and velocity of one obstacle in every environment, (E, 1, 13)."""
     parts = [
         torch.as_tensor(p, dtype=torch.float32).expand(num_envs, -1) for p in (position, attitude, lin_vel, ang_vel)
     ]

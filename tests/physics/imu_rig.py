@@ -102,10 +102,8 @@ def spin_about_z(rig: ImuRig, samples: int, rate: float, growth: float) -> list[
 
 def wobble(t: Tensor, r: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return attitude, velocity, angular velocity and the specific force at r of a smooth motion at times t (E,), float64.
-
-    The body turns about a fixed, tilted axis n by ``theta = 3 t + sin(4 t)``, its origin moves as ``v = (sin 5t, cos 3t, t²)``.
-    Closed form: ``f = R^T (a_o + g z) + theta'' n x r + theta'² n x (n x r)``.
-    """
+    The body turns about a fixed, tilted axis n by ``theta = 3 t + sin(4 t)``, its origin moves as
+    ``v = (sin 5t, cos 3t, t²)``. Closed form: ``f = R^T (a_o + g z) + theta'' n x r + theta'² n x (n x r)``."""
     t = t.double().unsqueeze(-1)
     n = torch.tensor([2.0, -1.0, 2.0], dtype=torch.float64).expand(len(t), 3) / 3.0
     start = quat_from_euler(torch.tensor([0.4, -0.6, 1.1], dtype=torch.float64)).expand(len(t), 4)

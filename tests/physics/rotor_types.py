@@ -42,12 +42,10 @@ FORCE = RotorCfg(
 
 
 def with_rotor(robot: RobotCfg, rotor: RotorCfg) -> RobotCfg:
-    """Return the robot with one rotor type for all mounts."""
     return replace(robot, rotor=rotor)
 
 
 def three_type_robot() -> RobotCfg:
-    """Return a lopsided quadrotor with two reversible rotors, one plain one and one in force mode."""
     robot = asymmetric_robot()
     names = ("reversible", "plain", "force", "reversible")
     layout: tuple[MountCfg, ...] = tuple(

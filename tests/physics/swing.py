@@ -19,7 +19,6 @@ MASS, LENGTH, DAMPING = 0, 1, 2
 def fly_remembering(
     model: Model, memory: Memory, state: BodyState, commands: list[Tensor], dt: float, integrator: str = "rk4"
 ) -> tuple[BodyState, Memory]:
-    """Return state and memory after one substep of each rotor command (E, R)."""
     for command in commands:
         now, followed, memory = begin_substep(model, memory, state.rotor_speed, command, dt)
         after = INTEGRATORS[integrator](now, to_mass_state(model, state, load_state(model, memory)), followed, dt)
@@ -30,14 +29,12 @@ def fly_remembering(
 def fly_load(
     model: Model, state: BodyState, load: Tensor, span: float, steps: int, integrator: str = "rk4"
 ) -> tuple[BodyState, Tensor]:
-    """Return state and load (E, 6) after a span [s] with the rotors at their speeds."""
     memory = replace(make_memory(model, span / steps), numbers=load)
     end, memory = fly_remembering(model, memory, state, [state.rotor_speed] * steps, span / steps, integrator)
     return end, load_state(model, memory)
 
 
 def momentum_energy(model: Model, state: BodyState, load: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return momentum (E, 3), angular momentum about the world origin (E, 3) and energy (E,) of vehicle and payload."""
     vehicle, params = model.vehicle, model.effects[LoadEffect][0][1]
     mass, hung, length = vehicle.mass[:, None], params[:, MASS, None], params[:, LENGTH, None]
     com: MassState = to_mass_state(model, state)

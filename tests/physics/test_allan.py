@@ -49,10 +49,8 @@ def test_white_noise_and_random_walk_give_their_closed_forms() -> None:
 
 @pytest.mark.parametrize(("name", "dt"), [pytest.param("vn100", 10.0, marks=pytest.mark.slow), ("bmi088", 2.0)])
 def test_simulated_imus_have_the_configured_densities(name: str, dt: float) -> None:
-    """N² and K², fitted to the Allan variance of each of 128 sensors, are those of the file on average.
-
-    The rate is such that the record spans the time at which both lines meet, 4 s to 40 min.
-    """
+    """N² and K², fitted to the Allan variance of each of 128 sensors, are those of the file on average. The rate is such
+    that the record spans the time at which both lines meet, 4 s to 40 min."""
     cfg = IMUS.get(name)
     tau, deviation = allan_deviation(record_at_rest(cfg, num_sensors=128, num_samples=4096, dt=dt, seed=7), dt)
     densities = [(*cfg.accel_noise_density, *cfg.gyro_noise_density), (*cfg.accel_bias_walk, *cfg.gyro_bias_walk)]

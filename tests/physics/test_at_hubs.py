@@ -18,7 +18,6 @@ OF_CENTRE = ["rotor_drag", "quadratic_drag", "downwash"]
 
 
 def evaluate_effect(effect: Effect, condition: Condition) -> Tensor:
-    """Return thrusts (E, R) or wrench (E, 6) of an effect with generic parameters and memory."""
     generator = torch.Generator().manual_seed(3)
     scales = torch.tensor([parameter.scale for parameter in effect.parameters], dtype=F64)
     shares = 0.5 + torch.rand(scales.numel() + len(effect.fresh_memory(4)), generator=generator, dtype=F64)

@@ -118,7 +118,6 @@ def test_a_windmill_is_that_of_momentum_theory(descent: float) -> None:
 
 @pytest.mark.parametrize("ratio", [-0.3, -0.9, -1.5, -1.9])
 def test_in_the_vortex_ring_the_inflow_is_the_measured_one(ratio: float) -> None:
-    """The climb rate at which x has a value: of ``2 v² + s a / 4 (x + p) v - s a Theta / 2 = 0`` the positive root v."""
     k1, k2, k3, k4 = DESCENT_FIT
     whole = ratio + 1.0 + k1 * ratio + k2 * ratio**2 + k3 * ratio**3 + k4 * ratio**4
     linear = 0.25 * LIFT * whole
@@ -181,12 +180,10 @@ def test_sideways_flow_is_glauerts() -> None:
 
 
 def integrate_blade(inflow: float, mu: float, *, lock: float, stiffness: float, harmonics: int) -> np.ndarray:
-    """Return thrust, force against the motion and to the side of 90 degrees azimuth, torque, and the means of spring moments.
-
-    Integrals of blade elements over radius (Gauss) and azimuth. Flapping, ``b'' + (1 + k) b = lock / 2 M``, is linear in b: it
-    is solved at 32 azimuths for some harmonics (Galerkin), and for coning where these are more than one. The profile drag is
-    that of the torque map; ``stiffness`` is k.
-    """
+    """Return thrust, force against the motion and to the side of 90 degrees azimuth, torque, and the means of spring
+    moments. Integrals of blade elements over radius (Gauss) and azimuth. Flapping, ``b'' + (1 + k) b = lock / 2 M``, is
+    linear in b: it is solved at 32 azimuths for some harmonics (Galerkin), and for coning where these are more than one. The
+    profile drag is that of the torque map; ``stiffness`` is k."""
     count = 32
     azimuth = 2.0 * pi * np.arange(count) / count
     nodes, weights = np.polynomial.legendre.leggauss(8)
@@ -224,11 +221,9 @@ def integrate_blade(inflow: float, mu: float, *, lock: float, stiffness: float, 
 def test_forces_are_those_of_an_integration_over_radius_and_azimuth(
     mu: float, climb: float, flap: float, lock: float
 ) -> None:
-    """At the inflow that gives the thrust, which in level flight is Glauert's.
-
-    Flapping of one harmonic: exact. Coning and the other harmonics, which are left out, change no force of blades with the Lock
-    number of a plastic propeller by more than 0.5 % of the thrust.
-    """
+    """At the inflow that gives the thrust, which in level flight is Glauert's. Flapping of one harmonic: exact. Coning and
+    the other harmonics, which are left out, change no force of blades with the Lock number of a plastic propeller by more
+    than 0.5 % of the thrust."""
     result = loads([mu, 0.0, climb], flap_frequency=flap, lock=lock)
     for harmonics in (1, 12) if lock < 1.0 else (1,):
         at = {"mu": mu, "lock": lock, "stiffness": (flap / SPEED) ** 2, "harmonics": harmonics}
@@ -266,15 +261,12 @@ def test_a_hinged_rotor_leans_back_and_a_stiff_one_rolls() -> None:
 
 @dataclass(frozen=True)
 class Propeller:
-    """A propeller of the UIUC database: thrust coefficients ``T / (rho n² D⁴)`` at rest and at advance ratios ``V / (n D)``."""
-
     solidity: float  # Of the chord at 3/4 of the radius: blades times c / (pi R)
     static: float  # Mean over the speeds of the static test
 
     tunnel: tuple[tuple[float, float], ...]
 
     def errors(self, slope: float, *, static: float | None = None) -> np.ndarray:
-        """Return predicted less measured loss of static thrust [percentage points] at each advance ratio."""
         static = static or self.static
         thrust = static * 4.0 / pi**3  # in the unit of the rotor
         result = [
@@ -328,7 +320,6 @@ def errors_at_speed(name: str, slope: float) -> np.ndarray:
 
 @pytest.mark.parametrize("third", PROPELLERS)
 def test_beside_static_thrust_at_the_same_speed_each_is_predicted_by_the_others(third: str) -> None:
-    """Within 10 points of the loss, whichever is the third."""
     remaining = [name for name in PROPELLERS if name != third]
 
     def misfit(slope: float) -> float:

@@ -33,7 +33,6 @@ ROD = CapsuleCfg(center=(0.0, 0.05, 0.0), radius=0.03, height=0.4, euler=(0.3, 1
 
 
 def clearance(shapes: tuple[CollisionShape, ...], obstacles: list[ShapeCfg], poses: np.ndarray) -> np.ndarray:
-    """Return the distances (E,) of level robots at the origin to obstacles at poses (E, A, 7), xyzw."""
     envs = len(poses)
     state = torch.zeros(envs, len(obstacles), 13)
     state[..., :7] = torch.tensor(poses)
@@ -126,14 +125,12 @@ def test_a_sheet_that_an_edge_pierces_is_touched(tmp_path: Path) -> None:
 
 
 def test_a_rod_through_the_middle_of_a_plate_is_touched() -> None:
-    """It meets no edge of the plate, and its ends are far away."""
     rod = ShapeCfg(kind="cylinder", radius=0.001, height=4.0)
     pose = np.array([[[0.03, 0.02, 0.0, 0.0, 0.0, 0.0, 1.0]]])
     assert clearance((BoxCfg(size=(0.4, 0.4, 0.05)),), [rod], pose)[0] < 0.0
 
 
 def test_signed_cases_with_closed_forms() -> None:
-    """A plane, a face, an edge and a corner before a box of 0.2 x 0.2 x 0.1 m."""
     box, root = BoxCfg(size=(0.2, 0.2, 0.1)), (0.0, 0.0, 0.0, 1.0)
     plane, ball = ShapeCfg(kind="plane"), ShapeCfg(kind="sphere", radius=0.1)
     assert clearance((box,), [plane], np.array([[[0, 0, -0.3, *root]]]))[0] == pytest.approx(0.25, abs=1e-6)

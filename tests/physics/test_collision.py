@@ -33,13 +33,11 @@ def random_unit_quaternions(*shape: int, generator: torch.Generator) -> Tensor:
 
 
 def rotation(q: Tensor) -> Array:
-    """Return the matrix of one xyzw quaternion in float64, by trimesh."""
     x, y, z, w = q.double().tolist()
     return trimesh.transformations.quaternion_matrix([w, x, y, z])[:3, :3]
 
 
 def make_scene(shapes: list[ShapeCfg], position: Tensor, attitude: Tensor, *, device: torch.device) -> Scene:
-    """Return a scene whose instance a is shape a, at poses (E, A, 3), (E, A, 4)."""
     state = torch.cat((position, attitude, torch.zeros(*position.shape[:2], 6)), dim=-1).float().to(device)
     rows = torch.arange(len(shapes))
     return Scene(shapes, shape_index=rows, semantic_id=rows, asset_state=state)
@@ -48,7 +46,6 @@ def make_scene(shapes: list[ShapeCfg], position: Tensor, attitude: Tensor, *, de
 def measure(
     scene: Scene, position: Tensor, attitude: Tensor | None = None, spheres: tuple[SphereCfg, ...] = PROBE
 ) -> tuple[Tensor, Tensor]:
-    """Return distances and whether they are negative, (E,), on the CPU, from a buffer that was poisoned before the call."""
     num_envs, device = scene.num_envs, scene.device
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1)
     distance = torch.full((num_envs,), float("nan"), device=device)
@@ -64,7 +61,6 @@ def measure(
 
 
 def single_shape_scene(shape: ShapeCfg, num_envs: int, device: torch.device) -> Scene:
-    """Return one upright shape at the origin of each environment."""
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1, 1)
     return make_scene([shape], torch.zeros(num_envs, 1, 3), upright, device=device)
 
@@ -194,7 +190,6 @@ def make_clutter(num_envs: int, device: torch.device) -> Scene:
 
 
 def test_the_nearest_pair_of_sphere_and_instance_counts(device: torch.device) -> None:
-    """Three spheres against twenty solids: the smallest of all sixty distances taken one by one."""
     scene = make_clutter(50, device)
     generator = torch.Generator().manual_seed(4)
     position, attitude = torch.randn(50, 3, generator=generator), random_unit_quaternions(50, generator=generator)
@@ -223,7 +218,6 @@ def test_sphere_centres_turn_with_the_body(device: torch.device) -> None:
 
 
 def test_moved_and_parked_obstacles_count_at_once(device: torch.device) -> None:
-    """One call after the write: 2 m away, then overlapping, then parked."""
     scene = single_shape_scene(SPHERE, 1, device)
     distance = torch.full((1,), float("nan"), device=device)
     position = torch.tensor([[2.7, 0.0, 0.0]], device=device)

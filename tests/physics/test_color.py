@@ -44,7 +44,6 @@ pytestmark = pytest.mark.usefixtures("few_rays")
 def make_scene(
     shapes: list[ShapeCfg], poses: list[tuple[list[float], list[float]]], device, *, lamps: tuple[LampCfg, ...] = ()
 ) -> Scene:
-    """Return a scene with each shape at a position and Euler angles."""
     state = torch.zeros(1, len(shapes), 13)
     for a, (position, euler) in enumerate(poses):
         state[:, a, :3], state[:, a, 3:7] = torch.tensor(position), quat_from_euler(torch.tensor(euler))
@@ -53,7 +52,6 @@ def make_scene(
 
 
 def look(cfg: CameraCfg, scene: Scene, position: list[float], euler: list[float]) -> tuple[Tensor, Tensor, Tensor]:
-    """Return colours (H, W, 3), points in the world (H, W, 3) and ids (H, W) on the CPU, from poisoned buffers."""
     shape, device = (1, 1, cfg.height, cfg.width), scene.device
     color, points = (torch.full((*shape, 3), float("nan"), device=device) for _ in range(2))
     ids = torch.full(shape, -12345, dtype=torch.int32, device=device)
@@ -69,7 +67,6 @@ def look(cfg: CameraCfg, scene: Scene, position: list[float], euler: list[float]
 
 
 def own_points(points: Tensor, position: list[float], euler: list[float]) -> Tensor:
-    """Return world points in the frame of a shape."""
     turn = quat_conjugate(quat_from_euler(torch.tensor(euler, dtype=torch.float64)))
     offset = points - torch.tensor(position, dtype=torch.float64)
     return quat_rotate(turn.expand(*offset.shape[:-1], 4), offset)
@@ -119,7 +116,6 @@ def test_colors_of_faces_and_of_an_inverted_mesh_stay_at_their_places(device, tm
 
 
 def test_each_face_may_have_a_color_of_its_own(device, tmp_path: Path) -> None:
-    """Two triangles of a square: red above its diagonal, blue below."""
     square = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
     square.visual.face_colors = np.array([[0, 0, 255, 255], [255, 0, 0, 255]], dtype=np.uint8)
     square.export(tmp_path / "square.ply")
@@ -243,7 +239,6 @@ def test_colors_come_from_the_shape_its_compound_or_its_kind(device) -> None:
 
 
 def test_links_of_a_urdf_have_the_colors_of_their_materials(device, tmp_path: Path) -> None:
-    """A material in the visual, one that is named at the top of the file, and a link without any."""
     pytest.importorskip("yourdfpy")
     geometry = '<geometry><box size="0.4 0.4 0.4"/></geometry>'
     links = {
@@ -324,7 +319,6 @@ def lamp_brightness(points: Tensor, lamp: LampCfg) -> Tensor:
 
 
 def test_a_lamp_lights_a_plane_with_the_cosine_over_the_square_of_its_distance(device) -> None:
-    """Every pixel against the closed form; two lamps add; the sky adds its share; no channel is above 1."""
     a = LampCfg(position=(0.7, -0.4, 1.3), intensity=0.9, color=(1.0, 0.6, 0.2))
     b = LampCfg(position=(-1.1, 0.8, 0.8), intensity=0.4, color=(0.3, 0.5, 1.0))
     strong = replace(a, intensity=20.0)

@@ -43,7 +43,6 @@ CLEAR = 0.02
 
 @pytest.fixture(autouse=True)
 def single_thread() -> Iterator[None]:
-    """Batches are small: threads would only wait for each other."""
     with one_thread():
         yield
 
@@ -86,7 +85,6 @@ def test_an_offset_centre_of_mass_tilts_a_vehicle_at_rest(backend, dtype: torch.
 @pytest.mark.usefixtures("optimise_kernels")
 @pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_a_tumbling_vehicle_comes_to_rest_and_never_gains_energy(integrator: str) -> None:
-    """Random attitudes, velocities and spins of a cage of eight feet: never more energy than at the start, then rest."""
     g, count = torch.Generator().manual_seed(0), 256
     q = quat_normalize(torch.randn(count, 4, dtype=F64, generator=g))
     v, w = (torch.randn(count, 3, dtype=F64, generator=g) for _ in range(2))
@@ -113,10 +111,8 @@ def test_a_tumbling_vehicle_comes_to_rest_and_never_gains_energy(integrator: str
 
 @pytest.mark.parametrize("integrator", ["euler", "rk4"])
 def test_sliding_ends_after_the_stopping_distance(integrator: str) -> None:
-    """Feet whose lowest points are level with the centre of mass: a = mu g from the first step, ``x = v² / (2 mu g)``.
-
-    RK4 moves with the mean velocity of a step and is exact but in the last step; Euler is ``v dt / 2`` short.
-    """
+    """Feet whose lowest points are level with the centre of mass: a = mu g from the first step, ``x = v² / (2 mu g)``. RK4
+    moves with the mean velocity of a step and is exact but in the last step; Euler is ``v dt / 2`` short."""
     v, mu, dt = 1.0, 0.5, 0.01
     level = tuple((x, y, r, r) for x, y, _, r in FEET)
     depth = ROUGH.sinking / 4.0
@@ -254,10 +250,9 @@ def test_friction_slows_a_vehicle_pressed_along_a_wall() -> None:
 
 
 def test_a_vehicle_over_an_edge_topples_towards_it() -> None:
-    """Two feet stand on a box, the centre of mass is beside it: it turns about +y about the feet with ``m g a / (J + m l²)``.
-
-    The mean over 0.1 to 0.15 s, when spring and damper have settled (1 / omega = 10 ms) and the turn is below 0.5 rad.
-    """
+    """Two feet stand on a box, the centre of mass is beside it: it turns about +y about the feet with
+    ``m g a / (J + m l²)``. The mean over 0.1 to 0.15 s, when spring and damper have settled (1 / omega = 10 ms) and the turn
+    is below 0.5 rad."""
     state = start(dtype=F32, height=CLEAR - 5e-4)
     box = ShapeCfg(kind="box", size=(1.0, 1.0, 0.4))
     rig = ObstacleRig(
@@ -346,10 +341,8 @@ def test_what_touches_nothing_flies_as_without_contact_bit_for_bit(integrator: s
 
 @pytest.mark.parametrize("where", ["torch", "warp", "scene"])
 def test_only_a_touch_at_the_crash_speed_is_a_crash(where: str) -> None:
-    """Falling from h ends at ``sqrt(2 g h)``: 0.8 and 1.2 m/s against limits of 0 (every touch), 1 and inf (none).
-
-    An explicit step tells the speed to ``g dt``. Resting afterwards adds no crash.
-    """
+    """Falling from h ends at ``sqrt(2 g h)``: 0.8 and 1.2 m/s against limits of 0 (every touch), 1 and inf (none). An
+    explicit step tells the speed to ``g dt``. Resting afterwards adds no crash."""
     speeds = torch.tensor([0.8, 1.2, 0.0])
     dtype = F64 if where == "torch" else F32
     for limit, expected in ((0.0, [True, True, True]), (1.0, [False, True, False]), (float("inf"), [False] * 3)):

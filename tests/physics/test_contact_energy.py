@@ -61,7 +61,6 @@ def warp_change(contacts: Contacts, lin_vel: Tensor, turn: Tensor) -> Tensor:
 
 
 def torch_change(contacts: Contacts, lin_vel: Tensor, turn: Tensor) -> Tensor:
-    """Return the same by the torch backend in the type of the tensors."""
     inertia = torch.diag(torch.tensor((MASS, MASS, MASS, *MOMENTS), dtype=turn.dtype)).expand(TOUCHES, 6, 6)
     mass = turn.new_full((TOUCHES, 1), MASS)
     return _velocity_change(contacts, LAW, mass, inertia, (lin_vel, turn), DT, POSITION_SHARE["euler"])
@@ -69,12 +68,11 @@ def torch_change(contacts: Contacts, lin_vel: Tensor, turn: Tensor) -> Tensor:
 
 @pytest.mark.parametrize("change", [warp_change, torch_change])
 def test_no_touch_adds_more_energy_than_its_springs_hold(change) -> None:
-    """In float32. Springs and dampers act at the end of a step: they give no more than was pressed, and friction takes.
-
-    What was pressed is counted where the points were a step before, or are, whichever is deeper. At most 5 of 50,000 touches,
+    """In float32. Springs and dampers act at the end of a step: they give no more than was pressed, and friction takes. What
+    was pressed is counted where the points were a step before, or are, whichever is deeper. At most 5 of 50,000 touches,
     whose branches alternate to the end, may gain more than round-off allows; none more than the energy of its motion. Where
-    the direction of a slip that was nearly none was not tangential, 34 did, and the worst gained 49,000 times that energy.
-    """
+    the direction of a slip that was nearly none was not tangential, 34 did, and the worst gained 49,000 times that
+    energy."""
     contacts, lin_vel, turn = random_contacts()
     delta = change(contacts, lin_vel, turn)
     moments = torch.tensor((MASS, MASS, MASS, *MOMENTS))

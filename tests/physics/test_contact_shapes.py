@@ -29,7 +29,6 @@ LOG = CapsuleCfg(radius=0.04, height=0.3, euler=(0.0, 1.5707963267948966, 0.0))
 
 @pytest.fixture(autouse=True)
 def single_thread() -> Iterator[None]:
-    """Batches are small: threads would only wait for each other."""
     with one_thread():
         yield
 
@@ -53,10 +52,8 @@ def test_a_box_at_rest_keeps_place_and_attitude(backend, dtype: torch.dtype) -> 
 
 @pytest.mark.parametrize(("backend", "dtype"), WARP_SOONER)
 def test_a_box_tips_when_its_centre_of_mass_passes_the_edge(backend, dtype: torch.dtype) -> None:
-    """It leans over the edge at half width 0.05 m, 0.12 m below its centre, and falls back up to atan(0.05 / 0.12).
-
-    Two degrees on either side, forward and backward; the edge gives way by a millimetre, which is 0.5 degrees.
-    """
+    """It leans over the edge at half width 0.05 m, 0.12 m below its centre, and falls back up to atan(0.05 / 0.12). Two
+    degrees on either side, forward and backward; the edge gives way by a millimetre, which is 0.5 degrees."""
     edge = atan2(0.05, 0.12)
     lean = torch.tensor([edge - 0.035, edge + 0.035, -edge + 0.035, -edge - 0.035], dtype=dtype)
     euler = torch.stack((torch.zeros_like(lean), lean, torch.zeros_like(lean)), dim=-1)
@@ -91,7 +88,6 @@ def test_a_capsule_rolls_about_its_long_axis_and_slides_along_it(backend, dtype:
 
 
 def test_a_box_slides_down_to_rest_in_the_stopping_distance() -> None:
-    """A low plate at 1.2 m/s stops after ``v² / (2 mu g)`` with its attitude kept: it neither rolls nor turns."""
     plate = point_rows(BoxCfg(size=(0.4, 0.4, 0.04)))
     state = start(height=0.02 - 0.25e-3, dtype=F32, lin_vel=(1.2, 0.0, 0.0))
     rig = GroundRig(WarpBackend(), ROUGH, state, spheres=plate)
@@ -104,10 +100,8 @@ def test_a_box_slides_down_to_rest_in_the_stopping_distance() -> None:
 @pytest.mark.parametrize("speed", [0.5, 1.5])
 def test_a_flat_landing_takes_its_friction_of_the_impact(speed: float) -> None:
     """Falling h it meets the ground at ``v_z = sqrt(2 g h)`` and loses ``mu v_z`` of its speed at once, then slides to rest.
-
     Without a bounce the path is ``v sqrt(2 h / g) + (v - mu v_z)² / (2 mu g)``; the impact lasts about sqrt(sinking / g) =
-    10 ms with the speed between those before and after it, which displaces the end by at most ``mu v_z`` times that.
-    """
+    10 ms with the speed between those before and after it, which displaces the end by at most ``mu v_z`` times that."""
     h, mu = 0.03, 0.5
     state = start(height=0.02 + h, dtype=F32, lin_vel=(speed, 0.0, 0.0))
     rig = GroundRig(WarpBackend(), ROUGH, state, spheres=point_rows(BoxCfg(size=(0.4, 0.4, 0.04))))
@@ -119,10 +113,8 @@ def test_a_flat_landing_takes_its_friction_of_the_impact(speed: float) -> None:
 
 
 def test_one_step_of_a_box_is_that_of_torch() -> None:
-    """Fused kernel against float64: 64 tilted boxes that land with speed and spin, one step of 10 ms.
-
-    Tolerances are those of ``tests/cross/test_contact.py``: float32 with the penalty, one on the edge of a branch left out.
-    """
+    """Fused kernel against float64: 64 tilted boxes that land with speed and spin, one step of 10 ms. Tolerances are those
+    of ``tests/cross/test_contact.py``: float32 with the penalty, one on the edge of a branch left out."""
     g = torch.Generator().manual_seed(3)
     euler = 0.3 * torch.randn(64, 3, dtype=F64, generator=g)
     v, w = (0.4 * torch.randn(64, 3, dtype=F64, generator=g) for _ in range(2))
@@ -153,11 +145,9 @@ MUJOCO_CASES = {
 
 @pytest.mark.parametrize("case", MUJOCO_CASES)
 def test_sliding_rolling_and_landing_agree_with_mujoco(case: str) -> None:
-    """Where and how a pushed chest, a pushed log and a dropped plate are after 0.6 s; compliances as in tests/cross.
-
-    None of them tips: how far a box rocks on its edge depends on the compliance of either engine (``CRATE``, whose edge is
-    within the friction cone, goes 24 to 30 mm for ``sinking`` of 4 to 0.25 mm here, 33 to 36 mm there).
-    """
+    """Where and how a pushed chest, a pushed log and a dropped plate are after 0.6 s; compliances as in tests/cross. None of
+    them tips: how far a box rocks on its edge depends on the compliance of either engine (``CRATE``, whose edge is within
+    the friction cone, goes 24 to 30 mm for ``sinking`` of 4 to 0.25 mm here, 33 to 36 mm there)."""
     mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
     shape, geom, velocity, height = MUJOCO_CASES[case]
     model = mujoco.MjModel.from_xml_string(f"""
@@ -212,12 +202,10 @@ def test_a_plate_rests_on_a_block_that_no_corner_of_it_touches() -> None:
 
 
 def test_a_pole_stops_the_middle_of_an_edge() -> None:
-    """A plate flies at a thin pole far from its corners, without gravity, and does not turn.
-
-    With the critical damping of one contact ``x = v t exp(-w t)``, and the push ``w² x + 2 w x'`` ends at ``w t = 2``: it
-    leaves with ``-v exp(-2)``, to which the speeds of two step sizes extrapolate (order 1). A ball that reaches as far leaves
-    like it at each of them. The middle of the edge is found to 2^-15 of its length, a lever by which the impulse may turn it.
-    """
+    """A plate flies at a thin pole far from its corners, without gravity, and does not turn. With the critical damping of
+    one contact ``x = v t exp(-w t)``, and the push ``w² x + 2 w x'`` ends at ``w t = 2``: it leaves with ``-v exp(-2)``, to
+    which the speeds of two step sizes extrapolate (order 1). A ball that reaches as far leaves like it at each of them. The
+    middle of the edge is found to 2^-15 of its length, a lever by which the impulse may turn it."""
     pole, v, speeds = ShapeCfg(kind="cylinder", radius=0.01, height=2.0), 0.5, []
     for dt in (2e-4, 1e-4):
         for shape in ({"body": (PLATE,)}, {"spheres": ((0.0, 0.0, 0.0, 0.2),)}):

@@ -29,7 +29,6 @@ def test_allocation_matrix_of_base_quadrotor_is_the_published_one() -> None:
 
 
 def test_allocation_reproduces_the_wrench_that_the_physics_makes_of_it() -> None:
-    """Thrusts of an attainable wrench, turned into speeds, accelerate the lopsided vehicle by exactly that wrench."""
     robot = asymmetric_robot()
     robot = replace(robot, rotor=replace(robot.rotor, torque_map=None, torque_ratio=0.015))
     vehicle = vehicle_from_config(robot, num_envs=32, dtype=F64)
@@ -54,7 +53,6 @@ def test_allocation_clamps_to_the_thrust_limits() -> None:
 
 
 def draw_gains(num_envs: int) -> LeeGains:
-    """Return gains and vehicle parameters that differ in every environment and along every axis."""
     g = torch.Generator().manual_seed(5)
 
     def uniform(*shape: int) -> torch.Tensor:

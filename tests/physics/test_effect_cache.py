@@ -38,8 +38,6 @@ def make_condition(model: Model) -> Condition:
 
 
 class _Law:
-    """Reads thrust and, of the vehicle, the spin; counts how often it is asked."""
-
     def __init__(self) -> None:
         self.asked = 0
 
@@ -76,7 +74,6 @@ def test_numbers_that_are_none_never_stand() -> None:
 
 
 def test_accelerations_do_not_depend_on_earlier_calls() -> None:
-    """Models that differ in one number each, one after the other, bit for bit."""
     answers, state = EffectCache[Condition](), random_state(ROWS)
     for name, numbers in VALUES.items():
         for number in numbers:
@@ -118,7 +115,6 @@ def test_what_a_condition_sees_of_the_vehicle_moves_it(field: str) -> None:
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda answers: pickle.loads(pickle.dumps(answers))])
 def test_answers_can_be_copied(copied: Callable[[EffectCache[Condition]], EffectCache[Condition]]) -> None:
-    """A judgement that somebody keeps holds answers, and what was read for them."""
     answers, law, condition = EffectCache[Condition](), _Law(), make_condition(make_model({}))
     params = torch.full((ROWS, 1), 2.0, dtype=F64)
     result = answers.ask(law, condition, params)

@@ -43,7 +43,6 @@ def make_model(values: dict[str, dict[str, float]], num_envs: int = 1, **options
 
 
 def effect_wrench(values: dict[str, dict[str, float]], state: BodyState, **options: float) -> torch.Tensor:
-    """Return force [N] and torque [N m] that effects add to the declared vehicle, (6,)."""
     result = []
     for model in (make_model(values, **options), make_model({}, **options)):
         felt = accelerations(model, state)
@@ -70,7 +69,6 @@ def test_a_weak_motor_loses_thrust_and_drag_torque_where_it_is() -> None:
 
 
 def test_a_torque_ratio_changes_yaw_alone() -> None:
-    """Rotors 1 and 3 (spin +1) faster: the body turns negatively, by 1.3 times as much."""
     state = rest_state(rotor_speed=[SPEED, 0.0, SPEED, 0.0])
     assert_wrench(effect_wrench({"torque_ratio": {"scale": 1.3}}, state), [0, 0, 0, 0, 0, -0.3 * 2 * DRAG])
 

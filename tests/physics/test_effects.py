@@ -60,13 +60,11 @@ def make_effects(values: dict[str, dict[str, float]], num_envs: int) -> list[tup
 
 
 def symmetric_model(values: dict[str, dict[str, float]], num_envs: int = 1, gravity: float = 9.81) -> Model:
-    """Return tinyprop (centre of mass at the origin, thrust along z) with a battery, below a ceiling, with effects."""
     vehicle = vehicle_from_config(replace(ROBOTS.get("tinyprop"), battery=BATTERY), num_envs=num_envs, dtype=F64)
     return build_model(vehicle, make_effects(values, num_envs), gravity=gravity, ceiling_height=CEILING)
 
 
 def rest_state(num_envs: int = 1, **changes: list[float]) -> BodyState:
-    """Return a level body at rest with still rotors, except for what is given."""
     state = random_state(num_envs)
     values = {
         "position": [0.0] * 3,

@@ -54,8 +54,6 @@ def single(state: BodyState) -> BodyState:
 
 
 class DirectSpeed(SpeedControl):
-    """Rotor speeds as actions, also in a kernel."""
-
     def fused(self):
         low, high = torch.zeros(4).expand(2, 4), torch.full((4,), 1e4).expand(2, 4)  # shared rows
         return FusedLaw(output="speed", num_actions=4, low=low, high=high)
@@ -323,7 +321,6 @@ def test_the_wake_stands_over_the_origin_unless_it_is_moved() -> None:
 def run_all_effects(
     backend, num_envs: int = 4, dtype: torch.dtype = torch.float32, random: Randomness | None = None
 ) -> BodyState:
-    """Give a backend all effects with memory; return a state."""
     robot, rows = asymmetric_robot(), []
     for name in (*REMEMBERING, "rotor_drag"):
         effect = EFFECTS.get(name)
@@ -336,7 +333,6 @@ def run_all_effects(
 
 @pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
 def test_a_reset_forgets_the_masked_rows_and_leaves_the_others_bit_for_bit(backend) -> None:
-    """Rows outside the mask fly on as if nothing was; those within begin like new, but in the gusts of another episode."""
     actions = torch.full((4, 4), 850.0)
     kept, reset = backend(), backend()
     chance = Randomness(4)
@@ -407,7 +403,6 @@ def test_memory_survives_new_parameters() -> None:
 
 
 def test_gradients_flow_through_memory_from_call_to_call() -> None:
-    """A command of the first call acts in the second; the gradient is that of one call over both."""
     grads = []
     for calls in ((2, 4), (6,)):
         backend = TorchBackend()
@@ -420,7 +415,6 @@ def test_gradients_flow_through_memory_from_call_to_call() -> None:
 
 
 def test_gradients_end_at_a_reset() -> None:
-    """Rollout after rollout, each with its own backward pass, as in training; the first and the one after a reset agree."""
     backend, grads = TorchBackend(), []
     start = run_all_effects(backend, dtype=F64)
     for _ in range(2):

@@ -33,7 +33,6 @@ def make_model(name: str, rows: list[tuple[float, ...]], dtype: torch.dtype = F6
 
 
 def lag_speed(speed: float, rest: float, span: float) -> float:
-    """Return the speed a span [s] later of a rotor that tends to ``rest``."""
     return rest + (speed - rest) * exp(-max(span, 0.0) / (TAU_UP if rest > speed else TAU_DOWN))
 
 
@@ -95,7 +94,6 @@ def test_the_kernel_does_the_same(name: str) -> None:
 
 @pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_a_stuck_rotor_keeps_its_speed_whatever_it_is_told(backend: type) -> None:
-    """Also where it is told to stop, and bit for bit."""
     used, state = backend(), single(rest_state(4, rotor_speed=[START] * 4))
     used.allocate(make_model("stuck_rotor", [(2.0, 0.05)] * 4, torch.float32), DirectSpeed(), integrator="euler")
     used.step(state, torch.full((4, 4), TOLD), 0.005, 10)

@@ -30,7 +30,6 @@ WALL = ShapeCfg(kind="box", size=(0.02, 50.0, 50.0))
 
 @pytest.fixture(autouse=True)
 def single_thread() -> Iterator[None]:
-    """Batches are small: threads would only wait for each other."""
     with one_thread():
         yield
 
@@ -42,7 +41,6 @@ def tensor(values: np.ndarray) -> torch.Tensor:
 def in_flight(
     hull: str, shape: ShapeCfg, robot: SweepMotion, other: SweepMotion, backend=WarpBackend, *, moves: bool
 ) -> ObstacleRig:
-    """Return vehicles and parts at the start of their motions, over one substep."""
     attitude = tensor(robot.attitude.as_quat())
     turn = tensor(robot.turns[0] / DT)
     state = start(
@@ -144,7 +142,6 @@ def test_a_pole_met_at_its_middle_stops_a_ball(backend) -> None:
 
 
 def test_a_room_of_thin_walls_holds_what_flies_in_it() -> None:
-    """Six walls of 2 cm, 1 m apart; balls at 40 m/s in all directions stay for a second."""
     rng = np.random.default_rng(4)
     flat = [ShapeCfg(kind="box", size=tuple(np.where(np.eye(3)[axis] > 0, 0.02, 1.2).tolist())) for axis in range(3)]
     parts = torch.zeros(60, 6, 13)
@@ -165,7 +162,6 @@ def test_a_room_of_thin_walls_holds_what_flies_in_it() -> None:
 
 @pytest.mark.parametrize(("crash_speed", "crashes"), [(0.0, True), (19.0, True), (21.0, False)])
 def test_a_crossing_is_a_crash_by_its_speed_of_approach(crash_speed: float, crashes: bool) -> None:
-    """20 m/s towards the wall, and 15 m/s along it."""
     state = start(1, dtype=F32, position=(-0.1, 0.0, 0.0), lin_vel=(20.0, 15.0, 0.0))
     law = ContactCfg(friction=0.5, crash_speed=crash_speed)
     rig = ObstacleRig(

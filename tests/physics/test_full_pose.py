@@ -27,11 +27,9 @@ def fly(robot: str, controller: str, actions: torch.Tensor, steps: int) -> EnvMa
     "robot", ["base_octarotor", "base_rov", pytest.param("bluerov2_heavy", marks=pytest.mark.slow)]
 )
 def test_a_place_is_held_in_any_attitude(robot: str) -> None:
-    """Level, on its side, nose up and nearly upside down, at one and the same place; q and -q are one attitude.
-
-    A centre of buoyancy above that of mass rights the vehicle, which a law without an integral answers with an error e about
-    each body axis: ``K_i sin e = (r x B)_i``; some 0.03 rad for ``base_rov`` (0.11 N m), 0.1 rad for the BlueROV2 (1.3 N m).
-    """
+    """Level, on its side, nose up and nearly upside down, at one and the same place; q and -q are one attitude. A centre of
+    buoyancy above that of mass rights the vehicle, which a law without an integral answers with an error e about each body
+    axis: ``K_i sin e = (r x B)_i``; some 0.03 rad for ``base_rov`` (0.11 N m), 0.1 rad for the BlueROV2 (1.3 N m)."""
     euler = torch.tensor([[0.0, 0.0, 0.0], [pi / 2, 0.0, 0.0], [0.0, -1.2, 0.5], [2.7, 0.0, 0.0]])
     wanted = quat_from_euler(euler)
     place = torch.tensor([[0.3, -0.2, 0.1]]).expand(4, -1)

@@ -20,10 +20,8 @@ NUDGE, DT = 1e-6, 0.02
     "name", [pytest.param(name, marks=() if name == "euler" else pytest.mark.slow) for name in INTEGRATORS]
 )
 def test_gradients_of_a_rollout_with_every_effect(name: str) -> None:
-    """Of the final state for commands, initial velocity and the parameters of all effects, in their scales.
-
-    Two environments, of which neither depends on the other. Each number is nudged in a copy of its own, all in one batch.
-    """
+    """Of the final state for commands, initial velocity and the parameters of all effects, in their scales. Two
+    environments, of which neither depends on the other. Each number is nudged in a copy of its own, all in one batch."""
     robot, state = asymmetric_robot(), random_state(2)
     state = replace(state, position=state.position + 4.0)  # above the ground
     effects = [EFFECTS.get(effect) for effect in ON_RIGID]

@@ -13,7 +13,6 @@ HEIGHTS = torch.tensor([1.0, 2.0, 5.0])
 
 
 def fall(backend, span: float, *, spheres, substeps: int = 100) -> torch.Tensor:
-    """Return the contact flags, (3,), of three bodies that fall from rest to the ground at z = 0."""
     vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=3)
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
     contact = torch.zeros(3, dtype=torch.bool)

@@ -43,7 +43,6 @@ def heights(position: list[list[float]], *, ground: bool = False, parked: bool =
 
 
 def test_heights_are_those_of_the_highest_surface_under_the_robot() -> None:
-    """The box is turned by 90 degrees, 0.4 m wide in x; over the ball the height is that of its surface there."""
     places = [[0.15, 0.35, 2.0], [0.35, 0.15, 2.0], [3.0, 0.3, 2.0], [0.0, 0.0, 0.2], [3.0, 0.0, 0.4]]
     expected = [0.6, 0.0, 1.0 + sqrt(0.25 - 0.09), 0.0, 0.0]  # the last ones are under the box and the ball
     assert heights(places, ground=True) == pytest.approx(expected, abs=2e-6)
@@ -56,7 +55,6 @@ def test_without_anything_below_the_height_is_the_farthest() -> None:
 
 @pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
 def test_each_environment_has_its_own_ground_and_follows_it(backend) -> None:
-    """One short step from rest over 0.12, 0.2 and 5 m of room, then with the heights exchanged in place."""
     vehicle = vehicle_from_config(level_robot(), num_envs=3)
     ground = torch.tensor([[0.38], [0.3], [-4.5]])
     model = build_model(

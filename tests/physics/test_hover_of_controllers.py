@@ -27,14 +27,12 @@ ROUND_OFF = 1e-12
 
 
 def pick_robot(controller: str) -> RobotCfg:
-    """Return a robot that a controller fits."""
     if controller == "fully_actuated_control":
         return ROBOTS.get("omnidirectional_octarotor")
     return ROBOTS.get(MEANT_FOR.get(controller.partition("_")[0], "x500"))
 
 
 def rows(vehicle: Vehicle, robot: RobotCfg) -> tuple[Tensor, Tensor]:
-    """Return thrusts [N] and speeds [rad/s], in force mode thrusts, of hover, (E, R)."""
     weight = torch.zeros(vehicle.num_envs, 6, dtype=F64)
     weight[:, 2] = robot.body.mass * GRAVITY - robot.control.buoyancy
     allocation = Allocation(vehicle, GRAVITY)
@@ -42,7 +40,6 @@ def rows(vehicle: Vehicle, robot: RobotCfg) -> tuple[Tensor, Tensor]:
 
 
 def start(speed: Tensor, first: int) -> BodyState:
-    """Return rest in environment 0, and in those after it what grows with their number."""
     share = torch.arange(first, first + len(speed), dtype=F64).unsqueeze(-1)
     direction = torch.tensor([[0.3, -0.2, 0.1]], dtype=F64)
     return BodyState(
@@ -55,7 +52,6 @@ def start(speed: Tensor, first: int) -> BodyState:
 
 
 def fly(controller: str, num_envs: int, first: int) -> BodyState:
-    """Return the state of environments from ``first`` on after a flight with hover at the origin as the setpoint."""
     robot = pick_robot(controller)
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     law = make_controller(CONTROLLERS.get(controller), vehicle, GRAVITY, dt=DT, control=robot.control)

@@ -86,7 +86,6 @@ def test_specific_force_is_of_second_order_at_the_middle_of_the_step(position: t
 
 
 def test_the_mount_turns_the_axes() -> None:
-    """An IMU yawed by +90 degrees has its x along body y: body (0, f, g) reads (f, 0, g), a roll rate p reads -p on y."""
     dt, f, p = 0.01, 2.0, 1e-3
     rig = ImuRig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), dt=dt)
     rig.reset()
@@ -97,7 +96,6 @@ def test_the_mount_turns_the_axes() -> None:
 
 
 def point_acceleration(model: Model, state: BodyState, r: Tensor) -> Tensor:
-    """Return ``f_o + alpha x r + w x (w x r)``, (E, 3), from forces and torques: no velocity is differentiated."""
     felt, w = accelerations(model, state), state.ang_vel
     lever = r.to(w.dtype).expand_as(w)
     turning = torch.linalg.cross(felt.ang_acc, lever) + torch.linalg.cross(w, torch.linalg.cross(w, lever))
@@ -105,7 +103,6 @@ def point_acceleration(model: Model, state: BodyState, r: Tensor) -> Tensor:
 
 
 def flight_error(backend: PhysicsBackend, robot: RobotCfg, dtype: torch.dtype, r: Tensor, dt: float) -> Tensor:
-    """Return the root mean square error of the specific force over one step of 64 vehicles that tumble."""
     vehicle = vehicle_from_config(robot, num_envs=64, dtype=dtype)
     model = build_model(vehicle)
     backend.allocate(model, make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, G), integrator="rk4")
@@ -136,7 +133,6 @@ def test_specific_force_agrees_with_the_equations_of_motion(
 
 
 def assert_spread(draws: Tensor, std: Tensor) -> None:
-    """Mean 0 and this standard deviation, per channel of (n, ...), within 5 standard errors."""
     count = len(draws)
     assert (draws.mean(0).abs() <= 5.0 * std / count**0.5).all()
     assert ((draws.std(0) / std - 1.0).abs() <= 5.0 / (2.0 * count) ** 0.5).all()
@@ -224,7 +220,6 @@ def initial_states(seed: int, count: int) -> Tensor:
 
 
 def test_sensors_saturate() -> None:
-    """Beyond the range a channel holds the range, with its sign."""
     rig = ImuRig(replace(IDEAL, accel_range=5.0, gyro_range=2.0))
     rig.move(rig.attitude, rig.lin_vel, torch.tensor([[3.0, -3.0, 1.0]]))
     assert rig.reset().tolist() == [[0.0, 0.0, 5.0, 2.0, -2.0, 1.0]]
@@ -300,9 +295,7 @@ def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
 
 def test_a_rolled_mount_feels_the_lever_arm_in_its_own_axes() -> None:
     """``f = w x (w x r) + dw x r + g``: with r = (0.2, 0, 0.1), w and dw along z that is (-0.2 w², 0.2 dw, g) in body axes.
-
-    Rolled by +90 degrees an IMU has its y along the body's z and its z along minus the body's y: (f_x, f_z, -f_y).
-    """
+    Rolled by +90 degrees an IMU has its y along the body's z and its z along minus the body's y: (f_x, f_z, -f_y)."""
     pose = Pose(
         position=torch.tensor([0.2, 0.0, 0.1], dtype=torch.float64),
         attitude=quat_from_euler(torch.tensor([0.5 * pi, 0.0, 0.0], dtype=torch.float64)),

@@ -56,7 +56,6 @@ def build(
 
 
 def fly(env: EnvManager, steps: int = 4) -> Tensor:
-    """Fly with a reset of some environments, by their number, on the way; return what the IMU measured of every step."""
     number, results = torch.arange(env.num_envs), [env.gtd["imu_measurement"].clone()]
     for k in range(steps):
         env.step(torch.tensor([[0.3, -0.2, 0.1, 0.5]]).expand(env.num_envs, 4))
@@ -71,7 +70,6 @@ def read_draws(env: EnvManager, effect: str, names: tuple[str, ...]) -> Tensor:
 
 
 def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
-    """Return ``Rz(yaw) Ry(pitch) Rx(roll)``, (E, 3, 3)."""
     one, zero = torch.ones_like(roll), torch.zeros_like(roll)
 
     def matrix(*entries: Tensor) -> Tensor:
@@ -84,7 +82,6 @@ def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 
 
 def rotate_inverse(turn: Tensor, vector: Tensor) -> Tensor:
-    """Return ``R^T v``."""
     return (rotation(*turn.unbind(-1)).transpose(1, 2) @ vector.unsqueeze(-1)).squeeze(-1)
 
 
@@ -122,7 +119,6 @@ def test_a_drawn_offset_adds_to_the_declared_bias(ideal: str) -> None:
 
 
 def test_a_reset_by_mask_leaves_other_rows(ideal: str) -> None:
-    """Bit for bit: what they measure, and what they would measure next."""
     one, other = (build(ideal, 6, BIAS_THEN_TURN) for _ in range(2))
     mask = torch.tensor([True, False, False, True, False, False])
     before = one.gtd["imu_measurement"].clone()
@@ -152,7 +148,6 @@ def test_a_loaded_state_measures_on_the_same(ideal: str) -> None:
 
 
 def test_parameters_that_were_written_are_measured(ideal: str) -> None:
-    """``gtd["effect_imu_bias"]`` and ``refresh_model()``: a bias of its own in each environment, with nothing drawn."""
     effects = {"imu_bias": dict.fromkeys(AXES, 0.0)}
     env, plain = build(ideal, 3, {}, effects=effects), build(ideal, 3, {})
     bias = torch.arange(18.0).view(3, 6) * 0.05
@@ -162,7 +157,6 @@ def test_parameters_that_were_written_are_measured(ideal: str) -> None:
 
 
 def test_it_is_drawn_in_the_launch_of_the_reset(ideal: str) -> None:
-    """Nothing of it runs as plain torch, and the IMU reads the same memory for ever."""
     env = build(ideal, 4, BIAS_THEN_TURN)
     update, errors = env.robot_manager._update, env.gtd["robot_imu_errors"]
     assert update is not None

@@ -55,10 +55,8 @@ def test_each_feels_its_own_lever_arm() -> None:
 
 
 def test_force_is_the_second_derivative_of_the_place_of_each() -> None:
-    """``R_m^T (p'' + g z)`` with ``p = x + R r`` differenced twice in float64: no lever-arm term is written down.
-
-    The root mean square error at t - dt/2 falls with dt² as dt is halved.
-    """
+    """``R_m^T (p'' + g z)`` with ``p = x + R r`` differenced twice in float64: no lever-arm term is written down. The root
+    mean square error at t - dt/2 falls with dt² as dt is halved."""
     cfg = replace(DRAWN, euler_low=(-0.5, -0.4, -0.3), euler_high=(0.5, 0.4, 0.3))
     t, steps, errors = torch.linspace(0.5, 2.0, 200).double(), (0.08, 0.04, 0.02), []
     for dt in steps:
@@ -128,7 +126,6 @@ def fly(
     randomize: dict[str, RandomizeCfg] = PLACES,
     first: str | SensorMountCfg = "base_imu",
 ) -> EnvManager:
-    """Return environments after a few steps with a reset of every third on the way."""
     env = simulation(
         replace(ROBOTS.get("base_quadrotor"), sensors=(first, TAIL)),
         "lee_velocity_control",
@@ -177,7 +174,6 @@ def test_named_places_are_offsets_about_the_mount() -> None:
 
 
 def test_a_drawn_place_is_a_mount_at_that_place() -> None:
-    """In flight an environment's IMU measures what one that is mounted where it was drawn does, and not what others do."""
     drawn = fly(4)
     result, places = drawn.gtd["imu_measurement"], drawn.draws()["sensors.base_imu.position"]
     for i in range(4):

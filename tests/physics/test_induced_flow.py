@@ -31,7 +31,6 @@ def _induced(
 
 
 def run(kernel: wp.Kernel, *given: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return both results; they are not a number before."""
     start_warp()
     result = (torch.full_like(given[0], torch.nan), torch.full_like(given[0], torch.nan))
     arrays = [[wp.from_torch(each) for each in part] for part in (given, result)]

@@ -63,7 +63,6 @@ def fly(model: Model, state: BodyState, span: float, dt: float, integrator: str 
 def invariants(
     model: Model, state: BodyState, added: dict[str, float], current: Tensor, elapsed: float = 0.0
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return kinetic energy, impulse and moment of impulse of hull and water, in the frame of the water."""
     vehicle = model.vehicle
     lever = quat_rotate(state.attitude, vehicle.com)
     turn = quat_rotate(state.attitude, state.ang_vel)
@@ -142,10 +141,8 @@ def test_a_weight_gives_its_impulse() -> None:
 
 
 def test_a_slung_payload_and_a_hull_exchange_impulse() -> None:
-    """Impulse of hull and water and momentum of the payload, ``m_p (v + l n')``, are constant together without weight.
-
-    Euler loses it with order 1, as forces of the payload depend on velocities.
-    """
+    """Impulse of hull and water and momentum of the payload, ``m_p (v + l n')``, are constant together without weight. Euler
+    loses it with order 1, as forces of the payload depend on velocities."""
     added, mass, length = {"x": 0.3, "y": 6.0, "z": 9.0}, 1.5, 0.7
     payload = {"mass": mass, "length": length, "damping": 0.0}
     model, start = hull({"added_mass": added, "slung_payload": payload}, seed=7), tumble_state(4, seed=8)

@@ -35,7 +35,6 @@ def commands(step: int) -> Tensor:
 
 
 def shift_commands(vehicle: Vehicle, start: Tensor, late: int, steps: int) -> list[Tensor]:
-    """Return the states at the ends of substeps where commands act ``late`` parts of one later; without any memory."""
     limits = [getattr(vehicle, n) for n in ("time_constant_up", "time_constant_down", "slew_rate", "slew_rate_down")]
     state, result = start, []
     for part in range(steps * PARTS):
@@ -65,7 +64,6 @@ def test_signed_and_limited_rotors_follow_commands_that_much_later(late: int, in
 
 @pytest.mark.parametrize("integrator", rare_values(INTEGRATORS, ["rk4"]))
 def test_the_kernel_delays_signed_and_limited_rotors(integrator: str) -> None:
-    """Each environment by its own delay: float32 of the same states."""
     late = [0, 2, 5, 13]
     robot = three_type_robot()
     robot = replace(robot, rotors={name: replace(r, dead_band=0.0) for name, r in robot.rotors.items()})
@@ -85,8 +83,6 @@ def test_the_kernel_delays_signed_and_limited_rotors(integrator: str) -> None:
 
 
 class DirectState(SpeedControl):
-    """States of the rotors as actions, also in a kernel."""
-
     def __init__(self, vehicle: Vehicle) -> None:
         self._law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
 

@@ -25,7 +25,6 @@ NETWORKS = [random_network(16), random_network(7, 12, seed=1)]
 
 
 def by_hand(cfg: LearnedResidualCfg, felt: np.ndarray) -> np.ndarray:
-    """Return force and torque (6,) for one input (D,), in scalars."""
     width = len(felt)
     standard = [(felt[i] - cfg.centre[i]) / cfg.scale[i] for i in range(width)]
     square = sum(sum(cfg.whitening[i][j] * standard[j] for j in range(width)) ** 2 for i in range(width))
@@ -115,10 +114,8 @@ def test_force_and_torque_are_those_by_hand(cfg: LearnedResidualCfg) -> None:
 
 @pytest.mark.parametrize("cfg", NETWORKS)
 def test_the_warp_twin_gives_the_force_by_hand(cfg: LearnedResidualCfg) -> None:
-    """One Euler step with held rotor speeds changes the momentum by ``R F dt`` and the spin by ``J^-1 tau dt``.
-
-    Networks are constants of the kernel: one after the other in a process, each must come with its own.
-    """
+    """One Euler step with held rotor speeds changes the momentum by ``R F dt`` and the spin by ``J^-1 tau dt``. Networks are
+    constants of the kernel: one after the other in a process, each must come with its own."""
     dt, states = 0.05, []
     robot = replace(asymmetric_robot(com=(0.0, 0.0, 0.0)), learned_residual=cfg)
     start = random_state(NUM_ENVS, seed=3)
@@ -163,7 +160,6 @@ def test_backends_agree_with_it_and_without_a_share_it_does_nothing(integrator: 
 
 
 def test_gradients_are_those_of_finite_differences() -> None:
-    """Over the inputs, trusted ones and fading ones, and through a step of the torch backend."""
     learned = LearnedResidual(random_network(16))
     draw = torch.randn(12, 7, dtype=F64, generator=torch.Generator().manual_seed(1))
     felt = torch.tensor(learned.cfg.centre, dtype=F64) + torch.tensor(learned.cfg.scale, dtype=F64) * 1.3 * draw
@@ -188,7 +184,6 @@ def test_gradients_are_those_of_finite_differences() -> None:
 
 @pytest.mark.parametrize("backend", ["torch", "warp"])
 def test_a_robot_file_with_it_flies(tmp_path: Path, backend: str) -> None:
-    """The file gives the same numbers back; environment 1, whose share is 0, flies as the same robot without it."""
     path = tmp_path / "robot.yaml"
     robot = replace(asymmetric_robot(), learned_residual=random_network(16))
     path.write_text(dump_yaml(robot), encoding="utf-8")

@@ -42,7 +42,6 @@ def with_rod(axis: tuple[float, float, float], angle: float, rate: float = 0.0) 
 
 @pytest.mark.parametrize("angle", [0.6, -0.6])
 def test_the_clearance_counts_the_arm_where_it_is(angle, device) -> None:
-    """Over ground 0.3 m below: bent down the end of the rod is nearest, bent up the hull."""
     manager = fly(with_rod(DOWN, angle), device, ground=-0.3)
     expected = min(0.3 - LENGTH * sin(angle) - RADIUS, 0.3 - HULL.radius)
     torch.testing.assert_close(manager.gtd["robot_clearance"].cpu(), torch.full((2,), expected), atol=2e-6, rtol=0.0)
@@ -65,7 +64,6 @@ def test_an_arm_that_touches_between_two_poses_crashes(rate, crashes, backend, d
 
 
 def test_each_link_is_measured_with_its_own_pose(device) -> None:
-    """A ball at the origin; a sphere, a box and a capsule on three links beside it: the nearest one counts."""
     ball = torch.tensor([[[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6]]], device=device)
     scene = Scene(
         [ShapeCfg(kind="sphere", radius=0.5)], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=ball
@@ -109,7 +107,6 @@ def two_arms(angle: float, rate: float = 0.0) -> RobotCfg:
 
 
 def test_links_are_told_how_far_they_are_from_each_other(device) -> None:
-    """Parallel, nearer by the sine at the end, and overlapping; the hull, which a joint connects to both, does not count."""
     for angle in (0.0, 0.3, -0.3, 0.6):
         manager = fly(two_arms(angle), device)
         apart = 0.2 - LENGTH * sin(angle) if angle > 0.0 else 0.2

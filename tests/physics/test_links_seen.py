@@ -43,7 +43,6 @@ STILL = {
 
 
 def bending(*joints: JointCfg, floating: bool = False, **changes: object) -> RobotCfg:
-    """Return a robot on a stand whose joints are let go, at rest unless they say something else."""
     base, round_one = ROBOTS.get("base_quadrotor"), ((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3))
     base = replace(base, body=replace(base.body, inertia=round_one))
     start = InitialStateCfg(position_ratio_low=(0.5,) * 3, position_ratio_high=(0.5,) * 3, **STILL)  # type: ignore[arg-type]
@@ -66,7 +65,6 @@ def build(robot: RobotCfg, device: torch.device, *, env: EnvironmentCfg | None =
 
 
 def pixel_rays(cfg: CameraCfg) -> np.ndarray:
-    """Return the unit directions of all pixels, (H * W, 3): x forward, y left, z up."""
     half = tan(radians(cfg.hfov_deg) / 2)
     column = half * (1.0 - (2.0 * np.arange(cfg.width) + 1.0) / cfg.width)
     row = half * cfg.height / cfg.width * (1.0 - (2.0 * np.arange(cfg.height) + 1.0) / cfg.height)
@@ -83,7 +81,6 @@ def ball_range(centre: Sequence[float], rays: np.ndarray) -> np.ndarray:
 
 
 def take_image(manager: EnvManager, cfg: RangeSensorCfg, link: int = 0) -> RayCaster:
-    """Return a sensor on a link that has taken one image."""
     gtd = manager.gtd
     state, rates = gtd["robot_link_state_tensor"][:, link], gtd["robot_link_body_angvel"][:, link]
     images = make_images(cfg, manager.num_envs, device=manager.device, poisoned=True)
@@ -118,7 +115,6 @@ def test_a_camera_on_the_body_sees_a_bent_arm_at_its_pixel_and_range(axis, angle
 
 
 def test_links_move_in_each_step_and_come_back_by_mask(device) -> None:
-    """An arm that turns at 3 rad/s without friction: its ball is seen where the joint then is."""
     manager = build(bending(arm(LEFT, -0.3, rate=3.0)), device)
     for step in range(1, 4):
         manager.step(torch.zeros(2, 4, device=device))

@@ -31,10 +31,8 @@ def test_it_fails_at_the_boundary_between_substeps_that_is_nearest(moment: float
 
 
 def test_a_lost_rotor_turns_the_vehicle_to_its_side() -> None:
-    """Rotor 1 stands ahead on the right: without it the vehicle falls to +x roll (right) and +y pitch (nose down).
-
-    At rest with half of the command it has a quarter of the thrust: the torque about x is ``y (4 - 1/4 - 3) T`` of it.
-    """
+    """Rotor 1 stands ahead on the right: without it the vehicle falls to +x roll (right) and +y pitch (nose down). At rest
+    with half of the command it has a quarter of the thrust: the torque about x is ``y (4 - 1/4 - 3) T`` of it."""
     robot = ROBOTS.get("base_quadrotor")
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     model = build_model(vehicle, [(EFFECTS.get("motor_failure"), torch.tensor([(1.0, 0.5, 0.0)], dtype=F64))])

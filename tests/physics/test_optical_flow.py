@@ -33,7 +33,6 @@ WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 
 
 def make_wall(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:
-    """Return a scene with a wall across the x axis, whose near side is at a depth, and which has a twist."""
     state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *twist]]], device=device)
     return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
@@ -41,7 +40,6 @@ def make_wall(depth: float, device: torch.device, *, twist: Sequence[float] = (0
 def sense_flow(
     cfg: RangeSensorCfg, scene: Scene, *, velocity: Sequence[float] = (0.0,) * 3, rates: Sequence[float] = (0.0,) * 3
 ) -> Tensor:
-    """Return the flow that one level sensor at the origin sees, (H, W, 2)."""
     device = scene.device
     images = make_images(cfg, 1, device=device, poisoned=True)
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
@@ -60,7 +58,6 @@ def pixels(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
 
 
 def close(result: Tensor, right: Tensor, down: Tensor) -> None:
-    """Compare with the two parts of the flow; float32 keeps some 1e-6 of the largest of them."""
     expected = torch.stack((right.expand_as(result[..., 0]), down.expand_as(result[..., 0])), dim=-1)
     torch.testing.assert_close(result, expected, rtol=0.0, atol=4e-6 * float(expected.abs().max() + 1.0))
 
@@ -114,7 +111,6 @@ SHAPES = [TREE, ShapeCfg(kind="box", size=(1.0, 1.4, 0.8)), ShapeCfg(kind="spher
 
 
 def crowd(device: torch.device) -> Scene:
-    """Return two environments with the same shapes in another order, at their own poses, with their own twists."""
     draw = torch.Generator().manual_seed(4)
     state = torch.zeros(2, 4, 13)
     order = torch.tensor([[0, 1, 2, 3], [2, 3, 1, 0]])

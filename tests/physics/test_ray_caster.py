@@ -49,14 +49,12 @@ CAPSULE = ShapeCfg(kind="capsule", radius=0.35, height=1.1)
 def make_scene(
     shapes: list[ShapeCfg], position: Tensor, attitude: Tensor, *, device: torch.device, ids: Tensor | None = None
 ) -> Scene:
-    """Return a scene whose instance a is shape a, at poses (E, A, 3), (E, A, 4)."""
     rows = torch.arange(len(shapes))
     state = torch.cat((position, attitude, torch.zeros(*position.shape[:2], 6)), dim=-1).float().to(device)
     return Scene(shapes, shape_index=rows, semantic_id=rows if ids is None else ids, asset_state=state)
 
 
 def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
-    """Return distances and ids, (E, H, W), on the CPU, from buffers that were poisoned before the call."""
     image = (scene.num_envs, 1, cfg.height, cfg.width)
     distance = torch.full(image, float("nan"), device=scene.device)
     ids = torch.full(image, UNWRITTEN, dtype=torch.int32, device=scene.device)
@@ -72,7 +70,6 @@ def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> t
 
 
 def level(num_envs: int) -> tuple[Tensor, Tensor]:
-    """Return bodies at the origin, level."""
     return torch.zeros(num_envs, 3), torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1)
 
 
@@ -149,7 +146,6 @@ def _disc_candidates(o: Array, d: Array, radius: float, half: float) -> list[tup
 
 
 def exact_image(cfg: CameraCfg, scene: Scene, body: tuple[Tensor, Tensor], env: int) -> tuple[Array, NDArray[np.int64]]:
-    """Return ranges (H, W) and instances (H, W), -1 for a miss, of one environment, without range limits."""
     shapes = [scene.shape_table.shapes[i] for i in scene.shape_index[env].tolist()]
     state = scene.asset_state[env].double().cpu()
     heading = pixel_rays(cfg) @ rotation(body[1][env]).T
@@ -206,10 +202,8 @@ def test_from_inside_a_shape_its_far_side_is_seen(shape: ShapeCfg, device: torch
 
 @pytest.mark.parametrize(("shape", "end"), [(CYLINDER, 0.75), (CAPSULE, 0.9), (BOX, 0.8)])
 def test_rays_exactly_along_an_axis_are_no_special_case(shape: ShapeCfg, end: float, device: torch.device) -> None:
-    """Direction (0, 0, 1) to the bit, which divides by zero: on the axis it meets the end, 0.5 m beside it nothing.
-
-    A quaternion of halves turns x to z without rounding.
-    """
+    """Direction (0, 0, 1) to the bit, which divides by zero: on the axis it meets the end, 0.5 m beside it nothing. A
+    quaternion of halves turns x to z without rounding."""
     one = replace(CAMERA, width=1, height=1)
     up = torch.tensor([[-0.5, -0.5, -0.5, 0.5]]).repeat(2, 1)
     scene = make_scene([shape], torch.zeros(2, 1, 3), level(2)[1][:, None], device=device)
@@ -228,7 +222,6 @@ def test_a_ray_parallel_to_a_surface_sees_it_or_passes(shape: ShapeCfg, end: flo
 
 
 def test_a_random_mesh_matches_the_ray_caster_of_trimesh(device: torch.device, tmp_path) -> None:
-    """A star-shaped, bumpy, non-convex mesh, scaled by 2 and turned: ranges against trimesh's float64 ray test."""
     pytest.importorskip("rtree")
     from trimesh.ray.ray_triangle import RayMeshIntersector
 
@@ -277,7 +270,6 @@ def test_an_edge_between_two_pixel_centres_divides_them(share: float, device: to
 
 
 def test_left_is_left_and_up_is_up(device: torch.device) -> None:
-    """A sphere ahead and to the left (+y) and above (+z) appears in the left half of the upper half."""
     scene = make_scene([SPHERE], torch.tensor([[[4.0, 1.5, 1.2]]]), level(1)[1][:, None], device=device)
     _, ids = shoot(CAMERA, scene, *level(1))
     row, col = (ids[0] == 0).nonzero().double().mean(dim=0).tolist()
@@ -311,7 +303,6 @@ def test_a_mount_turns_with_the_body(device: torch.device) -> None:
 
 
 def make_clutter(num_envs: int, device: torch.device) -> Scene:
-    """Return eight instances of five shapes at random places around the origin."""
     generator = torch.Generator().manual_seed(8)
     shapes = [BOX, SPHERE, CYLINDER, CAPSULE, ShapeCfg(kind="box", size=(0.1, 2.0, 2.0)), BOX, SPHERE, CYLINDER]
     place = torch.randn(num_envs, 8, 3, generator=generator) * 1.5 + torch.tensor([4.0, 0.0, 0.0])
@@ -384,7 +375,6 @@ def test_a_scene_without_instances_is_all_misses(device: torch.device) -> None:
 
 
 def make_caster(scene: Scene, cfg: CameraCfg = CAMERA) -> tuple[RayCaster, Tensor, Tensor]:
-    """Return a caster of a level camera at the origin, and its images."""
     image = (scene.num_envs, 1, cfg.height, cfg.width)
     depth = torch.full(image, float("nan"), device=scene.device)
     ids = torch.full(image, UNWRITTEN, dtype=torch.int32, device=scene.device)
@@ -394,7 +384,6 @@ def make_caster(scene: Scene, cfg: CameraCfg = CAMERA) -> tuple[RayCaster, Tenso
 
 
 def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> None:
-    """Writing the state tensor is all: a wall at 3 m is put at 4 m in one environment, and parked in another."""
     wall = ShapeCfg(kind="box", size=(0.2, 40.0, 40.0))
     root = torch.zeros(3, 2, 13, device=device)  # row 0 is the robot: the scene has a strided view of row 1
     root[:, 1, 0], root[:, 1, 6] = 3.1, 1.0
@@ -410,7 +399,6 @@ def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> Non
 
 
 def test_a_parked_obstacle_is_absent_even_within_range(device: torch.device) -> None:
-    """A camera 5 m above the parking place, with a range of 2 km, sees nothing there."""
     scene = make_scene([SPHERE], torch.tensor([[[0.0, 0.0, PARKED_Z]]]), level(1)[1][:, None], device=device)
     down = torch.tensor([[0.0, 0.5**0.5, 0.0, 0.5**0.5]])
     _, ids = shoot(replace(CAMERA, max_range=2000.0), scene, torch.tensor([[0.0, 0.0, PARKED_Z + 5.0]]), down)

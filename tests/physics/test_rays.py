@@ -25,7 +25,6 @@ COMMON = {"summary": "test", "min_range": 0.2, "max_range": 10.0, "source": "tes
 
 
 def table(cfg: RangeSensorCfg) -> Array:
-    """Return the ray table in float64, after checking its shape, type and lengths."""
     rays = ray_table(cfg, device=CPU)
     assert rays.dtype == torch.float32
     assert rays.shape == (cfg.height, cfg.width, 3)
@@ -35,7 +34,6 @@ def table(cfg: RangeSensorCfg) -> Array:
 
 
 def angles_deg(rays: Array) -> tuple[Array, Array]:
-    """Return azimuth (from x towards y) and elevation [deg]."""
     return np.degrees(np.arctan2(rays[..., 1], rays[..., 0])), np.degrees(
         np.arctan2(rays[..., 2], np.hypot(rays[..., 0], rays[..., 1]))
     )
@@ -143,10 +141,8 @@ def test_a_full_turn_keeps_half_a_step_from_both_ends(low: float, high: float) -
 
 @pytest.mark.parametrize(("height", "width"), [(128, 512), (64, 511), (5, 2), (3, 7)])
 def test_a_full_turn_repeats_no_ray(height: int, width: int) -> None:
-    """The smallest angle between any two rays is a step of elevation, or of azimuth on the outermost rows.
-
-    Two rays at the same elevation e and the azimuths' distance a are 2 arcsin(cos e sin(a / 2)) apart.
-    """
+    """The smallest angle between any two rays is a step of elevation, or of azimuth on the outermost rows. Two rays at the
+    same elevation e and the azimuths' distance a are 2 arcsin(cos e sin(a / 2)) apart."""
     rays = table(lidar(height, width, elevation_low_deg=-45.0, elevation_high_deg=45.0))
     across = 2.0 * np.arcsin(cos(pi / 4) * sin(pi / width))
     nominal = min(across, pi / 2 / (height - 1))

@@ -24,8 +24,6 @@ from tests.physics.vehicles import F64, asymmetric_robot, random_state
 
 
 class SpeedControl:
-    """The action is the rotor command."""
-
     def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
         return action
 
@@ -55,7 +53,6 @@ def test_free_fall_is_a_parabola_of_the_centre_of_mass(name: str) -> None:
 
 
 def tumble_errors(name: str, dt: float) -> tuple[float, float]:
-    """Return the drift of angular momentum (world) and of rotational energy of free bodies over 1 s, relative."""
     model, state = make_model(16, gravity=0.0), no_thrust(random_state(16, seed=3))
     end = run(model, state, state.rotor_speed, name, dt, round(1.0 / dt))
     inertia = model.vehicle.inertia
@@ -81,10 +78,8 @@ def test_free_tumbling_conserves_momentum_and_energy_to_the_order_of_the_method(
 
 @pytest.mark.parametrize(("name", "order"), [("euler", 1), ("rk4", 4)])
 def test_order_of_convergence_in_powered_flight(name: str, order: int) -> None:
-    """Position, attitude and rates converge with the declared order within 0.1, rotors rising and falling.
-
-    The reference makes eight steps for each of the finest of rk4: its error is 1 / 8⁴ of that one's, 4e-4 of a slope.
-    """
+    """Position, attitude and rates converge with the declared order within 0.1, rotors rising and falling. The reference
+    makes eight steps for each of the finest of rk4: its error is 1 / 8⁴ of that one's, 4e-4 of a slope."""
     model, state = make_model(8), random_state(8, seed=1)
     command = state.rotor_speed * torch.tensor([1.2, 0.8, 0.9, 1.1], dtype=F64)
     reference = run(model, state, command, "rk4", 0.4 / 512, 512)

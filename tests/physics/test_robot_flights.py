@@ -46,7 +46,6 @@ WEAK_YAW = {"tinyprop": 0.5}
 
 
 def overshoot_limit(damping_ratio: float) -> float:
-    """Return the overshoot of a second-order loop, ``exp(-pi z / sqrt(1 - z^2))``."""
     return exp(-pi * damping_ratio / sqrt(1.0 - damping_ratio**2))
 
 
@@ -75,12 +74,10 @@ def assert_flies(flight: ControlFlight, cfg: RobotCfg) -> None:
 
 
 def is_tuned(law: ControllerCfg, cfg: RobotCfg) -> bool:
-    """Return whether a robot file has parameters of a controller's autopilot."""
     return law.autopilot is not None and getattr(cfg.control, law.autopilot) is not None
 
 
 def coarsest_sim(law: ControllerCfg, cfg: RobotCfg) -> SimCfg:
-    """Return the coarsest sim that the check accepts; published Crazyflie gains need 500 Hz."""
     sims = sorted((SIMS.get(name) for name in SIMS), key=lambda sim: -sim.dt)
     return next((sim for sim in sims if not unfit(cfg, law, sim)), sims[0])
 
@@ -90,9 +87,7 @@ FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is No
 
 def select_flights() -> list[tuple[str, str]]:
     """Return every ninth robot with the position controller, and of every thirtieth flight every second controller.
-
-    ``test_nor_with_any_other_controller_at_any_sim`` flies all of them.
-    """
+    ``test_nor_with_any_other_controller_at_any_sim`` flies all of them."""
     return [
         (robot, controller)
         for i, robot in enumerate(different_robots())
@@ -161,9 +156,7 @@ def test_every_named_controller_fits_the_robot_that_it_means() -> None:
 
 def test_in_wind_and_with_rotors_at_their_limits_a_law_does_what_its_equations_say() -> None:
     """``k_p e = F / m`` of a law without an integral; half a second of all that the rotors have delays a step by as long.
-
-    The drag is along body x, of which the horizontal part is a cosine less.
-    """
+    The drag is along body x, of which the horizontal part is a cosine less."""
     robot, controller = ROBOTS.get("x500"), CONTROLLERS.get("lee_position_control")
     flight = fly(robot, controller, SIMS.get("base_sim"), names=("x500", "lee_position_control", "base_sim"))
     vehicle = vehicle_from_config(robot, num_envs=1)

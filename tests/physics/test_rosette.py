@@ -59,9 +59,8 @@ def off_axis(rays: Tensor) -> Tensor:
 @pytest.mark.parametrize("face", ["entry", "exit"])
 def test_one_prism_deflects_by_snells_law(face: str) -> None:
     """A beam along the axis: refracted at the inclined entry by a, then at the flat exit; or at the inclined exit alone.
-
-    Entry: deflection asin(n sin(a - asin(sin a / n))). Exit: asin(n sin a) - a. It turns towards the thick end with the prism.
-    """
+    Entry: deflection asin(n sin(a - asin(sin a / n))). Exit: asin(n sin a) - a. It turns towards the thick end with the
+    prism."""
     wedge, index = radians(20.0), 1.5
     prism = PrismCfg(wedge_deg=20.0, turns_hz=2.0, refractive_index=index, inclined_face=face)
     time = torch.tensor([0.0, 0.125, 0.25], dtype=torch.float64)  # 0, 90 and 180 degrees
@@ -131,7 +130,6 @@ def test_avia_sees_what_its_data_sheet_says() -> None:
 
 
 def coverage(cfg: RosetteCfg, frames: int, cell_deg: float = 0.3) -> float:
-    """Return the share of cells of the field of view that hold a ray of the first frames."""
     rays = rosette_rays(replace(cfg, frames=frames), device=CPU).double()
     half = 0.5 * {"livox_mid40": 38.4, "livox_mid70": 70.4}[cfg_name(cfg)]
     angle = torch.rad2deg(off_axis(rays)) / rays[..., 1:].norm(dim=-1).clamp_min(1e-12)
@@ -149,9 +147,7 @@ def cfg_name(cfg: RosetteCfg) -> str:
 @pytest.mark.parametrize("name", ["livox_mid40", pytest.param("livox_mid70", marks=pytest.mark.slow)])
 def test_coverage_grows_with_time(name: str) -> None:
     """Frames do not repeat: more and more cells of 0.3 degrees are seen, about the divergence of a beam (0.28 degrees).
-
-    Mid-40: 22 % after 0.1 s, 76 % after 0.5 s, 93 % after 1 s; Mid-70: 11, 46 and 74 %.
-    """
+    Mid-40: 22 % after 0.1 s, 76 % after 0.5 s, 93 % after 1 s; Mid-70: 11, 46 and 74 %."""
     cfg = rosette(name)
     shares = [coverage(cfg, frames) for frames in (1, 5, 10, 20)]
     assert all(later > 1.15 * before for before, later in pairwise(shares[:3]))
@@ -234,7 +230,6 @@ def test_every_lidar_that_is_round_is_in_the_table_of_turning_ones() -> None:
 
 
 def make_wall(envs: int, depth: float, device: torch.device) -> Scene:
-    """Return a wall across the x axis with its near side at a depth, in each environment."""
     state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *(6 * [0.0])]]], device=device).repeat(envs, 1, 1)
     return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
@@ -259,7 +254,6 @@ def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None
 
 
 def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask(device: torch.device) -> None:
-    """Environment 1 is reset after two images and takes none at the next call: the others do not notice."""
     caster = make_caster(ROSETTE, make_wall(3, 6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     seen = [0, 0, 0]
@@ -280,7 +274,6 @@ def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask(devi
 
 
 def test_a_batch_sees_what_one_environment_sees(device: torch.device) -> None:
-    """Bit for bit, with noise and in flight."""
     cfg = replace(ROSETTE, points="world")
     draw = torch.Generator().manual_seed(4)
     state = {name: 0.5 * torch.randn(4, 3, generator=draw) for name in ("position", "lin_vel", "ang_vel")}

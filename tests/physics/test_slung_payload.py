@@ -24,14 +24,12 @@ def make_model(robot, num_envs: int, params: list[float], *, gravity: float = G)
 
 
 def rest_load(angle: float) -> Tensor:
-    """Return a still payload at an angle from straight down, towards +x."""
     tilt = torch.tensor(angle, dtype=F64)
     zero = torch.zeros((), dtype=F64)
     return torch.stack((tilt.sin(), zero, -tilt.cos(), zero, zero, zero)).unsqueeze(0)
 
 
 def hover_state(model: Model) -> BodyState:
-    """Return a level vehicle at rest whose rotors carry it and its payload."""
     weight = (model.vehicle.mass[0] + model.effects[LoadEffect][0][1][0, 0]) * model.gravity
     speed = (weight / 4.0 / model.vehicle.thrust_map[0, 0, 2]).sqrt()
     zeros = torch.zeros(1, 3, dtype=F64)
@@ -87,9 +85,7 @@ def test_a_payload_ahead_pulls_forward_and_turns_a_vehicle_with_a_high_centre_of
 
 def test_momentum_and_energy_are_conserved() -> None:
     """No rotors, no drag: momentum in weightlessness, angular momentum, energy also under gravity; all of any tumbling.
-
-    Fourth order: below 1e-7 at 2 ms, for rates of some 5 rad/s over 0.6 s: C (w dt)^4 w t.
-    """
+    Fourth order: below 1e-7 at 2 ms, for rates of some 5 rad/s over 0.6 s: C (w dt)^4 w t."""
     for gravity in (0.0, G):
         model = make_model(asymmetric_robot(), 8, [0.3, 0.4, 0.0], gravity=gravity)
         start, load = replace(random_state(8), rotor_speed=torch.zeros(8, 4, dtype=F64)), random_load(8)

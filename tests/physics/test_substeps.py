@@ -81,7 +81,6 @@ def build(env: EnvironmentCfg, num_envs: int, *, backend: str = "warp", num_othe
 
 
 def throw(env: EnvManager, rows: slice = slice(None)) -> None:
-    """Give the robots speeds at which they pass a plate within a substep or two: 0.1 to 0.3 m each."""
     generator = torch.Generator().manual_seed(4)
     draw = torch.randn(64, 9, generator=generator)[rows]
     env.gtd["robot_position"].copy_(0.6 * draw[:, :3].clamp(-2.0, 2.0))
@@ -106,7 +105,6 @@ def loop(env: EnvManager) -> Tensor:
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_step_equals_the_loop_over_its_substeps(motion: str) -> None:
-    """Robots thrown through a crowd: states of robots and obstacles, crashes and clearances, three steps on end."""
     one, other = build(crowd(MOTIONS[motion]), 64), build(crowd(MOTIONS[motion]), 64)
     throw(one)
     throw(other)
@@ -126,7 +124,6 @@ def test_a_step_equals_the_loop_over_its_substeps(motion: str) -> None:
 
 
 def test_the_torch_backend_tells_the_same_substeps() -> None:
-    """The same poses to float32 rounding of 10 substeps at 30 m/s, so the same crashes where nothing is that close."""
     ways = []
     for backend in ("warp", "torch"):
         env = build(crowd(SPIN), 64, backend=backend)
@@ -144,10 +141,8 @@ PUSHING = crowd(SPIN, contact=ContactCfg(friction=0.4, crash_speed=4.0))
 
 
 def test_obstacles_that_push_do_so_after_every_substep_of_one_launch() -> None:
-    """Thrown through a crowd that pushes: ten substeps at once against ten launches of one, bit for bit.
-
-    A launch of one substep stores in float32 what the long one keeps in registers.
-    """
+    """Thrown through a crowd that pushes: ten substeps at once against ten launches of one, bit for bit. A launch of one
+    substep stores in float32 what the long one keeps in registers."""
     one, other = build(PUSHING, 64), build(PUSHING, 64)
     throw(one)
     throw(other)
@@ -168,10 +163,8 @@ def test_obstacles_that_push_do_so_after_every_substep_of_one_launch() -> None:
 
 
 def test_the_torch_backend_calls_the_obstacles_that_push() -> None:
-    """One substep, as collisions at 30 m/s multiply every rounding: velocities to 1e-4 of what the push changed.
-
-    Float32 (6e-8) times the condition of the system of contacts, some 1e3: its penalty is 100 masses.
-    """
+    """One substep, as collisions at 30 m/s multiply every rounding: velocities to 1e-4 of what the push changed. Float32
+    (6e-8) times the condition of the system of contacts, some 1e3: its penalty is 100 masses."""
     ways = []
     for backend in ("warp", "torch"):
         env = build(PUSHING, 64, backend=backend)
@@ -214,10 +207,8 @@ class SphereFlight:
 
 
 def test_a_touch_in_one_substep_alone_is_a_crash() -> None:
-    """Environment e stands at the plate after substep e and else 1 m or more away; the last one never does.
-
-    The plate reaches 0.025 m, the sphere 0.1 m: clear is 0.875 m, or 5 m on the far way.
-    """
+    """Environment e stands at the plate after substep e and else 1 m or more away; the last one never does. The plate
+    reaches 0.025 m, the sphere 0.1 m: clear is 0.875 m, or 5 m on the far way."""
     way = torch.full((K + 1, K + 1, 3), 0.0)
     way[..., 0] = 1.0
     for e in range(K):
@@ -231,10 +222,8 @@ def test_a_touch_in_one_substep_alone_is_a_crash() -> None:
 
 @pytest.mark.parametrize("shape", [PLATE, ShapeCfg(kind="plane"), TREE, "mesh"], ids=lambda s: getattr(s, "kind", s))
 def test_a_still_part_is_passed_over_only_if_no_substep_can_touch_it(shape: ShapeCfg | str, tmp_path: Path) -> None:
-    """Random ways of every length, beside distances at 50 places of each substep.
-
-    Between two of these places the distance falls by half of what lies between them at most, and by the 0.2 mm of a touch.
-    """
+    """Random ways of every length, beside distances at 50 places of each substep. Between two of these places the distance
+    falls by half of what lies between them at most, and by the 0.2 mm of a touch."""
     if isinstance(shape, str):
         trimesh.creation.icosphere(subdivisions=1, radius=0.5).export(tmp_path / "ball.obj")
         shape = ShapeCfg(kind="mesh", path=str(tmp_path / "ball.obj"))

@@ -19,7 +19,6 @@ UPRIGHT, OVER = [0.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]
 
 
 def level_robot(rotor=FORCE):
-    """Return a quadrotor with vertical axes, hubs and centre of mass in one plane."""
     robot = with_rotor(asymmetric_robot(com=(0.0, 0.0, 0.0)), rotor)
     mounts = robot.mounts.layout
     layout = tuple(replace(m, position=(*m.position[:2], 0.0), axis=(0.0, 0.0, 1.0)) for m in mounts)
@@ -40,7 +39,6 @@ def body_state(height: float, state: float, attitude: list[float] = UPRIGHT) -> 
 
 
 def push(model: Model, state: BodyState) -> Tensor:
-    """Return the force of the rotors [N], body, (3,)."""
     return MASS * accelerations(model, state).specific_force[0]
 
 
@@ -60,10 +58,8 @@ def gain(name: str, distance: float) -> float:
 )
 @pytest.mark.parametrize("attitude", [UPRIGHT, OVER])
 def test_each_surface_acts_on_the_rotors_on_its_side(name, blows, floor, roof, attitude) -> None:
-    """0.12 m over the ground, 0.2 m under the ceiling, thrust of either sign, either side up: the gain is that of one surface.
-
-    The wake goes down where thrust along the axis and the axis have the same sign.
-    """
+    """0.12 m over the ground, 0.2 m under the ceiling, thrust of either sign, either side up: the gain is that of one
+    surface. The wake goes down where thrust along the axis and the axis have the same sign."""
     thrust = 1.5 if (blows == "down") == (attitude is UPRIGHT) else -1.5
     result = push(make_model(name, ceiling_height=0.32), body_state(0.12, thrust, attitude))
     expected = 4.0 * thrust * gain(name, roof if floor is None else floor)
@@ -102,7 +98,6 @@ def test_surfaces_far_away_or_absent_do_nothing() -> None:
     [pytest.param(("ground_effect",), None, marks=pytest.mark.slow), (("ground_effect", "ceiling_effect"), 0.3)],
 )
 def test_the_kernel_tells_the_surfaces_apart(names, ceiling) -> None:
-    """One short step from rest: the velocity is the closed form's, for thrusts of both signs."""
     for thrust in (1.2, -1.2):
         model = make_model(*names, ceiling_height=ceiling).to(torch.float32)
         backend, state = WarpBackend(), single(body_state(0.1, thrust))

@@ -56,7 +56,6 @@ class SweepMotion:
     turns: Array  # (K, N, 3) [rad]
 
     def pose(self, substep: int, s: Array | float) -> tuple[Array, Rotation]:
-        """Return place and attitude at share s of a substep."""
         share = np.broadcast_to(s, len(self.start))[:, None]
         place = self.start + self.shifts[:substep].sum(axis=0) + share * self.shifts[substep]
         attitude = self.attitude
@@ -82,13 +81,11 @@ def random_motion(rng: np.random.Generator, n: int, k: int, *, speed: tuple[floa
 
 
 def draw_motion(rng: np.random.Generator, n: int, k: int, *, moves: bool) -> SweepMotion:
-    """Return the motion of the part: the same twist in all substeps."""
     result = random_motion(rng, n, k, speed=(0.0, 20.0) if moves else (0.0, 0.0), spin=20.0 if moves else 0.0)
     return SweepMotion(result.start, result.attitude, result.shifts, np.repeat(result.turns[:1], k, axis=0))
 
 
 def points_in_hull(hull: CollisionShape, rng: np.random.Generator, n: int) -> Array:
-    """Return points of the solid in the body frame."""
     unit = directions(rng, n) * rng.uniform(size=(n, 1)) ** (1 / 3)
     if isinstance(hull, SphereCfg):
         return np.asarray(hull.center) + hull.radius * unit
@@ -119,7 +116,6 @@ def make_mesh(name: str) -> trimesh.Trimesh:
 
 
 def points_in_part(part: ShapeCfg | trimesh.Trimesh, rng: np.random.Generator, n: int) -> Array:
-    """Return points of the solid, or of the faces of a mesh."""
     if isinstance(part, trimesh.Trimesh):
         weights = rng.dirichlet((1.0, 1.0, 1.0), size=n)
         return np.einsum("nk,nkd->nd", weights, part.triangles[rng.integers(len(part.faces), size=n)])
@@ -260,7 +256,6 @@ def crash_flags(
 
 
 def make_shape(name: str, folder: Path) -> tuple[ShapeCfg, ShapeCfg | trimesh.Trimesh]:
-    """Return a part for the package and for the truth."""
     if name in PARTS:
         return PARTS[name], PARTS[name]
     mesh = make_mesh(name)

@@ -33,7 +33,6 @@ POLE = ShapeCfg(kind="cylinder", radius=0.005, height=1.0)
 
 
 def rotate_joint(point: Array, joint: JointCfg, angle: Array) -> Array:
-    """Return points of a link in the frame of its parent, (N, 3)."""
     return np.asarray(joint.position) + Rotation.from_rotvec(angle[:, None] * joint.axis).apply(point - joint.position)
 
 
@@ -44,10 +43,8 @@ def tensor(values: Array) -> torch.Tensor:
 @pytest.mark.parametrize("flights", [500, pytest.param(100_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("misses", [False, True], ids=["crossing", "clear"])
 def test_a_chain_of_arms_touches_a_pole_between_two_poses(misses: bool, flights: int) -> None:
-    """Hinges turn at up to 30 rad/s on a base of 5 to 20 m/s and 10 rad/s.
-
-    A crossing has a common point. A clear rod passes on the far side of a plane that is 1 mm from the pole, at 100 times.
-    """
+    """Hinges turn at up to 30 rad/s on a base of 5 to 20 m/s and 10 rad/s. A crossing has a common point. A clear rod passes
+    on the far side of a plane that is 1 mm from the pole, at 100 times."""
     rng = np.random.default_rng(3)
     base = random_motion(rng, flights, 1, speed=(5.0, 20.0), spin=10.0)
     first, rate = rng.uniform(-2.5, 2.5, size=(flights, 2)), rng.uniform(-30.0, 30.0, size=(flights, 2))
@@ -77,7 +74,6 @@ def test_a_chain_of_arms_touches_a_pole_between_two_poses(misses: bool, flights:
 
 
 def crash_flags(base: SweepMotion, first: Array, rate: Array, pole: Array, pole_turn: Rotation) -> torch.Tensor:
-    """Return the flags of flights that the collision test calls crashes, (N,)."""
     n = len(first)
     state = np.concatenate((pole, pole_turn.as_quat(), np.zeros((n, 6))), axis=1)
     rows = torch.zeros(1, dtype=torch.int64)
@@ -104,7 +100,6 @@ def crash_flags(base: SweepMotion, first: Array, rate: Array, pole: Array, pole_
 
 @pytest.mark.parametrize("flights", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_links_that_cross_each_other_between_two_poses_crash(flights: int) -> None:
-    """A box and a capsule on two links with motions of their own, and a common point at a random time."""
     rng = np.random.default_rng(4)
     one, two = (random_motion(rng, flights, 1, speed=(5.0, 40.0), spin=30.0) for _ in range(2))
     box = BoxCfg(size=(0.3, 0.2, 0.06), center=(0.0, 0.1, 0.0), link="one")

@@ -28,7 +28,6 @@ def tricopters(controller: str, num_envs: int, backend: str = "auto") -> EnvMana
 
 
 def hover(controller: str, seconds: float, backend: str = "auto") -> EnvManager:
-    """Return tricopters that were told to hover at the origin at three headings, which their servos hold."""
     env, servo = tricopters(controller, 3, backend), tail_servo(ROBOTS.get("tilt_tricopter"), dt=0.01)
     gtd, actions = env.gtd, torch.zeros(3, 5)
     for _ in range(round(100 * seconds)):
@@ -44,12 +43,10 @@ def hover(controller: str, seconds: float, backend: str = "auto") -> EnvManager:
 
 @pytest.mark.parametrize("backend", ["warp", pytest.param("torch", marks=pytest.mark.slow)])
 def test_a_law_without_an_integral_rests_where_its_error_leans_the_vehicle(backend: str) -> None:
-    """After 12 s, with steps of the heading both ways: angle of the tail and lean as in balance, at rest.
-
-    To the right of its place, in its own axes, by ``-y = g tan(lean) / kp``, as lean is asked for by distance alone; and before
-    it: with a third of the weight T from each rotor the torque about y, ``T (L (cos d - 1) + k sin d)``, is that of an attitude
-    error, ``K e``, and that of a distance ``x = g e / kp``.
-    """
+    """After 12 s, with steps of the heading both ways: angle of the tail and lean as in balance, at rest. To the right of
+    its place, in its own axes, by ``-y = g tan(lean) / kp``, as lean is asked for by distance alone; and before it: with a
+    third of the weight T from each rotor the torque about y, ``T (L (cos d - 1) + k sin d)``, is that of an attitude error,
+    ``K e``, and that of a distance ``x = g e / kp``."""
     env = hover("lee_position_control", 12.0, backend)
     gains = env.robot_manager.controller.gains
     place, attitude = float(gains.position[0, 0]), float(gains.attitude[0, 1])

@@ -37,7 +37,6 @@ def build(robot: RobotCfg, env: EnvironmentCfg, device: torch.device, *, num_env
 
 
 def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
-    """Return distances and ids (E, H, W), on the CPU, from poisoned buffers."""
     image = (scene.num_envs, 1, cfg.height, cfg.width)
     distance = torch.full(image, float("nan"), device=scene.device)
     ids = torch.full(image, -12345, dtype=torch.int32, device=scene.device)
@@ -65,7 +64,6 @@ def exact_view(
 
 
 def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device) -> None:
-    """Range and id of every pixel against the closed form, twice, with poses written between two calls of one caster."""
     scene = Scene(
         [],
         shape_index=torch.zeros(0),
@@ -96,7 +94,6 @@ def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device
 
 
 def test_a_camera_on_board_sees_its_arm_at_the_same_pixels_wherever_it_flies(device) -> None:
-    """Looking down from above: the arm is where it is in the body frame, in the images of the step in which it moved."""
     manager = build(SEEN, OPEN_AIR, device)
     cfg = replace(CAMERA, position=(0.1, 0.05, 0.4), euler=(0.0, np.pi / 2, 0.0))
     level = torch.zeros(3), torch.tensor([0.0, 0.0, 0.0, 1.0])
@@ -132,7 +129,6 @@ def test_a_robot_without_shapes_of_its_own_is_seen_as_its_collision_spheres(devi
 
 
 def test_only_sensors_notice_whether_a_robot_is_visible(device) -> None:
-    """Obstacles, clearance, crashes and flight are bit for bit the same; without ``visible`` the images are as well."""
     env, camera = ENVIRONMENTS.get("env_with_obstacles"), ("base_depth_camera",)
     around = PartCfg(shape=ShapeCfg(kind="sphere", radius=0.6))
     plain = build(replace(BASE, sensors=camera), env, device, num_envs=4)

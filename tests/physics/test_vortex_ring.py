@@ -22,7 +22,6 @@ HOVER = sqrt(THRUST / (2.0 * AIR_DENSITY * pi * float(ROTOR.radius or 0.0) ** 2)
 
 
 def loss(state: BodyState, k: float = 0.2) -> float:
-    """Return the loss of thrust of the vehicle per thrust."""
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=F64)
     models = (build_model(vehicle, make_effects(e, 1)) for e in ({}, {"vortex_ring": {"k": k}}))
     without, with_ring = (accelerations(model, state).specific_force[0, 2] for model in models)
@@ -51,7 +50,6 @@ def test_there_is_none_in_hover_climb_and_windmill(ratio: float) -> None:
 
 
 def test_it_begins_and_ends_without_a_jump() -> None:
-    """Slopes of p are -1.125 in hover and 4.8 where it ends."""
     assert 0.0 < loss(descent_state(-1e-6)) < 0.3e-6
     assert 0.0 < loss(descent_state(-2.0054)) < 0.2 * 5.0 * 1e-4
     assert loss(descent_state(-1.0, 1.0)) == pytest.approx(0.0, abs=1e-12)

@@ -36,7 +36,6 @@ def hull(
 
 
 def make_state(rotors: int = 4, **parts: tuple[float, ...]) -> BodyState:
-    """Return a state at rest at the origin but for what is given; ``euler`` is roll, pitch, yaw."""
     rows = {name: torch.tensor([values], dtype=F64) for name, values in parts.items()}
     euler = rows.pop("euler", torch.zeros(1, 3, dtype=F64))
     rest = {name: torch.zeros(1, 3, dtype=F64) for name in ("position", "lin_vel", "ang_vel")}
@@ -101,7 +100,6 @@ def test_a_neutral_hull_swings_like_a_pendulum() -> None:
 
 
 def total_momentum(model: Model, state: BodyState) -> tuple[Tensor, Tensor, Tensor]:
-    """Return energy, impulse and its moment about the origin, of hull and water, world."""
     mass = MASS + torch.tensor(tuple(ADDED.values()), dtype=F64)
     v, w = quat_rotate_inverse(state.attitude, state.lin_vel), state.ang_vel
     spin = (model.vehicle.inertia[0] @ w[0]).unsqueeze(0)
@@ -163,7 +161,6 @@ def test_water_is_not_looked_for_in_flights_and_one_fluid_is_enough() -> None:
 
 
 def rov(**changes: dict[str, float]) -> Model:
-    """Return ``base_rov`` with the effects of its file, some of them changed or added."""
     robot = ROBOTS.get("base_rov")
     return build_model(vehicle_from_config(robot, num_envs=1, dtype=F64), make_effects({**robot.effects, **changes}, 1))
 
@@ -189,9 +186,8 @@ def test_the_water_of_base_rov_is_that_of_its_nine_spheres() -> None:
 @pytest.mark.parametrize("push", [-2.0, 0.5])
 def test_base_rov_reaches_its_terminal_speed(push: float) -> None:
     """With P more or less than the weight: ``v = 2 P tanh(k t) / (D + l tanh(k t))``, ``D² = l² + 4 q P``, ``k = D / 2 M``.
-
-    After 20 s it is the root of ``l v + q v² = P``: up where water carries more than the weight, down where it carries less.
-    """
+    After 20 s it is the root of ``l v + q v² = P``: up where water carries more than the weight, down where it carries
+    less."""
     effects = ROBOTS.get("base_rov").effects
     model = rov(buoyancy={**effects["buoyancy"], "force": 1.1 * G + push})
     linear, quadratic, mass = effects["hull_drag"]["lz"], effects["hull_drag"]["qz"], 1.1 + effects["added_mass"]["z"]

@@ -30,7 +30,6 @@ CEILING = 9.0
 
 
 def asymmetric_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -> RobotCfg:
-    """Return a quadrotor with products of inertia, tilted rotors and an offset centre of mass."""
     return RobotCfg(
         summary="test vehicle",
         body=BodyCfg(
@@ -79,10 +78,8 @@ def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) ->
 
 
 def random_network(*widths: int, seed: int = 0) -> LearnedResidualCfg:
-    """Return a network with hidden layers of these widths, that trusts the states of ``random_state``.
-
-    Outputs are some 0.3 N and 0.02 N m; about every tenth is limited, as is every tenth input.
-    """
+    """Return a network with hidden layers of these widths, that trusts the states of ``random_state``. Outputs are some 0.3
+    N and 0.02 N m; about every tenth is limited, as is every tenth input."""
     rng, sizes = np.random.default_rng(seed), (7, *widths)
 
     def rows(values: np.ndarray) -> tuple:

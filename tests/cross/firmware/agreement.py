@@ -68,7 +68,6 @@ def table() -> str:
 
 
 def main() -> None:
-    """Print the table, or write it to a page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--write", type=Path, help="page in which the table stands")
     args = parser.parse_args()

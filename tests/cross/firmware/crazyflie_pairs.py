@@ -73,10 +73,8 @@ def _state(attitude: Tensor, position: Tensor, velocity: Tensor, gyro: Tensor) -
 
 
 def lee_pair(vectors: dict[str, Tensor]) -> Pair:
-    """Return thrust [N] and torque [N m], (N, 4); the firmware's integrals are off, as ours has none.
-
-    Ours keeps a tenth of the weight upwards in what it wants, the firmware does not: states that want less are left out.
-    """
+    """Return thrust [N] and torque [N m], (N, 4); the firmware's integrals are off, as ours has none. Ours keeps a tenth of
+    the weight upwards in what it wants, the firmware does not: states that want less are left out."""
     gains, rows = made.lee_states()
     mass, inertia, position, velocity, attitude, rate = _split(gains, 1, 3, 3, 3, 3, 3)
     q, at, moving, gyro, goal, goal_velocity, yaw = _split(rows, 4, 3, 3, 3, 3, 3, 1)
@@ -172,11 +170,9 @@ def brescianini_pair(vectors: dict[str, Tensor]) -> Pair:
 
 
 def brescianini_reduced_pair(vectors: dict[str, Tensor]) -> Pair:
-    """Return the wanted rates of the tilt alone [rad/s], (RUNS, 3), which the firmware's torques show.
-
-    Without the heading it turns about an axis that it takes in the world, where the report, and ours, take it in the body:
-    ours are seen in the world.
-    """
+    """Return the wanted rates of the tilt alone [rad/s], (RUNS, 3), which the firmware's torques show. Without the heading
+    it turns about an axis that it takes in the world, where the report, and ours, take it in the body: ours are seen in the
+    world."""
     gains, rows = made.brescianini_states()
     own = firmware_brescianini_gains(gains, mixing=0.0)
     state, target = _follow(torch.from_numpy(rows[:, 0]).double())

@@ -168,10 +168,8 @@ def lee_states() -> tuple[Array, Array]:
 
 
 def lee_integral_states() -> tuple[Array, Array]:
-    """Return gains (RUNS, 22), those of ``lee_states`` and of both integrals, and states (RUNS, STEPS, 20).
-
-    Position and velocity are asked for so gently that what is wanted stays upwards.
-    """
+    """Return gains (RUNS, 22), those of ``lee_states`` and of both integrals, and states (RUNS, STEPS, 20). Position and
+    velocity are asked for so gently that what is wanted stays upwards."""
     draw = Draws(SEED + 5)
     ends = (
         (0.02, 0.05), *[(1e-5, 4e-5)] * 3, *[(1.0, 4.0)] * 3, *[(0.5, 2.0)] * 3, *[(3e-3, 1e-2)] * 3, *[(5e-4, 3e-3)] * 3,
@@ -212,10 +210,8 @@ def pid_states() -> Array:
 
 
 def brescianini_states() -> tuple[Array, Array]:
-    """Return gains (RUNS, 5) in the order of ``BRESCIANINI``, and states (RUNS, STEPS, 24).
-
-    Behind the 20 numbers of the others stand a wanted acceleration (3) and yaw rate [deg/s].
-    """
+    """Return gains (RUNS, 5) in the order of ``BRESCIANINI``, and states (RUNS, STEPS, 24). Behind the 20 numbers of the
+    others stand a wanted acceleration (3) and yaw rate [deg/s]."""
     draw = Draws(SEED + 4)
     gains = np.concatenate([draw(RUNS, 1, low=low, high=high) for low, high in BRESCIANINI.values()], axis=-1)
     states = _states(draw, RUNS, STEPS, upright=2.5, rate=250.0)
@@ -232,7 +228,6 @@ def power_states() -> Array:
 
 
 def states_checksum() -> int:
-    """Return a number of all states."""
     states = (
         *lee_states(),
         *mellinger_states(),
@@ -404,7 +399,6 @@ def _nose_up(angles: Array) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Write the vectors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--library", type=Path, required=True, help="host library of the firmware's controllers")
     parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")

@@ -13,7 +13,6 @@ class Draws:
     """Numbers of one stream."""
 
     def __init__(self, seed: int) -> None:
-        """Begin a stream."""
         self._bits = np.random.PCG64(seed)
 
     def __call__(self, *shape: int, low: float = -1.0, high: float = 1.0) -> Array:
@@ -30,7 +29,6 @@ class Draws:
 
 
 def checksum(*arrays: Array) -> int:
-    """Return a number of all states."""
     return crc32(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))
 
 

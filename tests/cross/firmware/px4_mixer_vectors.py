@@ -55,10 +55,8 @@ extern "C" void mix(int rows, const float *in, float *out)
 
 
 def states() -> tuple[Array, Array]:
-    """Return parts in roll, pitch, yaw, thrust and lowest signal (ROWS, MOTORS, 5), and commands and airmode (ROWS, 5).
-
-    Half of the rows are of a quadrotor in X, whose last two motors have no part in anything.
-    """
+    """Return parts in roll, pitch, yaw, thrust and lowest signal (ROWS, MOTORS, 5), and commands and airmode (ROWS, 5). Half
+    of the rows are of a quadrotor in X, whose last two motors have no part in anything."""
     draw = Draws(SEED)
     parts, lift = draw(ROWS, MOTORS, 3), draw(ROWS, MOTORS, 1, low=-1.2, high=-0.8)
     lowest = np.repeat(draw(ROWS, 1, 1, low=0.0, high=0.2), MOTORS, axis=1)
@@ -71,7 +69,6 @@ def states() -> tuple[Array, Array]:
 
 
 def states_checksum() -> int:
-    """Return a number of all commands."""
     return checksum(*states())
 
 
@@ -103,7 +100,6 @@ def signals(px4: Path) -> Array:
 
 
 def main() -> None:
-    """Write the vectors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--px4", type=Path, required=True, help="folder of a PX4-Autopilot checkout")
     parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")

@@ -97,7 +97,6 @@ def position_states() -> tuple[Array, Array]:
 
 
 def states_checksum() -> int:
-    """Return a number of all states."""
     return checksum(*rate_states(), attitude_states(), *position_states())
 
 
@@ -126,7 +125,6 @@ def answers(px4: Path) -> dict[str, Array]:
 
 
 def main() -> None:
-    """Write the vectors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--px4", type=Path, required=True, help="folder of a PX4-Autopilot checkout")
     parser.add_argument("--version", default="", help="which version that is, to be written beside the numbers")

@@ -46,7 +46,6 @@ def assert_same(one: TreeState, other: TreeState, *, bound: float) -> None:
 
 
 def on_a_stand(state: TreeState) -> TreeState:
-    """Return the state with a base that stands still, turned."""
     still = {name: torch.zeros_like(getattr(state, name)) for name in ("lin_vel", "ang_vel")}
     turns = torch.tensor([[0.3, -0.5, 0.2], [-1.0, 0.4, 0.0], [0.0, 0.0, 1.0]], dtype=F64)
     return replace(state, **still, attitude=quat_from_euler(turns))
@@ -60,10 +59,8 @@ def on_a_stand(state: TreeState) -> TreeState:
     ),
 )
 def test_trees_move_as_by_implicit_euler(num_joints: int, chain: bool, floating: bool) -> None:
-    """Forces on links, springs, soft ends, drives at their limits and not, links by environment: 50 steps to 1e-9.
-
-    Condition numbers of mass matrices, some 1e4, and the growth of differences in 0.1 s stand between that and rounding.
-    """
+    """Forces on links, springs, soft ends, drives at their limits and not, links by environment: 50 steps to 1e-9. Condition
+    numbers of mass matrices, some 1e4, and the growth of differences in 0.1 s stand between that and rounding."""
     tree = random_tree(num_joints, 5, floating=floating, chain=chain)
     links, first = random_links(tree, 3, 5), random_motion(tree, 3, 5)
     first = first if floating else on_a_stand(first)
@@ -130,12 +127,10 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so(
     ),
 )
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
-    """0.3 s in float32, from draws; joints and base agree to 1e-4 of their size (snakes whip at up to 50 rad/s)."""
     flies_as_on_torch(robot, "mujoco")
 
 
 def flies_as_on_torch(robot: str, other: str) -> None:
-    """Assert that simulations on a backend do what they do on torch."""
     sims = []
     for backend in ("torch", other):
         sim = SimBuilder().build_env(

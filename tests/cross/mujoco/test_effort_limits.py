@@ -55,7 +55,6 @@ def test_trees_keep_their_limits_on_the_backend(count: int, monkeypatch: pytest.
     "name", [f"snakey{rods}{mode}" for rods in ("", "5", "6") for mode in ("", "_position", "_effort")]
 )
 def test_snakes_keep_their_limits_on_the_backend(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """32 snakes with friction, 0.1 s."""
     watched = StepRecorder(monkeypatch, MujocoTrees, "_step")
     worst = worst_residuals([random_snakes(name, friction=0.05)], watched, 50, engine)
     print(f"\n{name}: largest residual {worst[0]:.1e}, excess {worst[1]:.1e}, power {worst[2]:.1e}")

@@ -45,7 +45,6 @@ def assert_alike(one: EnvManager, other: EnvManager, *, bound: float = 1e-4) -> 
     "env", ["empty_env", pytest.param("env_with_obstacles", marks=pytest.mark.slow), "landing_env"]
 )
 def test_a_simulation_flies_as_on_torch(env: str) -> None:
-    """With bodies drawn at every reset, of the whole batch and of one environment on the way."""
     sims = [build(backend, env, randomize=BODY) for backend in ("torch", "mujoco")]
     masses = sims[1].gtd["robot_mass"].clone()
     assert masses.unique().numel() == 4
@@ -97,7 +96,6 @@ def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
 
 @pytest.mark.slow
 def test_obstacles_push_by_the_hook_that_follows_each_substep() -> None:
-    """Against the walls of a room: it stays in it, pushed by them, as on torch."""
     env = replace(ENVIRONMENTS.get("env_with_obstacles"), contact=ContactCfg(friction=0.2, crash_speed=5.0))
     forces = []
     for backend in ("torch", "mujoco"):

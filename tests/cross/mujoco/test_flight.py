@@ -14,14 +14,7 @@ from aerial_gym.config.robot import BodyCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import (
-    BACKENDS,
-    BodyState,
-    PhysicsBackend,
-    TorchBackend,
-    build_model,
-    vehicle_from_config,
-)
+from aerial_gym.physics import BACKENDS, BodyState, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.vehicle import Vehicle, own_rows
 from aerial_gym.robots import ROBOTS
 from aerial_gym.workloads.measure import torch_threads
@@ -73,7 +66,6 @@ def test_every_effect_flies_as_in_torch(name: str | None) -> None:
 
 @pytest.mark.parametrize("controller", ["lee_position_control", "pid_velocity_control"])
 def test_control_laws_fly_as_in_torch(controller: str) -> None:
-    """One without and one with memory."""
     robot, ends = ROBOTS.get("tinyprop"), []
     for backend in (TorchBackend(), mujoco_backend()):
         model, law = build(robot, CONTROLLERS.get(controller), 5, F64)
@@ -92,7 +84,6 @@ def test_rotors_of_all_kinds_fly_as_in_torch() -> None:
 
 
 def make_idle_model(num_envs: int, body: BodyCfg):
-    """Return model and law of bodies whose rotors stand still, and their action."""
     vehicle = vehicle_from_config(replace(asymmetric_robot(), body=body), num_envs=num_envs, dtype=F64)
     return build_model(vehicle), make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
 
@@ -223,7 +214,6 @@ def test_parameters_that_are_written_in_place_are_followed_in_their_rows_alone()
 
 @pytest.mark.parametrize("effect", ["slung_payload", "gusts", "actuation_delay"])
 def test_reset_by_mask_forgets_rows_of_the_mask_alone(effect: str) -> None:
-    """As in torch; rows outside fly on bit for bit as without the reset."""
     robot, ends = asymmetric_robot(), {}
     for name, reset in (("torch", True), ("mujoco", True), ("mujoco", False)):
         backend = BACKENDS.get(name)()

@@ -31,7 +31,6 @@ def fly(backend, dtype: torch.dtype, *, adjust=None, nudges=(0,)):
 
 @pytest.mark.parametrize("adjust", [None, by_env])
 def test_free_flight_is_as_far_from_float64_as_float32_is(adjust) -> None:
-    """With one body for all, and with mass, inertia and centre of mass by environment; bound as of the fused kernel."""
     exact = fly(TorchBackend(), F64, adjust=adjust)
     singles = fly(TorchBackend(), torch.float32, adjust=adjust, nudges=range(NUDGES))
     assert_agreement(exact, singles, fly(BACKENDS.get("mujoco_warp")(), torch.float32, adjust=adjust))

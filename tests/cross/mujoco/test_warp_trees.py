@@ -72,7 +72,6 @@ def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so()
 
 @pytest.mark.parametrize("robot", frequent_values(WITH_JOINTS, ("morphy_fixed_base", "tilt_tricopter")))
 def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
-    """As on backend ``mujoco``, 0.3 s from draws, and with torch in float32 as well: to 1e-4 of the size."""
     flies_as_on_torch(robot, "mujoco_warp")
 
 

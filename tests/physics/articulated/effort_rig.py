@@ -27,8 +27,6 @@ DT = 2e-3
 
 @dataclass(frozen=True)
 class TreeCase:
-    """A tree in motion, and what acts on it through all steps."""
-
     tree: Tree
     links: Links
     laws: tuple[JointLaw, ...]
@@ -56,7 +54,6 @@ Stepper = Callable[..., TreeState]
 
 
 def step(bent: TreeCase, dt: float = DT, stepper: Stepper = steppers.implicit_euler) -> TreeState:
-    """Return the state after one step."""
     return stepper(
         bent.tree, bent.links, bent.laws, bent.state, dt, gravity=9.81, drive=bent.drive, friction=bent.friction,
         wrench=bent.wrench,
@@ -64,10 +61,8 @@ def step(bent: TreeCase, dt: float = DT, stepper: Stepper = steppers.implicit_eu
 
 
 def random_bent(seed: int, *, num_envs: int = 4, largest: int = 10) -> TreeCase:
-    """Return a tree of 1 to ``largest`` joints; some have a drive, some dry friction, some both.
-
-    Gains span three decades, so some drives would bring their joint to the command within a step, others never.
-    """
+    """Return a tree of 1 to ``largest`` joints; some have a drive, some dry friction, some both. Gains span three decades,
+    so some drives would bring their joint to the command within a step, others never."""
     rng, num_joints = np.random.default_rng(seed + 77), 1 + seed % largest
     tree = random_tree(num_joints, seed, chain=seed % 3 == 0, floating=seed % 4 != 0)
 
@@ -150,10 +145,8 @@ class StepRecorder:
 
 
 def residuals(bent: TreeCase, effort: Tensor, end: TreeState) -> tuple[float, float, float]:
-    """Return the largest violations in shares of a joint's limit: complementarity, limit, and friction's power.
-
-    Friction's effort is what the drive does not give; its power is taken where it is all that acts.
-    """
+    """Return the largest violations in shares of a joint's limit: complementarity, limit, and friction's power. Friction's
+    effort is what the drive does not give; its power is taken where it is all that acts."""
     limit = bent.limit.clamp_min(1e-12).expand_as(effort)
     has = (bent.limit > 0.0).expand_as(effort)
     alone = ((bent.limit == bent.friction.limit) & (bent.limit > 0.0)).expand_as(effort)
@@ -165,7 +158,6 @@ def residuals(bent: TreeCase, effort: Tensor, end: TreeState) -> tuple[float, fl
 
 
 def fly(bent: TreeCase, steps: int, *, dt: float = DT, stepper: Stepper = steppers.implicit_euler) -> TreeCase:
-    """Return it after some steps."""
     for _ in range(steps):
         bent = replace(bent, state=step(bent, dt, stepper))
     return bent

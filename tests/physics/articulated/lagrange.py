@@ -36,12 +36,7 @@ class Energies:
     def from_env(cls, tree: Tree, links: Links, state: TreeState, env: int, **rest: object) -> "Energies":
         """Return those of one environment; what is not given is zero."""
         count = tree.num_links
-        empty = {
-            "added": np.zeros((count, 6)),
-            "push": np.zeros(count),
-            "lever": np.zeros((count, 3)),
-            "gravity": 0.0,
-        }
+        empty = {"added": np.zeros((count, 6)), "push": np.zeros(count), "lever": np.zeros((count, 3)), "gravity": 0.0}
         mass, com, inertia = (rows.expand(env + 1, *rows.shape[1:])[env].numpy() for rows in vars(links).values())
         attitude = Rotation.from_quat(state.attitude[env].numpy())
         return cls(tree=tree, attitude=attitude, mass=mass, com=com, inertia=inertia, **(empty | rest))  # type: ignore[arg-type]
@@ -71,17 +66,14 @@ class Energies:
         return np.einsum("alj,lj,blj->ab", push, moved, push) + np.einsum("ali,lij,blj->ab", turn, whirled, turn)
 
     def potential(self, x: Array) -> float:
-        """Return U [J] of weight and upward forces."""
         centres, axes = self.places(x)[..., 0], self.places(x)[..., 1:]
         pushed = centres + np.einsum("lij,lj->li", axes, self.lever)
         return float(self.gravity * self.mass @ centres[:, 2] - self.push @ pushed[:, 2])
 
     def forces(self, x: Array) -> Array:
-        """Return ``-dU/dx``."""
         return -_slopes(self.potential, x)
 
     def accelerations(self, x: Array, rate: Array) -> Array:
-        """Return x'', of a tree on a stand with zeros for its base."""
         slopes = _slopes(self.mass_matrix, x)  # (n, n, n), the coordinate first
         turned = np.einsum("kab,k,b->a", slopes, rate, rate) - 0.5 * np.einsum("kab,a,b->k", slopes, rate, rate)
         first = 0 if self.tree.floating else 6
@@ -91,7 +83,6 @@ class Energies:
 
 
 def coordinates(state: TreeState, env: int) -> tuple[Array, Array]:
-    """Return x and x' of one environment."""
     x = np.concatenate((state.position[env], np.zeros(3), state.joint_pos[env]))
     return x, np.concatenate((state.lin_vel[env], state.ang_vel[env], state.joint_vel[env]))
 

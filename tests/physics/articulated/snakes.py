@@ -35,7 +35,6 @@ class SnakeHover:
 
     @classmethod
     def from_robot(cls, robot: RobotCfg) -> "SnakeHover":
-        """Return that of a robot file."""
         vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
         articulation = build_articulation(robot, like=vehicle.mass)
         assert articulation is not None
@@ -84,12 +83,10 @@ class SnakeHover:
         return torch.full((self.model.vehicle.num_rotors,), self.share, dtype=F64)
 
     def drive_command(self, wanted: Tensor, joint_pos: Tensor, joint_vel: Tensor) -> Tensor:
-        """Return the drive commands that hold the joint angles ``wanted`` [rad]; all (E, D) and of one float type.
-
-        Drives to angles are told these. Drives to rates are told ``k (q_wanted - q) / c``, which makes them the same law.
-        Efforts are those under which each mode of the snake comes as an oscillator of ``EFFORT_BANDWIDTH``, critically damped:
-        the stiffness of the drives would swing a rod about itself at 900 rad/s, which no loop of 100 Hz holds.
-        """
+        """Return the drive commands that hold the joint angles ``wanted`` [rad]; all (E, D) and of one float type. Drives to
+        angles are told these. Drives to rates are told ``k (q_wanted - q) / c``, which makes them the same law. Efforts are
+        those under which each mode of the snake comes as an oscillator of ``EFFORT_BANDWIDTH``, critically damped: the
+        stiffness of the drives would swing a rod about itself at 900 rad/s, which no loop of 100 Hz holds."""
         mode = self.articulation.modes[0]
         if mode == "position":
             return wanted

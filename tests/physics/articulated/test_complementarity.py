@@ -92,10 +92,8 @@ def test_no_limit_is_exceeded_however_few_rounds_a_solution_has(rounds: int, ste
 
 
 def test_two_drives_whose_limits_depend_on_each_other_are_solved_in_closed_form() -> None:
-    """Rates of two joints that push each other: sets of limited drives that are tried in turn cycle here.
-
-    With ``v = A e`` for the efforts e and ``e = clamp(-k v + w)`` the answer is found by trying all nine sets.
-    """
+    """Rates of two joints that push each other: sets of limited drives that are tried in turn cycle here. With ``v = A e``
+    for the efforts e and ``e = clamp(-k v + w)`` the answer is found by trying all nine sets."""
     generator = torch.Generator().manual_seed(0)
     count = 2000
     root = torch.randn(count, 2, 2, generator=generator, dtype=F64)

@@ -82,7 +82,6 @@ def with_drag(robot: RobotCfg) -> RobotCfg:
 
 
 def plain(robot: RobotCfg) -> RobotCfg:
-    """With rotors whose state is a speed, on which effects on thrust act."""
     return replace(robot, rotor=ROBOTS.get("tinyprop").rotor)
 
 
@@ -106,7 +105,6 @@ def test_a_tree_of_one_link_flies_as_the_rigid_vehicle(change: Callable[[RobotCf
 
 @pytest.mark.parametrize("name", ["morphy", "snakey", "snakey5", "snakey6"])
 def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
-    """The mass matrix of the base in the reference pose is that of the declared vehicle, about the body origin."""
     robot = ROBOTS.get(name)
     model = make_model(robot, num_envs=1)
     state = at_rest(model)
@@ -124,7 +122,6 @@ def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
 
 
 def stiffen(robot: RobotCfg, stiffness: float) -> RobotCfg:
-    """Hold every joint in its reference pose by a spring alone."""
     assert robot.joints is not None
     layout = tuple(
         replace(

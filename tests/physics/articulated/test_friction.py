@@ -21,7 +21,6 @@ WEIGHT = 1e-3 * 9.81 * 0.05
 
 
 def course(axis: tuple[float, float, float], friction: float, rate: float, *, backend: str, dt: float, time: float):
-    """Return angles and rates of the joint, (steps, 2)."""
     spring = SpringCfg(friction=friction)
     manager = simulation(
         bending(arm(axis, 0.0, rate=rate, spring=spring)),

@@ -39,7 +39,6 @@ SLIDE, ELBOW = (0.0, 1.0, 0.0), (-0.1, 0.05, 0.01)
 
 
 def heavy_robot(com: tuple[float, float, float]) -> RobotCfg:
-    """Return one whose links weigh little of it."""
     robot = asymmetric_robot(com=com)
     inertia = ((1.0, 0.02, -0.01), (0.02, 1.1, 0.03), (-0.01, 0.03, 1.2))
     return replace(robot, body=replace(robot.body, mass=5.0, inertia=inertia))
@@ -66,7 +65,6 @@ def make_model(robot: RobotCfg, effects: dict[str, tuple[float, ...]], num_envs:
 
 
 def strong(name: str) -> tuple[float, ...]:
-    """Return parameters of an effect that show."""
     effect = EFFECTS.get(name)
     return tuple(a + p.scale for a, p in zip(effect.neutral(asymmetric_robot()), effect.parameters, strict=True))
 
@@ -162,7 +160,6 @@ def arm(*axes: tuple[float, float, float], first: float = 0.0) -> RobotCfg:
 def joint_accelerations(
     robot: RobotCfg, name: str, row: tuple[float, ...], pos: tuple[float, ...], vel: tuple[float, ...], height: float
 ) -> Tensor:
-    """Return the change of joint accelerations by an effect [rad/s²], (D,), in a short step without gravity."""
     result = []
     for effects in ({}, {name: row}):
         model = replace(make_model(robot, effects, 1, ground_height=0.0), gravity=0.0)

@@ -104,10 +104,8 @@ def test_a_current_carries_all_bodies() -> None:
 
 
 def test_a_tree_of_one_link_moves_water_as_a_rigid_hull() -> None:
-    """With buoyancy, in a current: ``added_mass`` and ``added_inertia`` are other code, which changes forces.
-
-    The rigid engine conserves momentum in a step and that of trees does not, so that accelerations are compared.
-    """
+    """With buoyancy, in a current: ``added_mass`` and ``added_inertia`` are other code, which changes forces. The rigid
+    engine conserves momentum in a step and that of trees does not, so that accelerations are compared."""
     robot, numbers = ROBOTS.get("morphy_stiff"), [0.3, 0.8, 0.5, 2e-3, 1e-3, 3e-3]
     rows = torch.tensor([numbers], dtype=F64).expand(3, -1)
     lift = torch.tensor([[3.0, 0.02, -0.03, 0.1]], dtype=F64).expand(3, -1)
@@ -144,7 +142,6 @@ def test_a_step_with_water_and_drag_is_of_order_one() -> None:
 
 
 def test_gradients_flow_through_steps() -> None:
-    """For parameters, current, velocity, angles and rates, by differences."""
     effects = {
         "link_added_mass": {"mx": 0.1, "my": 0.3, "left.jx": 1e-3},
         "constant_wind": {"x": 1.0, "y": 0.5, "z": 0.0},

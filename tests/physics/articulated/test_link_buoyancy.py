@@ -31,7 +31,6 @@ G = 9.81
 def under_water(
     joints: tuple[JointCfg, ...], effects: dict[str, dict[str, float]], *, floating: bool = True
 ) -> RobotCfg:
-    """Return a robot of a base of 1 kg with links and effects; its rotors stand still."""
     robot = make_drag_robot(1.0, joints, {})
     assert robot.joints is not None
     return replace(robot, effects=effects, joints=replace(robot.joints, floating=floating))
@@ -56,7 +55,6 @@ def make_joints() -> tuple[JointCfg, ...]:
 
 
 def draw_state(state: ArticulatedState, seed: int = 4) -> ArticulatedState:
-    """Return it in any attitude, with joints anywhere, that moves and turns."""
     gen = torch.Generator().manual_seed(seed)
 
     def draw(like: Tensor, scale: float) -> Tensor:
@@ -77,7 +75,6 @@ FORCES = {"force": 2.0, "x": 0.01, "left.force": 3.5, "left.y": -0.03, "left.z":
 
 
 def test_a_neutral_tree_rests_in_any_attitude() -> None:
-    """Each link is carried at its centre of mass, and nothing moves."""
     robot = under_water(make_joints(), {"link_buoyancy": {"base.force": G, "left.force": 0.3 * G, "slide.force": 0.1 * G,
                                                       "right.force": 0.2 * G}})  # fmt: skip
     model, state = make_model(robot, gravity=G, num_envs=8)

@@ -53,7 +53,6 @@ def make_damping(
 def swing(
     dt: float, span: float, start: float, *, linear: float = 0.0, quadratic: float = 0.0, gravity: float = G
 ) -> Tensor:
-    """Return angle and rate of a pendulum of 0.5 m and 0.2 kg with drag, let go at rest (or at 2 rad/s without weight)."""
     tree, links = pendulum(0.5, 0.2)
     state = TreeState.at_rest(1, 1, like=links.mass)
     state.joint_pos[:] = start
@@ -76,7 +75,6 @@ def test_quadratic_drag_slows_a_link_hyperbolically() -> None:
 def make_drag_robot(
     mass: float, joints: tuple[JointCfg, ...], drag: dict[str, float], **rest: dict[str, float]
 ) -> RobotCfg:
-    """Return a robot of a base of some mass about the origin with links, drag and other effects; its rotors stand still."""
     robot = ROBOTS.get("base_quadrotor")
     links = [joint.link for joint in joints if joint.link is not None]
     masses = torch.tensor([mass, *(link.mass for link in links)], dtype=F64)
@@ -101,14 +99,12 @@ def make_drag_robot(
 
 
 def arm(name: str, com: tuple[float, float, float], position: tuple[float, float, float], **rest: object) -> JointCfg:
-    """Return a hinge about z with a link of 0.1 kg."""
     lump = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
     defaults = {"axis": (0.0, 0.0, 1.0), "link": LinkCfg(mass=0.1, com=com, inertia=lump)}
     return JointCfg(name=name, position=position, **(defaults | rest))  # type: ignore[arg-type]
 
 
 def make_model(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> tuple[Model, ArticulatedState]:
-    """Return the model, and the robot at rest in the reference pose."""
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     check_effects(robot)
     effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
@@ -121,7 +117,6 @@ def make_model(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> t
 
 
 def fly(model: Model, state: ArticulatedState, dt: float, steps: int) -> ArticulatedState:
-    """Return the state after some steps with rotors that stand still."""
     for _ in range(steps):
         state = articulated_step(model, state, state.rotor_speed, state.joint_pos[:, :0], dt)
     return state
@@ -238,7 +233,6 @@ def test_links_without_mass_feel_nothing_and_the_base_what_others_do() -> None:
 
 
 def test_gradients_flow_through_steps() -> None:
-    """For parameters, wind, rates and angles, by differences; at rest in still air too."""
     arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)), arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0)))
     drag = {"lx": 0.1, "qx": 0.3, "qy": 0.2, "right.qz": 0.4, "left.az": 0.01, "bz": 0.02}
     model, state = make_model(make_drag_robot(1.0, arms, drag, constant_wind={"x": 1.0, "y": 0.5, "z": -0.3}))

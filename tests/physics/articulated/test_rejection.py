@@ -19,7 +19,6 @@ EMPTY = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 def wheel(moment: float) -> LinkCfg:
-    """Return a link whose centre is on the axis x, and which has a moment of inertia about it."""
     across = max(moment, 1e-6)
     return LinkCfg(
         mass=0.02, com=(0.1, 0.05, 0.0), inertia=((moment, 0.0, 0.0), (0.0, across, 0.0), (0.0, 0.0, across))

@@ -66,7 +66,6 @@ def rates(damping: float, *, flying: bool = True) -> tuple[complex, complex]:
 
 
 def at_hover(damping: float) -> tuple[Model, ArticulatedState, torch.Tensor]:
-    """Return it at rest in hover, one environment, and the thrusts."""
     robot = arms(damping)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     model = build_model(vehicle, [], articulation=build_articulation(robot, like=vehicle.mass))
@@ -95,7 +94,6 @@ def fit_rates(damping: float, dt: float, num_steps: int) -> np.ndarray:
 
 
 def test_arms_hover_where_lagrange_says() -> None:
-    """Nothing moves from there: neither arms nor body."""
     model, state, thrusts = at_hover(0.01825324)
     for _ in range(20):
         state = articulated_step(model, state, thrusts, thrusts[:, :0], 2e-3)
@@ -108,9 +106,7 @@ def test_arms_hover_where_lagrange_says() -> None:
 )
 def test_arms_pushed_in_flight_move_with_the_reduced_inertia(damping: float) -> None:
     """Rates of exp(s t); the step is of order 1: they come twice as near with half of it, and in its limit they are right.
-
-    The published damping fades, a 36th of it rings.
-    """
+    The published damping fades, a 36th of it rings."""
     right = sorted(rates(damping), key=lambda s: (s.imag, s.real))
     steps = [2e-4, 1e-4]
     seen = [sorted(fit_rates(damping, dt, round(0.016 / dt)), key=lambda s: (s.imag, s.real)) for dt in steps]

@@ -50,7 +50,6 @@ def rigid() -> RobotCfg:
 
 
 def add_joints(tau: float, inertia: float) -> RobotCfg:
-    """Return the same with arms that turn up about ``e x z`` at their hinges, e outwards."""
     robot, own = rigid(), ((inertia, 0.0, 0.0), (0.0, inertia, 0.0), (0.0, 0.0, inertia))
     joints, mounts = [], []
     for k, mount in enumerate(robot.mounts.layout):
@@ -79,7 +78,6 @@ def add_joints(tau: float, inertia: float) -> RobotCfg:
 
 
 def make_model(robot: RobotCfg, effects: list) -> Model:
-    """Return a model of three environments."""
     vehicle = vehicle_from_config(robot, num_envs=len(SPEEDS), dtype=F64)
     return build_model(vehicle, effects, articulation=build_articulation(robot, like=vehicle.mass))
 
@@ -130,9 +128,7 @@ def swings(name: str, scale: float, dt: float) -> torch.Tensor:
 @pytest.mark.parametrize(("name", "scale"), [("joint_spring", 1.0), ("joint_creep", 30.0)])
 def test_arms_on_joints_follow_slow_thrust_as_the_effect_does(name: str, scale: float) -> None:
     """The difference is the closed form's within 5 %, and falls with w²: order 2 within 0.1, also of the body's motion.
-
-    Steps are of order 1: both are extrapolated from 2 ms and 1 ms.
-    """
+    Steps are of order 1: both are extrapolated from 2 ms and 1 ms."""
     coarse, fine = (swings(name, scale, dt) for dt in (2e-3, 1e-3))
     joint, effect, rise, rigid_rise = 2.0 * fine - coarse
     s, load = 1j * SPEEDS, COMPLIANCE * SWING * LENGTH

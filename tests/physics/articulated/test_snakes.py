@@ -15,10 +15,8 @@ ROLL_LIMIT = 0.3
 
 def test_a_stand_needs_more_than_drives_in_roll_can_give() -> None:
     """Without thrust rods at right angles hang on a roll joint by ``m g`` times how far beside its axis their middles are.
-
-    That is L/2 and L of the two rods beyond roll_1 and L/2 beyond roll_2: 15 and 5 times the limit. Rod 2 lies along -x from a
-    joint whose axis is +y: its weight turns the joint by ``r x F = (-L/2, 0, 0) x (0, 0, -m g) = -m g L/2 y``.
-    """
+    That is L/2 and L of the two rods beyond roll_1 and L/2 beyond roll_2: 15 and 5 times the limit. Rod 2 lies along -x from
+    a joint whose axis is +y: its weight turns the joint by ``r x F = (-L/2, 0, 0) x (0, 0, -m g) = -m g L/2 y``."""
     hover = SnakeHover.from_robot(ROBOTS.get("snakey"))
     load, _, _ = hover.on_joints(hover.articulation.reference, 0.0 * hover.equal_thrusts, floating=False)
     weight = MASS * G * LENGTH
@@ -36,9 +34,7 @@ def test_a_stand_needs_more_than_drives_in_roll_can_give() -> None:
 @pytest.mark.parametrize("name", ["snakey", "snakey6"])
 def test_rods_that_carry_themselves_load_only_yaw_and_by_the_drag_of_rotors(name: str) -> None:
     """In any level shape: a joint in yaw bears the drag torque of the rods beyond it, which is that of one rotor or none.
-
-    Rotor 0 turns positively, so that its drag is ``-0.01 m f`` about z and that of rotor 1 ``+0.01 m f``.
-    """
+    Rotor 0 turns positively, so that its drag is ``-0.01 m f`` about z and that of rotor 1 ``+0.01 m f``."""
     hover = SnakeHover.from_robot(ROBOTS.get(name))
     gen = torch.Generator().manual_seed(0)
     shape = hover.articulation.reference.clone()
@@ -65,12 +61,10 @@ def yaw_per_thrust(name: str, stiffness: float) -> float:
 
 @pytest.mark.parametrize(("name", "rods", "sign"), [("snakey", 4, 1), ("snakey5", 5, 1), ("snakey6", 6, -1)])
 def test_six_rods_give_way_so_far_that_thrusts_turn_them_the_other_way(name: str, rods: int, sign: int) -> None:
-    """Thrusts that differ twist rods, which then push sideways; drag turns the whole by 0.01 m a rotor.
-
-    (Spins s of five rods do not sum to zero: ``sum s (s - mean)`` is 4.8.) What twist takes off falls with the stiffness: ten
-    times as stiff drives lose a tenth. (Five lose nothing.) With those of the robot files six rods turn against what their
-    controller asks for.
-    """
+    """Thrusts that differ twist rods, which then push sideways; drag turns the whole by 0.01 m a rotor. (Spins s of five
+    rods do not sum to zero: ``sum s (s - mean)`` is 4.8.) What twist takes off falls with the stiffness: ten times as stiff
+    drives lose a tenth. (Five lose nothing.) With those of the robot files six rods turn against what their controller asks
+    for."""
     straight = yaw_per_thrust(name, 1e9)
     soft, firm = yaw_per_thrust(name, STIFFNESS), yaw_per_thrust(name, 10.0 * STIFFNESS)
     print(f"\n{name}: {straight:.4f} m on stiff joints, {soft:.4f} m on the drives")

@@ -193,7 +193,6 @@ def test_a_tree_without_joints_is_a_body_that_turns_by_euler() -> None:
 
 
 def test_gradients_flow_through_steps() -> None:
-    """The end of a swing by its start and by the mass at its end, against differences."""
     tree = random_tree(3, 2)
     links, state = random_links(tree, 1, 2), random_motion(tree, 1, 2)
 

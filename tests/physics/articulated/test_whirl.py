@@ -15,11 +15,9 @@ from tests.physics.articulated.trees import F64, random_links, random_motion, ra
 
 
 def test_a_top_gains_what_the_method_gives() -> None:
-    """A torque-free symmetric top turns its lateral rate by ``x = (Iz / Ix - 1) w_z dt`` a step.
-
-    Half way rates make of it ``1 + x J + x² J² / 2``, whose norm is ``sqrt(1 + x⁴ / 4)``; rates at the start ``sqrt(1 + x²)``,
-    7.1 of a hundred steps of 0.2 in place of 1.02. A joint about the axis, whose drive asks for nothing, has no part in it.
-    """
+    """A torque-free symmetric top turns its lateral rate by ``x = (Iz / Ix - 1) w_z dt`` a step. Half way rates make of it
+    ``1 + x J + x² J² / 2``, whose norm is ``sqrt(1 + x⁴ / 4)``; rates at the start ``sqrt(1 + x²)``, 7.1 of a hundred steps
+    of 0.2 in place of 1.02. A joint about the axis, whose drive asks for nothing, has no part in it."""
     tree = Tree(joints=(Joint(parent=0, axis=(0.0, 0.0, 1.0)),), floating=True)
     inertia = torch.diag(torch.tensor([0.01, 0.01, 0.018], dtype=F64)).expand(1, 2, 3, 3)
     links = Links(mass=torch.ones(1, 2, dtype=F64), com=torch.zeros(1, 2, 3, dtype=F64), inertia=inertia)
@@ -34,10 +32,9 @@ def test_a_top_gains_what_the_method_gives() -> None:
 
 def test_a_top_whose_wheel_is_driven_at_its_limit_turns_as_in_closed_form() -> None:
     """A drive at its limit T slows the body (C about z) by ``w_z' = -T / C``; body and wheel keep the momentum H about z.
-
-    Lateral rates turn by ``integral w_z dt - H t / I`` with the inertia I across, which half way rates give to order 2. A drive
-    without a limit would bring the wheel to its rate within a step: half way to that, the body turns 27 rad/s slower.
-    """
+    Lateral rates turn by ``integral w_z dt - H t / I`` with the inertia I across, which half way rates give to order 2. A
+    drive without a limit would bring the wheel to its rate within a step: half way to that, the body turns 27 rad/s
+    slower."""
     tree = Tree(joints=(Joint(parent=0, axis=(0.0, 0.0, 1.0)),), floating=True)
     across, body, wheel, limit, start = 0.02, 0.018, 1e-4, 0.3, 20.0
     inertia = torch.stack([torch.diag(torch.tensor((0.5 * across, 0.5 * across, z), dtype=F64)) for z in (body, wheel)])

@@ -26,7 +26,6 @@ def random_tree(num_joints: int, seed: int, *, floating: bool = True, chain: boo
 
 
 def random_links(tree: Tree, num_envs: int, seed: int) -> Links:
-    """Return links of 0.1 to 1 kg, each the inertia of a body."""
     rng, shape = np.random.default_rng(seed + 1), (num_envs, tree.num_links)
     mass = rng.uniform(0.1, 1.0, shape)
     spread = rng.normal(size=(*shape, 8, 3)) * 0.05  # eight points, an eighth of the mass each

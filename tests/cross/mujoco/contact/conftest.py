@@ -9,6 +9,5 @@ from tests.cross.mujoco.contact.on_legs import FILE, LEGS
 
 @pytest.fixture
 def on_legs(tmp_path: Path) -> str:
-    """A Morphy with a leg under the end of each arm."""
     (tmp_path / "on_legs.yaml").write_text(FILE.replace("LEGS", LEGS))
     return str(tmp_path / "on_legs.yaml")

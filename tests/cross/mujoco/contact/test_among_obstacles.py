@@ -29,7 +29,6 @@ def tables(*shapes: ShapeCfg, count: int = 1, contact: ContactCfg | None = None,
 
 
 def tops(sim) -> torch.Tensor:
-    """Return the top height of the first obstacle in each environment [m], (E,)."""
     return torch.tensor((0.2, 0.4))[sim.asset_manager.scene.shape_index[:, 0].long()]
 
 

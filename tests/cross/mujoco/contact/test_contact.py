@@ -41,10 +41,8 @@ def test_weight_presses_each_contact_as_deep_as_the_file_says(spheres, dt: float
 
 @pytest.mark.parametrize("damping_ratio", [*(pytest.param(z, marks=pytest.mark.slow) for z in (0.0, 0.1, 0.7)), 0.3])
 def test_a_bounce_is_that_of_a_spring_and_a_damper_that_never_pull(damping_ratio: float) -> None:
-    """Without gravity the speeds after and before are as ``exp(-tan(phi) (pi - 2 phi))``, ``sin(phi) = zeta``.
-
-    A touch is noticed up to one step late: an error of less than ``dt sqrt(K)`` at each end.
-    """
+    """Without gravity the speeds after and before are as ``exp(-tan(phi) (pi - 2 phi))``, ``sin(phi) = zeta``. A touch is
+    noticed up to one step late: an error of less than ``dt sqrt(K)`` at each end."""
     dt, cfg = 1e-4, ContactCfg(friction=0.0, damping_ratio=damping_ratio)
     rig = on_ground(cfg, start(height=0.105, lin_vel=(0.0, 0.0, -1.0)), gravity=0.0)
     rig.run(0.06, dt)
@@ -56,9 +54,7 @@ def test_a_bounce_is_that_of_a_spring_and_a_damper_that_never_pull(damping_ratio
 @pytest.mark.parametrize("dt", [pytest.param(0.002, marks=pytest.mark.slow), 0.02])
 def test_a_tumbling_vehicle_comes_to_rest_without_gaining_energy(dt: float) -> None:
     """Feet far from the centre of mass, which make contacts hard: motion and height together never hold more than at first.
-
-    Free flight of semi-implicit Euler keeps them to ``g dt v / 2`` per mass, here less than 2 %.
-    """
+    Free flight of semi-implicit Euler keeps them to ``g dt v / 2`` per mass, here less than 2 %."""
     robot = asymmetric_robot()
     attitude = quat_from_euler(torch.tensor([[0.4, -0.3, 0.2]], dtype=F64))
     first = start(height=0.4, attitude=attitude, lin_vel=(0.5, 0.0, -1.0), ang_vel=(2.0, -1.0, 1.0))

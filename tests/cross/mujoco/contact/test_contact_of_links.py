@@ -57,20 +57,14 @@ def test_a_vehicle_on_its_arms_bends_and_sinks_as_springs_say(dt: float, damping
 
 @pytest.mark.parametrize(
     ("radius", "half", "contacts"),
-    [
-        (0.02, (0.0, 0.0, 0.0), 1),
-        (0.0, (0.02, 0.01, 0.01), 4),
-        (0.02, (0.0, 0.0, 0.03), 2),
-    ],
+    [(0.02, (0.0, 0.0, 0.0), 1), (0.0, (0.02, 0.01, 0.01), 4), (0.02, (0.0, 0.0, 0.03), 2)],
     ids=["spheres", "boxes", "capsules"],
 )
 def test_links_that_are_pressed_together_overlap_as_two_springs_say(
     radius: float, half: tuple[float, float, float], contacts: int
 ) -> None:
-    """A force F of springs holds an overlap of ``2 F / (n K m)``, and the whole stays where it is: nobody pushes it.
-
-    Of faces the corners touch, of edges the ends.
-    """
+    """A force F of springs holds an overlap of ``2 F / (n K m)``, and the whole stays where it is: nobody pushes it. Of
+    faces the corners touch, of edges the ends."""
     stiffness, rest = 30.0, 0.05
     tree, links = two_arms("prismatic", ((-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)), 0.05), weights(0.0)
     on = LinkContacts(links=(), shapes=(link_shape(1, radius, half), link_shape(2, radius, half)), pairs=((0, 1),))
@@ -147,7 +141,6 @@ def test_a_robot_stands_on_legs_under_its_arms(on_legs: str) -> None:
 
 
 def test_a_fast_touch_of_a_leg_is_a_crash(on_legs: str) -> None:
-    """From 0.8 m, at 4 m/s."""
     assert put_down(on_legs, 0.8, 0.45)[1].all()
 
 

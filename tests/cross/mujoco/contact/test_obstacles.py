@@ -51,7 +51,6 @@ def place_solids(
 
 
 def foot_shapes(solids: Solids | None) -> LinkContacts:
-    """Return the feet of ``FEET`` as what touches obstacles."""
     shapes = tuple(replace(link_shape(k, 0.01, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
     return LinkContacts(links=(1, 2), shapes=() if solids is None else shapes, solids=solids)
 

@@ -68,10 +68,9 @@ def test_arms_that_fall_on_the_ground_rest_on_it_at_the_angle_of_their_height() 
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_wall_stops_a_pendulum_at_the_angle_of_geometry(turned: bool) -> None:
-    """Where ``0.05 + L cos q - r`` is at the wall, less the overlap of the force that holds it, ``m_a g l cos q / (L sin q)``.
-
-    The other arm hangs down all the time. Turned about the vertical and set down elsewhere everything is as before.
-    """
+    """Where ``0.05 + L cos q - r`` is at the wall, less the overlap of the force that holds it,
+    ``m_a g l cos q / (L sin q)``. The other arm hangs down all the time. Turned about the vertical and set down elsewhere
+    everything is as before."""
     face = 0.15
     attitude = quat_from_euler(torch.tensor([[0.0, 0.0, 0.8 if turned else 0.0]], dtype=F64))
     place = torch.tensor([[3.0, -2.0, 1.5]], dtype=F64) * turned
@@ -95,10 +94,8 @@ def test_a_wall_stops_a_pendulum_at_the_angle_of_geometry(turned: bool) -> None:
 
 
 def test_arms_of_a_stand_push_each_other() -> None:
-    """Hanging straight down from hinges 0.1 m apart, bent inwards by springs until spheres of 0.04 m at their feet meet.
-
-    The hinge moment ``k (rest - q)`` is what force at the feet and weight at an angle give back.
-    """
+    """Hanging straight down from hinges 0.1 m apart, bent inwards by springs until spheres of 0.04 m at their feet meet. The
+    hinge moment ``k (rest - q)`` is what force at the feet and weight at an angle give back."""
     stiffness, rest = 0.5, torch.pi / 2.0 + 0.5
     shapes = tuple(replace(link_shape(k, 0.04, MIDDLE), center=foot[:3]) for k, foot in enumerate(FEET, 1))
     on = LinkContacts(links=(), shapes=shapes, pairs=((0, 1),))
