@@ -325,11 +325,12 @@ def load_robot(path: str | Path) -> RobotCfg:
 def _absolute_files(cfg: RobotCfg, folder: Path) -> RobotCfg:
     """Return a robot with absolute file paths; relative ones count from ``folder``."""
 
-    def located(name: str) -> str:
+    def absolute_path(name: str) -> str:
         return str(folder / name) if is_file(name) else name
 
     parts = (replace(part, shape=absolute_paths(part.shape, folder)) for part in cfg.visual)
     sensors = (
-        located(each) if isinstance(each, str) else replace(each, sensor=located(each.sensor)) for each in cfg.sensors
+        absolute_path(each) if isinstance(each, str) else replace(each, sensor=absolute_path(each.sensor))
+        for each in cfg.sensors
     )
-    return replace(cfg, visual=tuple(parts), sensors=tuple(sensors), imu=cfg.imu and located(cfg.imu))
+    return replace(cfg, visual=tuple(parts), sensors=tuple(sensors), imu=cfg.imu and absolute_path(cfg.imu))

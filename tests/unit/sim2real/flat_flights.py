@@ -164,6 +164,6 @@ class PredictorStub(Predictor):
         self.tolerances, self.model, self.calls = Tolerances(), predict, 0
 
     def predict(self, params: ModelParams) -> list[Array]:
-        """Return what the model of the test predicts."""
+        """Return the prediction of the test's model."""
         self.calls += 1
         return self.model(params)

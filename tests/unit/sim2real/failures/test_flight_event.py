@@ -41,8 +41,8 @@ def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> N
     every = same_in_all(both, 2)
     assert every.params == pytest.approx({"motor": 2.0, "scale": 0.8, "time": 5.01})
     assert every.std["time"] == pytest.approx(0.01 / np.sqrt(2.0))
-    others = (failure("b", 5.1), failure("b", 5.0, scale=0.7), failure("b", 5.0, motor=3.0))
-    for other in (*others, replace(both[1], name="weak_motor")):
+    different_failures = (failure("b", 5.1), failure("b", 5.0, scale=0.7), failure("b", 5.0, motor=3.0))
+    for other in (*different_failures, replace(both[1], name="weak_motor")):
         assert same_in_all([both[0], other], 2) is None
     assert same_in_all(both, 3) is None
 

@@ -16,23 +16,23 @@ from tests.unit.sim2real.judge.builders import make_excess, make_setup
 from tests.unit.sim2real.predict.test_scene import hover
 from tests.unit.sim2real.set_fits import make_choice, make_fit, make_selection
 
-NOTHING = make_excess()
+NO_EXCESS = make_excess()
 
 
 def test_nobody_is_sent_to_fly_for_arms_that_a_vehicle_does_not_have() -> None:
     unseen = {name: Finding("not_excited", name) for name in ("joint_spring", "ground_effect")}
     hidden, soft = make_selection(not_testable=unseen), replace(ROBOT, effects={"joint_creep": {}})
-    told = not_testable(hidden, ROBOT, NOTHING)
+    told = not_testable(hidden, ROBOT, NO_EXCESS)
     assert [told[name].code for name in unseen] == ["no_soft_arms", "not_excited"]
-    assert not_testable(hidden, soft, NOTHING)["joint_spring"].code == "not_excited"
+    assert not_testable(hidden, soft, NO_EXCESS)["joint_spring"].code == "not_excited"
 
 
 def test_a_look_alike_that_nobody_registered_is_told_beside_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(EFFECTS.get("rotor_drag"), "confused_with", ("quadratic_drag", "drag_of_a_tether"))
     expected = Finding("no_such_effect", "drag_of_a_tether", {"alike": "rotor_drag"})
     named = make_selection(make_choice(make_fit("rotor_drag")))
-    assert not_testable(named, ROBOT, NOTHING) == {"drag_of_a_tether": expected}
-    assert not_testable(make_selection(), ROBOT, NOTHING) == {}
+    assert not_testable(named, ROBOT, NO_EXCESS) == {"drag_of_a_tether": expected}
+    assert not_testable(make_selection(), ROBOT, NO_EXCESS) == {}
 
 
 def test_a_note_on_several_logs_is_one_note() -> None:

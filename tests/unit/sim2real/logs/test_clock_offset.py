@@ -23,7 +23,7 @@ def noise(rng: np.random.Generator, band: float) -> np.ndarray:
     return lowpass(rng.standard_normal((TIME.size, 1)), RATE, band)[:, 0]
 
 
-def lagged(command: np.ndarray, constant: float) -> np.ndarray:
+def response_with_lag(command: np.ndarray, constant: float) -> np.ndarray:
     """Return the speeds that held commands lead to through a lag [s]."""
     speed, kept = command.copy(), np.exp(-1.0 / (RATE * constant))
     for row in range(1, TIME.size):
@@ -73,7 +73,7 @@ def test_commands_move_with_the_rotor_log_only_if_a_lag_says_so(
 ) -> None:
     """Whatever the lag is, 0.04 s as declared or not, it is no shift."""
     command = 900.0 + 40.0 * noise(np.random.default_rng(5), 15.0)
-    speed = lagged(command, constant) + np.random.default_rng(6).standard_normal(TIME.size)
+    speed = response_with_lag(command, constant) + np.random.default_rng(6).standard_normal(TIME.size)
     asked = np.roll(command, -offset if together else 0)[:, None]
     logged = log(TIME, rotor_speed=np.roll(speed, -offset)[:, None], rotor_command=asked)
     ahead = ClockOffset(rows=float(offset), std=0.1)
@@ -92,7 +92,7 @@ def test_all_logs_of_a_logger_move_their_commands_or_none() -> None:
 
     def make_log(size: float) -> FlightLog:
         command = 900.0 + size * noise(rng, 15.0)
-        speed = np.roll(lagged(command, 0.04) + rng.standard_normal(TIME.size), -4)
+        speed = np.roll(response_with_lag(command, 0.04) + rng.standard_normal(TIME.size), -4)
         return log(TIME, rotor_speed=speed[:, None], rotor_command=command[:, None])
 
     clear, vague = [make_log(40.0) for _ in range(2)], make_log(0.1)

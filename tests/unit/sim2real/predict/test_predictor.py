@@ -432,11 +432,11 @@ def test_the_scale_and_the_place_of_an_accelerometer_within_its_tolerances_are_p
     ):
         off = replace(results, specific_force=read)
         moved, back = residual(off, ModelParams()), residual(off, ModelParams(deviation=draw_deviations(**sizes)))
-        others = [k for k in range(len(kind_of)) if k not in kinds]
+        other_kinds = [k for k in range(len(kind_of)) if k not in kinds]
         assert np.abs(moved - as_was)[:, kinds].max() > 0.02
         assert np.abs(back - as_was)[:, kinds].max() < 0.05 * np.abs(moved - as_was)[:, kinds].max()
         unread = residual(results, ModelParams(deviation=draw_deviations(**sizes)))
-        np.testing.assert_array_equal(unread[:, others], as_was[:, others])
+        np.testing.assert_array_equal(unread[:, other_kinds], as_was[:, other_kinds])
 
 
 def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_path: Path) -> None:

@@ -142,11 +142,11 @@ def test_a_fit_that_would_overshoot_arrives() -> None:
     predictor = PredictorStub(lambda params: [np.arctan(excitation * params.effects[WIND][0])], [measured])
     for start in (truth, 10.0, -6.0):
         params = ModelParams(effects={WIND: np.array([start, 0.0, 0.0])})
-        fit, _, _ = fit_effects(predictor, (WIND,), params, beside(predictor, 1e6))
+        fit, _, _ = fit_effects(predictor, (WIND,), params, nuisance_sums(predictor, 1e6))
         assert fit.params.effects[WIND][0] == pytest.approx(truth, rel=0.01)
 
 
-def beside(predictor: PredictorStub, weight: float) -> NuisanceSums:
+def nuisance_sums(predictor: PredictorStub, weight: float) -> NuisanceSums:
     """Return sums of rows without nuisance columns, each of which has a weight."""
     return NuisanceSums(predictor.times, [[np.zeros((len(predictor.times[0]), 1, 0))]], np.full(1, weight))
 
@@ -171,7 +171,7 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
     for wrong in (None, (1.0, 1.0, 1.0), (1.3, 0.4, 1.0)):
         predictor.calls = 0
         near = None if wrong is None else [(derivative * wrong)[:, None, :]]
-        fit, _, _ = fit_effects(predictor, (WIND,), start, beside(predictor, 1e8), derivatives=near)
+        fit, _, _ = fit_effects(predictor, (WIND,), start, nuisance_sums(predictor, 1e8), derivatives=near)
         result.append(fit.params.effects[WIND])
         costs.append(predictor.calls)
     np.testing.assert_allclose(result, [TRUTH] * 3, atol=1e-4)
@@ -188,7 +188,7 @@ def worth(fit: ModelFit) -> float:
 def fit_exponential(goal: Goal) -> tuple[ModelFit, float, float, int]:
     """Return a fit from zero, its log likelihood, what it may have missed at most, and its predictions."""
     predictor, _ = exponential(4, 0.3)
-    sums = beside(predictor, 1e3)
+    sums = nuisance_sums(predictor, 1e3)
     fit, _, more = fit_effects(predictor, (WIND,), ModelParams(effects={WIND: np.zeros(3)}), sums, goal=goal)
     count = predictor.calls
     return fit, -0.5 * misfit(sums, predictor.residuals(fit.params)), more, count
@@ -218,7 +218,9 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
         taken = []
         monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
         goal = Goal(enough=enough)
-        fit, _, more = fit_effects(predictor, (WIND,), start, beside(predictor, 1e3), derivatives=near, goal=goal)
+        fit, _, more = fit_effects(
+            predictor, (WIND,), start, nuisance_sums(predictor, 1e3), derivatives=near, goal=goal
+        )
         anew.append(len(taken))
         worths.append(worth(fit))
         missed.append(more)
@@ -235,7 +237,7 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
         return [np.full((40, 1), 1.0 if np.array_equal(params.effects[WIND], edge.effects[WIND]) else np.nan)]
 
     predictor = PredictorStub(predict, [np.full((40, 1), 2.0)])
-    fit, _, _ = fit_effects(predictor, (WIND,), edge, beside(predictor, 1.0), derivatives=derivatives)
+    fit, _, _ = fit_effects(predictor, (WIND,), edge, nuisance_sums(predictor, 1.0), derivatives=derivatives)
     assert fit.params is edge
     assert not fit.finite
 

@@ -139,11 +139,11 @@ def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) ->
     assert showable(selection("ground_effect"), ROBOT, []) == []
     assert showable(selection("joint_creep"), ROBOT, []) == []
     assert showable(selection("joint_creep", "joint_spring"), ROBOT, []) == ["joint_creep"]
-    nothing, names = make_selection(), ["quadratic_drag", "rotor_inertia", "translational_lift"]
-    advice = manoeuvres_for_effects(catalogue, nothing, ModelParams(), names)
+    empty_selection, names = make_selection(), ["quadratic_drag", "rotor_inertia", "translational_lift"]
+    advice = manoeuvres_for_effects(catalogue, empty_selection, ModelParams(), names)
     assert list(advice) == names
     assert advice["quadratic_drag"].fly == "sweep along both axes, slow and then fast, up to 5 m/s"
     assert all(result.hover < 1e-3 for result in advice.values())
     for name in names:
         assert advice[name].as_mapping()["tells"] == [name]
-    assert manoeuvre_for_ties(catalogue, nothing, {}) is None
+    assert manoeuvre_for_ties(catalogue, empty_selection, {}) is None

@@ -121,7 +121,10 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
         ),
         (mirror, r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
         (lambda t: mirror(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
-        (lambda t: turn_heading(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the attitude"),
+        (
+            lambda t: turn_heading(t, 90.0),
+            r"x and y there must be turned by -90 deg about z to be those of the attitude",
+        ),
         (lambda t: scale(t, V, 1000.0), r"velocity .* and the derivative of position .* in mm/s"),
         (lambda t: scale(t, ROTORS, 60 / (2 * np.pi)), r"it looks like rpm: convert to rad/s"),
         (lambda t: scale(t, ROTORS, 1 / 3000), r"it looks like a fraction of full throttle"),
@@ -161,7 +164,10 @@ def test_jitter_and_a_late_start_are_no_defect_of_the_time(table: pd.DataFrame, 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda t: t.drop(index=range(200, 300)), r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual"),
+        (
+            lambda t: t.drop(index=range(200, 300)),
+            r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are usual",
+        ),
         (lambda t: t.assign(t=1e3 * t["t"]), r"0\.1 rows per second, .*time unit: ms"),
         (lambda t: t.assign(t=1e-3 * t["t"]), r"lasts 0\.00799 s, .*is t in seconds"),
         (lambda t: t.assign(t=1e6 * t["t"]), r"0\.0001 rows per second, .*time unit: us"),

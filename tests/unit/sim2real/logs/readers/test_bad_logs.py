@@ -34,7 +34,7 @@ def csv_lines(table: pd.DataFrame) -> list[str]:
     return table.to_csv(index=False).splitlines()
 
 
-def lines_of(change: Callable[[str], str]) -> Callable[[list[str]], str]:
+def change_lines(change: Callable[[str], str]) -> Callable[[list[str]], str]:
     """Return a layout that changes every line."""
     return lambda lines: "\n".join(change(line) for line in lines)
 
@@ -45,20 +45,20 @@ def quote(line: str) -> str:
 
 LAYOUTS: dict[str, Callable[[list[str]], str]] = {
     "quoted header": lambda lines: "\n".join([quote(lines[0]), *lines[1:]]),
-    "all quoted": lines_of(quote),
+    "all quoted": change_lines(quote),
     "spaces in quotes": lambda lines: "\n".join([", ".join(f'" {n} "' for n in lines[0].split(",")), *lines[1:]]),
-    "semicolons": lines_of(lambda line: line.replace(",", ";")),
-    "decimal commas": lines_of(lambda line: line.replace(",", ";").replace(".", ",")),
+    "semicolons": change_lines(lambda line: line.replace(",", ";")),
+    "decimal commas": change_lines(lambda line: line.replace(",", ";").replace(".", ",")),
     "quoted decimal commas": lambda lines: "\n".join(
         [lines[0], *(quote(line).replace(".", ",") for line in lines[1:])]
     ),
-    "tabs": lines_of(lambda line: line.replace(",", "\t")),
-    "spaces": lines_of(lambda line: line.replace(",", "  ")),
-    "comma and space": lines_of(lambda line: line.replace(",", ", ")),
+    "tabs": change_lines(lambda line: line.replace(",", "\t")),
+    "spaces": change_lines(lambda line: line.replace(",", "  ")),
+    "comma and space": change_lines(lambda line: line.replace(",", ", ")),
     "byte order mark": lambda lines: "\ufeff" + "\n".join(lines),
     "windows line ends": lambda lines: "\r\n".join(lines),
     "old line ends": lambda lines: "\r".join(lines),
-    "trailing commas": lines_of(lambda line: line + ","),
+    "trailing commas": change_lines(lambda line: line + ","),
     "trailing commas in the rows": lambda lines: "\n".join([lines[0], *(line + "," for line in lines[1:])]),
     "remarks": lambda lines: "\n".join(["# flight", "", "// x", lines[0], "# take-off", *lines[1:], "", "# end"]),
     "header behind #": lambda lines: "\n".join(["# made by hand", "# " + lines[0], *lines[1:]]),

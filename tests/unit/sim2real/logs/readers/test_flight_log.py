@@ -34,8 +34,6 @@ def test_a_log_comes_back_as_it_was_written(table: pd.DataFrame, tmp_path: Path)
     assert log.name == "a"
 
 
-
-
 def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_path: Path) -> None:
     empty = table.assign(**dict.fromkeys(("p_x", "p_y", "p_z"), np.nan), cmd_1=np.nan)
     log = read_flight_log(write(empty, tmp_path / "a.csv"))
@@ -55,10 +53,16 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
             r"needs the columns rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or .* mapping file",
         ),
         (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
-        (lambda t: t.drop(columns="acc_y"), r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove"),
+        (
+            lambda t: t.drop(columns="acc_y"),
+            r"column 'acc_y' is missing or empty while 'acc_x' is there; add it, or remove",
+        ),
         (lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]), r"column 'q_x' is missing or empty.*mapping"),
         (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
-        (lambda t: t.assign(t=t["t"].round(1)), r"t is the same in \d+ rows as in the row before; its digits are too few"),
+        (
+            lambda t: t.assign(t=t["t"].round(1)),
+            r"t is the same in \d+ rows as in the row before; its digits are too few",
+        ),
         (lambda t: t.assign(t=-t["t"]), r"time does not increase .*in the order in which they were measured"),
         (
             lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
@@ -175,8 +179,6 @@ def test_mappings_say_what_is_wrong_with_them(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text("summary: x\ntimes: {columns: [t]}\n")
     with pytest.raises(ConfigError, match=r"unknown field 'times'\. Did you mean 'time'\?"):
         find_mapping(tmp_path / "m.yaml")
-
-
 
 
 @pytest.mark.parametrize("broken", ['"1', '1"2"', '"', '"a\n'])
