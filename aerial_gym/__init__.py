@@ -5,7 +5,7 @@ Importing this package starts no device and compiles no kernel; the names below 
 
 from typing import TYPE_CHECKING
 
-from aerial_gym.compat.modules import install
+from aerial_gym.compat.modules import install_finder
 from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
@@ -38,4 +38,4 @@ __all__ = [
 
 __getattr__, __dir__ = exports(__name__, __file__)
 
-install()  # module paths of the Aerial Gym Simulator; nothing of it is imported before a script asks
+install_finder()  # module paths of the Aerial Gym Simulator; nothing of it is imported before a script asks

@@ -4,7 +4,7 @@ A thin layer: names are translated, rules stay where they are. A script runs wit
 by ``python -m aerial_gym.compat SCRIPT.py``. ``docs/guides/coming_from_aerial_gym.md`` has all names side by side.
 
 ``modules``: import paths. ``sim_builder``, ``env_manager``, ``tensors``, ``registries``, ``base_task``, ``native_task``:
-what scripts call. ``config``: configuration classes. ``math``, ``logs``, ``arguments``: helpers. ``page``: the table of names.
+what scripts call. ``config``: configuration classes. ``math``, ``logs``, ``arguments``: helpers.
 """
 
 from typing import TYPE_CHECKING

@@ -28,16 +28,13 @@ def parse_arguments(
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--sim_device", default=str(resolve_device("auto")), help="torch device of the simulation")
-    parser.add_argument(
-        "--rl_device", default=None, help="torch device of the policy; that of the simulation if not given"
-    )
-    own = {str(parameter["name"]) for parameter in custom_parameters}
+    parser.add_argument("--rl_device", help="torch device of the policy; that of the simulation if not given")
+    own = {parameter["name"] for parameter in custom_parameters}
     for name, wanted in (("--headless", headless), ("--nographics", no_graphics)):
         if wanted and name not in own:
             parser.add_argument(name, action="store_true", help="without effect: there is no viewer window")
     for parameter in custom_parameters:
-        more = {key: value for key, value in parameter.items() if key != "name"}
-        parser.add_argument(str(parameter["name"]), **more)
+        parser.add_argument(parameter["name"], **{key: value for key, value in parameter.items() if key != "name"})
     args = parser.parse_args(argv)
     kind, _, number = args.sim_device.partition(":")
     args.sim_device_type, args.compute_device_id = kind, int(number or 0)
@@ -49,15 +46,14 @@ def get_args(additional_parameters: Sequence[Mapping[str, Any]] = ()) -> argpars
     """Return the flags of that simulator's examples: ``--num_envs``, ``--headless``, ``--use_warp`` and more."""
     flags = (
         {"name": "--num_envs", "type": int, "default": 64, "help": "environments side by side"},
-        {"name": "--headless", "type": _truth, "default": True, "help": "without effect: there is no viewer window"},
-        {"name": "--use_warp", "type": _truth, "default": True, "help": "without effect: sensors always are Warp's"},
+        {"name": "--headless", "type": _boolean, "default": True, "help": "without effect: there is no viewer window"},
+        {"name": "--use_warp", "type": _boolean, "default": True, "help": "without effect: sensors always are Warp's"},
         {"name": "--task", "type": str, "default": "navigation_task", "help": "registered task"},
     )
-    taken = {str(parameter["name"]) for parameter in additional_parameters}
-    return parse_arguments(
-        custom_parameters=[*(flag for flag in flags if flag["name"] not in taken), *additional_parameters]
-    )
+    own = {parameter["name"] for parameter in additional_parameters}
+    defaults = (flag for flag in flags if flag["name"] not in own)
+    return parse_arguments(custom_parameters=[*defaults, *additional_parameters])
 
 
-def _truth(text: str) -> bool:
+def _boolean(text: str) -> bool:
     return text.lower() in ("1", "true", "yes", "y", "on", "t")

@@ -11,18 +11,12 @@ import torch
 class BaseTask(gymnasium.Env):
     """Base of a script's task class, which builds its simulation in its own constructor.
 
-    A Gymnasium environment by its class only, so that wrappers of scripts take it.
-
-    A task has ``reset``, ``reset_idx``, ``step`` and ``render``; ``reset`` and ``step`` return observations, rewards,
-    terminations, truncations, infos.
+    ``reset`` and ``step`` return observations, rewards, terminations, truncations, infos. It is a Gymnasium environment by its
+    class only, so that wrappers of scripts take it.
     """
 
     def __init__(self, task_config: Any) -> None:
-        """Keep the configuration and seed the random generators of scripts.
-
-        Python's, NumPy's and torch's own generators are seeded, because such tasks draw from them, unless the configuration has
-        no seed or a negative one. The simulation has numbers of its own, which begin at that seed as well.
-        """
+        """Keep the configuration, and seed Python's, NumPy's and torch's generators if it has a seed of at least 0."""
         self.task_config = task_config
         seed = getattr(task_config, "seed", None)
         if seed is not None and seed >= 0:
@@ -35,7 +29,7 @@ class BaseTask(gymnasium.Env):
         torch.manual_seed(seed)
 
     def render(self, mode: str = "human") -> Any:
-        """Show nothing by default."""
+        """Show the environments; subclasses must define it."""
         raise NotImplementedError(f"{type(self).__name__}.render: the task class must define it")
 
     def reset(self) -> Any:
@@ -47,7 +41,7 @@ class BaseTask(gymnasium.Env):
         raise NotImplementedError(f"{type(self).__name__}.reset_idx: the task class must define it")
 
     def step(self, actions: Any) -> Any:
-        """Advance by one action; the class must define it."""
+        """Advance by one action; subclasses must define it."""
         raise NotImplementedError(f"{type(self).__name__}.step: the task class must define it")
 
     def close(self) -> None:

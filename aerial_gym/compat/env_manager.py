@@ -27,11 +27,7 @@ class EnvManager:
     def __init__(
         self, env: Simulation, *, cfg: Any, sim_config: Any, robot_config: Any, reset_on_collision: bool
     ) -> None:
-        """Take a built simulation and the configuration classes from which it was made.
-
-        Args:
-            reset_on_collision: Whether crashed environments are reset with the truncated ones.
-        """
+        """Take a built simulation and its configuration classes; crashes reset with truncations if asked for."""
         self.env, self.cfg, self.sim_config = env, cfg, sim_config
         self.num_envs, self.device = env.num_envs, env.device
         self.global_tensor_dict = TensorDict(env)
@@ -59,13 +55,13 @@ class EnvManager:
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the environments of some ids; ``crashes`` and ``truncations`` stay until the next step."""
-        self._reset(self.as_mask(env_ids))
+        self._reset_except_flags(self.mask_of_ids(env_ids))
 
     def reset_terminated_and_truncated_envs(self) -> Tensor:
         """Reset crashed (unless ``reset_on_collision`` is False) and truncated environments; return their ids, int64."""
         gtd = self.env.gtd
         mask = gtd["truncations"] | gtd["crashes"] if self.reset_on_collision else gtd["truncations"].clone()
-        self._reset(mask)
+        self._reset_except_flags(mask)
         return mask.nonzero().squeeze(-1)
 
     def post_reward_calculation_step(self) -> Tensor:
@@ -89,7 +85,7 @@ class EnvManager:
         """Release device memory; tasks of that simulator call this method, which it lacks."""
         self.env.close()
 
-    def as_mask(self, env_ids: Tensor | Sequence[int]) -> Tensor:
+    def mask_of_ids(self, env_ids: Tensor | Sequence[int]) -> Tensor:
         """Return the bool mask (E,) of environment ids; masks are returned unchanged."""
         ids = torch.as_tensor(env_ids, device=self.device)
         if ids.dtype == torch.bool:
@@ -100,7 +96,7 @@ class EnvManager:
         mask[ids.long()] = True
         return mask
 
-    def _reset(self, mask: Tensor) -> None:
+    def _reset_except_flags(self, mask: Tensor) -> None:
         flags = [self.env.gtd[key].clone() for key in _FLAGS]
         self.env.reset(mask)
         for key, flag in zip(_FLAGS, flags, strict=True):
@@ -133,7 +129,7 @@ class RobotManager:
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the robots of some environments; the obstacles stay."""
-        self._manager.env.robot_manager.reset(self._manager.as_mask(env_ids))
+        self._manager.env.robot_manager.reset(self._manager.mask_of_ids(env_ids))
 
 
 class AssetManager:

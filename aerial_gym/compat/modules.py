@@ -25,11 +25,13 @@ _WALLS = ("front_wall", "back_wall", "left_wall", "right_wall", "bottom_wall", "
 MODULES: dict[str, dict[str, str]] = {
     "sim": {"sim_config_registry": "registries:sim_config_registry"},
     "sim.sim_builder": {"SimBuilder": "sim_builder:SimBuilder"},
-    "registry.sim_registry": {"sim_config_registry": "registries:sim_config_registry"},
-    "registry.env_registry": {"env_config_registry": "registries:env_config_registry"},
-    "registry.robot_registry": {"robot_registry": "registries:robot_registry"},
-    "registry.controller_registry": {"controller_registry": "registries:controller_registry"},
-    "registry.task_registry": {"task_registry": "registries:task_registry"},
+    **{
+        f"registry.{kind}_registry": {name: f"registries:{name}"}
+        for kind, name in (
+            ("sim", "sim_config_registry"), ("env", "env_config_registry"), ("robot", "robot_registry"),
+            ("controller", "controller_registry"), ("task", "task_registry"),
+        )
+    },
     "utils.logging": {"CustomLogger": "logs:CustomLogger"},
     "utils.math": {"*": "math"},
     "utils.helpers": {"parse_arguments": "arguments:parse_arguments", "get_args": "arguments:get_args"},
@@ -38,25 +40,26 @@ MODULES: dict[str, dict[str, str]] = {
     "task.base_task": {"BaseTask": "base_task:BaseTask"},
     "task.position_setpoint_task.position_setpoint_task": {"PositionSetpointTask": "native_task:PositionSetpointTask"},
     "task.navigation_task.navigation_task": {"NavigationTask": "native_task:NavigationTask"},
-    "config.task_config.position_setpoint_task_config": {
-        "task_config": 'config.tasks:task_class_config("position_setpoint_task")'
+    **{
+        f"config.task_config.{task}_config": {"task_config": f'config.tasks:task_class_config("{task}")'}
+        for task in ("position_setpoint_task", "navigation_task")
     },
-    "config.task_config.navigation_task_config": {"task_config": 'config.tasks:task_class_config("navigation_task")'},
-    "config.sim_config.base_sim_config": {"BaseSimConfig": "config.sims:BaseSimConfig"},
-    "config.sim_config.base_sim_headless_config": {"BaseSimHeadlessConfig": "config.sims:BaseSimHeadlessConfig"},
-    "config.sim_config.base_sim_no_gravity_config": {
-        "BaseSimNoGravityConfig": "config.sims:BaseSimNoGravityConfig",
-        "BaseSimConfig": "config.sims:BaseSimNoGravityConfig",
+    **{
+        f"config.sim_config.{module}": {cls: f"config.sims:{cls}"}
+        for module, cls in (
+            ("base_sim_config", "BaseSimConfig"), ("base_sim_headless_config", "BaseSimHeadlessConfig"),
+            ("base_sim_no_gravity_config", "BaseSimNoGravityConfig"), ("sim_config_2ms", "SimCfg2Ms"),
+            ("sim_config_4ms", "SimCfg4Ms"),
+        )
     },
-    "config.sim_config.sim_config_2ms": {"SimCfg2Ms": "config.sims:SimCfg2Ms"},
-    "config.sim_config.sim_config_4ms": {"SimCfg4Ms": "config.sims:SimCfg4Ms"},
-    "config.env_config.empty_env": {"EmptyEnvCfg": 'config.environments:CLASSES["empty_env"]'},
-    "config.env_config.env_config_2ms": {"EnvCfg2Ms": 'config.environments:CLASSES["empty_env_2ms"]'},
-    "config.env_config.env_with_obstacles": {
-        "EnvWithObstaclesCfg": 'config.environments:CLASSES["env_with_obstacles"]'
+    **{
+        f"config.env_config.{module}": {cls: f'config.environments:CLASSES["{env}"]'}
+        for module, cls, env in (
+            ("empty_env", "EmptyEnvCfg", "empty_env"), ("env_config_2ms", "EnvCfg2Ms", "empty_env_2ms"),
+            ("env_with_obstacles", "EnvWithObstaclesCfg", "env_with_obstacles"), ("forest_env", "ForestEnvCfg", "forest_env"),
+            ("dynamic_environment", "DynamicEnvironmentCfg", "dynamic_env"),
+        )
     },
-    "config.env_config.forest_env": {"ForestEnvCfg": 'config.environments:CLASSES["forest_env"]'},
-    "config.env_config.dynamic_environment": {"DynamicEnvironmentCfg": 'config.environments:CLASSES["dynamic_env"]'},
     "config.asset_config.base_asset": {"BaseAssetParams": "config.assets:BaseAssetParams"},
     "config.asset_config.env_object_config": {
         **{f"{name.removesuffix('s')}_asset_params": f'config.assets:CLASSES["{name}"]' for name in _ASSETS},
@@ -68,12 +71,8 @@ MODULES: dict[str, dict[str, str]] = {
         **{
             f"BaseQuadWith{name}Cfg": f'config.robots:CLASSES["base_quadrotor_with_{robot}"]'
             for name, robot in (
-                ("Imu", "imu"),
-                ("Camera", "camera"),
-                ("CameraImu", "camera_imu"),
-                ("Lidar", "lidar"),
-                ("FaceIDNormalCamera", "faceid_normal_camera"),
-                ("StereoCamera", "stereo_camera"),
+                ("Imu", "imu"), ("Camera", "camera"), ("CameraImu", "camera_imu"), ("Lidar", "lidar"),
+                ("FaceIDNormalCamera", "faceid_normal_camera"), ("StereoCamera", "stereo_camera"),
             )
         },
     },
@@ -82,24 +81,16 @@ MODULES: dict[str, dict[str, str]] = {
     **{
         f"control.controllers.{module}": {law: f'config.controllers:LAWS["{law}"]'}
         for module, law in (
-            ("no_control", "NoControl"),
-            ("position_control", "LeePositionController"),
-            ("velocity_control", "LeeVelocityController"),
-            ("attitude_control", "LeeAttitudeController"),
-            ("rates_control", "LeeRatesController"),
-            ("acceleration_control", "LeeAccelerationController"),
+            ("no_control", "NoControl"), ("position_control", "LeePositionController"),
+            ("velocity_control", "LeeVelocityController"), ("attitude_control", "LeeAttitudeController"),
+            ("rates_control", "LeeRatesController"), ("acceleration_control", "LeeAccelerationController"),
         )
     },
     **{
         f"{folder}.{module}": {cls: f'config.sensors:CLASSES["{sensor}"]'}
         for folder, module, cls, sensor in (
             (_CAMERAS, "base_depth_camera_config", "BaseDepthCameraConfig", "base_depth_camera"),
-            (
-                _CAMERAS,
-                "base_normal_faceID_camera_config",
-                "BaseNormalFaceIDCameraConfig",
-                "base_normal_face_id_camera",
-            ),
+            (_CAMERAS, "base_normal_faceID_camera_config", "BaseNormalFaceIDCameraConfig", "base_normal_face_id_camera"),
             (_CAMERAS, "d455_depth_config", "RsD455Config", "rs_d455"),
             (_CAMERAS, "luxonis_oak_d_config", "LuxonisOakDConfig", "luxonis_oak_d"),
             (_CAMERAS, "luxonis_oak_d_pro_w_config", "LuxonisOakDProWConfig", "luxonis_oak_d_pro_w"),
@@ -116,9 +107,11 @@ MODULES: dict[str, dict[str, str]] = {
     f"{_IMUS}.base_imu_config": {"BaseImuConfig": 'config.imus:CLASSES["base_imu"]'},
     f"{_IMUS}.vn100_config": {"VN100Config": 'config.imus:CLASSES["vn100"]'},
     f"{_IMUS}.bosch_bmi088_config": {"BoschBMI088Config": 'config.imus:CLASSES["bmi088"]'},
-}
+}  # fmt: skip
 """Names of each module below ``aerial_gym``, and where in ``aerial_gym.compat`` each stands; ``*`` is all of a module, an empty
 name what a package of ours gives as if it were its own."""
+
+MODULES["config.sim_config.base_sim_no_gravity_config"]["BaseSimConfig"] = "config.sims:BaseSimNoGravityConfig"
 
 GONE: dict[str, str] = {
     "control.controllers": "laws are pure functions here: aerial_gym.control.laws",
@@ -138,42 +131,36 @@ GONE: dict[str, str] = {
         f"config.{kind}_config": "configurations are YAML files here; classes that have a counterpart are listed there"
         for kind in ("sim", "env", "asset", "robot", "sensor", "controller", "task")
     },
-    **{f"task.{name}": "write it as a task file or a class derived from BaseTask" for name in ("custom_task",)},
+    "task.custom_task": "write it as a task file or a class derived from BaseTask",
     **{
         f"task.{name}": "the task is registered by that name: task_registry.make_task makes it"
         for name in (
-            "position_setpoint_task_sim2real",
-            "position_setpoint_task_acceleration_sim2real",
-            "position_setpoint_task_sim2real_end_to_end",
-            "position_setpoint_task_sim2real_px4",
-            "position_setpoint_task_reconfigurable",
-            "position_setpoint_task_morphy",
-            "lidar_navigation_task",
-            "radar_navigation_task",
+            "position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real",
+            "position_setpoint_task_sim2real_end_to_end", "position_setpoint_task_sim2real_px4",
+            "position_setpoint_task_reconfigurable", "position_setpoint_task_morphy",
+            "lidar_navigation_task", "radar_navigation_task",
         )
     },
     "utils": "helpers that have a counterpart are listed there",
-}
+}  # fmt: skip
 """Modules of that simulator without a counterpart, with the remedy."""
 
 _PREFIX = "aerial_gym."
 _PACKAGES = {path.rsplit(".", n)[0] for path in MODULES for n in range(1, path.count(".") + 1)} | {"sim", "utils"}
 
 
-class _Loader(Loader):
+class TableLoader(Loader):
     """Fills a module of the table; names are resolved at their first use."""
 
     def exec_module(self, module: ModuleType) -> None:
         """Fill the module with its names."""
         names = MODULES.get(module.__name__.removeprefix(_PREFIX), {})
-        if (
-            "" in names
-        ):  # Python imports a submodule for a name that the package lacks, and takes its entry in sys.modules
-            sys.modules[module.__name__] = resolve(names[""])
+        if "" in names:
+            # Python imports a submodule for a name that the package lacks, and takes its entry in sys.modules.
+            sys.modules[module.__name__] = resolve_place(names[""])
             return
         if "*" in names:
-            home = import_module(_HOME + names["*"])
-            module.__dict__.update({name: getattr(home, name) for name in home.__all__}, __all__=home.__all__)
+            copy_names(names["*"], module)
             return
 
         def load(name: str) -> Any:
@@ -183,14 +170,14 @@ class _Loader(Loader):
                     f"module {module.__name__!r} has no {name!r} here. Known: {known}. "
                     "See docs/guides/coming_from_aerial_gym.md"
                 )
-            value = resolve(names[name])
+            value = resolve_place(names[name])
             setattr(module, name, value)
             return value
 
         module.__dict__.update(__getattr__=load, __all__=list(names), __doc__="Names of the Aerial Gym Simulator.")
 
 
-class _Finder(MetaPathFinder):
+class TableFinder(MetaPathFinder):
     """Finds the modules of the table; raises with the alternative for those without a counterpart."""
 
     def find_spec(
@@ -202,7 +189,7 @@ class _Finder(MetaPathFinder):
             return None
         name = fullname.removeprefix(_PREFIX)
         if name in MODULES or name in _PACKAGES:
-            return spec_from_loader(fullname, _Loader(), is_package=name in _PACKAGES)
+            return spec_from_loader(fullname, TableLoader(), is_package=name in _PACKAGES)
         for gone, way_out in GONE.items():
             if name == gone or name.startswith(f"{gone}."):
                 raise ModuleNotFoundError(
@@ -213,7 +200,13 @@ class _Finder(MetaPathFinder):
         return None
 
 
-def resolve(place: str) -> Any:
+def copy_names(home: str, module: ModuleType) -> None:
+    """Copy the public names of a module below ``aerial_gym.compat`` into another module."""
+    helpers = import_module(_HOME + home)
+    module.__dict__.update({name: getattr(helpers, name) for name in helpers.__all__}, __all__=helpers.__all__)
+
+
+def resolve_place(place: str) -> Any:
     """Return the object ``module:expression`` below ``aerial_gym.compat``: a name, a table entry, or the result of a call."""
     module, _, expression = place.partition(":")
     home = import_module(_HOME + module)
@@ -225,7 +218,7 @@ def resolve(place: str) -> Any:
     return getattr(home, expression)
 
 
-def install() -> None:
+def install_finder() -> None:
     """Install the finder of the table's modules, once."""
-    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.append(_Finder())
+    if not any(isinstance(finder, TableFinder) for finder in sys.meta_path):
+        sys.meta_path.append(TableFinder())

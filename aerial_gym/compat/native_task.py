@@ -1,6 +1,7 @@
 """Tasks of this package with the interface of the Aerial Gym Simulator's. Letters: E environments, U entries of an action."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import gymnasium
@@ -16,14 +17,10 @@ from aerial_gym.task import Task, task_registry
 FiveTuple = tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observations, rewards, terminations, truncations, infos."""
 
-
 HOOKS = (
-    "compute_rewards_and_crashes",
-    "process_obs_for_task",
-    "process_image_observation",
-    "get_return_tuple",
+    "compute_rewards_and_crashes", "process_obs_for_task", "process_image_observation", "get_return_tuple",
     "check_and_update_curriculum_level",
-)
+)  # fmt: skip
 """Hooks of that simulator's task classes for rewards and observations, which this task never calls."""
 
 
@@ -87,14 +84,14 @@ class NativeTask(gymnasium.Env):
         del options  # Gymnasium's wrappers pass it
         obs, info = self.task.reset(seed=seed)
         zero = torch.zeros(self.num_envs, device=self.device)
-        return self._five_results(obs, zero, zero.bool(), zero.bool(), info)
+        return self._five_tuple(obs, zero, zero.bool(), zero.bool(), info)
 
     def step(self, actions: Tensor) -> FiveTuple:
         """Advance by one action, (E, U); finished environments are reset, and their observation is the new one."""
         obs, reward, terminated, truncated, info = self.task.step(actions)
         if self._pre_reset:
             obs = {"observations": info["final_observation"]}
-        return self._five_results(obs, reward, terminated, truncated, info)
+        return self._five_tuple(obs, reward, terminated, truncated, info)
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Refuse: finished environments are reset by ``step``, all of them by ``reset``."""
@@ -109,7 +106,7 @@ class NativeTask(gymnasium.Env):
         """Release device memory."""
         self.sim_env.delete_env()
 
-    def _five_results(
+    def _five_tuple(
         self, obs: dict[str, Tensor], reward: Tensor, terminated: Tensor, truncated: Tensor, info: dict[str, Tensor]
     ) -> FiveTuple:
         more = {
@@ -122,16 +119,12 @@ class NativeTask(gymnasium.Env):
         return obs | more, reward, terminated, truncated, info
 
 
-_made: dict[str, type[NativeTask]] = {}
-
-
+@cache
 def task_class(name: str) -> type[NativeTask]:
     """Return the class of a registered task; the same one at every call."""
     task_registry.get(name)
-    if name not in _made:
-        camel = "".join(part.capitalize() for part in name.split("_"))
-        _made[name] = type(camel, (NativeTask,), {"task_name": name, "__doc__": f"The task ``{name}``."})
-    return _made[name]
+    camel = "".join(part.capitalize() for part in name.split("_"))
+    return type(camel, (NativeTask,), {"task_name": name, "__doc__": f"The task ``{name}``."})
 
 
 PositionSetpointTask = task_class("position_setpoint_task")

@@ -23,7 +23,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.task import task_registry as TASKS  # noqa: N812 (as the other registries of ours)
 
 
-class _NativeNames:
+class ScriptRegistry:
     """Entries of a script and of this package's registry."""
 
     kind: str
@@ -33,19 +33,20 @@ class _NativeNames:
     def __init__(self) -> None:
         self._own: dict[str, Any] = {}
 
-    def _add(self, name: str, entry: Any, identity: Any) -> None:
+    def _add_entry(self, name: str, entry: Any, identity: Any) -> None:
         """Add an entry; repeating the same class has no effect, another one under the same name is an error."""
         known = self._own.get(name, (self.built_in.get(name), None))[0]
-        if name not in self.native if known is None else _same_class(known, identity):
-            self._own[name] = (identity, entry)
-            return
-        raise DuplicateNameError(f"{self.kind} {name!r} is registered already, as something else. Choose another name.")
+        if name in self.native if known is None else not _is_same_class(known, identity):
+            raise DuplicateNameError(
+                f"{self.kind} {name!r} is registered already, as something else. Choose another name."
+            )
+        self._own[name] = (identity, entry)
 
     def names(self) -> list[str]:
         """Return all names, sorted."""
         return sorted({*self._own, *self.built_in, *self.native})
 
-    def _find(self, name: str) -> Any:
+    def _script_entry(self, name: str) -> Any:
         """Return the script's entry of a name, None for a name of this package; else raise ``UnknownNameError``."""
         if name in self._own:
             return self._own[name][1]
@@ -55,7 +56,7 @@ class _NativeNames:
         raise UnknownNameError(f"no {self.kind} {name!r}.{suggest_name(name, names)} Known: {', '.join(names)}")
 
 
-def _same_class(a: Any, b: Any) -> bool:
+def _is_same_class(a: Any, b: Any) -> bool:
     """Return whether two classes are one, or one that a notebook has defined again."""
     return a is b or (isclass(a) and isclass(b) and (a.__module__, a.__qualname__) == (b.__module__, b.__qualname__))
 
@@ -64,7 +65,7 @@ def _is_file(name: object) -> bool:
     return str(name).endswith((".yaml", ".yml"))
 
 
-class _Configurations(_NativeNames):
+class ConfigClassRegistry(ScriptRegistry):
     """A registry of configuration classes."""
 
     table: ConfigTable
@@ -73,20 +74,20 @@ class _Configurations(_NativeNames):
 
     def config_class(self, name: str) -> Any:
         """Return the configuration class of a name: the script's, or one generated from this package's entry or file."""
-        entry = None if _is_file(name) else self._find(name)
+        entry = None if _is_file(name) else self._script_entry(name)
         if entry is not None:
             return entry if isclass(entry) else self.table.make_class(name, entry)
         return self.built_in[name] if name in self.built_in else self.table.make_class(str(name), self.load(name))
 
-    def resolve(self, name: str) -> Any:
+    def native_config(self, name: str) -> Any:
         """Return this package's configuration for a name; its own names and files unchanged."""
-        entry = None if _is_file(name) else self._find(name)
+        entry = None if _is_file(name) else self._script_entry(name)
         if entry is None:
             entry = self.built_in.get(name)
         return self.translate(entry) if isclass(entry) else entry or name
 
 
-class SimConfigRegistry(_Configurations):
+class SimConfigRegistry(ConfigClassRegistry):
     """``sim_config_registry``."""
 
     kind, native, built_in, table = "sim", SIMS, sims.CLASSES, sims.TABLE
@@ -94,18 +95,16 @@ class SimConfigRegistry(_Configurations):
 
     def register(self, sim_name: str, sim_config: Any) -> None:
         """Register a sim class, or a ``SimCfg``; another one under a registered name is refused."""
-        self._add(sim_name, sim_config, sim_config)
+        self._add_entry(sim_name, sim_config, sim_config)
 
     def get_sim_config(self, sim_name: str) -> Any:
         """Return the sim class."""
         return self.config_class(sim_name)
 
-    get_sim_names = _NativeNames.names
-
-    make_sim = get_sim_config  # Nothing is built, as there
+    get_sim_names, make_sim = ScriptRegistry.names, get_sim_config  # Nothing is built, as there
 
 
-class EnvConfigRegistry(_Configurations):
+class EnvConfigRegistry(ConfigClassRegistry):
     """``env_config_registry``."""
 
     kind, native, built_in, table = "environment", ENVIRONMENTS, environments.CLASSES, environments.TABLE
@@ -113,22 +112,20 @@ class EnvConfigRegistry(_Configurations):
 
     def register(self, env_name: str, env_config: Any) -> None:
         """Register an environment class, or an ``EnvironmentCfg``; another one under a registered name is refused."""
-        self._add(env_name, env_config, env_config)
+        self._add_entry(env_name, env_config, env_config)
 
     def get_env_config(self, env_name: str) -> Any:
         """Return the environment class."""
         return self.config_class(env_name)
 
-    get_env_names = _NativeNames.names
-
-    make_env = get_env_config  # Nothing is built, as there
+    get_env_names, make_env = ScriptRegistry.names, get_env_config  # Nothing is built, as there
 
 
 class BaseMultirotor:
     """Stand-in for the class of every robot; the robot file determines how one flies."""
 
 
-class RobotRegistry(_Configurations):
+class RobotRegistry(ConfigClassRegistry):
     """``robot_registry``."""
 
     kind, native, built_in, table = "robot", ROBOTS, robots.CLASSES, robots.TABLE
@@ -145,18 +142,18 @@ class RobotRegistry(_Configurations):
                 f"robot class {getattr(robot_class, '__name__', robot_class)}: robots have no code of their own here; use "
                 "BaseMultirotor. What acts on a body is an effect (aerial_gym.physics.effects)"
             )
-        self._add(robot_name, robot_config, robot_config)
+        self._add_entry(robot_name, robot_config, robot_config)
 
     def get_robot_class(self, robot_name: str) -> type:
         """Return ``BaseMultirotor``."""
-        self._find(robot_name)
+        self._script_entry(robot_name)
         return BaseMultirotor
 
     def get_robot_config(self, robot_name: str) -> Any:
         """Return the robot class."""
         return self.config_class(robot_name)
 
-    get_robot_names = _NativeNames.names
+    get_robot_names = ScriptRegistry.names
 
     def make_robot(self, robot_name: str, *_: object, **__: object) -> NoReturn:
         """Refuse: a robot is built with its environment."""
@@ -165,7 +162,7 @@ class RobotRegistry(_Configurations):
         )
 
 
-class ControllerRegistry(_NativeNames):
+class ControllerRegistry(ScriptRegistry):
     """``controller_registry``."""
 
     kind, native = "controller", CONTROLLERS
@@ -177,20 +174,20 @@ class ControllerRegistry(_NativeNames):
             ConfigError: If the law is the script's own, or a gain is impossible.
         """
         controllers.translate_controller(controller_class, controller_config)
-        self._add(controller_name, (controller_class, controller_config), controller_config)
+        self._add_entry(controller_name, (controller_class, controller_config), controller_config)
 
-    get_controller_names = _NativeNames.names
+    get_controller_names = ScriptRegistry.names
 
     def get_controller_class(self, controller_name: str) -> Any:
         """Return the law's class in that simulator; None for laws of this package alone."""
-        entry = self._find(controller_name)
+        entry = self._script_entry(controller_name)
         if entry is not None:
             return entry[0]
         return next((law for law in controllers.LAWS.values() if law.name == controller_name), None)
 
     def get_controller_config(self, controller_name: str) -> Any:
         """Return the class of gains."""
-        entry = self._find(controller_name)
+        entry = self._script_entry(controller_name)
         return controllers.control if entry is None else entry[1]
 
     def make_controller(self, controller_name: str, *_: object, **__: object) -> NoReturn:
@@ -199,39 +196,39 @@ class ControllerRegistry(_NativeNames):
             f"make_controller({controller_name!r}): a controller is built with its robot here; use SimBuilder().build_env"
         )
 
-    def resolve(self, name: str) -> Any:
+    def native_controller(self, name: str) -> Any:
         """Return this package's controller for a name; its own names unchanged."""
-        classes = self._classes(name)
+        classes = self._law_and_gains(name)
         return name if classes is None else controllers.translate_controller(*classes)
 
     def gain_randomization(self, name: str) -> Randomize:
         """Return the random gains of a controller, by the names of ``randomize:``."""
-        classes = self._classes(name)
+        classes = self._law_and_gains(name)
         return {} if classes is None else controllers.gain_randomization(*classes)
 
-    def _classes(self, name: str) -> tuple[Any, Any] | None:
-        """Return law and gains; None for a controller of this package with the robot's gains."""
-        entry = self._find(name)
+    def _law_and_gains(self, name: str) -> tuple[Any, Any] | None:
+        """Return the classes of law and gains; None for a controller of this package with the robot's gains."""
+        entry = self._script_entry(name)
         if entry is not None:
             return entry
         law = self.get_controller_class(name)
         return (law, controllers.control) if law is not None and controllers.control_is_changed() else None
 
 
-class TaskRegistry(_NativeNames):
+class TaskRegistry(ScriptRegistry):
     """``task_registry``."""
 
     kind, native = "task", TASKS
 
     def register_task(self, task_name: str, task_class: type, task_config: Any) -> None:
         """Register a task class with its configuration; another class under a registered name is refused."""
-        self._add(task_name, (task_class, task_config), task_class)
+        self._add_entry(task_name, (task_class, task_config), task_class)
 
-    get_task_names = _NativeNames.names
+    get_task_names = ScriptRegistry.names
 
     def get_task_class(self, task_name: str) -> type:
         """Return the task class."""
-        entry = self._find(task_name)
+        entry = self._script_entry(task_name)
         if entry is not None:
             return entry[0]
         from aerial_gym.compat.native_task import task_class
@@ -240,7 +237,7 @@ class TaskRegistry(_NativeNames):
 
     def get_task_config(self, task_name: str) -> Any:
         """Return the configuration class."""
-        entry = self._find(task_name)
+        entry = self._script_entry(task_name)
         return tasks.task_class_config(task_name) if entry is None else entry[1]
 
     def get_task_classes(self) -> list[type]:

@@ -38,21 +38,21 @@ def without_isaacgym(source: str) -> str:
             continue
         first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
         before, after = lines[first][: node.col_offset], lines[last][node.end_col_offset :]
-        lines[first : last + 1] = [f"{before}{_rest(node)}{after}", *["\n"] * (last - first)]
+        lines[first : last + 1] = [f"{before}{_import_without_isaacgym(node)}{after}", *["\n"] * (last - first)]
     return "".join(lines)
 
 
 def _imports_isaacgym(node: ast.Import | ast.ImportFrom) -> bool:
     if isinstance(node, ast.ImportFrom):
-        return node.level == 0 and (node.module or "").split(".")[0] == "isaacgym"
-    return any(_is_isaacgym(alias) for alias in node.names)
+        return node.level == 0 and _is_isaacgym(node.module or "")
+    return any(_is_isaacgym(alias.name) for alias in node.names)
 
 
-def _is_isaacgym(alias: ast.alias) -> bool:
-    return alias.name.split(".")[0] == "isaacgym"
+def _is_isaacgym(module: str) -> bool:
+    return module.split(".")[0] == "isaacgym"
 
 
-def _rest(node: ast.Import | ast.ImportFrom) -> str:
+def _import_without_isaacgym(node: ast.Import | ast.ImportFrom) -> str:
     """Return an import statement without ``isaacgym``: the other modules of its line, or ``pass``."""
-    remaining = [alias for alias in node.names if not _is_isaacgym(alias)] if isinstance(node, ast.Import) else []
+    remaining = [alias for alias in node.names if not _is_isaacgym(alias.name)] if isinstance(node, ast.Import) else []
     return ast.unparse(ast.Import(names=remaining)) if remaining else "pass"

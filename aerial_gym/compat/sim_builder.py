@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.compat.config.environments import batch_settings
 from aerial_gym.compat.config.fields import copy_class
-from aerial_gym.compat.config.robots import floats
+from aerial_gym.compat.config.robots import has_no_gravity
 from aerial_gym.compat.env_manager import EnvManager
 from aerial_gym.compat.registries import (
     controller_registry,
@@ -45,16 +45,11 @@ class SimBuilder:
         """Return a simulation, built and not yet reset.
 
         Args:
-            env_name: Registered environment, or a file of ours.
-            robot_name: Registered robot, or a file of ours.
-            device: Torch device; ``auto`` takes the GPU if there is one.
-            args: Not used: the command line is the script's own.
-            num_envs: Environments side by side; that of the environment class if not given.
-            use_warp: Not used: sensors always are Warp's.
-            headless: Not used: there is no viewer window.
+            env_name, robot_name: Registered name, or a file of ours.
+            args, use_warp, headless: Without effect.
+            num_envs: Number of environments; that of the environment class if not given.
             seed: Seed of every random number of the simulation; if not given that of ``torch.manual_seed``, which scripts call.
-            randomize: What resets draw, by the names of quantities, beside what the gains of the controller say; the same names
-                replace it.
+            randomize: Draws at resets, by the names of quantities; they replace those of the controller's gains.
 
         Raises:
             UnknownNameError: If a name is not registered; the message lists the registered ones.
@@ -64,14 +59,14 @@ class SimBuilder:
         env_class = env_config_registry.config_class(env_name)
         default_envs, reset_on_collision = batch_settings(env_class)
         robot_class = robot_registry.config_class(robot_name)
-        sim = sim_config_registry.resolve(sim_name)
-        if floats(robot_class):
+        sim = sim_config_registry.native_config(sim_name)
+        if has_no_gravity(robot_class):
             sim = replace(sim if isinstance(sim, SimCfg) else SIMS.get(sim), gravity=0.0)
         env = Builder().build_env(
             sim_name=sim,
-            env_name=env_config_registry.resolve(env_name),
-            robot_name=robot_registry.resolve(robot_name),
-            controller_name=controller_registry.resolve(controller_name),
+            env_name=env_config_registry.native_config(env_name),
+            robot_name=robot_registry.native_config(robot_name),
+            controller_name=controller_registry.native_controller(controller_name),
             randomize={**controller_registry.gain_randomization(controller_name), **(randomize or {})},
             num_envs=default_envs if num_envs is None else num_envs,
             device=device,
@@ -79,7 +74,7 @@ class SimBuilder:
         )
         self._manager = EnvManager(
             env,
-            cfg=_with_number(env_class, env.num_envs),
+            cfg=_class_with_num_envs(env_class, env.num_envs),
             sim_config=sim_config_registry.config_class(sim_name),
             robot_config=robot_class,
             reset_on_collision=reset_on_collision,
@@ -93,7 +88,7 @@ class SimBuilder:
             self._manager = None
 
 
-def _with_number(env_class: Any, num_envs: int) -> Any:
+def _class_with_num_envs(env_class: Any, num_envs: int) -> Any:
     """Return a subclass with the built number of environments, which scripts read from the class."""
     cfg = copy_class(env_class)
     if hasattr(cfg, "env"):

@@ -8,7 +8,6 @@ take precedence.
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, spec_from_loader
@@ -16,6 +15,8 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 import gymnasium
+
+from aerial_gym.compat.modules import copy_names
 
 
 class Wrapper(gymnasium.Env):
@@ -38,21 +39,20 @@ class Wrapper(gymnasium.Env):
         return self.env.step(action)
 
 
-def _gym() -> dict[str, ModuleType]:
+def _gym_modules() -> dict[str, ModuleType]:
     """Return the replacements of ``gym`` and ``gym.spaces``, built from Gymnasium."""
     gym = ModuleType("gym")
     gym.__dict__.update({**vars(gymnasium), "__name__": "gym", "Wrapper": Wrapper})
     return {"gym": gym, "gym.spaces": gymnasium.spaces}
 
 
-class _Loader(Loader):
+class IsaacGymLoader(Loader):
     """Fills a module of ``isaacgym``."""
 
     def exec_module(self, module: ModuleType) -> None:
         """Fill the module with its functions; other names raise an error with the remedy."""
         if module.__name__ == "isaacgym.torch_utils":
-            helpers = import_module("aerial_gym.compat.math")
-            module.__dict__.update({name: getattr(helpers, name) for name in helpers.__all__}, __all__=helpers.__all__)
+            copy_names("math", module)
             return
 
         def raise_missing(name: str) -> NoReturn:
@@ -64,8 +64,8 @@ class _Loader(Loader):
         module.__dict__.update(__getattr__=raise_missing, __all__=[])
 
 
-class _Finder(MetaPathFinder):
-    """Knows ``isaacgym`` and whatever is imported from it."""
+class IsaacGymFinder(MetaPathFinder):
+    """Finds ``isaacgym`` and whatever is imported from it."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -74,20 +74,20 @@ class _Finder(MetaPathFinder):
         del path, target
         if fullname.partition(".")[0] != "isaacgym":
             return None
-        return spec_from_loader(fullname, _Loader(), is_package=True)
+        return spec_from_loader(fullname, IsaacGymLoader(), is_package=True)
 
 
 @contextmanager
 def stand_ins() -> Iterator[None]:
     """Make ``isaacgym`` and ``gym`` importable within the block if they are not installed."""
-    finder = _Finder()
-    lent: dict[str, Any] = {} if find_spec("gym") else _gym()
+    finder = IsaacGymFinder()
+    temporary: dict[str, Any] = {} if find_spec("gym") else _gym_modules()
     sys.meta_path.append(finder)
-    sys.modules.update(lent)
+    sys.modules.update(temporary)
     try:
         yield
     finally:
         sys.meta_path.remove(finder)
-        for name in [*lent, *(name for name in sys.modules if name.partition(".")[0] == "isaacgym")]:
-            if name in lent or isinstance(getattr(sys.modules[name], "__loader__", None), _Loader):
+        for name in [*temporary, *(name for name in sys.modules if name.partition(".")[0] == "isaacgym")]:
+            if name in temporary or isinstance(getattr(sys.modules[name], "__loader__", None), IsaacGymLoader):
                 del sys.modules[name]

@@ -26,147 +26,143 @@ class TensorKey:
     read: Read | None = None  # Its value; None without one
 
 
-def _own(remark: str = "", key: str | None = None) -> TensorKey:
-    """Return a key with a counterpart in the GTD, of another name if given."""
-    return TensorKey(
-        native=f'gtd["{key}"]' if key else "the same", remark=remark, read=(lambda env: env.gtd[key]) if key else None
-    )
+def _same_keys(*names: str, remark: str = "") -> dict[str, TensorKey]:
+    """Return keys of the same name in the GTD."""
+    return dict.fromkeys(names, TensorKey(native="the same", remark=remark))
 
 
-def _absent_key(way_out: str) -> TensorKey:
-    return TensorKey(native="-", remark=way_out)
+def _absent_keys(*names: str, remark: str) -> dict[str, TensorKey]:
+    """Return keys without counterpart; the remark is the remedy."""
+    return dict.fromkeys(names, TensorKey(native="-", remark=remark))
 
 
-def _gravity(env: EnvManager) -> Tensor:
+def _flat_key(key: str, columns: int, remark: str) -> TensorKey:
+    """Return a key with the rows of all environments below one another, (rows, columns)."""
+    native = f'gtd["{key}"].view(-1, {columns})'
+    return TensorKey(native=native, remark=remark, read=lambda env: env.gtd[key].view(-1, columns))
+
+
+def _gravity_vector(env: EnvManager) -> Tensor:
     return torch.tensor([0.0, 0.0, -env.sim_cfg.gravity], device=env.device).expand(env.num_envs, 3)
 
 
-def _distances(env: EnvManager) -> Tensor:
-    """Return the first sensor's image that this key holds in that simulator: normals, points or distances."""
-    for key in ("normal_pixels", "point_cloud_pixels"):
-        if key in env.gtd:
-            return env.gtd[key]
-    return env.gtd["depth_range_pixels"]
+def _first_image(*names: str) -> Read:
+    """Return the function that reads the first key of the GTD that is there; the last one raises if it is missing."""
+    return lambda env: env.gtd[next((name for name in names if name in env.gtd), names[-1])]
 
 
-def _segmentation(env: EnvManager) -> Tensor:
-    return env.gtd["face_id_pixels" if "face_id_pixels" in env.gtd else "segmentation_pixels"]
-
-
-def _colours(env: EnvManager) -> Tensor:
+def _image_with_fourth_channel(env: EnvManager) -> Tensor:
     colours = env.gtd["rgb_pixels"]
     return torch.cat((colours, torch.ones_like(colours[..., :1])), dim=-1)
 
 
-def _drive_mode(env: EnvManager) -> str:
-    bends = env.robot_manager.articulation
-    return bends.modes[0] if bends is not None and bends.modes else "none"
+def _mode_of_first_drive(env: EnvManager) -> str:
+    articulation = env.robot_manager.articulation
+    return articulation.modes[0] if articulation is not None and articulation.modes else "none"
 
 
-_FLAT = "a view of vec_root_tensor"
-_DRIVES = "commands of drives are the last entries of the action, in the mode that the robot file gives each"
 _FORCES = "forces are not stored: the fused step keeps them in registers. An effect adds one (docs: effects)"
-_MESHES = "shapes are shared and moved by transforms: there is no mesh per environment"
+_COPY = "write_to_sim() takes what a script writes there"
 
 KEYS: dict[str, TensorKey] = {
-    "vec_root_tensor": _own("rows of the robot are copies; write_to_sim() takes what a script writes there"),
-    "unfolded_env_asset_state_tensor": TensorKey(
-        native='gtd["vec_root_tensor"].view(-1, 13)',
-        remark=_FLAT,
-        read=lambda env: env.gtd["vec_root_tensor"].view(-1, 13),
+    **_same_keys("vec_root_tensor", remark=f"rows of the robot are copies; {_COPY}"),
+    "unfolded_env_asset_state_tensor": _flat_key("vec_root_tensor", 13, "a view of vec_root_tensor"),
+    **_absent_keys(
+        "unfolded_env_asset_state_tensor_const", remark="clone vec_root_tensor after the first reset"
     ),
-    "unfolded_env_asset_state_tensor_const": _absent_key("clone vec_root_tensor after the first reset"),
-    "rigid_body_state_tensor": TensorKey(
-        native='gtd["vec_root_tensor"].view(-1, 13)',
-        remark="robot and obstacles are one body each",
-        read=lambda env: env.gtd["vec_root_tensor"].view(-1, 13),
+    "rigid_body_state_tensor": _flat_key("vec_root_tensor", 13, "robot and obstacles are one body each"),
+    **_same_keys("robot_state_tensor", remark=f"a copy; {_COPY}"),
+    **_same_keys("env_asset_state_tensor", "robot_position", "robot_orientation", "robot_linvel", "robot_angvel"),
+    **_same_keys(
+        "robot_body_linvel", "robot_body_angvel", "robot_vehicle_orientation", "robot_vehicle_linvel", "robot_euler_angles",
+        remark="of the same instant as the pose; there one physics step older",
     ),
-    "robot_state_tensor": _own("a copy; write_to_sim() takes what a script writes there"),
-    "env_asset_state_tensor": _own(),
-    "robot_position": _own(),
-    "robot_orientation": _own(),
-    "robot_linvel": _own(),
-    "robot_angvel": _own(),
-    "robot_body_linvel": _own("of the same instant as the pose; there one physics step older"),
-    "robot_body_angvel": _own("of the same instant as the pose; there one physics step older"),
-    "robot_vehicle_orientation": _own("of the same instant as the pose; there one physics step older"),
-    "robot_vehicle_linvel": _own("of the same instant as the pose; there one physics step older"),
-    "robot_euler_angles": _own("of the same instant as the pose; there one physics step older"),
-    "robot_force_tensor": _absent_key(_FORCES),
-    "robot_torque_tensor": _absent_key(_FORCES),
-    "global_force_tensor": _absent_key(_FORCES),
-    "global_torque_tensor": _absent_key(_FORCES),
-    "obstacle_force_tensor": _absent_key("never written there; obstacles move by twists, step(actions, env_actions)"),
-    "obstacle_torque_tensor": _absent_key("never written there; obstacles move by twists, step(actions, env_actions)"),
-    "global_contact_force_tensor": _absent_key("contact of the robot alone is measured: robot_contact_force_tensor"),
-    "robot_contact_force_tensor": _own(
-        "mean over the step; only in an environment with `contact:` in its file", "robot_contact_force"
+    **_absent_keys(
+        "robot_force_tensor", "robot_torque_tensor", "global_force_tensor", "global_torque_tensor", remark=_FORCES
     ),
-    "obstacle_position": _own(),
-    "obstacle_orientation": _own(),
-    "obstacle_linvel": _own(),
-    "obstacle_angvel": _own(),
-    "obstacle_body_linvel": _absent_key("never filled there; rotate obstacle_linvel by obstacle_orientation"),
-    "obstacle_body_angvel": _absent_key("never filled there; rotate obstacle_angvel by obstacle_orientation"),
-    "obstacle_euler_angles": _absent_key("never filled there; get_euler_xyz_tensor(obstacle_orientation)"),
-    "dof_state_tensor": _own("a copy of dof_position and dof_velocity; only of robots with joints"),
-    "unfolded_dof_state_tensor": TensorKey(
-        native='gtd["dof_state_tensor"].view(-1, 2)',
-        remark="only of robots with joints",
-        read=lambda env: env.gtd["dof_state_tensor"].view(-1, 2),
+    **_absent_keys(
+        "obstacle_force_tensor", "obstacle_torque_tensor",
+        remark="never written there; obstacles move by twists, step(actions, env_actions)",
     ),
-    "dof_position_setpoint_tensor": _absent_key(_DRIVES),
-    "dof_velocity_setpoint_tensor": _absent_key(_DRIVES),
-    "dof_effort_tensor": _absent_key(_DRIVES),
+    **_absent_keys(
+        "global_contact_force_tensor", remark="contact of the robot alone is measured: robot_contact_force_tensor"
+    ),
+    "robot_contact_force_tensor": TensorKey(
+        native='gtd["robot_contact_force"]', read=lambda env: env.gtd["robot_contact_force"],
+        remark="mean over the step; only in an environment with `contact:` in its file",
+    ),
+    **_same_keys("obstacle_position", "obstacle_orientation", "obstacle_linvel", "obstacle_angvel"),
+    **_absent_keys("obstacle_body_linvel", remark="never filled there; rotate obstacle_linvel by obstacle_orientation"),
+    **_absent_keys("obstacle_body_angvel", remark="never filled there; rotate obstacle_angvel by obstacle_orientation"),
+    **_absent_keys("obstacle_euler_angles", remark="never filled there; get_euler_xyz_tensor(obstacle_orientation)"),
+    **_same_keys("dof_state_tensor", remark="a copy of dof_position and dof_velocity; only of robots with joints"),
+    "unfolded_dof_state_tensor": _flat_key("dof_state_tensor", 2, "only of robots with joints"),
+    **_absent_keys(
+        "dof_position_setpoint_tensor", "dof_velocity_setpoint_tensor", "dof_effort_tensor",
+        remark="commands of drives are the last entries of the action, in the mode that the robot file gives each",
+    ),
     "dof_control_mode": TensorKey(
-        native="robot_manager.articulation.modes", remark="that of the first drive; each has its own", read=_drive_mode
+        native="robot_manager.articulation.modes", read=_mode_of_first_drive,
+        remark="that of the first drive; each has its own",
     ),
-    "env_bounds_min": _own(),
-    "env_bounds_max": _own(),
-    "asset_min_state_ratio": _absent_key(
-        "ranges stand in the environment file: position_ratio_low, euler_low of an asset"
+    **_same_keys("env_bounds_min", "env_bounds_max"),
+    **_absent_keys(
+        "asset_min_state_ratio", remark="ranges stand in the environment file: position_ratio_low, euler_low of an asset"
     ),
-    "asset_max_state_ratio": _absent_key(
-        "ranges stand in the environment file: position_ratio_high, euler_high of an asset"
+    **_absent_keys(
+        "asset_max_state_ratio", remark="ranges stand in the environment file: position_ratio_high, euler_high of an asset"
     ),
     "num_obstacles_in_env": TensorKey(
         native="asset_manager.set_num_obstacles(n - num_kept)",
         remark="an int that counts the kept obstacles too; assigned, it holds from the next reset on",
         read=lambda env: env.cfg.num_kept + int(env.gtd["num_obstacles_in_env"]),
     ),
-    "curriculum_level": _own("of a task of ours with a curriculum; a script may keep its own number under this key"),
-    "gravity": TensorKey(native="sim_cfg.gravity", remark="(E, 3), world", read=_gravity),
+    **_same_keys(
+        "curriculum_level",
+        remark="of a task of ours with a curriculum; a script may keep its own number under this key",
+    ),
+    "gravity": TensorKey(native="sim_cfg.gravity", remark="(E, 3), world", read=_gravity_vector),
     "dt": TensorKey(native="sim_cfg.dt", remark="of a physics step, as there", read=lambda env: env.sim_cfg.dt),
-    "robot_mass": _own("of each environment, also where it is randomised; read-only"),
-    "robot_inertia": _own("of each environment; the composite one, where there it was doubled; read-only"),
-    "robot_actions": _own(),
-    "robot_prev_actions": _own("shifted once a step, where there every physics step made it equal to robot_actions"),
+    **_same_keys("robot_mass", remark="of each environment, also where it is randomised; read-only"),
+    **_same_keys(
+        "robot_inertia", remark="of each environment; the composite one, where there it was doubled; read-only"
+    ),
+    **_same_keys("robot_actions"),
+    **_same_keys(
+        "robot_prev_actions",
+        remark="shifted once a step, where there every physics step made it equal to robot_actions",
+    ),
     "num_robot_actions": TensorKey(native="robot_manager.num_actions", read=lambda env: env.robot_manager.num_actions),
     "num_env_actions": TensorKey(native="6 where obstacles move, else 0", read=lambda env: 6 if env.cfg.moves else 0),
-    "env_actions": _own("only where obstacles move"),
-    "prev_env_actions": _own("only where obstacles move; those before, where there it was the same tensor"),
-    "crashes": _own("kept over a reset until the next step, as there"),
-    "truncations": _own("kept over a reset until the next step, as there"),
+    **_same_keys("env_actions", remark="only where obstacles move"),
+    **_same_keys(
+        "prev_env_actions",
+        remark="only where obstacles move; those before, where there it was the same tensor",
+    ),
+    **_same_keys("crashes", "truncations", remark="kept over a reset until the next step, as there"),
     "depth_range_pixels": TensorKey(
-        native="the same",
+        native="the same", read=_first_image("normal_pixels", "point_cloud_pixels", "depth_range_pixels"),
         remark="normals of a normal_faceID sensor, points with return_pointcloud, as there; gtd has distances too",
-        read=_distances,
     ),
     "segmentation_pixels": TensorKey(
-        native="the same", remark="faces of a normal_faceID sensor, as there", read=_segmentation
+        native="the same", read=_first_image("face_id_pixels", "segmentation_pixels"),
+        remark="faces of a normal_faceID sensor, as there",
     ),
     "rgb_pixels": TensorKey(
-        native="the same, (..., 3)", remark="with a fourth channel of 1; from the ray caster", read=_colours
+        native="the same, (..., 3)", read=_image_with_fourth_channel,
+        remark="with a fourth channel of 1; from the ray caster",
     ),
-    "force_sensor_tensor": _absent_key(
-        "imu_measurement has the specific force; robot_contact_force_tensor the contact"
+    **_absent_keys(
+        "force_sensor_tensor",
+        remark="imu_measurement has the specific force; robot_contact_force_tensor the contact",
     ),
-    "imu_measurement": _own("with lever arm; mean over the step"),
-    "CONST_WARP_MESH_ID_LIST": _absent_key(_MESHES),
-    "CONST_WARP_MESH_PER_ENV": _absent_key(_MESHES),
-    "CONST_GLOBAL_VERTEX_TO_ASSET_INDEX_TENSOR": _absent_key(_MESHES),
-    "VERTEX_MAPS_PER_ENV_ORIGINAL": _absent_key(_MESHES),
-}
+    **_same_keys("imu_measurement", remark="with lever arm; mean over the step"),
+    **_absent_keys(
+        "CONST_WARP_MESH_ID_LIST", "CONST_WARP_MESH_PER_ENV", "CONST_GLOBAL_VERTEX_TO_ASSET_INDEX_TENSOR",
+        "VERTEX_MAPS_PER_ENV_ORIGINAL",
+        remark="shapes are shared and moved by transforms: there is no mesh per environment",
+    ),
+}  # fmt: skip
 """Every key of that simulator with its counterpart."""
 
 
@@ -186,11 +182,9 @@ class TensorDict(MutableMapping[str, Any]):
         try:
             return self._env.gtd[name] if key is None or key.read is None else key.read(self._env)
         except UnknownNameError:
-            remark = "" if key is None or not key.remark else f" {key.remark}."
-            near = "" if key else suggest_name(name, self)
-            raise UnknownNameError(
-                f"no tensor key {name!r} in this simulation.{near}{remark} Known: {', '.join(sorted(self))}"
-            ) from None
+            hint = suggest_name(name, self) if key is None else f" {key.remark}." if key.remark else ""
+            known = ", ".join(sorted(self))
+            raise UnknownNameError(f"no tensor key {name!r} in this simulation.{hint} Known: {known}") from None
 
     def __setitem__(self, name: str, value: Any) -> None:
         if name == "num_obstacles_in_env":
@@ -200,9 +194,8 @@ class TensorDict(MutableMapping[str, Any]):
         if name in self._env.gtd and (key is None or key.read is None):
             self._env.gtd[name][:] = value
         elif key is not None and key.read is not None:
-            raise OwnershipError(
-                f"tensor key {name!r} = {key.native} here: it follows from other keys and cannot be assigned"
-            )
+            home = f"tensor key {name!r} = {key.native} here"
+            raise OwnershipError(f"{home}: it follows from other keys and cannot be assigned")
         else:
             self._own[name] = value
 
@@ -212,12 +205,12 @@ class TensorDict(MutableMapping[str, Any]):
         del self._own[name]
 
     def __iter__(self) -> Iterator[str]:
-        yield from dict.fromkeys((*self._env.gtd, *(name for name in KEYS if self._is_there(name)), *self._own))
+        yield from dict.fromkeys((*self._env.gtd, *(name for name in KEYS if self._is_present(name)), *self._own))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
-    def _is_there(self, name: str) -> bool:
+    def _is_present(self, name: str) -> bool:
         key = KEYS[name]
         if key.read is None:
             return name in self._env.gtd

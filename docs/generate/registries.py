@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.compat.page import names
 from aerial_gym.config import to_mapping
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
 from aerial_gym.config.task import TaskCfg
@@ -23,6 +22,7 @@ from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.quantities import table as quantity_table
 from aerial_gym.sensors import IMUS, SENSORS
 from aerial_gym.task import ACTIONS, BUFFERS, COMMANDS, OBSERVATIONS, REWARDS, TERMINATIONS, task_registry
+from docs.generate.aerial_gym_names import table_of_names
 from docs.generate.markdown import code_marks, page, table, value_text
 
 GALLERY = "![images of the sensors in several environments](../images/gallery.png)"
@@ -49,7 +49,7 @@ def registry_pages() -> dict[str, str]:
         "aerial_gym_names.md": page(
             "Names of the Aerial Gym Simulator",
             "For users of the Aerial Gym Simulator: each of its names beside the one of this package.",
-            [names()],
+            [table_of_names()],
         ),
     }  # fmt: skip
 

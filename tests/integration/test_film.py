@@ -15,14 +15,14 @@ from aerial_gym.cli.main import main
 
 def test_a_film_shows_the_robot_and_a_ring_about_its_target(tmp_path: Path) -> None:
     """The target is put on the robot, then 0.5 m to its left: f 0.5 m / depth to the left in the picture."""
-    robot = film.visible_robot("base_quadrotor", str(tmp_path))
+    robot = film.write_visible_robot("base_quadrotor", str(tmp_path))
     with task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", seed=1, robot=robot) as task:
         made = film.Film(task)
         task.reset()
         for shift in (0.0, 0.5):
             task.target_position.copy_(task.env.gtd["robot_position"] + torch.tensor([0.0, shift, 0.0]))
             made._steps = 0
-            made.look(begins=True)
+            made.render_frame(begins=True)
         file = tmp_path / "film.gif"
         made.save(file)
     shown = Image.open(file)
@@ -43,12 +43,12 @@ def test_a_film_shows_the_robot_and_a_ring_about_its_target(tmp_path: Path) -> N
 
 
 def test_frames_are_taken_25_times_a_second(tmp_path: Path) -> None:
-    robot = film.visible_robot("base_quadrotor", str(tmp_path))
+    robot = film.write_visible_robot("base_quadrotor", str(tmp_path))
     with task_registry.make_task("position_setpoint_task", num_envs=1, device="cpu", seed=1, robot=robot) as task:
         made = film.Film(task)
         task.reset()
         for _ in range(9):
-            made.look(begins=False)
+            made.render_frame(begins=False)
             task.step(torch.zeros(1, task.num_actions))
         made.save(tmp_path / "film.gif")
         shown = Image.open(tmp_path / "film.gif")

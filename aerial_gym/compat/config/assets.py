@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from aerial_gym.assets import ENVIRONMENTS
-from aerial_gym.compat.config.fields import STANDS_FOR, Changes, ConfigTable, Values, direct_field, idle_field
+from aerial_gym.compat.config.fields import (
+    STANDS_FOR,
+    Changes,
+    ConfigTable,
+    Values,
+    direct_field,
+    idle_field,
+    same_fields,
+)
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, MotionCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
@@ -19,11 +27,11 @@ STANDARD_FOLDERS: dict[str, str] = {"panels": "panels", "objects": "objects", "t
 _FOLDER = "resources/models/environment_assets"
 
 
-def _state(position: Any, euler: Any) -> list[float]:
+def _script_state(position: Any, euler: Any) -> list[float]:
     return [*position, *euler, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
-def _write_position(end: str) -> Any:
+def _position_writer(end: str) -> Any:
     def write(values: Values) -> Changes:
         state = values["min_state_ratio" if end == "low" else "max_state_ratio"]
         return {f"position_ratio_{end}": tuple(state[0:3]), f"euler_{end}": tuple(state[3:6])}
@@ -31,7 +39,7 @@ def _write_position(end: str) -> Any:
     return write
 
 
-def _shapes(values: Values) -> Changes:
+def _shape_changes(values: Values) -> Changes:
     """Return the shapes of a folder's URDF files, or the replacements of a folder of that simulator."""
     folder, file = Path(str(values["asset_folder"])), values["file"]
     if not folder.is_dir() and folder.name in STANDARD_FOLDERS:
@@ -56,19 +64,19 @@ def _asset_folder(cfg: AssetCfg) -> str:
 TABLE = ConfigTable(
     kind="asset",
     fields=(
-        direct_field("num_assets", "count", lambda c: c.count),
-        direct_field("asset_folder", "shapes", _asset_folder, _shapes,
+        *same_fields(num_assets="count"),
+        direct_field("asset_folder", "shapes", _asset_folder, _shape_changes,
                 "URDF files; folders of that simulator stand for the same shapes here"),
-        direct_field("file", "shapes", lambda _: None, _shapes, "one file of the folder; None takes all"),
+        direct_field("file", "shapes", lambda _: None, _shape_changes, "one file of the folder; None takes all"),
         direct_field("min_state_ratio", "position_ratio_low, euler_low",
-                lambda c: _state(c.position_ratio_low, c.euler_low), _write_position("low"), "entries 0 to 5"),
+                lambda c: _script_state(c.position_ratio_low, c.euler_low), _position_writer("low"), "entries 0 to 5"),
         direct_field("max_state_ratio", "position_ratio_high, euler_high",
-                lambda c: _state(c.position_ratio_high, c.euler_high), _write_position("high"), "entries 0 to 5"),
-        direct_field("keep_in_env", "keep", lambda c: c.keep),
+                lambda c: _script_state(c.position_ratio_high, c.euler_high), _position_writer("high"), "entries 0 to 5"),
+        *same_fields(keep_in_env="keep"),
         direct_field("semantic_id", "semantic_id", lambda c: c.semantic_id,
                 remark="-1: the instance's own id, counted in each environment"),
-        direct_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shapes, "URDF files only"),
-        direct_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shapes, "URDF files only"),
+        direct_field("per_link_semantic", "shapes: first_link_id", lambda _: False, _shape_changes, "URDF files only"),
+        direct_field("semantic_masked_links", "shapes: link_ids", lambda _: {}, _shape_changes, "URDF files only"),
         direct_field("fix_base_link", "motion", lambda c: c.motion.kind == "none",
                 lambda v: {"motion": MotionCfg(kind="none" if v["fix_base_link"] else "twist")},
                 "not fixed: flies with env_actions"),

@@ -34,7 +34,7 @@ def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
     return np.stack(columns, axis=1).tolist()
 
 
-def rotors(values: Values) -> Changes:
+def rotor_changes(values: Values) -> Changes:
     """Return the mounts of an allocation matrix.
 
     Raises:
@@ -48,12 +48,13 @@ def rotors(values: Values) -> Changes:
             f"{len(directions)} motor_directions"
         )
     layout = tuple(
-        _mount(column, spin, ratio, i) for i, (column, spin) in enumerate(zip(matrix.T, directions, strict=True))
+        _mount_of_column(column, spin, ratio, i)
+        for i, (column, spin) in enumerate(zip(matrix.T, directions, strict=True))
     )
     return {"mounts": MountsCfg(layout=layout, source=f"{MATRIX} of a robot class")}
 
 
-def _mount(column: np.ndarray, spin: int, ratio: float, number: int) -> MountCfg:
+def _mount_of_column(column: np.ndarray, spin: int, ratio: float, number: int) -> MountCfg:
     force, torque = column[:3], column[3:]
     size = float(np.linalg.norm(force))
     if not np.isclose(size, 1.0, rtol=1e-3):
@@ -69,7 +70,7 @@ def _mount(column: np.ndarray, spin: int, ratio: float, number: int) -> MountCfg
     return MountCfg(position=_vec3(place), axis=_vec3(axis), spin=spin)
 
 
-def body(values: Values) -> Changes:
+def body_changes(values: Values) -> Changes:
     """Return mass, inertia and collision shapes of a class's URDF; nothing if it names a robot of this package.
 
     Raises:

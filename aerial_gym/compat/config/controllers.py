@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, direct_field, lookup_field
+from aerial_gym.compat.config.fields import Changes, ConfigTable, Values, direct_field, lookup_field, same_fields
 from aerial_gym.config.checks import Vec3
 from aerial_gym.config.controller import ControllerCfg, LeeGainsCfg
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
@@ -60,13 +60,11 @@ def _gain_range(name: str) -> Ends:
 
 
 SHARED = GainRanges(
-    position=_gain_range("position"),
-    velocity=_gain_range("velocity"),
-    attitude=_gain_range("attitude"),
+    position=_gain_range("position"), velocity=_gain_range("velocity"), attitude=_gain_range("attitude"),
     rate=_gain_range("rate"),
     max_yaw_rate=AERIAL_GYM_GAINS.max_yaw_rate,
     max_inclination=AERIAL_GYM_GAINS.max_inclination,
-)
+)  # fmt: skip
 """The one class of gains that all Lee controllers of that simulator share."""
 
 _NAMES = (
@@ -77,13 +75,10 @@ _NAMES = (
 )
 
 
-def _gain(script_name: str, native: str) -> Any:
+def _gain_writer(script_name: str, native: str) -> Any:
     def write(values: Values) -> Changes:
-        pairs = [
-            sorted(map(float, pair))
-            for pair in zip(values[f"{script_name}_min"], values[f"{script_name}_max"], strict=True)
-        ]
-        return {native: tuple(zip(*pairs, strict=True))}
+        pairs = zip(values[f"{script_name}_min"], values[f"{script_name}_max"], strict=True)
+        return {native: tuple(zip(*(sorted(map(float, pair)) for pair in pairs), strict=True))}
 
     return write
 
@@ -94,12 +89,12 @@ TABLE = ConfigTable(
         *(
             direct_field(f"{script_name}_{there}", f"gains.{native}",
                          lambda c, name=native, end=end: list(getattr(c, name)[end]),
-                    _gain(script_name, native),
+                    _gain_writer(script_name, native),
                     "the middle, or drawn; a minimum above its maximum, as some of theirs have it, is put in order")
             for script_name, native in _NAMES
             for end, there in enumerate(("min", "max"))
         ),
-        direct_field("max_yaw_rate", "max_yaw_rate", lambda c: c.max_yaw_rate),
+        *same_fields("max_yaw_rate"),
         direct_field("max_inclination_angle_rad", "max_inclination", lambda c: c.max_inclination, remark="never used there"),
         direct_field("randomize_params", "randomize", lambda c: c.randomize,
                 remark="draws `gains.position`, `gains.velocity`, `gains.attitude` and `gains.rate` from minimum to maximum"),

@@ -17,13 +17,13 @@ from aerial_gym.compat.config.fields import (
 from aerial_gym.config.environment import EnvironmentCfg
 
 
-def _assets(values: Values) -> Changes:
+def _asset_changes(values: Values) -> Changes:
     included, classes = values["env_config.include_asset_type"], values["env_config.asset_type_to_dict_map"]
     assets = (translate_asset(name, cls) for name, cls in classes.items() if included.get(name, False))
     return {"assets": tuple(asset for asset in assets if asset is not None)}
 
 
-def _ground(values: Values) -> Changes:
+def _ground_changes(values: Values) -> Changes:
     return {"ground_height": 0.0 if values["env.create_ground_plane"] else None}
 
 
@@ -40,15 +40,16 @@ TABLE = ConfigTable(
                 "must be 0 here: there one number was drawn for all environments, and could be none. A delay is the effect "
                 "actuation_delay of the robot"),
         lookup_field("env.reset_on_collision", "which rows post_reward_calculation_step resets", lambda _: True),
-        direct_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground, "at z = 0"),
+        direct_field("env.create_ground_plane", "ground_height", lambda c: c.ground_height is not None, _ground_changes,
+                "at z = 0"),
         *(direct_field(f"env.{script_name}", native, lambda c, native=native: list(getattr(c, native)))
           for script_name, native in (
             ("lower_bound_min", "bounds_lower_low"), ("lower_bound_max", "bounds_lower_high"),
             ("upper_bound_min", "bounds_upper_low"), ("upper_bound_max", "bounds_upper_high"),
         )),
-        direct_field("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _assets),
+        direct_field("env_config.include_asset_type", "assets", lambda c: {a.name: True for a in c.assets}, _asset_changes),
         direct_field("env_config.asset_type_to_dict_map", "assets", lambda c: {a.name: asset_class(a) for a in c.assets},
-                _assets, "classes of obstacles, see assets"),
+                _asset_changes, "classes of obstacles, see assets"),
         idle_field("env.collision_force_threshold", 0.01,
              "every touch is a crash; with `contact:` of an environment file, crash_speed says which"),
         idle_field("env.num_env_actions", 4, "obstacles that move take (E, A, 6) twists"),
@@ -75,7 +76,7 @@ def translate_environment(cls: Any) -> EnvironmentCfg:
     classes = given.get("env_config.asset_type_to_dict_map")
     if classes is None:
         return cfg
-    return replace_entries(cfg, _assets({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given))
+    return replace_entries(cfg, _asset_changes({"env_config.include_asset_type": dict.fromkeys(classes, True)} | given))
 
 
 def batch_settings(cls: Any) -> tuple[int, bool]:

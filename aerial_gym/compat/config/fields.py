@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from inspect import isclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -52,13 +53,14 @@ def direct_field(
     remark: str = "",
 ) -> ConfigField:
     """Return a field with the same meaning in both; ``write`` converts the value if it differs."""
-    return ConfigField(
-        script_name=script_name,
-        native=native,
-        remark=remark,
-        read=read,
-        write=write or (lambda v: {native: v[script_name]}),
-    )
+    write = write or (lambda v: {native: v[script_name]})
+    return ConfigField(script_name=script_name, native=native, remark=remark, read=read, write=write)
+
+
+def same_fields(*names: str, **native_by_name: str) -> tuple[ConfigField, ...]:
+    """Return fields with the same meaning and value in both, some under another name in this package."""
+    pairs = dict(zip(names, names, strict=True)) | native_by_name
+    return tuple(direct_field(name, native, attrgetter(native)) for name, native in pairs.items())
 
 
 def idle_field(script_name: str, value: object, remark: str) -> ConfigField:
@@ -99,11 +101,10 @@ class ConfigTable:
         made = type(name, (base,), {STANDS_FOR: cfg, "__doc__": f"Class-style configuration of a {self.kind}."})
         for field in self.fields:
             value = field.read(cfg)
-            if parent is None or not values_equal(value, _get(parent, field.script_name)):
-                _set(made, field.script_name, value)
-        for section in self.idle_sections:
-            if not _has(made, section):
-                _set(made, section, type(section.rpartition(".")[2], (), {}))
+            if parent is None or not values_equal(value, attrgetter(field.script_name)(parent)):
+                _set_attribute(made, field.script_name, value)
+        for section in self.idle_sections if parent is None else ():
+            _set_attribute(made, section, type(section.rpartition(".")[2], (), {}))
         return made
 
     def values(self, cls: Any) -> dict[str, Any]:
@@ -113,25 +114,25 @@ class ConfigTable:
             ConfigError: If it has an attribute that no table knows; the message names the nearest known one.
         """
         known = {field.script_name for field in self.fields}
-        entries: dict[str, Any] = {}
-        self._visit(cls, "", known, entries, name=_class_name(cls))
-        return entries
 
-    def _visit(self, node: Any, prefix: str, known: set[str], entries: dict[str, Any], *, name: str) -> None:
-        for key in dir(node):
-            path, value = f"{prefix}{key}", getattr(node, key)
-            if key.startswith("_") or path in self.idle_sections:
-                continue
-            if path in known:
-                entries[path] = value
-            elif any(other.startswith(f"{path}.") for other in known):
-                self._visit(value, f"{path}.", known, entries, name=name)
-            elif isclass(value) or not callable(value):
-                raise ConfigError(
-                    f"{name}.{path} = {value!r}: no such field ({self.kind}).{suggest_name(path, known)} "
-                    f"Known: {', '.join(sorted(known))}. "
-                    "Names that are the class's own begin with an underscore"
-                )
+        def section_values(section: Any, prefix: str) -> dict[str, Any]:
+            entries: dict[str, Any] = {}
+            for key in dir(section):
+                path, value = f"{prefix}{key}", getattr(section, key)
+                if key.startswith("_") or path in self.idle_sections:
+                    continue
+                if path in known:
+                    entries[path] = value
+                elif any(other.startswith(f"{path}.") for other in known):
+                    entries |= section_values(value, f"{path}.")
+                elif isclass(value) or not callable(value):
+                    raise ConfigError(
+                        f"{_class_name(cls)}.{path} = {value!r}: no such field ({self.kind}).{suggest_name(path, known)} "
+                        f"Known: {', '.join(sorted(known))}. Names that are the class's own begin with an underscore"
+                    )
+            return entries
+
+        return section_values(cls, "")
 
     def translate(self, cls: Any, stands_for: Any) -> Any:
         """Return our configuration for a configuration class.
@@ -222,7 +223,7 @@ def _class_name(cls: Any) -> str:
     return cls.__name__ if isclass(cls) else type(cls).__name__
 
 
-def _set(cls: type, path: str, value: object) -> None:
+def _set_attribute(cls: type, path: str, value: object) -> None:
     """Set an attribute of a nested class, which is first derived from the parent's if missing."""
     head, _, rest = path.partition(".")
     if not rest:
@@ -231,18 +232,4 @@ def _set(cls: type, path: str, value: object) -> None:
     if head not in vars(cls):
         inherited = getattr(cls, head, None)
         setattr(cls, head, type(head, (inherited,) if inherited else (), {}))
-    _set(vars(cls)[head], rest, value)
-
-
-def _get(cls: type, path: str) -> Any:
-    for name in path.split("."):
-        cls = getattr(cls, name)
-    return cls
-
-
-def _has(cls: type, path: str) -> bool:
-    try:
-        _get(cls, path)
-    except AttributeError:
-        return False
-    return True
+    _set_attribute(vars(cls)[head], rest, value)

@@ -9,7 +9,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import IMUS
 
 
-def _six(name: str, switch: str) -> Any:
+def _six_number_writer(name: str, switch: str) -> Any:
     """Return the function that splits six numbers; zeros where the switch is off."""
 
     def write(values: Values) -> Changes:
@@ -30,11 +30,13 @@ _SIXES = {
 }
 
 
-def _write_switches(*names: str) -> Any:
-    return lambda values: {key: v for name in names for key, v in _six(name, _SIXES[name][1])(values).items()}
+def _switch_writer(*names: str) -> Any:
+    return lambda values: {
+        key: v for name in names for key, v in _six_number_writer(name, _SIXES[name][1])(values).items()
+    }
 
 
-def _ranges(values: Values) -> Changes:
+def _range_changes(values: Values) -> Changes:
     limits = [float(n) for n in values["max_measurement_value"]]
     if len(limits) != 6 or len(set(limits[:3])) > 1 or len(set(limits[3:])) > 1:
         raise ConfigError(
@@ -43,11 +45,11 @@ def _ranges(values: Values) -> Changes:
     return {"accel_range": limits[0], "gyro_range": limits[3]}
 
 
-def _limits(cfg: ImuCfg) -> list[float]:
+def _six_measurement_limits(cfg: ImuCfg) -> list[float]:
     return [*[cfg.accel_range] * 3, *[cfg.gyro_range] * 3]
 
 
-def _misalignment(values: Values) -> Changes:
+def _misalignment_changes(values: Values) -> Changes:
     low, high = ([float(n) for n in values[f"{end}_euler_rotation_deg"]] for end in ("min", "max"))
     if not values["randomize_placement"]:
         return {"misalignment_deg": (0.0, 0.0, 0.0)}
@@ -64,17 +66,18 @@ TABLE = ConfigTable(
         *(
             direct_field(script_name, f"accel_{native}, gyro_{native}",
                     lambda c, native=native: [*getattr(c, f"accel_{native}"), *getattr(c, f"gyro_{native}")],
-                    _six(native, switch), "six numbers")
+                    _six_number_writer(native, switch), "six numbers")
             for native, (script_name, switch) in _SIXES.items()
         ),
         direct_field("enable_noise", "accel_noise_density, gyro_noise_density", lambda _: True,
-                _write_switches("noise_density"), "False makes them 0"),
-        direct_field("enable_bias", "accel_bias_walk, ...", lambda _: True, _write_switches("bias_walk", "initial_bias"),
+                _switch_writer("noise_density"), "False makes them 0"),
+        direct_field("enable_bias", "accel_bias_walk, ...", lambda _: True, _switch_writer("bias_walk", "initial_bias"),
                 "False makes them 0"),
-        direct_field("max_measurement_value", "accel_range, gyro_range", _limits, _ranges),
-        direct_field("randomize_placement", "misalignment_deg", lambda c: any(c.misalignment_deg), _misalignment),
-        direct_field("min_euler_rotation_deg", "misalignment_deg", lambda c: [-n for n in c.misalignment_deg], _misalignment),
-        direct_field("max_euler_rotation_deg", "misalignment_deg", lambda c: list(c.misalignment_deg), _misalignment),
+        direct_field("max_measurement_value", "accel_range, gyro_range", _six_measurement_limits, _range_changes),
+        direct_field("randomize_placement", "misalignment_deg", lambda c: any(c.misalignment_deg), _misalignment_changes),
+        direct_field("min_euler_rotation_deg", "misalignment_deg", lambda c: [-n for n in c.misalignment_deg],
+                _misalignment_changes),
+        direct_field("max_euler_rotation_deg", "misalignment_deg", lambda c: list(c.misalignment_deg), _misalignment_changes),
         *(idle_field(name, None, "not used there; the place of an IMU is its mount in a robot file")
           for name in ("min_translation", "max_translation")),
         constant_field("num_sensors", 1, "several IMUs are several mounts in a robot file"),
@@ -86,14 +89,12 @@ TABLE = ConfigTable(
 )  # fmt: skip
 """Translation of the attributes of an IMU class."""
 
-_made: dict[str, type] = {}
 
-
-def imu_class(imu: str, name: str | None = None) -> type:
+def imu_class(imu: str) -> type:
     """Return the configuration class of a registered IMU, the same one at every call."""
-    if imu not in _made:
-        _made[imu] = TABLE.make_class(name or imu, IMUS.get(imu))
-    return _made[imu]
+    if imu not in CLASSES:
+        CLASSES[imu] = TABLE.make_class(imu, IMUS.get(imu))
+    return CLASSES[imu]
 
 
 def translate_imu(cls: Any) -> ImuCfg:
@@ -107,7 +108,7 @@ def imu_name(cls: Any) -> str:
 
 
 CLASSES: dict[str, type] = {
-    imu: imu_class(imu, name)
+    imu: TABLE.make_class(name, IMUS.get(imu))
     for name, imu in (("BaseImuConfig", "base_imu"), ("VN100Config", "vn100"), ("BoschBMI088Config", "bmi088"))
 }
 """Generated classes by the name of the IMU."""

@@ -14,12 +14,9 @@ def register_config(cls: Any, cfg: Any, registry: Registry[Any]) -> str:
     for known in registry:
         if registry.get(known) == cfg:
             return known
-    wanted = _snake_case(cls.__name__ if isinstance(cls, type) else type(cls).__name__)
-    taken = sum(known == wanted or known.startswith(f"{wanted}_") for known in registry)
-    name = f"{wanted}_{taken + 1}" if taken else wanted
+    class_name = cls.__name__ if isinstance(cls, type) else type(cls).__name__
+    snake_case = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", class_name).lower()
+    taken = sum(known == snake_case or known.startswith(f"{snake_case}_") for known in registry)
+    name = f"{snake_case}_{taken + 1}" if taken else snake_case
     registry.register(name, cfg)
     return name
-
-
-def _snake_case(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

@@ -33,14 +33,14 @@ _PER_TURN = (2.0 * pi) ** 2
 """(rad/s)² per (rev/s)²."""
 
 
-def _state(cfg: RobotCfg, end: str) -> list[float]:
+def _initial_state(cfg: RobotCfg, end: str) -> list[float]:
     start = cfg.initial_state
     parts = (getattr(start, f"{name}_{end}") for name in ("position_ratio", "euler"))
     speeds = (getattr(start, f"{name}_{end}") for name in ("lin_vel", "ang_vel"))
     return [*(n for part in parts for n in part), 1.0, *(n for part in speeds for n in part)]
 
 
-def _initial(end: str) -> Any:
+def _initial_state_changes(end: str) -> Any:
     def write(values: Values) -> Changes:
         state = values[f"init_config.{'min' if end == 'low' else 'max'}_init_state"]
         cuts = {"position_ratio": (0, 3), "euler": (3, 6), "lin_vel": (7, 10), "ang_vel": (10, 13)}
@@ -49,50 +49,36 @@ def _initial(end: str) -> Any:
     return write
 
 
-def _middle(name: str, factor: float = 1.0) -> Any:
-    """Return the function that takes the middle of a range of the motor model."""
-
-    def value(values: Values) -> float:
-        low, high = (values[f"{_MOTOR}.{name}_{end}"] for end in ("min", "max"))
-        return 0.5 * (low + high) * factor
-
-    return value
-
-
 _MOTOR = "control_allocator_config.motor_model_config"
-_thrust = _middle("motor_thrust_constant", 1.0 / _PER_TURN)
-_rise = _middle("motor_time_constant_increasing")
-_fall = _middle("motor_time_constant_decreasing")
 _RANGE = "the middle of the range; draws are `randomize:` of a robot file"
 
 
-def _mode(values: Values) -> Changes:
+def _middle_of_range(values: Values, name: str) -> float:
+    """Return the middle of a range of the motor model."""
+    return 0.5 * (values[f"{_MOTOR}.{name}_min"] + values[f"{_MOTOR}.{name}_max"])
+
+
+def _rotor_mode_changes(values: Values) -> Changes:
     """Return the mode of the rotors and their thrust map, None in force mode."""
     speed = bool(values[f"{_MOTOR}.use_rps"])
-    return {
-        "rotor.mode": "speed" if speed else "force",
-        "rotor.thrust_map": (0.0, 0.0, _thrust(values) if speed else 0.0),
-    }
+    coefficient = _middle_of_range(values, "motor_thrust_constant") / _PER_TURN if speed else 0.0
+    return {"rotor.mode": "speed" if speed else "force", "rotor.thrust_map": (0.0, 0.0, coefficient)}
 
 
-def _slew(values: Values) -> Changes:
+def _slew_rate_changes(values: Values) -> Changes:
     """Return the largest rate of the state: there [rev/s²] or [N/s]."""
     rate = float(values[f"{_MOTOR}.max_thrust_rate"])
     return {"rotor.slew_rate": 2.0 * pi * rate if values[f"{_MOTOR}.use_rps"] else rate}
 
 
-def _largest_rate(cfg: RobotCfg) -> float:
+def _script_slew_rate(cfg: RobotCfg) -> float:
     rotor = cfg.rotor_types[0]
     if rotor.slew_rate is None:
         return _NEVER_ACTIVE
     return rotor.slew_rate / (2.0 * pi) if rotor.mode == "speed" else rotor.slew_rate
 
 
-def _thrust_range(values: Values) -> Changes:
-    return {"rotor.thrust_range": (float(values[f"{_MOTOR}.min_thrust"]), float(values[f"{_MOTOR}.max_thrust"]))}
-
-
-def _drag(values: Values) -> Changes:
+def _drag_changes(values: Values) -> Changes:
     """Return the drag effects of the damping coefficients; the same laws."""
     changes: Changes = {"effects_source": "damping of a robot class"}
     for name, order in (("rotor_drag", "linear"), ("quadratic_drag", "quadratic")):
@@ -102,7 +88,7 @@ def _drag(values: Values) -> Changes:
     return changes
 
 
-def _sensor(values: Values) -> Changes:
+def _sensor_changes(values: Values) -> Changes:
     names = (("camera", sensor_name), ("lidar", sensor_name), ("imu", imu_name))
     on_board = [
         name(values[f"sensor_config.{kind}_config"]) for kind, name in names if values[f"sensor_config.enable_{kind}"]
@@ -124,44 +110,52 @@ def _sensor_class(cfg: RobotCfg, kind: str, default: str | None) -> type | None:
     return None if default is None else sensor_class(default)
 
 
-def _urdf(cfg: RobotCfg) -> str:
+def _urdf_file(cfg: RobotCfg) -> str:
     return "quad.urdf" if cfg.body == ROBOTS.get("base_quadrotor").body else "robot.urdf"
 
 
-def _coefficients(cfg: RobotCfg, effect: str) -> list[float]:
+def _drag_coefficients(cfg: RobotCfg, effect: str) -> list[float]:
     given = cfg.effects.get(effect, {})
     return [given.get(name, 0.0) for name in ("dx", "dy", "dz")]
 
 
+_VISUAL = "`visual:` of a robot file"
+_NO_SENSOR = "no sensor of forces on links"
+_START = "init_config says where a robot starts"
+
 TABLE = ConfigTable(
     kind="robot",
     fields=(
-        direct_field("init_config.min_init_state", "initial_state.*_low", lambda c: _state(c, "low"), _initial("low"),
+        direct_field("init_config.min_init_state", "initial_state.*_low", lambda c: _initial_state(c, "low"),
+                _initial_state_changes("low"),
                 "shares of the bounds, roll, pitch, yaw, a 1, velocity, angular velocity (body axes)"),
-        direct_field("init_config.max_init_state", "initial_state.*_high", lambda c: _state(c, "high"), _initial("high")),
-        direct_field("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None, _sensor,
-                "a camera and a lidar together work here"),
+        direct_field("init_config.max_init_state", "initial_state.*_high", lambda c: _initial_state(c, "high"),
+                _initial_state_changes("high")),
+        direct_field("sensor_config.enable_camera", "sensors", lambda c: _sensor_class(c, "camera", None) is not None,
+                _sensor_changes, "a camera and a lidar together work here"),
         direct_field("sensor_config.camera_config", "sensors", lambda c: _sensor_class(c, "camera", "base_depth_camera"),
-                     _sensor),
-        direct_field("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None, _sensor),
-        direct_field("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"), _sensor),
-        direct_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor),
-        direct_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor),
+                     _sensor_changes),
+        direct_field("sensor_config.enable_lidar", "sensors", lambda c: _sensor_class(c, "lidar", None) is not None,
+                _sensor_changes),
+        direct_field("sensor_config.lidar_config", "sensors", lambda c: _sensor_class(c, "lidar", "base_lidar"),
+                _sensor_changes),
+        direct_field("sensor_config.enable_imu", "sensors", lambda c: _imu_class(c, None) is not None, _sensor_changes),
+        direct_field("sensor_config.imu_config", "sensors", lambda c: _imu_class(c, "base_imu"), _sensor_changes),
         constant_field("disturbance.enable_disturbance", False,
                 "pushes per physics step would depend on dt: use the effect gusts in a robot file"),
         idle_field("disturbance.prob_apply_disturbance", 0.02, "only with enable_disturbance"),
         idle_field("disturbance.max_force_and_torque_disturbance", [0.0] * 6, "only with enable_disturbance"),
         direct_field("damping.linvel_linear_damping_coefficient", "effects.rotor_drag",
-                lambda c: _coefficients(c, "rotor_drag"), _drag),
+                lambda c: _drag_coefficients(c, "rotor_drag"), _drag_changes),
         direct_field("damping.linvel_quadratic_damping_coefficient", "effects.quadratic_drag",
-                lambda c: _coefficients(c, "quadratic_drag"), _drag),
+                lambda c: _drag_coefficients(c, "quadratic_drag"), _drag_changes),
         constant_field("damping.angular_linear_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
         constant_field("damping.angular_quadratic_damping_coefficient", [0.0] * 3,
                 "there is no such effect here yet; 0 is what all robots have"),
-        direct_field("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body,
+        direct_field("robot_asset.asset_folder", "body, collision", lambda _: bodies.FOLDER, bodies.body_changes,
                 "a URDF: all links as one body about their centre of mass; its spheres and boxes, boxes around the rest"),
-        direct_field("robot_asset.file", "body, collision", _urdf, bodies.body),
+        direct_field("robot_asset.file", "body, collision", _urdf_file, bodies.body_changes),
         constant_field("robot_asset.fix_base_link", False, "robots fly here"),
         lookup_field("robot_asset.disable_gravity", "gravity: 0 of the sim", lambda _: False, "only robots feel gravity there"),
         *(idle_field(f"robot_asset.{name}", value, why) for name, value, why in (
@@ -170,43 +164,43 @@ TABLE = ConfigTable(
             ("flip_visual_attachments", True, "PhysX"), ("density", 0.000001, "PhysX"), ("angular_damping", 0.01, "PhysX"),
             ("linear_damping", 0.01, "PhysX"), ("max_angular_velocity", 100.0, "PhysX"),
             ("max_linear_velocity", 100.0, "PhysX"), ("armature", 0.001, "PhysX"),
-            ("collapse_fixed_joints", True, "PhysX"), ("use_mesh_materials", False, "`visual:` of a robot file"),
-            ("semantic_id", 0, "`visual:` of a robot file"), ("per_link_semantic", False, "`visual:` of a robot file"),
-            ("semantic_masked_links", {}, "`visual:` of a robot file"), ("keep_in_env", True, "a robot is always there"),
-            ("color", None, "`visual:` of a robot file"), ("place_force_sensor", False, "no sensor of forces on links"),
-            ("force_sensor_parent_link", "base_link", "no sensor of forces on links"),
-            ("force_sensor_transform", None, "no sensor of forces on links"),
-            ("use_collision_mesh_instead_of_visual", False, "`visual:` of a robot file"),
-            ("min_state_ratio", None, "init_config says where a robot starts"),
-            ("max_state_ratio", None, "init_config says where a robot starts"),
-            ("min_position_ratio", None, "init_config says where a robot starts"),
-            ("max_position_ratio", None, "init_config says where a robot starts"),
+            ("collapse_fixed_joints", True, "PhysX"), ("use_mesh_materials", False, _VISUAL), ("semantic_id", 0, _VISUAL),
+            ("per_link_semantic", False, _VISUAL), ("semantic_masked_links", {}, _VISUAL),
+            ("keep_in_env", True, "a robot is always there"), ("color", None, _VISUAL),
+            ("place_force_sensor", False, _NO_SENSOR), ("force_sensor_parent_link", "base_link", _NO_SENSOR),
+            ("force_sensor_transform", None, _NO_SENSOR), ("use_collision_mesh_instead_of_visual", False, _VISUAL),
+            ("min_state_ratio", None, _START), ("max_state_ratio", None, _START), ("min_position_ratio", None, _START),
+            ("max_position_ratio", None, _START),
         )),
         *(idle_field(f"init_config.{name}", None, "min_init_state and max_init_state say where a robot starts")
           for name in ("min_state_ratio", "max_state_ratio")),
-        direct_field(bodies.MATRIX, "mounts", bodies.allocation_matrix, bodies.rotors,
+        direct_field(bodies.MATRIX, "mounts", bodies.allocation_matrix, bodies.rotor_changes,
                 "the rotors stand where the matrix has them; it is derived from them again"),
-        direct_field("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, bodies.rotors),
-        direct_field(bodies.DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], bodies.rotors,
+        direct_field("control_allocator_config.num_motors", "mounts", lambda c: c.num_rotors, bodies.rotor_changes),
+        direct_field(bodies.DIRECTIONS, "mounts: spin", lambda c: [m.spin for m in c.mounts.layout], bodies.rotor_changes,
                 "matrix and directions must say the same"),
         idle_field("control_allocator_config.application_mask", None, "thrust acts where the rotors are"),
         idle_field("control_allocator_config.force_application_level", "motor_link", "thrust acts where the rotors are"),
-        direct_field(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _mode, "speed or force"),
+        direct_field(f"{_MOTOR}.use_rps", "rotor.mode", lambda c: c.rotor_types[0].mode == "speed", _rotor_mode_changes,
+                "speed or force"),
         *(direct_field(f"{_MOTOR}.motor_thrust_constant_{end}", "rotor.thrust_map",
-                  lambda c: c.rotor_types[0].thrust_map[2] * _PER_TURN, _mode, f"N per (rev/s)²; {_RANGE}")
+                  lambda c: c.rotor_types[0].thrust_map[2] * _PER_TURN, _rotor_mode_changes, f"N per (rev/s)²; {_RANGE}")
           for end in ("min", "max")),
-        *(direct_field(f"{_MOTOR}.motor_time_constant_increasing_{end}", "rotor.time_constant_up",
-                  lambda c: c.rotor_types[0].time_constant_up, lambda v: {"rotor.time_constant_up": _rise(v)},
-                  f"{_RANGE}; there the lag was tau + dt")
+        *(direct_field(f"{_MOTOR}.motor_time_constant_{way}_{end}", f"rotor.{native}",
+                  lambda c, n=native: getattr(c.rotor_types[0], n),
+                  lambda v, way=way, n=native: {f"rotor.{n}": _middle_of_range(v, f"motor_time_constant_{way}")}, remark)
+          for way, native, remark in (
+              ("increasing", "time_constant_up", f"{_RANGE}; there the lag was tau + dt"),
+              ("decreasing", "time_constant_down", _RANGE),
+          )
           for end in ("min", "max")),
-        *(direct_field(f"{_MOTOR}.motor_time_constant_decreasing_{end}", "rotor.time_constant_down",
-                  lambda c: c.rotor_types[0].time_constant_down, lambda v: {"rotor.time_constant_down": _fall(v)}, _RANGE)
-          for end in ("min", "max")),
-        direct_field(f"{_MOTOR}.min_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[0], _thrust_range),
-        direct_field(f"{_MOTOR}.max_thrust", "rotor.thrust_range", lambda c: c.rotor_types[0].thrust_range[1], _thrust_range),
+        *(direct_field(f"{_MOTOR}.{end}_thrust", "rotor.thrust_range",
+                  lambda c, place=place: c.rotor_types[0].thrust_range[place],
+                  lambda v: {"rotor.thrust_range": tuple(float(v[f"{_MOTOR}.{end}_thrust"]) for end in ("min", "max"))})
+          for place, end in enumerate(("min", "max"))),
         direct_field(f"{_MOTOR}.thrust_to_torque_ratio", "rotor.torque_ratio", lambda c: c.rotor_types[0].torque_ratio,
                 lambda v: {"rotor.torque_ratio": float(v[f"{_MOTOR}.thrust_to_torque_ratio"]), "rotor.torque_map": None}),
-        direct_field(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _largest_rate, _slew, "100000 is none"),
+        direct_field(f"{_MOTOR}.max_thrust_rate", "rotor.slew_rate", _script_slew_rate, _slew_rate_changes, "100000 is none"),
         idle_field(f"{_MOTOR}.use_discrete_approximation", True, "the lag is exact for every dt"),
         idle_field(f"{_MOTOR}.integration_scheme", "rk4", "the lag is exact for every dt"),
         lookup_field("dof_control_mode", "-", lambda _: "none", "no robot has joints yet"),
@@ -216,7 +210,7 @@ TABLE = ConfigTable(
 """Translation of the attributes of a robot class."""
 
 
-def floats(cls: Any) -> bool:
+def has_no_gravity(cls: Any) -> bool:
     """Return whether a robot class feels no gravity."""
     return bool(TABLE.values(cls).get("robot_asset.disable_gravity", False))
 
@@ -225,7 +219,7 @@ def translate_robot(cls: Any) -> RobotCfg:
     """Return our robot for a robot class; sensor classes are changed in place by scripts, so they are read at every call."""
     cfg = TABLE.translate(cls, ROBOTS.get("base_quadrotor"))
     values = {field.script_name: field.read(cfg) for field in TABLE.fields} | TABLE.values(cls)
-    changes = _sensor(values)
+    changes = _sensor_changes(values)
     mounts = cfg.sensor_mounts
     plain = mounts == as_mounts(tuple(mount.sensor for mount in mounts)) and len(mounts) == len(changes["sensors"])
     return replace_entries(cfg, changes) if plain else cfg
@@ -236,13 +230,10 @@ BaseQuadCfg = TABLE.make_class("BaseQuadCfg", ROBOTS.get("base_quadrotor"))
 CLASSES: dict[str, type] = {"base_quadrotor": BaseQuadCfg} | {
     robot: TABLE.make_class(name, ROBOTS.get(robot), parent=BaseQuadCfg)
     for name, robot in (
-        ("BaseQuadWithImuCfg", "base_quadrotor_with_imu"),
-        ("BaseQuadWithCameraCfg", "base_quadrotor_with_camera"),
-        ("BaseQuadWithCameraImuCfg", "base_quadrotor_with_camera_imu"),
-        ("BaseQuadWithLidarCfg", "base_quadrotor_with_lidar"),
+        ("BaseQuadWithImuCfg", "base_quadrotor_with_imu"), ("BaseQuadWithCameraCfg", "base_quadrotor_with_camera"),
+        ("BaseQuadWithCameraImuCfg", "base_quadrotor_with_camera_imu"), ("BaseQuadWithLidarCfg", "base_quadrotor_with_lidar"),
         ("BaseQuadWithFaceIDNormalCameraCfg", "base_quadrotor_with_faceid_normal_camera"),
-        ("BaseQuadWithStereoCameraCfg", "base_quadrotor_with_stereo_camera"),
-        ("TinyPropCfg", "tinyprop"),
+        ("BaseQuadWithStereoCameraCfg", "base_quadrotor_with_stereo_camera"), ("TinyPropCfg", "tinyprop"),
     )
-}
+}  # fmt: skip
 """Generated classes by the name of the robot."""

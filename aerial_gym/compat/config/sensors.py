@@ -11,28 +11,28 @@ from typing import Any
 from aerial_gym.compat.config.fields import (
     STANDS_FOR,
     Changes,
+    ConfigField,
     ConfigTable,
     Values,
     constant_field,
     direct_field,
     idle_field,
+    same_fields,
 )
 from aerial_gym.compat.config.registration import register_config
 from aerial_gym.config.sensor import CameraCfg, LidarCfg, NoiseCfg, RangeSensorCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.sensors import SENSORS
 
-_NO_NOISE = NoiseCfg()
 
-
-def _type(cfg: RangeSensorCfg) -> str:
+def _sensor_type(cfg: RangeSensorCfg) -> str:
     family = "lidar" if isinstance(cfg, LidarCfg) else "camera"
     if cfg.face_ids:
         return f"normal_faceID_{family}"
     return "stereo_camera" if isinstance(cfg, StereoCfg) else family
 
 
-def _change_type(values: Values) -> Changes:
+def _sensor_type_changes(values: Values) -> Changes:
     kind = str(values["sensor_type"])
     if not kind.startswith("normal_faceID"):
         raise ConfigError(
@@ -42,17 +42,13 @@ def _change_type(values: Values) -> Changes:
     return {"face_ids": True, "normals": "world"}
 
 
-def _points(values: Values) -> Changes:
+def _point_cloud_changes(values: Values) -> Changes:
     if not values["return_pointcloud"]:
         return {"points": None}
     return {"points": "world" if values["pointcloud_in_world_frame"] else "sensor"}
 
 
-def _normalize(values: Values) -> Changes:
-    return {"normalize": bool(values["normalize_range"])}
-
-
-def _placement(values: Values) -> Changes:
+def _placement_changes(values: Values) -> Changes:
     """Return the placement fields of a sensor: the nominal pose, or limits of its draws."""
     changes: Changes = {}
     for native, nominal, low, high, unit in (
@@ -69,7 +65,7 @@ def _placement(values: Values) -> Changes:
     return changes
 
 
-def _noise(values: Values) -> Changes:
+def _noise_changes(values: Values) -> Changes:
     return {
         "noise_enabled": bool(values["sensor_noise.enable_sensor_noise"]),
         "noise": NoiseCfg(
@@ -82,53 +78,50 @@ def _noise(values: Values) -> Changes:
     }
 
 
-def _angles(entries: Any) -> list[float]:
+def _noise_field(name: str, native: str) -> ConfigField:
+    def read(cfg: RangeSensorCfg) -> float:
+        return getattr(cfg.noise or NoiseCfg(), native)
+
+    return direct_field(f"sensor_noise.{name}", f"noise.{native}", read, _noise_changes)
+
+
+def _angles_in_degrees(entries: Any) -> list[float]:
     return [degrees(entry) for entry in entries]
 
 
 _COMMON = (
-    direct_field("num_sensors", "count", lambda c: c.count),
-    direct_field("sensor_type", "model", _type, _change_type, "which class of file: pinhole, stereo, lidar"),
-    direct_field("height", "height", lambda c: c.height),
-    direct_field("width", "width", lambda c: c.width),
-    direct_field("max_range", "max_range", lambda c: c.max_range),
-    direct_field("min_range", "min_range", lambda c: c.min_range),
-    direct_field("return_pointcloud", "points", lambda c: c.points is not None, _points, "distances stay beside the points"),
-    direct_field("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _points),
-    direct_field("segmentation_camera", "segmentation", lambda c: c.segmentation),
-    direct_field("normalize_range", "normalize", lambda c: c.normalize, _normalize),
-    direct_field(
-        "far_out_of_range_value",
-        "far_out_of_range_value",
-        lambda c: c.far_pixel * (c.max_range if c.normalize else 1.0),
-    ),
-    direct_field(
-        "near_out_of_range_value",
-        "near_out_of_range_value",
-        lambda c: c.near_pixel * (c.max_range if c.normalize else 1.0),
-    ),
-    direct_field("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement,
+    *same_fields(num_sensors="count"),
+    direct_field("sensor_type", "model", _sensor_type, _sensor_type_changes, "which class of file: pinhole, stereo, lidar"),
+    *same_fields("height", "width", "max_range", "min_range"),
+    direct_field("return_pointcloud", "points", lambda c: c.points is not None, _point_cloud_changes,
+            "distances stay beside the points"),
+    direct_field("pointcloud_in_world_frame", "points", lambda c: c.points == "world", _point_cloud_changes),
+    *same_fields(segmentation_camera="segmentation"),
+    direct_field("normalize_range", "normalize", lambda c: c.normalize,
+            lambda v: {"normalize": bool(v["normalize_range"])}),
+    *(direct_field(f"{end}_out_of_range_value", f"{end}_out_of_range_value",
+              lambda c, end=end: getattr(c, f"{end}_pixel") * (c.max_range if c.normalize else 1.0))
+      for end in ("far", "near")),
+    direct_field("randomize_placement", "position_low, ...", lambda c: c.position_low is not None, _placement_changes,
             "without it the nominal pose holds; there the translation was then 0"),
-    direct_field("nominal_position", "position", lambda c: list(c.position), _placement),
-    direct_field("nominal_orientation_euler_deg", "euler", lambda c: _angles(c.euler), _placement),
-    direct_field("min_translation", "position_low", lambda c: list(c.position_low or c.position), _placement),
-    direct_field("max_translation", "position_high", lambda c: list(c.position_high or c.position), _placement),
-    direct_field("min_euler_rotation_deg", "euler_low", lambda c: _angles(c.euler_low or c.euler), _placement),
-    direct_field("max_euler_rotation_deg", "euler_high", lambda c: _angles(c.euler_high or c.euler), _placement),
+    direct_field("nominal_position", "position", lambda c: list(c.position), _placement_changes),
+    direct_field("nominal_orientation_euler_deg", "euler", lambda c: _angles_in_degrees(c.euler), _placement_changes),
+    *(direct_field(f"{end}_translation", native, lambda c, n=native: list(getattr(c, n) or c.position), _placement_changes)
+      for end, native in (("min", "position_low"), ("max", "position_high"))),
+    *(direct_field(f"{end}_euler_rotation_deg", native,
+            lambda c, n=native: _angles_in_degrees(getattr(c, n) or c.euler), _placement_changes)
+      for end, native in (("min", "euler_low"), ("max", "euler_high"))),
     constant_field("euler_frame_rot_deg", [-90.0, 0, -90.0],
             "sensors look along their own x axis here; turn nominal_orientation_euler_deg"),
     idle_field("use_collision_geometry", False, "a shape is the same for rays and for contact"),
-    direct_field("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled, _noise,
-            "there it failed for cameras, and spoiled point clouds"),
-    direct_field("sensor_noise.pixel_dropout_prob", "noise.dropout", lambda c: (c.noise or _NO_NOISE).dropout, _noise),
-    direct_field("sensor_noise.pixel_std_dev_multiplier", "noise.std_b", lambda c: (c.noise or _NO_NOISE).std_b, _noise),
-    direct_field("sensor_noise.std_a", "noise.std_a", lambda c: (c.noise or _NO_NOISE).std_a, _noise),
-    direct_field("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise, "added to pixel_std_dev_multiplier"),
-    direct_field("sensor_noise.std_c", "noise.std_c", lambda c: (c.noise or _NO_NOISE).std_c, _noise),
-    direct_field("sensor_noise.mean_offset", "noise.mean_offset", lambda c: (c.noise or _NO_NOISE).mean_offset, _noise),
-)  # fmt: skip
-
-_NORMALS = (
+    direct_field("sensor_noise.enable_sensor_noise", "noise_enabled", lambda c: c.noise is not None and c.noise_enabled,
+            _noise_changes, "there it failed for cameras, and spoiled point clouds"),
+    _noise_field("pixel_dropout_prob", "dropout"),
+    _noise_field("pixel_std_dev_multiplier", "std_b"),
+    _noise_field("std_a", "std_a"),
+    direct_field("sensor_noise.std_b", "noise.std_b", lambda _: 0.0, _noise_changes, "added to pixel_std_dev_multiplier"),
+    _noise_field("std_c", "std_c"),
+    _noise_field("mean_offset", "mean_offset"),
     direct_field("normal_in_world_frame", "normals", lambda c: c.normals != "sensor",
             lambda v: {"normals": "world" if v["normal_in_world_frame"] else "sensor"},
             "there normals in the sensor frame were no rotation of those in the world"),
@@ -138,8 +131,7 @@ CAMERA = ConfigTable(
     kind="camera",
     fields=(
         *_COMMON,
-        *_NORMALS,
-        direct_field("horizontal_fov_deg", "hfov_deg", lambda c: c.hfov_deg),
+        *same_fields(horizontal_fov_deg="hfov_deg"),
         direct_field("calculate_depth", "kind", lambda c: c.kind == "depth",
                 lambda v: {"kind": "depth" if v["calculate_depth"] else "range"}),
         direct_field("baseline", "baseline", lambda c: getattr(c, "baseline", None), remark="of a stereo camera"),
@@ -152,11 +144,8 @@ LIDAR = ConfigTable(
     kind="lidar",
     fields=(
         *_COMMON,
-        *_NORMALS,
-        direct_field("horizontal_fov_deg_min", "azimuth_low_deg", lambda c: c.azimuth_low_deg),
-        direct_field("horizontal_fov_deg_max", "azimuth_high_deg", lambda c: c.azimuth_high_deg),
-        direct_field("vertical_fov_deg_min", "elevation_low_deg", lambda c: c.elevation_low_deg),
-        direct_field("vertical_fov_deg_max", "elevation_high_deg", lambda c: c.elevation_high_deg),
+        *same_fields(horizontal_fov_deg_min="azimuth_low_deg", horizontal_fov_deg_max="azimuth_high_deg"),
+        *same_fields(vertical_fov_deg_min="elevation_low_deg", vertical_fov_deg_max="elevation_high_deg"),
     ),
     idle_sections={},
 )
@@ -176,41 +165,33 @@ def sensor_name(cls: Any) -> str:
     return register_config(cls, translate_sensor(cls), SENSORS)
 
 
-_made: dict[str, type] = {}
+def _make_class(sensor: str, name: str) -> type:
+    """Return the class generated from a registered sensor; that simulator divides depth images by their range."""
+    cfg = SENSORS.get(sensor)
+    if isinstance(cfg, CameraCfg):
+        cfg = replace(cfg, normalize=True)
+    return (LIDAR if isinstance(cfg, LidarCfg) else CAMERA).make_class(name, cfg)
 
 
-def sensor_class(sensor: str, name: str | None = None) -> type:
-    """Return the configuration class of a registered sensor; that simulator divides depth images by their range."""
-    if sensor not in _made:
-        cfg = SENSORS.get(sensor)
-        if isinstance(cfg, CameraCfg):
-            cfg = replace(cfg, normalize=True)
-        _made[sensor] = (LIDAR if isinstance(cfg, LidarCfg) else CAMERA).make_class(name or sensor, cfg)
-    return _made[sensor]
+def sensor_class(sensor: str) -> type:
+    """Return the configuration class of a registered sensor, the same one at every call."""
+    if sensor not in CLASSES:
+        CLASSES[sensor] = _make_class(sensor, sensor)
+    return CLASSES[sensor]
 
 
 CLASSES: dict[str, type] = {
-    sensor: sensor_class(sensor, name)
+    sensor: _make_class(sensor, name)
     for name, sensor in (
-        ("BaseDepthCameraConfig", "base_depth_camera"),
-        ("BaseNormalFaceIDCameraConfig", "base_normal_face_id_camera"),
-        ("RsD455Config", "rs_d455"),
-        ("IntelRealSenseD455Config", "intel_realsense_d455"),
-        ("LuxonisOakDConfig", "luxonis_oak_d"),
-        ("LuxonisOakDProWConfig", "luxonis_oak_d_pro_w"),
-        ("StereoCameraConfig", "stereo_camera"),
-        ("BaseLidarConfig", "base_lidar"),
-        ("OS_0_128_Config", "os0_128"),
-        ("OS_0_64_Config", "os0_64"),
-        ("OS_1_64_Config", "os1_64"),
-        ("OS_2_64_Config", "os2_64"),
-        ("OSDome_64_Config", "os_dome_64"),
-        ("RSLidar_Airy_Config", "rslidar_airy"),
-        ("FakeRadarConfig", "fake_radar"),
-        ("PMDFlexx2Config", "pmd_flexx2"),
-        ("ST_VL53L5CX_Config", "tof_matrix_90"),
+        ("BaseDepthCameraConfig", "base_depth_camera"), ("BaseNormalFaceIDCameraConfig", "base_normal_face_id_camera"),
+        ("RsD455Config", "rs_d455"), ("IntelRealSenseD455Config", "intel_realsense_d455"),
+        ("LuxonisOakDConfig", "luxonis_oak_d"), ("LuxonisOakDProWConfig", "luxonis_oak_d_pro_w"),
+        ("StereoCameraConfig", "stereo_camera"), ("BaseLidarConfig", "base_lidar"), ("OS_0_128_Config", "os0_128"),
+        ("OS_0_64_Config", "os0_64"), ("OS_1_64_Config", "os1_64"), ("OS_2_64_Config", "os2_64"),
+        ("OSDome_64_Config", "os_dome_64"), ("RSLidar_Airy_Config", "rslidar_airy"), ("FakeRadarConfig", "fake_radar"),
+        ("PMDFlexx2Config", "pmd_flexx2"), ("ST_VL53L5CX_Config", "tof_matrix_90"),
     )
-}
+}  # fmt: skip
 """Generated classes by the name of the sensor."""
 
 

@@ -6,7 +6,7 @@ from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 
 
-def _gravity(values: Values) -> Changes:
+def _gravity_changes(values: Values) -> Changes:
     x, y, z = values["sim.gravity"]
     if x or y or z > 0.0:
         raise ConfigError(
@@ -21,7 +21,11 @@ TABLE = ConfigTable(
     fields=(
         direct_field("sim.dt", "dt", lambda cfg: cfg.dt),
         direct_field(
-            "sim.gravity", "gravity", lambda cfg: [0.0, 0.0, -cfg.gravity], _gravity, "here the amount, downwards"
+            "sim.gravity",
+            "gravity",
+            lambda cfg: [0.0, 0.0, -cfg.gravity],
+            _gravity_changes,
+            "here the amount, downwards",
         ),
         constant_field(
             "sim.substeps", 1, "must be 1 here; take a smaller dt and more physics steps per environment step"

@@ -3,6 +3,8 @@
 Only for tasks of this package: a task class of a user's own reads its configuration class itself.
 """
 
+from functools import cache
+from operator import attrgetter
 from typing import Any
 
 from aerial_gym.compat.config.fields import (
@@ -14,6 +16,7 @@ from aerial_gym.compat.config.fields import (
     direct_field,
     idle_field,
     lookup_field,
+    same_fields,
 )
 from aerial_gym.config.task import POLICY, CurriculumCfg, TaskCfg
 from aerial_gym.config.task_terms import CommandCfg
@@ -44,15 +47,7 @@ def _num_observations(cfg: TaskCfg) -> int | None:
     return total
 
 
-def _curriculum(name: str, script_name: str) -> Any:
-    return direct_field(
-        f"curriculum.{script_name}",
-        f"curriculum.{name}",
-        lambda cfg: None if cfg.curriculum is None else getattr(cfg.curriculum, name),
-    )
-
-
-def _rewards(cfg: TaskCfg) -> dict[str, float]:
+def _reward_numbers(cfg: TaskCfg) -> dict[str, float]:
     """Return the parameters of all reward terms, ``term.number``, their weights, and the crash reward."""
     entries: dict[str, float] = {}
     for name, reward in cfg.rewards.items():
@@ -70,12 +65,12 @@ def _reward_changes(values: Values) -> Changes:
     return entries
 
 
-def _target(name: str) -> Any:
+def _target_limit_reader(name: str) -> Any:
     """Return the lower or upper share of the bounds for random targets; None without random targets."""
     return lambda cfg: None if cfg.command is None else cfg.command.params.get(name)
 
 
-def _write_target(values: Values) -> Changes:
+def _target_changes(values: Values) -> Changes:
     low, high = values["target_min_ratio"], values["target_max_ratio"]
     if low is None or high is None:
         raise ConfigError("target_min_ratio and target_max_ratio: give both, or neither")
@@ -83,7 +78,6 @@ def _write_target(values: Values) -> Changes:
     return {"command": CommandCfg(generator="drawn_point", params=params)}
 
 
-_NAMED = "the name of something registered, here or by the script"
 _CURRICULUM = (
     ("min_level", "min_level"),
     ("max_level", "max_level"),
@@ -98,18 +92,20 @@ assert {name for name, _ in _CURRICULUM} | {"start_level"} == set(CurriculumCfg.
 TABLE = ConfigTable(
     kind="task",
     fields=(
-        direct_field("sim_name", "sim", lambda c: c.sim, remark=_NAMED),
-        direct_field("env_name", "env", lambda c: c.env, remark=_NAMED),
-        direct_field("robot_name", "robot", lambda c: c.robot, remark=_NAMED),
-        direct_field("controller_name", "controller", lambda c: c.controller, remark=_NAMED),
-        direct_field("num_envs", "num_envs", lambda c: c.num_envs),
+        *(direct_field(f"{kind}_name", kind, attrgetter(kind),
+                  remark="the name of something registered, here or by the script")
+          for kind in ("sim", "env", "robot", "controller")),
+        *same_fields("num_envs"),
         direct_field("episode_len_steps", "episode_len_steps", lambda c: c.episode_len_steps,
                 remark="an episode has exactly as many steps; there one more"),
-        direct_field("reward_parameters", "rewards", _rewards, _reward_changes,
+        direct_field("reward_parameters", "rewards", _reward_numbers, _reward_changes,
                 "by the names of the task file, reward and number (near.height); four tasks there ignored theirs"),
-        direct_field("target_min_ratio", "command: low", _target("low"), _write_target, "of the generator drawn_point"),
-        direct_field("target_max_ratio", "command: high", _target("high"), _write_target, "likewise"),
-        *(_curriculum(native, script_name) for native, script_name in _CURRICULUM),
+        direct_field("target_min_ratio", "command: low", _target_limit_reader("low"), _target_changes,
+                "of the generator drawn_point"),
+        direct_field("target_max_ratio", "command: high", _target_limit_reader("high"), _target_changes, "likewise"),
+        *(direct_field(f"curriculum.{script_name}", f"curriculum.{native}",
+                  lambda c, native=native: None if c.curriculum is None else getattr(c.curriculum, native))
+          for native, script_name in _CURRICULUM),
         dependent_field("observation_space_dim", _num_observations, "follows from `observations:` of a task file"),
         dependent_field("action_space_dim", _num_actions, "follows from the action and the controller"),
         lookup_field("device", "make_task(device=...)", lambda _: "auto"),
@@ -124,14 +120,11 @@ TABLE = ConfigTable(
 )  # fmt: skip
 """Translation of the attributes of a task configuration class."""
 
-_made: dict[str, type] = {}
 
-
+@cache
 def task_class_config(name: str) -> type:
     """Return the configuration class of a registered task, the same one at every call."""
-    if name not in _made:
-        _made[name] = TABLE.make_class("task_config", task_registry.get(name))
-    return _made[name]
+    return TABLE.make_class("task_config", task_registry.get(name))
 
 
 def translate_task(cls: Any, name: str) -> TaskCfg:

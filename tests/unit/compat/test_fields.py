@@ -8,9 +8,9 @@ import pytest
 
 from aerial_gym.compat.config import assets, controllers, environments, imus, robots, sensors, sims, tasks
 from aerial_gym.compat.config.fields import STANDS_FOR, ConfigField, ConfigTable, values_equal
-from aerial_gym.compat.page import TABLES
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import ConfigError
+from docs.generate.aerial_gym_names import TABLES
 
 URDF = '<robot name="post"><link name="post"><collision><geometry><box size="0.2 0.2 1"/></geometry></collision></link></robot>'
 

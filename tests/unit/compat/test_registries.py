@@ -75,14 +75,14 @@ def test_every_robot_of_ours_has_a_class(name: str) -> None:
     translated = robots.translate_robot(cls)
     assert translated.body == ROBOTS.get(name).body
     assert len(translated.sensors) == len(ROBOTS.get(name).sensors)
-    assert robot_registry.resolve(name) in (name, translated)
+    assert robot_registry.native_config(name) in (name, translated)
 
 
 def test_a_file_of_ours_is_a_robot() -> None:
     from aerial_gym.config import family_files
 
     path = str(family_files("robots")["tinyprop"])
-    assert robot_registry.resolve(path) == path
+    assert robot_registry.native_config(path) == path
     assert robot_registry.config_class(path).init_config.min_init_state[6] == 1.0
 
 
@@ -96,7 +96,7 @@ def test_another_class_under_a_name_is_refused() -> None:
     sim_config_registry.register("slow", Slow)
     sim_config_registry.register("base_sim", sims.BaseSimConfig)
     assert sim_config_registry.make_sim("slow") is first
-    assert sim_config_registry.resolve("slow").dt == 0.05
+    assert sim_config_registry.native_config("slow").dt == 0.05
     with pytest.raises(DuplicateNameError, match="sim 'slow' is registered already, as something else"):
         sim_config_registry.register("slow", sims.BaseSimConfig)
     with pytest.raises(DuplicateNameError, match="environment 'empty_env'"):
@@ -105,7 +105,7 @@ def test_another_class_under_a_name_is_refused() -> None:
 
 def test_a_frozen_configuration_can_be_registered_too() -> None:
     robot_registry.register("my_tinyprop", BaseMultirotor, ROBOTS.get("tinyprop"))
-    assert robot_registry.resolve("my_tinyprop") == ROBOTS.get("tinyprop")
+    assert robot_registry.native_config("my_tinyprop") == ROBOTS.get("tinyprop")
     assert robot_registry.get_robot_config("my_tinyprop").robot_asset.file == "robot.urdf"
 
 
@@ -167,11 +167,11 @@ def test_gains_that_all_share_can_be_changed_in_place() -> None:
     before = controllers.control.K_vel_tensor_max  # pyright: ignore
     try:
         controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]  # pyright: ignore
-        assert controller_registry.resolve("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
+        assert controller_registry.native_controller("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
         assert not controller_registry.gain_randomization("lee_velocity_control")
     finally:
         controllers.control.K_vel_tensor_max = before  # pyright: ignore
-    assert controller_registry.resolve("lee_velocity_control") == "lee_velocity_control"
+    assert controller_registry.native_controller("lee_velocity_control") == "lee_velocity_control"
 
 
 def test_a_task_gets_a_configuration_of_its_own() -> None:
