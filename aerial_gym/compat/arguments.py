@@ -17,7 +17,6 @@ def parse_arguments(
     """Return the flags of a script.
 
     Args:
-        description: Shown by ``--help``.
         headless: Whether there is a flag ``--headless``; accepted without effect, as there is no viewer window.
         no_graphics: The same for ``--nographics``.
         custom_parameters: The script's own flags: ``name`` and further arguments for ``argparse``.

@@ -168,11 +168,7 @@ class ControllerRegistry(ScriptRegistry):
     kind, native = "controller", CONTROLLERS
 
     def register_controller(self, controller_name: str, controller_class: Any, controller_config: Any) -> None:
-        """Register a control law by its class in that simulator, with a class of gains.
-
-        Raises:
-            ConfigError: If the law is the script's own, or a gain is impossible.
-        """
+        """Register a control law by its class in that simulator, with a class of gains."""
         controllers.translate_controller(controller_class, controller_config)
         self._add_entry(controller_name, (controller_class, controller_config), controller_config)
 

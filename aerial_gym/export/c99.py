@@ -79,11 +79,7 @@ def step(layout: Layout) -> str:
 
 
 def source(policy: DeployablePolicy, layout: Layout) -> str:
-    """Return the source.
-
-    Raises:
-        ConfigError: If the transform of the actions, or the pixels of an image, have no form in C.
-    """
+    """Return the source."""
     n, body = layout.name, policy.policy.body
     write = _TRANSFORMS.get(ACTIONS.get(layout.transform).value)
     if write is None:

@@ -50,11 +50,7 @@ class ImageCode:
 
 
 def parameters(layout: Layout) -> str:
-    """Return the images among the parameters of the step, in order.
-
-    Raises:
-        ConfigError: If there is no type in C for the pixels of one.
-    """
+    """Return the images among the parameters of the step, in order."""
     return "".join(f"const {_pixel(image)[0]} {image.key}[{prod(image.shape)}], " for image in layout.images)
 
 
@@ -105,9 +101,7 @@ def layer_code(
     """Return the C code of convolutions and the final dense layer, without its activation.
 
     Args:
-        network: Holds these layers in order.
         shape: Of the image, in ``state->work[0]``.
-        array: Defines a constant array of a name.
         name: Prefix of the names of arrays and widths.
         out: Array that receives the last layer's output.
     """

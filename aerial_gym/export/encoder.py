@@ -75,11 +75,7 @@ void rows(int rows, const float *images, float *latents) {{
 
 
 def make_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
-    """Return the function of an encoder file, images (B, H, W) to latents (B, L).
-
-    Raises:
-        CapabilityError: If the package or compiler that runs the file is missing.
-    """
+    """Return the function of an encoder file, images (B, H, W) to latents (B, L)."""
     if file.suffix == ".c":
         return _compile(encoder, file)
     if file.suffix == ".onnx":
@@ -94,11 +90,7 @@ def make_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
 
 @torch.no_grad()
 def compare_encoder(encoder: Encoder, file: Path) -> Comparison:
-    """Return the comparison of a file's latents with torch, on ``CHECKED`` random images and some with NaN or infinity.
-
-    Raises:
-        CapabilityError: If the package or compiler that runs the file is missing.
-    """
+    """Return the comparison of a file's latents with torch, on ``CHECKED`` random images and some with NaN or infinity."""
     rows, columns = encoder.seen.rows, encoder.seen.columns
     run, result = make_runner(encoder, file), Comparison([f"{OUTPUT} {i}" for i in range(encoder.num_latents)])
     images = torch.rand(CHECKED, rows, columns, generator=torch.Generator().manual_seed(0))

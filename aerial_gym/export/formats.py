@@ -11,11 +11,7 @@ from aerial_gym.errors import CapabilityError
 def onnx_bytes(
     module: nn.Module, given: tuple[Tensor, ...], inputs: list[str], outputs: list[str], dynamic: tuple[Any, ...]
 ) -> bytes:
-    """Return a module as ONNX; raise ``CapabilityError`` if a package is missing.
-
-    Args:
-        dynamic: Which dimensions of the inputs may be others, as ``torch.export`` says it.
-    """
+    """Return a module as ONNX with ``dynamic`` dimensions (``torch.export``); raise ``CapabilityError`` without its package."""
     try:
         import onnx  # noqa: F401
         import onnxscript  # noqa: F401

@@ -109,11 +109,7 @@ class Layout:
 
 
 def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, source: str) -> Layout:
-    """Return the layout of a policy that flies a task.
-
-    Raises:
-        ConfigError: If the policy observes images alone, or the name is no C identifier.
-    """
+    """Return the layout of a policy that flies a task."""
     from aerial_gym import __version__
 
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):

@@ -113,11 +113,7 @@ def onnx_step(file: Path, layout: Layout) -> Step:
 
 
 def compile_library(file: Path, driver: str) -> ctypes.CDLL:
-    """Compile a C file with its driver into a shared library for this machine.
-
-    Raises:
-        CapabilityError: If there is no compiler, or it refuses them.
-    """
+    """Compile a C file with its driver into a shared library for this machine."""
     compiler = which("gcc") or which("cc")
     if compiler is None:
         raise CapabilityError(

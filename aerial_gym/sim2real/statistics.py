@@ -108,8 +108,6 @@ def rise_with_interval(values: Array, reference: Array, group: Indices, flight: 
     their sums A, B, ``L = log(A / B) / 2`` has the scatter of the scores ``(a_g / A - b_g / B) / 2``.
 
     Args:
-        values: Errors, (S, C).
-        reference: Reference errors of the same samples, (S, C).
         group: Group of dependent samples, (S,).
         flight: Flight of each sample, (S,).
 
@@ -164,7 +162,6 @@ def bin_means(values: Array, place: Indices, bins: int, group: Indices) -> BinMe
     Args:
         values: Samples, (S, C).
         place: Bin of each sample, (S,).
-        bins: Number of bins B.
         group: Group of dependent samples, (S,).
     """
     labels, own = np.unique(group, return_inverse=True)
@@ -193,9 +190,7 @@ def half_width_of_scatter(blocks: Array, num_blocks: int, flights: Array | None,
 
     Args:
         blocks: Variances from the scatter of time blocks, (P,).
-        num_blocks: Number of blocks.
         flights: Variances from the scatter of whole flights, (P,); None with too few.
-        num_flights: Number of flights.
     """
     count = max(num_blocks - 1, 1)
     variance = student_quantile(0.975, count) ** 2 * blocks

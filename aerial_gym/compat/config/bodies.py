@@ -35,11 +35,7 @@ def allocation_matrix(cfg: RobotCfg) -> list[list[float]]:
 
 
 def rotor_changes(values: Values) -> Changes:
-    """Return the mounts of an allocation matrix.
-
-    Raises:
-        ConfigError: If the matrix, the directions and the torque ratio contradict one another.
-    """
+    """Return the mounts of an allocation matrix."""
     matrix = np.asarray(values[MATRIX], dtype=float)
     directions, ratio = [int(d) for d in values[DIRECTIONS]], float(values[_RATIO])
     if matrix.shape != (6, len(directions)) or int(values[_MOTORS]) != len(directions):
@@ -71,11 +67,7 @@ def _mount_of_column(column: np.ndarray, spin: int, ratio: float, number: int) -
 
 
 def body_changes(values: Values) -> Changes:
-    """Return mass, inertia and collision shapes of a class's URDF; nothing if it names a robot of this package.
-
-    Raises:
-        ConfigError: If the file is missing or not possible as one body.
-    """
+    """Return mass, inertia and collision shapes of a class's URDF; nothing if it names a robot of this package."""
     folder, file = str(values["robot_asset.asset_folder"]), str(values["robot_asset.file"])
     path = Path(folder) / file
     if values_equal(folder, FOLDER) and not path.is_file():

@@ -129,11 +129,7 @@ LAWS: dict[str, type[_Law]] = {
 
 
 def translate_controller(law: Any, config: Any) -> ControllerCfg:
-    """Return the translated controller of a controller class and its configuration class.
-
-    Raises:
-        ConfigError: If the class has a law of its own.
-    """
+    """Return the translated controller of a controller class and its configuration class."""
     if law not in LAWS.values():
         raise ConfigError(
             f"controller class {getattr(law, '__name__', law)}: its own law cannot be run here. "

@@ -92,11 +92,7 @@ class ConfigTable:
     idle_sections: Mapping[str, str]  # Nested classes of which no attribute means anything here, and why
 
     def make_class(self, name: str, cfg: object, *, parent: type | None = None) -> type:
-        """Return the configuration class generated from a configuration of this package.
-
-        Args:
-            parent: Base class of the same table; the new class then has only the differences.
-        """
+        """Return the class generated from a configuration; with a ``parent`` of the same table it has only the differences."""
         base = parent or type(name, (), {})
         made = type(name, (base,), {STANDS_FOR: cfg, "__doc__": f"Class-style configuration of a {self.kind}."})
         for field in self.fields:
@@ -138,7 +134,6 @@ class ConfigTable:
         """Return our configuration for a configuration class.
 
         Args:
-            cls: The class, or an object of it.
             stands_for: Configuration for a class that is not generated from one.
 
         Raises:

@@ -102,16 +102,7 @@ def ablations(
     evaluations: tuple[ModelEvaluation, ModelEvaluation],
     selection: SelectionResult,
 ) -> dict[str, Ablation]:
-    """Return the ablation of each accepted effect on the test flights.
-
-    Args:
-        robot: Declared robot.
-        test: Test flights.
-        predictors: Predictors of the training and the test flights.
-        points: The declared and the final model.
-        evaluations: Evaluations of both models.
-        selection: The accepted effects and their rivals.
-    """
+    """Return the ablation of each accepted effect; ``points`` are the declared and the final model."""
     train, tested = predictors
     _, final = points
     without = {name: selection.chosen.without[name].params for name in selection.effect_names}

@@ -47,15 +47,7 @@ class LoopResult:
 def judge(
     declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
 ) -> LoopResult:
-    """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot.
-
-    Args:
-        declared: The declared robot with its flights.
-        selection: The effects that were selected on the training flights.
-        seed: Seed of the bootstrap intervals and of a network's initial weights.
-        learn_residual: Whether a learned residual may be added where no named effect fits.
-        progress: Receives the name of each stage.
-    """
+    """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot."""
     tested, model = declared.test, model_with_effects(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)

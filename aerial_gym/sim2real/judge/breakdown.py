@@ -72,16 +72,7 @@ def by_flight(
     least: float,
     seed: int,
 ) -> dict[str, list[Part]]:
-    """Return the residual of each channel and the free rollout at 1 s, flight by flight.
-
-    Args:
-        predictor: The flights.
-        models: The declared and the corrected one.
-        evaluations: Evaluations of both models.
-        floors: Noise floor of each flight, each (C,); None: not known.
-        least: Smallest relative change that is material.
-        seed: Seed of the bootstrap.
-    """
+    """Return the errors of the declared and the corrected model in each channel and in the free rollout at 1 s, by flight."""
     before, after = (predictor.residuals(model) for model in models)
     results: dict[str, list[Part]] = {}
     for index, flight in enumerate(predictor.flights):

@@ -109,13 +109,7 @@ def rollout_rises(errors: RolloutErrors, reference: RolloutErrors) -> Iterator[t
 
 
 def gap_closed(before: float, after: float, floor: float | None) -> float | None:
-    """Return the share ``(b² - a²) / (b² - f²)`` of the gap that is closed; None without a gap or a known floor.
-
-    Args:
-        before: Residual b (rms) of the declared model.
-        after: Residual a (rms) of the corrected model.
-        floor: Noise floor f (rms), or None where it is not known.
-    """
+    """Return the share ``(b² - a²) / (b² - f²)`` of the gap above floor f that closes from b to a; None without a gap."""
     if floor is None or before**2 < LEAST_GAP * floor**2:
         return None
     return (before**2 - after**2) / (before**2 - floor**2)

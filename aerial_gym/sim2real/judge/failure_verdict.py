@@ -16,8 +16,6 @@ def with_failures(judged: LoopResult, failures: Sequence[Failure], flights: int)
     """Return the result with its failures added, and in the corrected robot a failure that every flight has.
 
     Args:
-        judged: Result of the flights, each compared up to its failure.
-        failures: Failures of all flights, training flights first.
         flights: Number of all flights, including those that fail at once.
     """
     if not failures:

@@ -64,14 +64,7 @@ def outcomes(
     *,
     least: float,
 ) -> tuple[Outcome, ...]:
-    """Return the outcome of every channel and every rollout.
-
-    Args:
-        predictor: Test flights.
-        models: The declared and the corrected one.
-        evaluations: Evaluations of both models on these flights.
-        least: Smallest relative change that is material.
-    """
+    """Return the outcome of every channel and every rollout from the declared to the corrected model."""
     return (*_channels(predictor, models, least), *_rollouts(evaluations, least))
 
 

@@ -46,9 +46,6 @@ def left_open(
     widens the covariance; elsewhere that scatter comes from missing physics and widens nothing.
 
     Args:
-        test: Test flights.
-        params: The final model.
-        selection: Selection with its linearisation on the training flights.
         fitted: Whether the training residual of each channel is only noise, (C,); None: in all channels.
     """
     fit = selection.final.fit
@@ -107,7 +104,6 @@ def quantile_of_squares(
     Args:
         product: A matrix M for each channel, (C, K, K).
         covariance: Covariance S of d, (K, K).
-        significance: Probability of a larger value.
         estimated: Number of last entries of d whose variance is itself an estimate.
         freedom: Degrees of freedom of that estimate.
 
@@ -144,13 +140,6 @@ def open_effects(
     """Return the effects that would explain the test residual and that training does not rule out, the best first.
 
     Each effect is fitted alone, together with the named effects and the tolerances.
-
-    Args:
-        train: Training flights.
-        test: Test flights.
-        models: The declared and the final one.
-        selection: Selection with the accepted effects.
-        asked: The unexplained channels.
     """
     declared, final = models
     names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
@@ -186,9 +175,6 @@ def sufficient_effects(
     Args:
         seen: Candidates about the final model on the training flights.
         tested: The same on the test flights.
-        weights: Weights of the channels.
-        asked: The unexplained channels.
-        significance: Smallest p-value at which training does not rule the joint fit out.
     """
     product, gradient = _sums(seen, weights.weight)
     named = [candidate.columns for candidate in seen.candidates if candidate.named]

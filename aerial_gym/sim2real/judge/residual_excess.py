@@ -75,10 +75,6 @@ def find_unexplained(
     """Return the test residual of the final model with its unexplained and open channels, random wind and structure.
 
     Args:
-        train: Training flights.
-        test: Test flights.
-        selection: The accepted effects with their fits.
-        models: The declared and the final one, as the robot files hold them.
         after: Evaluation of the corrected model on the test flights, without deviations.
         floor: Noise floor of each channel, (C,).
     """
@@ -146,13 +142,7 @@ def channel_rms(parts: Sequence[Array]) -> Array:
 
 
 def with_best_deviations(params: ModelParams, fit: ModelFit, weight: Array) -> ModelParams:
-    """Return a model with the deviations within the tolerances that fit the training flights best beside its own effects.
-
-    Args:
-        params: The final model, as the robot file holds it.
-        fit: Its linearisation on the training flights.
-        weight: Weight of one row of each channel, (C,).
-    """
+    """Return a model with the deviations within the tolerances that fit the training flights best beside its own effects."""
     own = fit.num_effect_params
     step = best_step(fit, weight, np.arange(own, fit.low.size))
     return replace(params, deviation=step[own:])
@@ -163,7 +153,6 @@ def material_excess(rms: Array, floor: Array | None, tolerated: Array) -> Flags:
 
     Args:
         rms: Residual with effects and with the deviations that fit best within the tolerances, (C,).
-        floor: Noise floor, (C,).
         tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
     """
     if floor is None:

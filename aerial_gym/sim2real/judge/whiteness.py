@@ -54,7 +54,6 @@ def lines(
     Args:
         times: Times of the rows of each flight [s], (T,), at equal steps except for gaps.
         values: Values of each flight, (T, C), low-passed at ``bandwidth``.
-        bandwidth: Highest frequency [Hz].
         tapered: Whether a Hann window limits leakage from strong low frequencies; neighbouring lines then correlate.
     """
     frequencies, powers = [np.zeros(0)], [np.zeros((0, values[0].shape[1]))]

@@ -195,11 +195,8 @@ def panels(
     """Return a figure of ``rows`` times ``columns`` panels, and the panels row by row.
 
     Args:
-        rows: Number of rows.
-        columns: Number of columns.
         width: Width of every panel, or of those of each column [in].
         height: Height of each panel [in].
-        title: Short title; the page explains the figure below it.
         gap: Gaps between columns and rows [in].
         sharex: Whether the panels of a column share an axis, with numbers below the last one.
     """

@@ -75,10 +75,7 @@ def parameter_evidence(
     """Return the information of the flights about each parameter of an effect.
 
     Args:
-        predictor: Predictor of the fitted flights.
         params: Model with the effect and the jointly fitted deviations within the tolerances.
-        effect: Name of the effect.
-        neutral: Neutral parameters of the effect.
         weight: Weight of a row of each channel in the fit, (C,).
         untold: Parameters that these flights do not determine.
     """

@@ -46,11 +46,6 @@ def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -
     """Return the time course of one flight: its most informative seconds, and the residual of the whole flight.
 
     The flight and seconds are those with the largest difference between the models, or from the measurement.
-
-    Args:
-        predictor: Predictor of the flights.
-        models: Models by name, the declared one first.
-        kind: Kind of the channels.
     """
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
     predicted = {name: predictor.predict(params) for name, params in models.items()}

@@ -17,10 +17,6 @@ def uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[
     """Return a joint normal distribution of the identified parameters, by the names of quantities.
 
     Correlations are kept, so well-known combinations such as sums stay certain.
-
-    Args:
-        robot: Robot whose bounds limit the ranges.
-        effects: Identified effects.
     """
     ranges = {}
     for entry in effects:

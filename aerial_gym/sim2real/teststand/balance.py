@@ -47,11 +47,7 @@ class HoverEffort:
 
 
 def hover_effort(log: FlightLog) -> HoverEffort:
-    """Return the mean effort of each rotor while a flight hovers at one height.
-
-    Raises:
-        DataError: If the number of rotors is not four, or the hover is too short.
-    """
+    """Return the mean effort of each rotor while a flight hovers at one height."""
     speed = log.rotor_speed if log.rotor_speed is not None else log.rotor_command
     if speed is None or speed.shape[1] != ROTORS:
         raise DataError(
@@ -164,7 +160,6 @@ def judge_balance(
     Args:
         baseline: Hovers of the airframe as declared.
         flights: Hovers of the same airframe in the changed condition.
-        robot: Declared vehicle with four rotors.
         test: Further hovers in that condition. They contribute to the probabilities and test the fits to ``flights``;
             without them, two or more flights are left out in turn.
         repeats: Hovers in any other conditions, for the scatter between logs of one condition, whose names differ only in

@@ -46,11 +46,7 @@ class ThrustLayout:
 
 
 def thrust_layout(robot: RobotCfg) -> ThrustLayout:
-    """Return the thrusts with which four rotors balance a declared vehicle.
-
-    Raises:
-        ConfigError: If four rotors along body z cannot balance the vehicle.
-    """
+    """Return the thrusts with which four rotors balance a declared vehicle; ``ConfigError`` if they cannot."""
     mounts = robot.mounts.layout
     axes = np.array([mount.axis for mount in mounts])
     if len(mounts) != ROTORS or np.abs(axes[:, :2]).max() > 1e-6 or axes[:, 2].min() <= 0.0:

@@ -90,15 +90,7 @@ class HoverFit:
 
 
 def find_hover_rows(log: FlightLog, speed: Array) -> list[Flags]:
-    """Return the rows (T,) of each hover window of a flight.
-
-    Args:
-        log: Flight log.
-        speed: Measured or commanded rotor speeds in any unit, (T, R).
-
-    Raises:
-        DataError: If the hover is too short.
-    """
+    """Return the rows (T,) of each hover window of a flight; ``speed`` are rotor speeds in any unit, (T, R)."""
     up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
     still = up > np.cos(LARGEST_TILT)
     still &= speed.min(axis=1) > 0.2 * np.median(speed)  # excludes stopped rotors on the ground
@@ -129,11 +121,7 @@ class HoverWindows:
 
 
 def hover_windows(log: FlightLog) -> HoverWindows:
-    """Return the hover windows of a flight.
-
-    Raises:
-        DataError: If rotor speeds are missing, or the hover is too short.
-    """
+    """Return the hover windows of a flight."""
     if log.rotor_speed is None:
         raise DataError(f"{log.path}: needs measured rotor speeds; commands or duty cycles give no thrust coefficient")
     rows = find_hover_rows(log, log.rotor_speed)
@@ -158,14 +146,8 @@ def fit_hover(
     """Return the thrust coefficient from hover.
 
     Args:
-        logs: Flights with measured rotor speeds.
-        mass: Mass of the vehicle [kg].
         mass_std: Standard deviation of the mass [kg]; it widens the interval, since only c_t / m is observable.
         declared: Declared thrust map, for comparison and scaling.
-
-    Raises:
-        DataError: If no flight hovers.
-        ConfigError: If the mass is invalid.
     """
     if not 0.0 < mass < 1e3 or not 0.0 <= mass_std < mass:
         raise ConfigError(f"mass = {mass!r} ± {mass_std!r} kg: must be > 0, and its deviation in [0, mass)")

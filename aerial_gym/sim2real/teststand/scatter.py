@@ -30,12 +30,7 @@ class Scatter:
         return stats.t.ppf(0.975, self.freedom) * self.std * np.sqrt(share)
 
     def p_value(self, left: Array, covariance: Array) -> float:
-        """Return the p-value of a residual under scatter alone, by Hotelling's test.
-
-        Args:
-            left: Residual, (K,).
-            covariance: Its covariance, (K, K).
-        """
+        """Return the p-value of a residual (K,) with a covariance (K, K) under scatter alone, by Hotelling's test."""
         size = left.size
         ratio = float(left @ np.linalg.solve(covariance, left)) / self.freedom
         return _tail(ratio, size, self.freedom - size + 1)
@@ -79,7 +74,6 @@ def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -
     Args:
         target: Rows (K,) with ``share`` times the covariance of one repeat.
         columns: Regressors (K, P); P = 0: no fit.
-        scatter: Scatter of repeats.
         share: 1 for one repeat, 1/N for the mean of N, their sum for a difference.
 
     Source:

@@ -141,10 +141,6 @@ def fit_static(bench: Bench, *, num_motors: int = 1) -> tuple[list[StaticFit], l
     Negative speeds belong to a reversible rotor in reverse, with negative thrust and torque. They have separate maps, and all
     maps then pass through 0.
 
-    Args:
-        bench: Speed, thrust and, if measured, torque.
-        num_motors: Number of motors in the measured thrust and torque.
-
     Raises:
         DataError: If columns are missing, or no test is usable.
     """

@@ -166,10 +166,7 @@ def fit_curve(
 
     Args:
         predict: Curve (N,) of parameters (K,).
-        measured: Curve (N,).
         start: Initial parameters (K,), inside the bounds.
-        low: Lower bounds (K,).
-        high: Upper bounds (K,).
         kept: Fitted rows, (N,); None: all. ``residual`` holds all rows.
     """
     rows = np.ones(measured.size, dtype=bool) if kept is None else kept

@@ -118,11 +118,7 @@ class StepFit:
 
 
 def step_record(bench: Bench) -> StepRecord:
-    """Return the step record in a file.
-
-    Raises:
-        DataError: If time does not increase or the command does not change in steps.
-    """
+    """Return the step record in a file; ``DataError`` if time does not increase or the command has no steps."""
     time, command, measured = (bench.values(name) for name in ("time", "command", "measured"))
     back = np.flatnonzero(np.diff(time) <= 0.0)
     if back.size:

@@ -42,11 +42,7 @@ def change(before: float, after: float) -> str:
 
 
 def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCfg | None = None) -> Study:
-    """Return a study of rotor maps and lags from static tests and step records, distinguished by their columns.
-
-    Raises:
-        DataError: If a file is neither, or is unusable.
-    """
+    """Return a study of rotor maps and lags from static tests and step records, distinguished by their columns."""
     static: list[StaticFit] = []
     steps, left_out = [], []
     for bench in benches:

@@ -60,7 +60,6 @@ def read_columns(path: str | Path, *, given: Mapping[str, str], units: Mapping[s
     """Return the table of a test stand file.
 
     Args:
-        path: CSV file with one header line.
         given: Column by quantity, as named by the user; other columns are found by their usual names.
         units: Unit by quantity, as named by the user.
 
@@ -99,11 +98,7 @@ class Bench:
         return next((name for name in self.table.columns if name.lower() in known), None)
 
     def values(self, quantity: str) -> Array:
-        """Return a quantity in SI units, (T,).
-
-        Raises:
-            DataError: If the column is missing, has no known unit, or holds a value that is no number.
-        """
+        """Return a quantity in SI units, (T,)."""
         column = self.column(quantity)
         kind, known = KNOWN[quantity]
         if column is None:

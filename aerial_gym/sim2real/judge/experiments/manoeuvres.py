@@ -108,8 +108,6 @@ def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | No
     """Return the flight that the declared vehicle makes of a manoeuvre; None if its rotors cannot.
 
     Args:
-        name: One of ``MANOEUVRES``.
-        robot: Declared robot.
         like: A flight whose log tells which quantities are measured.
         rate: Rows per second [Hz], at least 100.
     """

@@ -124,9 +124,7 @@ def find_random_wind(
     """Return the gusts fitted to the remaining residual, with the reasons why they are refused or not testable.
 
     Args:
-        predictor: Training flights.
         params: The final model, with the best deviations within the tolerances.
-        criteria: Limits for an accepted effect.
         floor: Noise floor (rms) of each channel, (C,); None where the logs are too slow to tell.
         tolerated: Residual (rms) that the tolerances of the vehicle cause, (C,).
         remaining: Whether the residual of each channel exceeds noise and tolerances, (C,).

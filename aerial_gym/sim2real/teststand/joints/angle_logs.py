@@ -118,11 +118,7 @@ def require_joints(robot: RobotCfg) -> JointsCfg:
 
 
 def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[LogJointFit], list[Finding]]:
-    """Return the fits of all passive joints to all flights, and findings on joints left out.
-
-    Raises:
-        ConfigError: If the robot is rigid.
-    """
+    """Return the fits of all passive joints to all flights, and findings on joints left out."""
     results, left_out = [], []
     for k, joint in enumerate(require_joints(robot).layout):
         if reason := unfit(joint):

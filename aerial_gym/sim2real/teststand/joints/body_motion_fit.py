@@ -54,12 +54,7 @@ class BodyMotionFit:
 def fit_hidden_joints(
     robot: RobotCfg, rides: Sequence[Ride], *, bandwidth: float, progress: Progress = silent
 ) -> BodyMotionFit:
-    """Return the fit of all joints to the body's motion in all flights.
-
-    Raises:
-        ConfigError: If the robot is rigid, or has a joint with unknown effort.
-        DataError: If a flight is too short.
-    """
+    """Return the fit of all joints to the body's motion in all flights."""
     if left_out := [reason for joint in require_joints(robot).layout if (reason := unfit(joint))]:
         why = "has a drive, whose effort is not logged" if left_out[0].code == "joint_driven" else "creeps"
         raise ConfigError(

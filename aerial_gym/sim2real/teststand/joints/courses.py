@@ -49,9 +49,6 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     """Return the joint motion and efforts of a log in the package's own layout.
 
     The log has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, with angles [rad] or displacements [m].
-
-    Raises:
-        DataError: If the log lacks required data.
     """
     assert robot.joints is not None
     log = uniform_log(read_flight_log(path))
@@ -71,17 +68,7 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
 
 
 def joint_course(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
-    """Return the joint motion and efforts for logged joint angles [rad], (T, D).
-
-    Args:
-        robot: Declared robot.
-        log: Log at equal time steps.
-        angle: Joint angles at the log's rows.
-        bandwidth: Bandwidth of the low-pass [Hz].
-
-    Raises:
-        DataError: If the log has neither accelerometer nor velocity, no gyro, or no rotors.
-    """
+    """Return the joint motion and efforts for logged joint angles [rad], (T, D)."""
     rate = require_rate(log, bandwidth)
     assert log.ang_vel is not None
 
@@ -126,11 +113,7 @@ def joint_course(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: fl
 
 
 def require_rate(log: FlightLog, bandwidth: float) -> float:
-    """Return the sample rate of a log; raise ``DataError`` if it is too low or the body's motion is missing.
-
-    Raises:
-        DataError: If the rate is below five bandwidths, or gyro or both accelerometer and velocity are missing.
-    """
+    """Return the sample rate of a log; raise ``DataError`` if it is too low or the body's motion is missing."""
     rate = 1.0 / float(np.median(np.diff(log.time)))
     if rate < 5.0 * bandwidth:
         raise DataError(
@@ -160,11 +143,6 @@ def apply_link_wrenches(robot: RobotCfg, state: TreeState, rotors: torch.Tensor)
     """Return the articulated model, its links, and the wrenches of rotors and effects on each link, (T, L, 6).
 
     Link drag and entrained fluid are excluded, as they depend on further quantities.
-
-    Args:
-        robot: Declared robot.
-        state: Motion of base and joints.
-        rotors: Rotor states, (T, R).
     """
     num_rows = len(rotors)
     vehicle = vehicle_from_config(robot, num_envs=num_rows, dtype=torch.float64)

@@ -92,12 +92,7 @@ class FlightJointStudy:
 def find_joints(
     robot: RobotCfg, flights: Sequence[Path], *, bandwidth: float = BANDWIDTH_HZ, progress: Progress = silent
 ) -> FlightJointStudy:
-    """Return the passive joints' parameters fitted to logs in the package's own layout.
-
-    Raises:
-        ConfigError: If the robot has no joints, or one that requires logged angles.
-        DataError: If a log lacks required data.
-    """
+    """Return the passive joints' parameters fitted to logs in the package's own layout."""
     require_joints(robot)
     if any(_has_angles(path) for path in flights):
         logged, left_out = fit_flown_joints(robot, [read_course(path, robot, bandwidth=bandwidth) for path in flights])

@@ -153,11 +153,7 @@ def spans(time: Array, error: Array) -> dict[str, float]:
 
 
 def release_record(bench: Bench, *, release: float = 0.0) -> Release:
-    """Return the record from the release time [s] on.
-
-    Raises:
-        DataError: If the angle before or after the release is missing, or the record is invalid.
-    """
+    """Return the record from the release time [s] on."""
     time, angle = bench.values("time") - release, bench.values("angle")
     if np.any(np.diff(time) <= 0.0):
         raise DataError(f"{bench.path}: time does not increase; sort the rows, remove repeated ones")

@@ -59,12 +59,7 @@ class Ride:
 
 
 def body_motion(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
-    """Return the motion of the body from a log at equal time steps.
-
-    Raises:
-        DataError: If required sensors or rotors are missing, or the log is too slow or short.
-        ConfigError: If an effect has entrained fluid on links.
-    """
+    """Return the motion of the body from a log at equal time steps."""
     if fluids := [name for name in robot.effects if isinstance(EFFECTS.get(name), LinkFluidEffect)]:
         raise ConfigError(
             f"identify joints: {fluids[0]} cannot be simulated without logged joint angles. Log them (columns joint_NAME), or "
@@ -138,7 +133,6 @@ class Swing:
         Angles and rates, (T, segments, D), are those of the first parameter set.
 
         Args:
-            laws: Joint laws with B parameter sets.
             thrust: Scale of the rotors' wrench, (B,).
         """
         sets, pieces, dt = len(thrust), sum(self._pieces), 1.0 / self.rate
