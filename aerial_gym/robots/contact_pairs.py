@@ -6,15 +6,21 @@ Frames: world of each environment, z up; shapes in the frame of their body or li
 Letters: E environments, A instances, C spheres.
 """
 
+from collections.abc import Sequence
+
 import warp as wp
+from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import BodyShape
+from aerial_gym.assets.body_shapes import BodyShape, body_shapes
+from aerial_gym.assets.cores import has_cores
 from aerial_gym.assets.geometry import outward_normal, signed_distance
-from aerial_gym.assets.nearest import Core, Nearest, as_box, nearest_of_core
+from aerial_gym.assets.nearest import Core, Nearest, as_box, box_corner, nearest_of_core
 from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.shape_row import BOX, Shape
 from aerial_gym.assets.views import vector_view
+from aerial_gym.config.robot import CollisionShape
+from aerial_gym.interop import make_struct
 from aerial_gym.math.warp_functions import rotate, vector_type
 from aerial_gym.physics.fused.contact import point_velocity, rows_type
 
@@ -35,15 +41,33 @@ class ContactPairs:
 
 
 @wp.struct
-class SceneMotion:
-    """Motion of obstacles."""
+class ContactScene:
+    """Obstacles, their motion, and the shapes of the robot, or of one link, that touch them."""
 
+    scene: SceneArrays
     lin_vel: wp.array2d[wp.vec3]  # (E, A) of the instance's origin, world [m/s]
     ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]
+    sphere: wp.array[wp.vec4]  # (C,) contact points: centre in the body frame, radius [m]
+    body: wp.array[BodyShape]  # boxes and capsules, none for robots of spheres
+    reach: float  # radius of a ball about the body origin that holds all shapes [m]
+
+
+def contact_scene(scene: Scene, spheres: Tensor, shapes: Sequence[CollisionShape]) -> ContactScene:
+    """Return views of a scene's instances and the shapes with these contact points, (C, 4) [m]."""
+    size, device = (scene.num_envs, scene.num_instances, 3), scene.device
+    return make_struct(
+        ContactScene,
+        scene=scene.arrays,
+        lin_vel=vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=device),
+        ang_vel=vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=device),
+        sphere=wp.from_torch(spheres, dtype=wp.vec4),
+        body=body_shapes(shapes if has_cores(shapes) else (), device=device),
+        reach=float((spheres[:, :3].norm(dim=1) + spheres[:, 3]).max()),
+    )
 
 
 @wp.func
-def _shallowest(pairs: ContactPairs) -> int:
+def shallowest_entry(pairs: ContactPairs) -> int:
     """Return the index of the smallest overlap, or of an empty entry."""
     entry = wp.int32(0)
     for i in range(1, MAX_CONTACTS):
@@ -53,16 +77,31 @@ def _shallowest(pairs: ContactPairs) -> int:
 
 
 @wp.func
-def add_pairs(pairs: ContactPairs, extra: ContactPairs) -> ContactPairs:
+def replace_pair(
+    pairs: ContactPairs, i: int, gap: float, lever: wp.vec3, normal: wp.vec3, surface_vel: wp.vec3
+) -> ContactPairs:
+    """Return the pairs with another entry i."""
+    pairs.gaps[i] = gap
+    pairs.levers[i] = lever
+    pairs.normals[i] = normal
+    pairs.surface_vels[i] = surface_vel
+    return pairs
+
+
+@wp.func
+def merge_pairs(pairs: ContactPairs, extra: ContactPairs) -> ContactPairs:
     """Return the deepest of two sets of pairs."""
     for k in range(MAX_CONTACTS):
-        i = _shallowest(pairs)
+        i = shallowest_entry(pairs)
         if extra.gaps[k] < pairs.gaps[i]:
-            pairs.gaps[i] = extra.gaps[k]
-            pairs.levers[i] = extra.levers[k]
-            pairs.normals[i] = extra.normals[k]
-            pairs.surface_vels[i] = extra.surface_vels[k]
+            pairs = replace_pair(pairs, i, extra.gaps[k], extra.levers[k], extra.normals[k], extra.surface_vels[k])
     return pairs
+
+
+@wp.func
+def surface_velocity(around: ContactScene, env: int, a: int, place: wp.vec3) -> wp.vec3:
+    """Return the velocity of an instance at a place [m/s], world."""
+    return around.lin_vel[env, a] + wp.cross(around.ang_vel[env, a], place - around.scene.position[env, a])
 
 
 CORNER = wp.constant(1.0e-3)
@@ -70,7 +109,8 @@ CORNER = wp.constant(1.0e-3)
 
 
 @wp.func
-def _is_corner(core: Core, point: wp.vec3) -> wp.bool:
+def is_near_corner(core: Core, point: wp.vec3) -> wp.bool:
+    """Return whether a point is taken for a corner of a core."""
     own = wp.quat_rotate_inv(core.turn, point - core.center)
     is_corner = wp.bool(True)
     for i in range(3):
@@ -79,7 +119,7 @@ def _is_corner(core: Core, point: wp.vec3) -> wp.bool:
 
 
 @wp.func
-def _core_point(shape: Shape, core: Core, radius: float, number: int) -> Nearest:
+def corner_or_deepest_pair(shape: Shape, core: Core, radius: float, number: int) -> Nearest:
     """Return corner 0 to 7 of a box obstacle in a box, or as number 8 the deepest pair of all; without any the distance is 0.
 
     The distance is that of the surfaces [m]; of a capsule the point is on its surface.
@@ -90,14 +130,7 @@ def _core_point(shape: Shape, core: Core, radius: float, number: int) -> Nearest
         if shape.kind != BOX or wp.min(core.half) <= 0.0:
             pair.distance = 0.0
             return pair
-        corner = wp.cw_mul(
-            wp.vec3(
-                wp.where((number & 1) == 0, 1.0, -1.0),
-                wp.where((number & 2) == 0, 1.0, -1.0),
-                wp.where((number & 4) == 0, 1.0, -1.0),
-            ),
-            shape.size,
-        )
+        corner = box_corner(shape.size, number)
         box = as_box(core)
         own = wp.quat_rotate_inv(core.turn, corner - core.center)
         pair.distance = wp.min(signed_distance(box, own), 0.0)
@@ -105,29 +138,20 @@ def _core_point(shape: Shape, core: Core, radius: float, number: int) -> Nearest
         pair.normal = -wp.quat_rotate(core.turn, outward_normal(box, own))
         return pair
     pair = nearest_of_core(shape, core, radius)
-    is_known = pair.distance >= radius or _is_corner(core, pair.point)
+    is_known = pair.distance >= radius or is_near_corner(core, pair.point)
     if shape.kind == BOX and wp.min(core.half) > 0.0:
-        other = Core()
-        other.turn = wp.quat_identity()
-        other.half = shape.size
-        is_known = is_known or _is_corner(other, pair.point)
+        is_known = is_known or is_near_corner(Core(wp.vec3(), wp.quat_identity(), shape.size), pair.point)
     pair.distance = wp.where(is_known, 0.0, pair.distance - radius)
     pair.point = pair.point - radius * pair.normal
     return pair
 
 
 @wp.func
-def add_cores(
-    pairs: ContactPairs,
-    scene: SceneArrays,
-    motion: SceneMotion,
-    body: wp.array[BodyShape],
-    com: wp.vec3,
-    env: int,
-    center_of_mass: wp.vec3,
-    attitude: wp.quat,
+def add_core_pairs(
+    pairs: ContactPairs, around: ContactScene, com: wp.vec3, env: int, center_of_mass: wp.vec3, attitude: wp.quat
 ) -> ContactPairs:
     """Add the pairs of boxes and capsules that contact points alone miss."""
+    scene = around.scene
     part = wp.int32(0)
     while part < scene.num_solid:
         a = scene.part_instance[env, part]
@@ -136,25 +160,21 @@ def add_cores(
             turn = part_attitude(scene, env, part)
             origin = part_position(scene, env, part)
             c = wp.int32(0)
-            while c < body.shape[0]:
-                own = body[c]
+            while c < around.body.shape[0]:
+                own = around.body[c]
                 away = center_of_mass + rotate(attitude, own.center - com) - origin
                 if own.reach > own.radius and wp.length(away) - scene.radius[env, part] < own.reach:
-                    core = Core()
-                    core.center = wp.quat_rotate_inv(turn, away)
-                    core.turn = wp.quat_inverse(turn) * attitude * own.attitude
-                    core.half = own.half
+                    core_turn = wp.quat_inverse(turn) * attitude * own.attitude
+                    core = Core(wp.quat_rotate_inv(turn, away), core_turn, own.half)
                     number = wp.int32(0)
                     while number < 9:
-                        pair = _core_point(shape, core, own.radius, number)
-                        i = _shallowest(pairs)
+                        pair = corner_or_deepest_pair(shape, core, own.radius, number)
+                        i = shallowest_entry(pairs)
                         if pair.distance < pairs.gaps[i]:
                             place = origin + wp.quat_rotate(turn, pair.point)
-                            arm = place - scene.position[env, a]
-                            pairs.gaps[i] = pair.distance
-                            pairs.levers[i] = place - center_of_mass
-                            pairs.normals[i] = wp.quat_rotate(turn, pair.normal)
-                            pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+                            normal = wp.quat_rotate(turn, pair.normal)
+                            velocity = surface_velocity(around, env, a, place)
+                            pairs = replace_pair(pairs, i, pair.distance, place - center_of_mass, normal, velocity)
                         number += 1
                 c += 1
         part += 1
@@ -163,38 +183,31 @@ def add_cores(
 
 @wp.func
 def find_pairs(
-    scene: SceneArrays,
-    motion: SceneMotion,
-    sphere: wp.array[wp.vec4],
-    com: wp.vec3,
-    env: int,
-    center_of_mass: wp.vec3,
-    attitude: wp.quat,
+    around: ContactScene, com: wp.vec3, env: int, center_of_mass: wp.vec3, attitude: wp.quat
 ) -> ContactPairs:
     """Return the pairs that overlap, the deepest ``MAX_CONTACTS`` if there are more; instances alone, not the ground."""
     pairs = ContactPairs()
+    scene = around.scene
     for part in range(scene.num_solid):
         a = scene.part_instance[env, part]
         if a >= 0 and part_is_present(scene, env, part):
             shape = scene.shapes[scene.part_shape[env, part]]
             turn = part_attitude(scene, env, part)
             origin = part_position(scene, env, part)
-            for c in range(sphere.shape[0]):
-                radius = sphere[c][3]
-                offset = rotate(attitude, wp.vec3(sphere[c][0], sphere[c][1], sphere[c][2]) - com)
+            for c in range(around.sphere.shape[0]):
+                sphere = around.sphere[c]
+                radius = sphere[3]
+                offset = rotate(attitude, wp.vec3(sphere[0], sphere[1], sphere[2]) - com)
                 away = center_of_mass + offset - origin
                 if wp.length(away) - scene.radius[env, part] < radius:
                     local = wp.quat_rotate_inv(turn, away)
                     gap = signed_distance(shape, local) - radius
-                    i = _shallowest(pairs)
+                    i = shallowest_entry(pairs)
                     if gap < pairs.gaps[i]:
                         normal = wp.quat_rotate(turn, outward_normal(shape, local))
                         lever = offset - radius * normal
-                        arm = center_of_mass + lever - scene.position[env, a]
-                        pairs.gaps[i] = gap
-                        pairs.levers[i] = lever
-                        pairs.normals[i] = normal
-                        pairs.surface_vels[i] = motion.lin_vel[env, a] + wp.cross(motion.ang_vel[env, a], arm)
+                        velocity = surface_velocity(around, env, a, center_of_mass + lever)
+                        pairs = replace_pair(pairs, i, gap, lever, normal, velocity)
     return pairs
 
 
@@ -209,11 +222,3 @@ def has_fast_approach(pairs: ContactPairs, lin_vel: wp.vec3, turn: wp.vec3, leas
         approach = wp.dot(pairs.normals[i], pairs.surface_vels[i] - point_velocity(lin_vel, turn, pairs.levers[i]))
         fast = fast or (pairs.gaps[i] < 0.0 and approach >= least_approach)
     return fast
-
-
-def scene_motion(scene: Scene) -> SceneMotion:
-    """Return views of the motion of a scene's instances."""
-    motion, size = SceneMotion(), (scene.num_envs, scene.num_instances, 3)
-    motion.lin_vel = vector_view("lin_vel", scene.asset_state[..., 7:10], size, device=scene.device)
-    motion.ang_vel = vector_view("ang_vel", scene.asset_state[..., 10:13], size, device=scene.device)
-    return motion

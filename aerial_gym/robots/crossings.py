@@ -15,6 +15,7 @@ Frames: world, z up; shapes in the frame of the body. Letters: E environments, C
 """
 
 from functools import cache
+from math import cos, log, pi
 from typing import Any
 
 import warp as wp
@@ -24,7 +25,7 @@ from aerial_gym.assets.geometry import outward_normal, primitive_distance, primi
 from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
 from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW
 from aerial_gym.assets.shape_row import MESH, TRIANGLE, Shape
 from aerial_gym.assets.sweep import (
     EDGE,
@@ -41,13 +42,39 @@ from aerial_gym.assets.sweep import (
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics.fused.contact import point_velocity
 from aerial_gym.physics.fused.hook import Substep
-from aerial_gym.robots.contact_pairs import ContactPairs, SceneMotion
+from aerial_gym.robots.contact_pairs import ContactPairs, ContactScene
 
-ROUNDS = wp.constant(4)  # as many as a vec4 has numbers
-"""Largest number of planes that stop a robot in one substep, and of sweeps for them."""
+MAX_PLANES = 3
+"""Planes that fix a robot in a corner, as many as a shift has directions."""
 
-PASSES = 8
-"""Shifts along each normal in turn; between two walls at a right angle one is enough."""
+ROUNDS = wp.constant(MAX_PLANES + 1)
+"""Largest number of sweeps of a substep: one for each plane, and one that shows that the shifted path is clear."""
+
+CORNER_ANGLE, CORNER_REMAINDER = pi / 4.0, 1.0 / 256.0
+"""Angle of a sharp corner between two planes [rad], and share of the depth that the shifts leave in it for the next sweep."""
+
+PASSES = round(log(CORNER_REMAINDER) / (2.0 * log(cos(CORNER_ANGLE))))
+"""Shifts along each normal in turn. Derived: a pass leaves ``cos² a`` of the depth in a corner of angle a."""
+
+
+@wp.struct
+class ShapeSweep:
+    """Motion of a shape of the robot and of a part within a substep."""
+
+    shape: Shape  # the part
+    other: Path  # of the part's carrier
+    lin_vel: wp.vec3  # of the carrier's origin, world [m/s]
+    spin: wp.vec3  # of the carrier, world [rad/s]
+    own: BodyShape
+    path: Path  # of the robot
+
+
+@wp.struct
+class NormalMemory:
+    """Contact normals on a shape in the frame of the part, with 1 as fourth entry once known."""
+
+    before: wp.vec4  # at the start of the substep
+    after: wp.vec4  # at its end
 
 
 @wp.struct
@@ -60,6 +87,7 @@ class Crossing:
     floor: float  # at the touch, or 0 if that is smaller [m]
     lever: wp.vec3  # from the centre of mass to the point that touched, world [m]
     surface_vel: wp.vec3  # world [m/s]
+    crashes: wp.bool  # whether anything is touched at the speed of a crash on the whole path
 
 
 @wp.struct
@@ -82,25 +110,23 @@ def substep_path(done: Substep) -> Path:
 
 
 @wp.func
-def _transform_core(shape: Shape, other: Path, own: BodyShape, path: Path, t: float) -> Core:
-    """Return the core of the robot's shape in the frame of a part."""
-    core = Core()
-    core.center = local_center(shape, other, own, path, t)
-    core.turn = wp.quat_inverse(path_attitude(other, t) * shape.attitude) * path_attitude(path, t) * own.attitude
-    core.half = own.half
-    return core
+def core_at_time(sweep: ShapeSweep, t: float) -> Core:
+    """Return the core of the robot's shape in the frame of the part at time t."""
+    turn = wp.quat_inverse(path_attitude(sweep.other, t) * sweep.shape.attitude)
+    attitude = turn * path_attitude(sweep.path, t) * sweep.own.attitude
+    return Core(local_center(sweep.shape, sweep.other, sweep.own, sweep.path, t), attitude, sweep.own.half)
 
 
 @wp.func
-def _core_depth(core: Core, normal: wp.vec3) -> float:
+def core_extent(core: Core, normal: wp.vec3) -> float:
     """Return the half extent of a core along a direction [m], the support function of a box."""
     own = wp.quat_rotate_inv(core.turn, normal)
     return wp.dot(core.half, wp.vec3(wp.abs(own[0]), wp.abs(own[1]), wp.abs(own[2])))
 
 
 @wp.func
-def _lift_shift(pairs: ContactPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
-    """Return the shift [m] that puts a robot no deeper below any plane than its floor."""
+def shift_to_floors(pairs: ContactPairs, floors: wp.vec4, count: int, shift: wp.vec3) -> wp.vec3:
+    """Return the shift [m] that puts a robot no deeper below any of ``count`` planes than its floor."""
     for _k in range(wp.static(PASSES)):
         for i in range(count):
             deeper = floors[i] - pairs.gaps[i] - wp.dot(pairs.normals[i], shift)
@@ -113,10 +139,7 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
     @wp.func
     def nearest_pair(solid: Shape, own: BodyShape, core: Core) -> Nearest:
         """Return the nearest pair of a part, or of a face, and a shape that touches it; the point is on the shape."""
-        pair = Nearest()
-        pair.point = core.center
-        pair.distance = primitive_distance(solid, core.center)
-        pair.normal = primitive_normal(solid, core.center)
+        pair = Nearest(primitive_distance(solid, core.center), core.center, primitive_normal(solid, core.center))
         if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
                 hit = nearest_of_core(solid, core, pair.distance)
@@ -132,9 +155,9 @@ def _make_nearest_pair(*, cores: bool) -> wp.Function:
 
 
 @cache
-def _make_push(*, cores: bool) -> wp.Function:
+def _make_contact_normal(*, cores: bool) -> wp.Function:
     @wp.func
-    def push(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
+    def contact_normal(shape: Shape, own: BodyShape, core: Core) -> wp.vec3:
         """Return the contact normal on a shape, in the frame of the part; 0 if both are clearly apart."""
         if wp.static(cores):  # noqa: SIM102 (wp.static must be the whole condition)
             if own.reach > own.radius:
@@ -145,105 +168,85 @@ def _make_push(*, cores: bool) -> wp.Function:
             return outward_normal(shape, core.center)
         return wp.vec3()
 
-    return push
+    return contact_normal
 
 
 @cache
-def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
-    """Return the search along one path; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
-    touch_time = make_touch_time(cores=cores)
-    nearest_pair, push_on = _make_nearest_pair(cores=cores), _make_push(cores=cores)
-    obstacles_type: Any = Obstacles if moves else int
+def _make_earlier_crossing(*, cores: bool) -> wp.Function:
+    touch_time, nearest_pair = make_touch_time(cores=cores), _make_nearest_pair(cores=cores)
+    contact_normal = _make_contact_normal(cores=cores)
 
     @wp.func
     def earlier_crossing(
-        solid: Shape,
-        shape: Shape,
-        other: Path,
-        own: BodyShape,
-        path: Path,
-        done: Substep,
-        spin: wp.vec3,
-        lin_vel: wp.vec3,
-        least_approach: float,
-        before: wp.vec4,
-        push: wp.vec4,
-        hit: Crossing,
+        solid: Shape, sweep: ShapeSweep, done: Substep, least_approach: float, known: NormalMemory, hit: Crossing
     ):
-        """Return the earlier of the given crossing and that of a part or face, and whether it is a crash.
+        """Return the earlier of the given crossing and that of a part or face, and the known normals.
 
-        ``before`` and ``push`` hold the contact normal at the start and at the end, with 1 as fourth entry once known; both
-        are returned. A shape that starts inside a mesh counts as on the side of its contact normal.
+        A shape that starts inside a mesh counts as on the side of its contact normal.
         """
-        t = touch_time(solid, other, own, path, 0.0, wp.min(hit.time, 1.0))
+        t = touch_time(solid, sweep.other, sweep.own, sweep.path, 0.0, wp.min(hit.time, 1.0))
         if t == wp.inf:
-            return hit, wp.bool(False), before, push
-        core = _transform_core(shape, other, own, path, t)
-        pair = nearest_pair(solid, own, core)
+            return hit, known
+        core = core_at_time(sweep, t)
+        pair = nearest_pair(solid, sweep.own, core)
         local = pair.normal
-        overlaps = solid.kind == TRIANGLE and pair.distance < own.radius
+        radius = sweep.own.radius
+        overlaps = solid.kind == TRIANGLE and pair.distance < radius
         if overlaps:
-            if before[3] == 0.0:
-                direction = push_on(shape, own, core)
-                before = wp.vec4(direction[0], direction[1], direction[2], 1.0)
-            if wp.length(wp.vec3(before[0], before[1], before[2])) > 0.0:
-                local = wp.vec3(before[0], before[1], before[2])
-        turn = path_attitude(other, t) * shape.attitude
+            if known.before[3] == 0.0:
+                direction = contact_normal(sweep.shape, sweep.own, core)
+                known.before = wp.vec4(direction[0], direction[1], direction[2], 1.0)
+            if wp.length(wp.vec3(known.before[0], known.before[1], known.before[2])) > 0.0:
+                local = wp.vec3(known.before[0], known.before[1], known.before[2])
+        carrier = path_attitude(sweep.other, t)
+        turn = carrier * sweep.shape.attitude
         normal = wp.quat_rotate(turn, local)
-        from_carrier = wp.quat_rotate(turn, pair.point) + wp.quat_rotate(path_attitude(other, t), shape.position)
-        surface_vel = lin_vel + wp.cross(spin, from_carrier)
-        arm = other.start + t * other.shift + from_carrier - path.start - t * path.shift
-        approach = wp.dot(
-            normal,
-            surface_vel - point_velocity(done.first_lin_vel, rotate(done.first_attitude, done.first_ang_vel), arm),
-        )
-        crashes = approach >= least_approach
-        reach = own.radius + _core_depth(core, local)
+        from_carrier = wp.quat_rotate(turn, pair.point) + wp.quat_rotate(carrier, sweep.shape.position)
+        surface_vel = sweep.lin_vel + wp.cross(sweep.spin, from_carrier)
+        arm = sweep.other.start + t * sweep.other.shift + from_carrier - sweep.path.start - t * sweep.path.shift
+        own_vel = point_velocity(done.first_lin_vel, rotate(done.first_attitude, done.first_ang_vel), arm)
+        hit.crashes = hit.crashes or wp.dot(normal, surface_vel - own_vel) >= least_approach
+        reach = radius + core_extent(core, local)
         surface = support(solid, local)
         if overlaps:
-            surface = wp.dot(local, core.center) - reach - (pair.distance - own.radius)
+            surface = wp.dot(local, core.center) - reach - (pair.distance - radius)
         floor = wp.min(wp.dot(local, core.center) - reach - surface, 0.0)
-        end = _transform_core(shape, other, own, path, 1.0)
-        reach = own.radius + _core_depth(end, local)
-        gap = wp.dot(local, end.center) - reach - surface
+        end = core_at_time(sweep, 1.0)
+        gap = wp.dot(local, end.center) - (radius + core_extent(end, local)) - surface
         if gap >= floor:
-            return hit, crashes, before, push
-        if push[3] == 0.0:
-            direction = push_on(shape, own, end)
-            push = wp.vec4(direction[0], direction[1], direction[2], 1.0)
-        if wp.dot(wp.vec3(push[0], push[1], push[2]), local) > 0.0:
-            return hit, crashes, before, push
-        turn = path_attitude(other, 1.0) * shape.attitude
+            return hit, known
+        if known.after[3] == 0.0:
+            direction = contact_normal(sweep.shape, sweep.own, end)
+            known.after = wp.vec4(direction[0], direction[1], direction[2], 1.0)
+        if wp.dot(wp.vec3(known.after[0], known.after[1], known.after[2]), local) > 0.0:
+            return hit, known
         hit.time = t
-        hit.normal = wp.quat_rotate(turn, local)
+        hit.normal = wp.quat_rotate(path_attitude(sweep.other, 1.0) * sweep.shape.attitude, local)
         hit.gap = gap
         hit.floor = floor
         hit.surface_vel = surface_vel
-        hit.lever = wp.quat_rotate(path_attitude(path, 1.0), wp.quat_rotate_inv(path_attitude(path, t), arm))
-        return hit, crashes, before, push
+        at_touch = wp.quat_rotate_inv(path_attitude(sweep.path, t), arm)
+        hit.lever = wp.quat_rotate(path_attitude(sweep.path, 1.0), at_touch)
+        return hit, known
+
+    return earlier_crossing
+
+
+@cache
+def _make_earlier_part_crossing(*, cores: bool, meshes: bool) -> wp.Function:
+    earlier_crossing = _make_earlier_crossing(cores=cores)
 
     @wp.func
-    def earlier_part_crossing(
-        shape: Shape,
-        other: Path,
-        own: BodyShape,
-        path: Path,
-        done: Substep,
-        spin: wp.vec3,
-        lin_vel: wp.vec3,
-        least_approach: float,
-        hit: Crossing,
-    ):
-        """Return the earlier of two crossings as ``earlier_crossing`` does, for a part; of a mesh, over all its faces."""
+    def earlier_part_crossing(sweep: ShapeSweep, done: Substep, least_approach: float, hit: Crossing) -> Crossing:
+        """Return the earlier of the given crossing and that of a part; of a mesh, over all its faces."""
+        shape = sweep.shape
         solid = shape
-        crashes = wp.bool(False)
-        before = wp.vec4()
-        push = wp.vec4()
+        known = NormalMemory()
         face = wp.int32(0)
         is_mesh = wp.static(meshes) and shape.kind == MESH
         if wp.static(meshes):  # noqa: SIM102 (wp.static must be the whole condition)
             if is_mesh:
-                middle, half = sweep_bounds(shape, other, own, path, 0.0, 1.0)
+                middle, half = sweep_bounds(shape, sweep.other, sweep.own, sweep.path, 0.0, 1.0)
                 query = wp.mesh_query_aabb(shape.mesh, middle - half, middle + half)
         more = wp.bool(True)
         while more:
@@ -253,105 +256,87 @@ def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Functio
                     if more:
                         solid = face_shape(shape, face)
             if more:
-                hit, fast, before, push = earlier_crossing(
-                    solid, shape, other, own, path, done, spin, lin_vel, least_approach, before, push, hit
-                )
-                crashes = crashes or fast
+                hit, known = earlier_crossing(solid, sweep, done, least_approach, known, hit)
             more = more and is_mesh
-        return hit, crashes
+        return hit
+
+    return earlier_part_crossing
+
+
+@cache
+def make_first_crossing(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+    """Return the search along one path; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
+    earlier_part_crossing = _make_earlier_part_crossing(cores=cores, meshes=meshes)
+    obstacles_type: Any = Obstacles if moves else int
 
     @wp.func
     def first_crossing(
-        scene: SceneArrays,
-        motion: SceneMotion,
-        obstacles: obstacles_type,
-        sphere: wp.array[wp.vec4],
-        body: wp.array[BodyShape],
-        least_approach: float,
-        env: int,
-        done: Substep,
-        path: Path,
-        hull: float,
-    ):
-        """Return the first crossing of a path, and whether anything is touched at the speed of a crash."""
+        around: ContactScene, obstacles: obstacles_type, least_approach: float, env: int, done: Substep, path: Path
+    ) -> Crossing:
+        """Return the first crossing of a path; touches at ``least_approach`` [m/s] or faster are crashes."""
+        scene = around.scene
         hit = Crossing()
         hit.time = wp.inf
-        crashes = wp.bool(False)
         end = path.start + path.shift
         part = wp.int32(0)
         while part < scene.num_solid:
             row = scene.part_shape[env, part]
             a = scene.part_instance[env, part]
             is_there = row >= 0 and a >= 0
-            other = Path()
-            lin_vel = wp.vec3()
-            spin = wp.vec3()
+            sweep = ShapeSweep()
             if is_there:
                 x = scene.position[env, a]
                 q = scene.attitude[env, a]
                 is_there = x[2] > ABSENT_BELOW
-                other.start = x
-                other.attitude = q
-                lin_vel = motion.lin_vel[env, a]
-                spin = motion.ang_vel[env, a]
+                sweep.other.start = x
+                sweep.other.attitude = q
+                sweep.lin_vel = around.lin_vel[env, a]
+                sweep.spin = around.ang_vel[env, a]
                 if wp.static(moves):  # noqa: SIM102 (wp.static must be the whole condition)
                     if is_there and instance_moves(obstacles, env, a):
-                        to, _q, _v = advance_pose(obstacles, env, a, x, q, lin_vel, done.dt)
-                        if next_reversal(obstacles, env, a, x, lin_vel, done.dt, 0.0) < 1.0:
-                            other.start = to
+                        to, _q, _v = advance_pose(obstacles, env, a, x, q, sweep.lin_vel, done.dt)
+                        if next_reversal(obstacles, env, a, x, sweep.lin_vel, done.dt, 0.0) < 1.0:
+                            sweep.other.start = to
                         else:
-                            other.shift = to - x
-                            other.turn = done.dt * obstacles.ang_vel[env, a]
+                            sweep.other.shift = to - x
+                            sweep.other.turn = done.dt * obstacles.ang_vel[env, a]
             if is_there:
                 shape = scene.shapes[row]
-                way = wp.length(path.shift - other.shift)
-                near = scene.radius[env, part] + hull + wp.length(shape.position) * wp.min(wp.length(other.turn), 2.0)
-                origin = other.start + other.shift + wp.quat_rotate(other.attitude, shape.position)
+                sweep.shape = shape
+                sweep.path = path
+                way = wp.length(path.shift - sweep.other.shift)
+                bow = wp.length(shape.position) * wp.min(wp.length(sweep.other.turn), 2.0)
+                near = scene.radius[env, part] + (around.reach + wp.length(done.com)) + bow
+                origin = sweep.other.start + sweep.other.shift + wp.quat_rotate(sweep.other.attitude, shape.position)
                 if wp.length(end - origin) < near + way + NEAR:
                     c = wp.int32(0)
-                    while c < sphere.shape[0]:
-                        point = as_body_shape(sphere[c])
-                        hit, fast = earlier_part_crossing(
-                            shape, other, point, path, done, spin, lin_vel, least_approach, hit
-                        )
-                        crashes = crashes or fast
+                    while c < around.sphere.shape[0]:
+                        sweep.own = as_body_shape(around.sphere[c])
+                        hit = earlier_part_crossing(sweep, done, least_approach, hit)
                         c += 1
                     if wp.static(cores):
                         c = wp.int32(0)
-                        while c < body.shape[0]:
-                            hit, fast = earlier_part_crossing(
-                                shape, other, body[c], path, done, spin, lin_vel, least_approach, hit
-                            )
-                            crashes = crashes or fast
+                        while c < around.body.shape[0]:
+                            sweep.own = around.body[c]
+                            hit = earlier_part_crossing(sweep, done, least_approach, hit)
                             c += 1
             part += 1
-        return hit, crashes
+        return hit
 
     return first_crossing
 
 
 @cache
-def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
+def make_stop_search(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
     """Return the search for the place where a robot stops, with the same choices."""
     first_crossing = make_first_crossing(moves=moves, cores=cores, meshes=meshes)
     obstacles_type: Any = Obstacles if moves else int
 
     @wp.func
     def find_stop(
-        scene: SceneArrays,
-        motion: SceneMotion,
-        obstacles: obstacles_type,
-        sphere: wp.array[wp.vec4],
-        body: wp.array[BodyShape],
-        hull: float,
-        least_approach: float,
-        env: int,
-        done: Substep,
+        around: ContactScene, obstacles: obstacles_type, least_approach: float, env: int, done: Substep
     ) -> CrossingStop:
-        """Return the pose at which obstacles stop the robot; they stand as before the substep.
-
-        ``hull`` is the radius [m] of a ball about the robot's origin that holds its shapes.
-        """
+        """Return the pose at which obstacles stop the robot; they stand as before the substep."""
         stop = CrossingStop()
         stop.position = done.position
         stop.attitude = done.attitude
@@ -363,10 +348,8 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
         clear = wp.bool(False)
         while count < ROUNDS and not clear:
             path.shift = whole + shift
-            hit, crashes = first_crossing(
-                scene, motion, obstacles, sphere, body, least_approach, env, done, path, hull + wp.length(done.com)
-            )
-            stop.crashes = stop.crashes or crashes
+            hit = first_crossing(around, obstacles, least_approach, env, done, path)
+            stop.crashes = stop.crashes or hit.crashes
             clear = hit.time == wp.inf
             if not clear:
                 stop.crosses = True
@@ -376,7 +359,7 @@ def make_find_stop(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
                 stop.pairs.surface_vels[count] = hit.surface_vel
                 floors[count] = hit.floor
                 count += 1
-                shift = _lift_shift(stop.pairs, floors, count, shift)
+                shift = shift_to_floors(stop.pairs, floors, count, shift)
         stop.position += shift
         if not clear:
             stop.position = done.first_position

@@ -16,16 +16,14 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import BodyShape, body_shapes
 from aerial_gym.assets.cores import has_cores
 from aerial_gym.assets.obstacle_motion import move_instance
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.scene_arrays import SceneArrays
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.errors import ShapeError
-from aerial_gym.interop import ReusableLaunch
+from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics import BodyState
 from aerial_gym.physics.contact import position_share
@@ -34,18 +32,18 @@ from aerial_gym.physics.fused.hook import FusedHook, Substep
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.robots.contact_pairs import (
     MAX_CONTACTS,
-    SceneMotion,
-    add_cores,
-    add_pairs,
+    ContactScene,
+    add_core_pairs,
+    contact_scene,
     find_pairs,
     has_fast_approach,
-    scene_motion,
+    merge_pairs,
 )
-from aerial_gym.robots.crossings import make_find_stop
+from aerial_gym.robots.crossings import make_stop_search
 
 _velocity_change = make_velocity_change(MAX_CONTACTS)
 
-_FIRST = ("position", "attitude", "lin_vel", "ang_vel")
+_FIRST_MOTION = ("position", "attitude", "lin_vel", "ang_vel")
 """Motion of the centre of mass that is stored before a substep."""
 
 
@@ -53,11 +51,7 @@ _FIRST = ("position", "attitude", "lin_vel", "ang_vel")
 class SceneSurroundings:
     """Obstacles, contact law and the outputs of contact."""
 
-    scene: SceneArrays
-    motion: SceneMotion
-    sphere: wp.array[wp.vec4]  # (C,) contact points: centre in the body frame, radius [m]
-    body: wp.array[BodyShape]  # boxes and capsules, none for robots of spheres
-    hull: float  # radius of a ball about the body origin that holds all shapes [m]
+    near: ContactScene
     law: ContactParameters
     crashes: wp.array[wp.bool]  # (E,) set where a touch is a crash
     impulse: wp.array[wp.vec3]  # (E,) world [N s], added to
@@ -74,7 +68,7 @@ class DynamicSurroundings:
 @cache
 def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Function:
     """Return the contact after a substep; whether obstacles move, the robot has boxes or capsules, and any part is a mesh."""
-    find_stop, obstacles_type = make_find_stop(moves=moves, cores=cores, meshes=meshes), Obstacles if moves else int
+    find_stop, obstacles_type = make_stop_search(moves=moves, cores=cores, meshes=meshes), Obstacles if moves else int
 
     @wp.func
     def contact_motion(around: SceneSurroundings, obstacles: obstacles_type, env: int, done: Substep):
@@ -84,20 +78,17 @@ def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Functi
         """
         v = done.lin_vel
         w = done.ang_vel
-        stop = find_stop(
-            around.scene, around.motion, obstacles, around.sphere, around.body, around.hull, around.law.least_approach,
-            env, done,
-        )  # fmt: skip
+        stop = find_stop(around.near, obstacles, around.law.least_approach, env, done)
         if wp.static(moves):
             for a in range(obstacles.asset.shape[1]):
                 move_instance(obstacles, env, a, done.dt, 1)
         x = stop.position
         q = stop.attitude
-        pairs = find_pairs(around.scene, around.motion, around.sphere, done.com, env, x, q)
+        pairs = find_pairs(around.near, done.com, env, x, q)
         if wp.static(cores):
-            pairs = add_cores(pairs, around.scene, around.motion, around.body, done.com, env, x, q)
+            pairs = add_core_pairs(pairs, around.near, done.com, env, x, q)
         if stop.crosses:
-            pairs = add_pairs(pairs, stop.pairs)
+            pairs = merge_pairs(pairs, stop.pairs)
         turn = rotate(q, done.first_ang_vel)
         if stop.crashes or has_fast_approach(pairs, done.first_lin_vel, turn, around.law.least_approach):
             around.crashes[env] = True
@@ -116,9 +107,7 @@ def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Functi
             shifted.first_attitude = q
             shifted.position = pushed_x
             shifted.attitude = pushed_q
-            end = find_stop(
-                around.scene, around.motion, obstacles, around.sphere, around.body, around.hull, wp.inf, env, shifted
-            )
+            end = find_stop(around.near, obstacles, wp.inf, env, shifted)
             x = end.position
             q = end.attitude
         return x, q, v, w
@@ -129,28 +118,28 @@ def _make_contact_motion(*, moves: bool, cores: bool, meshes: bool) -> wp.Functi
 @cache
 def _make_hook(*, moves: bool, cores: bool, meshes: bool) -> tuple[type, wp.Function]:
     """Return the struct and the function of a hook."""
-    meet = _make_contact_motion(moves=moves, cores=cores, meshes=meshes)
+    contact_motion = _make_contact_motion(moves=moves, cores=cores, meshes=meshes)
 
     @wp.func
-    def meet_still(around: SceneSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001 (all hooks have the same)
-        x, q, v, w = meet(around, 0, env, done)
+    def contact_with_fixed(around: SceneSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001 (all hooks have the same)
+        x, q, v, w = contact_motion(around, 0, env, done)
         return x, q, v, w
 
     @wp.func
-    def meet_moving(data: DynamicSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001
-        x, q, v, w = meet(data.around, data.obstacles, env, done)
+    def contact_with_moving(data: DynamicSurroundings, env: int, k: int, done: Substep):  # noqa: ARG001
+        x, q, v, w = contact_motion(data.around, data.obstacles, env, done)
         return x, q, v, w
 
-    return (DynamicSurroundings, meet_moving) if moves else (SceneSurroundings, meet_still)
+    return (DynamicSurroundings, contact_with_moving) if moves else (SceneSurroundings, contact_with_fixed)
 
 
 @cache
-def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
+def _make_contact_kernel(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
     """Return the kernel of one substep, for backends that are no kernel themselves."""
-    data_type, meet = _make_hook(moves=moves, cores=cores, meshes=meshes)
+    data_type, contact_motion = _make_hook(moves=moves, cores=cores, meshes=meshes)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def push(
+    def change_motion(
         data: data_type,  # read and written
         # params
         mass: wp.array[float],  # (E,) [kg]
@@ -186,7 +175,7 @@ def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
         done.attitude = q
         done.lin_vel = lin_vel_out[env] + rotate(q, wp.cross(w, c))
         done.ang_vel = w
-        next_x, next_q, next_v, next_w = meet(data, env, 0, done)
+        next_x, next_q, next_v, next_w = contact_motion(data, env, 0, done)
         pushed = wp.length(next_v - done.lin_vel) + wp.length(next_w - w)
         if pushed + wp.length(next_x - done.position) == 0.0:
             return  # bit for bit as it was
@@ -195,7 +184,7 @@ def _make_push(*, moves: bool, cores: bool, meshes: bool) -> wp.Kernel:
         lin_vel_out[env] = next_v - rotate(next_q, wp.cross(next_w, c))
         ang_vel_out[env] = next_w
 
-    return push
+    return change_motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,34 +221,25 @@ class SceneContact:
 
         Args:
             state: Its motion, written in place where it touches something.
-            integrator: Stepper of the physics, by name.
             dt: Length of a substep [s].
             crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.
             impulse_out: Receives the sum of the impulses [N s], world, (E, 3); never cleared here.
             moving: The instances of the scene as they move; None if nothing moves.
-
-        Raises:
-            ShapeError: If a tensor does not fit the scene.
         """
         envs, device = (scene.num_envs,), scene.device
         check_tensor("crashes_out", crashes_out, envs, device=device, dtype=torch.bool)
         self._scene, self._robot, self._state, self._dt = scene, robot, state, dt
-        self._first = [torch.zeros_like(getattr(state, name)) for name in _FIRST]
-        around = SceneSurroundings()
-        share = position_share(integrator, in_fluid=robot.in_fluid)
-        around.scene, around.law = scene.arrays, contact_parameters(cfg, share)
-        around.motion = scene_motion(scene)
-        around.sphere = wp.from_torch(robot.spheres, dtype=wp.vec4)
-        cores = has_cores(robot.shapes)
-        around.body = body_shapes(robot.shapes if cores else (), device=device)
-        around.crashes = wp.from_torch(crashes_out)
-        around.impulse = vector_view("impulse_out", impulse_out, (*envs, 3), device=device)
-        around.hull = float((robot.spheres[:, :3].norm(dim=1) + robot.spheres[:, 3]).max())
-        self._data = around
+        self._first = [torch.zeros_like(getattr(state, name)) for name in _FIRST_MOTION]
+        self._data = around = make_struct(
+            SceneSurroundings,
+            near=contact_scene(scene, robot.spheres, robot.shapes),
+            law=contact_parameters(cfg, position_share(integrator, in_fluid=robot.in_fluid)),
+            crashes=crashes_out,
+            impulse=vector_view("impulse_out", impulse_out, (*envs, 3), device=device),
+        )
         if moving is not None:
-            self._data = DynamicSurroundings()
-            self._data.around, self._data.obstacles = around, moving
-        self._kinds = {"moves": moving is not None, "cores": cores, "meshes": scene.has_meshes}
+            self._data = make_struct(DynamicSurroundings, around=around, obstacles=moving)
+        self._kinds = {"moves": moving is not None, "cores": has_cores(robot.shapes), "meshes": scene.has_meshes}
         self._kept_alive = (crashes_out, impulse_out, moving)
         self._command: ReusableLaunch | None = None
 
@@ -276,13 +256,13 @@ class SceneContact:
         del k
         if state is not self._state:
             raise ShapeError("SceneContact: pushes the robots of another state. Make one for this state")
-        for kept, name in zip(self._first, _FIRST, strict=True):
+        for kept, name in zip(self._first, _FIRST_MOTION, strict=True):
             kept.copy_(getattr(before, name))
         if self._command is None:
-            self._command = self._record()
+            self._command = self._record_launch()
         self._command.launch(self._state.lin_vel)
 
-    def _record(self) -> ReusableLaunch:
+    def _record_launch(self) -> ReusableLaunch:
         scene, robot, envs, device = self._scene, self._robot, (self._scene.num_envs,), self._scene.device
         check_tensor("mass", robot.mass, envs, device=device)
         check_tensor("inertia", robot.inertia, (*envs, 3, 3), device=device)
@@ -291,9 +271,15 @@ class SceneContact:
             return vector_view(name, tensor, (*envs, tensor.shape[-1]), device=device)
 
         inputs = [self._data, wp.from_torch(robot.mass), wp.from_torch(robot.inertia, dtype=wp.mat33)]
-        inputs += [view(name, tensor) for name, tensor in zip(("com", *_FIRST), (robot.com, *self._first), strict=True)]
+        inputs += [
+            view(name, tensor) for name, tensor in zip(("com", *_FIRST_MOTION), (robot.com, *self._first), strict=True)
+        ]
         moved = [view(name, getattr(self._state, name)) for name in ("position", "attitude", "lin_vel", "ang_vel")]
         self._views = (inputs, moved)
         return ReusableLaunch(
-            _make_push(**self._kinds), dim=scene.num_envs, inputs=[*inputs, self._dt], outputs=moved, device=device
+            _make_contact_kernel(**self._kinds),
+            dim=scene.num_envs,
+            inputs=[*inputs, self._dt],
+            outputs=moved,
+            device=device,
         )

@@ -7,18 +7,16 @@ Frames: world, z up; shapes in the frames of their links. Letters: E environment
 """
 
 from functools import cache
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import torch
 import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.body_shapes import BodyShape, body_shapes
 from aerial_gym.assets.cores import contact_points
 from aerial_gym.assets.obstacle_motion import make_motion_launch
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.scene_arrays import SceneArrays
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import CapabilityError
@@ -26,20 +24,16 @@ from aerial_gym.interop import ReusableLaunch, on_torch_stream
 from aerial_gym.physics.fused.hook import Substep
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.state import ArticulatedState, BodyState
-from aerial_gym.robots.contact_pairs import SceneMotion, add_cores, find_pairs, has_fast_approach, scene_motion
+from aerial_gym.robots.contact_pairs import ContactScene, add_core_pairs, contact_scene, find_pairs, has_fast_approach
 from aerial_gym.robots.crossings import make_first_crossing, substep_path
 from aerial_gym.robots.joints.link_tensors import LinkTensors
 from aerial_gym.robots.joints.links import LinkPlaces
 
 
 @wp.kernel(enable_backward=False)
-def _notice(
-    # scene
-    scene: SceneArrays,
-    motion: SceneMotion,
+def _flag_overlaps(
+    around: ContactScene,  # with the shapes of one link
     # params
-    sphere: wp.array[wp.vec4],  # (C,) contact points of the link: centre in its frame, radius [m]
-    body: wp.array[BodyShape],  # its shapes
     least_approach: float,  # [m/s]
     # state
     position: wp.array[wp.vec3],  # (E,) of the link's frame, world [m]
@@ -53,8 +47,8 @@ def _notice(
     e = wp.tid()
     x = position[e]
     q = attitude[e]
-    pairs = find_pairs(scene, motion, sphere, wp.vec3(), e, x, q)
-    pairs = add_cores(pairs, scene, motion, body, wp.vec3(), e, x, q)
+    pairs = find_pairs(around, wp.vec3(), e, x, q)
+    pairs = add_core_pairs(pairs, around, wp.vec3(), e, x, q)
     if has_fast_approach(pairs, lin_vel[e], ang_vel[e], least_approach):
         crashes_out[e] = True
 
@@ -63,18 +57,13 @@ def _notice(
 def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
     """Return the kernel that sweeps a link; whether obstacles move and any part is a mesh."""
     first_crossing = make_first_crossing(moves=moves, cores=True, meshes=meshes)
-    obstacles_type: Any = Obstacles if moves else int
+    obstacles_type = Obstacles if moves else int
 
     @wp.kernel(module="unique", enable_backward=False)
     def sweep(
-        # scene
-        scene: SceneArrays,
-        motion: SceneMotion,
+        around: ContactScene,  # with the shapes of one link
         obstacles: obstacles_type,  # before they move
         # params
-        sphere: wp.array[wp.vec4],  # (C,) contact points of the link: centre in its frame, radius [m]
-        body: wp.array[BodyShape],  # its shapes
-        hull: float,  # radius of a ball about its origin that holds them [m]
         pivot: wp.vec3,  # its hinge, in its frame [m]
         least_approach: float,  # [m/s]
         dt: float,  # [s]
@@ -101,10 +90,7 @@ def _make_sweep(*, moves: bool, meshes: bool) -> wp.Kernel:
         done.first_ang_vel = wp.quat_rotate_inv(q0, first_ang_vel[e])
         done.position = position[e] + wp.quat_rotate(attitude[e], pivot)
         done.attitude = attitude[e]
-        _matches, crashes = first_crossing(
-            scene, motion, obstacles, sphere, body, least_approach, e, done, substep_path(done), hull + wp.length(pivot)
-        )
-        if crashes:
+        if first_crossing(around, obstacles, least_approach, e, done, substep_path(done)).crashes:
             crashes_out[e] = True
 
     return sweep
@@ -130,10 +116,9 @@ class LinkObstacleSweep:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            cfg: Says which touch is a crash.
-            links: Receives where its links are after each substep.
+            links: Receives the link poses after each substep.
             dt: Length of a substep [s].
-            crashes_out: Set, bool, (E,), where it touches at the speed of a crash; never cleared here.
+            crashes_out: Set, bool, (E,), where a link touches at the speed of a crash; never cleared here.
             moving: The instances of the scene as they move; None if nothing moves.
         """
         assert robot.joints is not None
@@ -143,20 +128,19 @@ class LinkObstacleSweep:
         self._kept_alive = (scene, links, moving)
         self._links, self._first = links.state, torch.zeros_like(links.state)
         obstacles = 0 if moving is None else moving
-        self._looks: list[ReusableLaunch] = []
+        self._overlap_tests: list[ReusableLaunch] = []
         self._sweeps: list[ReusableLaunch] = []
         for number, name in enumerate(links.names):
             shapes = robot.collision.link_shapes(name)
             if not shapes:
                 continue
             points = contact_points(shapes, device=scene.device)
-            around = (scene.arrays, scene_motion(scene))
-            body = (points, body_shapes(shapes, device=scene.device))
+            around = contact_scene(scene, points, shapes)
             first, last = (state[:, number].split((3, 4, 3, 3), dim=-1) for state in (self._first, self._links))
             place = {"dim": scene.num_envs, "outputs": [crashes_out], "device": scene.device}
-            self._looks.append(ReusableLaunch(_notice, inputs=[*around, *body, cfg.least_approach, *last], **place))
-            hull = float((points[:, :3].norm(dim=1) + points[:, 3]).max())
-            inputs = [*around, obstacles, *body, hull, wp.vec3(*links.pivots[number]), cfg.least_approach, dt, *first]
+            tested = [around, cfg.least_approach, *last]
+            self._overlap_tests.append(ReusableLaunch(_flag_overlaps, inputs=tested, **place))
+            inputs = [around, obstacles, wp.vec3(*links.pivots[number]), cfg.least_approach, dt, *first]
             kernel = _make_sweep(moves=moving is not None, meshes=scene.has_meshes)
             self._sweeps.append(ReusableLaunch(kernel, inputs=[*inputs, *last[:2]], **place))
 
@@ -177,8 +161,8 @@ class LinkObstacleSweep:
                 sweep.launch()
             if self._move is not None:
                 self._move.launch()
-            for look in self._looks:
-                look.launch()
+            for test in self._overlap_tests:
+                test.launch()
         self._first.copy_(self._links)
 
     def fused(self) -> NoReturn:
