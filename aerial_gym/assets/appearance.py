@@ -79,7 +79,6 @@ def read_mesh_appearance(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.
     """Return the colours of a mesh made of trimesh pieces; None if no piece has colours.
 
     Args:
-        pieces: Geometries of the file, in order.
         faces: Vertices of all triangles, numbered through all pieces, (F, 3). Triangles have the order of the pieces; the
             order within a triangle may differ.
     """
@@ -163,12 +162,7 @@ class AppearanceTable:
         self._num_faces = 0
 
     def add(self, cfg: ShapeCfg, *, inherited: Vec3 | None, mesh: MeshAppearance | None) -> None:
-        """Append a shape that is not a compound.
-
-        Args:
-            inherited: Colour of its compound, if any.
-            mesh: Colours of its file, used unless ``cfg`` gives a colour. Equal meshes are stored once.
-        """
+        """Append a shape that is no compound, with the colour of its compound, if any, and the colours of its file."""
         given = cfg.color or inherited
         checker = cfg.checker
         first = int(NO_ENTRY)

@@ -54,7 +54,6 @@ class AssetManager:
         """Draw the obstacles of each environment, build the scene and park everything until the first reset.
 
         Args:
-            gtd: Receives this manager's keys.
             bounds_min: Lower corner of the bounds [m], world, (E, 3); read at every reset.
             bounds_max: Upper corner [m], world, (E, 3).
             asset_state: Memory for the obstacle states, float32, (E, A, 13); allocated if not given.
@@ -111,11 +110,7 @@ class AssetManager:
             self._clearance.restart()
 
     def set_num_obstacles(self, count: int) -> None:
-        """Set the number of removable assets from the next reset on; the rest will be parked.
-
-        Raises:
-            ConfigError: If there are not that many.
-        """
+        """Set the number of removable assets from the next reset on, the rest is parked; raise ``ConfigError`` for too many."""
         removable = self.num_assets - self.cfg.num_kept
         if not 0 <= count <= removable:
             raise ConfigError(f"num_obstacles = {count}: this environment has 0 to {removable} removable obstacles")
@@ -126,11 +121,7 @@ class AssetManager:
         self._num_obstacles.copy_(count)
 
     def reset(self, mask: Tensor) -> None:
-        """Draw places and twists of obstacles in masked environments; all other rows keep their bits.
-
-        Args:
-            mask: Environments to reset, bool, (E,).
-        """
+        """Draw places and twists of obstacles in the environments of ``mask``, bool (E,); all other rows keep their bits."""
         if self._placement is None:
             return
         check_tensor("mask", mask, (self._num_envs,), device=self._device, dtype=torch.bool)
@@ -145,10 +136,6 @@ class AssetManager:
 
         Args:
             env_actions: Velocity [m/s] and angular velocity [rad/s], world, (E, A, 6); rows of all other obstacles are ignored.
-
-        Raises:
-            ConfigError: If no obstacle moves.
-            ShapeError: If the shape differs.
         """
         if self._motion is None:
             raise ConfigError("env_actions: no obstacle of this environment moves. Give an asset motion: {kind: twist}")
@@ -179,11 +166,7 @@ class AssetManager:
             )
 
     def place_track(self, mask: Tensor) -> None:
-        """Draw the gates and poles of masked environments, after ``reset`` and the draw of the robot's start.
-
-        Args:
-            mask: Environments that begin an episode, bool, (E,).
-        """
+        """Draw gates and poles in the environments of ``mask``, bool (E,), after ``reset`` and the robot's start."""
         if self._track is not None:
             take_mask(self.random.mask, mask)
             self._track.draw()
@@ -195,14 +178,9 @@ class AssetManager:
         return HeightProbe(self.scene, position=position, height_out=height_out)
 
     def clear_start(self, mask: Tensor, position: Tensor) -> None:
-        """Redraw, or park, obstacles of masked environments that are too close to the robot's start.
+        """Redraw, or park, obstacles too close to the robot's origin [m], (E, 3), in the environments of ``mask``, bool (E,).
 
-        Afterwards every obstacle with a drawn place is at least ``cfg.clearance`` from the robot. Call it after
-        ``reset``; without a clearance it does nothing.
-
-        Args:
-            mask: Environments that begin an episode, bool, (E,).
-            position: Origin of the robot [m], world, (E, 3).
+        Afterwards every obstacle with a drawn place is at least ``cfg.clearance`` from the robot. Call it after ``reset``.
         """
         if self._clearance is not None:
             from aerial_gym.assets.clearance import START
@@ -210,12 +188,7 @@ class AssetManager:
             self._clearance.clear(mask, position, point_index=START)
 
     def clear_goal(self, mask: Tensor, position: Tensor) -> None:
-        """Clear the surroundings of a goal likewise; those of the start stay clear.
-
-        Args:
-            mask: Environments with a new goal, bool, (E,).
-            position: Goal [m], world, (E, 3).
-        """
+        """Clear the surroundings of a goal [m], world, (E, 3), likewise; those of the start stay clear."""
         if self._clearance is not None:
             from aerial_gym.assets.clearance import GOAL
 
@@ -297,7 +270,7 @@ class AssetManager:
         )
 
     def _make_motion(self) -> "ObstacleMotion":
-        """Return the motion of obstacles. The import is local because Warp functions take long to import."""
+        """Return the motion of obstacles; the import is local because Warp functions take long to import."""
         from aerial_gym.assets.obstacle_motion import ObstacleMotion
 
         return ObstacleMotion(self._obstacles, twists=self._env_actions)

@@ -91,13 +91,7 @@ class Clearance:
     """Clear space around start and goal of one robot per environment; all views are made at construction."""
 
     def __init__(self, scene: Scene, obstacles: Obstacles, *, mask: Tensor, room: float) -> None:
-        """Record the launches for start and goal.
-
-        Args:
-            obstacles: The same instances with the parameters of their draws.
-            mask: Environments whose obstacles may move, bool, (E,); kept.
-            room: Least distance between a point and the surface of an instance [m].
-        """
+        """Record the launches for start and goal, with the least distance ``room`` [m] to the surface of an instance."""
         envs, device = scene.num_envs, scene.device
         self._mask = mask
         self._point, self._start = torch.zeros(envs, 3, device=device), torch.zeros(envs, 3, device=device)
@@ -123,12 +117,9 @@ class Clearance:
         self._first_part.copy_(self._end_part - parts)
 
     def clear(self, mask: Tensor, point: Tensor, *, point_index: int) -> None:
-        """Clear the surroundings of a point in masked environments, and keep those of earlier points clear.
+        """Clear the surroundings of a point [m], world, (E, 3), in the environments of ``mask``, bool (E,).
 
-        Args:
-            mask: Environments whose obstacles may move, bool, (E,).
-            point: Centre of the clear space [m], world, (E, 3).
-            which: ``START``, which discards the goal of the previous episode, or ``GOAL``.
+        The point is ``START``, which discards the goal of the previous episode, or ``GOAL``, which keeps the start clear.
         """
         take_mask(self._mask, mask)
         self._point.copy_(point)

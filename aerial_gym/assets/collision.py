@@ -83,9 +83,6 @@ class CollisionTest:
             distance_out: Receives the smallest signed distance [m], negative for an overlap, inf without solid parts,
                 float32, (E,).
             moving: Instances of the scene that ``step`` moves; None if all are at rest.
-
-        Raises:
-            ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("distance_out", distance_out, (scene.num_envs,), device=scene.device)
         body = LinkGeometry(shapes=tuple(shapes), position=position, attitude=attitude)
@@ -109,9 +106,6 @@ class CollisionTest:
             attitude: Body to world, xyzw, unit, (K + 1, E, 4) or (K + 1, E, L, 4); likewise.
             dt: Length of a substep [s].
             crashes_out: Set at a contact of the robot at or between these poses, bool, (E,); never cleared here.
-
-        Raises:
-            ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("crashes_out", crashes_out, (self._scene.num_envs,), device=self._out.device, dtype=torch.bool)
         if len(position) < 2:

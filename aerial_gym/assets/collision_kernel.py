@@ -107,12 +107,8 @@ def _displacement_bound(
 def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: bool) -> wp.Kernel:
     """Return the kernel of the collision test.
 
-    Args:
-        moves: Whether obstacles move.
-        shared: Whether a block of threads shares an environment, instead of one thread. GPU only: on the CPU, Warp's block
-            reductions must not run on two threads of the process at once.
-        cores: Whether the robot has boxes or capsules, and its shapes are ``BodyShape`` instead of centre and radius.
-        meshes: Whether any part is a mesh.
+    ``moves``: obstacles move. ``shared``: the threads of a block share an environment; GPU only, as Warp's block reductions
+    must not run on two CPU threads at once. ``cores``: the robot has boxes or capsules. ``meshes``: any part is a mesh.
     """
     body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
     gap_of = body_distance if cores else _make_gap(meshes=meshes)

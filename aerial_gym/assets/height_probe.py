@@ -56,12 +56,8 @@ class HeightProbe:
         """Take views of the tensors, which must stay where they are.
 
         Args:
-            position: Body origin [m], world, (E, 3); may be strided, but for the last axis.
             height_out: Receives the height of the first surface below [m], world, ``FARTHEST`` below where there is none,
                 float32, (E, 1).
-
-        Raises:
-            ShapeError: If a tensor does not fit the scene.
         """
         check_tensor("height_out", height_out, (scene.num_envs, 1), device=scene.device)
         height_out.fill_(-float(FARTHEST))

@@ -38,10 +38,6 @@ def load_mesh(path: str | Path, *, scale: float, up: str | None = None) -> "trim
     Args:
         scale: Factor on the coordinates, after the unit of the file.
         up: Axis of the file that points up (``x``, ``y``, ``z``); overrides the file's own.
-
-    Raises:
-        ConfigError: If the file is missing, unreadable, or without a triangle or a surface; if its unit is not positive; if
-            a vertex of a triangle is missing; or if a scaled coordinate is not a finite float32.
     """
     return join_pieces(read_pieces(path, scale=scale, up=up), scale=scale)
 

@@ -146,12 +146,7 @@ class ObstacleMotion:
     """Motion of the obstacles of all environments; all views are made at construction."""
 
     def __init__(self, obstacles: Obstacles, *, twists: Tensor) -> None:
-        """Record the launches.
-
-        Args:
-            obstacles: Their poses and velocities are written.
-            twists: Source of ``take_twists``: velocity [m/s] and angular velocity [rad/s], world, float32, (E, A, 6).
-        """
+        """Record the launches; ``twists`` are velocities [m/s] and angular velocities [rad/s], world, float32, (E, A, 6)."""
         shape = (*obstacles.asset.shape, 6)
         check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
         self._twists, dim = twists, obstacles.asset.shape

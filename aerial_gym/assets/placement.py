@@ -42,11 +42,7 @@ class Bounds:
     """Draws of the bounds of masked environments; all views are made at construction."""
 
     def __init__(self, cfg: EnvironmentCfg, *, lower: Tensor, upper: Tensor, random: Randomness) -> None:
-        """Record the launch, and set all bounds to their smallest corners until the first reset.
-
-        Args:
-            lower: Lower corner [m], world, (E, 3), written for masked environments.
-        """
+        """Record the launch, and set the corners [m], world, (E, 3), to the smallest ones until the first reset."""
         start_warp()
         envs, device = lower.shape[0], lower.device
         limits = (cfg.bounds_lower_low, cfg.bounds_lower_high, cfg.bounds_upper_low, cfg.bounds_upper_high)
@@ -121,14 +117,7 @@ class Placement:
     """Draws of obstacles in masked environments; all views are made at construction."""
 
     def __init__(self, obstacles: Obstacles, *, mask: Tensor, num_kept: int, num_others: Tensor) -> None:
-        """Record the launch.
-
-        Args:
-            obstacles: Written for masked environments.
-            mask: Environments to reset, bool, (E,); read at every launch.
-            num_kept: Instances that are always present, the first rows.
-            num_others: Number of other instances to place, int32, (1,); read at every launch.
-        """
+        """Record the launch; mask, bool (E,), and number of instances not always kept, int32 (1,), are read anew."""
         self._mask = mask
         asked = wp.from_torch(mask)
         self._command = ReusableLaunch(

@@ -64,11 +64,6 @@ class Scene:
             robot_state: The caller's states of the robot's links, float32, (E, L, 13), laid out like those of the instances;
                 (E, 13) of a robot with one link. Needed with ``robot``. May be strided, but for the last axis. Kept.
             lamps: Lights in colour images, the same in all environments.
-
-        Raises:
-            ShapeError: If shapes do not fit, or if an index has no row.
-            ConfigError: If a mesh file cannot be used, or a part outside the instances has no semantic id, or sits on a link
-                that the robot does not have.
         """
         if asset_state.dim() != 3 or asset_state.shape[-1] != 13:
             raise ShapeError(f"asset_state has shape {tuple(asset_state.shape)}, expected (E, A, 13)")
@@ -115,24 +110,12 @@ class Scene:
         return self._part_shape.shape[1]
 
     def instance_parts(self) -> tuple[tuple[PartCfg, ...], Tensor, Tensor]:
-        """Return all possible parts of instances, and views of those in each environment, which follow ``relabel``.
-
-        Returns:
-            The parts; their rows, -1 for an empty slot, and the instances that carry them, both int32, (E, P).
-        """
+        """Return all parts of instances, and views (E, P) of the row of each (-1 for an empty slot) and of its instance."""
         slots = slice(None, self._num_carried)
         return self.shape_table.parts[: self._num_rows], self._part_shape[:, slots], self._part_instance[:, slots]
 
     def relabel(self, shape_index: Tensor, semantic_id: Tensor) -> None:
-        """Change the shapes of instances within their groups, in place; views stay valid. Waits for the device.
-
-        Args:
-            shape_index: Row of the shape table, integer, (E, A).
-            semantic_id: Label in segmentation images, integer, (E, A).
-
-        Raises:
-            ShapeError: If a tensor does not fit, or if there is no room for that many parts.
-        """
+        """Change shape rows and semantic ids of instances, integer (E, A), within their groups. Waits for the device."""
         self._take_instances(shape_index, semantic_id)
         self._lay_out_parts()
 

@@ -117,9 +117,6 @@ class SelfCollisionTest:
             pivots: Point of each link's frame that moves in a straight line between two poses [m], L of them.
             state: Position [m] and attitude, xyzw, of the links first, world, (E, L, 13).
             distance_out: Receives the least signed distance of two links [m], negative where they overlap, float32, (E,).
-
-        Raises:
-            ConfigError: If no pair is left to test.
         """
         device = state.device
         check_tensor("distance_out", distance_out, (len(state),), device=device)
@@ -146,7 +143,6 @@ class SelfCollisionTest:
             position: Origins of the frames of links at the start of a step and after each substep [m], world,
                 (K + 1, E, L, 3); read at every step.
             attitude: To the world, xyzw, unit, (K + 1, E, L, 4); likewise.
-            crashes_out: Set where links touch at or between these poses, bool, (E,); never cleared here.
         """
         check_tensor("crashes_out", crashes_out, (len(self._out),), device=self._out.device, dtype=torch.bool)
         self._step = self._record(position, attitude, is_step=True, crashes=crashes_out)
@@ -182,11 +178,7 @@ def select_link_pairs(
     """Return pairs of indices into ``cfg.shapes``, on links without a common joint and apart in the reference pose.
 
     Args:
-        names: Of the links, L of them, the base first.
         parents: Parent of each link but the base, L - 1 of them.
-
-    Raises:
-        ConfigError: If there is none.
     """
     links = [list(names).index(shape.link) for shape in cfg.shapes]
     carrier = dict(zip(range(1, len(parents) + 1), parents, strict=True))

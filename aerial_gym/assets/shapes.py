@@ -32,11 +32,7 @@ class ShapeTable:
     """Shapes on a device, in the order of their configurations; a compound has a row for each part."""
 
     def __init__(self, shapes: Sequence[ShapeCfg], *, device: torch.device) -> None:
-        """Read the meshes and fill the table.
-
-        Raises:
-            ConfigError: If a mesh or URDF file is missing, unreadable, empty or not finite.
-        """
+        """Read the meshes and fill the table; raise ``ConfigError`` for a mesh or URDF file that cannot be used."""
         self.shapes = tuple(load_urdf_shape(shape) if shape.kind == "urdf" else shape for shape in shapes)
         self._device = wp.device_from_torch(device)
         self._meshes: dict[tuple[str, float, str | None], _Mesh] = {}

@@ -241,7 +241,6 @@ class TrackPlacement:
         """Record the launch.
 
         Args:
-            obstacles: The instances; gates and poles are the first.
             nominal: Gate positions [m], world, (E, G, 3), gate attitudes, gate to world, xyzw, (E, G, 4), and pole tops
                 [m], world, (E, P, 3); written.
             places: The actual ones, likewise.

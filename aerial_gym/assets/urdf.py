@@ -42,7 +42,6 @@ def load_urdf(
     """Return a URDF as a compound of the collision geometries of its links, or the visual ones of a link without them.
 
     Args:
-        path: The file; its mesh files are found beside it, also those named ``package://``.
         link_ids: Semantic ids of named links, 0 to 99.
         first_link_id: Semantic id of the first other link; the rest count up in the order of the file. None gives them that of
             the asset.
@@ -75,10 +74,7 @@ def load_urdf(
 
 
 def link_poses(robot: "URDF") -> dict[str, np.ndarray]:
-    """Return the pose of each link in the root frame, (4, 4), with all joints at zero and mimics at their offsets.
-
-    The time of the library's own scene grows with the square of the number of links.
-    """
+    """Return the pose of each link in the root frame, (4, 4), with all joints at zero and mimics at their offsets."""
     below: dict[str, list[Joint]] = {}
     for joint in robot.joint_map.values():
         below.setdefault(joint.parent, []).append(joint)
@@ -110,9 +106,6 @@ def _colors(robot: "URDF", link: "Link", *, count: int) -> list[Vec3 | None]:
     """Return the colours of ``count`` geometries of a link: of their own visuals, or of the first visual that has one.
 
     Collision geometries have no materials; where a link has as many visuals, they are taken to be the same in order.
-
-    Raises:
-        ConfigError: If a colour is not four numbers in 0 to 1.
     """
     colors = [_color(robot, visual.material) for visual in link.visuals]
     if len(colors) == count:
@@ -135,11 +128,7 @@ def _color(robot: "URDF", material: "Material | None") -> Vec3 | None:
 
 
 def read_urdf(path: str | Path) -> "URDF":
-    """Return the parsed file with its links at zero joint angles; no mesh is loaded.
-
-    Raises:
-        ConfigError: If the file is missing or is not a URDF with a tree of links, or if yourdfpy is not installed.
-    """
+    """Return the parsed file without meshes, joints at zero; raise ``ConfigError`` unless the links are a tree."""
     try:
         import yourdfpy
     except ImportError:
@@ -234,10 +223,9 @@ def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
 
 
 def _mesh_file(name: str, folder: Path) -> Path:
-    """Return the path of a mesh file: beside the URDF or, for ``package://NAME/rest``, in the asset folder.
+    """Return the path of a mesh file: beside the URDF or, for ``package://``, in a folder ``PACKAGE_LEVELS`` above at most.
 
-    That is the folder of the URDF and ``PACKAGE_LEVELS`` above it: there ``NAME/rest``, or ``rest``, is looked for. A name that
-    leads out of the folder in which it was matches, by ``..`` or by a link, is refused.
+    A name that leads out of the folder in which it was matched, by ``..`` or by a link, is refused.
     """
     package = name.startswith("package://")
     whole = name.removeprefix("package://").removeprefix("file://")

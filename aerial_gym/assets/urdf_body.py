@@ -26,9 +26,7 @@ def weld(masses: Sequence[float], poses: Sequence[np.ndarray], inertias: Sequenc
     """Combine links into one body by the parallel axis theorem.
 
     Args:
-        masses: Of the links [kg], L of them, not all 0.
         poses: Poses of their inertia frames, with the centre of mass as origin, in the root frame, (4, 4) each.
-        inertias: About their own centres of mass [kg m²], (3, 3) each.
 
     Source:
         Derived: ``J = sum R_i J_i R_i^T + m_i (|r_i|² 1 - r_i r_i^T)`` with r_i from the common centre of mass.
@@ -43,11 +41,7 @@ def weld(masses: Sequence[float], poses: Sequence[np.ndarray], inertias: Sequenc
 
 
 def urdf_body(path: str | Path) -> RigidBody:
-    """Return the links of a URDF as one body.
-
-    Raises:
-        ConfigError: If the file cannot be read, or no link has a mass.
-    """
+    """Return the links of a URDF as one body; raise ``ConfigError`` if no link has a mass."""
     robot = read_urdf(path)
     at = link_poses(robot)
     links = [(link.inertial, at[name]) for name, link in robot.link_map.items() if link.inertial is not None]

@@ -19,11 +19,7 @@ def check_tensor(
 
 
 def vector_view(name: str, tensor: Tensor, shape: tuple[int, ...], *, device: torch.device) -> wp.array:
-    """Return a Warp array of vectors (last axis 3) or quaternions (last axis 4) on the memory of a strided tensor.
-
-    Raises:
-        ShapeError: If shape, dtype or device differ, or if the numbers of one vector are not side by side.
-    """
+    """Return a Warp array of vectors (last axis 3) or quaternions (4) on the memory of a tensor strided in other axes."""
     check_tensor(name, tensor, shape, device=device)
     if tensor.stride(-1) != 1:
         raise ShapeError(f"{name} has stride {tensor.stride()}: the last axis must be contiguous")

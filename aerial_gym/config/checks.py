@@ -97,7 +97,10 @@ def require_inertia(config: object, *, may_vanish: bool = False) -> None:
     holds = high <= (low + middle) * (1.0 + (1e-6 if may_vanish else 1e-9))
     rule = f"principal moments {[low, middle, high]} violate the triangle inequality; none may exceed the sum of the others"
     require(
-        config, "inertia", holds, f"{rule}. No body is like that: check digits, units, and that it is of the whole body"
+        config,
+        "inertia",
+        holds,
+        f"{rule}. No body is like that: check digits and units, and that it is of the whole body",
     )
 
 

@@ -22,12 +22,8 @@ def load_extended(
     """Return the dataclass ``cls`` filled from a YAML file and those that it builds on.
 
     Args:
-        cls: As for ``build``.
         family: Folder of the package in which, and in whose rooms, names are looked up.
         located: Returns a configuration whose paths, relative to a folder, are found from anywhere.
-
-    Raises:
-        ConfigError: As ``build`` does; if there is no such base, it extends itself, or nothing has a name that is changed.
     """
     return _load(cls, Path(path), family, located, ())
 

@@ -83,11 +83,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
     Args:
         cls: A dataclass whose fields are numbers, strings, tuples, mappings, optional values or such dataclasses. Its
             ``MOVED``, if it has one, says of fields that it no longer has what takes their place.
-        data: Values by field name, as YAML gives them.
         where: Named at the start of every error message: a file, or the call.
-
-    Raises:
-        ConfigError: If a key is unknown or missing, a type does not fit, or the dataclass refuses a value.
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"{where}: must be a mapping of the fields of {cls.__name__}, found {format_value(data)}")

@@ -85,7 +85,7 @@ class RandomizeCfg:
             rule = f"with std = {self.std!r} needs a finite mean and 0 < std < inf"
             require(self, "mean", isfinite(mean) and 0.0 < std < inf, rule)
             holds = low - 4.0 * std < mean < high + 4.0 * std
-            rule = f"with std = {self.std!r} hardly any draw lies in low = {self.low!r} to high = {self.high!r}"
+            rule = f"with std = {self.std!r} hardly anything lies in low = {self.low!r} to high = {self.high!r}"
             require(self, "mean", holds, rule)
         holds = self.distribution != "log_uniform" or low > 0.0
         require(self, "low", holds, "a log_uniform distribution needs 0 < low")
@@ -94,14 +94,7 @@ class RandomizeCfg:
         require(self, "low", self.how != "scale" or low >= 0.0, "a factor needs a lowest value >= 0 (how: scale)")
 
     def value_limits(self, name: str, declared: Sequence[float], *, spread: float = inf) -> list[tuple[float, float]]:
-        """Return the lowest and the highest value that each component of a quantity takes.
-
-        Args:
-            spread: Standard deviations beyond which nothing of a normal distribution is looked at.
-
-        Raises:
-            ConfigError: If a field has another number of components.
-        """
+        """Return least and greatest value of each component; beyond ``spread`` standard deviations a normal one is cut off."""
         try:
             numbers = self.components(len(declared))
         except ConfigError as error:
@@ -122,11 +115,7 @@ class RandomizeCfg:
         return {len(value) if isinstance(value, tuple) else 1 for value in given if value is not None}
 
     def components(self, width: int) -> list[tuple[float, float, float, float]]:
-        """Return low, high, mean and standard deviation of each of ``width`` components; 0 where there are none.
-
-        Raises:
-            ConfigError: If a field has another number of components.
-        """
+        """Return low, high, mean and standard deviation of each of ``width`` components; 0 where there are none."""
         rows = []
         for name, missing in (("low", -inf), ("high", inf), ("mean", 0.0), ("std", 0.0)):
             value = getattr(self, name)

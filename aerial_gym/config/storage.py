@@ -19,12 +19,9 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def write_atomic(path: str | Path, content: bytes | str) -> None:
-    """Write a file atomically: even after a crash it holds either the old or the new content.
+    """Write a file atomically: even after a crash or with a full disk it holds either the old or the new content.
 
     The content goes to a temporary file in the same folder, which is synced and then renamed.
-
-    Raises:
-        StorageError: If it cannot be written; the old content, if any, is still there and the temporary file is not.
     """
     path = Path(path)
     partial = path.with_name(f".{path.name}.partial")
@@ -42,11 +39,7 @@ def write_atomic(path: str | Path, content: bytes | str) -> None:
 
 
 def write_archive(path: str | Path, payload: Mapping[str, object]) -> None:
-    """Write nested mappings, sequences, tensors, numbers and text; a kill or a full disk leaves the old file as it was.
-
-    Raises:
-        StorageError: If it cannot be written.
-    """
+    """Write nested mappings, sequences, tensors, numbers and text; a kill or a full disk leaves the old file as it was."""
     import torch
 
     memory = io.BytesIO()
@@ -55,11 +48,7 @@ def write_archive(path: str | Path, payload: Mapping[str, object]) -> None:
 
 
 def read_archive(path: str | Path, kind: str) -> dict[str, Any]:
-    """Return the content of an archive by ``write_archive``, on the CPU, without running code from the file.
-
-    Raises:
-        ConfigError: If there is no such file, it is damaged, or it holds anything but tensors, numbers and text.
-    """
+    """Return the content of an archive by ``write_archive``, on the CPU, without running code from the file."""
     import torch
 
     path = Path(path)
@@ -85,11 +74,7 @@ def read_archive(path: str | Path, kind: str) -> dict[str, Any]:
 
 @contextmanager
 def storage_errors(where: str | Path, *, only_full: bool = False) -> Iterator[None]:
-    """Convert an ``OSError`` of a write into a message with ``where``; with ``only_full``, only for a full disk.
-
-    Raises:
-        StorageError: In place of such an ``OSError``.
-    """
+    """Convert an ``OSError`` of a write into a ``StorageError`` with ``where``; with ``only_full``, only for a full disk."""
     try:
         yield
     except AerialGymError:

@@ -58,10 +58,8 @@ class CollisionTests:
         """Declare the distance between links on request, and take views.
 
         Args:
-            gtd: Has ``robot_clearance`` and ``crashes``.
             pose: ``position`` [m], world, (E, 3), and ``attitude``, (E, 4), of the body.
             trajectory: Record of each step; None where nothing is followed.
-            dt: Length of a substep [s].
         """
         crashes = gtd["crashes"]
         self._collision: CollisionTest | None = None

@@ -75,12 +75,7 @@ class EnvManager:
         dtype: torch.dtype = torch.float32,
         randomize: Randomize | None = None,
     ) -> None:
-        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` documents the arguments.
-
-        Raises:
-            ConfigError: If ``num_envs`` is not positive, the device is not there, or a differentiable simulation is asked for
-                what has no gradient.
-        """
+        """Build everything; call ``reset`` before the first ``step``. ``SimBuilder.build_env`` documents the arguments."""
         if not 1 <= num_envs <= MAX_COUNT:
             raise ConfigError(f"num_envs = {num_envs!r}: must be at least 1, and at most {MAX_COUNT:,}")
         _check_gradients(env, differentiable=differentiable, dtype=dtype)
@@ -365,11 +360,7 @@ class EnvManager:
         return copy_tensors(self.state_tensors())
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Restore a state saved by this or an equal simulation. Waits for the device.
-
-        Raises:
-            ConfigError: If it is the state of another simulation; the message names the difference.
-        """
+        """Restore a state saved by this or an equal simulation; raise ``ConfigError`` for another one. Waits for the device."""
         check_state(state, self.state_tensors())
         self.restore(state)
 

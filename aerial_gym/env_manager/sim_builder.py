@@ -41,12 +41,7 @@ def environment_by_name(name: str | Path | EnvironmentCfg) -> EnvironmentCfg:
 
 @contextmanager
 def memory_errors(num_envs: int, device: torch.device) -> Iterator[None]:
-    """Convert out-of-memory errors of torch and NumPy into one message.
-
-    Raises:
-        CapabilityError: In place of it.
-        ConfigError: If numbers are so far apart that a matrix has no inverse.
-    """
+    """Convert out-of-memory errors into a ``CapabilityError``, and that of a singular matrix into a ``ConfigError``."""
     too_large = (
         f"{num_envs:,} environments do not fit into the memory of {device} ({{}}). Take fewer, or smaller images"
     )

@@ -118,7 +118,6 @@ class Randomness:
         Args:
             first_env: Number of the first environment; the others follow. A single environment 17 equals that
                 of a large batch.
-            first_episode: Number of the episode after the first ``begin``.
         """
         self.first_env, self._first_episode = first_env, first_episode
         self.seed = torch.zeros(1, dtype=torch.int32, device=device)
@@ -159,8 +158,5 @@ class Randomness:
         return split_state(self._environments(purpose), 0)
 
     def _environments(self, purpose: Purpose) -> Tensor:
-        """Return the random state of seed, purpose and environment. The purpose comes first: if two episodes meet by chance in
-
-        one of 2^32 states, they do so for one purpose and differ in the others.
-        """
+        """Return the random state of seed, purpose and environment; a chance collision concerns one purpose only."""
         return split_state(split_state(self.seed, int(purpose)), self.environment)

@@ -36,12 +36,7 @@ class Registry(Generic[T]):
         self._entries[name] = entry
 
     def register_later(self, name: str, make: Callable[[], T], *, summary: Callable[[], str] | None = None) -> None:
-        """Add an entry that is made at its first use.
-
-        Args:
-            name: As for ``register``.
-            summary: Returns one line about the entry without making it; where it is missing, the entry is made and asked.
-        """
+        """Add an entry that is made at its first use; ``summary`` returns one line about the entry without making it."""
         self.register(name, _LazyEntry(make, summary))  # type: ignore[arg-type]
 
     def get(self, name: str) -> T:

@@ -56,12 +56,7 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         return tuple(letter if isinstance(letter, int) else self._sizes[letter] for letter in shape)
 
     def declare(self, spec: TensorSpec, *, view: Tensor | None = None) -> Tensor:
-        """Allocate the tensor of ``spec`` with zeros, or take ``view`` of declared memory, and return it.
-
-        Raises:
-            DuplicateNameError: If the key exists.
-            ShapeError: If ``view`` does not fit the declared shape, dtype or device.
-        """
+        """Allocate the tensor of ``spec`` with zeros, or take ``view`` of declared memory, and return it."""
         if spec.key in self._specs:
             raise DuplicateNameError(f"GTD key {spec.key!r} is declared already, by {self._specs[spec.key].owner}")
         shape = self.resolve(spec.shape)

@@ -24,11 +24,7 @@ class ContactSources:
     """Ground and obstacles of one robot; without ``contact`` they report a touch and exert no force."""
 
     def __init__(self, robot: RobotCfg, gtd: GlobalTensorDictionary, around: Surroundings) -> None:
-        """Declare the contact force where there is one.
-
-        Raises:
-            ConfigError: If there should be contact and the robot has no collision shape.
-        """
+        """Declare the contact force where there is one; raise ``ConfigError`` if the robot has no collision shape."""
         self._robot, self._around = robot, around
         self._spheres, self._on_links = contact_points(robot.collision.link_shapes(BASE), device=gtd.device), None
         if around.contact is not None and robot.joints is not None:
@@ -65,13 +61,7 @@ class ContactSources:
         )
 
     def hook(self, state: BodyState, sim: SimCfg, *, mass: Tensor, inertia: Tensor, com: Tensor) -> SubstepHook | None:
-        """Return the hook after each substep: contact with obstacles, else the hook of the surroundings.
-
-        Args:
-            mass: [kg], (E,).
-            inertia: About the centre of mass [kg m²], body, (E, 3, 3).
-            com: Centre of mass from the body origin [m], body, (E, 3).
-        """
+        """Return the hook after each substep: contact with obstacles, else the hook of the surroundings."""
         around, robot = self._around, self._robot
         scene, contact = around.scene, around.contact
         if self.force is None or contact is None or scene is None or not scene.num_instances:

@@ -33,11 +33,7 @@ class EffectScene:
 def declare_effect_scene(
     gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], *, obstacles: bool, gradients: bool
 ) -> EffectScene:
-    """Declare the surroundings that the effects read; ``obstacles`` adds surfaces other than the ground.
-
-    Raises:
-        CapabilityError: If gradients are asked for through a surface that is looked for in every step.
-    """
+    """Declare the surroundings that the effects read; ``obstacles`` adds surfaces other than the ground, without gradients."""
     other = surface = None
     if any("other_position" in effect.needs for effect, _ in effects):
         other = gtd.declare(TensorSpec(

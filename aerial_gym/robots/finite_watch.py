@@ -103,15 +103,7 @@ class FiniteWatch:
     def __init__(
         self, gtd: GlobalTensorDictionary, noticed: NonFiniteRows, *, num_actions: int, dt: float, keep: bool
     ) -> None:
-        """Allocate memory and make the launch: with ``keep`` 64 steps of all numbers of each row, else the table alone.
-
-        Args:
-            gtd: Holds state, command, ``non_finite`` and ``sim_steps``.
-            noticed: Table that the reset of such rows writes.
-            num_actions: Width V of the policy's action.
-            dt: Length of a step [s].
-            keep: Whether to keep the last steps of rows.
-        """
+        """Make the record of all numbers of the last steps of each row with ``keep``, else of the table alone; ``dt`` in s."""
         start_warp()
         self._dt, self.keeps, self._found = dt, keep, noticed.record
         self._device = gtd["non_finite"].device
@@ -179,12 +171,7 @@ class FiniteWatch:
         return count
 
     def dump(self, path: str | Path) -> int:
-        """Write the last steps of the first K rows as CSV and return the number of rows. Waits for the device.
-
-        Raises:
-            ConfigError: If it does not keep them.
-            StorageError: If the file cannot be written.
-        """
+        """Write the last steps of the first K rows as CSV and return the number of rows. Waits for the device."""
         if not self.keeps:
             raise ConfigError("dump: no steps are kept. Call task.watch() before the first reset")
         rows, kept = self._rows.tolist(), self._kept.cpu()
@@ -206,11 +193,7 @@ class FiniteWatch:
 
 
 def read_dump(path: str | Path) -> tuple[list[list[str]], list[str]]:
-    """Return the table of a dump with its header, and one sentence per recorded row.
-
-    Raises:
-        ConfigError: If the file is no dump.
-    """
+    """Return the table of a dump with its header, and one sentence per recorded row; raise ``ConfigError`` for another file."""
     try:
         with Path(path).open(encoding="utf-8", newline="") as file:
             table = list(csv.reader(file, strict=True))

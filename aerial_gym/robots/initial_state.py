@@ -160,11 +160,8 @@ class InitialState:
         """Take the output tensors and the inputs of the draws.
 
         Args:
-            state: Written where a mask says so.
             bounds: Lower and upper corner [m], world, each (E, 3); read at every reset.
             rest_speed: Rotor speeds of a new state [rad/s], (R,).
-            actions: Set to zero, (E, U).
-            noticed: Table of non-finite rows, and the flags to clear.
         """
         self._mask = random.mask
         noticed = noticed or NonFiniteRows.placeholder(state)

@@ -27,8 +27,7 @@ below zero by round-off. It widens exact correlations by a thousandth of the sta
 def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the names of correlated quantities and the lower Cholesky factor of their correlations, (N, N).
 
-    Raises:
-        ConfigError: If one of them is not drawn, not a normal single number, or if the correlations contradict each other.
+    Raise ``ConfigError`` if one is not drawn, or is no normal single number, or if the correlations contradict each other.
     """
     stated = {(name, other): value for name, each in cfg.items() for other, value in each.correlation.items()}
     for name, other in stated:

@@ -15,13 +15,7 @@ LIVE = ("drawn_parameters", "downwash_position")
 def guard_parameters(
     gtd: GlobalTensorDictionary, effects: Sequence[EffectParams], drawn: Collection[int], *, notice: Callable[[], None]
 ) -> None:
-    """Allow writes to independent parameters, and refuse those to derived ones.
-
-    Args:
-        gtd: Has the keys of a robot.
-        drawn: Numbers of the effects of which a parameter is drawn.
-        notice: Called after each write that the next step must take.
-    """
+    """Let writes to independent parameters call ``notice``; refuse those to derived ones and effects ``drawn``."""
     for key, (quantity, effect) in FOLLOWS.items():
         gtd.refuse(
             key,

@@ -41,13 +41,7 @@ def report_range_faults(
     """Warn of ranges at whose ends a vehicle is unstable or leaves ``HOVER_RANGE``, with the remedy.
 
     Args:
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step [s].
-        names: Of robot and controller, for people.
         randomize: Random quantities by name; ``check_closed_loop`` checks gains.
-
-    Raises:
-        ConfigError: If a quantity is unknown, or a range exceeds the possible values.
     """
     if controller.law not in LAWS or not randomize:
         return

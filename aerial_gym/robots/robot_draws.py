@@ -77,12 +77,7 @@ class RobotDraws:
         """Assign a column to every number.
 
         Args:
-            robot: With the effects of ``add_effects_to_randomise``.
-            declared: Its vehicle, shared by all environments.
             gains: Declared gains by name, (E, 3); none where the controller has none.
-
-        Raises:
-            ConfigError: If a quantity is unknown, or a range exceeds the possible values.
         """
         check_names(cfg, quantity_names(robot, gains=gains))
         self._num_rotors, self._declared = declared.num_rotors, declared

@@ -64,17 +64,8 @@ class RobotManager:
         """Build vehicle and controller, declare the tensors and hand everything to the backend.
 
         Args:
-            controller: Law from actions to rotor commands.
-            gtd: Receives the robot's keys; its size R is the number of rotors.
             root_state: This robot's row of ``vec_root_tensor``, (E, 13).
-            random: Of everything that is drawn for the robot.
             gradients: Float type of the motion through which gradients flow; None where they do not.
-            randomize: Quantities drawn at reset, by name.
-
-        Raises:
-            CapabilityError: If the backend cannot run on this device, or an effect.
-            ConfigError: If there should be contact and the robot has no collision shape, or an effect near a ceiling and none
-                is there.
         """
         robot = add_effects_to_randomise(robot, randomize or {})
         self.cfg, self._sim, self._gtd, self._random, self._around = robot, sim, gtd, random, around
@@ -180,11 +171,7 @@ class RobotManager:
         self._stale = True
 
     def take_writes(self) -> bool:
-        """Apply parameters written since the last step to the physics.
-
-        Returns:
-            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded again.
-        """
+        """Apply parameters written since the last step; return whether tensors moved, as ``refresh_model``."""
         return self._stale and self.refresh_model()
 
     @property
@@ -324,8 +311,7 @@ class RobotManager:
     def refresh_model(self) -> bool:
         """Apply parameters written by DLPack or a kernel to the physics; ``step`` does so after other writes.
 
-        Returns:
-            Whether tensors of the physics moved, so that a CUDA graph of a step must be recorded again.
+        Return whether tensors of the physics moved, so that a CUDA graph of a step must be recorded again.
         """
         self._stale = False
         before = [rows.data_ptr() for rows in self.backend.parameter_targets()]

@@ -17,12 +17,7 @@ class SlungLoadState:
     """Keys of the GTD for the load; gradients do not flow through them."""
 
     def __init__(self, gtd: GlobalTensorDictionary, length: Tensor, state: BodyState) -> None:
-        """Declare the keys.
-
-        Args:
-            gtd: Receives them.
-            length: From the body origin to the load [m], (E, 1); read at every refresh.
-        """
+        """Declare the keys; ``length`` leads from the body origin to the load [m], (E, 1), and is read at every refresh."""
         self._length, self._state = length, state
         self._position, self._lin_vel = (
             gtd.declare(

@@ -39,11 +39,6 @@ def tune_robot(
 
     Args:
         attitude: Bandwidth of roll, pitch and yaw [rad/s].
-        position: Bandwidth along x, y, z [rad/s].
-        dt: Time step of the control law [s].
-
-    Raises:
-        ConfigError: If the lag does not allow this bandwidth; the message has the largest one.
     """
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)

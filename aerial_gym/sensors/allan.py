@@ -24,14 +24,10 @@ def allan_deviation(samples: Tensor, dt: float) -> tuple[Tensor, Tensor]:
 
     Args:
         samples: One signal per column, (T, ...), T >= 2.
-        dt: Time between samples [s].
 
     Returns:
         Averaging times m dt [s] for m = 1, 2, 4, ... up to T / 2, float64, (K,), and the deviation in the unit of the signal,
         float64, (K, ...). Of one signal its relative error is about ``1 / sqrt(2 (T / m - 1))``.
-
-    Raises:
-        ShapeError: If there are fewer than two samples.
     """
     count = samples.shape[0]
     if count < 2:

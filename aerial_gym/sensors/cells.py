@@ -38,12 +38,7 @@ def warp_minimum(value: float) -> float:
 
 @cache
 def make_pool(*, lanes: int, rows: int) -> wp.Kernel:
-    """Return the kernel.
-
-    Args:
-        lanes: Threads that share a cell: a warp of a GPU (``LANES``), or 1.
-        rows: Rows of pixels that a thread reads at once.
-    """
+    """Return the kernel with ``lanes`` threads for a cell, a warp of a GPU or 1, that read ``rows`` rows of pixels at once."""
 
     @wp.kernel(module="unique", enable_backward=False)
     def pool(
@@ -86,10 +81,6 @@ class NearestInCells:
             image: Distances, (E, S, H, W) float32, of which sensor 0 is read; negative without a hit.
             cells: Rows and columns of cells. Cells have equal size, rounded up; the last ones may be smaller.
             largest: Image value of 1, in the unit of the image.
-            empty: The number of a cell in which no pixel holds a distance.
-
-        Raises:
-            ShapeError: If the image is no image.
         """
         if image.dim() != 4 or 0 in image.shape or image.dtype != torch.float32:
             raise ShapeError(f"image is {tuple(image.shape)} {image.dtype}, expected (E, S, H, W) torch.float32")

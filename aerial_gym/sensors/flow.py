@@ -120,14 +120,9 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
 
 
 def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> ReusableLaunch:
-    """Record the launch that works out the motions before the rays are traced.
+    """Record the launch that writes the relative motions before the rays are traced.
 
-    Args:
-        flow: Receives them.
-        scene: Instances move with the velocities in its ``asset_state``.
-        pose: Body position and attitude, mount position and attitude.
-        twist: Velocity of the body's origin, world, and angular velocity, body frame.
-        link: Number of the link that carries the sensor, with these velocities.
+    ``pose`` has position and attitude of the carrier link and mount, ``twist`` velocity, world, and angular velocity, body.
     """
     inputs = [scene.arrays, *instance_twists(scene), *link_twists(scene), *pose[:2], *twist, *pose[2:], link]
     outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)
@@ -156,10 +151,7 @@ def _twists(name: str, state: Tensor) -> list[wp.array]:
 def flow_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
     """Return the derivatives of column and row by the point in the sensor's frame, at distance 1 [pixel], (H, W, 2, 3).
 
-    At the distance d they are 1/d of that. Computed in float64, given in float32.
-
-    Raises:
-        ConfigError: If the sensor has no model of an image plane.
+    At the distance d they are 1/d of that.
     """
     if isinstance(cfg, CameraCfg):
         derivative, focal = _pinhole_derivative, 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg))

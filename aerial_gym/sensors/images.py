@@ -90,13 +90,7 @@ def make_images(cfg: RangeSensorCfg, num_envs: int, *, device: torch.device, poi
 def declare_images(
     gtd: GlobalTensorDictionary, cfg: RangeSensorCfg, shape: tuple[str | int, ...], *, prefix: str, owner: str
 ) -> SensorImages:
-    """Declare the images of a sensor and return them.
-
-    Args:
-        gtd: Receives the keys of ``IMAGES`` that the sensor has.
-        shape: (E, S, H, W), as the dictionary names or counts them.
-        prefix: Stands in front of each key.
-    """
+    """Declare the images of a sensor, with a prefix in front of their keys, and return them; ``shape`` is (E, S, H, W)."""
     return SensorImages(**{
         name: gtd.declare(TensorSpec(
             key=f"{prefix}{image.key}",

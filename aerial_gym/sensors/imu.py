@@ -271,15 +271,9 @@ class Imu:
             measurement_out: Receives specific force [m/s²] and angular velocity [rad/s], IMU axes, float32, (E, 6).
             dt: Time between two samples [s], > 0: the environment step.
             gravity: Downward acceleration of free fall [m/s²].
-            random: Of the draws; seed 0 if not given.
             number: Of the IMU on its robot: two IMUs are drawn apart.
             errors: IMU errors by effects of the robot, (E, 24), from ``imu_errors``; read at
                 every sample and reset. None where it has none.
-            pose: Of its mount in the body frame, instead of its own placement; what is drawn deviates from there.
-
-        Raises:
-            ConfigError: If ``dt`` is not positive and finite, or the IMU measures more often.
-            ShapeError: If a tensor does not fit.
         """
         if not 0.0 < dt < inf:
             raise ConfigError(f"dt = {dt!r}: must be > 0 and finite")
@@ -356,10 +350,7 @@ class Imu:
         }
 
     def measure(self) -> None:
-        """Take the step that has just ended into the measurement; call it once per ``dt``.
-
-        Launched on torch's current stream, not waited for.
-        """
+        """Take the step that has just ended into the measurement; launched on torch's current stream, once per ``dt``."""
         self._measure_command.launch(self.measurement)
 
     def reset(self, mask: Tensor) -> None:

@@ -40,18 +40,13 @@ class ImuSet:
         """Declare the measurements and make an ``Imu`` for each.
 
         Args:
-            mounted: IMUs by name, in order.
             gtd: Receives ``imu_measurement`` (E, 6), and for further ones ``<name>_imu_measurement``.
             attitude: Body to world, xyzw, unit, (E, 4); read at every sample, as are the next two.
             lin_vel: Velocity of the body origin [m/s], world, (E, 3).
             ang_vel: Angular velocity [rad/s], body, (E, 3).
             dt: Time between two calls of ``measure`` [s]: the environment step.
-            gravity: Downward acceleration of free fall [m/s²].
             errors: IMU errors by effects of the robot, (E, 24); None without such effects.
             carriers: Links that carry IMUs, by the names of these; the others sit on the body.
-
-        Raises:
-            ConfigError: If an IMU measures more often than ``dt`` allows.
         """
         self.imus: dict[str, Imu] = {}
         for name, given in mounted.items():

@@ -65,11 +65,7 @@ class RobotSensor(Generic[Cfg]):
 
 
 def sensor_by_name(name: str) -> SensorCfg:
-    """Return a registered range sensor or IMU, or the one in a file if ``name`` ends in ``.yaml``.
-
-    Raises:
-        UnknownNameError: If the name is not registered; the message lists the registered ones.
-    """
+    """Return a registered range sensor or IMU, or the one in a ``.yaml`` file; raise ``UnknownNameError`` without one."""
     if is_file(name):
         return load_any_sensor(name)
     if name in IMUS:
@@ -104,11 +100,7 @@ def mount_pose(mount: SensorMountCfg, cfg: SensorCfg) -> Pose | None:
 
 
 def _with_drawn_place(cfg: Cfg, drawn: Mapping[str, RandomizeCfg]) -> Cfg:
-    """Return a sensor with random placement.
-
-    Args:
-        drawn: Uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of the sensor's own file.
-    """
+    """Return a sensor with uniform offsets of ``position`` [m] and ``euler`` [rad], in the frame of its own file."""
     ends = {}
     for field, each in drawn.items():
         nominal = getattr(cfg, field)
@@ -135,11 +127,6 @@ def mounted_sensors(
 
     Args:
         places: Random offsets of placements, by ``sensors.NAME.position`` [m] and ``sensors.NAME.euler`` [rad].
-
-    Raises:
-        UnknownNameError: If a sensor is not registered.
-        ConfigError: If a file holds no sensor, or a mount has an option that the sensor lacks. Also if ``places``
-            has an unknown sensor, or a draw other than a uniform offset.
     """
     places = places or {}
     _check_places(places, mounts)

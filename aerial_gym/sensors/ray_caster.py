@@ -70,15 +70,10 @@ class RayCaster:
             lin_vel: Velocity of the body's origin [m/s], world, (E, 3); likewise. Needed for optical flow
                 and by a lidar with a scan time or a rosette.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3); likewise.
-            random: Of the places and the noise; that of seed 0 if not given.
             number: Of the kind on its robot: two kinds are drawn apart.
             pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
                 it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
             link: Number of the robot's link that carries the sensor; position, attitude and velocities are then its.
-
-        Raises:
-            ShapeError: If a tensor does not fit sensor and scene.
-            ConfigError: If the sensor needs the velocities of the body, and they are not given.
         """
         envs, device = scene.num_envs, scene.device
         images.check(cfg, envs, device)

@@ -22,12 +22,7 @@ _HEADERS = (["x", "y", "z"], ["azimuth_deg", "elevation_deg"])
 
 
 def ray_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:
-    """Return the unit ray directions of a sensor, float32, (H, W, 3); for a rosette of its first frame.
-
-    Raises:
-        ConfigError: If a file of rays cannot be read or has another number of them, or if a sensor of ``kind`` depth has
-            rays that do not look ahead.
-    """
+    """Return the unit ray directions of a sensor, float32, (H, W, 3), of a rosette in its first frame."""
     if isinstance(cfg, CameraCfg):
         rays = pinhole_rays(cfg, device=device)
     elif isinstance(cfg, FisheyeCfg):
@@ -100,11 +95,7 @@ def lidar_rays(cfg: LidarCfg, *, device: torch.device) -> Tensor:
 
 
 def rosette_rays(cfg: RosetteCfg, *, device: torch.device, frames: int | None = None) -> Tensor:
-    """Return the unit directions of the frames of a rosette, float32, (K, H, W, 3); K is ``frames``, or all of them.
-
-    Raises:
-        ConfigError: If a file of rays does not fit, or if a beam is reflected inside a prism.
-    """
+    """Return the unit directions of the frames of a rosette, float32, (K, H, W, 3); K is ``frames``, or all of them."""
     count = cfg.frames if frames is None else frames
     if cfg.path is not None:
         listed = read_rays(cfg.path)
@@ -128,12 +119,8 @@ def through_prisms(prisms: Sequence[PrismCfg], time: Tensor, beam: Tensor) -> Te
     At time 0 the thick ends of all wedges with an inclined entry point along +y, those with an inclined exit along -y.
 
     Args:
-        prisms: In the order of the beam.
         time: When [s], float64, (T,).
         beam: Direction before the prisms, unit, (3,).
-
-    Raises:
-        ConfigError: If a beam is reflected inside a prism.
 
     Source:
         Li, Liu, Sun (2017), Forward and inverse solutions for three-element Risley prism beam scanners, Optics Express 25:
@@ -174,11 +161,7 @@ def custom_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
 
 
 def read_rays(path: str | Path) -> Tensor:
-    """Return the directions in a CSV file, float64, (N, 3), not normalised.
-
-    The header is ``x,y,z`` (sensor frame, any length but 0) or ``azimuth_deg,elevation_deg``; raises ``ConfigError`` that
-    names the line.
-    """
+    """Return the directions in a CSV file, float64, (N, 3), not normalised; the header is one of ``_HEADERS``."""
     try:
         with Path(path).open(encoding="utf-8", newline="") as file:
             header, *lines = [[cell.strip() for cell in line] for line in csv.reader(file)] or [[]]

@@ -141,15 +141,7 @@ class ColumnScan:
     """Sensor poses of the column groups of a scanning lidar, with the launches that compute them."""
 
     def __init__(self, cfg: ScannedCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
-        """Take the inputs of the column poses.
-
-        Args:
-            cfg: A sensor that measures its columns one after the other.
-            scene: Instances move with the velocities in its ``asset_state``.
-            pose: Body position and attitude, mount position and attitude.
-            twist: Velocity of the body's origin, world, and angular velocity, body frame.
-            link: Number of the link that carries the sensor, with these velocities.
-        """
+        """Take the inputs of the column poses: poses of carrier and mount, and the twist of the carrier link."""
         self._cfg, self._scene, self._mount, self._twist, self._link = cfg, scene, pose, twist, link
         self._device = wp.device_from_torch(scene.device)
         ages = group_ages(cfg)

@@ -51,7 +51,6 @@ class SensorManager:
         """Declare the images and make a ray caster for each sensor.
 
         Args:
-            cfgs: Sensors by name, in order.
             gtd: Receives the keys of ``IMAGES`` that a sensor has, (E, S, H, W) or (E, S, H, W, 2 or 3); for further sensors
                 with ``<name>_`` in front.
             position: Body origin [m], world, (E, 3), strided or not; read at every capture.
@@ -59,16 +58,9 @@ class SensorManager:
             lin_vel: Velocity of the body's origin [m/s], world, (E, 3), likewise; needed by sensors with optical flow
                 or a scan time.
             ang_vel: Angular velocity of the body [rad/s], body frame, (E, 3), likewise.
-            device: Where the tensors are.
             dt: Time between two captures [s]; needed by sensors with a rate or a latency.
-            random: Of places and noise; that of seed 0 if not given.
             poses: Of mounts in the body frame, instead of the nominal placement of a sensor, by its name.
             carriers: Links that carry sensors, by the names of these; the others sit on the body.
-
-        Raises:
-            ShapeError: If a tensor does not fit.
-            ConfigError: If a sensor has a rate or a latency and ``dt`` is not given, or if it needs the
-                velocities of the body and they are not given.
         """
         if num_envs != scene.num_envs:
             raise ShapeError(f"num_envs = {num_envs}: the scene has {scene.num_envs} environments")

@@ -68,13 +68,7 @@ class SensorPoses:
     """Poses of the sensors of one kind, with all views made at construction."""
 
     def __init__(self, cfg: RangeSensorCfg, random: Randomness, *, number: int, pose: Pose | None) -> None:
-        """Set every sensor to its nominal pose.
-
-        Args:
-            number: Of the kind on its robot: two kinds are drawn apart.
-            pose: Of its mount in the body frame, instead of its nominal placement. What is drawn deviates from the mount as
-                it deviates from the nominal placement there: ``T_mount T_nominal^-1 T_drawn``.
-        """
+        """Set every sensor to its nominal pose or that of its mount; ``number`` separates the draws of kinds on a robot."""
         device, rows = random.seed.device, (random.num_envs, cfg.count)
         nominal = pose or nominal_pose(cfg)
         self.position = nominal.position.float().to(device).expand(*rows, 3).clone()
@@ -95,19 +89,13 @@ class SensorPoses:
         )
 
     def reset(self, mask: Tensor) -> None:
-        """Reset the sensor poses of the environments in ``mask``, bool (E,): nominal, or newly drawn.
-
-        Launched on torch's current stream, not waited for.
-        """
+        """Reset the sensor poses of the environments in ``mask``, bool (E,), to nominal or drawn ones, without waiting."""
         take_mask(self._mask, mask)
         self._command.launch(self._mask)
 
 
 def pose_range(cfg: PlacementCfg, nominal: Pose) -> PoseRange:
-    """Return the kernel's struct for the pose range of a sensor at ``nominal`` in the body frame.
-
-    Draws deviate from ``nominal`` as in the sensor's file from its nominal placement.
-    """
+    """Return the pose range of a sensor: draws deviate from ``nominal`` as in its file from the placement there."""
     place, back = PoseRange(), nominal_pose(cfg).inverse()
     shift, turn = nominal.transform(back.position, back.attitude)
     place.position, place.attitude = wp.vec3(*nominal.position.tolist()), wp.quat(*nominal.attitude.tolist())

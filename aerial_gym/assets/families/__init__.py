@@ -36,12 +36,7 @@ for _name, _family in {
 
 
 def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
-    """Return the shapes of a family configuration, identical at every call.
-
-    Raises:
-        UnknownNameError: If there is no such family; the message lists the known ones.
-        ConfigError: If the family cannot make them.
-    """
+    """Return the shapes of a family configuration, identical at every call."""
     return FAMILIES.get(cfg.name).shapes(cfg)
 
 

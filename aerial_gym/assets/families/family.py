@@ -57,11 +57,7 @@ class Family:
     make: Callable[[Draw], ShapeCfg]  # The rule
 
     def shapes(self, cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
-        """Return the variants of a configuration.
-
-        Raises:
-            ConfigError: If it names a number that the family lacks, or gives one that makes an impossible shape.
-        """
+        """Return the variants of a configuration; raise ``ConfigError`` for an unknown number or an impossible shape."""
         for name in cfg.ranges:
             if name not in self.ranges:
                 known = ", ".join(self.ranges)

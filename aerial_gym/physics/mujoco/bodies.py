@@ -63,8 +63,6 @@ def compile_body(mujoco: Any, floor: Floor | None, cfg: ContactCfg | None, dt: f
 
     Args:
         floor: Ground with contact spheres in the body frame of the robot file; None without contact.
-        cfg: Contact parameters; with a floor.
-        dt: Length of a step [s].
     """
     unit = torch.ones(1, 1, dtype=torch.float64)
     links = Links(mass=unit, com=torch.zeros(1, 1, 3), inertia=torch.eye(3).expand(1, 1, 3, 3))
@@ -102,7 +100,6 @@ class Bodies(ABC):
         Rows with a number that is not finite, or beyond ``LARGEST``, become NaN without a step.
 
         Args:
-            state: Motion of the centre of mass at the start.
             force: Constant over the step [N], body axes of its start, (E, 3).
             torque: About the centre of mass [N m], likewise, (E, 3).
         """

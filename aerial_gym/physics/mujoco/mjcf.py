@@ -61,10 +61,6 @@ def write_mjcf(
     Args:
         links: Masses and inertias. MuJoCo refuses moving links without mass, and inertias whose largest principal moment is
             above the sum of the others.
-        env: Environment whose row of ``links`` and whose obstacles are written.
-        gravity: Downward acceleration of free fall [m/s²].
-        dt: Time step [s].
-        integrator: One of MuJoCo's: ``Euler`` (semi-implicit), ``RK4``, ``implicit``, ``implicitfast``.
         actuated: Whether there are controls: force and torque of each link at its origin, link axes, (L, 6), then the efforts
             of joints, (D,). With a floor there are sensors as well: the force of all links on the ground and on each part.
     """

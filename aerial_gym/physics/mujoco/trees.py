@@ -51,14 +51,7 @@ class MujocoTrees(ABC):
     def __init__(
         self, first: Any, tree: Tree, num_envs: int, dt: float, *, solids: Solids | None, touches: bool
     ) -> None:
-        """Find the indices of links, joints and controls in a compiled model.
-
-        Args:
-            first: An ``MjModel`` of the tree, from ``template``.
-            dt: Length of a step [s].
-            solids: The obstacles; None without any.
-            touches: Whether contacts are possible.
-        """
+        """Find the indices of links, joints and controls in a compiled ``MjModel`` of ``template``."""
         self.dt, self._tree, self._solids, self._touches = dt, tree, solids, touches
         names = [f"joint{k}" for k in range(tree.num_joints)]
         self._joint_pos = [int(first.joint(name).qposadr[0]) for name in names]
@@ -78,14 +71,7 @@ class MujocoTrees(ABC):
 
     @abstractmethod
     def _write_links(self, changed: list[int], mass: Tensor, com: Tensor, inertia: Tensor, down: Tensor) -> None:
-        """Write masses and inertias of links in K environments.
-
-        Args:
-            mass: Of each link [kg], (K, L).
-            com: Centres of mass, axes of each link [m], (K, L, 3).
-            inertia: About these [kg m²], (K, L, 3, 3).
-            down: Acceleration of free fall, world [m/s²], (K, 3).
-        """
+        """Write masses [kg], (K, L), centres of mass [m], inertias [kg m²] and free fall [m/s²], (K, 3), of K environments."""
 
     @abstractmethod
     def _write_armature(self, changed: list[int], armature: Tensor) -> None:
@@ -95,9 +81,7 @@ class MujocoTrees(ABC):
     def _run(self, start: Tensor, control: Tensor) -> tuple[Tensor, Tensor | None]:
         """Return the state after a step, and the force on ground and obstacles [N], world, (E, 3); None without contact.
 
-        Args:
-            start: qpos and qvel at the start, (E, nq + nv).
-            control: Constant inputs: controls, positions of mocap bodies, and their attitudes wxyz, (E, nu + 7 M).
+        ``start`` is qpos and qvel, (E, nq + nv); ``control`` has controls, positions and attitudes wxyz of M mocap bodies.
         """
 
     def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
@@ -137,10 +121,6 @@ class MujocoTrees(ABC):
         """Return the state after one step; arguments as for ``steppers.implicit_euler``, but with constant damping of links.
 
         Rows with a number that is not finite, or beyond ``bodies.LARGEST``, become NaN without a step.
-
-        Raises:
-            ShapeError: If the models are of another tree or step length.
-            CapabilityError: If damping of links is too large for a step, or if links have added mass.
         """
         if fluid is not None:
             raise CapabilityError(

@@ -80,9 +80,6 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     Flights start with different disturbances on the controlled axes. They are at rest if in their last tenth the state
     differs by less than ``AT_REST`` of the disturbance between flights and times. The rest pose may differ from declared
     hover: a slung load lowers it. Wind effects are left out, as gusts prevent rest.
-
-    Args:
-        gravity: Downward acceleration of free fall [m/s²].
     """
     if controller.law not in LAWS:
         return StableStep(controller=name, refused="commands rotors, and holds nothing")

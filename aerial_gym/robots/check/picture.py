@@ -20,15 +20,7 @@ SHARE = 0.35
 
 
 def draw_rotors(robot: RobotCfg, path: str | Path, *, name: str = "") -> None:
-    """Draw hubs, numbers, senses of turning, directions of thrust and the centre of mass into a file.
-
-    Args:
-        path: Target; its ending determines the format (png, svg, pdf).
-        name: Of the robot, for the title.
-
-    Raises:
-        MissingDependencyError: If matplotlib is not installed.
-    """
+    """Draw hubs, numbers, senses of turning, directions of thrust and the centre of mass into a file (png, svg, pdf)."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

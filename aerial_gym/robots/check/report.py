@@ -79,15 +79,8 @@ def check_robot(
     """Return hover, control authority by the robot's own allocation, and the stable time steps of its controllers.
 
     Args:
-        robot: A loaded robot; loading has already refused impossible bodies and rotors.
-        name: Registered name or path, for people.
         controllers: Registered controllers to fly it with; all that have gains if not given, none of ``()``.
-        gravity: Downward acceleration of free fall [m/s²].
         progress: Receives the present controller and the share that is done.
-
-    Raises:
-        ConfigError: If an effect cannot act on this robot.
-        UnknownNameError: If a controller is not registered.
     """
     check_effects(robot)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)

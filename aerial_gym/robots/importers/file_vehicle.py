@@ -88,11 +88,7 @@ def make_pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> n
 
 
 def numbers(text: str | None, count: int, where: str) -> list[float]:
-    """Return the numbers in a text; zeros where there is none.
-
-    Raises:
-        ConfigError: If their number differs, or one is no finite number.
-    """
+    """Return the numbers in a text, zeros where there is none; raise ``ConfigError`` unless ``count`` are finite."""
     if text is None or not text.split():
         return [0.0] * count
     try:
@@ -116,10 +112,7 @@ ON_AXIS = 1e-3
 
 
 def tilts(rotor: FileRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
-    """Return whether a joint moves the thrust line of a rotor behind it.
-
-    A rotor that spins about its own axis does not: the joint's axis is that line.
-    """
+    """Return whether a joint moves the thrust line of a rotor behind it; it does not where its axis is that line."""
     size = float(np.linalg.norm(axis))
     across = np.linalg.norm(np.cross(axis, rotor.axis)) / size if size > 0.0 else 1.0
     lever = rotor.position - position

@@ -118,7 +118,6 @@ def link_carriers(
     """Return the name of the joint that moves each link, or the base.
 
     Args:
-        joint_above: Gives joint and parent link of a link; None of the root.
         moving: Names in the robot file of the joints that move, by their names in the other.
     """
     carriers: dict[str, str] = {}

@@ -24,11 +24,7 @@ class Lift:
 
 
 def lift_forces(vehicle: FileVehicle, gravity: float) -> Lift:
-    """Return the upward forces that cancel the weight of weightless masses.
-
-    Raises:
-        ConfigError: If the file adds weight to a link rather than taking it away.
-    """
+    """Return the upward forces that cancel the weight of weightless masses; raise ``ConfigError`` for added weight."""
     params: dict[str, float] = {}
     total = 0.0
     for link in dict.fromkeys(part.link for part in vehicle.weightless):

@@ -23,14 +23,7 @@ from aerial_gym.robots.importers.unread import by_kind
 
 
 def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> FileVehicle:
-    """Return the vehicle of an MJCF file.
-
-    Args:
-        path: The file; meshes are at the paths given in it.
-        lag: Of the thrusts [s], for actuators without one; None refuses them.
-        take_actuators: Whether its actuators are the rotors.
-        joints: Whether hinges and slides move.
-    """
+    """Return the vehicle of an MJCF file; ``lag`` [s] is for actuators without one, ``joints`` lets hinges and slides move."""
     mujoco, model, where = _load_model(path)
     free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     if len(free) != 1:
@@ -228,11 +221,7 @@ class _Reader:
         return [j for b in self._bodies for j in self._own_joints(b)]
 
     def notes(self, sites: Sequence[int], welded: Sequence[int]) -> Iterator[str]:
-        """Yield the unused elements other than actuators, a line for each kind.
-
-        Args:
-            welded: Joints that are welded and not named elsewhere.
-        """
+        """Yield the unused elements other than actuators, a line for each kind; ``welded`` are joints not named elsewhere."""
         m, root = self._model, self._root
         if m.opt.density or m.opt.viscosity:
             yield (

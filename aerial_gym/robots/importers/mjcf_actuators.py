@@ -102,13 +102,7 @@ class Actuator:
         return FileRotor(name=self.name, position=place, axis=force / square**0.5)
 
     def rotor(self, pose: np.ndarray, lag: float | None, link: str = BASE) -> FileRotor:
-        """Return the equivalent rotor.
-
-        Args:
-            pose: Frame of its site in the vehicle's, (4, 4).
-            lag: Of its thrust [s], if the file gives none; None refuses it.
-            link: Joint whose link carries the site, or the base.
-        """
+        """Return the equivalent rotor for the frame (4, 4) of its site; ``lag`` [s] is for files without one."""
         force, torque = self._gear()
         low, high = self._range()
         line, turned = self.thrust_line(pose), high <= 0.0  # a control below 0 pushes the other way

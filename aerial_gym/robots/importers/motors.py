@@ -80,14 +80,7 @@ def force_source(plugin: ElementTree.Element) -> str | None:
 
 
 def read_motors(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) -> list[Motor]:
-    """Return the motors among plugins in the order of their numbers, which is that of commands.
-
-    Args:
-        plugins: Each with the scope of its names, which is put before them.
-
-    Raises:
-        ConfigError: If two have the same number, or one is not a plain speed-controlled motor that turns one way.
-    """
+    """Return the motors among plugins, each with the scope of its names, in the order of numbers and commands."""
     motors = [_motor(plugin, scope, where) for scope, plugin in plugins if is_motor(plugin)]
     ordered = sorted(motors, key=lambda motor: motor.number)
     for one, other in itertools.pairwise(ordered):

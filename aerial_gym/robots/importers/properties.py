@@ -40,11 +40,7 @@ class Properties:
 
 
 def read_properties(root: Element, mass: float, count: int, lag: float | None, where: str) -> Properties:
-    """Return rotor type and effects of a URDF with ``count`` rotors; nothing without thrust and torque.
-
-    Raises:
-        ConfigError: If it describes rotors, and no lag [s] is given for them.
-    """
+    """Return rotor type and effects of a URDF with ``count`` rotors and this lag [s]; nothing without thrust and torque."""
     element = root.find("properties")
     if element is None:
         return Properties()

@@ -63,14 +63,6 @@ def import_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: 
     """Return the robot in a URDF, MJCF or SDF file, which hovers and can be steered.
 
     Joints are welded at zero unless the hints say otherwise. The frame of the root link becomes that of the body.
-
-    Args:
-        path: The file; its first tag determines the format.
-        gravity: Downward acceleration of free fall [m/s²] against which it must hover.
-
-    Raises:
-        ConfigError: If it cannot be read, cannot be, has no rotors, loses wings or tilting joints, or cannot be flown; the
-            message says which, and what to do.
     """
     imported = read_robot(path, hints, gravity=gravity)
     where = Path(path).name

@@ -14,8 +14,6 @@ def unread_elements(
     """Yield the unused elements: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
 
     Args:
-        root: Element with the children to check.
-        used: Tags that are used within it.
         left_out: Elements that are not used although their tags are.
     """
     yield from by_kind(_pairs(root, used, root.get("name", ""), left_out, named))

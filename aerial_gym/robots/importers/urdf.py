@@ -52,11 +52,8 @@ def read(
     """Return the vehicle of a URDF file.
 
     Args:
-        path: The file, expanded if it was a xacro.
         rotor_links: Regular expression of names of links at whose centres of mass (at whose origins, where the file gives
             none) rotors push along z, for files without motors.
-        lag: Of the rotors that ``properties`` describe [s]; None refuses them.
-        take_properties: Whether to read rotor data from ``properties``.
         joints: Whether revolute, continuous and prismatic joints move, but those of rotors and those that mimic another.
     """
     body, robot = urdf_body(path), read_urdf(path)
@@ -142,10 +139,7 @@ def _weightless(
 
 
 def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FileRotor:
-    """Return position and axis of a motor: centre of mass of its link with fixed children, and the link's z axis.
-
-    Gazebo joins links with fixed joints to one before it simulates them.
-    """
+    """Return position and axis of a motor: centre of mass of its link with the links fixed to it, and the link's z axis."""
     if motor.link not in poses or motor.joint not in robot.joint_map:
         raise ConfigError(
             f"{where}: there is no link {motor.link!r} or no joint {motor.joint!r} for one of its motors. Known: "

@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 
 def check_base_draws(randomized: RobotDraws, articulation: "Articulation", params: Sequence[Tensor]) -> None:
-    """Raise ``ConfigError`` where a corner of the ranges of ``body.`` leaves a base that flies without mass or inertia.
-
-    Args:
-        params: Declared parameters of all effects, (E, P) each.
-    """
+    """Raise ``ConfigError`` where a corner of the ranges of ``body.`` leaves a base that flies without mass or inertia."""
     drawn = [each for each in randomized.drawn if each.name.startswith("body.")]
     ends, columns = [], []
     for each in drawn:

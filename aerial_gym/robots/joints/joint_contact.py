@@ -23,10 +23,6 @@ def shapes_on_links(
     """Return the ground contact spheres in link axes, (C, 4) [m], and the contact shapes of a robot with joints.
 
     With ``between_links`` or obstacles these are also the shapes that push each other, or that obstacles push.
-
-    Args:
-        scene: With the obstacles; None without any.
-        moves: Whether any of them moves.
     """
     joints, cfg = robot.joints, robot.collision
     assert joints is not None

@@ -26,13 +26,7 @@ class TailServo:
     limits: tuple[float, float]  # Of the servo [rad]
 
     def angle(self, attitude: Tensor, ang_vel: Tensor, yaw: Tensor) -> Tensor:
-        """Return the commanded angle of the tail [rad], (E,).
-
-        Args:
-            attitude: Body to world, xyzw, unit, (E, 4).
-            ang_vel: Angular velocity [rad/s], body frame, (E, 3).
-            yaw: Wanted heading [rad], (E,).
-        """
+        """Return the tail's command [rad], (E,), from attitude (E, 4), body rates [rad/s] (E, 3), wanted yaw [rad] (E,)."""
         error = wrap_angle(yaw - yaw_from_quat(attitude)).clamp(-1.0, 1.0)
         return (self.trim + self.heading * error - self.rate * ang_vel[:, 2]).clamp(*self.limits)
 
@@ -43,9 +37,6 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
     With the tail at the distance L behind it, its share T of the weight and the moment of inertia J, ``J r' = L T angle`` about
     the trim. The servo's lag (damping over stiffness) and the time step limit the bandwidth. In addition an error of 1 rad
     must not command more than the servo's range beyond the trim: as in ``control.gains.derive_gains``.
-
-    Raises:
-        ConfigError: If there is no such joint, or its drive follows no angle.
     """
     number = tail_rotor(robot)
     mount, rotor = robot.mounts.layout[number], robot.rotor_types[number]
@@ -65,11 +56,7 @@ def tail_servo(robot: RobotCfg, *, dt: float, gravity: float = STANDARD_GRAVITY)
 
 
 def tail_rotor(robot: RobotCfg) -> int:
-    """Return the number from 0 of the rotor that a servo leans sideways.
-
-    Raises:
-        ConfigError: Unless there is exactly one.
-    """
+    """Return the number from 0 of the only rotor that a servo leans sideways; raise ``ConfigError`` without one."""
     joints = {} if robot.joints is None else {joint.name: joint for joint in robot.joints.layout}
     matches = [
         (number, mount, joint)

@@ -104,11 +104,7 @@ class Encoder(nn.Module):
 
 
 def encoder_file(name: str | Path) -> Path:
-    """Return the file of an encoder: a path, or the name of one that comes with the package.
-
-    Raises:
-        UnknownNameError: If there is neither.
-    """
+    """Return the file of an encoder: a path, or the name of one that comes with the package (else ``UnknownNameError``)."""
     path = Path(name)
     if path.suffix == ".pt" or path.exists():
         return path
@@ -121,12 +117,7 @@ def encoder_file(name: str | Path) -> Path:
 
 @usual_settings
 def load_encoder(name: str | Path, *, device: torch.device | str = "cpu") -> Encoder:
-    """Return the encoder in a file, or one that comes with the package.
-
-    Raises:
-        UnknownNameError: If no encoder has that name.
-        ConfigError: If the file is missing, damaged, or holds no encoder.
-    """
+    """Return the encoder in a file, or one that comes with the package; raise ``ConfigError`` for a damaged file."""
     path = encoder_file(name)
     payload = read_archive(path, FILE_KIND)
     try:

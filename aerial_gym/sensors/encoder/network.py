@@ -100,12 +100,6 @@ def negative_evidence(images: Tensor, decoded: Tensor, mean: Tensor, log_varianc
     The standard deviation of a pixel is its maximum-likelihood value for the batch, the root mean squared error, so that no
     weight between the two terms is needed.
 
-    Args:
-        images: Shares of the largest distance, (B, H, W).
-        decoded: Output of the decoder for random latents, (B, H, W).
-        mean: Of the latents, (B, L).
-        log_variance: Of the latents, (B, L).
-
     Source:
         Rybkin, Daniilidis, Levine (2021), Simple and Effective VAE Training with Calibrated Decoders, section 3.3.
     """

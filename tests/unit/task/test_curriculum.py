@@ -135,10 +135,10 @@ def test_a_level_of_the_users_own_is_held() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"min_level": 20}, "min_level = 20, max_level = 20: needs 0 <= min_level < max_level"),
+        ({"min_level": 20}, "min_level = 20: must be >= 0 and below max_level = 20"),
         ({"min_level": -1}, "min_level = -1"),
         ({"check_after": 0}, "CurriculumCfg.check_after = 0: must be >= 1"),
-        ({"lower_below": 0.8}, "lower_below = 0.8, raise_above = 0.7: needs 0 <= lower_below <= raise_above <= 1"),
+        ({"lower_below": 0.8}, "lower_below = 0.8: must be 0 to raise_above = 0.7"),
         ({"raise_above": float("nan")}, "raise_above = nan"),
         ({"raise_above": 1.1}, "raise_above = 1.1"),
         ({"raise_by": -1}, "CurriculumCfg.raise_by = -1: must be >= 0"),

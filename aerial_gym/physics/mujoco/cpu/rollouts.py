@@ -24,12 +24,7 @@ class Rollouts:
     """Models with a threaded rollout, with torch's number of threads."""
 
     def __init__(self, models: Sequence[Any], num_envs: int, *control: str) -> None:
-        """Allocate the rollout.
-
-        Args:
-            models: N ``MjModel`` of equal structure.
-            control: Inputs that are constant over a step, entries of ``mjtState`` in its order.
-        """
+        """Allocate the rollout of N ``MjModel`` of equal structure; ``control`` are entries of ``mjtState`` in its order."""
         self.mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
         self.models, self._num_envs, xml_model = list(models), num_envs, models[0]
         self._scratch = self.mujoco.MjData(xml_model)
@@ -89,15 +84,7 @@ class Rollouts:
     def write_bodies(
         self, changed: list[int], places: list[int], mass: Tensor, com: Tensor, inertia: Tensor, gravity: Tensor
     ) -> None:
-        """Write the masses of bodies into some models.
-
-        Args:
-            places: MuJoCo's indices of the bodies, L of them.
-            mass: Of each [kg], (K, L).
-            com: Centres of mass, axes of each body [m], (K, L, 3).
-            inertia: About these [kg m²], (K, L, 3, 3).
-            gravity: Acceleration of free fall, world [m/s²], (K, 3).
-        """
+        """Write masses [kg], (K, L), centres of mass [m], inertias [kg m²] and free fall [m/s²], (K, 3), into K models."""
         moments, turns = principal_axes(self.mujoco, inertia)
         for k, *of_model, fall in zip(changed, *(t.numpy() for t in (mass, com, moments, turns, gravity)), strict=True):
             model = self.models[k]
@@ -121,17 +108,7 @@ class RolloutBodies(Bodies):
     def __init__(
         self, rows: Tensor, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
     ) -> None:
-        """Make the models.
-
-        Args:
-            rows: Parameters of ``body_rows``, (N, 14).
-            dt: Length of a step [s].
-            floor: Ground with contact spheres in the body frame of the robot file; None without contact.
-            cfg: Contact parameters; with a floor.
-
-        Raises:
-            MissingDependencyError: If MuJoCo is not installed.
-        """
+        """Make the models with the parameters of ``body_rows``, (N, 14), for steps of ``dt`` [s]."""
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
         first = compile_body(load("mujoco", backend="mujoco"), floor, cfg, dt)
         self._rollouts = Rollouts([copy(first) for _ in rows], num_envs, "mjSTATE_XFRC_APPLIED")
@@ -176,17 +153,7 @@ class RolloutTrees(MujocoTrees):
     def __init__(
         self, tree: Tree, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
     ) -> None:
-        """Make the models.
-
-        Args:
-            dt: Length of a step [s].
-            floor: Ground and obstacles; None without contact.
-            cfg: Contact parameters; with a floor.
-
-        Raises:
-            MissingDependencyError: If MuJoCo is not installed.
-            CapabilityError: If MuJoCo does not support the shape of an obstacle.
-        """
+        """Make the models for steps of ``dt`` [s], with ground and obstacles where there is contact."""
         solids = None if floor is None else floor.solids
         if solids is not None:
             check_solids(solids)

@@ -65,11 +65,7 @@ class WarpBodies(Bodies):
     def __init__(
         self, rows: Tensor, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
     ) -> None:
-        """Make model and data on the device of ``rows``; other arguments as for ``RolloutBodies``.
-
-        Raises:
-            MissingDependencyError: If MuJoCo Warp is not installed.
-        """
+        """Make model and data on the device of ``rows``; other arguments as for ``RolloutBodies``."""
         self._engine = load("mujoco_warp", backend="mujoco_warp")
         mujoco = load("mujoco", backend="mujoco_warp")
         logging.getLogger("mujoco_warp").setLevel(logging.WARNING)

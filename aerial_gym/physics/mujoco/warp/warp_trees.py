@@ -29,12 +29,7 @@ class WarpTrees(MujocoTrees):
     def __init__(
         self, tree: Tree, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
     ) -> None:
-        """Make model and data on the CPU; arguments as for ``RolloutTrees``.
-
-        Raises:
-            MissingDependencyError: If MuJoCo Warp is not installed.
-            CapabilityError: If there is a floor.
-        """
+        """Make model and data on the CPU; arguments as for ``RolloutTrees``, but without contact."""
         if floor is not None or cfg is not None:
             raise CapabilityError(f"backend {self.backend}: no contact of a vehicle with joints. Use backend 'mujoco'")
         self._engine, self._mujoco = (load(name, backend=self.backend) for name in ("mujoco_warp", "mujoco"))

@@ -170,7 +170,7 @@ def test_what_cannot_be_is_refused() -> None:
     for changes, message in (
         ({"kind": "crash", "when": "counts"}, "when = 'counts': only for kind success; a crash ends now"),
         ({"kind": "landing"}, "kind = 'landing': must be one of crash, success, time_out"),
-        ({"when": "later"}, "when = 'later': must be now, counts, at_end"),
+        ({"when": "later"}, "when = 'later': must be one of now, counts, at_end"),
         ({"when": "at_end", "bootstrap": True}, "a success that at_end ends nothing. Leave it out"),
     ):
         with pytest.raises(ConfigError, match=message):
