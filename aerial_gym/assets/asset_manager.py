@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.asset_table import asset_table
 from aerial_gym.assets.families import with_shapes
-from aerial_gym.assets.obstacles import view_obstacles
+from aerial_gym.assets.obstacles import asset_table, view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.views import check_tensor

@@ -13,7 +13,7 @@ import warp as wp
 from aerial_gym.assets.cores import shape_core
 from aerial_gym.assets.geometry import signed_distance
 from aerial_gym.assets.nearest import Core, nearest_of_core
-from aerial_gym.assets.shape_row import Shape
+from aerial_gym.assets.scene_arrays import Shape
 from aerial_gym.config.robot import CollisionShape
 
 

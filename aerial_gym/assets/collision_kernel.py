@@ -21,8 +21,7 @@ from aerial_gym.assets.body_shapes import BodyShape, body_distance
 from aerial_gym.assets.geometry import primitive_distance, signed_distance
 from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, move_instance
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.scene_arrays import ABSENT_BELOW, WORLD, SceneArrays
-from aerial_gym.assets.shape_row import MESH, Shape
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW, MESH, WORLD, SceneArrays, Shape
 from aerial_gym.assets.sweep import make_moving_sweep, make_path, make_static_sweep, relative_sagitta
 from aerial_gym.assets.sweep_spheres import spheres_touch_static
 

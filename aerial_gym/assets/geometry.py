@@ -8,7 +8,7 @@ axis: in the frame of its bounding box every box is a cube, every sphere and cyl
 
 import warp as wp
 
-from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, TRIANGLE, Shape
+from aerial_gym.assets.scene_arrays import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, TRIANGLE, Shape
 
 TINY = wp.constant(1.0e-20)
 """Replaces a direction component of 0, so that its reciprocal stays finite."""

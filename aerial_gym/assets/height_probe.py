@@ -8,8 +8,7 @@ from torch import Tensor
 
 from aerial_gym.assets.geometry import shape_distance, unit_distance
 from aerial_gym.assets.scene import Scene
-from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
-from aerial_gym.assets.shape_row import CYLINDER
+from aerial_gym.assets.scene_arrays import CYLINDER, SceneArrays, part_attitude, part_is_present, part_position
 from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.interop import ReusableLaunch
 

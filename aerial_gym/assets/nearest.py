@@ -22,7 +22,7 @@ from aerial_gym.assets.geometry import (
     primitive_normal,
     signed_distance,
 )
-from aerial_gym.assets.shape_row import BOX, CYLINDER, MESH, PLANE, TRIANGLE, Shape
+from aerial_gym.assets.scene_arrays import BOX, CYLINDER, MESH, PLANE, TRIANGLE, Shape
 
 BISECTIONS = wp.constant(14)
 """Bisections of an edge; they locate its minimum to 3e-5 of its length."""

@@ -9,8 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.asset_table import BOUNCE, PASS, STILL, TWIST, WAYPOINTS, WRAP
-from aerial_gym.assets.obstacles import Obstacles
+from aerial_gym.assets.obstacles import BOUNCE, PASS, STILL, TWIST, WAYPOINTS, WRAP, Obstacles
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW
 from aerial_gym.assets.views import check_tensor
 from aerial_gym.interop import ReusableLaunch

@@ -15,7 +15,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.body_shapes import BodyShape, body_shapes, shape_gap
-from aerial_gym.assets.shape_row import Shape
+from aerial_gym.assets.scene_arrays import Shape
 from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.assets.sweep import make_path, make_touches
 from aerial_gym.assets.views import check_tensor, vector_view

@@ -10,7 +10,7 @@ import warp as wp
 
 from aerial_gym.assets.appearance import AppearanceTable, MeshAppearance, read_mesh_appearance
 from aerial_gym.assets.mesh_files import join_pieces, read_pieces
-from aerial_gym.assets.shape_row import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
+from aerial_gym.assets.scene_arrays import BOX, CAPSULE, CYLINDER, MESH, PLANE, SPHERE, Shape
 from aerial_gym.assets.urdf import load_urdf_shape
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler

@@ -24,7 +24,7 @@ from aerial_gym.assets.geometry import primitive_distance, primitive_normal, sup
 from aerial_gym.assets.nearest import BISECTIONS, Core, box_corner, nearest_of_core, repeats_corner
 from aerial_gym.assets.obstacle_motion import advance_pose, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.shape_row import BOX, MESH, TRIANGLE, Shape
+from aerial_gym.assets.scene_arrays import BOX, MESH, TRIANGLE, Shape
 
 NEAR = wp.constant(2.0e-4)
 """Distance [m] that counts as contact between poses. At 1 km from the origin, float32 rounds positions by 6e-5 m."""

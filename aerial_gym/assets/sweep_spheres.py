@@ -6,7 +6,7 @@ The search is that of ``sweep``, for a centre that moves along a line and around
 import warp as wp
 
 from aerial_gym.assets.geometry import primitive_distance, primitive_normal, support
-from aerial_gym.assets.shape_row import Shape
+from aerial_gym.assets.scene_arrays import Shape
 from aerial_gym.assets.sweep import MAX_STEPS, NEAR, make_path, relative_sagitta, time_to_plane
 
 

@@ -1,18 +1,25 @@
-"""Environment files: bounds, and obstacles placed inside them at every reset.
+"""Environment files: bounds, lamps, and obstacles placed inside the bounds at every reset, with their motion.
 
 Frames: the environment's own world frame, z up; lengths in metres, angles in radians.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 
 from aerial_gym.config import checks
-from aerial_gym.config.checks import MAX_MADE, Vec3
+from aerial_gym.config.checks import (
+    MAX_MADE,
+    Vec3,
+    require,
+    require_choice,
+    require_finite,
+    require_positive,
+    require_ranges,
+)
 from aerial_gym.config.contact import ContactCfg
-from aerial_gym.config.lamp import LampCfg
 from aerial_gym.config.loader import load
-from aerial_gym.config.motion import AT_BOUNDS, MOTIONS, MotionCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.shape import (
     FIRST_INSTANCE_ID,
@@ -26,6 +33,74 @@ from aerial_gym.config.shape import (
 )
 from aerial_gym.config.track import TrackCfg
 from aerial_gym.errors import ConfigError
+
+MOTIONS = ("none", "twist", "waypoints")
+"""Kinds of obstacle motion between resets."""
+
+AT_BOUNDS = ("pass", "bounce", "wrap")
+"""Behaviours at the bounds of an asset that moves by its twist."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionCfg:
+    """Motion of an asset's instances between resets. Every number is drawn uniformly at reset."""
+
+    kind: str = "none"
+    """``none``; ``twist``: straight on and turning, with a twist that the user may overwrite at any time;
+    ``waypoints``: back and forth between the place of the reset and a second one, drawn like it."""
+
+    lin_vel_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest velocity of ``twist`` [m/s], world."""
+
+    lin_vel_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest velocity [m/s], world."""
+
+    speed: tuple[float, float] = (0.0, 0.0)
+    """Lowest and highest speed along ``waypoints`` [m/s], >= 0."""
+
+    ang_vel_low: Vec3 = (0.0, 0.0, 0.0)
+    """Lowest angular velocity [rad/s], world; for both."""
+
+    ang_vel_high: Vec3 = (0.0, 0.0, 0.0)
+    """Highest angular velocity [rad/s], world."""
+
+    at_bounds: str = "pass"
+    """Behaviour of ``twist`` when the origin reaches the bounds: ``pass`` on, ``bounce`` off, ``wrap`` to the other side."""
+
+    def __post_init__(self) -> None:
+        require_choice(self, "kind", MOTIONS)
+        require_choice(self, "at_bounds", AT_BOUNDS)
+        require_ranges(self, "lin_vel", "ang_vel")
+        require(self, "speed", 0.0 <= self.speed[0] <= self.speed[1] < inf, "needs 0 <= low <= high < inf")
+        still = MotionCfg.__dataclass_fields__
+        unused = {
+            "none": ("lin_vel_low", "lin_vel_high", "ang_vel_low", "ang_vel_high", "speed", "at_bounds"),
+            "twist": ("speed",),
+            "waypoints": ("lin_vel_low", "lin_vel_high", "at_bounds"),
+        }
+        for name in unused[self.kind]:
+            require(self, name, getattr(self, name) == still[name].default, f"motion {self.kind!r} does not use it")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampCfg:
+    """A lamp that shines to all sides alike. At the distance r a white surface that faces it has the brightness I c / r²."""
+
+    position: Vec3
+    """Position [m], world. The lamp itself is not seen and throws no shadow; a shape around it would."""
+
+    intensity: float
+    """I: brightness of a white surface that faces it, times the squared distance [m²], > 0; brightness 1 is that of full
+    sun and sky, and the brightest that a pixel can show."""
+
+    color: Vec3 = (1.0, 1.0, 1.0)
+    """c: red, green, blue of the light, each 0 to 1."""
+
+    def __post_init__(self) -> None:
+        require_finite(self, "position")
+        require_positive(self, "intensity")
+        require_color(self, "color")
+
 
 __all__ = [
     "AT_BOUNDS",

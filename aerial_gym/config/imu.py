@@ -11,7 +11,7 @@ from pathlib import Path
 
 from aerial_gym.config.checks import Vec3, require, require_choice, require_not_negative, require_positive
 from aerial_gym.config.loader import load
-from aerial_gym.config.placement import PlacementCfg
+from aerial_gym.config.sensor_mount import PlacementCfg
 
 MOST_MISALIGNMENT_DEG = 45.0
 """Largest misalignment; use ``euler`` for larger rotations of the axes."""

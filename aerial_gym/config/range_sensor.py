@@ -11,7 +11,7 @@ from math import inf
 from aerial_gym.config import checks
 from aerial_gym.config.checks import MAX_MADE
 from aerial_gym.config.images import FRAMES, ImagesCfg, LightCfg
-from aerial_gym.config.placement import PlacementCfg
+from aerial_gym.config.sensor_mount import PlacementCfg
 
 __all__ = ["FRAMES", "KINDS", "LightCfg", "NoiseCfg", "RangeSensorCfg"]
 

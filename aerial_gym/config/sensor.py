@@ -8,10 +8,9 @@ from pathlib import Path
 
 from aerial_gym.config.camera import CameraCfg, FisheyeCfg, StereoCfg
 from aerial_gym.config.imu import ImuCfg
-from aerial_gym.config.lidar import LidarCfg, RayTableCfg
+from aerial_gym.config.lidar import LidarCfg, PrismCfg, RayTableCfg, RosetteCfg
 from aerial_gym.config.loader import build, format_value, read_yaml
 from aerial_gym.config.range_sensor import FRAMES, KINDS, LightCfg, NoiseCfg, RangeSensorCfg
-from aerial_gym.config.rosette import PrismCfg, RosetteCfg
 from aerial_gym.errors import ConfigError, suggest_name
 
 __all__ = [

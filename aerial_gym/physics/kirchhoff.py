@@ -13,7 +13,7 @@ Source: Lamb (1932), Hydrodynamics, articles 121-124; Hairer, Lubich, Wanner (20
 import torch
 from torch import Tensor
 
-from aerial_gym.math.small_vectors import dot, inverse_3x3
+from aerial_gym.math.rows import dot, inverse_3x3
 from aerial_gym.physics.rigid_body import multiply_rows
 
 ITERATIONS = 5

@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.math.small_vectors import inverse_3x3
+from aerial_gym.math.rows import inverse_3x3
 from aerial_gym.physics.effects import (
     EFFECTS,
     DelayEffect,

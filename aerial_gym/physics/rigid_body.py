@@ -14,8 +14,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
-from aerial_gym.math.rows import times
-from aerial_gym.math.small_vectors import dot
+from aerial_gym.math.rows import dot, times
 from aerial_gym.physics.effect_cache import EffectCache
 from aerial_gym.physics.effects import (
     Condition,

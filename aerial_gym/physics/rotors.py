@@ -9,8 +9,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.math.rows import times
-from aerial_gym.math.small_vectors import sum_slices
+from aerial_gym.math.rows import sum_slices, times
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 

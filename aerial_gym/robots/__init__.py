@@ -6,8 +6,8 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.robots.catalog import ROBOTS
+    from aerial_gym.robots.contact_sources import Surroundings
     from aerial_gym.robots.robot_manager import RobotManager
-    from aerial_gym.robots.surroundings import Surroundings
 
 __all__ = ["ROBOTS", "RobotManager", "Surroundings"]
 

@@ -25,8 +25,7 @@ from aerial_gym.assets.geometry import outward_normal, primitive_distance, primi
 from aerial_gym.assets.nearest import Core, Nearest, nearest_of_core
 from aerial_gym.assets.obstacle_motion import advance_pose, instance_moves, next_reversal
 from aerial_gym.assets.obstacles import Obstacles
-from aerial_gym.assets.scene_arrays import ABSENT_BELOW
-from aerial_gym.assets.shape_row import MESH, TRIANGLE, Shape
+from aerial_gym.assets.scene_arrays import ABSENT_BELOW, MESH, TRIANGLE, Shape
 from aerial_gym.assets.sweep import (
     EDGE,
     NEAR,

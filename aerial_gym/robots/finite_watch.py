@@ -17,8 +17,7 @@ from aerial_gym.config.storage import storage_errors
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.robots.finite import NonFinite
-from aerial_gym.robots.non_finite_rows import KEPT_ROWS, NonFiniteRows, take_place
+from aerial_gym.robots.non_finite_rows import KEPT_ROWS, NonFinite, NonFiniteRows, take_place
 
 KEPT_STEPS = 64
 """Last steps of a row that are kept."""

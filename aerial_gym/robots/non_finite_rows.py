@@ -1,9 +1,10 @@
-"""Rows with NaN or infinite values: their count and the first ones, written by the launch that resets them.
+"""Rows with NaN or infinite values: their bits, their count and the first ones, written by the launch that resets them.
 
-Letters: E environments, K rows written down.
+A row with any bit ends in that step. Letters: E environments, K rows written down.
 """
 
 from dataclasses import dataclass
+from enum import IntFlag
 
 import torch
 import warp as wp
@@ -11,6 +12,20 @@ from torch import Tensor
 
 from aerial_gym.physics import BodyState
 from aerial_gym.registry import GlobalTensorDictionary
+
+
+class NonFinite(IntFlag):
+    """Quantities that were NaN or infinite in a step; they are bits of ``gtd["non_finite"]``, int32 (E,)."""
+
+    ACTION = 1  # Action. The physics may clamp it and continue.
+    STATE = 2  # Position, attitude, velocities or rotor speeds after the physics
+    REWARD = 4  # Reward of the task
+    OBSERVATION = 8  # Observation term of the task
+
+    def names(self) -> str:
+        """Return the quantities in words."""
+        return " and ".join(str(flag.name).lower() for flag in NonFinite if flag in self)
+
 
 KEPT_ROWS = 8
 """Rows K that are written down: the first ones."""

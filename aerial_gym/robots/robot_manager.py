@@ -29,19 +29,15 @@ from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
-from aerial_gym.robots.contact_sources import ContactSources
+from aerial_gym.robots.contact_sources import ContactSources, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
-from aerial_gym.robots.effect_scene import declare_effect_scene
+from aerial_gym.robots.effect_scene import declare_effect_scene, guard_parameters, make_slung_load
 from aerial_gym.robots.initial_state import InitialState, StepBegin
-from aerial_gym.robots.joints.base_draws import check_base_draws
 from aerial_gym.robots.joints.states import JointStates
 from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.parameter_draws import draw_code
-from aerial_gym.robots.parameter_guards import guard_parameters
-from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise
-from aerial_gym.robots.slung_load import make_slung_load
+from aerial_gym.robots.robot_draws import DrawResult, RobotDraws, add_effects_to_randomise, check_base_draws
 from aerial_gym.robots.state_keys import RobotTensors, declare_robot_tensors
-from aerial_gym.robots.surroundings import Surroundings
 
 
 @with_usual_settings

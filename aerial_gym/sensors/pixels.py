@@ -17,8 +17,7 @@ from aerial_gym.math.random import Purpose
 from aerial_gym.sensors.flow import ray_flow
 from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.sensor_view import SensorView, is_blocked
-from aerial_gym.sensors.shading import Light, pixel_color
-from aerial_gym.sensors.surface import hit_surface
+from aerial_gym.sensors.shading import Light, hit_surface, pixel_color
 
 MISS_ID = wp.constant(_MISS_ID)
 MISS_FACE = wp.constant(_MISS_FACE)

@@ -27,12 +27,11 @@ from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
 from aerial_gym.sensors.mounts import Pose
 from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs, locate
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
-from aerial_gym.sensors.rays import ray_table, rosette_rays
+from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
 from aerial_gym.sensors.scan import ColumnScan
 from aerial_gym.sensors.sensor_poses import SensorPoses
 from aerial_gym.sensors.sensor_view import SensorView, view_parts
 from aerial_gym.sensors.shading import Light
-from aerial_gym.sensors.tiles import make_tiles, stack_tiles
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
 

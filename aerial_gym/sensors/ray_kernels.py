@@ -7,7 +7,7 @@ from functools import cache
 
 import warp as wp
 
-from aerial_gym.assets.shape_row import MESH
+from aerial_gym.assets.scene_arrays import MESH
 from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.pixels import DistanceLimits, DistanceNoise, PixelOutputs, make_write_pixel, ray_limit
 from aerial_gym.sensors.sensor_view import SensorView, ballot, least_lane, lowest_bit, part_entry, trace

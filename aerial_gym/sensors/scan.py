@@ -18,8 +18,8 @@ from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.config.sensor import ScannedCfg
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.sensors.flow import instance_twists, link_twists
+from aerial_gym.sensors.rays import Tiles, make_tiles
 from aerial_gym.sensors.sensor_view import SensorView, view_part
-from aerial_gym.sensors.tiles import Tiles, make_tiles
 
 
 @wp.func

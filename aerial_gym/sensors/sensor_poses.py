@@ -6,8 +6,8 @@ Frames: body is x forward, y left, z up. Letters: E environments, S sensors of o
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.config.placement import PlacementCfg
 from aerial_gym.config.sensor import RangeSensorCfg
+from aerial_gym.config.sensor_mount import PlacementCfg
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream

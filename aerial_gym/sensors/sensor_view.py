@@ -11,8 +11,15 @@ M = E * S mounts, P parts.
 import warp as wp
 
 from aerial_gym.assets.geometry import shape_distance, unit_distance
-from aerial_gym.assets.scene_arrays import SceneArrays, part_attitude, part_is_present, part_position
-from aerial_gym.assets.shape_row import CYLINDER, PLANE, Shape
+from aerial_gym.assets.scene_arrays import (
+    CYLINDER,
+    PLANE,
+    SceneArrays,
+    Shape,
+    part_attitude,
+    part_is_present,
+    part_position,
+)
 
 ABSENT = wp.constant(-1)
 """Kind of an instance that is parked or out of reach."""

@@ -18,7 +18,7 @@ import warp as wp
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
-from aerial_gym.sensors.tiles import make_tiles
+from aerial_gym.sensors.rays import make_tiles
 from aerial_gym.workloads.scenes import RenderScene
 
 DISTINCT = 64

@@ -42,7 +42,7 @@ CONFIGURATIONS = {
     "fisheye": "aerial_gym.config.camera:FisheyeCfg",
     "lidar": "aerial_gym.config.lidar:LidarCfg",
     "ray table": "aerial_gym.config.lidar:RayTableCfg",
-    "rosette": "aerial_gym.config.rosette:RosetteCfg",
+    "rosette": "aerial_gym.config.lidar:RosetteCfg",
     "imu": "aerial_gym.config.imu:ImuCfg",
     "training": "aerial_gym.rl_training.settings:TrainingCfg",
     "encoder": "aerial_gym.rl_training.encoder.settings:EncoderTrainingCfg",

@@ -7,9 +7,8 @@ import torch
 from torch import Tensor
 
 from aerial_gym.assets import Scene
-from aerial_gym.assets.asset_table import asset_table
 from aerial_gym.assets.cores import contact_points
-from aerial_gym.assets.obstacles import Obstacles, view_obstacles
+from aerial_gym.assets.obstacles import Obstacles, asset_table, view_obstacles
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, MotionCfg
 from aerial_gym.config.robot import BodyCfg, CollisionShape

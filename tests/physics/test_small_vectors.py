@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.math.small_vectors import dot, sum_slices
+from aerial_gym.math.rows import dot, sum_slices
 from aerial_gym.physics.effects.condition import sum_of_crosses
 from tests.physics.vehicles import F64
 

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from aerial_gym.assets.urdf import load_urdf
-from aerial_gym.assets.urdf_body import urdf_body
+from aerial_gym.assets.urdf import load_urdf, urdf_body
 from aerial_gym.compat.config.fields import Changes, Values, values_equal
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, Vec3
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.shapes import make_collision, part_shape
+from aerial_gym.robots.importers.file_vehicle import make_collision, part_shape
 
 FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
 """URDF folder in a class generated from a robot of this package; it need not exist."""

@@ -47,7 +47,7 @@ from torch import Tensor
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.small_vectors import dot, sum_slices
+from aerial_gym.math.rows import dot, sum_slices
 from aerial_gym.math.warp_functions import reciprocal, root
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp

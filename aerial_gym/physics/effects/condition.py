@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.math.rows import times
-from aerial_gym.math.small_vectors import dot, sum_slices
+from aerial_gym.math.rows import dot, sum_slices, times
 from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
 
 

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.small_vectors import sum_slices
+from aerial_gym.math.rows import sum_slices
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter

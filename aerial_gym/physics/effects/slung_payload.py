@@ -23,7 +23,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.small_vectors import dot
+from aerial_gym.math.rows import dot
 from aerial_gym.physics.effects.kinds.load import LoadEffect, Suspension
 from aerial_gym.physics.effects.parameter import Parameter
 

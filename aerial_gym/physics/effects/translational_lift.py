@@ -8,7 +8,7 @@ Leishman (2006), Principles of Helicopter Aerodynamics, section 2.14.2 (Glauert'
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.small_vectors import dot
+from aerial_gym.math.rows import dot
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.small_vectors import dot
+from aerial_gym.math.rows import dot
 from aerial_gym.math.warp_functions import inverse_root, reciprocal
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition

@@ -17,8 +17,7 @@ from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.integrators import MassState
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
-from aerial_gym.physics.mujoco.softness import solver_numbers
+from aerial_gym.physics.mujoco.mjcf import Floor, solver_numbers, write_mjcf
 from aerial_gym.physics.vehicle import is_shared
 
 LARGEST = 1e9

@@ -1,21 +1,79 @@
-"""MJCF of trees of links for MuJoCo; a rigid vehicle is a tree without joints.
+"""MJCF of trees of links and obstacles for MuJoCo; a rigid vehicle is a tree without joints.
 
-Names: bodies ``link0`` (the base), ``link1``, ...; joint k, ``joint0``, ..., moves link k + 1.
-Frames: a body's origin is the link's. The base of a floating tree has a free joint; that of a tree on a stand is a mocap body
-with a prescribed pose. Letters: E environments.
-Source: https://mujoco.readthedocs.io/en/stable/XMLreference.html
+Names: bodies ``link0`` (the base), ``link1``, ...; joint k, ``joint0``, ..., moves link k + 1; obstacle parts ``part0``, ...
+A body's origin is the link's. The base of a floating tree has a free joint; that of a tree on a stand is a mocap body.
+Obstacles have one body for each part, so that the models of all environments have equal sizes. At rest they are mocap
+bodies. If any moves, all are free bodies without gravity, too heavy for a vehicle to move, which each step starts at the
+poses and velocities of the scene. Letters: E environments, P parts of all obstacles of an environment.
+Source: https://mujoco.readthedocs.io/en/stable/XMLreference.html, and modeling.html on mocap bodies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, sqrt
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+from aerial_gym.config.contact import ContactCfg
+from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.ground import LinkContacts
-from aerial_gym.physics.mujoco.solid_bodies import ON_LINKS, TOLERANCE, add_solids, numbers
-from aerial_gym.physics.solids import Solids
+from aerial_gym.physics.solids import Solid, Solids
+
+HEAVY = 1e9
+"""Mass [kg] and moment of inertia [kg m²] of a moving obstacle; a vehicle of 1 kg moves it by a share of 1e-9."""
+
+TOLERANCE = 1e-11 / HEAVY
+"""Solver tolerance with moving obstacles: MuJoCo scales it by the mean inertia, here that of the heavy bodies."""
+
+ON_LINKS = "2"
+"""Contact bit of obstacles and links; shapes of links without it touch each other only."""
+
+_TYPES = {"box": "box", "sphere": "sphere", "capsule": "capsule", "cylinder": "cylinder", "mesh": "mesh"}
+
+
+def check_solids(solids: Solids) -> None:
+    """Raise ``CapabilityError`` for a shape that MuJoCo does not support."""
+    for solid in solids.table:
+        if solid.kind not in _TYPES:
+            raise CapabilityError(
+                f"backend mujoco: an obstacle that is a {solid.kind} does not push links. Give a box in its place, or "
+                "ground_height"
+            )
+        if not solid.convex:
+            raise CapabilityError(
+                f"backend mujoco: mesh {solid.path} is not one closed convex body, and MuJoCo would touch its convex hull. "
+                "Give a compound of convex parts, or leave contact out of the environment"
+            )
+
+
+def add_solids(root: Element, world: Element, solids: Solids, env: int) -> None:
+    """Write the obstacles of one environment; missing parts become shapes without contact."""
+    asset = SubElement(root, "asset")
+    for row, solid in enumerate(solids.table):
+        if solid.kind == "mesh":
+            SubElement(asset, "mesh", name=f"solid{row}", vertex=numbers(x for point in solid.vertices for x in point))
+    for place, row in enumerate(solids.part[env].tolist()):
+        body = SubElement(world, "body", name=f"part{place}")
+        if solids.moves:
+            body.set("gravcomp", "1")
+            SubElement(body, "freejoint", name=f"part{place}")
+            SubElement(body, "inertial", pos="0 0 0", mass=repr(HEAVY), diaginertia=numbers((HEAVY, HEAVY, HEAVY)))
+        else:
+            body.set("mocap", "true")
+        placeholder = {"type": "sphere", "size": "1", "contype": "0", "conaffinity": "0"}
+        SubElement(body, "geom", _geom(solids.table[row], row) if row >= 0 else placeholder)
+
+
+def _geom(solid: Solid, row: int) -> dict[str, str]:
+    geom = {"type": _TYPES[solid.kind], "contype": ON_LINKS, "conaffinity": "0"}
+    return geom | ({"mesh": f"solid{row}"} if solid.kind == "mesh" else {"size": numbers(solid.size)})
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Return numbers as text with all digits."""
+    return " ".join(repr(float(value)) for value in values)
+
 
 _JOINT_TYPES = {"revolute": "hinge", "prismatic": "slide"}
 
@@ -165,3 +223,39 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
 def _set_friction(root: Element, friction: float) -> None:
     """Set the friction of all shapes, without torsional friction; MuJoCo takes the larger value of two in contact."""
     SubElement(SubElement(root, "default"), "geom", friction=numbers((friction, 0.0, 0.0)), condim="3")
+
+
+LEAST_IMPEDANCE = 1e-4
+"""MuJoCo's smallest impedance, and 1 minus its largest."""
+
+
+def contact_softness(cfg: ContactCfg, dt: float) -> float:
+    """Return the softness s in (0, 1) for steps of ``dt`` [s]: the share of the stiffness that moves the body.
+
+    MuJoCo's normal force on a mass m with overlap r, normal speed v and acceleration a (out of the surface, negative) is
+    ``m / (1 - d) (k r + b v) + m d / (1 - d) a`` with the impedance ``d = 1 - s``. With ``k = s K`` a robot sinks in by
+    ``g / K`` for any d, as on a spring of ``K m``. Spring and damper act at the start of a step. Many contacts and long levers
+    give at most k / d and b / d, because added mass grows with them. With ``b = 2 zeta sqrt(s K)`` and
+
+        s = (sqrt(1 + beta²) - beta)²,    beta = max(1, zeta) dt sqrt(K)
+
+    ``dt b / d <= 1`` and ``dt² k / d <= 1/4`` hold, where semi-implicit Euler is stable up to 2 and 4.
+
+    Source:
+        MuJoCo's documentation, Computation, Constraint model (negative ``solref``). Derived: ``1 - s = 2 beta sqrt(s)`` is
+        the first bound as an equality for zeta >= 1.
+    """
+    beta = max(1.0, cfg.damping_ratio) * dt * sqrt(cfg.stiffness)
+    soft = (sqrt(1.0 + beta * beta) - beta) ** 2
+    return min(max(soft, LEAST_IMPEDANCE), 1.0 - LEAST_IMPEDANCE)
+
+
+def solver_numbers(cfg: ContactCfg, dt: float) -> tuple[tuple[float, float], tuple[float, float, float, float, float]]:
+    """Return ``solref`` and ``solimp`` of a contact with the parameters of ``cfg``, for steps of ``dt`` [s].
+
+    ``solref`` is minus stiffness and damping per mass [1/s², 1/s]; ``solimp`` is a constant impedance.
+    """
+    soft = contact_softness(cfg, dt)
+    stiffness = soft * cfg.stiffness
+    impedance = 1.0 - soft
+    return (-stiffness, -2.0 * cfg.damping_ratio * sqrt(stiffness)), (impedance, impedance, 1.0, 0.5, 1.0)

@@ -1,18 +1,23 @@
-"""Content of an imported vehicle file: one body, rotors with their known data, shapes and notes.
+"""Content of an imported vehicle file: one body, rotors with their known data, shapes, lift and unused elements.
 
+Weightless masses become the effect ``buoyancy``, or ``link_buoyancy`` of vehicles with joints. A body of mass m with gravity
+compensation c feels ``c m g`` upwards at its centre of mass. Parallel forces act like their sum at their weighted centre.
 Frames: axes and origin of the root link, which become the body's: x forward, y left, z up. SI units.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from aerial_gym.assets.urdf_body import RigidBody
+from aerial_gym.assets import load_mesh
+from aerial_gym.assets.urdf import RigidBody
 from aerial_gym.config.joint import JointCfg
-from aerial_gym.config.robot import CollisionShape, RotorCfg, Vec3
+from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionCfg, CollisionShape, PartCfg, RotorCfg, SphereCfg, Vec3
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
 
@@ -118,3 +123,132 @@ def tilts(rotor: FileRotor, kind: str, axis: np.ndarray, position: np.ndarray) -
     lever = rotor.position - position
     beside = np.linalg.norm(lever - (lever @ rotor.axis) * rotor.axis)
     return kind not in ("revolute", "continuous", "hinge") or bool(across > ON_AXIS or beside > ON_AXIS)
+
+
+Tags = Mapping[str, Any]
+"""Tags that are used, each with those used within it."""
+
+
+def unread_elements(
+    root: Element, used: Tags, *, left_out: Container[Element] = (), named: Container[Element] = ()
+) -> Iterator[str]:
+    """Yield the unused elements: ``sensor: front (camera), imu (imu)``, or ``limit of axis: rotor_0_joint``.
+
+    Args:
+        left_out: Elements that are not used although their tags are.
+    """
+    yield from by_kind(_pairs(root, used, root.get("name", ""), left_out, named))
+
+
+def by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield one line for each kind, with the names of that kind: ``kind: name, name``."""
+    names_by_kind: dict[str, dict[str, None]] = {}
+    for kind, name in pairs:
+        names_by_kind.setdefault(kind, {})[name] = None
+    for kind, names in names_by_kind.items():
+        yield f"{kind}: {', '.join(names)}"
+
+
+def _pairs(
+    element: Element, used: Tags, owner: str, left_out: Container[Element], named: Container[Element]
+) -> Iterator[tuple[str, str]]:
+    for child in element:
+        if child in named:
+            continue
+        inner = used.get(child.tag)
+        if inner is None or child in left_out:
+            yield _element_name(child, element, owner)
+        else:
+            yield from _pairs(child, inner, child.get("name") or child.get("reference") or owner, left_out, named)
+
+
+def _element_name(element: Element, parent: Element, owner: str) -> tuple[str, str]:
+    """Return the kind of an element and its name, or its owner's name."""
+    name = element.get("name") or element.get("reference") or element.findtext("uri") or element.get("filename")
+    more = element.get("type") or element.get("filename")
+    if name is None:
+        return f"{element.tag} of {parent.tag}", owner or parent.tag
+    return element.tag, name if more in (None, name) else f"{name} ({more})"
+
+
+def part_shape(part: PartCfg) -> CollisionShape:
+    """Return spheres, capsules and boxes unchanged, and the bounding box of a cylinder or mesh."""
+    shape = part.shape
+    if shape.kind == "sphere":
+        return SphereCfg(center=part.position, radius=shape.radius or 0.0)
+    if shape.kind == "capsule":
+        return CapsuleCfg(
+            center=part.position, euler=part.euler, radius=shape.radius or 0.0, height=shape.height or 0.0
+        )
+    if shape.kind == "box" and shape.size is not None:
+        return BoxCfg(center=part.position, size=shape.size, euler=part.euler)
+    if shape.kind == "cylinder":
+        across = 2.0 * (shape.radius or 0.0)
+        return BoxCfg(center=part.position, size=(across, across, shape.height or 0.0), euler=part.euler)
+    return _box_around_mesh(part)
+
+
+def _box_around_mesh(part: PartCfg) -> BoxCfg:
+    from trimesh.transformations import euler_matrix
+
+    low, high = load_mesh(part.shape.path or "", scale=part.shape.scale, up=part.shape.up).bounds
+    center = euler_matrix(*part.euler, axes="sxyz")[:3, :3] @ (0.5 * (low + high)) + part.position
+    return BoxCfg(center=vec3(center), size=vec3(high - low), euler=part.euler)
+
+
+def make_collision(shapes: Sequence[CollisionShape], name: str) -> CollisionCfg:
+    """Return the collision configuration of shapes; ``name`` is the file, for errors."""
+    return CollisionCfg(
+        spheres=tuple(shape for shape in shapes if isinstance(shape, SphereCfg)),
+        boxes=tuple(shape for shape in shapes if isinstance(shape, BoxCfg)),
+        capsules=tuple(shape for shape in shapes if isinstance(shape, CapsuleCfg)),
+        source=f"{name}; boxes around cylinders and around the bounds of meshes",
+    )
+
+
+@dataclass(frozen=True)
+class Lift:
+    """Upward forces on a vehicle."""
+
+    force: float = 0.0  # All of them [N]
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    source: str = ""
+
+
+def lift_forces(vehicle: FileVehicle, gravity: float) -> Lift:
+    """Return the upward forces that cancel the weight of weightless masses; raise ``ConfigError`` for added weight."""
+    params: dict[str, float] = {}
+    total = 0.0
+    for link in dict.fromkeys(part.link for part in vehicle.weightless):
+        parts = [part for part in vehicle.weightless if part.link == link and part.mass]
+        mass = sum(part.mass for part in parts)
+        if not parts:
+            continue
+        if not mass > 0.0:
+            raise ConfigError(
+                f"link {link}: its gravity compensation adds {-mass:.3g} kg of weight: must be >= 0 kg in all"
+            )
+        place = sum((part.mass * part.position for part in parts), np.zeros(3)) / mass
+        own = place - _centre(vehicle, link) if vehicle.joints else place
+        prefix = f"{link}." if vehicle.joints else ""
+        force = mass * gravity
+        params |= {
+            f"{prefix}{name}": float(value) for name, value in zip(("force", *"xyz"), (force, *own), strict=True)
+        }
+        total += force
+    if not params:
+        return Lift()
+    kind = "link_buoyancy" if vehicle.joints else "buoyancy"
+    return Lift(total, {kind: params}, f"{total / gravity:.6g} kg without weight in the file, at g = {gravity:g} m/s²")
+
+
+def _centre(vehicle: FileVehicle, link: str) -> np.ndarray:
+    """Return the centre of mass of a link of a vehicle with joints [m], (3,)."""
+    moving = [(joint.name, joint.link) for joint in vehicle.joints if joint.link is not None]
+    if link != BASE:
+        return np.array(next(own.com for name, own in moving if name == link))
+    rest = vehicle.body.mass - sum(own.mass for _, own in moving)
+    moment = vehicle.body.mass * vehicle.body.com - sum(
+        (own.mass * np.array(own.com) for _, own in moving), np.zeros(3)
+    )
+    return moment / rest

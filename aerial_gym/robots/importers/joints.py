@@ -9,7 +9,7 @@ from math import pi
 
 import numpy as np
 
-from aerial_gym.assets.urdf_body import weld
+from aerial_gym.assets.urdf import weld
 from aerial_gym.config.joint import EndsCfg, JointCfg, LinkCfg, SpringCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.robots.importers.file_vehicle import vec3

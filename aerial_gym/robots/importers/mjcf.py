@@ -11,15 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from aerial_gym.assets.urdf_body import RigidBody, weld
+from aerial_gym.assets.urdf import RigidBody, weld
 from aerial_gym.config.joint import JointCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape, SphereCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, Weightless, roll_pitch_yaw, tilts, vec3
+from aerial_gym.robots.importers.file_vehicle import (
+    FileRotor,
+    FileVehicle,
+    Weightless,
+    by_kind,
+    roll_pitch_yaw,
+    tilts,
+    vec3,
+)
 from aerial_gym.robots.importers.joints import FileJoint, Weight, make_layout
 from aerial_gym.robots.importers.mjcf_actuators import Actuator
-from aerial_gym.robots.importers.unread import by_kind
 
 
 def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> FileVehicle:

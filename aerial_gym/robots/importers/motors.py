@@ -15,8 +15,7 @@ from xml.etree import ElementTree
 
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import number
-from aerial_gym.robots.importers.unread import Tags, by_kind
+from aerial_gym.robots.importers.file_vehicle import Tags, by_kind, number
 
 SPINS = {"ccw": 1, "cw": -1}
 """Of ``turningDirection``, about z of the link."""

@@ -15,10 +15,8 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.check import check_robot
 from aerial_gym.robots.importers import mjcf, sdf, urdf
-from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, read_xml, vec3
+from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, lift_forces, make_collision, read_xml, vec3
 from aerial_gym.robots.importers.joints import ENDS
-from aerial_gym.robots.importers.lift import lift_forces
-from aerial_gym.robots.importers.shapes import make_collision
 
 ROTOR_LINKS = r"(?!.*arm).*(motor|rotor|prop).*"
 """Names of links of a URDF without motors that are taken for rotors."""

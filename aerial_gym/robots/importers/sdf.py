@@ -10,17 +10,21 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from aerial_gym.assets.urdf_body import weld
+from aerial_gym.assets.urdf import weld
 from aerial_gym.config.robot import BoxCfg, CollisionShape
 from aerial_gym.config.shape import PartCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
+    Tags,
     Weightless,
+    by_kind,
+    part_shape,
     read_xml,
     roll_pitch_yaw,
     tilts,
+    unread_elements,
     vec3,
 )
 from aerial_gym.robots.importers.joints import Weight
@@ -44,8 +48,6 @@ from aerial_gym.robots.importers.sdf_inertia import (
     redundant_values,
 )
 from aerial_gym.robots.importers.sdf_tree import MODEL, TRUE, Element, Scope, SdfTree
-from aerial_gym.robots.importers.shapes import part_shape
-from aerial_gym.robots.importers.unread import Tags, by_kind, unread_elements
 
 _MODEL: dict[str, Tags] = {
     "pose": {},

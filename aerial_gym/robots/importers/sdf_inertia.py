@@ -20,7 +20,7 @@ import numpy as np
 
 from aerial_gym.assets import load_mesh
 from aerial_gym.assets.mesh_files import is_collada
-from aerial_gym.assets.urdf_body import weld
+from aerial_gym.assets.urdf import weld
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import number, numbers
 from aerial_gym.robots.importers.joints import Weight

@@ -13,12 +13,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from aerial_gym.assets.urdf import link_poses, load_urdf, read_urdf
-from aerial_gym.assets.urdf_body import urdf_body
+from aerial_gym.assets.urdf import link_poses, load_urdf, read_urdf, urdf_body
 from aerial_gym.config.robot import CollisionShape
 from aerial_gym.config.shape import BASE, FIRST_INSTANCE_ID, PartCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import FileRotor, FileVehicle, Weightless, read_xml, tilts
+from aerial_gym.robots.importers.file_vehicle import (
+    FileRotor,
+    FileVehicle,
+    Tags,
+    Weightless,
+    part_shape,
+    read_xml,
+    tilts,
+    unread_elements,
+)
 from aerial_gym.robots.importers.joints import FileJoint, Weight, link_carriers, make_layout
 from aerial_gym.robots.importers.motors import (
     MOTOR_TAGS,
@@ -31,8 +39,6 @@ from aerial_gym.robots.importers.motors import (
     sideways_effects,
 )
 from aerial_gym.robots.importers.properties import read_properties
-from aerial_gym.robots.importers.shapes import part_shape
-from aerial_gym.robots.importers.unread import Tags, unread_elements
 
 if TYPE_CHECKING:
     from yourdfpy import URDF

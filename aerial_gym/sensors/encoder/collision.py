@@ -7,7 +7,7 @@ Letters: B images, H x W pixels, N = H W rays.
 import torch
 from torch import Tensor
 
-from aerial_gym.math.small_vectors import dot
+from aerial_gym.math.rows import dot
 
 PAIRS = {"cpu": 1 << 18, "cuda": 1 << 24}
 """Pairs of rays and points per block, by device type. On a CPU each tensor has 1 MB and stays in the cache, 2.2 times as

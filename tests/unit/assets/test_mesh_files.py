@@ -13,7 +13,7 @@ from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.shape import PartCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.shapes import part_shape
+from aerial_gym.robots.importers.file_vehicle import part_shape
 
 pytest.importorskip("collada", reason="pycollada is not installed: pip install 'aerial-gym[urdf]'")
 

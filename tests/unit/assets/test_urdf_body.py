@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerial_gym.assets.urdf_body import urdf_body
+from aerial_gym.assets.urdf import urdf_body
 from aerial_gym.errors import ConfigError
 
 pytest.importorskip("yourdfpy")

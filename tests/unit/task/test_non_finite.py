@@ -13,8 +13,8 @@ import torch
 from aerial_gym import task_registry
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.finite import NonFinite
 from aerial_gym.robots.finite_watch import KEPT_STEPS
+from aerial_gym.robots.non_finite_rows import NonFinite
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
 from tests.builders import simulation
 from tests.repetitions import frequent_values

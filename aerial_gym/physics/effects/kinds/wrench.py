@@ -5,7 +5,7 @@ from abc import abstractmethod
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.small_vectors import dot
+from aerial_gym.math.rows import dot
 from aerial_gym.physics.effects.base import Effect
 from aerial_gym.physics.effects.condition import Condition
 

@@ -14,9 +14,7 @@ from torch import Tensor
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics.articulated.tree import Links, Tree
 from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load, principal_axes
-from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.softness import solver_numbers
-from aerial_gym.physics.mujoco.solid_bodies import check_solids
+from aerial_gym.physics.mujoco.mjcf import Floor, check_solids, solver_numbers
 from aerial_gym.physics.mujoco.trees import MujocoTrees, template
 
 

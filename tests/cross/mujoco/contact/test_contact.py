@@ -13,7 +13,7 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
 from aerial_gym.physics import BACKENDS, EFFECTS, Ground, TorchBackend, build_model, vehicle_from_config
-from aerial_gym.physics.mujoco.softness import contact_softness
+from aerial_gym.physics.mujoco.mjcf import contact_softness
 from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, GroundRig, make_robot, start
 from tests.physics.vehicles import F64, asymmetric_robot
 

@@ -3,7 +3,7 @@
 import pytest
 
 from aerial_gym.config.contact import ContactCfg
-from aerial_gym.physics.mujoco.softness import contact_softness, solver_numbers
+from aerial_gym.physics.mujoco.mjcf import contact_softness, solver_numbers
 
 
 def test_short_steps_have_the_very_spring_and_damper() -> None:
