@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from aerial_gym.assets.families import with_shapes
+from aerial_gym.assets.families import list_family_shapes
 from aerial_gym.assets.obstacles import asset_table, view_obstacles
 from aerial_gym.assets.placement import Placement, draw_kinds
 from aerial_gym.assets.scene import PARKED_Z, Scene
@@ -69,7 +69,7 @@ class AssetManager:
         self._num_envs, self._device = num_envs, plain_device(device)
         for name, corner in (("bounds_min", bounds_min), ("bounds_max", bounds_max)):
             check_tensor(name, corner, (num_envs, 3), device=self._device)
-        self._assets = with_shapes(cfg.assets)
+        self._assets = list_family_shapes(cfg.assets)
         self._declare(gtd, asset_state)
         self.random = random
         self._asset = torch.zeros(num_envs, self.num_assets, dtype=torch.int32, device=self._device)

@@ -183,7 +183,7 @@ def select_link_pairs(
     links = [list(names).index(shape.link) for shape in cfg.shapes]
     carrier = dict(zip(range(1, len(parents) + 1), parents, strict=True))
 
-    def next_with_shapes(link: int) -> int | None:
+    def next_carrier_with_shapes(link: int) -> int | None:
         while link > 0:
             link = carrier[link]
             if link in links:
@@ -191,7 +191,7 @@ def select_link_pairs(
         return None
 
     def are_adjacent(a: int, b: int) -> bool:
-        return a == b or next_with_shapes(a) == b or next_with_shapes(b) == a
+        return a == b or next_carrier_with_shapes(a) == b or next_carrier_with_shapes(b) == a
 
     index_pairs = [(i, j) for i, j in combinations(range(len(links)), 2) if not are_adjacent(links[i], links[j])]
     if index_pairs:

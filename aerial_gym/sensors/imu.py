@@ -34,7 +34,7 @@ from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, s
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.math.warp_functions import rotate, rotate_inverse, small_turn
 from aerial_gym.physics.effects.imu_errors import WIDTH
-from aerial_gym.sensors.delay import CLOCK_MARGIN, latency_steps
+from aerial_gym.sensors.images import CLOCK_MARGIN, latency_steps
 from aerial_gym.sensors.mounts import Pose, nominal_pose
 from aerial_gym.sensors.sensor_poses import PoseRange, draw_pose, pose_range
 

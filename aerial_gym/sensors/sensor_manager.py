@@ -17,8 +17,7 @@ from aerial_gym.interop import plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.registry.state import add_prefix
-from aerial_gym.sensors.delay import CLOCK_MARGIN, DelayLine, latency_steps, make_zeros_like
-from aerial_gym.sensors.images import declare_images
+from aerial_gym.sensors.images import CLOCK_MARGIN, DelayLine, declare_images, latency_steps, make_zeros_like
 from aerial_gym.sensors.mounts import Carrier, Pose
 
 if TYPE_CHECKING:

@@ -3,35 +3,20 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from aerial_gym.assets.families.boxes import BOXES, DOORWAYS, PANELS, WALLS
-from aerial_gym.assets.families.corridors import CORRIDORS
+from aerial_gym.assets.families import rules
 from aerial_gym.assets.families.family import Draw, Family
-from aerial_gym.assets.families.furniture import SHELVES, TABLES
-from aerial_gym.assets.families.gates import GATES, POLES
-from aerial_gym.assets.families.rods import THIN_RODS
-from aerial_gym.assets.families.rooms import ROOMS
-from aerial_gym.assets.families.trees import TREES
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, ShapeCfg
 from aerial_gym.registry import Registry
 
-__all__ = ["FAMILIES", "Draw", "Family", "family_shapes", "with_shapes"]
+__all__ = ["FAMILIES", "Draw", "Family", "family_shapes", "list_family_shapes"]
 
 FAMILIES: Registry[Family] = Registry("family")
 
 for _name, _family in {
-    "boxes": BOXES,
-    "corridors": CORRIDORS,
-    "doorways": DOORWAYS,
-    "gates": GATES,
-    "panels": PANELS,
-    "poles": POLES,
-    "rooms": ROOMS,
-    "shelves": SHELVES,
-    "tables": TABLES,
-    "thin_rods": THIN_RODS,
-    "trees": TREES,
-    "walls": WALLS,
-}.items():
+    "boxes": rules.BOXES, "corridors": rules.CORRIDORS, "doorways": rules.DOORWAYS, "gates": rules.GATES,
+    "panels": rules.PANELS, "poles": rules.POLES, "rooms": rules.ROOMS, "shelves": rules.SHELVES, "tables": rules.TABLES,
+    "thin_rods": rules.THIN_RODS, "trees": rules.TREES, "walls": rules.WALLS,
+}.items():  # fmt: skip
     FAMILIES.register(_name, _family)
 
 
@@ -40,8 +25,8 @@ def family_shapes(cfg: FamilyCfg) -> tuple[ShapeCfg, ...]:
     return FAMILIES.get(cfg.name).shapes(cfg)
 
 
-def with_shapes(assets: Sequence[AssetCfg]) -> tuple[AssetCfg, ...]:
-    """Return the assets with the shapes of their families listed."""
+def list_family_shapes(assets: Sequence[AssetCfg]) -> tuple[AssetCfg, ...]:
+    """Return the assets with lists of shapes in place of their families."""
     return tuple(
         replace(asset, shapes=family_shapes(asset.family), family=None) if asset.family else asset for asset in assets
     )

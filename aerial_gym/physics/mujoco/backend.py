@@ -35,10 +35,9 @@ from aerial_gym.physics.integrators import (
 )
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
-from aerial_gym.physics.mujoco.cpu.rollouts import RolloutBodies, RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.warp.warp_bodies import WarpBodies
-from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
+from aerial_gym.physics.mujoco.rollouts import RolloutBodies, RolloutTrees
+from aerial_gym.physics.mujoco.warp_engine import WarpBodies, WarpTrees
 from aerial_gym.physics.rigid_body import angular_acceleration, com_acceleration, hull_force, pull_of_load
 from aerial_gym.physics.rotor_lag import RotorCommand
 from aerial_gym.physics.state import ArticulatedState, BodyState

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from aerial_gym.rl_training.encoder.scenes import ImageSet
-from aerial_gym.sensors.encoder.file import Encoder
-from aerial_gym.sensors.encoder.network import Autoencoder
+from aerial_gym.sensors.encoder.file import Autoencoder, Encoder
 
 NEAR_M = 3.0
 """Distance below which a pixel is near [m]: the path of 1.5 s at 2 m/s."""

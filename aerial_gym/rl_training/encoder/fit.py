@@ -10,7 +10,7 @@ import torch
 
 from aerial_gym.rl_training.encoder.scenes import ImageSet
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
-from aerial_gym.sensors.encoder.network import Autoencoder, negative_evidence
+from aerial_gym.sensors.encoder.file import Autoencoder, negative_evidence
 
 END_SHARE = 0.01
 """Share of the learning rate that is left at the end."""

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
 from aerial_gym.rl_training.policies.recurrent import unroll
-from aerial_gym.sensors.encoder.network import ACTIVATIONS, convolutions
+from aerial_gym.sensors.encoder.file import ACTIVATIONS, convolutions
 
 IMAGE_CHANNELS = (16, 32, 64, 64)
 """Channels of the image convolutions, each with stride 2."""

@@ -15,7 +15,7 @@ from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.articulated.joint_laws import Drive, JointLimits, Spring
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
-from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
+from aerial_gym.physics.mujoco.rollouts import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.vehicles import F64

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import TreeState
-from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
+from aerial_gym.physics.mujoco.rollouts import RolloutTrees
 from aerial_gym.physics.mujoco.trees import MujocoTrees
 from tests.physics.articulated.effort_rig import (
     DT,

@@ -8,7 +8,7 @@ from aerial_gym.physics import BACKENDS
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
+from aerial_gym.physics.mujoco.warp_engine import WarpTrees
 from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
 from tests.cross.test_joints_in_single_precision import WITH_JOINTS, coordinates, make_start, step_bound
 from tests.physics.articulated.trees import random_links, random_motion, random_tree

@@ -20,8 +20,7 @@ from aerial_gym.export.export import Exported, compare, write_policy
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import Encoder, EncoderImageCfg
-from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
+from aerial_gym.sensors.encoder.file import Autoencoder, AutoencoderCfg, Encoder, EncoderImageCfg
 from tests.unit.export.policies import layout, make_layout, random_policy
 
 COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reason="needs a C compiler")

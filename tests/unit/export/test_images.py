@@ -18,8 +18,7 @@ from aerial_gym.export.layout import Layout, policy_layout
 from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import Encoder, EncoderImageCfg, load_encoder
-from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
+from aerial_gym.sensors.encoder.file import Autoencoder, AutoencoderCfg, Encoder, EncoderImageCfg, load_encoder
 from aerial_gym.task import Task
 from tests.unit.export.policies import training
 from tests.unit.task.hover import build_task

@@ -17,8 +17,7 @@ from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.export.pilot import COMPILER, load_exported
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.sensors.encoder.file import Encoder, EncoderImageCfg
-from aerial_gym.sensors.encoder.network import ACTIVATIONS, Autoencoder, AutoencoderCfg
+from aerial_gym.sensors.encoder.file import ACTIVATIONS, Autoencoder, AutoencoderCfg, Encoder, EncoderImageCfg
 from tests.unit.export.policies import TRANSFORMS, layout, make_layout, random_policy
 from tests.unit.export.test_images import IMAGE, OBSERVATIONS, image_layout
 from tests.unit.export.test_images import random_policy as drawn_image_policy

@@ -8,8 +8,8 @@ from aerial_gym.physics.articulated.joint_laws import Drive, Spring
 from aerial_gym.physics.articulated.motion import move_links, place_links
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree, TreeState
 from aerial_gym.physics.ground import LinkContacts, LinkShape
-from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
 from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.rollouts import RolloutTrees
 from tests.physics.vehicles import F64
 
 G = 9.81

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.physics.ground import LinkContacts
-from aerial_gym.physics.mujoco.cpu.rollouts import RolloutTrees
+from aerial_gym.physics.mujoco.rollouts import RolloutTrees
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.joints.joint_contact import shapes_on_links
 from tests.cross.mujoco.contact.arms import (

@@ -5,8 +5,7 @@ import torch
 from aerial_gym.config.range_sensor import RangeSensorCfg
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import sensor_by_name
-from aerial_gym.sensors.encoder.file import Encoder, encoder_image
-from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg
+from aerial_gym.sensors.encoder.file import Autoencoder, AutoencoderCfg, Encoder, encoder_image
 
 ROBOT = "base_quadrotor_with_coarse_camera"
 

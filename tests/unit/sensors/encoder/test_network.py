@@ -5,7 +5,7 @@ import torch
 from torch.distributions import Normal, kl_divergence
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.sensors.encoder.network import Autoencoder, AutoencoderCfg, divergence, negative_evidence
+from aerial_gym.sensors.encoder.file import Autoencoder, AutoencoderCfg, divergence, negative_evidence
 
 
 def draw(*shape: int, seed: int = 0) -> torch.Tensor:
