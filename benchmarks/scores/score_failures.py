@@ -7,16 +7,18 @@ Quiet flights have none; with ``--effects`` they have a large effect that the ro
 row as a stream, and whole as by ``close-loop``.
 """
 
-import argparse
 import json
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 
 import numpy as np
+import tyro
 
 from aerial_gym.interop import one_thread
 from aerial_gym.robots.catalog import robot_by_name
@@ -25,6 +27,7 @@ from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.watch import NAMED, SUSPECTED, Alarm, FlightWatch
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.wording import render_findings
+from benchmarks.markdown import table
 from benchmarks.undeclared import EFFECTS, CaseFiles, PlantFailure, make_case
 from benchmarks.undeclared.failures import KINDS
 
@@ -37,6 +40,12 @@ SOON_S = 10.0
 
 FLIGHT_S = 14.0
 QUIET_S = 60.0
+
+NAME_HEADS = (
+    *("failure", "named right", f"of these within {SOON_S:g} s", "suspected after, median (largest) [s]"),
+    *("named after, median (largest) [s]", "right in `close-loop`"),
+)
+ERROR_HEADS = ("failure", "size: median, largest", "inside", "onset [ms]: median, largest", "inside")
 
 
 def draw_failure(kind: str, rng: np.random.Generator) -> PlantFailure:
@@ -82,20 +91,13 @@ def score_finding(
     if told is not None:
         row["delay_s"] = told - truth.time
     if right:
-        sizes = {"scale": truth.scale, "speed": speed}
-        numbers = {"time": truth.time} | {
-            key: size for key, size in sizes.items() if key in result.params and size is not None
-        }
-        row["error"] = {key: result.params[key] - value for key, value in numbers.items()}
-        row["inside"] = {key: in_interval(result.interval[key], value) for key, value in numbers.items()}
-        if "duration" in result.params:
-            row["error"]["duration"] = result.params["duration"] - truth.duration  # pyright: ignore[reportIndexIssue]
+        sizes = {"time": truth.time, "scale": truth.scale, "speed": speed}
+        sizes = {key: size for key, size in sizes.items() if key in result.params and size is not None}
+        intervals = {key: result.interval[key] for key in sizes}
+        errors = sizes | ({"duration": truth.duration} if "duration" in result.params else {})
+        row["error"] = {key: result.params[key] - value for key, value in errors.items()}
+        row["inside"] = {key: bool(low <= sizes[key] <= high) for key, (low, high) in intervals.items()}
     return row
-
-
-def in_interval(ends: tuple[float, float], value: float) -> bool:
-    """Return whether a value lies between two ends."""
-    return bool(ends[0] <= value <= ends[1])
 
 
 def watch_logs(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | None, float]]:
@@ -112,7 +114,7 @@ def watch_logs(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | Non
         yield path.stem, alarms, finder.find_first(flight), watch.watched_s
 
 
-def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s: float) -> dict[str, object]:
+def false_alarms(seed: int, folder: Path, effect: str | None, flights: int, duration_s: float) -> dict[str, object]:
     """Return the false alarms of the watch and the closed loop in flights of one vehicle without failures."""
     effects = {effect: "large"} if effect else {}
     files = make_case(
@@ -131,15 +133,7 @@ def quiet(seed: int, folder: Path, effect: str | None, flights: int, duration_s:
 
 def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
     """Return the tables of a page: names and delays, errors of size and onset, and flights without a failure."""
-    names = [
-        f"| failure | named right | of these within {SOON_S:g} s | suspected after, median (largest) [s] "
-        "| named after, median (largest) [s] | right in `close-loop` |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    errors = [
-        "| failure | size: median, largest | inside | onset [ms]: median, largest | inside |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    names, errors = [], []
     for kind in KINDS:
         rows = [row for row in fails if row["truth"]["kind"] == kind]
         if not rows:
@@ -147,101 +141,89 @@ def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
         named = [row["watch"][NAMED] for row in rows if NAMED in row["watch"]]
         suspected = [row["watch"][SUSPECTED]["delay_s"] for row in rows if SUSPECTED in row["watch"]]
         right = [one for one in named if one["right"]]
+        delays = [one["delay_s"] for one in right]
         size, unit = ("speed", " rad/s") if kind == "stuck_rotor" else ("scale", "")
-        soon = sum(one["delay_s"] <= SOON_S for one in right)
+        soon, count = sum(delay <= SOON_S for delay in delays), len(rows)
         loop = sum(bool(row["close_loop"] and row["close_loop"]["right"]) for row in rows)
-        names.append(
-            f"| `{kind}` | {len(right)} of {len(rows)} | {soon} | {_spread(suspected)} "
-            f"| {_spread([one['delay_s'] for one in right])} | {loop} of {len(rows)} |"
-        )
-        errors.append(f"| `{kind}` | {_errors(right, size, 1.0, unit)} | {_errors(right, 'time', 1e3)} |")
-    return "\n".join((*names, "", *errors, "", *_alarms(silent)))
+        spreads = _median_and_largest(suspected), _median_and_largest(delays)
+        names.append((f"`{kind}`", f"{len(right)} of {count}", soon, *spreads, f"{loop} of {count}"))
+        errors.append((f"`{kind}`", *_error_cells(right, size, 1.0, unit), *_error_cells(right, "time", 1e3)))
+    return "\n\n".join((table(NAME_HEADS, names), table(ERROR_HEADS, errors), _alarm_table(silent)))
 
 
-def _alarms(silent: Sequence[dict]) -> list[str]:
+def _alarm_table(silent: Sequence[dict]) -> str:
     """Return the table of flights without a failure."""
-    lines = [
-        "| flights without a failure | hours | alarms of `watch` | alarms of `close-loop` |",
-        "| --- | --- | --- | --- |",
-    ]
+    lines = []
     plain, effects = ([r for r in silent if (r["hidden"] == "nothing") == wanted] for wanted in (True, False))
     for name, rows in (("nothing hidden", plain), (f"one of {len(effects)} large effects hidden", effects)):
+        alarms = [(f"{one['name']} ({row['hidden']})", one["stage"]) for row in rows for one in row["watch"]]
+        watch = ", ".join(text for text, stage in alarms if stage == SUSPECTED)
+        loop = ", ".join(f"{one['name']} ({row['hidden']})" for row in rows for one in row["close_loop"])
         if rows:
-            watch = [
-                f"{one['name']} ({row['hidden']})" for row in rows for one in row["watch"] if one["stage"] == SUSPECTED
-            ]
-            loop = [f"{one['name']} ({row['hidden']})" for row in rows for one in row["close_loop"]]
-            hours = sum(row["hours"] for row in rows)
-            lines.append(f"| {name} | {hours:.2f} | {', '.join(watch) or 'none'} | {', '.join(loop) or 'none'} |")
-    return lines
+            lines.append((name, f"{sum(row['hours'] for row in rows):.2f}", watch or "none", loop or "none"))
+    return table(("flights without a failure", "hours", "alarms of `watch`", "alarms of `close-loop`"), lines)
 
 
-def _spread(values: Sequence[float]) -> str:
+def _median_and_largest(values: Sequence[float]) -> str:
     return f"{median(values):.2f} ({max(values):.2f})" if values else "-"
 
 
-def _errors(rows: Sequence[dict], name: str, scale: float, unit: str = "") -> str:
+def _error_cells(rows: Sequence[dict], name: str, scale: float, unit: str = "") -> tuple[str, str]:
+    """Return median and largest error of a parameter, and the number of intervals that contain its true value."""
     own = [row for row in rows if name in row["error"]]
     if not own:
-        return "- | -"
+        return "-", "-"
     inside = sum(row["inside"][name] for row in own)
     errors = [scale * abs(row["error"][name]) for row in own]
     middle, largest = (f"{error:.0f}" if error >= 100.0 else f"{error:.2g}" for error in (median(errors), max(errors)))
-    return f"{middle}, {largest}{unit} | {inside} of {len(own)}"
+    return f"{middle}, {largest}{unit}", f"{inside} of {len(own)}"
 
 
-def main() -> int:
-    """Score the flights and print the tables; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--seeds", type=int, nargs="*", default=[], help="vehicles whose flights fail, eight flights each"
-    )
-    parser.add_argument("--quiet-seeds", type=int, nargs="*", default=[], help="vehicles without a failure")
-    parser.add_argument("--quiet-flights", type=int, default=30, help="flights of a minute of each of these")
-    parser.add_argument("--effects", nargs="*", default=[], help="also hide each of these, large: names, or all")
-    parser.add_argument("--out", type=Path, help="folder that keeps each row; an interrupted run goes on")
-    parser.add_argument("--write", type=Path, help="also write the tables to this markdown file")
-    args = parser.parse_args()
-    names = list(EFFECTS) if args.effects == ["all"] else args.effects
-    fails, silent = list[dict](), list[dict]()
-    with tempfile.TemporaryDirectory() as temporary, one_thread():
-        for seed in args.seeds:
-            fails += _load_or_make(
-                args.out, f"fails_{seed}", lambda s=seed: list(score_vehicle(s, Path(temporary) / f"f{s}"))
-            )
-        for seed in args.quiet_seeds:
-            folder = Path(temporary) / f"q{seed}"
-            silent += _load_or_make(
-                args.out,
-                f"quiet_{seed}",
-                lambda s=seed, f=folder: [quiet(s, f, None, args.quiet_flights, QUIET_S)],
-            )
-        for place, name in enumerate(names):
-            folder, seed = Path(temporary) / name, 2000 + place
-            silent += _load_or_make(
-                args.out, f"quiet_{name}", lambda s=seed, f=folder, n=name: [quiet(s, f, n, 4, FLIGHT_S)]
-            )
-    page = tables(fails, silent)
-    print(page)
-    if args.write:
-        told = " ".join(sys.argv[1:])
-        args.write.write_text(f"`python -m benchmarks.scores.score_failures {told}`\n\n{page}\n")
-    return 0
+@dataclass(frozen=True, kw_only=True)
+class FailureScoreCmd:
+    """Score the detection of failures."""
 
+    seeds: tuple[int, ...] = ()  # Vehicles whose flights fail, eight flights each
+    quiet_seeds: tuple[int, ...] = ()  # Vehicles without a failure
+    quiet_flights: int = 30  # Flights of a minute of each of these
+    effects: tuple[str, ...] = ()  # Also hide each of these, large: names, or all
+    out: Path | None = None  # Folder that keeps each row; an interrupted run continues
+    write: Path | None = None  # Also write the tables to this markdown file
 
-def _load_or_make(out: Path | None, key: str, make: Callable[[], list[dict]]) -> list[dict]:
-    """Return rows that were kept, or make and keep them."""
-    path = out / f"{key}.json" if out else None
-    if path is not None and path.is_file():
-        return json.loads(path.read_text())
-    start = time.monotonic()
-    rows = make()
-    print(f"{key}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(rows, indent=1) + "\n")
-    return rows
+    def run(self) -> None:
+        """Score the flights and print the tables."""
+        names = list(EFFECTS) if self.effects == ("all",) else self.effects
+        fails, silent = list[dict](), list[dict]()
+        with tempfile.TemporaryDirectory() as temporary, one_thread():
+            folder = Path(temporary)
+            for seed in self.seeds:
+                fails += self._load_or_make_rows(
+                    f"fails_{seed}", lambda s=seed: list(score_vehicle(s, folder / f"f{s}"))
+                )
+            quiet = [(seed, f"{seed}", None, self.quiet_flights, QUIET_S) for seed in self.quiet_seeds]
+            quiet += [(2000 + place, name, name, 4, FLIGHT_S) for place, name in enumerate(names)]
+            for seed, label, effect, *size in quiet:
+                make = partial(false_alarms, seed, folder / label, effect, *size)
+                silent += self._load_or_make_rows(f"quiet_{label}", lambda call=make: [call()])
+        page = tables(fails, silent)
+        print(page)
+        if self.write:
+            command = f"python -m benchmarks.scores.score_failures {' '.join(sys.argv[1:])}"
+            self.write.write_text(f"`{command}`\n\n{page}\n")
+
+    def _load_or_make_rows(self, key: str, make: Callable[[], list[dict]]) -> list[dict]:
+        """Return rows that were kept, or make and keep them."""
+        path = self.out / f"{key}.json" if self.out else None
+        if path is not None and path.is_file():
+            return json.loads(path.read_text())
+        start = time.monotonic()
+        rows = make()
+        print(f"{key}: {time.monotonic() - start:.0f} s", file=sys.stderr, flush=True)
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(rows, indent=1) + "\n")
+        return rows
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    tyro.cli(FailureScoreCmd, description=__doc__).run()

@@ -7,12 +7,12 @@ unchanged, and with a position offset of each size in a random direction, at a r
 steps within 0.1 s. With --stream ``Watch`` reads the flights every half second; frozen sensors and offsets that stay are added.
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+import tyro
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
@@ -25,11 +25,18 @@ from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.sample_repeats import SENSORS
 from aerial_gym.sim2real.wording import text
+from benchmarks.markdown import table, table_row
 
 COLLECTIONS = ("idsia_nanodrone", "nanobench_cf21", "neural_fly", "neural_swarm")
 LOOK_S = LOOK_BLOCKS * BLOCK_S
 SOON_S = 10.0
-"""After its onset a fault should be told by then [s]."""
+"""Time after its onset within which a fault should be reported [s]."""
+
+FAULT_HEADS = (
+    *("fault", "flights", "found", f"of these within {SOON_S:g} s", "reported after: median, largest [s]"),
+    *("error of the size: median, largest [m]", "other reports"),
+)
+JUMP_HEADS = ("size [m]", "flights", "found", "error of the size: median, largest [m]", "other jumps reported")
 
 
 def logs(data: Path) -> Iterator[FlightLog]:
@@ -93,41 +100,33 @@ class Score:
     """Detection score of a watch over flights with one kind of fault."""
 
     flights: int = 0
-    result: int = 0  # Flights in which all that was put in is told
+    complete: int = 0  # Flights in which all inserted faults are reported
     soon: int = 0  # The same within ``SOON_S`` of each onset
-    after: list[float] = field(default_factory=list)  # From onset to telling [s], of all that was told rightly
+    delays: list[float] = field(default_factory=list)  # From onset to report [s], of all correct reports
+    errors: list[float] = field(default_factory=list)  # Of the reported sizes [m]; none of frozen sensors
+    false: int = 0  # Reports of faults that were not inserted
 
-    off: list[float] = field(default_factory=list)
-    """Distance of a told size from the true one [m]; none of sensors that stand still."""
-
-    rest: int = 0  # Told and not put in
-
-    def add(self, hits: list[tuple[float, float | None]], *, put_in: int, told: int) -> None:
+    def add(self, hits: list[tuple[float, float | None]], *, inserted: int, reported: int) -> None:
         """Add one flight: delay and error of each correct report, and the numbers of inserted and reported faults."""
-        whole = len(hits) == put_in
+        finds_all = len(hits) == inserted
         self.flights += 1
-        self.result += whole
-        self.soon += whole and all(delay <= SOON_S for delay, _ in hits)
-        self.after += [delay for delay, _ in hits]
-        self.off += [error for _, error in hits if error is not None]
-        self.rest += told - len(hits)
+        self.complete += finds_all
+        self.soon += finds_all and all(delay <= SOON_S for delay, _ in hits)
+        self.delays += [delay for delay, _ in hits]
+        self.errors += [error for _, error in hits if error is not None]
+        self.false += reported - len(hits)
 
     def row(self, name: str) -> str:
         """Return a line of the table."""
-        errors = f"{np.median(self.off):.3f}, {max(self.off):.3f}" if self.off else "-"
-        cells = (name, self.flights, self.result, self.soon, _times(self.after), errors, self.rest)
-        return f"| {' | '.join(map(str, cells))} |"
+        spreads = _median_and_largest(self.delays, 2), _median_and_largest(self.errors, 3)
+        return table_row((name, self.flights, self.complete, self.soon, *spreads, self.false))
 
 
 def score_stream(flights: list[FlightLog], sizes: list[float], rng: np.random.Generator) -> None:
     """Print the reports of ``Watch`` for the logs as they are, with jumps, and with frozen sensors."""
     plain = [text(fault.finding) for log in flights for fault, _ in stream_faults(log)]
     print(f"reported as logged: {len(plain)} {plain}")
-    print(
-        f"| fault | flights | found | of these within {SOON_S:g} s | reported after: median, largest [s] | error of the size: "
-        "median, largest [m] | other reports |"
-    )
-    print("| --- | --- | --- | --- | --- | --- | --- |")
+    print(table(FAULT_HEADS))
     for size in sizes:
         print(jumps_streamed(flights, size, rng).row(f"jump and return, {size:g} m"), flush=True)
     for sensor in SENSORS:
@@ -145,7 +144,7 @@ def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generat
         for when, true in ((begin, step), (end, -step))[: 1 + returns]:
             near = [(f, at) for f, at in told if abs(f.time - when) < 0.1 and _size(f) @ true > 0.0]
             hits += [(at - when, float(np.linalg.norm(_size(fault) - true))) for fault, at in near[:1]]
-        score.add(hits, put_in=1 + returns, told=len(told))
+        score.add(hits, inserted=1 + returns, reported=len(told))
     return score
 
 
@@ -161,7 +160,7 @@ def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generat
         still[there] = values[int(np.argmax(there)) - 1]
         told = stream_faults(replace(log, **{sensor: still}))
         near = [at for f, at in told if f.sensor == sensor and abs(f.time - begin) < 0.1]
-        score.add([(at - begin, None) for at in near[:1]], put_in=1, told=len(told))
+        score.add([(at - begin, None) for at in near[:1]], inserted=1, reported=len(told))
     return score
 
 
@@ -169,44 +168,48 @@ def _size(fault: SensorFault) -> np.ndarray:
     return np.array([fault.params.get(axis, 0.0) for axis in "xyz"])
 
 
-def _times(after: list[float]) -> str:
-    return f"{np.median(after):.2f}, {max(after):.2f}" if after else "-"
+def _median_and_largest(values: list[float], digits: int) -> str:
+    return f"{np.median(values):.{digits}f}, {max(values):.{digits}f}" if values else "-"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--sizes", type=float, nargs="+", default=[0.25, 0.5, 1.0, 2.0])
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--stream", action="store_true")
-    args = parser.parse_args()
-    flights, rng = list(logs(args.data)), np.random.default_rng(args.seed)
-    seconds = sum(float(log.time[-1] - log.time[0]) for log in flights)
-    if args.stream:
-        print(f"{len(flights)} flights, {seconds:.0f} s")
-        score_stream(flights, args.sizes, rng)
-        return
-    print(
-        f"{len(flights)} flights, {seconds:.0f} s: {sum(len(jump_notes(log)) for log in flights)} jumps reported as logged"
-    )
-    print(f"largest difference as logged: {max(map(largest_share, flights)):.2f} of the limit of a jump")
-    print("| size [m] | flights | found | error of the size: median, largest [m] | other jumps reported |")
-    print("| --- | --- | --- | --- | --- |")
-    for size in args.sizes:
-        right, rest, off = 0, 0, []
-        for log in flights:
-            moved, step, begin, end = with_step(log, size, rng)
-            result = jump_notes(moved)
-            near = [
-                [(jump, at) for jump, at in result if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]
-                for when, sign in ((begin, 1.0), (end, -1.0))
-            ]
-            right += all(len(part) == 1 for part in near)
-            rest += len(result) - sum(len(part) for part in near)
-            off += [float(np.linalg.norm(np.abs(part[0][0]) - np.abs(step))) for part in near if part]
-        errors = f"{np.median(off):.3f}, {max(off):.3f}" if off else "-"
-        print(f"| {size:g} | {len(flights)} | {right} | {errors} | {rest} |")
+@dataclass(frozen=True, kw_only=True)
+class JumpScoreCmd:
+    """Score the detection of jumps and frozen sensors."""
+
+    data: Path  # Folder with a folder for each collection
+    sizes: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)  # Of the jumps [m]
+    seed: int = 1  # Of directions and times
+    stream: bool = False  # Let ``Watch`` read the flights
+
+    def run(self) -> None:
+        """Print the tables."""
+        flights, rng = list(logs(self.data)), np.random.default_rng(self.seed)
+        seconds = sum(float(log.time[-1] - log.time[0]) for log in flights)
+        flown = f"{len(flights)} flights, {seconds:.0f} s"
+        if self.stream:
+            print(flown)
+            score_stream(flights, list(self.sizes), rng)
+            return
+        print(f"{flown}: {sum(len(jump_notes(log)) for log in flights)} jumps reported as logged")
+        print(f"largest difference as logged: {max(map(largest_share, flights)):.2f} of the limit of a jump")
+        print(table(JUMP_HEADS, (jump_cells(flights, size, rng) for size in self.sizes)))
+
+
+def jump_cells(flights: list[FlightLog], size: float, rng: np.random.Generator) -> tuple[object, ...]:
+    """Return the row of jumps of one size [m]: flights, those with both steps found, errors of the size, other jumps."""
+    complete, false, errors = 0, 0, []
+    for log in flights:
+        moved, step, begin, end = with_step(log, size, rng)
+        notes = jump_notes(moved)
+        near = [
+            [jump for jump, at in notes if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]
+            for when, sign in ((begin, 1.0), (end, -1.0))
+        ]
+        complete += all(len(part) == 1 for part in near)
+        false += len(notes) - sum(len(part) for part in near)
+        errors += [float(np.linalg.norm(np.abs(part[0]) - np.abs(step))) for part in near if part]
+    return f"{size:g}", len(flights), complete, _median_and_largest(errors, 3), false
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(JumpScoreCmd, description=__doc__).run()

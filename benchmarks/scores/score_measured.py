@@ -8,20 +8,22 @@ named effects with parameters, probabilities and rivals, residuals and rollout e
 processor time and peak memory.
 """
 
-import argparse
 import json
-import os
 import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
-from benchmarks.scores.score_undeclared import THREADS
+import tyro
+
+from benchmarks.scores.processes import run_in_processes
+
+Files = Callable[[Path, Path], list[Path]]
+"""Function from the folder of all data, and a folder to write to, to logs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +33,8 @@ class FlightSplit:
     robot: str
     mapping: str
     bandwidth: float  # [Hz]
-    train: Callable[[Path, Path], list[Path]]  # Of the folder of all data, and of one to write to
-    test: Callable[[Path, Path], list[Path]]
+    train: Files
+    test: Files
 
 
 def half(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Path:
@@ -46,7 +48,7 @@ def half(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Pa
     return path
 
 
-def halves(number: int, *more: str) -> Callable[[Path, Path], list[Path]]:
+def halves(number: int, *more: str) -> Files:
     """Return the first or second halves of two logs, and some whole ones."""
     return lambda data, folder: [
         *(half(data, folder, name, number) for name in ("log10", "log15")),
@@ -54,12 +56,12 @@ def halves(number: int, *more: str) -> Callable[[Path, Path], list[Path]]:
     ]
 
 
-def log_finder(collection: str, *names: str) -> Callable[[Path, Path], list[Path]]:
+def log_finder(collection: str, *names: str) -> Files:
     """Return logs of a collection by name; patterns give all that fit, in order."""
     return lambda data, _folder: [path for name in names for path in sorted((data / collection).glob(f"{name}.csv"))]
 
 
-def every_other(collection: str, *patterns: str) -> Callable[[Path, Path], list[Path]]:
+def every_other(collection: str, *patterns: str) -> Files:
     """Return every other one of the logs that fit some patterns."""
     complete = log_finder(collection, *patterns)
     return lambda data, folder: sorted(complete(data, folder))[::2]
@@ -71,31 +73,16 @@ def both_ways(name: str, **fields) -> dict[str, FlightSplit]:
     return {name: FlightSplit(**fields), f"{name}_back": FlightSplit(**back)}
 
 
+IDSIA = ("idsia_nanodrone", "square_*", "random*", "multisine_*")
+MELONS = log_finder("idsia_nanodrone", "melon_*")
+ARPL = {"robot": "crazyflie_2x_arpl", "mapping": "arpl_crazyflie_imu", "bandwidth": 10.0, "test": halves(1)}
+BRUSHLESS = {"robot": "crazyflie_21_brushless", "mapping": "idsia_nanodrone", "bandwidth": 10.0, "test": MELONS}
+
 SETS: dict[str, FlightSplit] = {
-    "arpl": FlightSplit(
-        robot="crazyflie_2x_arpl", mapping="arpl_crazyflie_imu", bandwidth=10.0, train=halves(0), test=halves(1)
-    ),
-    "arpl_yaw": FlightSplit(
-        robot="crazyflie_2x_arpl",
-        mapping="arpl_crazyflie_imu",
-        bandwidth=10.0,
-        train=halves(0, "log16_a"),
-        test=halves(1),
-    ),
-    "idsia": FlightSplit(
-        robot="crazyflie_21_brushless",
-        mapping="idsia_nanodrone",
-        bandwidth=10.0,
-        train=log_finder("idsia_nanodrone", "square_*", "random*", "multisine_*"),
-        test=log_finder("idsia_nanodrone", "melon_*"),
-    ),
-    "idsia_half": FlightSplit(
-        robot="crazyflie_21_brushless",
-        mapping="idsia_nanodrone",
-        bandwidth=10.0,
-        train=every_other("idsia_nanodrone", "square_*", "random*", "multisine_*"),
-        test=log_finder("idsia_nanodrone", "melon_*"),
-    ),
+    "arpl": FlightSplit(**ARPL, train=halves(0)),
+    "arpl_yaw": FlightSplit(**ARPL, train=halves(0, "log16_a")),
+    "idsia": FlightSplit(**BRUSHLESS, train=log_finder(*IDSIA)),
+    "idsia_half": FlightSplit(**BRUSHLESS, train=every_other(*IDSIA)),
     **both_ways(
         "neural_swarm",
         robot="crazyflie_21",
@@ -181,26 +168,29 @@ def row_text(row: dict) -> list[str]:
     return [*result, f"  worse: {', '.join(worse) or 'nothing'}"]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Score the sets; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, required=True, help="folder with a folder for each collection")
-    parser.add_argument("--sets", nargs="+", choices=SETS, default=list(SETS), metavar="SET", help=", ".join(SETS))
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
-    args = parser.parse_args(argv)
-    if not args.data.is_dir():
-        print(f"{args.data}: no such folder", file=sys.stderr)
-        return 2
-    failed = False
-    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start: one core each
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
-        for future in as_completed([pool.submit(score, name, args.data) for name in args.sets]):
-            row = future.result()
+@dataclass(frozen=True, kw_only=True)
+class FlightScoreCmd:
+    """Score ``close-loop`` on measured flights."""
+
+    data: Path  # Folder with a folder for each collection
+    sets: tuple[str, ...] = tuple(SETS)  # Names of ``SETS``
+    jobs: int = 1  # Processes
+    json: bool = False  # One JSON object a line
+
+    def run(self) -> int:
+        """Score the sets; return the exit status."""
+        if not self.data.is_dir():
+            print(f"{self.data}: no such folder", file=sys.stderr)
+            return 2
+        if unknown := sorted(set(self.sets) - set(SETS)):
+            print(f"no set {unknown}. Known: {', '.join(SETS)}", file=sys.stderr)
+            return 2
+        failed = False
+        for _, row in run_in_processes(partial(score, data=self.data), self.sets, self.jobs, cases_of_each=1):
             failed |= "error" in row
-            print(json.dumps(row) if args.json else "\n".join(row_text(row)), flush=True)
-    return int(failed)
+            print(json.dumps(row) if self.json else "\n".join(row_text(row)), flush=True)
+        return int(failed)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(FlightScoreCmd, description=__doc__).run())

@@ -1,26 +1,28 @@
 """Summaries of scored cases as markdown: names, parameters, coverage, controls and unknown causes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Iterable
+from typing import TypeVar
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
+from benchmarks.markdown import table
 from benchmarks.undeclared import UNKNOWN
 
 Row = dict
+Item = TypeVar("Item")
+Key = TypeVar("Key", bound=Hashable)
 JUDGEMENTS = ("right", "near", "wrong", "missed", "error")
 
 
-def clopper_pearson(hits: int, total: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the exact interval of a probability of which ``hits`` of ``total`` draws were seen.
+def clopper_pearson(hits: int, total: int) -> tuple[float, float]:
+    """Return the exact 95 % interval of a probability of which ``hits`` of ``total`` draws were seen.
 
     Source: C. Clopper, E. Pearson, "The use of confidence or fiducial limits illustrated in the case of the binomial",
-    Biometrika 1934, through quantiles of the beta distribution.
+    Biometrika 1934.
     """
-    tail = 0.5 * (1.0 - level)
-    low = float(beta.ppf(tail, hits, total - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(1.0 - tail, hits + 1, total - hits)) if hits < total else 1.0
-    return low, high
+    interval = binomtest(hits, total).proportion_ci(method="exact")
+    return float(interval.low), float(interval.high)
 
 
 def share(hits: int, total: int) -> str:
@@ -42,26 +44,24 @@ def markdown(rows: list[Row]) -> str:
     """Return all tables that have a row."""
     hover = [r for r in rows if "hover" in r["features"]]
     rows = [r for r in rows if r not in hover]
-    hidden = [r for r in rows if r["effects"] and not _unknown(r)]
+    unknown = [r for r in rows if any(name in UNKNOWN for name in r["effects"])]
+    known = [r for r in rows if r["effects"] and r not in unknown]
+    controls = [r for r in rows if not r["effects"]]
     parts = [
-        _names(hidden),
-        _parameters(hidden),
-        _controls([r for r in rows if not r["effects"]]),
-        _hover(hover),
-        _unknown_table([r for r in rows if _unknown(r)]),
-        _time(rows),
+        _name_table(known) if known else "",
+        _parameter_table(known),
+        _control_table(controls) if controls else "",
+        _hover_table(hover) if hover else "",
+        _unknown_table(unknown) if unknown else "",
+        _time_line(rows),
     ]
     return "\n\n".join(part for part in parts if part)
 
 
-def _unknown(row: Row) -> bool:
-    return any(name in UNKNOWN for name in row["effects"])
-
-
-def _groups(rows: list[Row], key: Callable[[Row], tuple[str, ...]]) -> dict[tuple[str, ...], list[Row]]:
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault(key(row), []).append(row)
+def _group(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+    groups: dict[Key, list[Item]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
     return groups
 
 
@@ -69,21 +69,22 @@ def _judgement(row: Row) -> str:
     return "error" if "error" in row else row["judgement"]
 
 
-def _names(rows: list[Row]) -> str:
+def _name_list(rows: list[Row]) -> str:
+    """Return the combinations of names that were given, each once."""
+    return ", ".join(sorted({"+".join(r["named"]) for r in rows if r["named"]}))
+
+
+def _name_table(rows: list[Row]) -> str:
     """Return a row for each hidden effect: how often it is named right, by size, and the other judgements."""
-    if not rows:
-        return ""
     sizes = list(dict.fromkeys(row["size"] for row in rows))
-    lines = ["## Which effects are named right?", "", f"| hidden | {' | '.join(sizes)} | the others |"]
-    lines.append("| --- | --- |" + " --- |" * len(sizes))
-    groups = {name: group for (name,), group in _groups(rows, lambda r: (r["hidden"],)).items()}
-    groups["all"] = [{**row, "named": []} for row in rows]
+    groups = _group(rows, lambda r: r["hidden"]) | {"all": [{**row, "named": []} for row in rows]}
+    lines = []
     for name, group in groups.items():
         by_size = {size: [r for r in group if r["size"] == size] for size in sizes}
         right = [f"{sum(_judgement(r) == 'right' for r in cases)} of {len(cases)}" for cases in by_size.values()]
         rest = "; ".join(f"{size}: {text}" for size, cases in by_size.items() if (text := _other_judgements(cases)))
-        lines.append(f"| {name} | {' | '.join(right)} | {rest or '-'} |")
-    return "\n".join(lines)
+        lines.append((name, *right, rest or "-"))
+    return f"## Which effects are named right?\n\n{table(('hidden', *sizes, 'the others'), lines)}"
 
 
 def _other_judgements(rows: list[Row]) -> str:
@@ -91,95 +92,69 @@ def _other_judgements(rows: list[Row]) -> str:
     parts = []
     for judgement in JUDGEMENTS[1:]:
         group = [r for r in rows if _judgement(r) == judgement]
-        names = ", ".join(sorted({"+".join(r["named"]) for r in group if r["named"]}))
         if group:
+            names = _name_list(group)
             parts.append(f"{len(group)} {judgement}" + (f" ({names})" if names else ""))
     return ", ".join(parts)
 
 
-def _parameters(rows: list[Row]) -> str:
+def _parameter_table(rows: list[Row]) -> str:
     """Return errors and coverage of the parameters of effects that were named, whatever else was."""
-    parameters = [(r["size"], p) for r in rows for p in r.get("parameters", [])]
+    parameters = [p for r in rows for p in r.get("parameters", [])]
     if not parameters:
         return ""
-    lines = [
-        "## How accurate are the parameters?",
-        "",
-        "Error: |estimate - truth| in SI units, over the effects that were named. Coverage: cases whose 95 % interval "
-        "contains the true value, with the Clopper-Pearson interval of that share.",
-        "",
-        "| effect | parameter | number | median error | largest error | median relative error | coverage |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    groups: dict[tuple[str, str], list[dict]] = {}
-    for _, p in parameters:
-        groups.setdefault((p["effect"], p["name"]), []).append(p)
-    for (effect, name), group in groups.items():
+    lines = []
+    for (effect, name), group in _group(parameters, lambda p: (p["effect"], p["name"])).items():
         error = np.array([abs(p["value"] - p["true"]) for p in group])
         true = np.array([abs(p["true"]) for p in group])
         relative = np.median(error[true > 0.0] / true[true > 0.0]) if np.any(true > 0.0) else np.nan
-        cover = share(sum(_covers_truth(p) for p in group), len(group))
-        lines.append(
-            f"| {effect} | {name} | {len(group)} | {np.median(error):.3g} | {error.max():.3g} | {relative:.2%} | {cover} |"
-        )
-    total = share(sum(_covers_truth(p) for _, p in parameters), len(parameters))
-    lines.append(f"| all | all | {len(parameters)} | - | - | - | {total} |")
-    return "\n".join(lines)
+        figures = f"{np.median(error):.3g}", f"{error.max():.3g}", f"{relative:.2%}"
+        lines.append((effect, name, len(group), *figures, _coverage(group)))
+    lines.append(("all", "all", len(parameters), "-", "-", "-", _coverage(parameters)))
+    heads = ("effect", "parameter", "number", "median error", "largest error", "median relative error", "coverage")
+    return (
+        "## How accurate are the parameters?\n\n"
+        "Error: |estimate - truth| in SI units, over the effects that were named. Coverage: cases whose 95 % interval "
+        f"contains the true value, with the Clopper-Pearson interval of that share.\n\n{table(heads, lines)}"
+    )
 
 
-def _covers_truth(parameter: dict) -> bool:
-    return abs(parameter["value"] - parameter["true"]) < 1.96 * parameter["std"]
+def _coverage(parameters: list[dict]) -> str:
+    """Return the share of parameters whose 95 % interval contains the true value."""
+    inside = sum(abs(p["value"] - p["true"]) < 1.96 * p["std"] for p in parameters)
+    return share(inside, len(parameters))
 
 
-def _hover(rows: list[Row]) -> str:
-    if not rows:
-        return ""
+def _hover_table(rows: list[Row]) -> str:
     lines = [
-        "## What do flights show that only hover?",
-        "",
-        "| hidden | seed | verdict | named | candidates |",
+        (r["hidden"], r["seed"], r["verdict"], *(", ".join(r.get(key, [])) or "-" for key in ("named", "candidates")))
+        for r in rows
     ]
-    lines.append("| --- | --- | --- | --- | --- |")
-    for r in rows:
-        names = [", ".join(r.get(key, [])) or "-" for key in ("named", "candidates")]
-        lines.append(f"| {r['hidden']} | {r['seed']} | {r['verdict']} | {names[0]} | {names[1]} |")
-    return "\n".join(lines)
+    heads = ("hidden", "seed", "verdict", "named", "candidates")
+    return f"## What do flights show that only hover?\n\n{table(heads, lines)}"
 
 
-def _controls(rows: list[Row]) -> str:
-    if not rows:
-        return ""
-    lines = [
-        "## Are there false alarms?",
-        "",
-        "| flights | cases | false alarms | named |",
-        "| --- | --- | --- | --- |",
-    ]
-    for (flights,), group in _groups(rows, lambda r: (" ".join(r["features"]) or "plain",)).items():
+def _control_table(rows: list[Row]) -> str:
+    lines = []
+    for flights, group in _group(rows, lambda r: " ".join(r["features"]) or "plain").items():
         alarms = [r for r in group if _judgement(r) == "false alarm"]
-        named = ", ".join(sorted({"+".join(r["named"]) for r in alarms})) or "-"
-        lines.append(f"| {flights} | {len(group)} | {share(len(alarms), len(group))} | {named} |")
-    return "\n".join(lines)
+        lines.append((flights, len(group), share(len(alarms), len(group)), _name_list(alarms) or "-"))
+    return f"## Are there false alarms?\n\n{table(('flights', 'cases', 'false alarms', 'named'), lines)}"
 
 
 def _unknown_table(rows: list[Row]) -> str:
-    if not rows:
-        return ""
-    lines = ["## Do unknown causes get a wrong name?", ""]
-    lines += ["| cause | size | cases | given the name of an effect | which | verdicts | structure |"]
-    lines += ["| --- | --- | --- | --- | --- | --- | --- |"]
-    for (name, size), group in _groups(rows, lambda r: (r["hidden"], r["size"])).items():
+    lines = []
+    for (name, size), group in _group(rows, lambda r: (r["hidden"], r["size"])).items():
         given = [r for r in group if _judgement(r) == "given a name"]
-        names = ", ".join(sorted({"+".join(r["named"]) for r in given})) or "-"
         verdicts = ", ".join(sorted({r["verdict"] for r in group}))
         kinds = ", ".join(sorted({str((r.get("structure") or {}).get("kind", "-")) for r in group}))
-        lines.append(
-            f"| {name} | {size} | {len(group)} | {share(len(given), len(group))} | {names} | {verdicts} | {kinds} |"
-        )
-    return "\n".join(lines)
+        given_share, names = share(len(given), len(group)), _name_list(given) or "-"
+        lines.append((name, size, len(group), given_share, names, verdicts, kinds))
+    heads = ("cause", "size", "cases", "given the name of an effect", "which", "verdicts", "structure")
+    return f"## Do unknown causes get a wrong name?\n\n{table(heads, lines)}"
 
 
-def _time(rows: list[Row]) -> str:
+def _time_line(rows: list[Row]) -> str:
     timed = [r for r in rows if "loop_s" in r]
     if not timed:
         return ""

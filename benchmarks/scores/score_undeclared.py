@@ -10,26 +10,26 @@ largest error of a parameter in standard deviations, and the largest residual on
 floor, before and after. The plant shares no code with the package.
 """
 
-import argparse
 import json
 import math
-import os
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Literal
 
+import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import track
 
+from benchmarks.markdown import table, table_row
+from benchmarks.scores.processes import run_in_processes
 from benchmarks.scores.score_table import markdown, right_line
-from benchmarks.undeclared import EFFECTS, LOGGED, SIZES, TRACKED, UNKNOWN, make_case
+from benchmarks.undeclared import EFFECTS, LOGGED, TRACKED, UNKNOWN, make_case
 
 CLASSIC = tuple(EFFECTS)[:6]
 """Scored where no --effects are given."""
@@ -37,17 +37,11 @@ CLASSIC = tuple(EFFECTS)[:6]
 BANDWIDTH_HZ = 10.0
 """Residuals are compared below it: the default of ``close-loop``, whose page is not drawn here."""
 
-HOVER: tuple[tuple[str, ...], ...] = (
-    (),
-    ("com_offset",),
-    ("thrust_coefficient",),
-    ("payload_mass",),
-    ("weak_motor",),
-    ("rotor_drag",),
-)
-"""What is hidden in cases whose training flights only hover, nothing among them; test flights move."""
+HOVER = ("", "com_offset", "thrust_coefficient", "payload_mass", "weak_motor", "rotor_drag")
+"""Hidden effects of cases whose training flights only hover, none among them; test flights move."""
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+HEADS = ("hidden", "size", "seed", "verdict", "named", "right", "worst z", "before / floor", "after / floor")
+Size = Literal["small", "moderate", "large"]
 
 
 @cache
@@ -120,28 +114,28 @@ def score(job: Job) -> dict[str, object]:
 def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
     """Return the judgement of a verdict against the hidden effects and their parameters."""
     named = {e["name"]: e for e in verdict["effects"]}
-    result = []
+    parameters = []
     for effect in (name for name in named if name in truth):
         params, stds = _shift_wind_height(truth[effect], named[effect]["params"], named[effect]["std"])
-        for key, true in truth[effect].items():
-            std = stds.get(key)
-            if std:
-                value = params[key]
-                result.append({"effect": effect, "name": key, "true": true, "value": value, "std": std})
-    distances = [abs(p["value"] - p["true"]) / p["std"] for p in result]
+        parameters += [
+            {"effect": effect, "name": key, "true": true, "value": params[key], "std": stds[key]}
+            for key, true in truth[effect].items()
+            if stds.get(key)
+        ]
+    distances = [abs(p["value"] - p["true"]) / p["std"] for p in parameters]
+    expected = ("explained",) if truth else ("none", "not shown")
     return {
         "verdict": verdict["verdict"],
         "named": list(named),
         "candidates": list(verdict.get("candidates", [])),
         "not_testable": list(verdict.get("not_testable", [])),
         "structure": verdict.get("structure"),
-        "right": set(named) == set(truth)
-        and verdict["verdict"] in (("explained",) if truth else ("none", "not shown")),
+        "right": set(named) == set(truth) and verdict["verdict"] in expected,
         "judgement": _judgement(list(named), list(truth), verdict),
         "worst_z": max(distances, default=0.0),
         "inside": sum(z < 1.96 for z in distances),
         "intervals": len(distances),
-        "parameters": result,
+        "parameters": parameters,
         "before_over_floor": _over_floor(verdict["before"]),
         "after_over_floor": _over_floor(verdict["after"]),
     }
@@ -163,11 +157,9 @@ def _shift_wind_height(
 
 
 def _judgement(named: list[str], hidden: list[str], verdict: dict) -> str:
-    """Return right, near, wrong or missed; quiet or false alarm for a control; given a name or held back if unknown.
-
-    Near: no more named than the hidden effects and those that the package lists as confused with them; or an ambiguous
-    verdict whose candidates have the hidden effects.
-    """
+    """Return right, near, wrong or missed; quiet or false alarm for a control; given a name or held back if unknown."""
+    # Near: no more named than the hidden effects and those that the package lists as confused with them; or an ambiguous
+    # verdict whose candidates have the hidden effects.
     library = [name for name in named if name != "learned_residual"]
     if not hidden:
         return "false alarm" if library else "quiet"
@@ -203,30 +195,6 @@ def _over_floor(model: dict[str, dict[str, dict[str, float]]]) -> float:
     )
 
 
-def plan_jobs(args: argparse.Namespace) -> list[Job]:
-    """Return the cases that the flags ask for, seed by seed; controls first."""
-    effects = list(EFFECTS) if args.effects == ["all"] else args.effects
-    unknown = list(UNKNOWN) if args.unknown else []
-    pairs = [tuple(pair.split("+")) for pair in args.pairs]
-    cases = [(name,) for name in (*effects, *unknown)] + pairs
-    known = {**EFFECTS, **UNKNOWN}
-    if missing := sorted({name for case in cases for name in case} - set(known)):
-        raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
-    flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
-    base = {
-        name: getattr(args, name) for name in ("nuisance", "tracked", "logged", "num_train", "num_test", "duration_s")
-    }
-    jobs = []
-    for seed in args.seeds:
-        jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **base) for f in flights]
-        if args.controls:
-            continue
-        jobs += [Job(hidden=case, size=size, seed=seed, **base) for case in cases for size in args.sizes]
-        if args.hover:
-            jobs += [Job(hidden=case, size="moderate", seed=seed, features=("hover",), **base) for case in HOVER]
-    return jobs
-
-
 def run_jobs(jobs: list[Job], *, processes: int, out: Path | None) -> Iterator[dict[str, object]]:
     """Yield the rows as they come: those kept in ``out`` first, then the others, which are kept as they come."""
     todo = []
@@ -236,101 +204,94 @@ def run_jobs(jobs: list[Job], *, processes: int, out: Path | None) -> Iterator[d
             yield json.loads(kept.read_text())
         else:
             todo.append(job)
-    if processes == 1:
-        for job in todo:
-            yield _keep(job, score(job), out)
-        return
-    os.environ.update(dict.fromkeys(THREADS, "1"))  # before the processes start: one core each
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    scored = ((job, score(job)) for job in todo) if processes == 1 else run_in_processes(score, todo, processes)
+    for job, row in scored:
+        if out is not None and "error" not in row:  # a failed case is to be tried again
+            out.mkdir(parents=True, exist_ok=True)
+            part = out / f"{job.key}.json.part"
+            part.write_text(json.dumps(row, indent=1) + "\n")
+            part.replace(out / f"{job.key}.json")
+        yield row
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreCmd:
+    """Score ``close-loop`` on flights of the undeclared plant."""
+
+    seeds: tuple[int, ...]  # One case for each effect, size and seed
+    size: Size | None = None  # One size; ``--sizes`` takes several
+    sizes: tuple[Size, ...] = ()  # Moderate if not given
+    effects: tuple[str, ...] = CLASSIC  # Names, or all
+    pairs: tuple[str, ...] = ()  # Effects at once, as A+B
+    unknown: bool = False  # Also causes outside the package
+    nuisance: bool = False  # Small errors everywhere, as real vehicles have
+    tracked: bool = False  # These, markers that are aligned by eye, a bias of each flight's own
+    logged: bool = False  # These, every sensor late, an accelerometer with a scale and a place
+    hover: bool = False  # Also cases whose training flights only hover
+    controls: bool = False  # Only the controls of these cases
+    num_train: int = 4  # Training flights
+    num_test: int = 3  # Test flights
+    duration_s: float = 16.0  # Length of each flight [s]
+    jobs: int = 1  # Processes
+    out: Path | None = None  # Folder that keeps the result of each case; an interrupted run continues
+    write: Path | None = None  # Also write the tables to this markdown file
+    json: bool = False  # One JSON object a line
+
+    def plan_jobs(self) -> list[Job]:
+        """Return the cases that the flags ask for, seed by seed; controls first."""
+        single = (*(EFFECTS if self.effects == ("all",) else self.effects), *(UNKNOWN if self.unknown else ()))
+        cases = [tuple(name.split("+")) for name in (*single, *self.pairs)]
+        known = {**EFFECTS, **UNKNOWN}
+        if missing := sorted({name for case in cases for name in case} - set(known)):
+            raise ValueError(f"no effect {missing}. Known: all, {', '.join(known)}")
+        if self.size and self.sizes:
+            raise ValueError("give --size or --sizes, not both")
+        flights = sorted({tuple(sorted({f for name in case for f in known[name].needs})) for case in cases} | {()})
+        names = ("nuisance", "tracked", "logged", "num_train", "num_test", "duration_s")
+        shared = {name: getattr(self, name) for name in names}
+        jobs = []
+        for seed in self.seeds:
+            jobs += [Job(hidden=(), size="moderate", seed=seed, features=f, **shared) for f in flights]
+            if self.controls:
+                continue
+            sizes = self.sizes or (self.size or "moderate",)
+            jobs += [Job(hidden=case, size=size, seed=seed, **shared) for case in cases for size in sizes]
+            for name in HOVER if self.hover else ():
+                hidden = (name,) if name else ()
+                jobs.append(Job(hidden=hidden, size="moderate", seed=seed, features=("hover",), **shared))
+        return jobs
+
+    def run(self) -> int:
+        """Score the cases and print a table and the totals; return the exit status."""
         try:
-            futures = {pool.submit(score, job): job for job in todo}
-            for future in as_completed(futures):
-                yield _keep(futures[future], future.result(), out)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _keep(job: Job, row: dict[str, object], out: Path | None) -> dict[str, object]:
-    """Write a row to its file, whole or not at all, and return it; a failed case is to be tried again."""
-    if out is not None and "error" not in row:
-        out.mkdir(parents=True, exist_ok=True)
-        part = out / f"{job.key}.json.part"
-        part.write_text(json.dumps(row, indent=1) + "\n")
-        part.replace(out / f"{job.key}.json")
-    return row
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", required=True)
-    parser.add_argument("--size", default=None, choices=SIZES, help="one size; --sizes takes several")
-    parser.add_argument("--sizes", nargs="+", choices=SIZES, help="default: moderate")
-    parser.add_argument("--effects", nargs="*", default=list(CLASSIC), help="names, or all; default: the first six")
-    parser.add_argument("--pairs", nargs="+", default=[], metavar="A+B", help="two effects at once")
-    parser.add_argument("--unknown", action="store_true", help="also causes outside the package")
-    parser.add_argument("--nuisance", action="store_true", help="small errors everywhere, as real vehicles have")
-    parser.add_argument(
-        "--tracked", action="store_true", help="these, markers that are aligned by eye, a bias of each flight's own"
-    )
-    parser.add_argument(
-        "--logged", action="store_true", help="these, every sensor late, an accelerometer with a scale and a place"
-    )
-    parser.add_argument("--hover", action="store_true", help="also cases whose training flights only hover")
-    parser.add_argument("--controls", action="store_true", help="only the controls of these cases")
-    parser.add_argument("--num-train", type=int, default=4)
-    parser.add_argument("--num-test", type=int, default=3)
-    parser.add_argument("--duration-s", type=float, default=16.0)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument(
-        "--out", type=Path, help="folder that keeps the result of each case; an interrupted run goes on"
-    )
-    parser.add_argument("--write", type=Path, help="also write the tables to this markdown file")
-    parser.add_argument("--json", action="store_true", help="one JSON object a line")
-    return parser
-
-
-def main() -> int:
-    """Score the cases and print a table and the totals; return the exit status."""
-    args = _parser().parse_args()
-    if args.size and args.sizes:
-        print("give --size or --sizes, not both", file=sys.stderr)
-        return 2
-    args.sizes = args.sizes or [args.size or "moderate"]
-    try:
-        jobs = plan_jobs(args)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    if not args.json:
-        print("| hidden | size | seed | verdict | named | right | worst z | before / floor | after / floor |")
-        print("| --- | --- | --- | --- | --- | --- | --- | --- | --- |", flush=True)
-    rows = []
-    console = Console(stderr=True)
-    columns = (TextColumn("cases"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("cases", total=len(jobs))
-        for row in run_jobs(jobs, processes=args.jobs, out=args.out):
+            jobs = self.plan_jobs()
+        except ValueError as error:
+            print(error, file=sys.stderr)
+            return 2
+        if not self.json:
+            print(table(HEADS), flush=True)
+        rows = []
+        console, scored = Console(stderr=True), run_jobs(jobs, processes=self.jobs, out=self.out)
+        for row in track(scored, "cases", len(jobs), console=console, disable=not console.is_terminal):
             rows.append(row)
-            progress.advance(task)
-            print(json.dumps(row) if args.json else _line(row), flush=True)
-    order = {(job.hidden, job.size, job.seed, job.features): i for i, job in enumerate(jobs)}
-    rows.sort(key=lambda r: order[tuple(r["effects"]), r["size"], r["seed"], tuple(r["features"])])
-    if not args.json:
-        print(f"\n{right_line(rows)}\n\n{markdown(rows)}")
-    if args.write:
-        args.write.write_text(_page(rows, sys.argv[1:]))
-    return 0
+            print(json.dumps(row) if self.json else table_row(_cells(row)), flush=True)
+        order = {(job.hidden, job.size, job.seed, job.features): i for i, job in enumerate(jobs)}
+        rows.sort(key=lambda r: order[tuple(r["effects"]), r["size"], r["seed"], tuple(r["features"])])
+        if not self.json:
+            print(f"\n{right_line(rows)}\n\n{markdown(rows)}")
+        if self.write:
+            self.write.write_text(_page(rows, sys.argv[1:]))
+        return 0
 
 
-def _line(row: dict) -> str:
+def _cells(row: dict) -> list[object]:
     """Return a row of the table of cases."""
     hidden = row["hidden"] if row["effects"] else " ".join(("nothing", *row["features"]))
-    start = f"| {hidden} | {row['size'] if row['effects'] else '-'} | {row['seed']} | {row['verdict']}"
+    start = [hidden, row["size"] if row["effects"] else "-", row["seed"], row["verdict"]]
     if "error" in row:
-        return f"{start} | {row['error']} | False | - | - | - |"
-    numbers = f"{row['worst_z']:.2f} | {row['before_over_floor']:.2f} | {row['after_over_floor']:.2f}"
-    return f"{start} | {', '.join(row['named']) or '-'} | {row['right']} | {numbers} |"
+        return [*start, row["error"], False, "-", "-", "-"]
+    numbers = [f"{row[name]:.2f}" for name in ("worst_z", "before_over_floor", "after_over_floor")]
+    return [*start, ", ".join(row["named"]) or "-", row["right"], *numbers]
 
 
 def _page(rows: list[dict], arguments: list[str]) -> str:
@@ -348,11 +309,9 @@ logs and the robot file.
 
 ## Cases
 
-| hidden | size | seed | verdict | named | right | worst z | before / floor | after / floor |
-| --- | --- | --- | --- | --- | --- | --- | --- | --- |
-{chr(10).join(_line(row) for row in rows)}
+{table(HEADS, map(_cells, rows))}
 """
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(tyro.cli(ScoreCmd, description=__doc__).run())

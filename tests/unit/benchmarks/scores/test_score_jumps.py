@@ -24,30 +24,30 @@ def swing(seconds: float = 16.0, rate: float = 100.0) -> FlightLog:
 
 def test_a_flight_counts_as_told_in_time_only_if_all_of_it_is() -> None:
     score = Score()
-    score.add([(1.5, 0.01), (10.0, 0.03)], put_in=2, told=2)
-    score.add([(1.0, 0.02), (10.5, 0.02)], put_in=2, told=3)
-    score.add([(2.0, 0.5)], put_in=2, told=1)
+    score.add([(1.5, 0.01), (10.0, 0.03)], inserted=2, reported=2)
+    score.add([(1.0, 0.02), (10.5, 0.02)], inserted=2, reported=3)
+    score.add([(2.0, 0.5)], inserted=2, reported=1)
     assert score.row("jump") == "| jump | 3 | 2 | 1 | 2.00, 10.50 | 0.020, 0.500 | 1 |"
 
 
 def test_what_has_no_size_has_no_error() -> None:
     score = Score()
-    score.add([(0.5, None)], put_in=1, told=1)
-    score.add([], put_in=1, told=0)
+    score.add([(0.5, None)], inserted=1, reported=1)
+    score.add([], inserted=1, reported=0)
     assert score.row("stop") == "| stop | 2 | 1 | 1 | 0.50, 0.50 | - | 0 |"
 
 
 def test_jumps_and_stops_of_a_quiet_flight_are_told_in_time() -> None:
     """A fix that moves by 1 m and returns, known to the noise of half seconds; a position that repeats itself."""
     jumps = jumps_streamed([swing()], 1.0, np.random.default_rng(1))
-    assert (jumps.flights, jumps.result, jumps.soon, jumps.rest) == (1, 1, 1, 0)
-    assert len(jumps.off) == 2
-    assert max(jumps.off) < 5e-3
+    assert (jumps.flights, jumps.complete, jumps.soon, jumps.false) == (1, 1, 1, 0)
+    assert len(jumps.errors) == 2
+    assert max(jumps.errors) < 5e-3
     stays = jumps_streamed([swing()], 1.0, np.random.default_rng(1), returns=False)
-    assert (stays.result, stays.soon, stays.rest) == (1, 1, 0)
-    assert len(stays.off) == 1
+    assert (stays.complete, stays.soon, stays.false) == (1, 1, 0)
+    assert len(stays.errors) == 1
     stops = stops_streamed([swing()], "position", np.random.default_rng(1))
-    assert (stops.result, stops.soon, stops.rest) == (1, 1, 0)
+    assert (stops.complete, stops.soon, stops.false) == (1, 1, 0)
     assert stops_streamed([swing()], "specific_force", np.random.default_rng(1)).flights == 0
 
 
@@ -64,5 +64,5 @@ def test_the_largest_difference_passes_one_where_a_jump_is_told() -> None:
 @pytest.mark.parametrize("delay", [9.99, 10.0])
 def test_ten_seconds_are_in_time(delay: float) -> None:
     score = Score()
-    score.add([(delay, None)], put_in=1, told=1)
+    score.add([(delay, None)], inserted=1, reported=1)
     assert score.soon == 1

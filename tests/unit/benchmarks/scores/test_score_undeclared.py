@@ -1,14 +1,14 @@
 """The scoring of cases: judgement, intervals, tables, and runs that go on after an interruption."""
 
-import argparse
 import json
 from pathlib import Path
 
 import pytest
+import tyro
 
 from benchmarks.scores import score_undeclared
 from benchmarks.scores.score_table import clopper_pearson, markdown, right_line, share
-from benchmarks.scores.score_undeclared import CLASSIC, Job, judge, plan_jobs, run_jobs
+from benchmarks.scores.score_undeclared import CLASSIC, Job, ScoreCmd, judge, run_jobs
 from benchmarks.undeclared import EFFECTS, UNKNOWN
 
 CLEAN = {"specific_force": {"unit": "m/s²", "x": {"rms": 3.0, "noise_floor": 2.0}}}
@@ -73,29 +73,25 @@ def test_clopper_pearson_has_its_closed_forms() -> None:
     assert share(19, 20).startswith("19 of 20 (95 %, 75 to 100)")
 
 
-def flags(**changes: object) -> argparse.Namespace:
-    args = score_undeclared._parser().parse_args(["--seeds", "1", "2"])
-    args.sizes = ["moderate"]
-    for name, value in changes.items():
-        setattr(args, name, value)
-    return args
+def plan_jobs(**flags: object) -> list[Job]:
+    return ScoreCmd(**{"seeds": (1, 2)} | flags).plan_jobs()
 
 
 def test_cases_are_those_that_were_requested() -> None:
     """By default the first six effects and a plain control for each seed, as it was; all, pairs and unknown add theirs."""
-    jobs = plan_jobs(flags())
+    jobs = plan_jobs()
     assert [job.hidden for job in jobs[:7]] == [(), *((name,) for name in CLASSIC)]
     assert len(jobs) == 14
-    jobs = plan_jobs(flags(effects=["all"], unknown=True, pairs=["com_offset+gusts"], sizes=["small", "large"]))
+    jobs = plan_jobs(effects=("all",), unknown=True, pairs=["com_offset+gusts"], sizes=["small", "large"])
     controls = {job.features for job in jobs if not job.hidden}
     assert controls == {(), ("battery",), *(("battery", f) for f in ("low", "ceiling", "heights", "other"))}
     assert len(jobs) == 2 * (6 + 2 * (len(EFFECTS) + len(UNKNOWN) + 1))
     assert len({job.key for job in jobs}) == len(jobs)
-    alone = plan_jobs(flags(effects=["all"], controls=True))
+    alone = plan_jobs(effects=("all",), controls=True)
     assert {job.features for job in alone} == controls
     assert len(alone) == 2 * 6
     with pytest.raises(ValueError, match=r"no effect \['com'\]. Known: all, rotor_drag"):
-        plan_jobs(flags(effects=["com"]))
+        plan_jobs(effects=["com"])
 
 
 def fake_row(job: Job) -> dict[str, object]:
@@ -107,7 +103,8 @@ def fake_row(job: Job) -> dict[str, object]:
 
 
 def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs, made = plan_jobs(flags(effects=["rotor_drag"], seeds=[1, 2])), []
+    """Rows that were kept are not made again; a failed case is; no file is left half written."""
+    jobs, made = plan_jobs(effects=["rotor_drag"], seeds=[1, 2]), []
 
     def score_job(job: Job) -> dict[str, object]:
         made.append(job)
@@ -125,7 +122,8 @@ def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_tables_count_the_rows() -> None:
-    jobs = plan_jobs(flags(effects=["rotor_drag", "gusts"], unknown=True))
+    """Names, parameters with coverage, controls and unknown causes each have their table."""
+    jobs = plan_jobs(effects=["rotor_drag", "gusts"], unknown=True)
     rows = [fake_row(job) for job in jobs]
     assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"
     text = markdown(rows)
@@ -145,11 +143,11 @@ def test_the_command_prints_and_writes(
     monkeypatch.setattr(score_undeclared, "score", fake_row)
     page = tmp_path / "page.md"
     monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--write", str(page)])
-    assert score_undeclared.main() == 0
+    assert tyro.cli(ScoreCmd).run() == 0
     assert "right 7 of 7; true value inside 6 of 6 intervals" in capsys.readouterr().out
     assert page.read_text().count("| rotor_drag |") == 4  # names, parameters, hidden and named
     monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--effects", "drag"])
-    assert score_undeclared.main() == 2
+    assert tyro.cli(ScoreCmd).run() == 2
     assert "no effect ['drag']" in capsys.readouterr().err
 
 
