@@ -109,11 +109,7 @@ def torchrun_rank() -> int:
 
 
 def own_device(name: str) -> str:
-    """Return the device of this process: for ``auto`` or ``cuda`` the GPU of its ``LOCAL_RANK``, if there are GPUs.
-
-    Raises:
-        ConfigError: If there is none for it, or ``name`` asks all processes for one GPU.
-    """
+    """Return the device of this process: for ``auto`` or ``cuda`` the GPU of its ``LOCAL_RANK``, if there are GPUs."""
     device = resolve_device(name)
     if device.type != "cuda" or not all(name in os.environ for name in VARIABLES):
         return name
@@ -129,11 +125,7 @@ def own_device(name: str) -> str:
 
 @contextmanager
 def join_ranks(device: str) -> Iterator[Ranks]:
-    """Join the process group of ``torchrun`` on a device; ``ALONE`` without it.
-
-    Raises:
-        ConfigError: If there is no GPU for this process.
-    """
+    """Join the process group of ``torchrun`` on a device; ``ALONE`` without it."""
     if not all(name in os.environ for name in VARIABLES):
         yield ALONE
         return
@@ -158,11 +150,7 @@ def _on_cpu(value: Any) -> Any:
 
 @contextmanager
 def _report_peer_end() -> Iterator[None]:
-    """Raise an error if another process has ended during a collective operation.
-
-    Raises:
-        TrainingError: If it has.
-    """
+    """Raise ``TrainingError`` if another process has ended during a collective operation."""
     try:
         yield
     except RuntimeError as error:

@@ -150,11 +150,7 @@ def _level(path: str) -> TaskCfg:
 
 
 def import_object(name: str) -> object:
-    """Return the object ``module:Name`` or ``file.py:Name``; the module may be in the current folder.
-
-    Raises:
-        UnknownNameError: If there is no such module or file, or nothing of that name in it.
-    """
+    """Return the object ``module:Name`` or ``file.py:Name``; the module may be in the current folder."""
     module, _, attribute = name.rpartition(":")
     kind = "file.py" if module.endswith(".py") else "module"
     try:
@@ -164,11 +160,7 @@ def import_object(name: str) -> object:
 
 
 def _import(name: str, folder: Path) -> ModuleType:
-    """Return the module of a name or file, relative to a folder.
-
-    Raises:
-        UnknownNameError: If it does not exist.
-    """
+    """Return the module of a name or file, relative to a folder; raise ``UnknownNameError`` if it does not exist."""
     here = str(folder.resolve())
     sys.path.append(here)
     try:
@@ -204,11 +196,7 @@ CELL_TERMS = ("nearest_in_cells", "log_nearest_in_cells")
 
 
 def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
-    """Return a task with an encoder's latents in place of the nearest distances of 8 x 8 cells.
-
-    Raises:
-        ConfigError: If it sees neither these nor latents.
-    """
+    """Return a task with an encoder's latents in place of the nearest distances of 8 x 8 cells."""
 
     def use_latents(entry: ObservationCfg) -> ObservationCfg:
         return replace(entry, term="image_latents") if entry.term in CELL_TERMS and not entry.params else entry

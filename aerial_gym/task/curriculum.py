@@ -42,11 +42,7 @@ class Curriculum:
     def __init__(
         self, cfg: CurriculumCfg, env: EnvironmentCfg, assets: AssetManager, gtd: GlobalTensorDictionary
     ) -> None:
-        """Declare ``curriculum_level`` in the GTD and set the first level.
-
-        Raises:
-            ConfigError: If the environment has not that many obstacles, or always keeps more.
-        """
+        """Declare ``curriculum_level`` in the GTD and set the first level."""
         if cfg.max_level > env.num_assets:
             raise ConfigError(
                 f"CurriculumCfg.max_level = {cfg.max_level}: this environment has {env.num_assets} obstacle rows. Lower it"
@@ -96,11 +92,7 @@ class Curriculum:
         return {"finished": self._finished, "succeeded": self._succeeded}
 
     def load(self, state: dict[str, int]) -> None:
-        """Continue from a state.
-
-        Raises:
-            ConfigError: If its level is not one of this curriculum.
-        """
+        """Continue from a state; raise ``ConfigError`` if its level is not one of this curriculum."""
         if not self.cfg.min_level <= state["level"] <= self.cfg.max_level:
             raise ConfigError(
                 f"curriculum level {state['level']}: must lie in {self.cfg.min_level} to {self.cfg.max_level}"

@@ -35,15 +35,7 @@ Range = tuple[Vec3, Vec3]
 
 
 def load_level(path: str | Path, base: TaskCfg, robot: RobotCfg) -> TaskCfg:
-    """Return the task of a level.
-
-    Args:
-        base: Task of which everything is taken that the file does not say.
-        robot: Its robot; the file's inertia offsets are added to its inertia.
-
-    Raises:
-        ConfigError: If the file cannot be read, a number is missing, or something cannot be flown here.
-    """
+    """Return the task of a level file; the rest is that of ``base``. Inertia offsets add to the inertia of its robot."""
     path = Path(path)
     try:
         level = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -37,9 +37,6 @@ def with_rotor_range(cfg: TaskCfg, robot: RobotCfg, command: tuple[str, ...]) ->
     entries belong to places (``rotor_order``). With ``params: {places: 4}`` a robot with another number of rotors,
     other spins or force mode takes the commands of a quadrotor: its rotors together give the lift and torque of those four
     (``quadrotor_mix``).
-
-    Raises:
-        ConfigError: If the controller takes neither, the robot cannot be flown so, or a parameter is not known.
     """
     if cfg.action.transform != ROTOR_RANGE:
         return cfg
@@ -80,9 +77,6 @@ def quadrotor_mix(robot: RobotCfg) -> tuple[tuple[float, ...], ...]:
     Lift along body z and each torque use the least-squares thrusts without other components. Full lift is reached when the
     first rotor is at its limit, full torque when the root mean square of all is. For a quadrotor with square arms the
     matrix is the identity.
-
-    Raises:
-        ConfigError: If the rotors cannot lift or turn the robot about each axis by itself.
     """
     matrix = allocation_matrix(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), STANDARD_GRAVITY)[0]
     most = torch.tensor([rotor.thrust_range[1] for rotor in robot.rotor_types], dtype=matrix.dtype)
@@ -111,11 +105,7 @@ def _as_rows(matrix: Tensor) -> tuple[tuple[float, ...], ...]:
 
 
 def rotor_order(positions: Sequence[Vec3]) -> tuple[int, ...]:
-    """Return the number of each rotor if they are counted clockwise as seen from above, from the nose on.
-
-    Args:
-        positions: Of the rotors [m], body; those of one direction keep their order.
-    """
+    """Return the number of each rotor, counted clockwise as seen from above from the nose on, by positions [m], body."""
     turns = [round(atan2(-y, x) % (2.0 * pi), PLACE_DIGITS) % round(2.0 * pi, PLACE_DIGITS) for x, y, _ in positions]
     counted = sorted(range(len(turns)), key=turns.__getitem__)
     return tuple(counted.index(rotor) for rotor in range(len(turns)))

@@ -9,10 +9,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.config.task import POLICY, TaskCfg
+from aerial_gym.config.task import OBSERVATIONS, POLICY, TaskCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import on_device, with_usual_settings
@@ -30,18 +31,16 @@ from aerial_gym.task.resolve import (
     resolve_terminations,
 )
 from aerial_gym.task.rotor_range import with_rotor_range
-from aerial_gym.task.spaces import action_space, group_key, observation_space
 from aerial_gym.task.step.actor import Actor, declare_delay
 from aerial_gym.task.step.gradient_graph import GradientGraph
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
 from aerial_gym.task.step.observer import Entry, Observer
+from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.step.step_graph import StepGraph, check_untraced
-from aerial_gym.task.step.step_memory import make_memory
 from aerial_gym.task.terms.buffers import STEP_TIME
 from aerial_gym.task.values import Values
-from aerial_gym.task.vision.cells import Cells
+from aerial_gym.task.vision.image_buffers import ImageBuffers
 from aerial_gym.task.vision.images import TaskImages
-from aerial_gym.task.vision.latents import Latents
 
 if TYPE_CHECKING:
     from gymnasium import spaces
@@ -51,6 +50,11 @@ Observation = dict[str, Tensor]
 
 StepResult = tuple[Observation, Tensor, Tensor, Tensor, dict[str, Tensor]]
 """Observation, reward, terminated, truncated, info."""
+
+
+def group_key(group: str) -> str:
+    """Return the observation key of a group."""
+    return OBSERVATIONS if group == POLICY else group
 
 
 @with_usual_settings
@@ -101,8 +105,7 @@ class Task:
         action, params = resolve_action(cfg, command)
         self.num_actions = num_commands if action.width is None else action.width
         """Entries of an action, V."""
-        self._cells = Cells(env.sensor_manager, env.gtd, robot=cfg.robot)
-        self._latents = Latents(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
+        self._buffers = ImageBuffers(env.sensor_manager, env.gtd, robot=cfg.robot, encoder=cfg.encoder)
         self.values = self._make_values(num_commands)
         """Inputs of terms by name: GTD keys and the task's own buffers; ``print(task.values.own)`` shows the latter."""
         declare_delay(cfg.action, self.values)
@@ -127,21 +130,11 @@ class Task:
             cfg, rewards, terminations, self.values, command=self._command, observer=self._observer, random=env.random
         )
         self._images = TaskImages(cfg.images, self.values, env.sensor_manager)
-        self._actor = Actor(
-            cfg.action,
-            action,
-            params,
-            self.values,
-            num_actions=self.num_actions,
-            num_commands=num_commands,
-            dt=env.dt,
-            random=env.random,
-        )
-        self._memory = make_memory(self._command, self.values)
+        counts = {"num_actions": self.num_actions, "num_commands": num_commands}
+        self._actor = Actor(cfg.action, action, params, self.values, **counts, dt=env.dt, random=env.random)
+        self._memory = self._make_memory()
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        self._watch = FiniteWatch(
-            env.gtd, env.robot_manager.noticed, num_actions=self.num_actions, dt=env.dt, keep=False
-        )
+        self._watch = self._make_watch(keep=False)
         self._graph: StepGraph[StepResult] | None = None
         if capture:
             self._check_capture()
@@ -152,21 +145,28 @@ class Task:
     def observation_shapes(self) -> dict[str, tuple[int, ...]]:
         """Shapes of an observation of one environment, by key."""
         images = {name: tuple(frames.shape[1:]) for name, frames in self._images.frames.items()}
-        return {key: (width,) for key, width in self._widths.items()} | images
-
-    @property
-    def _widths(self) -> dict[str, int]:
-        return {group_key(name): self._observer.width(name) for name in self._observer.groups}
+        return {group_key(name): (self._observer.width(name),) for name in self._observer.groups} | images
 
     @cached_property
     def observation_space(self) -> "spaces.Dict":
         """Observation space of one environment; Gymnasium is imported on demand."""
-        return observation_space(self._widths, self._images)
+        from gymnasium import spaces
+
+        images, entries = self._images.frames, {}
+        for name, shape in self.observation_shapes.items():
+            low, high, dtype = -np.inf, np.inf, torch.float32
+            if name in images:
+                dtype = images[name].dtype
+                low, high = 0, 255 if dtype == torch.uint8 else 1
+            entries[name] = spaces.Box(low, high, shape=shape, dtype=torch.empty(0, dtype=dtype).numpy().dtype.type)
+        return spaces.Dict(entries)
 
     @cached_property
     def action_space(self) -> "spaces.Box":
         """Space of an action of one environment, each entry -1 to 1."""
-        return action_space(self.num_actions)
+        from gymnasium import spaces
+
+        return spaces.Box(-1.0, 1.0, shape=(self.num_actions,), dtype=np.float32)
 
     @property
     def is_captured(self) -> bool:
@@ -222,9 +222,11 @@ class Task:
         """
         if self.is_captured:
             raise CapabilityError("watch: the step is recorded already. Call it before the first reset")
-        self._watch = FiniteWatch(
-            self._gtd, self.env.robot_manager.noticed, num_actions=self.num_actions, dt=self.env.dt, keep=True
-        )
+        self._watch = self._make_watch(keep=True)
+
+    def _make_watch(self, *, keep: bool) -> FiniteWatch:
+        noticed, dt = self.env.robot_manager.noticed, self.env.dt
+        return FiniteWatch(self._gtd, noticed, num_actions=self.num_actions, dt=dt, keep=keep)
 
     @property
     def num_non_finite(self) -> int:
@@ -325,8 +327,7 @@ class Task:
     def _look(self, *, begun: bool = False) -> None:
         """Read the sensors and update image terms; ``begun``: only where an episode has just begun."""
         self.env.render(self.env.random.mask if begun else None)
-        self._cells.measure()
-        self._latents.measure()
+        self._buffers.measure()
         self._images.take(begun=begun)
 
     def parts(self) -> dict[str, Callable[[], None]]:
@@ -375,12 +376,30 @@ class Task:
         sizes = {"E": env.num_envs, "U": num_commands, "V": self.num_actions, "R": env.robot_manager.cfg.num_rotors}
         simulation = env.robot_manager.differentiable
         graph = None if simulation is None else GradientGraph(simulation)
-        makers = {**self._cells.buffer_makers, **self._latents.buffer_makers, STEP_TIME: self._make_step_time}
+        makers = {**self._buffers.buffer_makers, STEP_TIME: self._declare_step_time}
         values = Values(env.gtd, sizes=sizes, makers=makers, graph=graph)
         values.declare("begun", dtype=torch.bool, meaning="its episode has just begun", view=env.random.mask)
         return values
 
-    def _make_step_time(self, values: Values, reader: str) -> Tensor:
+    def _make_memory(self) -> StepKernel | None:
+        """Return the kernel of values for the next step; None without any. Make it after all inputs are declared."""
+        values, command, updates = self.values, self._command, dict(self.values.updates)
+
+        def next_buffers(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+            buffers = command.next_values(given)
+            for name, term in updates.items():
+                buffers[name] = term.evaluate({**given, **buffers})
+            return buffers
+
+        names = (*command.next_values(values), *updates)
+        if not names:
+            return None
+        reads = {name: values.find(name, "the command") for name in ("sim_steps", "begun", *command.reads)}
+        reads |= values.term_inputs(*updates.values())
+        writes = {name: values[name] for name in names}
+        return StepKernel(next_buffers, "the buffers for the next step", reads=reads, writes=writes, graph=values.graph)
+
+    def _declare_step_time(self, values: Values, reader: str) -> Tensor:
         del reader
         return values.declare(STEP_TIME, unit="s", meaning="time of a step", rows=False).fill_(self.env.dt)
 

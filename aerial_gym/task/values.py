@@ -27,12 +27,10 @@ class Values(Mapping[str, Tensor]):
         makers: Mapping[str, Callable[..., Tensor]],
         graph: GradientGraph | None = None,
     ) -> None:
-        """Take the simulation's dictionary.
+        """Take the simulation's dictionary, and the ``graph`` of values with gradients, if any.
 
-        Args:
-            makers: What declares buffers that are neither of the registry nor declared already, by their name, in which
-                whole numbers may stand as ``{rows}``: called with these values, who reads it, and the numbers by name.
-            graph: Where values with gradients are, of a differentiable simulation.
+        ``makers`` declare buffers on demand, by their name, in which whole numbers may stand as ``{rows}``. They are called
+        with these values, the reader's name, and the numbers by name.
         """
         self.gtd, self._makers, self.graph = gtd, makers, graph
         self.own = GlobalTensorDictionary(device=gtd.device, sizes=sizes)
@@ -62,11 +60,7 @@ class Values(Mapping[str, Tensor]):
         return self.own.declare(spec, view=view)
 
     def find(self, name: str, reader: str) -> Tensor:
-        """Return a tensor that ``reader`` reads, made if need be.
-
-        Raises:
-            UnknownNameError: If nothing has that name.
-        """
+        """Return a tensor that ``reader`` reads, made if need be."""
         if name in self.gtd:
             return self.gtd.plain(name)
         if name in self.own:

@@ -102,12 +102,7 @@ def make_flight(
     device: torch.device,
     seed: int = 0,
 ) -> HoverFlight:
-    """Return a batch near hover, built from names.
-
-    Raises:
-        AerialGymError: If a name is unknown, ``dt`` impossible, the backend cannot run it, or an effect lacks something of
-            the robot or the scene.
-    """
+    """Return a batch near hover, built from names."""
     if not 0.0 < dt < float("inf"):
         raise ConfigError(f"--dt-s = {dt!r}: must be > 0 and finite")
     stepper, cfg, law = BACKENDS.get(backend)(), robot_by_name(robot), CONTROLLERS.get(controller)
@@ -180,12 +175,9 @@ def near_hover(num_envs: int, rotor_speed: Tensor, generator: torch.Generator) -
 def hover_action(
     law: str, num_actions: int, hover: tuple[Tensor, Tensor], num_envs: int, generator: torch.Generator
 ) -> Tensor:
-    """Return the action (E, U) that hovers: zero for a geometric law, else thrust or speed, up to 0.1 % off per environment.
+    """Return the action (E, U) that hovers under a law, up to 0.1 % off per environment.
 
-    Args:
-        law: ``ControllerCfg.law``.
-        hover: Thrust [N] and speed [rad/s] of each rotor in hover, (1, R).
-        generator: Source of the small differences, the same for all rotors of a vehicle.
+    It is zero for a geometric law, else thrust [N] or speed [rad/s] of each rotor, ``hover`` (1, R) each.
     """
     thrust, speed = hover
     if law not in ("thrust", "rotor_speed"):

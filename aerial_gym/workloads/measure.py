@@ -44,16 +44,7 @@ class Workload(Protocol):
 
 
 def time_launches(workload: Workload, *, repeats: int, repeat_time_s: float) -> list[float]:
-    """Return the mean time of a launch [s] in each repeat.
-
-    Args:
-        workload: Checked before the first and after every repeat.
-        repeat_time_s: About how long each is measured [s].
-
-    Raises:
-        ConfigError: If a number is impossible.
-        WorkloadError: If a check fails.
-    """
+    """Return the mean time of a launch [s] in each repeat; the workload is checked before the first and after each."""
     require_at_least(1, repeats=repeats)
     if not 0.0 < repeat_time_s < float("inf"):
         raise ConfigError(f"--repeat-time-s = {repeat_time_s!r}: must be > 0 and finite")

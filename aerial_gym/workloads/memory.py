@@ -36,11 +36,7 @@ class MemoryBench:
         return 0
 
     def measure(self) -> list[dict[str, object]]:
-        """Return the total with everything it depends on, then a row for each of the largest arrays.
-
-        Raises:
-            AerialGymError: If a name is unknown or a number impossible.
-        """
+        """Return the total with everything it depends on, then a row for each of the largest arrays."""
         import torch
 
         from aerial_gym.env_manager import SimBuilder

@@ -30,11 +30,7 @@ def device_name(device: torch.device) -> str:
 
 
 def provenance(*packages: str) -> dict[str, object]:
-    """Return versions, commit and the load of the machine [processes that want a core, mean of a minute].
-
-    Args:
-        packages: Further packages whose versions are reported.
-    """
+    """Return versions, also of further packages, commit, and load of the machine [processes, mean of a minute]."""
     versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in (*PACKAGES, *packages)}
     return {
         "versions": {**versions, "python": platform.python_version()},

@@ -30,11 +30,7 @@ MESHES = ("merged", "shared_mesh")
 
 
 def renderer_names(asked: tuple[str, ...]) -> list[str]:
-    """Return the names of renderers; ``all`` stands for every one.
-
-    Raises:
-        UnknownNameError: If no renderer has that name.
-    """
+    """Return the names of renderers; ``all`` stands for every one."""
     known = (*MESHES, *RENDER_PEERS)
     for name in asked:
         if name not in (*known, "all"):
@@ -102,11 +98,7 @@ class PeerComparison:
         return None if name in MESHES else absence_reason(name, self._pythons[name], self._device)
 
     def measure(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> PeerResult:
-        """Draw, compare with our images, and time; ``time`` returns the time of a call in each repeat [s].
-
-        Raises:
-            WorkloadError: If the renderer fails or shows something else.
-        """
+        """Draw, compare with our images, and time; ``time`` returns the time of a call in each repeat [s]."""
         return self._mesh(name, time) if name in MESHES else self._peer(name)
 
     def _mesh(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> PeerResult:

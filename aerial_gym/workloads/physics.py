@@ -36,12 +36,7 @@ class PhysicsBench:
         return 0
 
     def measure(self) -> dict[str, object]:
-        """Return the figures with everything they depend on.
-
-        Raises:
-            AerialGymError: If a name is unknown, a number impossible, or the backend cannot do it.
-            WorkloadError: If the vehicles did not fly.
-        """
+        """Return the figures with everything they depend on."""
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.flight import make_flight
         from aerial_gym.workloads.measure import rate_range, require_at_least, time_launches, torch_threads

@@ -26,12 +26,8 @@ def run(
 ) -> str:
     """Return the last line that a process writes to stdout.
 
-    Args:
-        threads: Cores to which it is pinned, and threads of its libraries; None leaves both alone.
-        folder: Where it runs; the temporary folder if not given, as some peers leave logs where they run.
-
-    Raises:
-        RunFailedError: If it fails, takes too long or cannot be started.
+    With ``threads`` it is pinned to as many cores, also its libraries. It runs in the temporary folder unless another is
+    given, as some peers leave logs where they run.
     """
     cores = sorted(os.sched_getaffinity(0))[:threads]
     limits = {} if threads is None else dict.fromkeys(THREAD_VARIABLES, str(threads))

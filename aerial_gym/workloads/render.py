@@ -59,12 +59,7 @@ class RenderBench:
         return 1 if failures else 0
 
     def measure(self) -> tuple[list[dict[str, object]], list[str]]:
-        """Return the figures with their conditions, a row per peer, and the failures of peers.
-
-        Raises:
-            AerialGymError: If a name is unknown or a number impossible.
-            WorkloadError: If the images do not show the scene.
-        """
+        """Return the figures with their conditions, a row per peer, and the failures of peers."""
         from aerial_gym.errors import ConfigError
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.measure import require_at_least, torch_threads

@@ -37,11 +37,7 @@ class RenderScene:
 
 
 def make_scene(name: str, num_envs: int, *, device: torch.device) -> RenderScene:
-    """Return a scene by name, or a registered environment as its first reset leaves it.
-
-    Raises:
-        UnknownNameError: If no scene has that name.
-    """
+    """Return a scene by name, or a registered environment as its first reset leaves it."""
     if name in SCENES:
         return SCENES[name](num_envs, device)
     if name not in ENVIRONMENTS:

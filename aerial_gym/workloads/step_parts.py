@@ -20,12 +20,7 @@ MIXING_STEPS = 10
 
 
 def time_parts(task: Task, actions: torch.Tensor, *, repeats: int) -> dict[str, float]:
-    """Return the median time of each part of a step [s], with CUDA events on a GPU and by the clock on a CPU.
-
-    Args:
-        actions: During the measurement, (E, U).
-        repeats: Figures of which the median is taken.
-    """
+    """Return the median time of each part of a step [s] under actions (E, U): CUDA events on a GPU, the clock on a CPU."""
     times = {}
     for name, call in task.parts().items():
         _mix(task, actions)

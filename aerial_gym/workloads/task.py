@@ -32,12 +32,7 @@ class TaskBench:
         return 0
 
     def measure(self) -> dict[str, object]:
-        """Return the figures with everything they depend on.
-
-        Raises:
-            AerialGymError: If a name is unknown or a number impossible.
-            WorkloadError: If the episodes were not those of a running task.
-        """
+        """Return the figures with everything they depend on."""
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
         from aerial_gym.workloads.episodes import Episodes

@@ -19,9 +19,9 @@ from rl_games.common.ivecenv import IVecEnv
 from rl_games.torch_runner import Runner
 from torch import Tensor, distributed
 
-from aerial_gym.rl_training.adapters.library_run import LibraryRun
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
+from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard

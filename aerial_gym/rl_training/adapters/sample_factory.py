@@ -36,10 +36,10 @@ from signal_slot.signal_slot import EventLoop, EventLoopStatus
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError, TrainingError
-from aerial_gym.rl_training.adapters.library_run import LibraryRun
 from aerial_gym.rl_training.learner_settings import PpoCfg
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.interruption import Interruption
+from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.summaries import guard

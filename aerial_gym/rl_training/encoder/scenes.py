@@ -54,11 +54,7 @@ class ImageSet:
 
 
 def image_sensor(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
-    """Return the first camera or lidar of the robot, from a small simulation.
-
-    Raises:
-        ConfigError: If it has none.
-    """
+    """Return the first camera or lidar of the robot, from a small simulation; raise ``ConfigError`` if it has none."""
     with_one = _build(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
     try:
         casters = with_one.sensor_manager.casters
@@ -72,15 +68,7 @@ def image_sensor(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
 def render_images(
     cfg: EncoderTrainingCfg, count: int, *, seed: int, device: torch.device, tell: ProgressReport = lambda _, __: None
 ) -> ImageSet:
-    """Return images of the settings' environments, each of another scene with a random number of obstacles.
-
-    Args:
-        cfg: Environments and robot.
-        count: Number of images N.
-        seed: Of scenes and poses.
-        device: Where they are rendered and stay.
-        tell: Receives the progress.
-    """
+    """Return ``count`` images of the settings' environments, each of another scene with a random number of obstacles."""
     sensor, robot = image_sensor(cfg), robot_by_name(cfg.robot)
     parts = []
     for number, env in enumerate(cfg.envs):
@@ -93,11 +81,7 @@ def render_images(
 
 
 def collision_radius(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
-    """Return the radius of a robot's collision ball [m].
-
-    Raises:
-        ConfigError: If neither the robot has a shape nor the settings give a radius.
-    """
+    """Return the radius of a robot's collision ball [m]."""
     radius = body_reach(robot.collision.shapes) if cfg.radius_m is None else cfg.radius_m
     if radius <= 0.0:
         raise ConfigError(f"robot {cfg.robot}: has no shape to collide with. Give radius_m")

@@ -121,11 +121,6 @@ def train_encoder(
         out: Folder, new unless ``resume``.
         resume: Whether to continue from the folder's checkpoint, on one device as without the interruption.
         tell: Receives the progress: a description of the work, and the share that is done.
-
-    Raises:
-        ConfigError: If the folder holds a training and ``resume`` is off, or a name or number is impossible.
-        TrainingError: If the loss is not finite.
-        StorageError: If something cannot be written.
     """
     started, folder, device = time.perf_counter(), EncoderFolder(out), resolve_device(cfg.device)
     if resume:

@@ -68,8 +68,7 @@ def window_return(reward: Tensor, value: Tensor, terminated: Tensor, ended: Tens
 
     Args:
         reward: r, (T, E).
-        value: V of the observation after each step and before a reset, (T, E): it counts in the last step and where an
-            episode was truncated.
+        value: V of the observation after each step and before a reset, (T, E). It counts in the last step and at truncations.
         terminated: Whether the episode ended for good, bool, (T, E): nothing follows.
         ended: Whether it ended, by termination or truncation, bool, (T, E).
         discount: gamma.
@@ -94,11 +93,7 @@ class Apg(Learner):
     """The gradient is that of the policy, before it is limited; the loss of values is the mean over the last epoch."""
 
     def __init__(self, cfg: TrainingCfg, task: Task, network: ActorCritic) -> None:
-        """Take settings, a task with gradients, and a network on its device.
-
-        Raises:
-            CapabilityError: If the task has no gradients, or draws parameters at its resets.
-        """
+        """Take settings, a task with gradients, and a network on its device."""
         super().__init__(cfg, task, network)
         check_differentiable(task, cfg)
         self._apg = apg = cfg.section(ApgCfg)
@@ -227,11 +222,7 @@ class Apg(Learner):
 
 
 def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
-    """Refuse task terms without gradients through windows with resets.
-
-    Raises:
-        CapabilityError: If the task has no gradients, its resets draw parameters, or a CUDA graph should hold joints.
-    """
+    """Refuse task terms without gradients through windows with resets."""
     if task.values.graph is None:
         raise CapabilityError(
             f"trainer apg: task {cfg.task} was made without gradients. Make it with differentiable=True"

@@ -53,11 +53,7 @@ class IterationGraph:
             self._record().replay()
 
     def _record(self) -> torch.cuda.CUDAGraph:
-        """Return the graph.
-
-        Raises:
-            CapabilityError: If something in an iteration waits for the GPU.
-        """
+        """Return the graph; raise ``CapabilityError`` if something in an iteration waits for the GPU."""
         if self._graph is None:
             graph = torch.cuda.CUDAGraph()
             graph.register_generator_state(self._generator)

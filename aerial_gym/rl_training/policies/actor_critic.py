@@ -82,10 +82,7 @@ class ActorCritic(nn.Module):
     def sequence(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Gaussian, Tensor]:
         """Return the distributions of actions (T, E, U) and the normalised values (T, E) along a sequence.
 
-        Args:
-            prepared: Keys, (T, E, ...).
-            memory: Of both before the sequence, (E, M).
-            begins: Whether an episode begins with this observation, bool, (T, E): the memory is then empty.
+        Arguments as for ``NetworkBody.sequence``, with the joint memory of both.
         """
         acting, judging = memory.split(self.memory_sizes, dim=-1)
         if self.own_body is None:

@@ -47,11 +47,7 @@ class NetworkBody(nn.Module):
     """Network from observations to features; its memory is an argument and a result, so that it holds no state."""
 
     def __init__(self, cfg: NetworkBodyCfg, *, beside: "NetworkBody | None" = None) -> None:
-        """Make the layers with torch's initial weights; normalisers of common keys are shared with ``beside``.
-
-        Raises:
-            ConfigError: If a key is neither a vector nor an image.
-        """
+        """Make the layers with torch's initial weights; normalisers of common keys are shared with ``beside``."""
         super().__init__()
         self.cfg, self.memory_size = cfg, cfg.memory
         self.normalizers, self.encoders = nn.ModuleDict(), nn.ModuleDict()

@@ -19,18 +19,10 @@ NORMALISED = (".mean", ".var")
 
 
 def load_initial_weights(network: ActorCritic, model: Mapping[str, Tensor], *, where: str) -> None:
-    """Load the weights of another network, which may have fewer inputs.
+    """Load the weights ``model`` of another network, which may have fewer inputs; ``where`` is named in errors.
 
     Additional inputs must follow those of the other network. Their weights are zero, so that at first it acts like the
     other one. Their normaliser starts at mean 0 and deviation 1 and adapts slowly, as its sample count is large.
-
-    Args:
-        network: Receives them.
-        model: ``network.state_dict()`` of the other one.
-        where: Named in errors.
-
-    Raises:
-        ConfigError: If they do not fit.
     """
     own = network.state_dict()
     if own.keys() != model.keys():

@@ -68,11 +68,7 @@ def load_policy(source: str | Path, *, device: str | torch.device = "cpu") -> tu
 
 
 def find_checkpoint(source: str | Path) -> tuple[Path, TrainingCfg]:
-    """Return the given checkpoint, or the last one of a run folder, and the settings of the run.
-
-    Raises:
-        ConfigError: If there is no such run or checkpoint.
-    """
+    """Return the given checkpoint, or the last one of a run folder, and the settings of the run."""
     source = Path(source)
     folder = RunFolder(source) if source.is_dir() else find_run_folder(source)
     return folder.last_checkpoint() if source.is_dir() else source, folder.config()
@@ -113,11 +109,7 @@ def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> Network
 
 
 def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
-    """Return a new network for the settings and the observations of a task, on its device; drawn from the seed alone.
-
-    Raises:
-        ConfigError: If the task has no observation of a key.
-    """
+    """Return a new network for the settings and the observations of a task, on its device; drawn from the seed alone."""
     learner = cfg.learner
     shapes = task.observation_shapes
     for key in (*learner.policy_keys, *learner.critic_keys):

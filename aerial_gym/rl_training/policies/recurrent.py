@@ -20,13 +20,9 @@ TILE, WARPS = 16, 4
 
 
 def unroll(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
-    """Return the hidden state of a gated recurrent unit after each step, (T, E, M).
+    """Return the hidden states (T, E, M) of a unit for features (T, E, F), from a memory (E, M) before them.
 
-    Args:
-        cell: The unit.
-        features: (T, E, F).
-        memory: Before the sequence, (E, M).
-        begins: Whether an episode begins with this step, bool, (T, E): the memory is then empty.
+    The memory is emptied at the steps where an episode ``begins``, bool (T, E).
     """
     if features.is_cuda:
         entering = linear(features, cell.weight_ih, cell.bias_ih)
@@ -108,11 +104,6 @@ class _FusedUnroll(torch.autograd.Function):
 
 
 def _of_weights(held: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the gradients of weights (3 M, M) and bias (3 M,) of memory.
-
-    Args:
-        held: Gradient with respect to their products, (T, E, 3 M).
-        before: Hidden state at the start of each step, (T, E, M).
-    """
+    """Return the gradients of weights (3 M, M) and bias (3 M,) from those of their products and the states before."""
     flat = held.flatten(0, 1)
     return flat.t() @ before.flatten(0, 1), flat.sum(0)

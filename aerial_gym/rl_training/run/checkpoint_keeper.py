@@ -53,17 +53,7 @@ class CheckpointKeeper:
         return self._ranks.broadcast_number(time.perf_counter() - self._saved_at) >= self._interval
 
     def save(self, state: Mapping[str, object], *, env_steps: int, own: Sequence[str] = ()) -> None:
-        """Write a checkpoint of a trainer's state after ``env_steps`` of all sessions.
-
-        Args:
-            state: By name.
-            env_steps: The steps.
-            own: Keys that differ between processes.
-
-        Raises:
-            StorageError: If it cannot be written.
-            TrainingError: If its weights are not finite; the checkpoints before it stay.
-        """
+        """Write a trainer's state, by name, after ``env_steps`` of all sessions; keys of ``own`` differ between processes."""
         self._check_weights(state)
         run, first = self._run_state(env_steps), env_steps == 0
         rank_states = self._ranks.gather({name: state[name] for name in own} | {"task_random": run["task_random"]})
@@ -83,9 +73,6 @@ class CheckpointKeeper:
         """Hand the checkpoint to the trainer's ``load``, then take up curriculum and random states.
 
         Keys that differ between processes (``own``) are missing for a rank new to the run.
-
-        Raises:
-            ConfigError: If the checkpoint does not fit the run.
         """
         assert self._resumed is not None
         path, payload = self._resumed
@@ -138,11 +125,7 @@ class CheckpointKeeper:
 
 
 def checkpoint_steps(resumed: tuple[Path, dict[str, Any]] | None, trainer: str) -> int:
-    """Return the environment steps of a checkpoint; 0 without one.
-
-    Raises:
-        ConfigError: If it belongs to another trainer, or to none.
-    """
+    """Return the environment steps of a checkpoint; 0 without one."""
     if resumed is None:
         return 0
     path, payload = resumed

@@ -60,12 +60,7 @@ class RunFolder:
         self.encoder_file = self.path / "encoder.pt"
 
     def create(self, cfg: TrainingCfg) -> None:
-        """Make the folder and write the settings.
-
-        Raises:
-            ConfigError: If the folder holds a run already.
-            StorageError: If nothing can be written there.
-        """
+        """Make the folder and write the settings."""
         if self.config_file.exists():
             raise ConfigError(f"{self.path}: holds a run already. Choose another --out, or continue it with --resume")
         with storage_errors(self.path):
@@ -84,11 +79,7 @@ class RunFolder:
             self.path.rmdir()
 
     def config(self) -> TrainingCfg:
-        """Return the settings of the run; its encoder is the copy in the folder, wherever that is now.
-
-        Raises:
-            ConfigError: If the folder holds no run.
-        """
+        """Return the settings of the run; its encoder is the copy in the folder, wherever that is now."""
         if not self.config_file.exists():
             raise ConfigError(f"{self.path}: holds no run (no config.yaml). Start one without --resume")
         cfg = load_settings(self.config_file)
@@ -102,11 +93,7 @@ class RunFolder:
         return earlier + sorted(self.checkpoint_folder.glob("checkpoint_*.pth"))
 
     def last_checkpoint(self) -> Path:
-        """Return the newest checkpoint.
-
-        Raises:
-            ConfigError: If there is no checkpoint.
-        """
+        """Return the newest checkpoint; raise ``ConfigError`` if there is no checkpoint."""
         checkpoints = self.checkpoints()
         if not checkpoints:
             raise ConfigError(f"{self.path}: holds no checkpoint yet. Train on with --out {self.path} --resume")
@@ -116,9 +103,6 @@ class RunFolder:
         """Return the newest readable checkpoint with its content; None for a run without a checkpoint.
 
         Damaged ones that are newer keep their content under the name ``NAME.damaged``, and a warning says so.
-
-        Raises:
-            ConfigError: If there are checkpoints and none of them can be read.
         """
         checkpoints, reasons = self.checkpoints(), []
         for path in reversed(checkpoints):
@@ -136,11 +120,7 @@ class RunFolder:
         return None
 
     def keep_checkpoint(self, env_steps: int, payload: dict[str, object]) -> Path:
-        """Write a checkpoint after so many steps of all sessions, then remove all but the last two.
-
-        Raises:
-            StorageError: If it cannot be written; the checkpoints before it are still there.
-        """
+        """Write a checkpoint after so many steps of all sessions, then remove all but the last two."""
         path = self.checkpoint_folder / f"checkpoint_{env_steps:015d}.pth"
         try:
             with storage_errors(path):
@@ -199,11 +179,7 @@ def note_session(folder: Path, *, seed: int, device: str) -> None:
 
 
 def find_run_folder(checkpoint: str | Path) -> RunFolder:
-    """Return the run folder in which a checkpoint lies.
-
-    Raises:
-        ConfigError: If the file does not exist, or no folder above it holds a run.
-    """
+    """Return the run folder in which a checkpoint lies."""
     checkpoint = Path(checkpoint).resolve()
     if not checkpoint.is_file():
         raise ConfigError(f"checkpoint {checkpoint}: no such file")

@@ -64,11 +64,7 @@ class NativeTraining(Generic[AnyLearner]):
     def run(
         self, folder: RunFolder, progress: Progress, *, keeper: CheckpointKeeper, interruption: Interruption
     ) -> bool:
-        """Train as ``Trainer.run`` states; TensorBoard files need ``tensorboardX``.
-
-        Raises:
-            CapabilityError: If the task cannot be held in a CUDA graph.
-        """
+        """Train as ``Trainer.run`` states; TensorBoard files need ``tensorboardX``."""
         scalars = Scalars(folder.path / self.cfg.trainer / "summaries")
         if keeper.resumes:
             keeper.restore(self.load, own=OWN_STATE)

@@ -95,11 +95,7 @@ class Scalars:
         self._events: SafeEvents | None = None
 
     def add(self, numbers: Callable[[], Mapping[str, float | None]], env_steps: int) -> None:
-        """Write numbers at their interval; None stands for a number not yet known.
-
-        Raises:
-            StorageError: If numbers before could not be written.
-        """
+        """Write numbers at their interval; None stands for a number not yet known."""
         if not self._known or time.perf_counter() - self._last < self.INTERVAL_S:
             return
         self._last = time.perf_counter()

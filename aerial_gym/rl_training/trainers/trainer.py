@@ -145,12 +145,7 @@ class NativeTrainer(Trainer):
 
     @abstractmethod
     def make_training(self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None) -> "NativeTraining":
-        """Return a new training.
-
-        Raises:
-            CapabilityError: If the task has no gradients, and the trainer needs them.
-            ConfigError: If the task lacks an observation that the networks need.
-        """
+        """Return a new training."""
 
     def run(
         self, cfg: TrainingCfg, task: "Task", folder: "RunFolder", progress: "Progress", *, ranks: "Ranks", **named: Any
@@ -180,17 +175,13 @@ class LibraryTrainer(Trainer):
 
     def run(self, *arguments: Any, **named: Any) -> bool:
         """Train with the runner of the library; return whether it was interrupted."""
-        from aerial_gym.rl_training.adapters.library_run import LibraryRun
+        from aerial_gym.rl_training.run.library_run import LibraryRun
 
         return import_module(self.adapter).train(LibraryRun(*arguments, **named))
 
     @abstractmethod
     def weights(self, model: "Mapping[str, Tensor]", num_hidden: int) -> "Weights":
-        """Return layers, mean and variance of the observation from the state of the library's network.
-
-        Raises:
-            KeyError: If the state lacks one of them.
-        """
+        """Return layers, mean and variance of the observation; raise ``KeyError`` if ``model`` lacks one of them."""
 
     def policy(
         self, model: "Mapping[str, Tensor]", payload: Mapping[str, Any], cfg: TrainingCfg, *, where: str

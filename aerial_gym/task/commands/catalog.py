@@ -11,12 +11,7 @@ __all__ = ["COMMANDS", "gates", "make_command", "points", "polynomial", "track",
 
 
 def make_command(cfg: CommandCfg | None, values: Values, env: EnvManager) -> Command:
-    """Return the generator of a task, with its buffers declared; an idle one for tasks without commands.
-
-    Raises:
-        UnknownNameError: If there is no such generator.
-        ConfigError: If its numbers do not fit.
-    """
+    """Return the generator of a task, with its buffers declared; an idle one for tasks without commands."""
     if cfg is None:
         return Command(values, env)
     cls = COMMANDS.get(cfg.generator)

@@ -26,6 +26,9 @@ class Command:
     reads: tuple[str, ...] = ()
     """Inputs of ``current_values`` and ``next_values`` besides ``sim_steps`` and ``begun``; its own buffers included."""
 
+    follows_reset = False
+    """Whether ``next_values`` are ``current_values`` again, as a reset changes their inputs."""
+
     goal = False
     """Whether obstacles that are drawn keep their distance from the target of a new episode."""
 
@@ -43,8 +46,7 @@ class Command:
 
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the buffers for the next step; ``begun`` marks environments whose episode has just begun."""
-        del values
-        return {}
+        return self.current_values(values) if self.follows_reset else {}
 
     def practise(self) -> None:
         """Start training episodes from the next resets on, where these differ from evaluation episodes."""

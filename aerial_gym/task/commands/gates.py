@@ -13,19 +13,17 @@ from torch import Tensor
 from aerial_gym.config.robot import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
+from aerial_gym.task.commands.command import COMMANDS, TARGET
 from aerial_gym.task.commands.points import next_index, select_row
-from aerial_gym.task.commands.practice import FIRST_GATE, Practice
+from aerial_gym.task.commands.practice import FIRST_GATE, PracticeCommand
 from aerial_gym.task.values import Values
 
 
 def crossing(before: Tensor, now: Tensor, *, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
     """Return whether a gate's plane was crossed in its direction, and whether that was within its opening, bool (E,).
 
-    Args:
-        before: Where the robot was [m], in the gate's frame: x is the way through it, the opening lies in y and z, (E, 3).
-        now: Where it is, likewise.
-        half: Half of the width, along y, and of the height, along z, of the opening [m].
+    Positions ``before`` and ``now`` [m] are in the gate's frame, (E, 3): x leads through it, y and z span the opening, whose
+    half width and height are ``half`` [m].
     """
     (fx, fy, fz), (tx, ty, tz) = before.unbind(-1), now.unbind(-1)
     crossed = (fx < 0.0) & (tx >= 0.0)
@@ -53,7 +51,7 @@ def next_gate(values: Mapping[str, Tensor], count: int, *, loop: bool) -> Tensor
 
 
 @COMMANDS.generator("gates")
-class Gates(Command):
+class Gates(PracticeCommand):
     """The next gate's centre is the target, ``target_direction`` and ``target_orientation`` the way through it.
 
     ``following_position`` and ``following_direction`` are those of the gate behind it. A reset begins with the first gate;
@@ -83,7 +81,7 @@ class Gates(Command):
             width: Of the opening [m], > 0.
             height: Of the opening [m], > 0.
             loop: Whether the first one follows the last one; otherwise that one stays the target.
-            practice_share: Share of the episodes of a training that begin behind a gate: see ``Practice``.
+            practice_share: Share of the episodes of a training that begin behind a gate.
             practice_speed: Largest speed of these, away from the gate [m/s].
             practice_offset: Largest distances of their place behind the gate, beside its middle and above it [m].
         """
@@ -107,24 +105,12 @@ class Gates(Command):
         )
         values.declare("following_direction", (2,), frame="world", meaning="way through that: x and y, unit")
         declare_gates(values)
-        options = {"share": practice_share, "speed": practice_speed, "offset": practice_offset}
-        self._practice = Practice(self.name, values, env, self._gate_poses(env), **options)
+        rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
+        poses = rows[..., :3].contiguous(), rows[..., 5:].contiguous()
+        self._declare_practice(poses, share=practice_share, speed=practice_speed, offset=practice_offset)
         self.reads = (
             TARGET, "target_direction", "target_index", "gate_passed", FIRST_GATE, "robot_position", "previous_position",
         )  # fmt: skip
-
-    def _gate_poses(self, env: EnvManager) -> tuple[Tensor, Tensor]:
-        """Return position [m] and orientation to world, xyzw, of the gates, (E, G, 3) and (E, G, 4)."""
-        rows = torch.tensor(self._gates, device=env.device).expand(env.num_envs, -1, -1)
-        return rows[..., :3].contiguous(), rows[..., 5:].contiguous()
-
-    def practise(self) -> None:
-        """Start training episodes from the next resets on."""
-        self._practice.begin()
-
-    def place(self, mask: Tensor) -> None:
-        """Place the robots of new episodes that begin behind a gate."""
-        self._practice.place(mask)
 
     def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the crossing flags of the gate for the motion of this step."""

@@ -147,6 +147,8 @@ STATES = "vec_root_tensor"
 class AssetPoint(Command):
     """A point at an asset's origin or an offset from it, with the asset's velocity as ``target_velocity``."""
 
+    follows_reset = True
+
     def __init__(self, values: Values, env: EnvManager, *, name: str, offset: Vec3 = (0.0, 0.0, 0.0)) -> None:
         """Take the asset.
 
@@ -169,10 +171,6 @@ class AssetPoint(Command):
         state = values[STATES][:, self._row]
         return {TARGET: state[:, :3] + state.new_tensor(self._offset), "target_velocity": state[:, 7:10]}
 
-    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``current_values`` again, as a reset moves the asset."""
-        return self.current_values(values)
-
 
 LOAD_PARAMS = "effect_slung_payload"
 """Key of the GTD: mass, length and damping of the load."""
@@ -182,7 +180,7 @@ LOAD_PARAMS = "effect_slung_payload"
 class LoadPoint(Command):
     """``load_target``, drawn uniformly at every reset, for the load; the robot's target is a link's length above it."""
 
-    goal = True
+    follows_reset = goal = True
 
     def __init__(self, values: Values, env: EnvManager, *, low: Vec3, high: Vec3) -> None:
         """Take the lowest and the highest point for the load as shares of the bounds, 0 <= low <= high <= 1."""
@@ -198,10 +196,6 @@ class LoadPoint(Command):
         """Return the robot's position that holds the load at rest at its target."""
         x, y, z = values["load_target"].unbind(-1)
         return {TARGET: torch.stack((x, y, z + values[LOAD_PARAMS][:, 1]), dim=-1)}
-
-    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``current_values`` again, as a reset draws target and link length."""
-        return self.current_values(values)
 
     def draw(self, mask: Tensor) -> None:
         """Draw new points."""

@@ -88,6 +88,8 @@ def control_points(coefficients: Array) -> Array:
 class Polynomial(Command):
     """A target on a track of minimum snap through drawn points; at its end it stays. Velocity and acceleration go with it."""
 
+    follows_reset = True
+
     def __init__(
         self,
         values: Values,
@@ -159,10 +161,6 @@ class Polynomial(Command):
         for j in reversed(range(degree)):
             weights = weights * u + coefficients[:, j * width : (j + 1) * width]
         return weights
-
-    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``current_values`` again, as a reset draws another track."""
-        return self.current_values(values)
 
     def draw(self, mask: Tensor) -> None:
         """Draw the tracks of new episodes, and find their times."""

@@ -12,9 +12,9 @@ from aerial_gym.config.checks import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
+from aerial_gym.task.commands.command import COMMANDS, TARGET
 from aerial_gym.task.commands.gates import crossing, declare_gates, next_gate
-from aerial_gym.task.commands.practice import FIRST_GATE, Practice
+from aerial_gym.task.commands.practice import FIRST_GATE, PracticeCommand
 from aerial_gym.task.terms.observations import select_rows
 from aerial_gym.task.values import Values
 
@@ -26,7 +26,7 @@ SEEN = {"gates_seen": "gate_position", "poles_seen": "pole_position"}
 
 
 @COMMANDS.generator("track_gates")
-class TrackGates(Command):
+class TrackGates(PracticeCommand):
     """The next gate of the track, the first at a reset: its centre is the target, ``target_orientation`` its orientation.
 
     ``gate_passed``, ``gate_missed`` and ``sequence_done`` are as those of ``gates``. ``gates_seen`` and ``poles_seen`` mark
@@ -75,17 +75,12 @@ class TrackGates(Command):
         declare_gates(values)
         for name, count, kind in (("gates_seen", gates, "gate"), ("poles_seen", poles, "pole")):
             values.declare(name, (count,), dtype=torch.bool, meaning=f"whether the robot has been near each {kind}")
-        places, turns = (env.gtd[key] for key in GATE_KEYS)
-        options = {"share": practice_share, "speed": practice_speed, "offset": practice_offset}
-        self._practice = Practice(self.name, values, env, (places, turns), **options)
+        poses = env.gtd[GATE_KEYS[0]], env.gtd[GATE_KEYS[1]]
+        self._declare_practice(poses, share=practice_share, speed=practice_speed, offset=practice_offset)
         self.reads = (
             TARGET, "target_orientation", "target_index", "gate_passed", FIRST_GATE, "robot_position", "previous_position",
             *GATE_KEYS, *SEEN, "pole_position",
         )  # fmt: skip
-
-    def practise(self) -> None:
-        """Start training episodes from the next resets on."""
-        self._practice.begin()
 
     def current_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the crossing flags of the gate for the motion of this step."""
@@ -107,7 +102,3 @@ class TrackGates(Command):
             near = (away * away).sum(-1) < self._range * self._range
             buffers[name] = (values[name] & ~values["begun"].unsqueeze(-1)) | near
         return buffers
-
-    def place(self, mask: Tensor) -> None:
-        """Place the robots of new episodes that begin behind a gate."""
-        self._practice.place(mask)

@@ -46,6 +46,8 @@ CURVES: dict[str, Curve] = {"circle": _circle, "lemniscate": _lemniscate, "helix
 class TrajectoryCommand(Command):
     """A target on a closed curve, a function of the time since the episode began; ``target_velocity`` is its derivative."""
 
+    follows_reset = True
+
     def __init__(
         self,
         values: Values,
@@ -88,10 +90,6 @@ class TrajectoryCommand(Command):
         position = [c + s * x for c, s, x in zip(self._center, self._size, place, strict=True)]
         velocity = [self._rate * s * x for s, x in zip(self._size, slope, strict=True)]
         return {TARGET: torch.stack(position, dim=-1), "target_velocity": torch.stack(velocity, dim=-1)}
-
-    def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return ``current_values`` again, as a reset changes the time."""
-        return self.current_values(values)
 
     def draw(self, mask: Tensor) -> None:
         """Draw where new episodes begin."""

@@ -44,12 +44,9 @@ class WhiteNoise:
         *,
         purpose: Purpose = Purpose.OBSERVATION,
     ) -> None:
-        """Take the inputs of the draws.
+        """Take standard deviation and dropout probability of each entry with either, by its number, and the step, int32 (E,).
 
-        Args:
-            kinds: Standard deviation of the noise and probability of being dropped, of each entry with either, by its number.
-            step: Step of the episode, int32, (E,); read at every draw.
-            purpose: Of the draws that are not of a last observation.
+        The purpose is that of draws for all but a last observation.
         """
         start_warp()
         self._purpose = purpose

@@ -7,12 +7,12 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.checks import Vec3
-from aerial_gym.interop import ReusableLaunch, make_struct, start_warp
-from aerial_gym.interop.streams import BLOCK_DIM
+from aerial_gym.interop import make_struct, start_warp
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, random_arrays, substream
-from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.robots.secondary_states import SecondaryArrays, write_derived
 from aerial_gym.robots.state_keys import RobotTensors
+from aerial_gym.task.kernels.mask_launch import MaskLaunch
 
 
 @wp.struct
@@ -63,8 +63,8 @@ def _practise(
     first_out[env] = behind + 1
 
 
-class PracticeStarts:
-    """Draws of start positions of masked environments, with all views made at construction; attitudes stay."""
+class PracticeStarts(MaskLaunch):
+    """Draws of start positions of masked environments; attitudes stay."""
 
     def __init__(
         self,
@@ -77,31 +77,14 @@ class PracticeStarts:
         first_out: Tensor,
         random: Randomness,
     ) -> None:
-        """Take the output and the inputs of the draws.
+        """Take the robot's motion, positions (E, G, 3) [m] and attitudes (E, G, 4) of the gates, and the inputs of the draws.
 
-        Args:
-            robot: Motion, written where an episode begins behind a gate.
-            gates: Positions [m], world, (E, G, 3), and attitudes, gate to world, xyzw, (E, G, 4).
-            share: Of the episodes that do, (1,); read at every draw.
-            speed: Largest speed, along the gate's x [m/s].
-            offset: Largest distances from the middle of the gate along its axes [m]; along x it lies behind.
-            first_out: Receives the gate with which an episode begins, int32, (E,).
+        ``share`` is that of the episodes, (1,), ``speed`` the largest one along the gate's x [m/s]. ``offset`` has the largest
+        distances from the middle of the gate along its axes [m]; along x it lies behind. ``first_out`` receives the first gate.
         """
         start_warp()
         state = robot.state
         moved = {name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel")}
         motion = make_struct(RobotMotion, derived=robot.derived.arrays, **moved)
-        self._mask = random.mask
-        self._command = ReusableLaunch(
-            _practise,
-            dim=state.num_envs,
-            inputs=[self._mask, *gates, random_arrays(random), share, speed, wp.vec3(*offset)],
-            outputs=[motion, first_out],
-            device=state.position.device,
-            block_dim=BLOCK_DIM,
-        )
-
-    def draw(self, mask: Tensor) -> None:
-        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        take_mask(self._mask, mask)
-        self._command.launch(self._mask)
+        inputs = [*gates, random_arrays(random), share, speed, wp.vec3(*offset)]
+        super().__init__(_practise, state.num_envs, inputs, [motion, first_out], random)

@@ -9,9 +9,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.math.draws import RandomArrays, episode_stream, random_arrays, substream
-from aerial_gym.math.random import Purpose, Randomness, take_mask
+from aerial_gym.math.random import Purpose, Randomness
+from aerial_gym.task.kernels.mask_launch import MaskLaunch
 
 
 @wp.kernel(enable_backward=False)
@@ -37,8 +37,8 @@ def _draw_uniform(
     drawn_out[env, i] = value
 
 
-class UniformDraws:
-    """Draws numbers of masked environments, with all views made at construction."""
+class UniformDraws(MaskLaunch):
+    """Draws numbers of masked environments."""
 
     def __init__(
         self,
@@ -49,25 +49,7 @@ class UniformDraws:
         random: Randomness,
         whole: bool = False,
     ) -> None:
-        """Take the output and the inputs of the draws.
-
-        Args:
-            drawn: Written where a mask says so, (E, N).
-            ranges: Lowest and highest of each of the N numbers.
-            whole: Whether they are whole numbers, the highest included.
-        """
-        start_warp()
-        self._mask = random.mask
+        """Take the tensor to write, (E, N), and the range of each number; ``whole`` ones include the highest."""
         low, high = (torch.tensor([each[i] for each in ranges], device=drawn.device).float() for i in (0, 1))
-        self._command = ReusableLaunch(
-            _draw_uniform,
-            dim=tuple(drawn.shape),
-            inputs=[self._mask, random_arrays(random), int(purpose), low, high, int(whole)],
-            outputs=[drawn],
-            device=drawn.device,
-        )
-
-    def draw(self, mask: Tensor) -> None:
-        """Draw for the environments in ``mask``, bool (E,); launched on torch's current stream, not waited for."""
-        take_mask(self._mask, mask)
-        self._command.launch(self._mask)
+        inputs = [random_arrays(random), int(purpose), low, high, int(whole)]
+        super().__init__(_draw_uniform, tuple(drawn.shape), inputs, [drawn], random)

@@ -49,11 +49,7 @@ class Actor:
         dt: float,
         random: Randomness,
     ) -> None:
-        """Take the conversion and declare its buffers; make it after all inputs are declared.
-
-        Args:
-            dt: Length of a step [s].
-        """
+        """Take the conversion and the time ``dt`` of a step [s]; declare its buffers, after all inputs are declared."""
         self.transform, self.params = action.value, params
         low, high = steps_range(cfg.delay_steps)
         self._line, self._drawn = HistoryLine(longest_delay=high), low < high

@@ -3,7 +3,7 @@
 Letters: E environments, F faults, W entries of the widest term that has a fault.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import torch
 from torch import Tensor
@@ -21,14 +21,17 @@ class Faults:
     """Sensor faults of a task: draws at reset and their effect on a term."""
 
     def __init__(
-        self, widths: Mapping[str, int], cfgs: Mapping[str, FaultCfg], values: Values, random: Randomness
+        self,
+        terms: Iterable[tuple[object, ObservationCfg, int]],
+        cfgs: Mapping[str, FaultCfg],
+        values: Values,
+        random: Randomness,
     ) -> None:
-        """Declare the numbers.
-
-        Args:
-            widths: Entries of the widest term that has a fault, by its name.
-            values: Receives the numbers.
-        """
+        """Declare the draws of the faults of observation terms, each with its width."""
+        widths: dict[str, int] = {}  # of the widest term with each fault
+        for _, cfg, width in terms:
+            if cfg.fault is not None:
+                widths[cfg.fault] = max(width, widths.get(cfg.fault, 0))
         self._cfgs = {name: cfgs[name] for name in widths}
         self._first: dict[str, int] = {}
         ranges, shares = [], []
@@ -66,13 +69,3 @@ class Faults:
             return torch.where(acts, cfg.dropout_value, value)
         offsets = values[DRAWS][:, first + 1 : first + 1 + value.shape[-1]]
         return torch.where(acts, value + offsets, value)
-
-
-def fault_widths(groups: Mapping[str, Sequence[tuple[object, ObservationCfg, int]]]) -> dict[str, int]:
-    """Return the width of the widest term that has each fault, by its name."""
-    widths: dict[str, int] = {}
-    for terms in groups.values():
-        for _, cfg, width in terms:
-            if cfg.fault is not None:
-                widths[cfg.fault] = max(width, widths.get(cfg.fault, 0))
-    return widths

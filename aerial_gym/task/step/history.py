@@ -26,10 +26,7 @@ class HistoryLine:
     def frames(self, past: Tensor, value: Tensor, begun: Tensor | None) -> list[Tensor]:
         """Return the values of this step and the m before, oldest first, each (E, w).
 
-        Args:
-            past: The line, (E, m w).
-            value: Of this step, (E, w).
-            begun: Whether an episode has just begun, bool (E,): then all frames are this value; None for no environment.
+        The line ``past`` is (E, m w), ``value`` (E, w). Where an episode has just ``begun``, bool (E,), frames are this value.
         """
         kept = list(past.split(value.shape[1], dim=-1)) if self.length else []
         if begun is not None:
@@ -42,12 +39,7 @@ class HistoryLine:
         return [min(most, self.length - first) for first in range(0, self.length, most)]
 
     def read_frames(self, frames: list[Tensor], delay: Tensor | None) -> Tensor:
-        """Return the delayed value and its history, (E, history w).
-
-        Args:
-            frames: Of ``frames``.
-            delay: Of each row [steps], (E,); None: the largest one in all.
-        """
+        """Return the value with a delay [steps], (E,), None for the largest, and its history, (E, history w)."""
         last = len(frames) - 1
         columns = []
         for k in reversed(range(self.history)):

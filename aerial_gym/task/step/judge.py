@@ -61,15 +61,7 @@ class Judge:
         observer: Observer,
         random: Randomness,
     ) -> None:
-        """Take the terms and what they read.
-
-        Args:
-            cfg: Length of an episode, rewards of ends.
-            values: Inputs of the terms; receives the persistent buffers.
-            command: Moves the target before all else.
-            observer: Of the observation before a reset.
-            random: Receives which episodes end, and the number of the next one.
-        """
+        """Take the terms and their inputs; ``random`` receives which episodes end, and the number of the next one."""
         self._cfg, self._rewards, self._terminations = cfg, dict(rewards), dict(terminations)
         self._command, self._observer = command, observer
         ends = {"crash": cfg.crash_reward, "success": cfg.success_reward}

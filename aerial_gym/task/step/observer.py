@@ -13,7 +13,7 @@ from aerial_gym.config.task_terms import FaultCfg, ObservationCfg, steps_range
 from aerial_gym.math.random import Purpose, Randomness
 from aerial_gym.task.kernels.noise import WhiteNoise
 from aerial_gym.task.kernels.uniform import UniformDraws
-from aerial_gym.task.step.faults import Faults, fault_widths
+from aerial_gym.task.step.faults import Faults
 from aerial_gym.task.step.history import HistoryLine
 from aerial_gym.task.step.row_kernels import StepKernel
 from aerial_gym.task.terms.term import BoundTerm
@@ -82,14 +82,8 @@ class Observer:
         random: Randomness,
         faults: Mapping[str, FaultCfg] | None = None,
     ) -> None:
-        """Take the terms of each group with their widths.
-
-        Args:
-            groups: Terms in order, by the name of the group.
-            values: Inputs of the terms; receives their delay lines.
-            faults: By the names that terms give.
-        """
-        self._faults = Faults(fault_widths(groups), faults or {}, values, random)
+        """Take the terms of each group in order with their widths; ``values`` receives their delay lines."""
+        self._faults = Faults([term for terms in groups.values() for term in terms], faults or {}, values, random)
         self.groups: dict[str, list[Entry]] = {}
         """Entries in order."""
         noise: dict[int, tuple[float, float]] = {}
@@ -133,7 +127,7 @@ class Observer:
         self.reads |= values.term_inputs(*self.terms)
         """Inputs of ``observe``."""
         begun = {"begun": values.find("begun", "the observation")}
-        self._rows = StepKernel(
+        self.rows = StepKernel(
             self._step_results,
             "the observation",
             reads=begun | self.reads,
@@ -141,11 +135,7 @@ class Observer:
             terms=self.terms,
             graph=values.graph,
         )
-
-    @property
-    def rows(self) -> StepKernel:
         """The kernel of a step's observation."""
-        return self._rows
 
     def width(self, group: str) -> int:
         """Return the entries of a group, O."""
@@ -163,7 +153,7 @@ class Observer:
 
     def __call__(self) -> dict[str, Tensor]:
         """Return the observations of this instant, (E, O) by group, and move all lines on; launched, not waited for."""
-        results = self._rows()
+        results = self.rows()
         return {group: results[group] for group in self.groups}
 
     def observe(
@@ -171,9 +161,7 @@ class Observer:
     ) -> tuple[Tensor, dict[str, Tensor], dict[str, Tensor]]:
         """Return whether all terms are finite, bool (E,), the observations by group, and ``writes``, as a pure function.
 
-        Args:
-            values: Tensors by the names of ``reads``.
-            begun: Environments whose episode has just begun, bool (E,); None for none.
+        ``values`` are tensors by the names of ``reads``; ``begun`` marks new episodes, bool (E,), None for none.
         """
         flags, shown, lines = [], {}, {}
         for group, entries in self.groups.items():

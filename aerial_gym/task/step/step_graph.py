@@ -21,11 +21,7 @@ Result = TypeVar("Result")
 
 
 def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
-    """Call every term once and refuse the one that waits for the GPU, by name.
-
-    Raises:
-        CapabilityError: If a term copies to the host or branches on a tensor.
-    """
+    """Call every term once and refuse the one that waits for the GPU, by name."""
     mode = torch.cuda.get_sync_debug_mode()
     for name, call in terms.items():
         torch.cuda.synchronize()
@@ -43,11 +39,7 @@ def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
 
 
 def check_untraced(parts: Sequence[StepKernel], values: Mapping[str, Tensor]) -> None:
-    """Refuse terms that wait for the GPU; only terms that run as torch operations can.
-
-    Raises:
-        CapabilityError: If a term copies to the host or branches on a tensor.
-    """
+    """Refuse terms that wait for the GPU; only terms that run as torch operations can."""
     for rows in parts:
         rows()
     asked: dict[str, Callable[[], object]] = {}
@@ -62,15 +54,7 @@ class StepGraph(Generic[Result]):
     """A recorded step. The tensors that it returns are the same at every replay and are then overwritten."""
 
     def __init__(self, step: Callable[[Tensor], Result], actions_shape: tuple[int, ...], device: torch.device) -> None:
-        """Record ``step``; its random numbers come from counters on the device, and so advance.
-
-        Args:
-            step: Takes actions (E, U), writes the tensors of the simulation, returns tensors.
-            actions_shape: (E, U).
-
-        Raises:
-            CapabilityError: If something in the step cannot be recorded.
-        """
+        """Record ``step``, which takes actions (E, U); its random numbers come from counters on the device, and so advance."""
         self._step = step  # kept, with all memory that its launches read: a graph does not keep it
         self._actions = torch.zeros(actions_shape, device=device)
         stream = torch.cuda.Stream(device)

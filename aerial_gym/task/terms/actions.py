@@ -70,16 +70,9 @@ def direct(actions: Tensor) -> Tensor:
 def forward_flight(actions: Tensor, *, max_speed: float, max_inclination: float, max_yaw_rate: float) -> Tensor:
     """Return a velocity that never points sideways or backwards, and a yaw rate: the camera sees where the robot flies.
 
-    Args:
-        actions: Speed, inclination of the velocity, yaw rate, and an entry that is not used (``forward_flight_3`` has none);
-            clamped to -1..1, (E, 4).
-        max_speed: Largest speed [m/s].
-        max_inclination: Largest angle of the velocity to the horizon [rad].
-        max_yaw_rate: Largest yaw rate [rad/s].
-
-    Returns:
-        Velocity ``(s cos i, 0, s sin i)`` [m/s], vehicle frame, with ``s`` from 0 to the largest speed, and yaw rate
-        [rad/s], (E, 4).
+    Actions (E, 4), clamped to -1..1: speed, inclination of the velocity, yaw rate, and one that is not used
+    (``forward_flight_3`` has none). Returns ``(s cos i, 0, s sin i)`` [m/s], vehicle frame, with ``s`` from 0 to
+    ``max_speed`` and i up to ``max_inclination`` [rad], and a yaw rate [rad/s], (E, 4).
 
     Source:
         Aerial Gym Simulator 2.0.1, navigation_task.

@@ -24,11 +24,7 @@ def gate_path_length(position: Tensor, orientation: Tensor, robot: Tensor) -> Te
     From the front it leads to a point on the gate's axis, ``WAY_STRAIGHT`` before it, and then along the axis; closer in,
     straight to the axis and along it. From behind it leads to the nearest point of a circle of radius ``WAY_AROUND`` around
     the gate, and from there to its centre. It is continuous except where the plane is crossed within the circle.
-
-    Args:
-        position: Middle of the gate [m], world, (E, 3).
-        orientation: Gate to world, xyzw, (E, 4); it is flown through along its x.
-        robot: Where the robot is [m], world, (E, 3).
+    Positions of gate and robot [m] are (E, 3), world; the orientation, gate to world, (E, 4).
     """
     x, y, z = quat_rotate_inverse(orientation, robot - position).unbind(-1)
     beside = (y * y + z * z).sqrt()
@@ -39,12 +35,9 @@ def gate_path_length(position: Tensor, orientation: Tensor, robot: Tensor) -> Te
 
 
 def gate_path_direction(place: Tensor) -> Tensor:
-    """Return the direction in which ``gate_path_length`` gets shorter most quickly, in the gate's frame, unit, (E, 3).
+    """Return the direction in which ``gate_path_length`` falls fastest, gate's frame, unit, (E, 3), at a position (E, 3) in it.
 
     Shorter than 1 within ``AT_AXIS`` of the gate's axis, or of the circle round it: nothing turns over there.
-
-    Args:
-        place: Where the robot is in the gate's frame [m], (E, 3).
     """
     x, y, z = place.unbind(-1)
     beside = (y * y + z * z).sqrt()

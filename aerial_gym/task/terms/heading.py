@@ -59,21 +59,10 @@ def flight_to_target(
     away: float,
     near: float,
 ) -> Tensor:
-    """Return a reward for velocity toward the target near a desired speed, (E,).
+    """Return a reward for velocity v [m/s] toward the target, near a desired ``speed``, (E,).
 
-    Args:
-        target_position: Where to fly [m], world, (E, 3).
-        robot_position: Position [m], world, (E, 3).
-        robot_linvel: Velocity v [m/s], world, (E, 3).
-        speed: The wanted speed [m/s].
-        height: Reward of that speed, straight to the target.
-        width: Of the bell over the difference to that speed [s²/m²].
-        away: Reward of any speed that does not approach the target.
-        near: Distance [m] from which on, towards the target, all of this fades in proportion.
-
-    Returns:
-        ``cos a height exp(-width (|v| - speed)²)`` where the cosine of the angle a between velocity and the way to the target
-        is > 0, else ``away``; times ``min(d / near, 1)``.
+    ``cos a height exp(-width (|v| - speed)²)`` where the cosine of the angle a between v and the direction to the target is
+    > 0, else ``away``; times ``min(d / near, 1)`` with the distance d [m].
     """
     error = target_position - robot_position
     distance, flown = error.norm(dim=-1), robot_linvel.norm(dim=-1)

@@ -265,18 +265,8 @@ def all_actions_change_cusp(
     return (cusp(robot_actions - robot_prev_actions, height, width) - height).sum(dim=-1)
 
 
-@REWARDS.term(command=VELOCITY)
-def velocity_command_size(robot_actions: Tensor, *, entry: int, height: float, width: float) -> Tensor:
-    """Return ``action_size`` of a velocity command: entry 0 forward, 1 left, 2 up [m/s], 3 yaw rate [rad/s], (E,)."""
-    return dip(robot_actions[:, entry], height, width)
-
-
-@REWARDS.term(command=VELOCITY)
-def velocity_command_change(
-    robot_actions: Tensor, robot_prev_actions: Tensor, *, entry: int, height: float, width: float
-) -> Tensor:
-    """Return ``action_change`` of a velocity command, entries as in ``velocity_command_size``, (E,)."""
-    return dip((robot_actions - robot_prev_actions)[:, entry], height, width)
+REWARDS.term("velocity_command_size", command=VELOCITY)(action_size)
+REWARDS.term("velocity_command_change", command=VELOCITY)(action_change)
 
 
 @REWARDS.term()

@@ -64,11 +64,7 @@ class BoundTerm:
 
 
 def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
-    """Return a term with its numbers.
-
-    Raises:
-        ConfigError: If a number is missing, unknown or of another kind.
-    """
+    """Return a term with its numbers; raise ``ConfigError`` if a number is missing, unknown or of another kind."""
     given = check_params(term.value, params, label)
     numbers = {name: each.default for name, each in _arguments(term.value)} | given if term.named else {}
     reads = tuple(name.format(**numbers) if name in term.named.values() else name for name in term.reads)
@@ -76,11 +72,7 @@ def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
 
 
 def check_params(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
-    """Return the keyword arguments of a function, converted to its type hints; ``label`` is the prefix of errors.
-
-    Raises:
-        ConfigError: If one is missing, unknown or of another kind.
-    """
+    """Return the keyword arguments of a function, converted to its type hints; ``label`` is the prefix of errors."""
     known = {name: each for name, each in _arguments(function) if each.kind is Parameter.KEYWORD_ONLY}
     takes = ", ".join(known) or "none"
     for name in params:

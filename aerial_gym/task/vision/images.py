@@ -27,11 +27,7 @@ class TaskImages:
     """The images that a task gives, by name, (E, history S, H, W) or with the components of a pixel behind."""
 
     def __init__(self, cfgs: Mapping[str, ImageCfg], values: Values, sensors: SensorManager) -> None:
-        """Declare the images and make their launches.
-
-        Raises:
-            UnknownNameError: If the robot has no such image.
-        """
+        """Declare the images and make their launches; raise ``UnknownNameError`` if the robot has no such image."""
         self.frames: dict[str, Tensor] = {}
         """Observed images by name, overwritten by every step."""
         begun = values.find("begun", "images")

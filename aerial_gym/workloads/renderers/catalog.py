@@ -27,12 +27,7 @@ RENDER_PEERS.register(
 
 
 def interpreters(entries: tuple[str, ...], default: str) -> dict[str, str]:
-    """Return the interpreter of every peer; ``entries`` are ``NAME=PYTHON``, or ``PYTHON`` for all that are not named.
-
-    Raises:
-        UnknownNameError: If a name is no peer.
-        ConfigError: If an entry names no interpreter.
-    """
+    """Return the interpreter of every peer; ``entries`` are ``NAME=PYTHON``, or ``PYTHON`` for all that are not named."""
     named: dict[str, str] = {}
     for entry in entries:
         name, equals, python = entry.rpartition("=")

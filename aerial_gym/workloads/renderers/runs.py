@@ -66,11 +66,7 @@ def run_peer(
     repeats: int,
     repeat_time_s: float,
 ) -> PeerTimes:
-    """Render and time a scene in a separate process, on the CPU pinned to as many cores as threads.
-
-    Raises:
-        WorkloadError: If the process fails; the text is its last line.
-    """
+    """Render and time a scene in a separate process, on the CPU pinned to as many cores as threads."""
     numbers = [f"--device={device}", f"--repeats={repeats}", f"--repeat-time-s={repeat_time_s}"]
     with tempfile.TemporaryDirectory() as folder:
         given, taken = Path(folder, "scene.npz"), Path(folder, "images.npz")
@@ -98,15 +94,9 @@ def mismatch_share(
     other_identity: Tensor | None = None,
     most: float = MOST_THAT_DIFFER,
 ) -> float:
-    """Return the share of pixels in which two renderers differ: in depth by more than 1 mm, or in identity.
+    """Return the share of pixels in which two renderers differ: in depth by more than 1 mm, or in identity, if both are given.
 
-    Args:
-        depth: Ours [m], below 0 for a miss, any shape.
-        identity: Segmentation ids of this package; compared if both are given.
-        most: Largest share; more than edges explain means that the two did not draw the same scene.
-
-    Raises:
-        WorkloadError: If more pixels differ.
+    Depth is in m, below 0 for a miss. A share above ``most`` is more than edges explain: the scenes differ.
     """
     first, second = depth.detach().cpu().flatten(), other.detach().cpu().flatten()
     same = ((first < 0.0) & (second < 0.0)) | ((first - second).abs() <= DEPTH_TOLERANCE)
