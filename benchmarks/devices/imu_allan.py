@@ -81,15 +81,10 @@ def shares(tau: Tensor, dt: float) -> Tensor:
 
 
 def fit_densities(tau: Tensor, deviation: Tensor, dt: float, truth: Tensor) -> Tensor:
-    """Return N² and K² of each signal, fitted to its Allan variance by least squares, (S, 2).
+    """Return N² and K² of each signal, fitted to its Allan deviation (K, S) at times ``tau`` (K,) [s], (S, 2).
 
-    Args:
-        tau: Averaging times [s], (K,).
-        deviation: Allan deviation, (K, S).
-        dt: Time between samples [s].
-        truth: N² and K² by which the residuals are weighed, (2,); the fit has no bias whatever they are.
-
-    Relative errors of the variance are taken to grow with ``sqrt(tau)``.
+    Least squares of the variance, whose relative errors are taken to grow with ``sqrt(tau)``. ``truth``, N² and K², weighs the
+    residuals; the fit is unbiased whatever it is.
     """
     parts = shares(tau, dt) * truth
     weight = 1.0 / (parts.sum(-1, keepdim=True) * tau.sqrt().unsqueeze(-1))

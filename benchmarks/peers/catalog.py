@@ -37,12 +37,7 @@ for _name, _needs, _cases, _devices in (
 
 
 def interpreters(entries: tuple[str, ...], default: str) -> dict[str, str]:
-    """Return the interpreter of every peer; ``entries`` are ``NAME=PYTHON``, the others get ``default``.
-
-    Raises:
-        UnknownNameError: If a name is no peer.
-        ConfigError: If an entry has no ``=``.
-    """
+    """Return the interpreter of every peer; ``entries`` are ``NAME=PYTHON``, the others get ``default``."""
     result = dict.fromkeys(PEERS, default)
     for entry in entries:
         name, equals, python = entry.partition("=")

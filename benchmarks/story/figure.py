@@ -7,13 +7,7 @@ from typing import Any
 
 
 def draw_story(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write the figure.
-
-    Args:
-        rows: ``seed``, ``case``, ``error_m`` and ``lost`` of every policy, and as ``trace`` the distance to the setpoint in one
-            flight [m], 50 in a second.
-        path: PNG to write.
-    """
+    """Write the figure of rows with ``seed``, ``case``, ``error_m``, ``lost``, and ``trace``: distances [m] at 50 Hz."""
     import matplotlib
 
     matplotlib.use("Agg")

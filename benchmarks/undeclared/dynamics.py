@@ -82,13 +82,9 @@ class Plant:
         return -(self.vehicle.linear_drag + self.vehicle.quadratic_drag * speed) * air
 
     def derivative(self, state: Array, command: Array) -> Array:
-        """Return the time derivative of each state, (F, 22).
+        """Return the time derivative of each state (F, 22) at commanded rotor speeds (F, 4) [rad/s].
 
         ``p' = v``, ``m v' = R f + m g``, ``R' = R [w]x``, ``I w' = torque - w x I w``, ``n' = (n_cmd - n) / tau``.
-
-        Args:
-            state: States, (F, 22).
-            command: Commanded rotor speeds [rad/s], (F, 4).
         """
         rotor = state[:, ROTOR]
         wrench = rotor * rotor @ self._wrench_map

@@ -337,9 +337,6 @@ def resolve(
     """Return the parameters of each effect: drawn where a size is given, else as given and completed.
 
     Each effect draws from its own stream, so that its values do not depend on which other effects a case has.
-
-    Raises:
-        ValueError: For an unknown effect, size or parameter, or one that is missing.
     """
     return {name: _resolve_one(name, value, declared, seed) for name, value in effects.items()}
 
@@ -375,11 +372,7 @@ def split(declared: PlantVehicle, params: Mapping[str, Params]) -> tuple[PlantVe
 
 
 def flight_features(effects: Iterable[str], further: Iterable[str]) -> tuple[str, ...]:
-    """Return the features of the flights of a case: those that its effects need, and further ones.
-
-    Raises:
-        ValueError: For an unknown feature.
-    """
+    """Return the features of the flights of a case: those that its effects need, and further ones."""
     if unknown := set(further) - set(FEATURES):
         raise ValueError(f"no feature {sorted(unknown)}. Known: {', '.join(FEATURES)}")
     wanted = {*further, *(need for name in effects for need in CAUSES[name].needs)}
