@@ -39,7 +39,7 @@ def small_flight(**changes: object) -> HoverFlight:
         "dt": 0.002,
         "device": CPU,
     }
-    return make_flight(**{**options, **changes})  # pyright: ignore[reportArgumentType]
+    return make_flight(**{**options, **changes})
 
 
 def hover_state(num_envs: int = 3) -> BodyState:

@@ -31,7 +31,7 @@ from benchmarks.undeclared.trajectories import Reference
 class RecordingPolicy(Policy):
     """Gives the middle of its range, and keeps what it saw."""
 
-    def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
         self.seen = observation["observations"]
         return torch.zeros(len(self.seen), 4)
 

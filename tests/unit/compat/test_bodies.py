@@ -51,9 +51,8 @@ def hexarotor(folder: Path, **changes: Any) -> type:
                 thrust_to_torque_ratio = 0.02
 
     for name, value in changes.items():
-        setattr(
-            HexaCfg.robot_asset if name in ("asset_folder", "file") else HexaCfg.control_allocator_config, name, value
-        )
+        owner = HexaCfg.robot_asset if name in ("asset_folder", "file") else HexaCfg.control_allocator_config
+        setattr(owner, name, value)
     return HexaCfg
 
 
@@ -62,7 +61,7 @@ def test_a_robot_of_one_s_own_flies(tmp_path: Path) -> None:
     cfg = robots.translate_robot(cls)
     assert cfg.body.mass == pytest.approx(1.2)
     np.testing.assert_allclose(cfg.body.inertia, np.diag([0.012, 0.013, 0.02]))
-    assert values_equal(allocation_matrix(cfg), cls.control_allocator_config.allocation_matrix)  # pyright: ignore
+    assert values_equal(allocation_matrix(cfg), cls.control_allocator_config.allocation_matrix)
     assert [box.size for box in cfg.collision.boxes] == [(0.3, 0.4, 0.12), (0.02, 0.02, 0.1)]
     assert cfg.collision.boxes[1].center == (0.0, 0.0, 0.1)
     assert [(ball.center, ball.radius) for ball in cfg.collision.spheres] == [((0.2, 0.0, 0.0), 0.03)]
@@ -105,7 +104,7 @@ def test_what_contradicts_itself_is_refused(tmp_path: Path, changes: dict[str, A
 
 def test_a_robot_without_gravity_floats() -> None:
     class WeightlessRobot(robots.BaseQuadCfg):
-        class robot_asset(robots.BaseQuadCfg.robot_asset):  # pyright: ignore
+        class robot_asset(robots.BaseQuadCfg.robot_asset):
             disable_gravity = True
 
     robot_registry.register("floating", BaseMultirotor, WeightlessRobot)

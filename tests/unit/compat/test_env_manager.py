@@ -10,9 +10,8 @@ from aerial_gym.errors import ConfigError, ShapeError
 
 
 def build(env_name: str = "empty_env", **more: object) -> EnvManager:
-    env = SimBuilder().build_env(
-        "base_sim", env_name, "base_quadrotor", "lee_velocity_control", "cpu", num_envs=4, **more
-    )  # pyright: ignore
+    names = ("base_sim", env_name, "base_quadrotor", "lee_velocity_control", "cpu")
+    env = SimBuilder().build_env(*names, num_envs=4, **more)
     env.reset()
     for _ in range(3):
         env.step(actions=torch.full((4, 4), 0.5))
@@ -23,7 +22,7 @@ def build(env_name: str = "empty_env", **more: object) -> EnvManager:
 def test_reset_idx_leaves_other_rows_alone(env_ids: object) -> None:
     env = build()
     before = env.global_tensor_dict["robot_state_tensor"].clone()
-    env.reset_idx(env_ids)  # pyright: ignore
+    env.reset_idx(env_ids)
     after = env.global_tensor_dict["robot_state_tensor"]
     assert torch.equal(before[[0, 2]], after[[0, 2]])
     assert not (before == after)[[1, 3]].all(dim=1).any()

@@ -21,9 +21,8 @@ def test_every_path_gives_its_names(path: str) -> None:
 
 @pytest.mark.parametrize("path", GONE)
 def test_what_is_gone_says_what_to_do(path: str) -> None:
-    with pytest.raises(
-        ModuleNotFoundError, match="has no counterpart here: .+ See docs/guides/coming_from_aerial_gym.md"
-    ):
+    words = "has no counterpart here: .+ See docs/guides/coming_from_aerial_gym.md"
+    with pytest.raises(ModuleNotFoundError, match=words):
         import_module(f"aerial_gym.{path}.anything_at_all")
 
 

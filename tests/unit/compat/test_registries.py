@@ -19,6 +19,7 @@ from aerial_gym.compat import (
 from aerial_gym.compat.config import controllers, robots, sims
 from aerial_gym.compat.config.fields import copy_class
 from aerial_gym.compat.registries import BaseMultirotor
+from aerial_gym.config import family_files
 from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
 
 GETTERS: dict[str, Callable[[str], object]] = {
@@ -79,8 +80,6 @@ def test_every_robot_of_ours_has_a_class(name: str) -> None:
 
 
 def test_a_file_of_ours_is_a_robot() -> None:
-    from aerial_gym.config import family_files
-
     path = str(family_files("robots")["tinyprop"])
     assert robot_registry.native_config(path) == path
     assert robot_registry.config_class(path).init_config.min_init_state[6] == 1.0
@@ -88,7 +87,7 @@ def test_a_file_of_ours_is_a_robot() -> None:
 
 def test_another_class_under_a_name_is_refused() -> None:
     class Slow(sims.BaseSimConfig):
-        class sim(sims.BaseSimConfig.sim):  # pyright: ignore
+        class sim(sims.BaseSimConfig.sim):
             dt = 0.05
 
     first = Slow
@@ -143,12 +142,10 @@ def test_randomised_gains_are_drawn_by_name() -> None:
         K_angvel_tensor_min, K_angvel_tensor_max = [0.15, 0.15, 0.15], [0.2, 0.2, 0.2]
         randomize_params = True
 
-    controller_registry.register_controller(
-        "drawn_position_control", controllers.LAWS["LeePositionController"], RandomGains
-    )
-    env = SimBuilder().build_env(
-        "base_sim", "empty_env", "base_quadrotor", "drawn_position_control", "cpu", num_envs=64
-    )
+    law = controllers.LAWS["LeePositionController"]
+    controller_registry.register_controller("drawn_position_control", law, RandomGains)
+    names = ("base_sim", "empty_env", "base_quadrotor", "drawn_position_control", "cpu")
+    env = SimBuilder().build_env(*names, num_envs=64)
     env.reset()
     draws, gains = env.env.draws(), env.env.robot_manager.controller.gains
     assert draws.keys() == {"gains.position", "gains.velocity", "gains.attitude", "gains.rate"}
@@ -164,14 +161,14 @@ def test_randomised_gains_are_drawn_by_name() -> None:
 
 
 def test_gains_that_all_share_can_be_changed_in_place() -> None:
-    before = controllers.control.K_vel_tensor_max  # pyright: ignore
+    before = controllers.control.K_vel_tensor_max
     try:
-        controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]  # pyright: ignore
-        assert controller_registry.native_controller("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
+        controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]
+        assert controller_registry.resolve("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
         assert not controller_registry.gain_randomization("lee_velocity_control")
     finally:
-        controllers.control.K_vel_tensor_max = before  # pyright: ignore
-    assert controller_registry.native_controller("lee_velocity_control") == "lee_velocity_control"
+        controllers.control.K_vel_tensor_max = before
+    assert controller_registry.resolve("lee_velocity_control") == "lee_velocity_control"
 
 
 def test_a_task_gets_a_configuration_of_its_own() -> None:
@@ -185,16 +182,14 @@ def test_a_task_gets_a_configuration_of_its_own() -> None:
     class Greedy:
         def __init__(self, task_config: type, **given: object) -> None:
             self.task_config, self.given = task_config, given
-            task_config.reward_parameters["a"] = torch.tensor(2.0)  # pyright: ignore
-            task_config.inner.levels.append(3)  # pyright: ignore
-            task_config.num_envs = 8  # pyright: ignore
+            task_config.reward_parameters["a"] = torch.tensor(2.0)
+            task_config.inner.levels.append(3)
+            task_config.num_envs = 8
 
     task_registry.register_task("greedy", Greedy, Config)
     task = task_registry.make_task("greedy", seed=3, device="cpu")
     assert task.given == {"seed": 3, "num_envs": None, "headless": None, "use_warp": None, "device": "cpu"}
-    assert Config.reward_parameters == {"a": 1.0}
-    assert Config.inner.levels == [1, 2]
-    assert Config.num_envs == 4
+    assert (Config.reward_parameters, Config.inner.levels, Config.num_envs) == ({"a": 1.0}, [1, 2], 4)
     assert copy_class(Config()).num_envs == 4
     assert task_registry.get_task_class("greedy") is Greedy
     assert task_registry.get_task_config("greedy") is Config

@@ -32,10 +32,9 @@ def test_modules_of_a_script_may_import_what_is_not_installed(tmp_path: Path) ->
         "from gym.spaces import Box\nfrom gym import spaces, Wrapper\n"
         "try:\n    gymapi.Vec3\nexcept AttributeError as error:\n    said = str(error)\n"
     )
+    names = "said, Box, spaces, quat_mul, Wrapper"
     script = tmp_path / "script.py"
-    script.write_text(
-        "import my_task_module as m\nsaid, Box, spaces, quat_mul, Wrapper = m.said, m.Box, m.spaces, m.quat_mul, m.Wrapper\n"
-    )
+    script.write_text(f"from my_task_module import {names}\n")
     installed = sys.modules.get("gym")
     names = run_script(script)
     sys.modules.pop("my_task_module")
@@ -55,7 +54,7 @@ def test_a_script_is_main_with_its_arguments_and_folder(tmp_path: Path) -> None:
     (tmp_path / "beside_the_script.py").write_text("value = 3\n")
     script = tmp_path / "script.py"
     script.write_text(
-        "import isaacgym, sys\nfrom beside_the_script import value\nargv = sys.argv[1:]\nmain = __name__\n"
+        "import isaacgym, sys\nfrom beside_the_script import value\nargv, main = sys.argv[1:], __name__\n"
     )
     before = sys.modules["__main__"], sys.argv, list(sys.path)
     names = run_script(script, ["--a", "1"])

@@ -13,12 +13,15 @@ from aerial_gym.errors import OwnershipError, UnknownNameError
 E, A = 3, 40
 
 
+def make_env(env_name: str, robot: str = "base_quadrotor", *, num_envs: int) -> EnvManager:
+    names = ("base_sim", env_name, robot, "lee_velocity_control", "cpu")
+    return SimBuilder().build_env(*names, num_envs=num_envs, seed=0)
+
+
 @pytest.fixture(scope="module")
 def env() -> Iterator[EnvManager]:
-    """Obstacles that move, a camera and an IMU."""
-    env = SimBuilder().build_env(
-        "base_sim", "dynamic_env", "base_quadrotor_with_camera_imu", "lee_velocity_control", "cpu", num_envs=E, seed=0
-    )
+    """Return an environment of obstacles that move, a camera and an IMU."""
+    env = make_env("dynamic_env", "base_quadrotor_with_camera_imu", num_envs=E)
     env.reset()
     env.step(torch.zeros(E, 4))
     env.render("sensors")
@@ -67,10 +70,8 @@ def test_every_key_is_there_or_says_what_to_do(env: EnvManager, name: str) -> No
 
 
 def test_contact_and_colour_are_there_where_they_are_made() -> None:
-    env = SimBuilder().build_env(
-        "base_sim", "landing_env", "base_quadrotor", "lee_velocity_control", "cpu", num_envs=1, seed=0
-    )
-    assert env.get_obs()["robot_contact_force_tensor"].shape == (1, 3)
+    tensors = make_env("landing_env", num_envs=1).get_obs()
+    assert tensors["robot_contact_force_tensor"].shape == (1, 3)
 
 
 def test_keys_are_views_and_assignments_reach_the_simulation(env: EnvManager) -> None:
@@ -99,9 +100,7 @@ def test_scripts_keep_things_of_their_own(env: EnvManager) -> None:
 
 def test_number_of_obstacles_counts_those_that_are_kept() -> None:
     """15 rows in use: the 9 that are always kept and 6 others; the rest is parked at the next reset."""
-    env = SimBuilder().build_env(
-        "base_sim", "env_with_obstacles", "base_quadrotor", "lee_velocity_control", "cpu", num_envs=2, seed=0
-    )
+    env = make_env("env_with_obstacles", num_envs=2)
     assert env.global_tensor_dict["num_obstacles_in_env"] == 44
     env.global_tensor_dict["num_obstacles_in_env"] = 15
     env.env.reset()

@@ -56,11 +56,7 @@ def test_numbers_that_no_check_can_compute_with_are_refused() -> None:
         ("body", {"mass": 1e300}, "robot: mass = inf: is beyond float32"),
         ("body", {"mass": 1e-300}, "robot: mass is zero in float32"),
         ("body", {"com": (1e200, 0.0, 0.0)}, "robot: com = .*is beyond float32"),
-        (
-            "body",
-            {"inertia": ((1e-30, 0, 0), (0, 1e-30, 0), (0, 0, 1e-30))},
-            "inertia has no inverse|too far apart|is unstable",
-        ),
+        ("body", {"inertia": ((1e-30, 0, 0), (0, 1e-30, 0), (0, 0, 1e-30))}, "no inverse|too far apart|is unstable"),
     ],
 )
 def test_extreme_robots_are_refused_by_name(part: str, changes: dict[str, object], message: str) -> None:

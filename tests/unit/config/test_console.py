@@ -34,12 +34,9 @@ def test_a_console_shows_plain_letters_for_what_it_lacks(
 
 @pytest.mark.parametrize("encoding", ["ascii", "gbk", "UTF8", None])
 def test_json_on_stdout_loses_nothing(encoding: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Stream(io.StringIO):
-        pass
-
-    stream = Stream()
-    Stream.encoding = encoding
+    stream = type("Stream", (io.StringIO,), {"encoding": encoding})()
     monkeypatch.setattr(sys, "stdout", stream)
+    line = json_line({"unit": "m/s²", "path": "日"})
     line = json_line({"unit": "m/s²", "path": "日"})
     assert json.loads(line) == {"unit": "m/s²", "path": "日"}
     assert line.isascii() is (encoding in ("ascii", "gbk"))

@@ -40,9 +40,8 @@ def test_entries_with_names_are_changed_by_name(tmp_path: Path) -> None:
 
 
 def test_paths_are_relative_to_the_file_that_names_them_and_a_saved_robot_needs_no_other(tmp_path: Path) -> None:
-    middle = (
-        "extends: base_quadrotor\nvisible: true\nvisual: [{shape: {kind: mesh, path: hull.stl}}]\nsensors: [own.yaml]\n"
-    )
+    mesh = "visible: true\nvisual: [{shape: {kind: mesh, path: hull.stl}}]\n"
+    middle = f"extends: base_quadrotor\n{mesh}sensors: [own.yaml]\n"
     write_file(tmp_path / "bases" / "middle.yaml", middle)
     last = write_file(tmp_path / "mine" / "last.yaml", "extends: ../bases/middle.yaml\nimu: own_imu.yaml\n")
     robot = load_robot(last)
@@ -74,5 +73,4 @@ def test_what_cannot_be_extended_is_refused_in_one_sentence(text: str, message: 
 def test_settings_of_training_build_on_others(tmp_path: Path) -> None:
     file = write_file(tmp_path / "mine.yaml", "extends: ppo_position_setpoint\nppo: {horizon: 64}\nseed: 3\n")
     cfg, base = load_settings(file), load_settings(TRAINING_CONFIGS / "ppo_position_setpoint.yaml")
-    assert cfg.ppo is not None
     assert cfg == replace(base, seed=3, ppo=replace(base.ppo, horizon=64))

@@ -5,14 +5,11 @@ from math import inf, nan
 
 import pytest
 
-from aerial_gym.config import build, to_mapping
-from aerial_gym.config.imu import ImuCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.sensors import IMUS
 
 G = 9.80665
 PI_180 = 3.141592653589793 / 180.0
-NAMES = ("base_imu", "bmi088", "vn100")
 
 
 def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
@@ -36,12 +33,6 @@ def test_shipped_imus_hold_the_values_of_aerial_gym() -> None:
     assert (base.accel_range, base.gyro_range) == (100.0, 10.0)
     assert (vn100.accel_range, vn100.gyro_range) == pytest.approx((16.0 * G, 2000.0 * PI_180), rel=1e-5)
     assert (bmi088.accel_range, bmi088.gyro_range) == pytest.approx((24.0 * G, 2000.0 * PI_180), rel=1e-5)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_imu_survives_the_way_to_yaml_and_back(name: str) -> None:
-    cfg = IMUS.get(name)
-    assert build(ImuCfg, to_mapping(cfg), where="test") == cfg
 
 
 def test_unknown_names_list_what_exists() -> None:

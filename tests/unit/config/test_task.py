@@ -1,6 +1,8 @@
 """Task files: what they say comes back, and fields of earlier versions name what takes their place."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -43,44 +45,38 @@ def test_a_field_of_an_earlier_version_names_the_way_out(field: str, way_out: st
 
 def test_forms_of_an_earlier_version_say_what_they_must_be() -> None:
     fields = to_mapping(task_registry.get("position_setpoint_task"))
-    with pytest.raises(
-        ConfigError, match="my.yaml: action: must be a mapping of the fields of ActionCfg, found 'direct'"
-    ):
+    words = "my.yaml: action: must be a mapping of the fields of ActionCfg, found 'direct'"
+    with pytest.raises(ConfigError, match=words):
         build(TaskCfg, fields | {"action": "direct"}, where="my.yaml")
     with pytest.raises(ConfigError, match="my.yaml: observations = .*: must be a mapping"):
         build(TaskCfg, fields | {"observations": [{"term": "attitude"}]}, where="my.yaml")
 
 
+OBSERVATION = partial(ObservationCfg, term="attitude")
+
+
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("make", "given", "message"),
     [
-        ({"noise_std": -0.1}, "noise_std = -0.1: must be >= 0"),
-        ({"dropout": 1.0}, "dropout = 1.0: must be a probability, 0 <= dropout < 1"),
-        ({"dropout_value": float("inf")}, "dropout_value = inf: must be finite"),
-        ({"hold_steps": 3}, "hold_steps = 3: must be >= 0, and needs a dropout"),
-        ({"delay_steps": -1}, "delay_steps = -1: must be >= 0"),
-        ({"delay_steps": (3, 1)}, r"delay_steps = \(3, 1\): must be >= 0, or the fewest and the most"),
-        ({"history": 0}, "history = 0: must be >= 1"),
-        ({"scale": 0.0}, "scale = 0.0: must be finite and not 0"),
-        ({"scale": float("nan")}, "scale = nan"),
+        (OBSERVATION, {"noise_std": -0.1}, "noise_std = -0.1: must be >= 0"),
+        (OBSERVATION, {"dropout": 1.0}, "dropout = 1.0: must be a probability, 0 <= dropout < 1"),
+        (OBSERVATION, {"dropout_value": float("inf")}, "dropout_value = inf: must be finite"),
+        (OBSERVATION, {"hold_steps": 3}, "hold_steps = 3: must be >= 0, and needs a dropout"),
+        (OBSERVATION, {"delay_steps": -1}, "delay_steps = -1: must be >= 0"),
+        (OBSERVATION, {"delay_steps": (3, 1)}, r"delay_steps = \(3, 1\): must be >= 0, or the fewest and the most"),
+        (OBSERVATION, {"history": 0}, "history = 0: must be >= 1"),
+        (OBSERVATION, {"scale": 0.0}, "scale = 0.0: must be finite and not 0"),
+        (OBSERVATION, {"scale": float("nan")}, "scale = nan"),
+        (ActionCfg, {"noise_std": -0.1}, "ActionCfg.noise_std = -0.1: must be >= 0"),
+        (ActionCfg, {"filter_time_s": -1.0}, "ActionCfg.filter_time_s = -1.0"),
+        (ActionCfg, {"delay_steps": -1}, "ActionCfg.delay_steps = -1"),
+        (ImageCfg, {"dtype": "int8"}, "ImageCfg.dtype = 'int8': must be uint8, float16, float32"),
+        (ImageCfg, {"largest": 0.0}, "ImageCfg.largest = 0.0"),
     ],
 )
-def test_numbers_of_an_observation_are_checked(given: dict, message: str) -> None:
+def test_numbers_of_a_task_are_checked(make: Callable, given: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        ObservationCfg(term="attitude", **given)
-
-
-def test_numbers_of_actions_and_images_are_checked() -> None:
-    with pytest.raises(ConfigError, match="ActionCfg.noise_std = -0.1: must be >= 0"):
-        ActionCfg(noise_std=-0.1)
-    with pytest.raises(ConfigError, match="ActionCfg.filter_time_s = -1.0"):
-        ActionCfg(filter_time_s=-1.0)
-    with pytest.raises(ConfigError, match="ActionCfg.delay_steps = -1"):
-        ActionCfg(delay_steps=-1)
-    with pytest.raises(ConfigError, match="ImageCfg.dtype = 'int8': must be one of uint8, float16, float32"):
-        ImageCfg(dtype="int8")
-    with pytest.raises(ConfigError, match="ImageCfg.largest = 0.0"):
-        ImageCfg(largest=0.0)
+        make(**given)
 
 
 @pytest.mark.parametrize("number", [3.5e38, -1e308, float("inf"), float("nan")])

@@ -140,4 +140,4 @@ def test_what_is_missing_or_impossible_is_named() -> None:
     with pytest.raises(ConfigError, match=r"ControlCfg.attitude_frequency = \(1.0, nan, 1.0\)"):
         ControlCfg(attitude_frequency=(1.0, float("nan"), 1.0))
     with pytest.raises(ConfigError, match="ControllerCfg.allocation = 'none'"):
-        ControllerCfg(summary="", law="rates", allocation="none")  # pyright: ignore[reportArgumentType]
+        ControllerCfg(summary="", law="rates", allocation="none")

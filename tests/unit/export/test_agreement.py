@@ -141,7 +141,7 @@ def _swap_columns(weight: Tensor) -> None:
 
 
 def _no_normalizer(policy: Policy) -> None:
-    policy.body.normalizers["observations"].set(torch.zeros(13), torch.ones(13))  # pyright: ignore
+    policy.body.normalizers["observations"].set(torch.zeros(13), torch.ones(13))
 
 
 def _other_limit(policy: Policy) -> None:
@@ -161,7 +161,7 @@ WRONG: dict[str, Callable[[Policy], object]] = {
     "one weight 1 % larger": lambda policy: policy.body.layers[2].weight.data[3, 5].mul_(1.01),
     "no bias of one action": lambda policy: policy.head.bias.data[3].zero_(),
     "weights of 16 bits": lambda policy: policy.head.weight.data.copy_(policy.head.weight.half().float()),
-    "forgotten memory": lambda policy: policy.body.cell.weight_hh.data.zero_(),  # pyright: ignore
+    "forgotten memory": lambda policy: policy.body.cell.weight_hh.data.zero_(),
 }
 
 

@@ -151,7 +151,7 @@ def test_on_a_gpu_each_size_of_block_is_compiled_once(idle: wp.Device) -> None:
         is_cpu, alias = False, "cuda:0"
 
     for block_dim in (64, 256, 64):
-        compile_ahead(_fill, Gpu(), block_dim=block_dim)  # pyright: ignore[reportArgumentType]
+        compile_ahead(_fill, Gpu(), block_dim=block_dim)
         compile_ahead(_fill, idle, block_dim=block_dim)
     assert [key[1:] for key in launches._begun] == [("cuda:0", 64), ("cpu", None), ("cuda:0", 256)]
 

@@ -41,7 +41,7 @@ WRITES: dict[str, Callable[[Tensor], object]] = {
     "out": lambda t: torch.add(torch.ones(2, 3), 1.0, out=t),
     "a function in place": lambda t: torch.nn.functional.relu(t, inplace=True),
     "an initialiser": lambda t: torch.nn.init.zeros_(t),
-    "a list of tensors": lambda t: torch._foreach_add_([t], 1.0),  # pyright: ignore[reportPrivateImportUsage]
+    "a list of tensors": lambda t: torch._foreach_add_([t], 1.0),
     "other memory": lambda t: t.set_(torch.zeros(2, 3).untyped_storage()),
     "another size": lambda t: t.resize_(7),
     "another shape": lambda t: t.unsqueeze_(0),

@@ -22,7 +22,7 @@ TASKS = ("position_setpoint_task", "navigation_task")
 
 def build(name: str, **changes: object) -> Task:
     if name == "navigation_task":
-        return make(5, seed=3, **changes)  # pyright: ignore
+        return make(5, seed=3, **changes)
     return task_registry.make_task(name, num_envs=5, device="cpu", seed=3)
 
 

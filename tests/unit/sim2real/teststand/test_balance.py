@@ -71,15 +71,13 @@ def test_a_weight_is_carried_by_the_rotors_that_balance_it() -> None:
     part = 0.003 / MASS
     half = 1.0 + 2.0 * part
     between = judge_pairs(0, np.array([1.0, 1.0, half, half]), size=1e-6)
-    assert fit_values(between, "payload_mass + com_offset") == pytest.approx(
-        {"dm": 0.003, "x": 0.0, "y": 0.1 * ARM}, rel=1e-4, abs=1e-7
-    )
+    weighed = "payload_mass + com_offset"
+    assert fit_values(between, weighed) == pytest.approx({"dm": 0.003, "x": 0.0, "y": 0.1 * ARM}, rel=1e-4, abs=1e-7)
     assert [axis.value for axis in between.fits[3].place] == pytest.approx([0.0, ARM], rel=1e-4, abs=1e-6)
-    assert (between.verdict, between.candidates) == ("explained", ("payload_mass + com_offset",))
+    assert (between.verdict, between.candidates) == ("explained", (weighed,))
     at_hub = judge_pairs(0, 1.0 + part * np.array([-1.0, 1.0, 3.0, 1.0]), size=1e-6)
-    assert fit_values(at_hub, "payload_mass + com_offset") == pytest.approx(  # 3 g of 30 g
-        {"dm": 0.003, "x": -0.1 * ARM, "y": 0.1 * ARM}, rel=1e-4
-    )
+    place = {"dm": 0.003, "x": -0.1 * ARM, "y": 0.1 * ARM}  # 3 g of 30 g
+    assert fit_values(at_hub, weighed) == pytest.approx(place, rel=1e-4)
 
 
 def test_a_shifted_centre_of_mass_keeps_the_sum() -> None:
@@ -104,17 +102,10 @@ def test_a_cut_propeller_is_balanced_in_yaw_by_the_others() -> None:
 
 
 def test_statics_agree_with_mujoco() -> None:
-    mounts = [
-        replace(mount, position=place)
-        for mount, place in zip(
-            ROBOT.mounts.layout,
-            ((0.05, -0.03, 0.0), (-0.04, -0.035, 0.0), (-0.04, 0.035, 0.0), (0.05, 0.03, 0.0)),
-            strict=True,
-        )
-    ]
-    robot = replace(
-        ROBOT, mounts=replace(ROBOT.mounts, layout=tuple(mounts)), body=replace(ROBOT.body, com=(0.003, -0.002, 0.0))
-    )
+    places = ((0.05, -0.03, 0.0), (-0.04, -0.035, 0.0), (-0.04, 0.035, 0.0), (0.05, 0.03, 0.0))
+    mounts = tuple(replace(mount, position=at) for mount, at in zip(ROBOT.mounts.layout, places, strict=True))
+    body = replace(ROBOT.body, com=(0.003, -0.002, 0.0))
+    robot = replace(ROBOT, mounts=replace(ROBOT.mounts, layout=mounts), body=body)
 
     def thrust(dm: float, place: tuple[float, float, float]) -> np.ndarray:
         sites = "".join(f"<site name='s{n}' pos='{' '.join(map(str, m.position))}'/>" for n, m in enumerate(mounts))
@@ -127,9 +118,8 @@ def test_statics_agree_with_mujoco() -> None:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         matrix = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(
-            matrix, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
-        )
+        sparse = data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        mujoco.mju_sparse2dense(matrix, *sparse)
         return np.linalg.lstsq(matrix.T, data.qfrc_bias, rcond=None)[0]
 
     place = np.array([0.02, 0.01])
@@ -247,10 +237,8 @@ def test_a_weight_at_a_hub_and_a_propeller_of_more_drag_tie_until_the_vehicle_is
     """Rotor 3 carries more, and the yaw balance moves the others, in both."""
     ratio = 1.0 + 0.1 * np.array([-1.0, 1.0, 3.0, 1.0])
     results = judge_pairs(5, ratio)
-    assert (results.verdict, results.candidates) == (
-        "ambiguous",
-        ("payload_mass + com_offset", "weak_motor 3 + torque_ratio"),
-    )
+    both = ("payload_mass + com_offset", "weak_motor 3 + torque_ratio")
+    assert (results.verdict, results.candidates) == ("ambiguous", both)
     assert results.tell_apart[0] == Finding("weigh_vehicle")
     weighed = judge_pairs(5, ratio, added_mass=0.0)
     assert (weighed.verdict, weighed.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
@@ -289,11 +277,9 @@ def test_a_change_that_the_test_does_not_show_is_unexplained() -> None:
 def test_each_flight_is_predicted_from_the_others() -> None:
     """One flight 10 % heavier and one even: each is predicted as the other, the mean of both would miss by half as much."""
     rng = np.random.default_rng(11)
-    exact = [
-        hovers(rng, "normal", 6, np.ones(4), 1e-6),
-        *(hovers(rng, "f", 1, np.full(4, r), 1e-6) for r in (1.1, 1.0)),
-    ]
-    results = judge_balance(exact[0], [*exact[1], *exact[2]], robot=ROBOT)
+    normal = hovers(rng, "normal", 6, np.ones(4), 1e-6)
+    flights = [hover for ratio in (1.1, 1.0) for hover in hovers(rng, "f", 1, np.full(4, ratio), 1e-6)]
+    results = judge_balance(normal, flights, robot=ROBOT)
     (payload,) = (fit for fit in results.fits if fit.cause.name == "payload_mass")
     assert payload.held_out == pytest.approx(np.sqrt(((1.0 / 1.1 - 1.0) ** 2 + 0.1**2) / 2.0), rel=0.05)
 
@@ -330,19 +316,16 @@ def test_shares_and_sum_have_the_interval_of_a_pooled_t_test() -> None:
         return [HoverEffort(name=f"{name}{n}", effort=total * s, windows=9, voltage=None) for n, s in enumerate(share)]
 
     results = judge_balance(pair("normal", 20.0), pair("flight", 22.0), robot=ROBOT)
-    half_width = 4.302652729911275 * np.sqrt(
-        2.0 * 0.01**2
-    )  # Student's t with 2 degrees; variance 2 d², mean of two and of two
+    # Student's t with 2 degrees; variance 2 d², mean of two and of two.
+    half_width = 4.302652729911275 * np.sqrt(2.0 * 0.01**2)
     assert results.shares[0].change.high == pytest.approx(half_width, rel=1e-9)
     assert results.shares[0].baseline.high == pytest.approx(0.25 + half_width / np.sqrt(2.0), rel=1e-9)
     assert results.total.change.value == pytest.approx(0.1, rel=1e-9)
 
 
 def test_conditions_are_names_without_their_last_number() -> None:
-    logs = [
-        HoverEffort(name=n, effort=UNEVEN, windows=9, voltage=None)
-        for n in ("cut_1mm_log01", "cut_1mm_log3", "cut_2mm_log1")
-    ]
+    names = ("cut_1mm_log01", "cut_1mm_log3", "cut_2mm_log1")
+    logs = [HoverEffort(name=name, effort=UNEVEN, windows=9, voltage=None) for name in names]
     assert {k: len(v) for k, v in group_repeats(logs).items()} == {"cut_1mm_log": 2, "cut_2mm_log": 1}
 
 
@@ -358,10 +341,8 @@ def test_vehicles_that_the_balance_does_not_settle_are_refused() -> None:
     tilted = replace(mounts[0], axis=(0.1, 0.0, 1.0))
     same = tuple(replace(mount, spin=1) for mount in mounts)
     for layout, message in (
-        (mounts[:3], "needs 4 rotors"),
-        ((tilted, *mounts[1:]), "along body z"),
-        (same, "cannot balance"),
-    ):
+        (mounts[:3], "needs 4 rotors"), ((tilted, *mounts[1:]), "along body z"), (same, "cannot balance")
+    ):  # fmt: skip
         with pytest.raises(ConfigError, match=message):
             causes(replace(ROBOT, mounts=replace(ROBOT.mounts, layout=layout)))
     with pytest.raises(ConfigError, match="not between the rotors"):
@@ -403,10 +384,8 @@ def test_the_command_names_a_payload_in_logs_without_attitude(
     assert "## Candidates" in (tmp_path / "out" / "report.md").read_text()
     assert main([*argv, *repeats, "--added-mass-kg", "0.003"]) == 0
     assert "Verdict: explained. Candidates: com_offset." in " ".join(capsys.readouterr().out.split())
-    for more, message in (
-        (["--test", str(load[0])], "named twice"),
-        (["--mass-kg", "0.03"], "with --baseline the mass is the robot's"),
-    ):
+    mass = "with --baseline the mass is the robot's"
+    for more, message in ((["--test", str(load[0])], "named twice"), (["--mass-kg", "0.03"], mass)):
         assert main([*argv, *more]) == 2
         assert message in " ".join(capsys.readouterr().err.split())
     assert main(["identify", "hover", str(load[0]), "--baseline", str(normal[0])]) == 2

@@ -66,9 +66,8 @@ def test_effects_of_the_robot_file_push_the_links_too(tmp_path: Path) -> None:
     ride = body_motion(dragged, uniform_log(read_flight_log(tmp_path / "f.csv")), bandwidth=BAND)
     Swing(dragged, [ride], bandwidth=BAND)
     middle = torch.tensor([dragged.body.com], dtype=torch.float64).expand_as(ride.base.ang_vel)
-    velocity = quat_rotate_inverse(ride.base.attitude, ride.base.lin_vel) + torch.linalg.cross(
-        ride.base.ang_vel, middle
-    )
+    turning = torch.linalg.cross(ride.base.ang_vel, middle)
+    velocity = quat_rotate_inverse(ride.base.attitude, ride.base.lin_vel) + turning
     torch.testing.assert_close((ride.wrench - plain.wrench)[:, 0, :2], -0.5 * velocity[:, :2], rtol=1e-6, atol=1e-9)
 
 
@@ -78,12 +77,8 @@ def test_friction_acts_against_the_motion_and_an_end_never_pulls() -> None:
 
     none, far = row(0.0, 0.0, 0.0), row(9.0, 9.0, 9.0)
     spring = Spring(stiffness=none, quadratic=none, damping=none, rest=none, preload=none)
-    slides = Laws(
-        spring=spring,
-        ends=JointLimits(low=-far, high=far, stiffness=none, damping=none),
-        friction=0.3 + none,
-        slow=1e-3 + none,
-    )
+    free = JointLimits(low=-far, high=far, stiffness=none, damping=none)
+    slides = Laws(spring=spring, ends=free, friction=0.3 + none, slow=1e-3 + none)
     torch.testing.assert_close(slides.joint_effort(none, row(2.0, -2.0, 0.0)), row(-0.3, 0.3, 0.0), atol=1e-6, rtol=0)
     ends = JointLimits(low=-0.1 + none, high=0.1 + none, stiffness=4.0 + none, damping=1.0 + none)
     held = Laws(spring=spring, ends=ends, friction=none, slow=1e-3 + none)
@@ -101,9 +96,8 @@ def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
     drive = DriveCfg(mode="effort", limit=1.0, command_range=(-1.0, 1.0))
     first = replace(plain.joints.layout[0], spring=None, drive=drive)
     driven = replace(plain, joints=replace(plain.joints, layout=(first, *plain.joints.layout[1:])))
-    with pytest.raises(
-        ConfigError, match="without logged angles every joint must be passive and without creep, but arm0 has a drive"
-    ):
+    words = "without logged angles every joint must be passive and without creep, but arm0 has a drive"
+    with pytest.raises(ConfigError, match=words):
         fit_hidden_joints(driven, [ride], bandwidth=BAND)
     with pytest.raises(ConfigError, match="this robot has no joints"):
         fit_hidden_joints(ROBOTS.get("base_quadrotor"), [ride], bandwidth=BAND)
@@ -121,7 +115,6 @@ def test_hidden_springs_are_named_and_found(seed: int, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["identify", "joints", str(tmp_path / "robot.yaml"), str(tmp_path / "f.csv"), "--out", str(out)]) == 0
     result = json.loads((out / "result.json").read_text())
-    print(f"\n{json.dumps(result, indent=1)}")
     joints = {joint["name"]: joint for joint in result["joints"]}
     assert joints["arm0"]["changed"] == ["stiffness"]
     assert set(joints["arm1"]["changed"]) == {"damping", "rest"}
@@ -148,10 +141,8 @@ def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
         flight(HIDDEN, seed, seconds=8.0).to_csv(path, index=False)
     declared, out = tmp_path / "robot.yaml", tmp_path / "out"
     verdict = close_loop(declared, paths[:2], paths[2:], out, effects=("rotor_drag",), joints=True)
-    assert [(one.code, one.subject) for one in verdict.joint_findings][:2] == [
-        ("joint_found", "arm0"),
-        ("joint_found", "arm1"),
-    ]
+    results = [(one.code, one.subject) for one in verdict.joint_findings]
+    assert results[:2] == [("joint_found", "arm0"), ("joint_found", "arm1")]
     assert verdict.joint_findings[0].values["numbers"][0]["declared"] == 1.2
     told = json.loads((out / "verdict.json").read_text())
     assert [joint["name"] for joint in told["joints"] if joint["changed"]] == ["arm0", "arm1", "arm2"]

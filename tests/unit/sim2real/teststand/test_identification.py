@@ -37,7 +37,7 @@ from aerial_gym.sim2real.teststand.statistics import (
     left_out,
     parsimonious,
 )
-from aerial_gym.sim2real.teststand.step import fit_steps, lag_error, simulate, step_record
+from aerial_gym.sim2real.teststand.step import StepRecord, fit_steps, lag_error, simulate, step_record
 from aerial_gym.sim2real.teststand.studies import joint_text, rotor_changes
 from aerial_gym.sim2real.teststand.tables import read_columns
 
@@ -171,9 +171,8 @@ def test_units_do_not_change_the_map(
 ) -> None:
     table = static_table(np.random.default_rng(4), 0.01)
     plain = single_fit(table, tmp_path)
-    other = single_fit(
-        table.assign(**{column: table[column] * factor}).rename(columns={column: name}), tmp_path, **units
-    )
+    changed = table.assign(**{column: table[column] * factor}).rename(columns={column: name})
+    other = single_fit(changed, tmp_path, **units)
     assert other.thrust_coefficient.value == pytest.approx(plain.thrust_coefficient.value, rel=1e-9)
     assert other.torque_ratio.value == pytest.approx(plain.torque_ratio.value, rel=1e-9)
 
@@ -211,14 +210,11 @@ def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(
 def test_lag_with_a_slew_limit_solves_its_equation(error: float, tau: float, slew: float) -> None:
     """Integrated by scipy to 1e-9: ``e' = -min(|e| / tau, slew) sign(e)``."""
     since = np.linspace(0.0, 0.3, 40)
-    result = solve_ivp(
-        lambda _, e: -np.sign(e) * np.minimum(np.abs(e) / tau, slew),
-        (0.0, 0.3),
-        [error],
-        t_eval=since,
-        rtol=1e-9,
-        atol=1e-9,
-    )
+
+    def motion(_: float, e: Array) -> Array:
+        return -np.sign(e) * np.minimum(np.abs(e) / tau, slew)
+
+    result = solve_ivp(motion, (0.0, 0.3), [error], t_eval=since, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(lag_error(error, tau, slew, since), result.y[0], atol=1e-5)
     assert lag_error(error, tau, slew, np.array([-0.01]))[0] == error
 
@@ -231,8 +227,6 @@ def step_table(params: dict[str, float], *, noise: float, seed: int = 0, rate: f
     command = np.repeat(LEVELS, round(0.5 * rate))
     table = pd.DataFrame({"t": time, "speed_cmd": command, "speed_meas": 0.0 * time})
     starts = np.arange(0, time.size + 1, round(0.5 * rate))
-    from aerial_gym.sim2real.teststand.step import StepRecord
-
     record = StepRecord(path="", time=time, command=command, measured=0.0 * time, starts=starts)
     course = simulate(record, params)
     return table.assign(speed_meas=course + noise * np.random.default_rng(seed).standard_normal(time.size))
@@ -285,15 +279,8 @@ def test_records_that_show_no_steps(tmp_path: Path, change: object, message: str
         step_record(bench(change(step_table({"tau": 0.04}, noise=1.0)), tmp_path))
 
 
-JOINT = {
-    "stiffness": 4800.0,
-    "damping": 60.0,
-    "rest": 0.125,
-    "stiffness_1": 3000.0,
-    "time_1": 0.06,
-    "stiffness_2": 1200.0,
-    "time_2": 1.5,
-}
+JOINT = {"stiffness": 4800.0, "damping": 60.0, "rest": 0.125}
+JOINT |= {"stiffness_1": 3000.0, "time_1": 0.06, "stiffness_2": 1200.0, "time_2": 1.5}
 
 
 def release(rate: float = 100.0, seconds: float = 12.0) -> Release:
@@ -310,10 +297,8 @@ def test_creep_solves_the_generalised_maxwell_equations() -> None:
         creep = [(away - x[1 + i]) / JOINT[f"time_{i}"] for i in (1, 2)]
         return [x[1], -JOINT["stiffness"] * away - JOINT["damping"] * x[1] - pull, *creep]
 
-    record = release()
-    result = solve_ivp(
-        motion, (0.0, 12.0), [0.4, 0.0, 0.275, 0.275], t_eval=record.time, rtol=1e-9, atol=1e-12, method="LSODA"
-    )
+    record, options = release(), {"rtol": 1e-9, "atol": 1e-12, "method": "LSODA"}
+    result = solve_ivp(motion, (0.0, 12.0), [0.4, 0.0, 0.275, 0.275], t_eval=record.time, **options)
     np.testing.assert_allclose(joint_angle(record, JOINT), result.y[0], atol=1e-7)
 
 
@@ -354,16 +339,12 @@ def test_what_is_held_out_of_alternate_blocks_does_not_change_its_prediction() -
 
 def test_the_quadratic_spring_solves_its_equation_and_waits_for_the_release() -> None:
     params = {"quadratic_stiffness": 2400.0, "damping": 90.0, "rest": 0.13, "release": 0.05}
-    record = release()
-    result = solve_ivp(
-        lambda _, x: [x[1], -2400.0 * abs(x[0] - 0.13) * (x[0] - 0.13) - 90.0 * x[1]],
-        (0.0, 12.0),
-        [0.4, 0.0],
-        t_eval=record.time[:-5],
-        rtol=1e-10,
-        atol=1e-12,
-        method="LSODA",
-    )
+    record, options = release(), {"rtol": 1e-10, "atol": 1e-12, "method": "LSODA"}
+
+    def motion(_: float, x: Array) -> list[float]:
+        return [x[1], -2400.0 * abs(x[0] - 0.13) * (x[0] - 0.13) - 90.0 * x[1]]
+
+    result = solve_ivp(motion, (0.0, 12.0), [0.4, 0.0], t_eval=record.time[:-5], **options)
     course = joint_angle(record, params)
     np.testing.assert_allclose(course[:6], 0.4, atol=1e-12)
     np.testing.assert_allclose(course[5:], result.y[0], atol=1e-6)
@@ -432,8 +413,6 @@ def test_intervals_of_hover_hold_the_truth_as_often_as_they_say() -> None:
 
 
 def test_without_an_accelerometer_the_weight_over_the_cosine_of_the_tilt_is_taken() -> None:
-    from dataclasses import replace
-
     log = hover(3)
     tilted = np.tile([np.sin(0.05), 0.0, 0.0, np.cos(0.05)], (log.time.size, 1))
     fit = fit_hover([replace(log, attitude=tilted, specific_force=None)], mass=0.045)
