@@ -110,9 +110,7 @@ def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -
         (("task", "--repeats", "0"), "--repeats = 0: must be at least 1"),
     ],
 )
-def test_wrong_requests_end_with_status_2_and_one_sentence(
-    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
     device = () if "--device" in argv else ("--device", "cpu")
     status, out, err = run(capsys, "bench", *argv, *device)
     assert status == 2

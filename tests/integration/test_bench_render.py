@@ -107,9 +107,7 @@ def test_other_images_give_no_figure() -> None:
         mismatch_share("peer", depth, other)
 
 
-def test_a_run_with_other_images_ends_with_status_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_with_other_images_ends_with_status_1(monkeypatch, capsys) -> None:
     monkeypatch.setattr(runs, "_is_floor", lambda *_: True)  # every box becomes a rectangle
     argv = ("--scene", "boxes", "--num-envs", "2", "--json", "--against", "mujoco")
     status, out, err = run(capsys, "render", *QUICK, *argv)

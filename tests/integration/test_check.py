@@ -62,9 +62,7 @@ def test_one_that_cannot_be_ends_with_status_2(capsys: pytest.CaptureFixture[str
     assert "--picture takes one robot" in capsys.readouterr().err
 
 
-def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_model_of_gazebo_becomes_a_file_that_can_be_checked(capsys, tmp_path) -> None:
     model, out = x500(tmp_path), tmp_path / "mine.yaml"
     assert main(["robot", "import", str(model), "--out", str(out), "--summary", "mine"]) == 0
     captured = capsys.readouterr()

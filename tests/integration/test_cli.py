@@ -137,9 +137,7 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
         ),
     ],
 )
-def test_wrong_requests_end_with_status_2_and_one_sentence(
-    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
     status, out, err = run(capsys, *argv)
     assert status == 2
     assert out == ""

@@ -84,9 +84,7 @@ def test_rl_env_loop() -> None:
     assert {"final_observation", "time_outs"} <= set(info)
 
 
-def test_a_script_runs_from_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_script_runs_from_the_command_line(tmp_path, monkeypatch, capsys) -> None:
     script = tmp_path / "script.py"
     script.write_text(
         "import isaacgym\nimport sys\nfrom aerial_gym.registry.sim_registry import sim_config_registry\n"

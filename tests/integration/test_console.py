@@ -60,9 +60,7 @@ def test_lists_errors_and_tables(encoding: str, monkeypatch: pytest.MonkeyPatch,
 
 
 @pytest.mark.parametrize("encoding", ["gbk", "ascii"])
-def test_a_replay_with_progress_tables_and_a_report(
-    encoding: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_replay_with_progress_tables_and_a_report(encoding, monkeypatch, tmp_path) -> None:
     folder = tmp_path / "Flüge 飛行"
     folder.mkdir()
     robot, log = folder / "robot ü.yaml", write(flight(0, seconds=3.0, rate=100.0, noise=1.0), folder / "flug ä.csv")

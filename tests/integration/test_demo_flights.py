@@ -9,9 +9,7 @@ from aerial_gym.cli.demo.parts import find_flights
 
 @pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.slow
-def test_flights_lie_in_a_folder_named_from_where_the_demo_was_started(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flights_lie_in_a_folder_named_from_where_the_demo_was_started(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = find_flights(None, Path("demo"), 0)
     assert len(result.train) == 4

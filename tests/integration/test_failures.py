@@ -43,9 +43,7 @@ def flight_failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failu
 
 
 @pytest.mark.parametrize("flight", HIDDEN)
-def test_each_failure_is_named_with_rotor_size_and_time(
-    flight: str, flight_failures: dict[str, Failure | None]
-) -> None:
+def test_each_failure_is_named_with_rotor_size_and_time(flight, flight_failures) -> None:
     """Within four standard deviations; a stuck rotor has the speed that it had."""
     failure, hidden = flight_failures[flight], HIDDEN[flight].document()
     assert failure.name == hidden["kind"]

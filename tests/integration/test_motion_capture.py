@@ -45,9 +45,7 @@ def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, 
 @pytest.mark.slow
 @pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effects", [{}, {"com_offset": "moderate"}])
-def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_either(
-    tmp_path: Path, effects: dict[str, str]
-) -> None:
+def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_either(tmp_path, effects) -> None:
     """The same of logs whose sensors are up to 6 ms late; rules that did not know it gave this seed four names and more."""
     judge_case(tmp_path, effects, 3810, LOGGED)
 

@@ -24,18 +24,14 @@ def test_the_page_holds_every_image_of_the_sensors(tmp_path: Path, capsys: pytes
     assert page.count('src="data:image/png') == 6  # the range matrix; depth, faces and normals; depth and flow
 
 
-def test_an_unknown_sensor_is_refused_before_anything_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_sensor_is_refused_before_anything_is_written(tmp_path, capsys) -> None:
     out = tmp_path / "gallery"
     assert main(["render-gallery", "--out", str(out), "--sensors", "base_lida"]) == 2
     assert "Did you mean 'base_lidar'?" in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_the_colour_camera_shows_obstacles_of_different_colours(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_colour_camera_shows_obstacles_of_different_colours(tmp_path, capsys) -> None:
     out = str(tmp_path / "gallery")
     command = ["render-gallery", "--out", out, "--environments", "env_with_obstacles", "--sensors", "base_rgb_camera"]
     assert main(command) == 0

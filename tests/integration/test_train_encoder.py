@@ -43,9 +43,7 @@ def test_folder_and_figures(whole: tuple[Path, str], capsys: pytest.CaptureFixtu
     assert "holds a training already" in capsys.readouterr().err
 
 
-def test_interrupted_training_continues(
-    whole: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_training_continues(whole, tmp_path, capsys, monkeypatch) -> None:
     """As if it had never ended, bit for bit; settings other than its own are refused."""
     monkeypatch.setattr(training, "SAVE_EVERY_S", 0.0)
     whole_epoch = EncoderFit.epoch

@@ -2,7 +2,6 @@
 
 import io
 import json
-from pathlib import Path
 
 import pytest
 
@@ -45,9 +44,7 @@ def test_a_failure_is_named_soon(flight: str, files: CaseFiles, capsys: pytest.C
             assert named["params"][name] == pytest.approx(hidden[name], abs=4.0 * named["std"].get(name, 0.0)), name
 
 
-def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(
-    files: CaseFiles, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(files, capsys, monkeypatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(files.test[0].read_text()))
     assert main(["watch", str(files.robot), "-"]) == 0
     out, err = capsys.readouterr()
@@ -55,9 +52,7 @@ def test_nothing_is_told_of_a_flight_without_a_failure_on_stdin(
     assert "watched 8.0 s: no failures" in err
 
 
-def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
-    files: CaseFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(files, tmp_path, capsys) -> None:
     assert main(["watch", str(files.robot), str(tmp_path / "none.csv")]) == 2
     assert "no such file. Give a flight log" in capsys.readouterr().err
     header, *rows = files.test[0].read_text().splitlines()[:100]
@@ -76,9 +71,7 @@ def test_a_file_that_is_not_there_or_no_log_is_a_wrong_request(
     assert main(["watch", str(files.robot), str(tmp_path)]) == 2
 
 
-def test_a_followed_log_that_begins_anew_is_watched_as_another_flight(
-    files: CaseFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_followed_log_that_begins_anew_is_watched_as_another_flight(files, tmp_path, capsys, monkeypatch) -> None:
     log, failing = tmp_path / "log.csv", next(path for path in files.train if path.stem == "train_1")
     log.write_bytes(files.test[0].read_bytes())
 

@@ -1,7 +1,6 @@
 """The promise of the README: a hover policy from scratch within minutes on two CPU cores (``make test-slow``)."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -11,9 +10,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize(("trainer", "time_s"), [("ppo", "60"), ("rl_games", "172"), ("sample_factory", "172")])
-def test_minutes_lead_to_a_hover_within_ten_centimetres(
-    trainer: str, time_s: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_minutes_lead_to_a_hover_within_ten_centimetres(trainer, time_s, tmp_path, capsys) -> None:
     """Mean distance in the last second of 512 fresh starts below 0.10 m, and no crash."""
     run = str(tmp_path / "run")
     argv = ("--task", "position_setpoint_task", "--trainer", trainer, "--seed", "11", "--max-time-s", time_s)

@@ -3,16 +3,12 @@
 import json
 from pathlib import Path
 
-import pytest
-
 from aerial_gym.cli.main import main
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "custom_task.py"
 
 
-def test_the_example_is_trained_and_evaluated(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_example_is_trained_and_evaluated(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(EXAMPLE.parent)
     out = str(tmp_path / "run")
     asked = [

@@ -17,9 +17,7 @@ TASKS = task_registry.names()
 
 
 @pytest.mark.slow
-def test_motor_commands_become_c_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_motor_commands_become_c_code(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["motor_commands.py", str(tmp_path / "run"), "3"])
     runpy.run_path(str(EXAMPLES / "motor_commands.py"), run_name="__main__")
     assert "beside the target" in capsys.readouterr().out
@@ -29,9 +27,7 @@ def test_motor_commands_become_c_code(
 
 
 @pytest.mark.slow
-def test_a_student_of_noisy_sensors_learns_from_its_teacher(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_student_of_noisy_sensors_learns_from_its_teacher(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("sys.argv", ["student_of_noise.py", str(tmp_path), "2"])
     runpy.run_path(str(EXAMPLES / "student_of_noise.py"), run_name="__main__")
     told = capsys.readouterr().out

@@ -92,9 +92,7 @@ def settings(tmp_path: Path) -> Path:
     return file
 
 
-def test_commands_train_resume_evaluate_and_play_a_new_trainer(
-    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_train_resume_evaluate_and_play_a_new_trainer(settings, tmp_path, capsys) -> None:
     out, table = tmp_path / "run", tmp_path / "flights.csv"
     assert main(["train", "--trainer", "random_search", "--config", str(settings), "--out", str(out), "--json"]) == 0
     first = json.loads(capsys.readouterr().out)

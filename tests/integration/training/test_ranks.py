@@ -84,9 +84,7 @@ def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(tmp_path, caplog) -> None:
     alone = replace(settings(2), max_env_steps=STEPS_OF_ONE)
     train(alone, tmp_path / "more", show_progress=False)
     for status, said in start_two("resume", tmp_path, ports=4):

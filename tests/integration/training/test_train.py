@@ -32,9 +32,7 @@ def train(out: Path, trainer: str, *more: str) -> int:
 
 
 @pytest.mark.parametrize("trainer", rare_values(["ppo", "apg", "rl_games", "sample_factory"], ("apg", "rl_games")))
-def test_a_training_leaves_a_run_that_resumes_and_evaluates(
-    trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_training_leaves_a_run_that_resumes_and_evaluates(trainer, tmp_path, capsys) -> None:
     """``rl_games`` trains, goes on and is evaluated always in the navigation below."""
     out = tmp_path / "run"
     assert train(out, trainer) == 0
@@ -67,9 +65,7 @@ def test_a_training_leaves_a_run_that_resumes_and_evaluates(
     assert len(table.read_text().splitlines()) == 1 + 6 * 4
 
 
-def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how_flights_end(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how_flights_end(tmp_path, capsys) -> None:
     out, robot = tmp_path / "run", tmp_path / "robot.yaml"
     robot.write_text(dump_yaml(replace(ROBOTS.get("base_quadrotor"), sensors=("depth_camera_64",))), encoding="utf-8")
     limits = ("--max-env-steps", "512", "--max-time-s", "40", "--json")
@@ -97,9 +93,7 @@ def test_a_navigation_training_resumes_at_its_level_and_its_evaluation_tells_how
     assert "must lie in 15 to 44" in capsys.readouterr().err
 
 
-def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(tmp_path, capsys) -> None:
     (tmp_path / "config.yaml").write_text("")
     assert train(tmp_path, "rl_games") == 2
     assert "holds a run already" in capsys.readouterr().err
@@ -118,18 +112,14 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(
         (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
     ],
 )
-def test_wrong_trainings_end_with_status_2_and_leave_nothing(
-    more: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_trainings_end_with_status_2_and_leave_nothing(more, message, tmp_path, capsys) -> None:
     out = tmp_path / "run"
     assert main(["train", "--out", str(out), *more]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
 
 
-def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(tmp_path, caplog) -> None:
     cfg = load_settings(settings_for("rl_games", "position_setpoint_task"))
     RunFolder(tmp_path).create(replace(cfg, num_envs=128, device="cpu"))
     assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1", "--max-time-s", "40"]) == 0
@@ -138,9 +128,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(
 
 
 @pytest.mark.parametrize("trainer", ["ppo", "rl_games", "sample_factory"])
-def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
-    trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(trainer, tmp_path, capsys, monkeypatch) -> None:
     out, update = tmp_path / "run", Progress.update
     updates = []
 
@@ -174,9 +162,7 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(
         (("--trainer", "rl_games"), "--trainer rl_games: the run in {out} is of ppo"),
     ],
 )
-def test_a_resumed_run_refuses_another_task_and_trainer(
-    more: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_resumed_run_refuses_another_task_and_trainer(more, message, tmp_path, capsys) -> None:
     RunFolder(tmp_path).create(load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")))
     again = ("train", "--out", str(tmp_path), "--resume", "--num-envs", "7")
     assert main([*again, *more]) == 2
@@ -186,9 +172,7 @@ def test_a_resumed_run_refuses_another_task_and_trainer(
 
 
 @pytest.mark.parametrize("trainer", ["ppo", "rl_games"])
-def test_a_resumed_run_refuses_a_checkpoint_of_another_network(
-    trainer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_resumed_run_refuses_a_checkpoint_of_another_network(trainer, tmp_path, capsys) -> None:
     folder = RunFolder(tmp_path)
     cfg = load_settings(settings_for(trainer, "position_setpoint_task"))
     folder.create(replace(cfg, num_envs=128, device="cpu"))
@@ -206,9 +190,7 @@ def test_a_resumed_run_refuses_a_checkpoint_of_another_network(
         (("--max-env-steps", "5000", "--max-time-s", "7"), (7.0, 5000)),
     ],
 )
-def test_limits_on_the_command_line_replace_those_of_the_settings(
-    given: tuple[str, ...], limits: tuple[float | None, int | None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_limits_on_the_command_line_replace_those_of_the_settings(given, limits, tmp_path, monkeypatch) -> None:
     settings = tmp_path / "settings.yaml"
     cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     settings.write_text(dump_yaml(replace(cfg, max_time_s=120.0, max_env_steps=None)))

@@ -161,9 +161,7 @@ def put(env: EnvManager, gate: tuple[float, float, float]) -> None:
         ((0.0, 0.6, 0.0), hypot(0.025, 0.6 - 0.36 - 0.035) - 0.035),  # beside the frame
     ],
 )
-def test_frame_and_stand_can_be_touched_and_the_opening_not(
-    place: tuple[float, float, float], clearance: float | None
-) -> None:
+def test_frame_and_stand_can_be_touched_and_the_opening_not(place, clearance) -> None:
     """Distances of spheres of 3.5 cm at 3.5 cm from both axes; a hover of one step moves the vehicle by less than 1 mm."""
     env = simulate(straight(), 3)
     env.reset()

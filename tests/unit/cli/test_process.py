@@ -29,9 +29,7 @@ def test_code_is_kept_in_the_cache_folder_where_the_installation_gets_none(insta
     assert (sys.pycache_prefix, sys.dont_write_bytecode) == (str(tmp_path / "caches/aerial_gym/bytecode"), False)
 
 
-def test_code_is_kept_where_the_installation_cannot_be_written(
-    installation: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_code_is_kept_where_the_installation_cannot_be_written(installation, monkeypatch) -> None:
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     monkeypatch.setattr(process.os, "access", lambda *_: False)
     process.cache_bytecode()
@@ -75,9 +73,7 @@ def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.Monk
         (["train", "--device"], None),
     ],
 )
-def test_a_training_loads_libraries_for_its_device(
-    argv: list[str], device: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_training_loads_libraries_for_its_device(argv, device, monkeypatch) -> None:
     loaded: list[str | None] = []
     monkeypatch.setattr(process, "cache_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)

@@ -128,9 +128,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("title", "table", "field"), CASES, ids=[f"{t} {f.script_name}" for t, _, f in CASES])
-def test_every_attribute_does_what_the_table_says(
-    title: str, table: ConfigTable, field: ConfigField, tmp_path: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_every_attribute_does_what_the_table_says(title, table, field, tmp_path, caplog) -> None:
     parent = CLASSES[title]
     stands_for = getattr(parent, STANDS_FOR)
     (tmp_path / "post.urdf").write_text(URDF)

@@ -21,9 +21,7 @@ from aerial_gym.config.storage import write_atomic
         ("utf-8", "fl\udcfcg", "fl?g"),
     ],
 )
-def test_a_console_shows_plain_letters_for_what_it_lacks(
-    encoding: str, text: str, shown: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_console_shows_plain_letters_for_what_it_lacks(encoding, text, shown, monkeypatch) -> None:
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     monkeypatch.setattr(sys, "stdout", stream)
     monkeypatch.setattr(sys, "stderr", io.StringIO())  # cannot be told

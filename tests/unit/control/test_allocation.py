@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import cos, pi, sin
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,9 +71,8 @@ def best_by_linear_programs(allocation: Allocation, wrench: np.ndarray) -> np.nd
     parts = inverse * wrench
     turn, rest, lift = parts[:, 3] + parts[:, 4], parts[:, 0] + parts[:, 1] + parts[:, 5], inverse[:, 2]
     resting = np.where(lift == 0.0, np.clip(0.0, low, high), 0.0)  # a rotor that carries nothing starts where it may
-    columns = np.stack(
-        (turn, lift, -lift, rest), axis=1
-    )  # share, thrust above and below the wanted one, share of the rest
+    # Share, thrust above and below the wanted one, share of the rest.
+    columns = np.stack((turn, lift, -lift, rest), axis=1)
     base = resting + wrench[2] * lift
     matrix, limit = np.concatenate((columns, -columns)), np.concatenate((high - base, base - low)) + 1e-11
     bounds = [(0.0, 1.0), (0.0, None), (0.0, None), (0.0, 1.0 if len(lift) == 4 else 0.0)]
@@ -124,15 +124,15 @@ def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
     robot = ROBOTS.get("tinyprop")
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     wanted = torch.tensor([[0.0, 0.0, 4.7, 0.05, 0.0, 0.0]], dtype=F64)
-    speeds = {
-        name: Allocation(vehicle, 9.81, saturation=name).speed_for_wrench(wanted) for name in ("clamp", "prioritised")
-    }
+    thrust = {}
+    for name in ("clamp", "prioritised"):
+        speed = Allocation(vehicle, 9.81, saturation=name).speed_for_wrench(wanted)
+        thrust[name] = speed[0] ** 2 * robot.rotor.thrust_map[2]
     clamped = Allocation(vehicle, 9.81)
-    torch.testing.assert_close(speeds["clamp"], clamped.speed(clamped.thrust(wanted)))
-    roll = {
-        name: float((allocation_matrix(vehicle, 9.81)[0, 3] * speed[0] ** 2).sum() * robot.rotor.thrust_map[2])
-        for name, speed in speeds.items()
-    }
+    torch.testing.assert_close(
+        thrust["clamp"], clamped.speed(clamped.thrust(wanted))[0] ** 2 * robot.rotor.thrust_map[2]
+    )
+    roll = {name: float(allocation_matrix(vehicle, 9.81)[0, 3] @ own) for name, own in thrust.items()}
     assert roll["prioritised"] == pytest.approx(0.05, rel=1e-9)
     assert roll["clamp"] < 0.049
 
@@ -140,19 +140,27 @@ def test_clamp_lets_every_rotor_stop_at_its_own_limit() -> None:
 def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
     allocation = make_allocation(ROBOTS.get("tinyprop"), 8)
     wanted = wrenches(ROBOTS.get("tinyprop"), 8, 1.0).requires_grad_()
-    assert torch.autograd.gradcheck(
-        lambda w: allot_thrust(allocation.inverse, w, allocation.low, allocation.high), (wanted,), atol=1e-6
-    )
+
+    def thrust(wrench: Tensor) -> Tensor:
+        return allot_thrust(allocation.inverse, wrench, allocation.low, allocation.high)
+
+    assert torch.autograd.gradcheck(thrust, (wanted,), atol=1e-6)
+
+
+def launch_params(kind: type, allocation: Allocation) -> Any:
+    """Return the parameters of the fused twin for a vehicle."""
+    params = kind()
+    for field, rows in (("low", allocation.low), ("high", allocation.high), ("allocation", allocation.inverse)):
+        setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
+    return params
 
 
 @pytest.mark.parametrize("name", rare_values(VEHICLES, ["hexarotor"]))
 def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
     robot = VEHICLES[name]
     start_warp()
-    types, twin = (
-        rotor_types(robot.num_rotors),
-        make_allot_thrust(robot.num_rotors, idle=name == "pusher", lateral=True),
-    )
+    types = rotor_types(robot.num_rotors)
+    twin = make_allot_thrust(robot.num_rotors, idle=name == "pusher", lateral=True)
     command_type, vector = types.command, types.vector
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -163,17 +171,10 @@ def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
 
     exact = make_allocation(robot, 200)
     wanted = torch.cat([wrenches(robot, 100, size) for size in (0.3, 3.0)])
-    params = command_type()
-    for field, rows in (("low", exact.low), ("high", exact.high), ("allocation", exact.inverse)):
-        setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
+    params = launch_params(command_type, exact)
     result = torch.full((200, robot.num_rotors), torch.nan)
-    wp.launch(
-        spread,
-        dim=200,
-        inputs=[params, wp.from_torch(wanted.float(), dtype=wp.spatial_vector)],
-        outputs=[wp.from_torch(result, dtype=vector)],
-        device="cpu",
-    )
+    inputs = [params, wp.from_torch(wanted.float(), dtype=wp.spatial_vector)]
+    wp.launch(spread, dim=200, inputs=inputs, outputs=[wp.from_torch(result, dtype=vector)], device="cpu")
     expected = torch.clamp(allot_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
     size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
     torch.testing.assert_close(result.double(), expected, atol=float(size) * 4e-6, rtol=0)
@@ -204,9 +205,7 @@ def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
     weight = torch.linspace(-1.0, 2.0, 6, dtype=F64)
     thrust = allot_thrust(exact.inverse, wanted, exact.low, exact.high)
     (expected,) = torch.autograd.grad((thrust @ weight).sum(), wanted)
-    params = command_type()
-    for field, rows in (("low", exact.low), ("high", exact.high), ("allocation", exact.inverse)):
-        setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
+    params = launch_params(command_type, exact)
     single = wp.from_torch(wanted.detach().float(), dtype=wp.spatial_vector, requires_grad=True)
     total = wp.zeros(60, dtype=wp.float32, device="cpu", requires_grad=True)
     with wp.Tape() as tape:

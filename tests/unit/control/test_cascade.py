@@ -121,14 +121,10 @@ def test_the_low_pass_answers_a_ramp_with_its_exponential() -> None:
 
 def test_the_derivative_is_taken_back_from_the_wanted_acceleration() -> None:
     """Without low-pass a body that turns up at 3 rad/s² costs ``J D 3`` of torque: the lever arms give the thrusts."""
-    still, steps = RateLoopCfg(integral=(0.0, 0.0, 0.0)), 3
-    states, actions = (
-        [turn_state([3.0 * DT * k, 0.0, 0.0]) for k in range(steps)],
-        [torch.zeros(1, 4, dtype=F64)] * steps,
-    )
-    without, _ = commands(make_law(replace(PID, rate_loop=still)), actions, states)
-    loop = replace(still, derivative=(0.2, 0.0, 0.0))
-    with_it, _ = commands(make_law(replace(PID, rate_loop=loop)), actions, states)
+    still, actions = RateLoopCfg(integral=(0.0, 0.0, 0.0)), [torch.zeros(1, 4, dtype=F64)] * 3
+    states = [turn_state([3.0 * DT * k, 0.0, 0.0]) for k in range(3)]
+    loops = still, replace(still, derivative=(0.2, 0.0, 0.0))
+    without, with_it = (commands(make_law(replace(PID, rate_loop=one)), actions, states)[0] for one in loops)
     thrust = ROBOT.rotor.thrust_map[2] * (with_it**2 - without**2)
     expected = -0.2 * 3.0 * 4.225e-4 / (4 * 0.13) * torch.tensor([-1.0, -1.0, 1.0, 1.0], dtype=F64)
     torch.testing.assert_close(thrust[0], torch.zeros(4, dtype=F64), atol=1e-12, rtol=0)
@@ -178,9 +174,8 @@ def test_a_wish_reaches_the_rate_loop_exactly_its_delay_later_and_is_held() -> N
 
 def test_the_integral_stands_still_while_its_rotors_are_at_their_limits() -> None:
     law = make_law(PID)
-    actions = [torch.tensor([[0.0, 0.05, 0.0, 50.0]], dtype=F64)] * 4 + [
-        torch.tensor([[0.0, 0.0, 0.0, -0.01]], dtype=F64)
-    ]
+    numbers = [[0.0, 0.05, 0.0, 50.0]] * 4 + [[0.0, 0.0, 0.0, -0.01]]
+    actions = [torch.tensor([row], dtype=F64) for row in numbers]
     _, memories = commands(law, actions, [turn_state([0.0, 0.0, 0.0])] * 5)
     integrals = torch.cat([memory.numbers[:, :3] for memory in memories])
     assert (integrals[:4, 2] == 0.0).all()
@@ -241,57 +236,38 @@ EVERY_LEE = CrazyflieLeeCfg(
     Kpos_I=(0.5, 0.5, 1.0), KI=(2.0, 2.0, 0.5), Kpos_I_limit=(0.02, 0.01, 0.02), KI_limit=(0.01, 0.01, 0.02)
 )
 EVERY_BRESCIANINI = BrescianiniCfg(
-    rate_hz=250.0,
-    tau_xy=0.2,
-    mixing_factor=0.4,
-    zeta_xy=0.7,
-    coll_min=9.0,
-    coll_max=10.5,
-    omega_rp_max=0.2,
+    rate_hz=250.0, tau_xy=0.2, mixing_factor=0.4, zeta_xy=0.7, coll_min=9.0, coll_max=10.5, omega_rp_max=0.2,
     omega_yaw_max=0.05,
-)
+)  # fmt: skip
 """Every part of the Crazyflie's controllers; limits act."""
+
+LATE = {"rate_hz": 50.0, "delay": 0.014}
+
+
+def change(name: str, **changes: object) -> tuple[ControllerCfg, tuple[str, ...]]:
+    """Return a controller with changes, without effects."""
+    return replace(CONTROLLERS.get(name), **changes), ()
+
 
 CASES = {
     "everything": (BUSY, ()),
     "with effects": (replace(BUSY, law="attitude"), ("gusts", "actuation_delay", "rotor_drag")),
-    "no loop": (replace(CONTROLLERS.get("lee_velocity_control"), rate_hz=100.0, action_delay=0.004), ()),
-    "clamped": (replace(PID, allocation="clamp"), ()),
-    "all of Betaflight": (
-        replace(CONTROLLERS.get("betaflight_rate_control"), rate_hz=50.0, delay=0.014, betaflight=TUNED),
-        (),
+    "no loop": change("lee_velocity_control", rate_hz=100.0, action_delay=0.004),
+    "clamped": change("pid_rates_control", allocation="clamp"),
+    "all of Betaflight": change("betaflight_rate_control", **LATE, betaflight=TUNED),
+    "Betaflight without airmode": change(
+        "betaflight_rate_control", betaflight=replace(TUNED, i_yaw=80.0, airmode=False)
     ),
-    "Betaflight without airmode": (
-        replace(CONTROLLERS.get("betaflight_rate_control"), betaflight=replace(TUNED, i_yaw=80.0, airmode=False)),
-        (),
+    "all of Mellinger": change(
+        "crazyflie_mellinger_control", rate_hz=250.0, action_delay=0.004, mellinger=EVERY_MELLINGER
     ),
-    "all of Mellinger": (
-        replace(
-            CONTROLLERS.get("crazyflie_mellinger_control"), rate_hz=250.0, action_delay=0.004, mellinger=EVERY_MELLINGER
-        ),
-        (),
+    "all of the Crazyflie's PID": change("crazyflie_pid_control", **LATE, crazyflie_pid=EVERY_PID),
+    "all of the Crazyflie's Lee": change(
+        "crazyflie_lee_control", rate_hz=250.0, action_delay=0.004, crazyflie_lee=EVERY_LEE
     ),
-    "all of the Crazyflie's PID": (
-        replace(CONTROLLERS.get("crazyflie_pid_control"), rate_hz=50.0, delay=0.014, crazyflie_pid=EVERY_PID),
-        (),
-    ),
-    "all of the Crazyflie's Lee": (
-        replace(CONTROLLERS.get("crazyflie_lee_control"), rate_hz=250.0, action_delay=0.004, crazyflie_lee=EVERY_LEE),
-        (),
-    ),
-    "all of Brescianini": (
-        replace(
-            CONTROLLERS.get("crazyflie_brescianini_control"), rate_hz=50.0, delay=0.014, brescianini=EVERY_BRESCIANINI
-        ),
-        (),
-    ),
-    "all of PX4": (replace(CONTROLLERS.get("px4_position_control"), rate_hz=50.0, delay=0.014, px4=FILTERED), ()),
-    "PX4 with airmode": (
-        replace(
-            CONTROLLERS.get("px4_rate_control"), delay=0.014, px4=replace(FILTERED, MC_AIRMODE=1, MC_ROLLRATE_P=2.0)
-        ),
-        (),
-    ),
+    "all of Brescianini": change("crazyflie_brescianini_control", **LATE, brescianini=EVERY_BRESCIANINI),
+    "all of PX4": change("px4_position_control", **LATE, px4=FILTERED),
+    "PX4 with airmode": change("px4_rate_control", delay=0.014, px4=replace(FILTERED, MC_AIRMODE=1, MC_ROLLRATE_P=2.0)),
 }
 
 
@@ -347,10 +323,8 @@ def flight_start(num_envs: int) -> tuple[BodyState, Tensor]:
 
 
 def test_an_environment_does_not_depend_on_its_batch() -> None:
-    together, alone = (
-        fly(WarpBackend(), BUSY, torch.float32)[-1],
-        fly(WarpBackend(), BUSY, torch.float32, rows=slice(3, 4))[-1],
-    )
+    together = fly(WarpBackend(), BUSY, torch.float32)[-1]
+    alone = fly(WarpBackend(), BUSY, torch.float32, rows=slice(3, 4))[-1]
     for name, tensor in vars(alone).items():
         assert torch.equal(tensor[0], getattr(together, name)[3]), name
 
@@ -364,14 +338,20 @@ def test_without_memory_nothing_is_asked_of_a_backend() -> None:
 
 
 def test_rates_and_delays_that_do_not_fit_are_refused_with_the_nearest() -> None:
-    with pytest.raises(ConfigError, match=r"RateLoopCfg.rate_hz = 300 Hz: .* 1.66667 physics steps of 0.002 s.*250 Hz"):
-        make_timing(replace(PID, rate_loop=RateLoopCfg(rate_hz=300.0)), DT)
-    with pytest.raises(ConfigError, match=r"rate_hz = 1000 Hz: .* 0.5 physics steps.*500 Hz"):
-        make_timing(replace(PID, rate_loop=RateLoopCfg(rate_hz=1000.0)), DT)
-    with pytest.raises(ConfigError, match=r"action_delay = 0.003 s: .* 1.5 physics steps.*0.004 s"):
-        make_timing(replace(PID, action_delay=0.003), DT)
-    with pytest.raises(ConfigError, match=r"rate_hz = 100.0: the rate loop runs at 250.0 Hz, which must be a multiple"):
-        make_timing(replace(PID, rate_hz=100.0, rate_loop=RateLoopCfg(rate_hz=250.0)), DT)
+    for cfg, message in (
+        (
+            replace(PID, rate_loop=RateLoopCfg(rate_hz=300.0)),
+            r"RateLoopCfg.rate_hz = 300 Hz: .* 1.66667 physics .*250 Hz",
+        ),
+        (replace(PID, rate_loop=RateLoopCfg(rate_hz=1000.0)), r"rate_hz = 1000 Hz: .* 0.5 physics steps.*500 Hz"),
+        (replace(PID, action_delay=0.003), r"action_delay = 0.003 s: .* 1.5 physics steps.*0.004 s"),
+        (
+            replace(PID, rate_hz=100.0, rate_loop=RateLoopCfg(rate_hz=250.0)),
+            r"the rate loop runs at 250.0 Hz, .* multiple",
+        ),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            make_timing(cfg, DT)
     with pytest.raises(ConfigError, match="there is no rate loop to reach"):
         replace(CONTROLLERS.get("lee_rates_control"), delay=0.01)
     with pytest.raises(ConfigError, match=r"RateLoopCfg.integral = \(-1.0, 0.0, 0.0\): must be >= 0"):
@@ -387,10 +367,9 @@ def test_what_a_controller_with_memory_cannot_do_is_said() -> None:
         state, action = flight_start(1)
         with pytest.raises(ConfigError, match=r"built for steps of 0.002 s, but the physics takes 0.01 s"):
             backend.step(state, action, 0.01, 1)
+    law = make_controller(PID, vehicle, 9.81, dt=DT)
     with pytest.raises(CapabilityError, match="cannot run CascadeController, which has memory"):
-        WarpBackend(differentiable=True).allocate(
-            build_model(vehicle), make_controller(PID, vehicle, 9.81, dt=DT), integrator="euler"
-        )
+        WarpBackend(differentiable=True).allocate(build_model(vehicle), law, integrator="euler")
 
 
 def test_gains_of_each_environment_are_read_by_both_backends() -> None:

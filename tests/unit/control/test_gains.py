@@ -63,11 +63,8 @@ def test_gains_are_frequency_and_damping_times_inertia() -> None:
 def test_slower_rotors_and_larger_steps_are_slower_loops() -> None:
     robot = ROBOTS.get("crazyflie_21")
     slow = replace(robot, rotor=replace(robot.rotor, time_constant_up=0.14))
-    quick, coarse, lagging = (
-        lee_controller(robot, dt=0.002),
-        lee_controller(robot, dt=0.02),
-        lee_controller(slow, dt=0.002),
-    )
+    variants = ((robot, 0.002), (robot, 0.02), (slow, 0.002))
+    quick, coarse, lagging = (lee_controller(cfg, dt=dt) for cfg, dt in variants)
     for name in ("position", "velocity", "attitude", "rate"):
         assert (getattr(coarse.gains, name) < getattr(quick.gains, name)).all(), name
         assert (getattr(lagging.gains, name) < getattr(quick.gains, name)).all(), name

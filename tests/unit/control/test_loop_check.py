@@ -58,9 +58,7 @@ def last_ways(robot: str, controller: str, delays: list[float]) -> list[float]:
         ("magpie", "pid_velocity_control", [0.0, 0.005], [0.01]),
     ],
 )
-def test_what_flies_away_is_refused_and_what_hovers_is_not(
-    robot: str, controller: str, held: list[float], lost: list[float]
-) -> None:
+def test_what_flies_away_is_refused_and_what_hovers_is_not(robot, controller, held, lost) -> None:
     """Dead times [s] on both sides of the limit; the first two robots were 17 and 29 m away with 10 ms."""
     ways = last_ways(robot, controller, held + lost)
     for delay, way in zip(held + lost, ways, strict=True):
@@ -84,9 +82,8 @@ def test_effects_that_a_law_does_not_know_cause_a_warning(caplog: pytest.LogCapt
         caplog.clear()
         assert not is_refused("base_quadrotor", "lee_attitude_control", payload)
         assert not is_refused("base_quadrotor", "lee_position_control", {"payload_mass": {"dm": 1e-4}})
-        assert not is_refused(
-            "base_quadrotor", "lee_position_control", {"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}
-        )
+        drag = {"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}
+        assert not is_refused("base_quadrotor", "lee_position_control", drag)
     assert not caplog.records
 
 

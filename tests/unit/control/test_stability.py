@@ -102,10 +102,8 @@ def test_largest_stable_time_step_is_where_the_radius_is_one() -> None:
 
 
 def test_frequencies_that_the_rotor_lag_forbids_are_refused_with_the_largest_time_step() -> None:
-    robot = replace(
-        ROBOTS.get("base_quadrotor"),
-        control=ControlCfg(attitude_frequency=(30.0, 30.0, 2.0), attitude_damping=(2.0, 2.0, 1.0)),
-    )
+    control = ControlCfg(attitude_frequency=(30.0, 30.0, 2.0), attitude_damping=(2.0, 2.0, 1.0))
+    robot = replace(ROBOTS.get("base_quadrotor"), control=control)
     law = CONTROLLERS.get("lee_attitude_control")
     with pytest.raises(ConfigError) as e:
         check_closed_loop(robot, law, gravity=9.81, dt=0.05, integrator="euler", names=("fast", "att"))
@@ -174,10 +172,8 @@ FIRM = replace(CONTROLLERS.get("lee_position_control"), gains=AERIAL_GYM_GAINS, 
 
 
 def check(controller: ControllerCfg, randomize: dict[str, RandomizeCfg], dt: float = 0.01) -> None:
-    robot = ROBOTS.get("base_quadrotor")
-    check_closed_loop(
-        robot, controller, gravity=9.81, dt=dt, integrator="euler", names=("quad", "p"), randomize=randomize
-    )
+    robot, kind = ROBOTS.get("base_quadrotor"), {"gravity": 9.81, "integrator": "euler", "names": ("quad", "p")}
+    check_closed_loop(robot, controller, dt=dt, randomize=randomize, **kind)
 
 
 def test_what_is_drawn_about_explicit_gains_can_cause_a_warning(caplog: pytest.LogCaptureFixture) -> None:
@@ -198,9 +194,8 @@ def test_what_is_drawn_about_derived_gains_is_refused_with_the_largest_time_step
         check(RATES, {"gains.rate": strong}, 0.02)
     largest = float(str(e.value).split("6 dB is ")[1].split(" s")[0])
     decay = exp(-largest / tau)
-    assert largest * (1.0 - decay) * 0.6 / 4.225e-4 == pytest.approx(
-        2.0 * (1.0 + decay), rel=0.02
-    )  # three figures are said
+    # The message gives three figures.
+    assert largest * (1.0 - decay) * 0.6 / 4.225e-4 == pytest.approx(2.0 * (1.0 + decay), rel=0.02)
     check(RATES, {"gains.rate": strong}, 0.99 * largest)
 
 

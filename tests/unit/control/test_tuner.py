@@ -13,15 +13,7 @@ from aerial_gym.control.stability import ClosedLoop
 from aerial_gym.control.tuner import Tuning, rotor_response, tune_attitude, tune_loop, tune_position
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat
-from aerial_gym.physics import (
-    EFFECTS,
-    BodyState,
-    TorchBackend,
-    Vehicle,
-    build_model,
-    state_at_rest,
-    vehicle_from_config,
-)
+from aerial_gym.physics import EFFECTS, TorchBackend, Vehicle, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.robots import ROBOTS
 
 F64 = torch.float64
@@ -115,17 +107,13 @@ def test_a_flight_with_lag_and_dead_time_has_the_bandwidth() -> None:
         action[:, 1] = amplitude * torch.sin(bandwidth * time)
         backend.step(state, action, dt, 1)
         if step >= 450:  # a period, three after the start
-            rolls.append(euler_from_quat(_copy(state).attitude)[:, 0])
+            rolls.append(euler_from_quat(state.attitude.clone())[:, 0])
             times.append((step + 1) * dt)
     wave = torch.tensor(times, dtype=F64) * bandwidth
     roll = torch.stack(rolls)
     part = torch.stack(((roll.T * torch.sin(wave)).mean(-1), (roll.T * torch.cos(wave)).mean(-1)))
     gain = 2.0 * part.square().sum(0).sqrt() / amplitude
     torch.testing.assert_close(gain, torch.full((4,), sqrt(0.5), dtype=F64), rtol=0.01, atol=0)
-
-
-def _copy(state: BodyState) -> BodyState:
-    return BodyState(**{name: value.clone() for name, value in vars(state).items()})
 
 
 def test_more_than_the_lag_allows_is_refused_with_what_it_does() -> None:

@@ -53,10 +53,8 @@ def fall(
     """Return whether body z points up after a fall from rest, and the body rates [rad/s] then, for each start."""
     count = len(rolls_deg)
     vehicle = vehicle_from_config(CRAZYFLIE, num_envs=count, dtype=F64)
-    law, model = (
-        make_controller(cfg, vehicle, 9.81, dt=dt, control=CRAZYFLIE.control),
-        build_model(vehicle, gravity=9.81),
-    )
+    law = make_controller(cfg, vehicle, 9.81, dt=dt, control=CRAZYFLIE.control)
+    model = build_model(vehicle, gravity=9.81)
     state = state_at_rest(count, 4, device=torch.device("cpu"), dtype=F64)
     state.attitude[:] = quat_from_euler(torch.tensor([[radians(roll), 0.0, 0.3] for roll in rolls_deg], dtype=F64))
     state.position[:, 2] = 1000.0
@@ -70,17 +68,10 @@ def fall(
 
 def test_the_crazyflies_mellinger_is_refused_from_a_right_angle() -> None:
     check(from_angles(-89.0, 89.0), "crazyflie_mellinger_control")
-    for robot in (
-        from_angles(-91.0, 91.0),
-        from_angles(-180.0, 180.0),
-        from_angles(180.0, 180.0),
-        from_angles(91.0, 92.0),
-    ):
+    tumbling = {"pitch": 90.0, "ang_vel": 10.0}
+    for low, high, more in ((-91, 91, {}), (-180, 180, {}), (180, 180, {}), (91, 92, {}), (-180, 180, tumbling)):
         with pytest.raises(ConfigError, match="euler_low"):
-            check(robot, "crazyflie_mellinger_control")
-    tumbling = from_angles(-180.0, 180.0, pitch=90.0, ang_vel=10.0)
-    with pytest.raises(ConfigError, match="euler_low"):
-        check(tumbling, "crazyflie_mellinger_control")
+            check(from_angles(low, high, **more), "crazyflie_mellinger_control")
 
 
 def test_it_flies_with_a_warning_if_asked(caplog: pytest.LogCaptureFixture) -> None:
@@ -153,8 +144,5 @@ def test_only_attitudes_beyond_a_right_angle_are_checked() -> None:
 
 
 def test_an_environment_refuses_such_a_start() -> None:
-    def build(controller: str) -> None:
-        simulation(from_angles(-180.0, 180.0, ang_vel=0.2), controller)
-
     with pytest.raises(ConfigError, match="euler_low"):
-        build("crazyflie_mellinger_control")
+        simulation(from_angles(-180.0, 180.0, ang_vel=0.2), "crazyflie_mellinger_control")

@@ -20,9 +20,8 @@ STEPS, NUM_ENVS = 3, 2
 def build(controller: str = "lee_attitude_control", **options) -> EnvManager:
     """Return a simulation with gradients in float64, reset."""
     chosen = {"env_name": "empty_env", "robot_name": "base_quadrotor", "dtype": F64, "differentiable": True, **options}
-    env = SimBuilder().build_env(
-        sim_name="base_sim", controller_name=controller, num_envs=NUM_ENVS, device="cpu", seed=3, **chosen
-    )
+    fixed = {"sim_name": "base_sim", "num_envs": NUM_ENVS, "device": "cpu", "seed": 3}
+    env = SimBuilder().build_env(controller_name=controller, **fixed, **chosen)
     env.reset()
     return env
 
@@ -48,9 +47,8 @@ def make_objective(env: EnvManager) -> Callable[[Tensor], Tensor]:
 def test_gradients_of_a_flight_are_its_differences(controller: str, size: float) -> None:
     """Of every state in every step with respect to every action before it, to the accuracy of central differences."""
     actions = size * torch.rand(STEPS, NUM_ENVS, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
-    assert torch.autograd.gradcheck(
-        make_objective(build(controller)), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5
-    )
+    objective = make_objective(build(controller))
+    assert torch.autograd.gradcheck(objective, (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
 
 
 def flight_gradient(env: EnvManager) -> Tensor:
@@ -139,10 +137,8 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
 
 
 def test_drawn_parameters_are_flown_and_never_overwrite_a_graph_in_silence() -> None:
-    drawn = {
-        "body.mass": RandomizeCfg(low=0.8, high=1.2),
-        "rotor.thrust_map": RandomizeCfg(low=0.9, high=1.1, each_rotor=True),
-    }
+    drawn = {"body.mass": RandomizeCfg(low=0.8, high=1.2)}
+    drawn["rotor.thrust_map"] = RandomizeCfg(low=0.9, high=1.1, each_rotor=True)
     env = build(robot_name=replace(ROBOTS.get("base_quadrotor"), randomize=drawn))
     action = torch.full((NUM_ENVS, 4), 0.1, dtype=F64, requires_grad=True)
     env.step(action)

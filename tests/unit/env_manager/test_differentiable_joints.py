@@ -14,24 +14,16 @@ from tests.unit.env_manager.test_differentiable import make_objective
 
 F64 = torch.float64
 STEPS, NUM_ENVS = 3, 2
-DRAG = {
-    "link_drag": {"qx": 0.02, "qy": 0.02, "qz": 0.04, "lx": 0.01, "az": 1e-4},
-    "constant_wind": {"x": 2.0, "y": 0.5, "z": 0.0},
-}
+DRAG = {"link_drag": {"qx": 0.02, "qy": 0.02, "qz": 0.04, "lx": 0.01, "az": 1e-4}}
+DRAG |= {"constant_wind": {"x": 2.0, "y": 0.5, "z": 0.0}}
 JOINTS = ("dof_position", "dof_velocity", "dof_state_tensor")
 
 
 def build(robot: RobotCfg | str, **options) -> EnvManager:
     """Return a simulation with gradients in float64, two substeps a step, reset."""
-    chosen = {"dtype": F64, "differentiable": True, **options}
-    env = simulation(
-        robot,
-        sim="base_sim_2ms",
-        env=replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=2),
-        num_envs=NUM_ENVS,
-        seed=3,
-        **chosen,
-    )
+    defaults = {"dtype": F64, "differentiable": True, "num_envs": NUM_ENVS, "seed": 3}
+    place = replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=2)
+    env = simulation(robot, sim="base_sim_2ms", env=place, **defaults | options)
     env.reset()
     return env
 
@@ -39,23 +31,17 @@ def build(robot: RobotCfg | str, **options) -> EnvManager:
 def bend(name: str, *, friction: float = 0.0, **changes: object) -> RobotCfg:
     """Return a robot whose joints begin up to 0.3 rad from their reference, with dry friction [N m] in their springs."""
     robot = ROBOTS.get(name)
+    start = {"initial": (-0.3, 0.3), "initial_rate": (-2.0, 2.0)}
     layout = tuple(
-        replace(
-            joint,
-            initial=(-0.3, 0.3),
-            initial_rate=(-2.0, 2.0),
-            spring=None if joint.spring is None else replace(joint.spring, friction=friction),
-        )
+        replace(joint, spring=None if joint.spring is None else replace(joint.spring, friction=friction), **start)
         for joint in robot.joints.layout
     )
     return replace(robot, joints=replace(robot.joints, layout=layout), **changes)
 
 
 def make_actions(env: EnvManager, low: float, high: float) -> Tensor:
-    share = torch.rand(
-        STEPS, NUM_ENVS, env.robot_manager.num_actions, dtype=F64, generator=torch.Generator().manual_seed(1)
-    )
-    return low + (high - low) * share
+    shape, g = (STEPS, NUM_ENVS, env.robot_manager.num_actions), torch.Generator().manual_seed(1)
+    return low + (high - low) * torch.rand(shape, dtype=F64, generator=g)
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,9 @@ from tests.repetitions import frequent_values
 
 
 def build(num_envs: int = 4, *, seed: int = 0, **changes: object) -> EnvManager:
-    names = {
-        "sim_name": "base_sim",
-        "env_name": "empty_env",
-        "robot_name": "base_quadrotor",
-        "controller_name": "lee_velocity_control",
-    }
-    return SimBuilder().build_env(**{**names, **changes}, num_envs=num_envs, device="cpu", seed=seed)
+    names = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
+    names |= {"controller_name": "lee_velocity_control", **changes}
+    return SimBuilder().build_env(**names, num_envs=num_envs, device="cpu", seed=seed)
 
 
 def fly(env: EnvManager, steps: int = 5) -> None:
@@ -57,9 +53,8 @@ def test_all_states_belong_to_the_same_instant(env_name: str, robot_name: str) -
     heading = quat_rotate(gtd["robot_vehicle_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(4, 3))
     yaw = gtd["robot_euler_angles"][:, 2]
     torch.testing.assert_close(heading, torch.stack((yaw.cos(), yaw.sin(), 0 * yaw), dim=-1))
-    torch.testing.assert_close(
-        gtd["robot_vehicle_linvel"], quat_rotate_inverse(gtd["robot_vehicle_orientation"], gtd["robot_linvel"])
-    )
+    velocity = quat_rotate_inverse(gtd["robot_vehicle_orientation"], gtd["robot_linvel"])
+    torch.testing.assert_close(gtd["robot_vehicle_linvel"], velocity)
     assert torch.equal(gtd["robot_state_tensor"], gtd["vec_root_tensor"][:, 0])
     assert torch.equal(gtd["robot_state_tensor"][:, 10:], gtd["robot_angvel"])
 
@@ -124,14 +119,11 @@ def test_wrong_requests_are_refused_by_name() -> None:
 
 
 def test_a_device_without_a_number_is_the_first_one_or_refused_by_name() -> None:
-    def make() -> EnvManager:
-        return simulation("base_quadrotor", device=torch.device("cuda"))
-
     if torch.cuda.is_available():
-        assert make().device == torch.device("cuda:0")
-    else:
-        with pytest.raises(ConfigError, match="this machine shows 0 CUDA devices"):
-            make()
+        assert simulation("base_quadrotor", device=torch.device("cuda")).device == torch.device("cuda:0")
+        return
+    with pytest.raises(ConfigError, match="this machine shows 0 CUDA devices"):
+        simulation("base_quadrotor", device=torch.device("cuda"))
 
 
 def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> None:
@@ -155,13 +147,8 @@ def test_an_imu_on_board_measures_gravity_in_hover_and_nothing_else_moves() -> N
 
 def test_an_environment_can_be_a_file(tmp_path) -> None:
     file = tmp_path / "mine.yaml"
-    box = AssetCfg(
-        name="box",
-        shapes=(ShapeCfg(kind="box", size=(1.0, 1.0, 1.0)),),
-        count=2,
-        position_ratio_low=(0.5, 0.5, 0.5),
-        position_ratio_high=(0.5, 0.5, 0.5),
-    )
+    place = {"position_ratio_low": (0.5, 0.5, 0.5), "position_ratio_high": (0.5, 0.5, 0.5)}
+    box = AssetCfg(name="box", shapes=(ShapeCfg(kind="box", size=(1.0, 1.0, 1.0)),), count=2, **place)
     file.write_text(dump_yaml(replace(ENVIRONMENTS.get("empty_env"), assets=(box,))), encoding="utf-8")
     env = build(env_name=str(file))
     assert env.cfg.assets == (box,)
@@ -172,18 +159,15 @@ def test_an_environment_can_be_a_file(tmp_path) -> None:
 
 
 def test_configurations_stand_in_place_of_names() -> None:
-    sim, env, robot, controller = (
-        registry.get(name)
-        for registry, name in (
-            (SIMS, "base_sim"),
-            (ENVIRONMENTS, "empty_env"),
-            (ROBOTS, "base_quadrotor"),
-            (CONTROLLERS, "lee_velocity_control"),
-        )
-    )
-    given = build(sim_name=replace(sim, dt=0.02), env_name=env, robot_name=robot, controller_name=controller)
-    assert given.dt == pytest.approx(0.02)
-    named, same = build(), build(sim_name=sim, env_name=env, robot_name=robot, controller_name=controller)
+    configurations = {
+        "sim_name": SIMS.get("base_sim"),
+        "env_name": ENVIRONMENTS.get("empty_env"),
+        "robot_name": ROBOTS.get("base_quadrotor"),
+        "controller_name": CONTROLLERS.get("lee_velocity_control"),
+    }
+    slow = replace(SIMS.get("base_sim"), dt=0.02)
+    assert build(**configurations | {"sim_name": slow}).dt == pytest.approx(0.02)
+    named, same = build(), build(**configurations)
     for one in (named, same):
         fly(one)
     assert torch.equal(named.gtd["robot_state_tensor"], same.gtd["robot_state_tensor"])

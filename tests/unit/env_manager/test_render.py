@@ -20,9 +20,8 @@ def build() -> EnvManager:
         SensorMountCfg(sensor="st_vl53l5cx", name="slow", rate_hz=4.0),
         SensorMountCfg(sensor="st_vl53l5cx", name="plain"),
     )
-    return simulation(
-        replace(ROBOTS.get("tinyprop"), sensors=sensors), "lee_velocity_control", env="dynamic_env", num_envs=E, seed=1
-    )
+    robot = replace(ROBOTS.get("tinyprop"), sensors=sensors)
+    return simulation(robot, "lee_velocity_control", env="dynamic_env", num_envs=E, seed=1)
 
 
 def copy_images(env: EnvManager) -> dict[str, Tensor]:

@@ -66,9 +66,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
     ids=["bytes", "image first and memory", "floats"],
 )
-def test_c_and_torchscript_give_what_torch_gives(
-    shapes: dict[str, tuple[int, ...]], activation: str, memory: int, dtype: str, tmp_path: Path
-) -> None:
+def test_c_and_torchscript_give_what_torch_gives(shapes, activation, memory, dtype, tmp_path) -> None:
     """Of images and vectors in sequences of 10 steps; gcc takes all warnings as errors."""
     policy = random_policy(shapes, activation=activation, memory=memory)
     result = write_policy(

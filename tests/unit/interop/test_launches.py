@@ -126,9 +126,7 @@ def test_everything_is_compiled_with_the_same_flags(idle: wp.Device) -> None:
     assert len({module.options["cpu_compiler_flags"] for module in modules}) == 1
 
 
-def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(
-    idle: wp.Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kernel_of_very_many_lines_is_not_searched_for_vectors(idle, monkeypatch) -> None:
     """It takes 8 lines for each column: of 400, 25 columns are few and 75 many."""
     monkeypatch.setattr(launches, "LONGEST_SEARCHED", 400)
 

@@ -35,9 +35,7 @@ def test_an_angle_does_not_depend_on_its_place(threads: int, dtype: torch.dtype)
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize(("num_terms", "width"), [(3, 3), (4, 3), (3, 12), (7, 32)])
-def test_a_product_does_not_depend_on_the_number_of_rows(
-    threads: int, num_terms: int, width: int, dtype: torch.dtype
-) -> None:
+def test_a_product_does_not_depend_on_the_number_of_rows(threads, num_terms, width, dtype) -> None:
     rows, matrix = numbers(NUM_ROWS, num_terms, dtype=dtype), numbers(num_terms, width, dtype=dtype)
     whole = times(rows, matrix)
     assert all(torch.equal(times(rows[:n].clone(), matrix), whole[:n]) for n in COUNTS)

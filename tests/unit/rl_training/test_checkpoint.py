@@ -82,9 +82,7 @@ def test_a_full_disk_leaves_the_old_checkpoints_and_is_said(tmp_path: Path, monk
     assert list(folder.checkpoint_folder.iterdir()) == [kept]
 
 
-def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one(tmp_path, caplog) -> None:
     folder = RunFolder(tmp_path)
     assert folder.newest_readable() is None
     (tmp_path / "checkpoints").mkdir()

@@ -72,9 +72,7 @@ def test_policy_is_the_mean_action_of_the_rl_games_network(separate: bool, norma
 
 
 @pytest.mark.parametrize(("separate", "normalize"), NETWORKS)
-def test_policy_is_the_mean_action_of_the_sample_factory_network(
-    separate: bool, normalize: bool, tmp_path: Path
-) -> None:
+def test_policy_is_the_mean_action_of_the_sample_factory_network(separate, normalize, tmp_path) -> None:
     pytest.importorskip("sample_factory", reason="Sample Factory is not installed")
     from sample_factory.algo.utils.rl_utils import prepare_and_normalize_obs
     from sample_factory.model.actor_critic import create_actor_critic

@@ -66,9 +66,7 @@ def run_loop(folder: Path, **hidden: float) -> dict:
     ],
 )
 @pytest.mark.slow
-def test_the_hidden_effect_is_named(
-    hidden: dict[str, float], name: str, params: dict[str, float], tmp_path: Path
-) -> None:
+def test_the_hidden_effect_is_named(hidden, name, params, tmp_path) -> None:
     """By its name, within four standard deviations; what needs rotor speeds is not testable, and the reason says so."""
     verdict = run_loop(tmp_path, **hidden)
     assert [effect["name"] for effect in verdict["effects"]] == [name]

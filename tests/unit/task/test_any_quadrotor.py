@@ -27,9 +27,7 @@ NAME = "any_quadrotor_task"
         ("x500", "no_control", 0.0, 20.0),  # N
     ],
 )
-def test_an_action_is_a_share_of_what_the_rotors_can_be_told(
-    robot: str | None, controller: str | None, low: float, high: float
-) -> None:
+def test_an_action_is_a_share_of_what_the_rotors_can_be_told(robot, controller, low, high) -> None:
     with task_registry.make_task(NAME, num_envs=2, device="cpu", robot=robot, controller=controller) as task:
         task.reset()
         for action, expected in ((-1.0, low), (0.0, 0.5 * (low + high)), (1.0, high)):

@@ -40,9 +40,7 @@ def decide(level: int, finished: int, succeeded: int, cfg: CurriculumCfg = CFG) 
         ((15, 10, 0), (15, 0, 0)),  # the lowest
     ],
 )
-def test_the_level_moves_at_its_thresholds_and_stays_in_its_limits(
-    before: tuple[int, int, int], after: tuple[int, int, int]
-) -> None:
+def test_the_level_moves_at_its_thresholds_and_stays_in_its_limits(before, after) -> None:
     assert decide(*before) == after
 
 

@@ -78,9 +78,7 @@ def test_a_bad_action_or_state_ends_its_row_alone(backend: str, value: float, ca
         caplog.clear()
 
 
-def test_a_bad_reward_or_observation_ends_its_row(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_bad_reward_or_observation_ends_its_row(monkeypatch, caplog) -> None:
     reward, term = REWARDS.get("distance_bell"), OBSERVATIONS.get("position_error_world")
 
     def spoil(target_position, robot_position, *, height, width):

@@ -123,9 +123,7 @@ ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]
         ([0.0, 0.0, 0.0], LEVEL, [1.0, 0.0, -1.0], 5.0 + 0.5 + 5.0 * (2.0 + 1.0)),
     ],
 )
-def test_reward_is_the_published_formula(
-    position: list[float], attitude: list[float], ang_vel: list[float], expected: float
-) -> None:
+def test_reward_is_the_published_formula(position, attitude, ang_vel, expected) -> None:
     task, state = make(1), make_state(position, attitude=attitude, ang_vel=ang_vel)
     assert term_reward(task, state).item() == pytest.approx(expected, rel=1e-12)
     assert term_reward(task, state, crash=torch.tensor([True])).item() == -20.0

@@ -3,9 +3,6 @@
 import json
 from dataclasses import replace
 from math import inf, nan
-from pathlib import Path
-
-import pytest
 
 from benchmarks.control import control_table
 from benchmarks.control.control_flights import ControlFlight
@@ -84,9 +81,7 @@ def test_what_is_refused_is_not_flown() -> None:
     assert all(r.of_kind and r.refused.startswith("law 'position': moves sideways") for r in refusals)
 
 
-def test_the_page_is_written_between_its_marks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_is_written_between_its_marks(tmp_path, monkeypatch, capsys) -> None:
     path = tmp_path / "control.md"
     path.write_text(f"before\n{BEGIN}\nof before\n{END}\nafter\n", encoding="utf-8")
     bent = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=inf, overshoot=inf)

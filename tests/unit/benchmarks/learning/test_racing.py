@@ -31,9 +31,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> BenchRacing:
 
 
 @pytest.mark.slow
-def test_a_level_is_flown_20_times_and_as_often_as_wanted(
-    bench: BenchRacing, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_level_is_flown_20_times_and_as_often_as_wanted(bench, capsys) -> None:
     """Random weights complete nothing: of 20 runs 0 to 1 - 0.025^(1/20) = 16.8 % (Clopper and Pearson)."""
     assert bench.run() == 0
     header, _, twenty, more = capsys.readouterr().out.splitlines()

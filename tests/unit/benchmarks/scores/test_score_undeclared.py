@@ -136,9 +136,7 @@ def test_tables_count_the_rows() -> None:
     assert "Time of a case: 1 s to fly (at most 1), 2 s in the loop (at most 2)." in text
 
 
-def test_the_command_prints_and_writes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_the_command_prints_and_writes(tmp_path, monkeypatch, capsys) -> None:
     """Rows and totals on stdout; the page only when asked for; a wrong request is told, with status 2."""
     monkeypatch.setattr(score_undeclared, "score", fake_row)
     page = tmp_path / "page.md"

@@ -4,7 +4,7 @@ Its Warp twin is held to torch in ``test_cascade.py``.
 """
 
 from dataclasses import replace
-from math import pi, radians, sqrt
+from math import cos, pi, radians, sqrt
 
 import pytest
 import torch
@@ -33,15 +33,18 @@ PLAIN = BetaflightCfg(
 
 
 def make_law(own: BetaflightCfg | None = None, robot: RobotCfg = RACER, dt: float = DT) -> BetaflightController:
-    cfg = CONTROLLERS.get(NAME)
-    cfg = cfg if own is None else replace(cfg, betaflight=own)
+    cfg = replace(CONTROLLERS.get(NAME), **({} if own is None else {"betaflight": own}))
     return make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt)
+
+
+def sides(axis: int) -> torch.Tensor:
+    """Return 1 for each rotor on the positive side of an axis, else -1, (R,)."""
+    return torch.tensor([1.0 if mount.position[axis] > 0 else -1.0 for mount in RACER.mounts.layout], dtype=F64)
 
 
 def rest_state(ang_vel: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> BodyState:
     state = state_at_rest(1, 4, device=torch.device("cpu"), dtype=F64)
-    state.ang_vel[:] = torch.tensor(ang_vel, dtype=F64)
-    return state
+    return replace(state, ang_vel=torch.tensor([ang_vel], dtype=F64))
 
 
 def run(
@@ -58,18 +61,17 @@ def run(
 
 def test_actual_rates_are_those_of_the_public_calculators() -> None:
     """Default 70, 670, 0: 35 + 600 / 4 = 185 deg/s at half stick, 670 at full; expo 0.5 halves the square and adds x⁶ / 2."""
-    stick = torch.tensor([[0.5, 1.0, -0.5]], dtype=F64)
-    center, largest = (torch.full((1, 3), radians(value), dtype=F64) for value in (70.0, 670.0))
-    result = actual_rate(stick, center, largest, torch.zeros(1, 3, dtype=F64)).rad2deg()
-    torch.testing.assert_close(result, torch.tensor([[185.0, 670.0, -185.0]], dtype=F64))
-    bent = actual_rate(stick, center, largest, torch.full((1, 3), 0.5, dtype=F64)).rad2deg()
+
+    def rates(stick: list[float], center: float, largest: float, expo: float = 0.0) -> list[float]:
+        numbers = (torch.full((1, 3), value, dtype=F64) for value in (radians(center), radians(largest), expo))
+        return actual_rate(torch.tensor([stick], dtype=F64), *numbers).rad2deg()[0].tolist()
+
     half = 35.0 + 600.0 * (0.5 * 0.25 + 0.5 * 0.5**6)
-    torch.testing.assert_close(bent, torch.tensor([[half, 670.0, -half]], dtype=F64))
-    fast = torch.full((1, 3), 3000.0 * pi / 180.0, dtype=F64)  # beyond the firmware's 1998 deg/s
-    limited = actual_rate(torch.tensor([[1.0, -1.0, 0.5]], dtype=F64), 0.0 * fast, fast, torch.zeros(1, 3, dtype=F64))
-    torch.testing.assert_close(limited, torch.tensor([[1998.0, -1998.0, 750.0]], dtype=F64) * pi / 180.0)
-    tiny = actual_rate(1e-6 * torch.ones(1, 3, dtype=F64), center, largest, torch.zeros(1, 3, dtype=F64))
-    torch.testing.assert_close(tiny.rad2deg(), torch.full((1, 3), 70e-6, dtype=F64), rtol=1e-4, atol=0.0)
+    assert rates([0.5, 1.0, -0.5], 70.0, 670.0) == pytest.approx([185.0, 670.0, -185.0])
+    assert rates([0.5, 1.0, -0.5], 70.0, 670.0, 0.5) == pytest.approx([half, 670.0, -half])
+    # The firmware's limit is 1998 deg/s.
+    assert rates([1.0, -1.0, 0.5], 0.0, 3000.0) == pytest.approx([1998.0, -1998.0, 750.0])
+    assert rates([1e-6] * 3, 70.0, 670.0) == pytest.approx([70e-6] * 3, rel=1e-4)
 
 
 def test_sticks_ask_for_their_rates() -> None:
@@ -85,15 +87,12 @@ def test_a_gain_is_worth_what_its_scale_says() -> None:
     """P = 45, 100 deg/s: 45 * 0.032029 * 100 = 144 thousandths of the range, up on the left and down on the right."""
     signal, _ = run(make_law(replace(PLAIN, p_roll=45.0)), [[0.0, radians(100.0), 0.0, 0.0]])
     hover, _ = run(make_law(PLAIN), [[0.0, 0.0, 0.0, 0.0]])
-    left = torch.tensor([1.0 if m.position[1] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
-    torch.testing.assert_close(signal - hover, (0.1441305 * left).unsqueeze(0), atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(signal - hover, (0.1441305 * sides(1)).unsqueeze(0), atol=1e-6, rtol=0.0)
 
 
 def test_throttle_zero_is_the_weight() -> None:
     law = make_law()
-    command, _ = law.command(
-        rest_state(), torch.zeros(1, 4, dtype=F64), fresh_law_memory(law.needs, 1, rest_state().position)
-    )
+    command = law.rotor_command(rest_state(), torch.zeros(1, 4, dtype=F64))
     lift = rotor_thrust(law.allocation.vehicle, command).sum()
     assert lift == pytest.approx(RACER.body.mass * 9.81)
 
@@ -104,7 +103,7 @@ def test_feed_forward_and_derivative_are_slopes() -> None:
     told = [[0.0, 3.0 * DT * k, 0.0, 0.0] for k in range(steps)]
     hover, _ = run(make_law(PLAIN), [[0.0] * 4])
     forward, _ = run(make_law(replace(PLAIN, f_roll=100.0)), told)
-    left = torch.tensor([1.0 if m.position[1] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
+    left = sides(1)
     torch.testing.assert_close(forward[0], hover[0])
     torch.testing.assert_close(forward[1:] - hover, (300.0 * SCALES["f"] * left).expand(steps - 1, -1))
     turning = [rest_state((3.0 * DT * k, 0.0, 0.0)) for k in range(steps)]
@@ -117,20 +116,14 @@ def test_filters_have_their_cutoffs(kind: str, size: float | None) -> None:
     """A sine at 60 Hz through a gyro filter of 60 Hz: ``1 / sqrt 2`` of a biquad; of PT1 what its recursion gives at 1 kHz,
     which is within 20 % of that. A constant passes, from the first sample on."""
     law = make_law(replace(PLAIN, p_roll=45.0, p_pitch=45.0, gyro_lpf1_type=kind, gyro_lpf1_static_hz=60.0))
-    wave = [
-        rest_state((sqrt(2.0) * 0.01 * float(torch.sin(torch.tensor(2 * pi * 0.06 * k))), 0.01, 0.0))
-        for k in range(500)
-    ]
+    phase = 2.0 * pi * 0.06 * torch.arange(500, dtype=F64)
+    wave = [rest_state((value, 0.01, 0.0)) for value in (sqrt(2.0) * 0.01 * phase.sin()).tolist()]
     signal, _ = run(law, [[0.0] * 4] * 500, wave)
     torch.testing.assert_close(signal.sum(-1), signal.sum(-1)[:1].expand(500), atol=1e-9, rtol=0.0)
-    # rotors of one side: the difference of the sides is roll, of front and back pitch
-    left = torch.tensor([1.0 if m.position[1] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
-    front = torch.tensor([1.0 if m.position[0] > 0 else -1.0 for m in RACER.mounts.layout], dtype=F64)
-    roll, pitch = (signal * left).mean(-1) / (45.0 * SCALES["p"]), (signal * front).mean(-1) / (45.0 * SCALES["p"])
+    roll, pitch = ((signal * sides(axis)).mean(-1) / (45.0 * SCALES["p"]) for axis in (1, 0))
     result = float(roll[-250:].square().mean().sqrt()) / 0.01
     share = DT / (DT + 1.0 / (2.0 * pi * 60.0))
-    turn = 2.0 * pi * 0.06
-    recursion = share / sqrt(1.0 - 2.0 * (1.0 - share) * torch.cos(torch.tensor(turn)).item() + (1.0 - share) ** 2)
+    recursion = share / sqrt(1.0 - 2.0 * (1.0 - share) * cos(2.0 * pi * 0.06) + (1.0 - share) ** 2)
     assert result == pytest.approx(recursion if size is None else size, rel=1e-3)
     assert result == pytest.approx(sqrt(0.5), rel=0.2)
     torch.testing.assert_close(pitch, pitch[:1].expand(500), atol=1e-9, rtol=0.0)
@@ -189,9 +182,7 @@ def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> 
         (0.9, (0.2, -0.2, 0.1, -0.1), (1.0, 0.6, 0.9, 0.7)),
     ],
 )
-def test_without_airmode_corrections_shrink_below_half_throttle(
-    throttle: float, mix: tuple[float, ...], signal: tuple[float, ...]
-) -> None:
+def test_without_airmode_corrections_shrink_below_half_throttle(throttle, mix, signal) -> None:
     """Worked by hand from ``applyMixerAdjustment`` of Betaflight 4.3 to 4.5."""
     result, used = mix_signals(torch.full((1, 4), throttle, dtype=F64), torch.tensor([mix], dtype=F64), airmode=False)
     torch.testing.assert_close(result, torch.tensor([signal], dtype=F64))
@@ -253,21 +244,16 @@ def test_corrections_are_limited() -> None:
 def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
     """For small errors about hover the first answer is that of ``pid_rates_control``: the same torque per rate error."""
     size = 1e-4
-    pid = make_controller(
-        replace(CONTROLLERS.get("pid_rates_control"), rate_loop=RateLoopCfg(integral=(0.0, 0.0, 0.0))),
-        vehicle_from_config(RACER, num_envs=1, dtype=F64),
-        9.81,
-        dt=DT,
-    )
+    cfg = replace(CONTROLLERS.get("pid_rates_control"), rate_loop=RateLoopCfg(integral=(0.0, 0.0, 0.0)))
+    pid = make_controller(cfg, vehicle_from_config(RACER, num_envs=1, dtype=F64), 9.81, dt=DT)
     own = BetaflightCfg(i_roll=0.0, i_pitch=0.0, i_yaw=0.0)
     for axis in range(3):
         action = torch.zeros(1, 4, dtype=F64)
         hover = make_law(own).rotor_command(rest_state(), action)
         action[0, 1 + axis] = size
         expected = pid.rotor_command(rest_state(), action) - hover
-        torch.testing.assert_close(
-            make_law(own).rotor_command(rest_state(), action) - hover, expected, rtol=1e-3, atol=1e-9
-        )
+        result = make_law(own).rotor_command(rest_state(), action) - hover
+        torch.testing.assert_close(result, expected, rtol=1e-3, atol=1e-9)
 
 
 def with_rotor_lag(seconds: float) -> RobotCfg:
@@ -300,11 +286,8 @@ def test_yaw_rests_where_routh_says(lag: float, rests: bool) -> None:
 
 
 def test_what_it_cannot_fly_is_refused_by_name() -> None:
-    for robot, words in (
-        ("omnidirectional_octarotor", "motors turn in one direction"),
-        ("base_random", "motors turn in one direction"),
-    ):
-        with pytest.raises(ConfigError, match=words):
+    for robot in ("omnidirectional_octarotor", "base_random"):
+        with pytest.raises(ConfigError, match="motors turn in one direction"):
             make_law(robot=ROBOTS.get(robot))
     attitude = replace(CONTROLLERS.get("lee_attitude_control"), betaflight=BetaflightCfg())
     with pytest.raises(ConfigError, match="Betaflight's rate loop follows body rates only"):

@@ -52,10 +52,8 @@ def rest_state(robot: RobotCfg) -> BodyState:
 
 def brescianini_demand(law: BrescianiniController, state: BodyState, *, yaw: float = 0.0) -> torch.Tensor:
     """Return thrust [N] and body rates [rad/s] that Brescianini's law asks for to be at the origin with a yaw [rad]."""
-    still = torch.zeros(1, 3, dtype=F64)
-    target = FlatTarget(
-        position=still, velocity=still, acceleration=still, yaw=torch.tensor([yaw], dtype=F64), rates=still
-    )
+    still, heading = torch.zeros(1, 3, dtype=F64), torch.tensor([yaw], dtype=F64)
+    target = FlatTarget(position=still, velocity=still, acceleration=still, yaw=heading, rates=still)
     return brescianini.outer_loop(state, target, law.gains, gravity=9.81, max_inclination=1.0)
 
 
@@ -154,13 +152,11 @@ def test_a_reset_gives_no_kick(name: str, changes: dict) -> None:
     state, action = at_rest((0.05, 0.02, 0.3), (0.3, -0.2, 0.1)), [0.0, 0.0, 0.0, 0.0]
     with_it, without = make_law(name, **changes), make_law(name)
     torch.testing.assert_close(run_law(with_it, state, action), run_law(without, state, action), atol=1e-9, rtol=0)
-    later = replace(state, ang_vel=1.1 * state.ang_vel)
+    later, action = replace(state, ang_vel=1.1 * state.ang_vel), torch.tensor([action], dtype=F64)
     ends = []
     for law in (with_it, without):
-        _, memory = law.command(
-            state, torch.tensor([action], dtype=F64), fresh_law_memory(law.needs, 1, state.position)
-        )
-        ends.append(law.command(later, torch.tensor([action], dtype=F64), memory)[0])
+        _, memory = law.command(state, action, fresh_law_memory(law.needs, 1, state.position))
+        ends.append(law.command(later, action, memory)[0])
     assert float((ends[0] - ends[1]).abs().max()) > 1e-3
 
 
@@ -240,17 +236,9 @@ def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
         BrescianiniCfg(mixing_factor=1.5)
     with pytest.raises(ConfigError, match=r"BrescianiniCfg.coll_min = 2.0: must be below coll_max = 2.0"):
         BrescianiniCfg(coll_min=2.0, coll_max=2.0)
-    for name in (
-        "tau_xy",
-        "tau_z",
-        "tau_rp",
-        "tau_rp_rate",
-        "tau_yaw_rate",
-        "omega_rp_max",
-        "omega_yaw_max",
-        "coll_max",
-    ):
-        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0.0: must be > 0"):
+    times = ("tau_xy", "tau_z", "tau_rp", "tau_rp_rate", "tau_yaw_rate")
+    for name in (*times, "omega_rp_max", "omega_yaw_max", "coll_max"):
+        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0: must be > 0"):
             BrescianiniCfg(**{name: 0.0})
 
 
@@ -283,10 +271,8 @@ def test_the_integral_of_attitude_takes_away_what_a_torque_leaves() -> None:
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     own = CrazyflieLeeCfg(KI=(1.0, 1.0, 0.1))
     laws = make_law(LEE, dt=0.02, crazyflie_lee=own), make_law(LEE, dt=0.02)
-    kept, left = (
-        float(fly(law, plant, span, [0.0] * 4, dt=0.02)[-1].position[0, 0].abs())
-        for law, span in zip(laws, (15.0, 8.0), strict=True)
-    )
+    spans = zip(laws, (15.0, 8.0), strict=True)
+    kept, left = (float(fly(law, plant, s, [0.0] * 4, dt=0.02)[-1].position[0, 0].abs()) for law, s in spans)
     assert left > 0.02
     assert kept < 0.1 * left
     gains, weight = laws[0].gains, X500.body.mass * 9.81

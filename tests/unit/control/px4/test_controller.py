@@ -33,7 +33,6 @@ X500 = ROBOTS.get("x500")
 GAZEBO = ROBOTS.get("x500_px4")
 """With the motor limits of PX4's Gazebo model, 150 to 1000 rad/s, and PX4's default parameters."""
 
-assert GAZEBO.control.px4 is not None
 PX4_DEFAULTS = replace(GAZEBO.control.px4, IMU_GYRO_CUTOFF=40.0)
 """With its gyro filter too."""
 
@@ -191,12 +190,10 @@ def test_derived_gains_are_those_of_the_other_rate_loop() -> None:
     """Level and still, the first answer to a wanted rate is that of ``pid_rates_control``: the same torque per rate error."""
     state = state_at_rest(1, 4, device=CPU, dtype=F64)
     action = torch.tensor([[0.1, 0.02, -0.03, 0.01]], dtype=F64)
-    pid = make_controller(
-        CONTROLLERS.get("pid_rates_control"), vehicle_from_config(X500, num_envs=1, dtype=F64), 9.81, dt=0.002
-    )
-    torch.testing.assert_close(
-        make_law("px4_rate_control").rotor_command(state, action), pid.rotor_command(state, action)
-    )
+    vehicle = vehicle_from_config(X500, num_envs=1, dtype=F64)
+    pid = make_controller(CONTROLLERS.get("pid_rates_control"), vehicle, 9.81, dt=0.002)
+    result = make_law("px4_rate_control").rotor_command(state, action)
+    torch.testing.assert_close(result, pid.rotor_command(state, action))
 
 
 def test_px4s_own_gains_fly_its_x500() -> None:
@@ -227,9 +224,8 @@ def test_parameters_belong_to_the_robot() -> None:
     slower = make_law("px4_attitude_control", px4=Px4Cfg(rate_hz=250.0), control=control)
     assert float(slower.gains.attitude[0, 0]) == 7.0
     assert slower.timing.loop == 2
-    assert (
-        float(make_law("px4_attitude_control", px4=Px4Cfg(MC_ROLL_P=5.0), control=control).gains.attitude[0, 0]) == 5.0
-    )
+    own = make_law("px4_attitude_control", px4=Px4Cfg(MC_ROLL_P=5.0), control=control)
+    assert float(own.gains.attitude[0, 0]) == 5.0
     with pytest.raises(ConfigError, match=r"MC_ROLL_PP.*MC_ROLL_P"):
         build(ControlCfg, {"px4": {"MC_ROLL_PP": 7.0}}, where="here")
 
@@ -241,21 +237,18 @@ def test_what_does_not_fit_is_refused_by_name() -> None:
             make_law("px4_position_control", ROBOTS.get(robot))
     with pytest.raises(ConfigError, match="law 'pose': not in PX4's cascade"):
         make_controller(replace(cfg, law="pose"), vehicle_from_config(X500, num_envs=1), 9.81, dt=0.002)
-    with pytest.raises(ConfigError, match=r"hover thrust 0.203 must be between MPC_THR_MIN = 0.3"):
-        make_law("px4_position_control", px4=Px4Cfg(MPC_THR_MIN=0.3))
-    with pytest.raises(ConfigError, match=r"IMU_GYRO_CUTOFF = 40: must be below half of the 50 Hz"):
-        make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_CUTOFF=40.0), dt=0.02)
-    with pytest.raises(ConfigError, match=r"IMU_GYRO_NF1_FRQ = 300: must be below half of the 500 Hz"):
-        make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF1_FRQ=300.0))
-    with pytest.raises(ConfigError, match=r"IMU_GYRO_NF0_BW = 260: must be below half of the 500 Hz"):
-        make_law("px4_rate_control", px4=Px4Cfg(IMU_GYRO_NF0_FRQ=50.0, IMU_GYRO_NF0_BW=260.0))
-    with pytest.raises(ConfigError, match="Px4Cfg.rate_hz = 300 Hz"):
-        make_law("px4_rate_control", px4=Px4Cfg(rate_hz=300.0))
-    with pytest.raises(ConfigError, match="has its own gains and rate loop"):
+    for name, px4, message in (
+        ("px4_position_control", Px4Cfg(MPC_THR_MIN=0.3), r"hover thrust 0.203 must be between MPC_THR_MIN = 0.3"),
+        ("px4_rate_control", Px4Cfg(IMU_GYRO_CUTOFF=251.0), r"IMU_GYRO_CUTOFF = 251: must be below half of the 500 Hz"),
+        ("px4_rate_control", Px4Cfg(IMU_GYRO_NF1_FRQ=300.0), r"IMU_GYRO_NF1_FRQ = 300: must be below half of the 500"),
+        ("px4_rate_control", Px4Cfg(IMU_GYRO_NF0_FRQ=50.0, IMU_GYRO_NF0_BW=260.0), r"IMU_GYRO_NF0_BW = 260: must be"),
+        ("px4_rate_control", Px4Cfg(rate_hz=300.0), "Px4Cfg.rate_hz = 300 Hz"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            make_law(name, px4=px4)
+    with pytest.raises(ConfigError, match="has gains and a rate loop of its own"):
         ControllerCfg(summary="-", law="rates", px4=Px4Cfg(), rate_loop=RateLoopCfg())
-    for bad in (
-        {"MC_ROLL_P": -1.0}, {"MC_YAW_WEIGHT": 0.0}, {"THR_MDL_FAC": 1.5}, {"MPC_TILTMAX_AIR": 90.0},
-        {"IMU_GYRO_NF0_BW": 0.0},
-    ):  # fmt: skip
-        with pytest.raises(ConfigError, match=f"Px4Cfg.{next(iter(bad))} = "):
-            Px4Cfg(**bad)
+    bad = {"MC_ROLL_P": -1.0, "MC_YAW_WEIGHT": 0.0, "THR_MDL_FAC": 1.5, "MPC_TILTMAX_AIR": 90.0, "IMU_GYRO_NF0_BW": 0.0}
+    for field, value in bad.items():
+        with pytest.raises(ConfigError, match=f"Px4Cfg.{field} = "):
+            Px4Cfg(**{field: value})

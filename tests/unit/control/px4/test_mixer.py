@@ -73,10 +73,8 @@ def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
     columns = QUADROTOR.to(F64)
     if num_rotors == 6:
         columns = torch.cat((torch.rand(6, 3, generator=g, dtype=F64) * 2 - 1, torch.ones(6, 1, dtype=F64)), dim=-1)
-    wanted = torch.rand(1000, 4, generator=g, dtype=F64) * torch.tensor([1.0, 1, 1, 1.1]) - torch.tensor(
-        [0.5, 0.5, 0.5, 0]
-    )
-    wanted = wanted.float().to(F64)
+    draws = torch.rand(1000, 4, generator=g, dtype=F64) * torch.tensor([1.0, 1, 1, 1.1])
+    wanted = (draws - torch.tensor([0.5, 0.5, 0.5, 0])).float().to(F64)
     columns = columns.float().to(F64)
     exact = mix(columns.expand(1000, -1, -1), wanted, torch.full((1000, num_rotors), 0.05, dtype=F64), airmode=airmode)
     types, mixer = rotor_types(num_rotors, False), make_mixer(num_rotors, False, airmode)
@@ -98,9 +96,8 @@ def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
         signs[k] = missing
 
     thrust, signs = wp.zeros(1000, dtype=vector, device="cpu"), wp.zeros(1000, dtype=wp.vec3, device="cpu")
-    wp.launch(
-        mix_all, 1000, [params, wp.array(wanted.numpy(), dtype=wp.vec4, device="cpu"), thrust, signs], device="cpu"
-    )
+    inputs = [params, wp.array(wanted.numpy(), dtype=wp.vec4, device="cpu"), thrust, signs]
+    wp.launch(mix_all, 1000, inputs, device="cpu")
     torch.testing.assert_close(wp.to_torch(thrust).to(F64) / full, exact.signal, atol=2e-6, rtol=0)
     assert ((wp.to_torch(signs).to(F64) - exact.short).abs().amax(-1) > 0).sum() <= 2  # at an edge rounding decides
     assert (exact.short != 0.0).any(-1).double().mean() > 0.2

@@ -1,7 +1,5 @@
 """Rows written by a mask: from an input that the kernel makes, with other work done to the same rows beside it."""
 
-from collections.abc import Callable
-
 import pytest
 import torch
 import warp as wp
@@ -44,9 +42,7 @@ def sum_rows(made: Tensor, base: Tensor) -> tuple[Tensor, ...]:
 
 
 @pytest.mark.parametrize("function", [sum_rows, sum_indirect])
-def test_rows_of_the_mask_are_made_followed_and_worked_on_and_others_stay(
-    function: Callable[..., tuple[Tensor, ...]],
-) -> None:
+def test_rows_of_the_mask_are_made_followed_and_worked_on_and_others_stay(function) -> None:
     """Numbers 2 and 3 times the scale of the row; five rows are no whole number of blocks."""
     start_warp()
     count, mask = len(MASK), torch.tensor(MASK)

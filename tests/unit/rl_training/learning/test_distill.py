@@ -99,9 +99,7 @@ def test_the_teacher_flies_first_and_the_student_in_the_end() -> None:
     assert flown[len(flown) // 2 + 1 :] == [0.0] * len(flown[len(flown) // 2 + 1 :])
 
 
-def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the_uninterrupted_one(
-    tmp_path: Path,
-) -> None:
+def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the_uninterrupted_one(tmp_path) -> None:
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     train(
         replace(ppo, num_envs=64, device="cpu", max_time_s=None, max_env_steps=5_000),

@@ -27,9 +27,7 @@ RELATIVE = 5e-3 if DEVICE == "cuda" else 2e-5
 @pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
 @pytest.mark.parametrize("clip_value", [False, True])
 @pytest.mark.parametrize("critic", [(), ("critic",), ("observations", "critic")], ids=["alike", "other", "more"])
-def test_gradient_values_and_actions_are_those_of_torch(
-    activation: str, clip_value: bool, critic: tuple[str, ...]
-) -> None:
+def test_gradient_values_and_actions_are_those_of_torch(activation, clip_value, critic) -> None:
     name = "position_setpoint_task_sim2real" if critic else "position_setpoint_task"
     cfg = settings(
         24,

@@ -67,9 +67,7 @@ def test_a_truncated_episode_is_worth_what_follows_and_a_terminated_one_is_not()
         (1.5, -2.0, -3.0, -3.0),  # a bad action that became likelier is still made rarer
     ],
 )
-def test_the_objective_is_clipped_on_the_side_that_would_gain(
-    ratio: float, advantage: float, objective: float, slope: float
-) -> None:
+def test_the_objective_is_clipped_on_the_side_that_would_gain(ratio, advantage, objective, slope) -> None:
     log_ratio = torch.tensor(ratio).log().requires_grad_()
     result = clipped_objective(log_ratio, torch.tensor(advantage), clip_range=0.2)
     result.backward()

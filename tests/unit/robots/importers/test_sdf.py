@@ -139,9 +139,7 @@ BOX = "<size>0.3 0.3 0.1</size>"
         ('<inertial auto="true"><mass>0.7</mass><pose>1 1 1 0 0 0</pose></inertial>', None, 0.7),
     ],
 )
-def test_an_automatic_inertial_takes_density_and_mass(
-    inertial_tag: str, density: float | None, mass: float, tmp_path: Path
-) -> None:
+def test_an_automatic_inertial_takes_density_and_mass(inertial_tag, density, mass, tmp_path) -> None:
     """A box of 9 litres: of its own density, else of the inertial's, else of water; a given mass scales it."""
     result = body_alone(tmp_path, inertial_tag + shape("box", BOX, density))
     assert result[0] == pytest.approx(mass)
@@ -318,9 +316,7 @@ GIMBAL = (
         (WING.format("gz::sim::systems::LighterThanAir").replace("lift-drag", "lighter_than_air"), "base"),
     ],
 )
-def test_wings_and_tilting_joints_are_losses(
-    more: str, parent: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wings_and_tilting_joints_are_losses(more, parent, tmp_path, capsys) -> None:
     """Refused with status 2 and nothing written, unless the loss is accepted."""
     path, out = write(tmp_path, m=vehicle(more=more, parent=parent)), tmp_path / "m.yaml"
     assert main(["robot", "import", str(path), "--out", str(out)]) == 2
@@ -339,9 +335,7 @@ def test_a_gimbal_and_a_fixed_arm_are_no_losses(tmp_path: Path) -> None:
     assert any("gimbal" in note for note in result.notes)
 
 
-def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(tmp_path, capsys) -> None:
     sensors = '<sensor name="front" type="camera"/><sensor name="gyro" type="imu"/><visual name="skin"/>'
     base = inertial(1.0, 0.01, 0.01, 0.02) + sensors + shape("polyline").replace('"c"', '"skirt"')
     control = (

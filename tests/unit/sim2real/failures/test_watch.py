@@ -1,6 +1,5 @@
 """Rows that come one by one: what is told, when, and what is refused; how often noise alone is taken for a failure."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -169,9 +168,7 @@ def exchange_blocks(table: pd.DataFrame) -> pd.DataFrame:
     [(lambda table: table.assign(t=table["t"] - 2.0 * (table.index >= 600)), (0, 1)), (exchange_blocks, (40, 0))],
     ids=["clock set back", "late block"],
 )
-def test_a_step_of_the_clock_is_followed_and_a_late_block_of_40_rows_is_left_out(
-    change: Callable[[pd.DataFrame], pd.DataFrame], counts: tuple[int, int]
-) -> None:
+def test_a_step_of_the_clock_is_followed_and_a_late_block_of_40_rows_is_left_out(change, counts) -> None:
     alarms, counted = watch_rows(change(failure_table()))
     assert counted == counts
     assert [alarm.stage for alarm in alarms] == [SUSPECTED, NAMED]

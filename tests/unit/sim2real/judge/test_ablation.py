@@ -60,9 +60,7 @@ def worth(residual: tuple[float, float, float], rollout: tuple[float, float, flo
         ((0.02, -0.1, 0.2), (0.0, 0.0, 0.0), None),
     ],
 )
-def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(
-    residual: tuple, rollout: tuple, material: bool | None
-) -> None:
+def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(residual, rollout, material) -> None:
     result = worth(residual, rollout)
     assert result.material is material
     value, low, high = residual

@@ -40,9 +40,7 @@ def mass_notes(size: float, left: list[float]) -> list[Finding]:
     ("left", "changed"),
     [([0.2, 0.1, 0.27], {"specific_force.y": (0.1, 0.2), "specific_force.z": (0.27, 0.2)}), ([0.2, 0.199, 0.201], {})],
 )
-def test_of_a_strained_tolerance_it_is_said_what_it_changes(
-    left: list[float], changed: dict[str, tuple[float, float]]
-) -> None:
+def test_of_a_strained_tolerance_it_is_said_what_it_changes(left, changed) -> None:
     first, last = mass_notes(4.0, left)
     assert first == Finding("tolerance_strained", "mass", {"deviation_std": 4.0})
     assert last.code == ("strained_changes" if changed else "strained_changes_little")

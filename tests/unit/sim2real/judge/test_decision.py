@@ -1,7 +1,5 @@
 """The decision of a verdict: its kind, its candidates, and the codes of what remains or stays open."""
 
-from typing import Any
-
 import pytest
 
 from aerial_gym.sim2real.judge.decision import Decision, decide
@@ -45,9 +43,7 @@ def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
         ((), {"floor_known": False}, "none", ["floor_unknown"]),
     ],
 )
-def test_kind_and_open_points_follow_from_what_remains(
-    effects: tuple[str, ...], remains: dict[str, Any], kind: str, expected: list[str]
-) -> None:
+def test_kind_and_open_points_follow_from_what_remains(effects, remains, kind, expected) -> None:
     given = {"unexplained": (), "floor_known": True} | remains
     decision = decide(dict.fromkeys(effects, ()), **given)
     assert (decision.kind, codes(decision)) == (kind, expected)

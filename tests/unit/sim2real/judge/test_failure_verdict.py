@@ -31,9 +31,7 @@ def make_failure(name: str, params: dict[str, float]) -> Failure:
         ("weak_motor", {"motor": 1.0, "scale": 0.81, "time": 4.0}, {"motor": 1.0, "scale": 0.9, "time": 4.0}),
     ],
 )
-def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(
-    name: str, params: dict[str, float], trains: dict[str, float]
-) -> None:
+def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(name, params, trains) -> None:
     failure = make_failure(name, params)
     told = failure_verdict._add_failures(make_verdict("none", notes=(OTHER,)), [failure], None)
     assert (told.verdict, told.failures) == ("explained", (failure,))

@@ -123,9 +123,7 @@ def test_a_log_of_a_vehicle_on_the_ground_is_refused(table: pd.DataFrame, tmp_pa
         load_parts([table, ground], tmp_path)
 
 
-def test_a_hop_is_compared_where_it_is_long_enough_and_refused_where_it_is_not(
-    table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_a_hop_is_compared_where_it_is_long_enough_and_refused_where_it_is_not(table, tmp_path) -> None:
     """The low-pass spoils 0.21 s at each end; a rollout needs the window before it and 0.1 s."""
 
     def hop(seconds: float) -> pd.DataFrame:

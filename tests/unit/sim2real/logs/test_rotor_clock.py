@@ -49,9 +49,7 @@ def test_a_thrust_that_hardly_varies_tells_no_delay(tmp_path: Path) -> None:
     check_rotor_clock(climbs(tmp_path, 0.1, rate=100.0, vigour=1e-4), ROBOT, 10.0)
 
 
-def test_a_force_along_z_that_follows_the_thrust_later_is_no_delay_where_the_turning_knows_of_none(
-    tmp_path: Path,
-) -> None:
+def test_a_force_along_z_that_follows_the_thrust_later_is_no_delay_where_the_turning_knows_of_none(tmp_path) -> None:
     """What rotors make turns the vehicle at once and lifts it 150 ms later: refused without a gyro, and with rotors that are
     late in both."""
     table, late = flight(5), round(0.15 * 200.0)

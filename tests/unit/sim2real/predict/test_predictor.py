@@ -56,9 +56,7 @@ def residual(result: Flight, params: ModelParams) -> np.ndarray:
         ({"thrust_scale": 1.07}, {"thrust_coefficient": np.array([1.07])}),
     ],
 )
-def test_an_exact_flight_is_predicted_exactly_by_the_effect_that_was_flown(
-    flown: dict[str, float], effects: dict[str, np.ndarray], tmp_path: Path
-) -> None:
+def test_an_exact_flight_is_predicted_exactly_by_the_effect_that_was_flown(flown, effects, tmp_path) -> None:
     """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
     results = load(tmp_path, **flown)
     left, without = (residual(results, ModelParams(effects=params)) for params in (effects, {}))
@@ -393,9 +391,7 @@ def draw_deviations(**sizes: float) -> np.ndarray:
 
 @pytest.mark.parametrize("accelerometer", [True, False])
 @pytest.mark.parametrize("label", LATE)
-def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(
-    label: str, accelerometer: bool, tmp_path: Path
-) -> None:
+def test_a_sensor_that_is_late_within_its_tolerance_is_put_back(label, accelerometer, tmp_path) -> None:
     """6 ms, two deviations, leave what the log on one clock does, but 10 %; of each sensor, with drag in a wind."""
     table = flight(3, drag=0.6, wind=(2.0, -1.0, 0.5))
     if not accelerometer:
@@ -484,9 +480,7 @@ def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: P
         {"slung_payload": np.array([0.05, 0.4, 0.1])},
     ],
 )
-def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(
-    tmp_path: Path, params: dict[str, np.ndarray]
-) -> None:
+def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(tmp_path, params) -> None:
     aligned, off = turn_attitude(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
     params, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())
     felt = [channel.kind in ("specific_force", "angular_acceleration") for channel in find_channels([aligned])]
@@ -524,9 +518,7 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("step", "noise"), frequent_values(product((20.0, 60.0), (0.0, 1.0)), [(20.0, 1.0), (60.0, 0.0)])
 )
-def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(
-    noise: float, step: float, tmp_path: Path
-) -> None:
+def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(noise, step, tmp_path) -> None:
     """Speeds that stay within a step for long are wrong by the same all the while, which above the band is not seen.
 
     What is white there alone would give 0.1 to 0.6 of it along z. Of one step or another, rms is known to half of itself.
@@ -646,9 +638,7 @@ def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None
         np.testing.assert_allclose(asked.predict(there)[0], fresh().predict(there)[0], rtol=0, atol=1e-9)
 
 
-def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(tmp_path, monkeypatch) -> None:
     results, asked = load(tmp_path), []
 
     def count_call(*args: object, **options: object) -> ForceBreakdown:

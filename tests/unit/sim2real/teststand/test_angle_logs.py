@@ -172,9 +172,7 @@ def test_the_robot_file_has_what_was_found(result: tuple[dict, Path]) -> None:
     assert "identify joints: f0.csv, f1.csv" in results.source
 
 
-def test_what_a_log_or_a_robot_lacks_is_said(
-    result: tuple[dict, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_log_or_a_robot_lacks_is_said(result, tmp_path, capsys) -> None:
     table, path = pd.read_csv(result[1] / "f0.csv"), tmp_path / "f.csv"
     table.drop(columns="joint_arm2").to_csv(path, index=False)
     declared = str(result[1] / "robot.yaml")

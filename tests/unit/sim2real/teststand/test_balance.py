@@ -365,9 +365,7 @@ def hover_file(path: Path, ratio: np.ndarray, *, seed: int) -> Path:
     return path
 
 
-def test_the_command_names_a_payload_in_logs_without_attitude(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_names_a_payload_in_logs_without_attitude(tmp_path, capsys) -> None:
     half = 1.0 + 2.0 * 0.003 / MASS
     normal = [hover_file(tmp_path / f"normal_{n}.csv", np.ones(4), seed=n) for n in range(6)]
     load = [hover_file(tmp_path / f"load_{n}.csv", np.array([1.0, 1.0, half, half]), seed=10 + n) for n in range(2)]

@@ -38,9 +38,7 @@ def make_ride(table: pd.DataFrame, path: Path) -> Ride:
 
 
 @pytest.mark.slow
-def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(tmp_path, monkeypatch) -> None:
     """The true springs leave a fifth of what the declared ones leave at most.
 
     To save time pieces begin a second before; half of it damped, a swing is forgotten to ``exp(-0.5 s c / 2 J)``, 0.19.

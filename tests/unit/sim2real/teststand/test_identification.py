@@ -166,9 +166,7 @@ def test_no_term_is_added_that_does_not_pay(tmp_path: Path) -> None:
         ("torque_Nm", 1.0 / 9.80665e-5, "moment", {"torque": "gf cm"}),
     ],
 )
-def test_units_do_not_change_the_map(
-    tmp_path: Path, column: str, factor: float, name: str, units: dict[str, str]
-) -> None:
+def test_units_do_not_change_the_map(tmp_path, column, factor, name, units) -> None:
     table = static_table(np.random.default_rng(4), 0.01)
     plain = single_fit(table, tmp_path)
     changed = table.assign(**{column: table[column] * factor}).rename(columns={column: name})
@@ -459,9 +457,7 @@ def test_the_command_writes_a_robot_that_loads(tmp_path: Path, capsys: pytest.Ca
         (("joint", "no.csv"), "no.csv: no such file"),
     ],
 )
-def test_wrong_requests_are_one_sentence(
-    argv: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_requests_are_one_sentence(argv, message, capsys) -> None:
     assert main(["identify", *argv]) == 2
     assert message in capsys.readouterr().err
 

@@ -56,9 +56,7 @@ def put(task: Task, position: Tensor) -> None:
         ((-0.1, -0.25, 0.2), (0.1, -0.15, 0.0), (True, True)),
     ],
 )
-def test_a_crossing_is_that_of_the_straight_line(
-    before: tuple[float, ...], now: tuple[float, ...], expected: tuple[bool, bool]
-) -> None:
+def test_a_crossing_is_that_of_the_straight_line(before, now, expected) -> None:
     result = crossing(torch.tensor([before]), torch.tensor([now]), half=(0.25, 0.15))
     assert tuple(bool(each) for each in result) == expected
 
@@ -90,9 +88,7 @@ def test_every_drawn_gate_is_passed_where_it_stands() -> None:
         ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), True, False),
     ],
 )
-def test_from_behind_and_beside_is_no_passage(
-    before: tuple[float, float, float], place: tuple[float, float, float], passed: bool, missed: bool
-) -> None:
+def test_from_behind_and_beside_is_no_passage(before, place, passed, missed) -> None:
     task = race(20)
     task.reset()
     task.values["previous_position"].copy_(in_gate(task, 0, before))

@@ -78,9 +78,7 @@ def test_noise_of_a_command_is_white_and_of_its_deviation() -> None:
         ("half", (), r"action half: returns \(1, 2\) for actions \(1, 4\); the controller takes \(E, U\) = \(1, 4\)"),
     ],
 )
-def test_a_transform_that_gives_no_command_is_refused(
-    transform: str, low: tuple[float, ...], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_transform_that_gives_no_command_is_refused(transform, low, message, monkeypatch) -> None:
     monkeypatch.setitem(ACTIONS._entries, "half", Action(value=lambda actions: actions[:, :2]))
     monkeypatch.setitem(ACTIONS._entries, "tenth", Action(value=lambda actions: actions.unbind(-1)[9]))
     params = {"low": low, "high": (1.0,) * 4} if low else {}

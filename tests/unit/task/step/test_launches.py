@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from warp._src.context import Launch
 
-from aerial_gym.config.randomize import Randomize, RandomizeCfg
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.task import Task, task_registry
 from tests.builders import simulation
@@ -50,9 +50,7 @@ RANDOMIZE = {
     ("name", "randomize", "most"),
     [("position_setpoint_task", {}, 6), ("position_setpoint_task", RANDOMIZE, 6), ("navigation_task", {}, 34)],
 )
-def test_a_step_launches_few_kernels(
-    name: str, randomize: Randomize, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_launches_few_kernels(name, randomize, most, monkeypatch) -> None:
     """``most`` is what it takes today: more of them are a choice, to be made here."""
     cfg = replace(task_registry.get(name), randomize=randomize)
     task = Task(cfg, simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, randomize=randomize))

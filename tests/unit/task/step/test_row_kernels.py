@@ -58,9 +58,7 @@ def test_kernels_of_the_shipped_tasks_compute_what_torch_does(flight_task: Task)
     torch.testing.assert_close(flight_task._actor(action), expected, rtol=1e-5, atol=1e-5)
 
 
-def test_a_term_that_cannot_be_traced_is_named_and_still_right(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_term_that_cannot_be_traced_is_named_and_still_right(monkeypatch, caplog) -> None:
     def middle(robot_position: Tensor) -> Tensor:
         return robot_position.sort(dim=-1).values[:, 1:2]
 

@@ -47,9 +47,7 @@ def yaw_attitude(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> Tensor:
         (3.0, -3.0, 6.0 - 2.0 * pi),
     ],
 )
-def test_the_heading_error_is_the_short_turn_from_the_robot_to_the_target(
-    target: float, yaw: float, error: float
-) -> None:
+def test_the_heading_error_is_the_short_turn_from_the_robot_to_the_target(target, yaw, error) -> None:
     for tilt in (0.0, 0.3):
         result = heading_error(number(target), yaw_attitude(yaw, tilt, -tilt))
         assert result.shape == (1, 1)
@@ -85,9 +83,7 @@ def test_to_be_there_counts_with_the_heading() -> None:
         (ORIGIN, (2.0, 0.0, 0.0), 0.0),
     ],
 )
-def test_flight_to_the_target_counts_by_its_direction_and_speed(
-    position: Tensor, velocity: tuple[float, float, float], expected: float
-) -> None:
+def test_flight_to_the_target_counts_by_its_direction_and_speed(position, velocity, expected) -> None:
     result = flight_to_target(ORIGIN, position, row(*velocity), speed=2.0, height=2.0, width=2.0, away=-0.2, near=3.0)
     assert result.item() == pytest.approx(expected, abs=1e-7)
 

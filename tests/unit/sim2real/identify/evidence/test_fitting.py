@@ -117,9 +117,7 @@ def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None
 @pytest.mark.parametrize(
     ("name", "start", "count"), [("weak_motor", [2.0, 1.0], 1), ("slung_payload", [0.0, 1.0, 0.01], 2)]
 )
-def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two(
-    name: str, start: list[float], count: int
-) -> None:
+def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two(name, start, count) -> None:
     size = len(start) - (name == "weak_motor")
     one = Candidate(
         name=name,

@@ -60,9 +60,7 @@ def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray
     ("hidden", "expected", "parameter"),
     [({}, (), None), ({"drag": 0.05, "thrust_scale": 1.04}, ("rotor_drag", "thrust_coefficient"), 0.05)],
 )
-def test_the_hidden_effects_are_the_most_probable_set(
-    tmp_path: Path, hidden: dict[str, float], expected: tuple[str, ...], parameter: float | None
-) -> None:
+def test_the_hidden_effects_are_the_most_probable_set(tmp_path, hidden, expected, parameter) -> None:
     results = most_probable(tmp_path, **hidden)
     assert set(results.effects) == set(expected)
     assert results.sets[tuple(sorted(expected))] > 0.8
@@ -131,9 +129,7 @@ SIZES = {
     ("material", "kept", "trifles"),
     [(0.05, ("rotor_drag", "payload_mass"), 1.01), (0.005, tuple(max(SIZES, key=len)), None)],
 )
-def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(
-    material: float, kept: tuple[str, ...], trifles: float | None
-) -> None:
+def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(material, kept, trifles) -> None:
     """Without mass or without thrust hardly anything rises, without both everything: only the thrust goes, worth 1 %."""
     noise = np.random.default_rng(0).normal(size=(600, 1))
     chooser, fitter = object.__new__(_Chooser), object.__new__(Fitter)

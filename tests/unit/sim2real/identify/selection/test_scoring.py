@@ -43,9 +43,7 @@ def squares(*factors: float) -> np.ndarray:
         ((0.2, 1.01, 1.01, 1.01), 0.25),  # one flight alone is no evidence
     ],
 )
-def test_a_flight_that_does_not_show_an_effect_does_not_speak_against_it(
-    factors: tuple[float, ...], share: float
-) -> None:
+def test_a_flight_that_does_not_show_an_effect_does_not_speak_against_it(factors, share) -> None:
     assert left_out().gain(squares(1.0, 1.0, 1.0, 1.0), squares(*factors)).flights_better == share
 
 
@@ -65,9 +63,7 @@ def test_the_fall_of_a_channel_is_that_of_its_rms() -> None:
         (1.0, 1.12, True),
     ],
 )
-def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(
-    gained: float, lost: float, harmful: bool
-) -> None:
+def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(gained, lost, harmful) -> None:
     more = squares(*[gained] * FLIGHTS)
     more[:, 1] = lost
     judge = left_out()

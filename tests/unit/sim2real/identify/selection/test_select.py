@@ -63,13 +63,7 @@ def add_ground_push(table: pd.DataFrame) -> pd.DataFrame:
         pytest.param(0.9, lambda table: table, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
     ],
 )
-def test_a_name_holds_or_only_substitutes(
-    scale: float,
-    change: Callable[[pd.DataFrame], pd.DataFrame],
-    named: tuple[str, ...],
-    surrogates: dict[str, str],
-    tmp_path: Path,
-) -> None:
+def test_a_name_holds_or_only_substitutes(scale, change, named, surrogates, tmp_path) -> None:
     result = select_hidden(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
     assert result.effect_names == named
     assert result.surrogates == surrogates
@@ -82,9 +76,7 @@ def test_a_name_holds_or_only_substitutes(
         pytest.param(False, {"thrust_coefficient", "payload_mass"}, marks=pytest.mark.slow),
     ],
 )
-def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(
-    gyro: bool, candidates: set[str], tmp_path: Path
-) -> None:
+def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(gyro, candidates, tmp_path) -> None:
     """5 % less thrust: a mass in its place needs an inertia off by 2.6 deviations about all axes; forces alone do not tell."""
 
     def log_columns(table: pd.DataFrame) -> pd.DataFrame:

@@ -66,9 +66,7 @@ def make_view(
 
 
 @pytest.mark.parametrize(("times", "tried"), [(0.99, True), (1.01, False)])
-def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit_can_mend(
-    times: float, tried: bool
-) -> None:
+def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit_can_mend(times, tried) -> None:
     best, drag = make_fit("com_offset", overdispersion=4.0), make_fit("rotor_drag", log=-1e3)
     behind = times * MOST_TO_PROMISE * FAR_BEHIND * occam_window(best)
     view = make_view({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
@@ -151,9 +149,7 @@ def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...],
     ],
     ids=["stays", "moves once", "never stays", "leads away", "goes nowhere"],
 )
-def test_a_set_is_fitted_about_itself_until_its_deviations_stay(
-    deviations: tuple[float | None, ...], turns: int
-) -> None:
+def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turns) -> None:
     fits = [replace(make_fit(), deviation=np.zeros(0) if one is None else np.array([one, 0.2])) for one in deviations]
     number, about = 0, list[ModelParams]()
 

@@ -174,9 +174,7 @@ def test_jitter_and_a_late_start_are_no_defect_of_the_time(table: pd.DataFrame, 
         (lambda t: t.assign(t=1e9 * t["t"]), r"1e-07 rows per second, .*time unit: ns"),
     ],
 )
-def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(
-    table: pd.DataFrame, tmp_path: Path, change: object, message: str
-) -> None:
+def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(table, tmp_path, change, message) -> None:
     slow = table.copy()
     slow.loc[[200, 300], P] = slow.loc[[199, 199], P].to_numpy()
     with pytest.raises(DataError, match=message):

@@ -57,9 +57,7 @@ def test_a_bias_of_the_accelerometer(table: pd.DataFrame, tmp_path: Path, size: 
 
 @pytest.mark.parametrize(("columns", "sensor", "axis"), [(OMEGA, "gyro", 2), (ACC, "accelerometer", 0)])
 @pytest.mark.parametrize("degrees", [-8.0, -3.0, 3.0, 8.0])
-def test_a_turned_sensor(
-    table: pd.DataFrame, tmp_path: Path, columns: list[str], sensor: str, axis: int, degrees: float
-) -> None:
+def test_a_turned_sensor(table, tmp_path, columns, sensor, axis, degrees) -> None:
     turn = Rotation.from_euler("xyz"[axis], degrees, degrees=True)
     changed = table.copy()
     changed[columns] = turn.inv().apply(table[columns].to_numpy(copy=True))
@@ -76,9 +74,7 @@ def test_what_a_flight_cannot_show_is_not_told(table: pd.DataFrame, tmp_path: Pa
 
 @pytest.mark.parametrize(("columns", "sensor"), [(OMEGA, "gyro"), (ACC, "accelerometer")])
 @pytest.mark.parametrize("rows", [-6, -2, 2, 6])
-def test_a_late_or_early_sensor(
-    table: pd.DataFrame, tmp_path: Path, columns: list[str], sensor: str, rows: int
-) -> None:
+def test_a_late_or_early_sensor(table, tmp_path, columns, sensor, rows) -> None:
     """Rows of 5 ms; a sensor that is late shows now what was before."""
     changed = table.copy()
     changed[columns] = np.roll(table[columns].to_numpy(), rows, axis=0)

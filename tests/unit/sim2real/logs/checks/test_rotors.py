@@ -51,9 +51,7 @@ def test_commands_that_copy_the_speeds_are_left_out_and_said(table: pd.DataFrame
 
 @pytest.mark.parametrize("names", [ROTORS, COMMANDS])
 @pytest.mark.parametrize("order", [(1, 2, 3, 0), (2, 3, 0, 1), (1, 0, 2, 3)])
-def test_columns_in_another_order_are_told_by_what_they_turn(
-    table: pd.DataFrame, tmp_path: Path, names: list[str], order: tuple[int, ...]
-) -> None:
+def test_columns_in_another_order_are_told_by_what_they_turn(table, tmp_path, names, order) -> None:
     mixed = table.assign(**{names[k]: table[names[rotor]] for k, rotor in enumerate(order)})
     right = ", ".join(names[order.index(rotor)] for rotor in range(4))
     with pytest.raises(DataError, match=rf"in the declared order predict .* the probable order is {right}: reorder"):

@@ -55,9 +55,7 @@ def test_a_good_log_passes_whatever_it_lacks(table: pd.DataFrame, tmp_path: Path
         [("mph", 0.44704), ("kn", 1.852 / 3.6), ("km/h", 1 / 3.6), ("ft/s", 0.3048), ("mm/s", 1e-3), ("cm/s", 1e-2)], 3
     ),
 )
-def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(
-    table: pd.DataFrame, tmp_path: Path, unit: str, factor: float
-) -> None:
+def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(table, tmp_path, unit, factor) -> None:
     wrong = scale(table, V, 1.0 / factor)
     match = rf"v_x, v_y, v_z were in {unit} \(factor .*\): give lin_vel unit: {unit} in a mapping file"
     with pytest.raises(DataError, match=match):

@@ -152,9 +152,7 @@ def test_a_set_back_with_lost_rows_is_refused_at_its_line(table: pd.DataFrame, t
 
 @pytest.mark.parametrize("shift", [0.0, 0.0017])
 @pytest.mark.parametrize("unique", [False, True])
-def test_a_log_that_was_sorted_after_its_clock_was_set_back_is_refused(
-    shift: float, unique: bool, table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_a_log_that_was_sorted_after_its_clock_was_set_back_is_refused(shift, unique, table, tmp_path) -> None:
     mixed = set_back(table, seconds=2.0 + shift).sample(frac=1.0, random_state=0).sort_values("t", kind="stable")
     if unique:
         mixed = mixed.assign(key=mixed["t"].round(9)).drop_duplicates("key").drop(columns="key")
@@ -251,9 +249,7 @@ def test_topics_that_are_needed_are_named_where_their_stamps_are_bad(table: pd.D
 
 
 @pytest.mark.parametrize("lost", [1, 2, 5])
-def test_rows_lost_beside_a_step_of_the_clock_do_not_make_the_motion_another(
-    lost: int, table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_rows_lost_beside_a_step_of_the_clock_do_not_make_the_motion_another(lost, table, tmp_path) -> None:
     for row in range(110, 700, 60):
         broken = set_back(table, row)
         broken.loc[row - lost : row - 1, "t"] = -7.0
@@ -269,9 +265,7 @@ def test_a_loop_of_links_is_a_file_that_cannot_be_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("size", [2, 35, 300])
 @pytest.mark.parametrize("start", [0, 150])
-def test_two_exchanged_blocks_of_a_file_cost_nothing(
-    size: int, start: int, table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_two_exchanged_blocks_of_a_file_cost_nothing(size, start, table, tmp_path) -> None:
     rows = np.arange(len(table))
     rows[start : start + 2 * size] = np.roll(rows[start : start + 2 * size], size)
     log = read_flight_log(write(table.iloc[rows], tmp_path / "a.csv"))

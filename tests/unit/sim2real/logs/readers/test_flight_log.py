@@ -75,9 +75,7 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
         (lambda t: t[:0], r"holds no rows"),
     ],
 )
-def test_a_bad_table_is_refused_with_the_place_and_the_way_out(
-    table: pd.DataFrame, tmp_path: Path, change: object, message: str
-) -> None:
+def test_a_bad_table_is_refused_with_the_place_and_the_way_out(table, tmp_path, change, message) -> None:
     with pytest.raises(DataError, match=message):
         read_flight_log(write(change(table), tmp_path / "a.csv"))
 

@@ -29,9 +29,7 @@ def append(path: Path, text: str) -> Callable[[], object]:
 
 
 @pytest.mark.parametrize("way", ["truncated", "longer", "replaced", "rotated", "removed"])
-def test_a_file_that_begins_anew_is_read_from_its_first_line(
-    way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_begins_anew_is_read_from_its_first_line(way, tmp_path, monkeypatch) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,x\n0,1\n1,1\n")
     new, other = "t,x\n5,2\n", tmp_path / "b.csv"

@@ -57,9 +57,7 @@ def test_commands_from_duty_cycle_and_voltage(table: pd.DataFrame, tmp_path: Pat
     np.testing.assert_allclose(log.battery, 4.0)
 
 
-def test_a_collective_thrust_setpoint_is_a_speed_of_every_rotor_and_no_torque(
-    table: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_a_collective_thrust_setpoint_is_a_speed_of_every_rotor_and_no_torque(table, tmp_path) -> None:
     """``500 sqrt(T / T_hover)``: four times the setpoint at hover is twice the speed."""
     table = table.assign(sp=2.0 + 0.5 * np.sin(table["t"]), hover=0.5)
     command = {"columns": ["sp"], "over": "hover", "power": 0.5, "gain": 500.0, "repeat": 4}
@@ -180,9 +178,7 @@ def test_the_lowest_place_of_a_flight_is_no_ground(table: pd.DataFrame, tmp_path
         ({"columns": ["a", "b"], "repeat": 4}, ConfigError, r"repeat = 4: must be >= 1, and 1 for more than one"),
     ],
 )
-def test_conversions_that_cannot_be(
-    table: pd.DataFrame, tmp_path: Path, command: dict, error: type[Exception], message: str
-) -> None:
+def test_conversions_that_cannot_be(table, tmp_path, command, error, message) -> None:
     with pytest.raises(error, match=message):
         read(table.assign(pwm1=0.5, zero=0.0), tmp_path, layout(rotor_command=command))
 
