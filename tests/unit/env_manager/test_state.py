@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
@@ -17,6 +16,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import Task
 from tests.builders import simulation
+from tests.unit.task.hover import begin
 
 E = 3
 BATTERY = BatteryCfg(
@@ -94,9 +94,7 @@ def test_saving_changes_nothing() -> None:
 
 
 def navigation_task(seed: int, controller: str | None = None) -> Task:
-    task = task_registry.make_task("navigation_task", num_envs=E, device="cpu", seed=seed, controller=controller)
-    task.reset()
-    return task
+    return begin("navigation_task", E, seed=seed, controller=controller)
 
 
 def roll_out(task: Task, steps: int) -> list[dict[str, Tensor]]:

@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import OwnershipError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
+from tests.unit.task.hover import begin
 
 BACKENDS = ["torch", "warp"]
 EFFECTS_ON_BOARD = (
@@ -164,8 +164,7 @@ def test_a_written_wind_acts_alike_on_both_backends() -> None:
 
 def test_a_recorded_step_is_dropped_where_a_write_moves_the_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     """A CUDA graph keeps addresses: the task steps without it, and records anew at the next reset."""
-    task = task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", seed=0)
-    task.reset()
+    task = begin("position_setpoint_task", 2)
 
     class GraphStub:
         def replay(self, actions: Tensor) -> None:

@@ -59,6 +59,13 @@ def build_task(
     return Task(cfg, env, capture=capture)
 
 
+def begin(name: str, num_envs: int, **given: Any) -> Task:
+    """Return a registered task on the CPU, reset."""
+    task = task_registry.make_task(name, num_envs=num_envs, device="cpu", **given)
+    task.reset()
+    return task
+
+
 def camera_task(num_envs: int, **given: Any) -> Task:
     """Return a task with a small camera between obstacles, its raw images and their nearest distances, both with a past."""
     cfg = replace(

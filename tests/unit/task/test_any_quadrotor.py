@@ -15,6 +15,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
 from aerial_gym.task.rotor_range import quadrotor_mix, rotor_order, with_rotor_range
 from tests.repetitions import frequent_values
+from tests.unit.task.hover import begin
 
 NAME = "any_quadrotor_task"
 
@@ -28,8 +29,7 @@ NAME = "any_quadrotor_task"
     ],
 )
 def test_an_action_is_a_share_of_what_the_rotors_can_be_told(robot, controller, low, high) -> None:
-    with task_registry.make_task(NAME, num_envs=2, device="cpu", robot=robot, controller=controller) as task:
-        task.reset()
+    with begin(NAME, 2, robot=robot, controller=controller) as task:
         for action, expected in ((-1.0, low), (0.0, 0.5 * (low + high)), (1.0, high)):
             task.step(torch.full((2, 4), action))
             told = task.env.gtd["robot_actions"]
@@ -40,8 +40,7 @@ def test_an_action_is_a_share_of_what_the_rotors_can_be_told(robot, controller, 
 def test_an_action_goes_to_the_rotor_at_its_place(robot: str) -> None:
     places = ((1, -1), (-1, -1), (-1, 1), (1, 1))
     mounts = ROBOTS.get(robot).mounts.layout
-    with task_registry.make_task(NAME, num_envs=1, device="cpu", robot=robot) as task:
-        task.reset()
+    with begin(NAME, 1, robot=robot) as task:
         task.step(torch.tensor([[-0.5, 0.0, 0.5, 1.0]]))
         told = task.env.gtd["robot_actions"][0].argsort().argsort()
     signs = [(int(copysign(1.0, x)), int(copysign(1.0, y))) for x, y, _ in (mount.position for mount in mounts)]
@@ -55,8 +54,7 @@ def test_places_are_counted_clockwise_from_the_nose() -> None:
 
 def test_a_vehicle_that_spins_away_is_lost_before_it_is_infinite() -> None:
     """Full thrust on the right of every vehicle: an episode ends as a crash where a step leads beyond 35 rad/s."""
-    with task_registry.make_task(NAME, num_envs=500, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 500) as task:
         crashed, fastest = torch.zeros(500, dtype=torch.bool), torch.zeros(())
         for _ in range(60):
             *_, info = task.step(torch.tensor([[1.0, 1.0, -1.0, -1.0]]).expand(500, 4).contiguous())
@@ -75,8 +73,7 @@ def test_every_episode_draws_a_vehicle_of_thrust_to_weight_from_1_15_to_7() -> N
     """What the robot has at full thrust, 3.26, times the factor that is drawn; another one in the next episode."""
     robot = ROBOTS.get("sampled_quadrotor")
     own = 4.0 * robot.the_rotor("the test").thrust_range[1] / (robot.body.mass * 9.81)
-    with task_registry.make_task(NAME, num_envs=2000, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 2000) as task:
         first = {name: drawn.clone() for name, drawn in task.env.draws().items()}
         ratio = own * first["rotor.thrust_map"].flatten(1)[:, -1]
         assert 1.149 < float(ratio.min()) < 1.2
@@ -103,8 +100,7 @@ def test_a_square_quadrotor_is_flown_as_a_quadrotor_rotor_by_rotor(robot: str) -
     ),
 )
 def test_other_rotors_lift_and_turn_as_a_quadrotor_would(controller: str, robot: str) -> None:
-    with task_registry.make_task(NAME, num_envs=4, device="cpu", robot=robot, controller=controller) as task:
-        task.reset()
+    with begin(NAME, 4, robot=robot, controller=controller) as task:
         half = 2.0 * 0.5**0.5 - 1.0
         more = torch.tensor([[0, 0, 0, 0], [1, 1, -1, -1], [-1, 1, 1, -1], [-1, 1, -1, 1]])
         task.step(half + 0.05 * more)

@@ -11,6 +11,7 @@ from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import CapabilityError, ClosedError, ConfigError, ShapeError
 from aerial_gym.rl_training import GymnasiumVectorEnv
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
+from tests.unit.task.hover import begin
 
 NAMES = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
 NAMES |= {"controller_name": "lee_position_control"}
@@ -83,7 +84,5 @@ def test_whatever_is_used_after_close_says_so() -> None:
 @pytest.mark.parametrize("name", ["position_setpoint_task", "position_setpoint_task_sim2real_px4"])
 def test_actions_of_another_width_are_refused(name: str, width: int) -> None:
     """Also where a kernel works on them, which would read numbers beside them."""
-    with task_registry.make_task(name, num_envs=4, device="cpu") as task:
-        task.reset()
-        with pytest.raises(ShapeError, match=r"expected \(E, V\) = \(4, 4\)"):
-            task.step(torch.zeros(4, width))
+    with begin(name, 4) as task, pytest.raises(ShapeError, match=r"expected \(E, V\) = \(4, 4\)"):
+        task.step(torch.zeros(4, width))

@@ -10,6 +10,7 @@ from aerial_gym import task_registry
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.task_terms import EndRewardCfg, RewardCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
+from tests.unit.task.hover import begin
 
 MODULE = """
 from dataclasses import replace
@@ -57,8 +58,7 @@ def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
     rewards = {"five": RewardCfg(term="five_of_its_own")}
     file = tmp_path / "mine.yaml"
     file.write_text(dump_yaml(replace(task, imports=("my_terms.py",), rewards=rewards, crash_reward=None)))
-    with task_registry.make_task(str(file), num_envs=2, device="cpu") as made:
-        made.reset()
+    with begin(str(file), 2) as made:
         assert made.step(torch.zeros(2, 4))[1].tolist() == [5.0, 5.0]
     file.write_text(dump_yaml(replace(task, imports=("no_terms.py",))))
     with pytest.raises(UnknownNameError, match=r"no_terms.py: no such file"):
@@ -126,8 +126,7 @@ def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> N
 def test_a_task_may_say_how_flights_begin() -> None:
     """Every attitude, and speeds and rates up to what the task says; the robot's own starts are level and slow."""
     cfg = task_registry.get("recovery_task")
-    with task_registry.make_task("recovery_task", num_envs=500, device="cpu", seed=0) as task:
-        task.reset()
+    with begin("recovery_task", 500) as task:
         gtd = task.env.gtd
         up = 1.0 - 2.0 * gtd["robot_orientation"][:, :2].square().sum(dim=-1)
         assert float(up.min()) < -0.9 < 0.9 < float(up.max())
@@ -142,8 +141,7 @@ def test_a_task_may_say_how_flights_begin() -> None:
 
 def test_the_target_of_agile_tracking_accelerates_by_2_g() -> None:
     """Second differences of where it is, over a whole round; their error is (w dt)² / 12, 5e-5 of the largest term."""
-    with task_registry.make_task("agile_tracking_task", num_envs=4, device="cpu", seed=0) as task:
-        task.reset()
+    with begin("agile_tracking_task", 4) as task:
         hold = torch.tensor([[-0.375, 0.0, 0.0, 0.0]]).expand(4, -1)  # weight, no turning: nobody leaves in 2.6 s
         seen = []
         for _ in range(260):
@@ -159,8 +157,7 @@ def test_gusts_push_a_vehicle_by_its_drag() -> None:
     """Velocities after one step differ from those in still air by ``d w dt / m``, w of 3 m/s on each axis, d from dy to dx."""
     speeds = []
     for robot in (None, "base_quadrotor_with_drag"):
-        with task_registry.make_task("gust_rejection_task", num_envs=4096, device="cpu", seed=0, robot=robot) as task:
-            task.reset()
+        with begin("gust_rejection_task", 4096, robot=robot) as task:
             task.step(torch.zeros(4096, 4))
             speeds.append(task.env.gtd["robot_linvel"][:, :2].clone())
     push = (speeds[0] - speeds[1]).std(dim=0) / (3.0 * task.env.dt)

@@ -11,6 +11,7 @@ from aerial_gym.config.task import CurriculumCfg, TaskCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.task import Task
 from aerial_gym.task.curriculum import next_level
+from tests.unit.task.hover import begin
 from tests.unit.task.navigation import make
 
 CFG = CurriculumCfg(
@@ -169,8 +170,7 @@ def test_unknown_keys_of_a_curriculum_are_refused() -> None:
 
 def test_an_episode_is_replayed_alone_with_the_level_that_it_had() -> None:
     """Environment 2 of 3 in its second episode, which begins at the level to which the first episodes led."""
-    many = task_registry.make_task("navigation_task", num_envs=3, device="cpu", seed=1)
-    many.reset()
+    many = begin("navigation_task", 3, seed=1)
     many.curriculum.load({"level": 23, "finished": 0, "succeeded": 0})
     many.env.gtd["sim_steps"].fill_(many.cfg.episode_len_steps)
     many.step(torch.zeros(3, 4))  # all episodes end, and others begin

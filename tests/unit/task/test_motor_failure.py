@@ -5,8 +5,9 @@ from math import exp
 import torch
 
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.task import Task, task_registry
+from aerial_gym.task import Task
 from aerial_gym.task.terms.catalog import OBSERVATIONS
+from tests.unit.task.hover import begin
 
 NAME, HOVER = "motor_failure_task", -0.387
 """The action for 0.613 N of each rotor, a quarter of the weight."""
@@ -21,8 +22,7 @@ def draws(task: Task) -> list[torch.Tensor]:
 
 def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment() -> None:
     """Told the same, rotors turn alike before; 0.3 s after, seven time constants, one has its share, to exp(-7.5)."""
-    with task_registry.make_task(NAME, num_envs=200, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 200) as task:
         motor, scale, moment = draws(task)
         gtd, first, told = task.env.gtd, torch.ones(200, dtype=torch.bool), torch.full((200, 4), HOVER)
         whole, broken = torch.zeros(200, dtype=torch.bool), torch.zeros(200, dtype=torch.bool)
@@ -43,8 +43,7 @@ def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment() -> 
 
 def test_the_drag_of_its_rotors_brakes_a_spin_as_that_of_the_source() -> None:
     """At hover ``r = r0 exp(-c t)`` with ``c = g M L² / (m l² Izz)``: g = 2.75e-3 N m s of m = 0.5 kg with arms l = 0.17 m."""
-    with task_registry.make_task(NAME, num_envs=2, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 2) as task:
         state, body = task.env.robot_manager.tensors.state, task.env.robot_manager.cfg.body
         arm = sum(x * x for x in task.env.robot_manager.cfg.mounts.layout[0].position)
         rate = 2.75e-3 * body.mass * arm / (0.5 * 0.17**2 * body.inertia[2][2])

@@ -6,8 +6,9 @@ from torch import Tensor
 
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.task import Task, task_registry
+from aerial_gym.task import Task
 from aerial_gym.task.terms.terminations import missed_touchdown, touchdown
+from tests.unit.task.hover import begin
 from tests.unit.task.hover import make as make_hover
 
 NAME, STANDS = "platform_landing_task", 0.4
@@ -33,8 +34,7 @@ def hover_actions(num: int) -> Tensor:
 
 def test_the_target_stands_on_the_platform_and_drives_with_it() -> None:
     """Its velocity is what its place changes by, at a speed of 0.2 to 0.8 m/s that differs between environments."""
-    with task_registry.make_task(NAME, num_envs=16, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 16) as task:
         for _ in range(5):
             before, velocity = task.target_position.clone(), task.values["target_velocity"].clone()
             task.step(hover_actions(16))
@@ -50,8 +50,7 @@ def test_the_target_stands_on_the_platform_and_drives_with_it() -> None:
 )
 def test_a_touchdown_is_near_and_slow(speed: float, beside: float, ended: str) -> None:
     """From 5 mm above: slow on its middle, too fast, on its edge, and as fast as a crash."""
-    with task_registry.make_task(NAME, num_envs=4, device="cpu", seed=3) as task:
-        task.reset()
+    with begin(NAME, 4, seed=3) as task:
         put(task, above=0.005, speed=speed, beside=beside)
         task.values.own["previous_relative_velocity"].copy_(torch.tensor([0.0, 0.0, -speed]))
         for _ in range(6):
@@ -79,8 +78,7 @@ def test_an_asset_that_is_not_always_there_is_no_target() -> None:
 
 def fly(num: int, backend: str, first: int = 0) -> tuple[Tensor, Tensor]:
     """Return the robots' positions after ten steps over their platforms, (E, 3), and their ground-effect factors k, (E,)."""
-    with task_registry.make_task(NAME, num_envs=num, device="cpu", seed=5, backend=backend, first_env=first) as task:
-        task.reset()
+    with begin(NAME, num, seed=5, backend=backend, first_env=first) as task:
         put(task, above=0.05, speed=0.0)
         for _ in range(10):
             task.step(hover_actions(num))

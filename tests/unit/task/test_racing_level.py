@@ -11,6 +11,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.settings import settings_for
 from aerial_gym.robots import ROBOTS
+from tests.unit.task.hover import begin
 
 LEVEL = """
 [sim]
@@ -90,8 +91,7 @@ def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
 
 
 def test_a_level_is_flown(tmp_path: Path) -> None:
-    with task_registry.make_task(level(tmp_path), num_envs=50, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(level(tmp_path), 50) as task:
         task.step(torch.zeros(50, 4))
         start = task.env.gtd["robot_position"]
         assert task.env.dt == pytest.approx(0.01)
@@ -148,8 +148,7 @@ def test_disturbances_push_a_vehicle(tmp_path: Path) -> None:
     """
     ends = []
     for changes in ((), (("[env.randomizations.drone_pos]", DISTURBANCES.replace("scale = 0.001", "scale = 0.0")),)):
-        with task_registry.make_task(level(tmp_path, *changes), num_envs=200, device="cpu", seed=0) as task:
-            task.reset()
+        with begin(level(tmp_path, *changes), 200) as task:
             for _ in range(10):
                 task.step(torch.zeros(200, 4))
             ends.append(task.env.gtd["robot_linvel"].clone())

@@ -3,7 +3,8 @@
 import torch
 
 from aerial_gym.math.quaternion import quat_rotate
-from aerial_gym.task import Task, task_registry
+from aerial_gym.task import Task
+from tests.unit.task.hover import begin
 
 NAME, UPPER, LOWER = "racing_split_s_task", 3, 4
 """Numbers of the gates that stand one over the other."""
@@ -33,8 +34,7 @@ def move_robot(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
 
 
 def test_one_over_the_other_is_flown_through_back_and_forth() -> None:
-    with task_registry.make_task(NAME, num_envs=2, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 2) as task:
         at_gate(task, UPPER)
         put(task, -4.4, 3.5)
         task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 3.5]))
@@ -49,8 +49,7 @@ def test_one_over_the_other_is_flown_through_back_and_forth() -> None:
 
 
 def test_the_lower_one_is_not_passed_backwards_nor_at_the_height_of_the_upper_one() -> None:
-    with task_registry.make_task(NAME, num_envs=2, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 2) as task:
         at_gate(task, LOWER)
         task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 0.8]))
         info = move_robot(task, -4.6, 0.8)
@@ -62,8 +61,7 @@ def test_the_lower_one_is_not_passed_backwards_nor_at_the_height_of_the_upper_on
 
 
 def test_the_way_through_a_gate_is_told_three_ways_alike() -> None:
-    with task_registry.make_task(NAME, num_envs=7, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 7) as task:
         task.values.own["first_gate"].copy_(torch.arange(7))
         result = task._command.next_values({**dict(task.values), "begun": torch.ones(7, dtype=torch.bool)})
     ahead = quat_rotate(result["target_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(7, 3))
@@ -75,8 +73,7 @@ def test_the_way_through_a_gate_is_told_three_ways_alike() -> None:
 
 
 def test_episodes_of_a_training_begin_behind_any_gate_but_the_last_and_those_of_an_evaluation_do_not() -> None:
-    with task_registry.make_task(NAME, num_envs=2000, device="cpu", seed=0) as task:
-        task.reset()
+    with begin(NAME, 2000) as task:
         assert (task.values["target_index"] == 0).all()
         task.practise()
         task.reset()

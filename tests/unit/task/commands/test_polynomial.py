@@ -7,9 +7,9 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.task import Task, task_registry
+from aerial_gym.task import Task
 from aerial_gym.task.commands.polynomial import control_points, derivative, minimum_snap
-from tests.unit.task.hover import make
+from tests.unit.task.hover import begin, make
 
 LIMITS = {"max_speed": 8.0, "max_acceleration": 30.0}
 AT_REST = [(1, np.zeros(3)), (2, np.zeros(3)), (3, np.zeros(3))]
@@ -128,7 +128,6 @@ def test_tracks_that_cannot_be_are_refused(changes: dict[str, object], message: 
 
 
 def test_the_task_is_registered() -> None:
-    with task_registry.make_task("polynomial_tracking_task", num_envs=2, device="cpu") as task:
-        task.reset()
+    with begin("polynomial_tracking_task", 2) as task:
         task.step(torch.zeros(2, 4))
         assert task.values.own["target_velocity"].norm(dim=-1).max() < 2.5

@@ -14,6 +14,7 @@ from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.interop.rows import RowFunction
 from aerial_gym.task import Task, task_registry
 from tests.builders import simulation
+from tests.unit.task.hover import begin
 
 VIEWS = (
     "alias", "as_strided", "detach", "empty", "expand", "permute", "select", "slice", "split", "squeeze", "t", "transpose",
@@ -85,8 +86,7 @@ def test_a_reset_copies_its_mask_once() -> None:
             self.copied += "copy_" in func._schema.name and args[1].dtype == torch.bool
             return func(*args, **(kwargs or {}))
 
-    task = task_registry.make_task("navigation_task", num_envs=2, device="cpu", seed=0)
-    task.reset()
+    task = begin("navigation_task", 2)
     with Masks() as masks:
         task._begin(torch.tensor([True, False]))
     assert masks.copied == 1

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.task import task_registry
 from aerial_gym.task.terms import rewards as terms
+from tests.unit.task.hover import begin
 
 Values = Mapping[str, np.ndarray]
 
@@ -81,8 +82,7 @@ def test_the_reward_is_what_is_coded_there(name: str, formula: Callable[[Values]
 
 
 def test_a_crash_is_worth_what_it_is_there() -> None:
-    with task_registry.make_task("position_setpoint_task_morphy", num_envs=8, device="cpu", seed=2) as task:
-        task.reset()
+    with begin("position_setpoint_task_morphy", 8, seed=2) as task:
         for _ in range(200):
             _, reward, terminated, _, _ = task.step(-torch.ones(8, 4))
             if bool(terminated.any()):
@@ -96,8 +96,7 @@ def test_a_snake_starts_anywhere_in_its_bounds_heading_anywhere() -> None:
 
     Uniform draws of 400 starts fill more than 90 % of each range but for one in 1e17 tries (0.9^400 at either end).
     """
-    with task_registry.make_task("position_setpoint_task_reconfigurable", num_envs=400, device="cpu", seed=3) as task:
-        task.reset()
+    with begin("position_setpoint_task_reconfigurable", 400, seed=3) as task:
         gtd = task.env.gtd
         euler = Rotation.from_quat(gtd["robot_orientation"].double().numpy()).as_euler("ZYX")
         for seen, half in (

@@ -134,7 +134,7 @@ def test_a_clock_that_was_set_back_is_corrected_and_the_flight_is_the_same(table
     log = read_flight_log(write(set_back(table), tmp_path / "a.csv"))
     check_rows(log, table)
     assert any(note.values.get("line") == 452 for note in log.notes)
-    good, mended = load_tables(tmp_path, [table, set_back(table)])
+    good, mended = (load_tables(tmp_path, [each])[0] for each in (table, set_back(table)))
     np.testing.assert_allclose(mended.attitude, good.attitude, atol=1e-9)
     np.testing.assert_allclose(mended.time, good.time, atol=1e-9)
 
