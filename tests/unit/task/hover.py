@@ -81,12 +81,10 @@ def camera_task(num_envs: int, **given: Any) -> Task:
 
 def rich(num_envs: int, **given: Any) -> Task:
     """Return a task in which everything that remembers is used, and everything that is drawn."""
+    params = {"curve": "lemniscate", "size": (1.0, 1.0, 0.0), "period": 4.0, "random_phase": True}
     cfg = replace(
         task_registry.get("position_setpoint_task"),
-        command=CommandCfg(
-            generator="trajectory",
-            params={"curve": "lemniscate", "size": (1.0, 1.0, 0.0), "period": 4.0, "random_phase": True},
-        ),
+        command=CommandCfg(generator="trajectory", params=params),
         action=ActionCfg(delay_steps=(0, 3), filter_time_s=0.05),
         observations={
             "policy": (

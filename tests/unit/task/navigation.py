@@ -5,7 +5,7 @@ from dataclasses import replace
 from aerial_gym import task_registry
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.task import Task
-from tests.builders import simulation
+from tests.unit.task.hover import build_task
 
 
 def make_cfg(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None = None, **changes: object) -> TaskCfg:
@@ -21,6 +21,4 @@ def make_cfg(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None 
 
 def make(num_envs: int = 6, *, seed: int = 0, camera: bool = False, **changes: object) -> Task:
     """Return it; without its camera, which takes most of its time, unless asked for."""
-    cfg = make_cfg(task_registry.get("navigation_task"), camera=camera, **changes)
-    env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=num_envs, seed=seed)
-    return Task(cfg, env)
+    return build_task(make_cfg(task_registry.get("navigation_task"), camera=camera, **changes), num_envs, seed=seed)

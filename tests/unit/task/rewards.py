@@ -11,8 +11,7 @@ from aerial_gym.task.step.judge import EpisodeEnds
 
 def term_reward(task: Task, values: Mapping[str, Tensor], *, crash: Tensor | None = None) -> Tensor:
     """Return the reward of a task's terms for given states, (E,), in the float type of the states."""
-    rows = len(values["robot_position"])
-    no = torch.zeros(rows, dtype=torch.bool)
+    no = torch.zeros(len(values["robot_position"]), dtype=torch.bool)
     ended = no if crash is None else crash
     ends = EpisodeEnds(crash=ended, success=no, terminated=ended, truncated=no, arrived=no, causes=[])
     return task._judge._reward(values, ends)[1]

@@ -120,13 +120,10 @@ def test_other_rotors_lift_and_turn_as_a_quadrotor_would(controller: str, robot:
 
 def test_what_cannot_turn_about_each_axis_is_refused() -> None:
     robot = ROBOTS.get("base_quadrotor")
-    row = tuple(
-        replace(mount, position=(x, 0.0, 0.0))
-        for mount, x in zip(robot.mounts.layout, (0.2, 0.1, -0.1, -0.2), strict=True)
-    )
-    robot = replace(robot, mounts=replace(robot.mounts, layout=row))
+    places = zip(robot.mounts.layout, (0.2, 0.1, -0.1, -0.2), strict=True)
+    row = tuple(replace(mount, position=(x, 0.0, 0.0)) for mount, x in places)
     with pytest.raises(ConfigError, match="cannot lift this robot and turn it about each axis by itself"):
-        quadrotor_mix(robot)
+        quadrotor_mix(replace(robot, mounts=replace(robot.mounts, layout=row)))
 
 
 @pytest.mark.parametrize(

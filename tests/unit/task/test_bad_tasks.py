@@ -1,5 +1,6 @@
 """Tasks that cannot work, and tasks that are closed, say so in one sentence."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -10,7 +11,7 @@ from aerial_gym import task_registry
 from aerial_gym.env_manager import SimBuilder
 from aerial_gym.errors import CapabilityError, ClosedError, ConfigError, ShapeError
 from aerial_gym.rl_training import GymnasiumVectorEnv
-from aerial_gym.task import OBSERVATIONS, REWARDS, Task
+from aerial_gym.task import OBSERVATIONS, REWARDS
 from tests.unit.task.hover import begin
 
 NAMES = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
@@ -21,27 +22,17 @@ def test_terms_that_return_another_shape_are_refused(monkeypatch: pytest.MonkeyP
     """A reward (E, 1) would be spread to (E, E), a wider term would shift every entry after it."""
     reward, term = REWARDS.get("distance_bell"), OBSERVATIONS.get("position_error_world")
 
-    def column(robot_position: Tensor, *, height: float, width: float) -> Tensor:
-        return (height * width * robot_position)[:, :1]
+    def replace_reward(change: Callable[[Tensor], object]) -> object:
+        return replace(reward, value=lambda robot_position, *, height, width: change(robot_position * height * width))
 
-    def whole(robot_position: Tensor, *, height: float, width: float) -> Tensor:
-        return (height * width * robot_position)[:, 0].int()
-
-    def number(robot_position: Tensor, *, height: float, width: float) -> float:
-        return height * width * len(robot_position)
-
-    def wide(robot_position: Tensor) -> Tensor:
-        return torch.cat((robot_position, robot_position), dim=-1)
-
+    wide = replace(term, value=lambda robot_position: torch.cat((robot_position, robot_position), dim=-1))
+    column = r"reward 'near' \(distance_bell\): returns \(4, 1\) .*\(E,\) = \(4,\)"
+    whole = r"returns \(4,\) torch.int32, needs .* floating point"
     for registry, entry, message in (
-        (
-            REWARDS,
-            replace(reward, value=column),
-            r"reward 'near' \(distance_bell\): returns \(4, 1\) .*\(E,\) = \(4,\)",
-        ),
-        (REWARDS, replace(reward, value=whole), r"returns \(4,\) torch.int32, needs .* floating point"),
-        (REWARDS, replace(reward, value=number), "returns a float, needs a tensor"),
-        (OBSERVATIONS, replace(term, value=wide), r"observation term .*returns \(4, 6\) .*\(E, width\) = \(4, 3\)"),
+        (REWARDS, replace_reward(lambda rows: rows[:, :1]), column),
+        (REWARDS, replace_reward(lambda rows: rows[:, 0].int()), whole),
+        (REWARDS, replace_reward(lambda rows: float(len(rows))), "returns a float, needs a tensor"),
+        (OBSERVATIONS, wide, r"observation term .*returns \(4, 6\) .*\(E, width\) = \(4, 3\)"),
     ):
         with monkeypatch.context() as patch:
             patch.setitem(registry._entries, entry.name, entry)
@@ -65,19 +56,11 @@ def test_whatever_is_used_after_close_says_so() -> None:
     adapter.close()
     task.close()  # a second time does nothing
     env = task.env
-    for use in (
-        lambda: task.step(actions),
-        task.reset,
-        lambda: task.reset(seed=1),
-        lambda: env.step(actions),
-        env.reset,
-        env.render,
-        lambda: adapter.step(actions),
-        adapter.reset,
-    ):
+    tasks = (task.reset, lambda: task.step(actions), lambda: task.reset(seed=1))
+    envs = (env.reset, env.render, lambda: env.step(actions))
+    for use in (*tasks, *envs, adapter.reset, lambda: adapter.step(actions)):
         with pytest.raises(ClosedError, match="this simulation is closed. Build a new one"):
             use()
-    assert isinstance(task, Task)
 
 
 @pytest.mark.parametrize("width", [1, 3, 5])

@@ -48,12 +48,8 @@ def test_a_file_may_extend_a_registered_task(tmp_path: Path) -> None:
 
 
 def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
-    (tmp_path / "my_terms.py").write_text(
-        "from aerial_gym.task import REWARDS\n"
-        "@REWARDS.term()\n"
-        "def five_of_its_own(robot_position):\n"
-        "    return 5.0 + 0.0 * robot_position[:, 0]\n"
-    )
+    own = "@REWARDS.term()\ndef five_of_its_own(robot_position):\n    return 5.0 + 0.0 * robot_position[:, 0]\n"
+    (tmp_path / "my_terms.py").write_text(f"from aerial_gym.task import REWARDS\n{own}")
     task = task_registry.get("position_setpoint_task")
     rewards = {"five": RewardCfg(term="five_of_its_own")}
     file = tmp_path / "mine.yaml"
@@ -80,9 +76,8 @@ def test_what_is_no_task_is_refused(name: str, error: type[Exception], message: 
 
 
 def test_sim_environment_and_robot_can_be_replaced() -> None:
-    task = task_registry.make_task(
-        "position_setpoint_task", num_envs=2, device="cpu", sim="base_sim_2ms", env="landing_env", robot="tinyprop"
-    )
+    changes = {"sim": "base_sim_2ms", "env": "landing_env", "robot": "tinyprop"}
+    task = task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", **changes)
     assert task.env.dt == pytest.approx(0.002 * task.env.cfg.physics_steps_per_env_step)
     assert (task.cfg.sim, task.cfg.env, task.cfg.robot) == ("base_sim_2ms", "landing_env", "tinyprop")
     with pytest.raises(UnknownNameError, match="base_sim_2ms"):
@@ -93,9 +88,8 @@ def test_safe_navigation_is_navigation_but_for_what_it_says() -> None:
     task, safe = task_registry.get("navigation_task"), task_registry.get("safe_navigation_task")
     assert task.crash_reward == EndRewardCfg(value=-100.0)
     assert safe.crash_reward == EndRewardCfg(value=-300.0, difficulty_value=-3000.0)
-    assert [entry.term.replace("log_", "") for entry in safe.observations["policy"]] == [
-        entry.term for entry in task.observations["policy"]
-    ]
+    seen, expected = ([entry.term for entry in cfg.observations["policy"]] for cfg in (safe, task))
+    assert [term.replace("log_", "") for term in seen] == expected
     same = {"observations": task.observations, "crash_reward": task.crash_reward}
     assert replace(safe, **same, summary=task.summary, source=task.source) == task
 
@@ -111,9 +105,7 @@ def test_a_coarse_camera_shows_in_cells_what_the_camera_of_the_task_shows() -> N
     """Same rooms, same mounts: a cell of 15 pixels misses an edge now and then that one of 510 pixels sees (8 % by 0.5 m)."""
     seen = []
     for robot in (None, "base_quadrotor_with_coarse_camera"):
-        with task_registry.make_task(
-            "safe_navigation_task", num_envs=32, device="cpu", seed=1, robot=robot, level=44
-        ) as task:
+        with begin("safe_navigation_task", 32, seed=1, robot=robot, level=44) as task:
             observation, _ = task.reset()
             seen.append(observation["observations"][:, 17:].clone())
             assert observation["critic"].shape == (32, 89)
@@ -130,12 +122,10 @@ def test_a_task_may_say_how_flights_begin() -> None:
         gtd = task.env.gtd
         up = 1.0 - 2.0 * gtd["robot_orientation"][:, :2].square().sum(dim=-1)
         assert float(up.min()) < -0.9 < 0.9 < float(up.max())
-        for key, low, high in (
-            ("robot_linvel", cfg.start.lin_vel_low, cfg.start.lin_vel_high),
-            ("robot_body_angvel", cfg.start.ang_vel_low, cfg.start.ang_vel_high),
-        ):
-            assert low[0] <= float(gtd[key].min()) < 0.95 * low[0]
-            assert 0.95 * high[0] < float(gtd[key].max()) <= high[0]
+        for key, name in (("robot_linvel", "lin_vel"), ("robot_body_angvel", "ang_vel")):
+            low, high = (getattr(cfg.start, f"{name}_{end}")[0] for end in ("low", "high"))
+            assert low <= float(gtd[key].min()) < 0.95 * low
+            assert 0.95 * high < float(gtd[key].max()) <= high
         assert float(task.target_position.sub(gtd["robot_position"]).abs().max()) <= 0.3 + 1e-6
 
 

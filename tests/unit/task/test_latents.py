@@ -7,13 +7,12 @@ import pytest
 import torch
 
 from aerial_gym import task_registry
-from aerial_gym.config.task import TaskCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import load_settings, settings_for
 from aerial_gym.sensors.encoder.file import load_encoder, normalize_image
 from tests.unit.sensors.encoder.encoders import ROBOT, coarse_camera, random_encoder
-from tests.unit.task.hover import build_task
+from tests.unit.task.hover import begin, build_task
 
 
 @pytest.fixture
@@ -24,9 +23,7 @@ def encoder(tmp_path: Path) -> str:
 
 def test_latents_stand_where_cells_stood(encoder: str) -> None:
     """17 numbers of the state, then 64 latents of the image of this instant, also of rows that have just begun."""
-    with task_registry.make_task(
-        "navigation_task", num_envs=6, device="cpu", seed=1, robot=ROBOT, encoder=encoder
-    ) as task:
+    with begin("navigation_task", 6, seed=1, robot=ROBOT, encoder=encoder) as task:
         observation, _ = task.reset()
         for _ in range(3):
             expected = load_encoder(encoder)(normalize_image(task.env.gtd["depth_range_pixels"][:, 0], coarse_camera()))
@@ -38,9 +35,7 @@ def test_latents_stand_where_cells_stood(encoder: str) -> None:
 
 
 def test_critic_sees_them_as_well(encoder: str) -> None:
-    with task_registry.make_task(
-        "safe_navigation_task", num_envs=2, device="cpu", robot=ROBOT, encoder=encoder
-    ) as task:
+    with begin("safe_navigation_task", 2, robot=ROBOT, encoder=encoder) as task:
         observation, _ = task.reset()
         torch.testing.assert_close(observation["critic"][:, 17:81], observation["observations"][:, 17:81])
 
@@ -51,18 +46,10 @@ def test_what_has_no_place_for_them_is_told(encoder: str) -> None:
     with pytest.raises(ConfigError, match="knows images of 40 x 24 pixels .* sensor base_depth_camera has 240 x 135"):
         task_registry.make_task("navigation_task", num_envs=1, device="cpu", encoder=encoder)
     task = task_registry.get("navigation_task")
-    seen = tuple(
-        replace(entry, term="image_latents") if entry.term == "nearest_in_cells" else entry
-        for entry in task.observations["policy"]
-    )
-    assert task.encoder is None
+    entries = task.observations["policy"]
+    seen = tuple(replace(e, term="image_latents") if e.term == "nearest_in_cells" else e for e in entries)
     with pytest.raises(ConfigError, match=r"observation term 'image_latents': needs an encoder: --encoder FILE"):
-        _build(replace(task, robot=ROBOT, observations={"policy": seen}))
-
-
-def _build(cfg: TaskCfg) -> None:
-    with build_task(cfg, 1):
-        pass
+        build_task(replace(task, robot=ROBOT, observations={"policy": seen}), 1)
 
 
 def test_run_folder_keeps_its_encoder(encoder: str, tmp_path: Path) -> None:
@@ -72,5 +59,4 @@ def test_run_folder_keeps_its_encoder(encoder: str, tmp_path: Path) -> None:
     (tmp_path / "run").rename(tmp_path / "moved")
     result = RunFolder(tmp_path / "moved").config()
     assert result.encoder == str(tmp_path / "moved" / "encoder.pt")
-    assert result.encoder is not None
     load_encoder(result.encoder)

@@ -25,9 +25,7 @@ STAY = torch.zeros(4, 4)
 def make(num_envs: int = 4, **changes: object) -> Task:
     """Return the task without noise of its own, with the lidar of the Aerial Gym Simulator, which has none either."""
     quiet = {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}
-    cfg = replace(CFG, robot="base_quadrotor_with_dome_lidar", observations=quiet)
-    cfg = replace(cfg, **changes)
-    assert cfg.start is not None
+    cfg = replace(CFG, **{"robot": "base_quadrotor_with_dome_lidar", "observations": quiet} | changes)
     return build_task(cfg, num_envs, robot=replace(ROBOTS.get(cfg.robot), initial_state=cfg.start))
 
 
@@ -106,10 +104,8 @@ def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
 def test_cells_are_as_many_as_the_term_says() -> None:
     sizes = ((8, 10), (4, 5), (1, 1))
     policy = tuple(ObservationCfg(term="inverse_nearest", params={"rows": r, "columns": c}) for r, c in sizes)
-    policy += (
-        ObservationCfg(term="nearest_in_cells", params={"rows": 4, "columns": 5}),
-        ObservationCfg(term="nearest_in_8x8_cells"),
-    )
+    policy += (ObservationCfg(term="nearest_in_cells", params={"rows": 4, "columns": 5}),)
+    policy += (ObservationCfg(term="nearest_in_8x8_cells"),)
     task = make(2, observations={"policy": policy})
     seen = task.reset()[0]["observations"]
     fine, coarse, one, share, _ = seen.split((80, 20, 1, 20, 64), dim=-1)
@@ -138,17 +134,16 @@ def at_the_goal(**changes: list[float]) -> dict[str, Tensor]:
     return values | {"step_time": torch.tensor(0.1, dtype=torch.float64)}
 
 
+SAME = [2.0, 0.0, 1.0, 0.5]
+
+
 @pytest.mark.parametrize(
     ("state", "free", "hard"),
     [
         # all that counts at the goal: 3 + 5 + 20/20 + 2 1.5 + 2 + 4 + 1.5
         (at_the_goal(), 19.5, 58.5),
         # the same command as before: sizes 0.1 (exp(-1.2) - 1), 0.15 (exp(-1) - 1), 0.15 (exp(-0.5) - 1), times c k
-        (
-            at_the_goal(robot_actions=[2.0, 0.0, 1.0, 0.5], robot_prev_actions=[2.0, 0.0, 1.0, 0.5]),
-            19.5,
-            58.5 - 3.0 * 0.2237191,
-        ),
+        (at_the_goal(robot_actions=SAME, robot_prev_actions=SAME), 19.5, 58.5 - 3.0 * 0.2237191),
         # another one: 0.3 (exp(-5 du²) - 1) for changes by 0.5 and -1, and the size of 0.5
         (
             at_the_goal(robot_actions=[0.0, 0.5, 0.0, 0.0], robot_prev_actions=[0.0, 0.0, 1.0, 0.0]),

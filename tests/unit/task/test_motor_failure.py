@@ -15,9 +15,7 @@ NAME, HOVER = "motor_failure_task", -0.387
 
 def draws(task: Task) -> list[torch.Tensor]:
     """Return rotor, factor and moment, each (E,)."""
-    return [
-        task.env.draws()[f"effects.motor_failure.{label}"].flatten().clone() for label in ("motor", "scale", "time")
-    ]
+    return [task.env.draws()[f"effects.motor_failure.{key}"].flatten().clone() for key in ("motor", "scale", "time")]
 
 
 def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment() -> None:

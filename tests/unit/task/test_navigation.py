@@ -15,6 +15,7 @@ from aerial_gym.config.task_terms import ActionCfg, CommandCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.rl_training import evaluate
+from aerial_gym.sensors import SENSORS
 from aerial_gym.task import Task
 from aerial_gym.task.terms.actions import forward_flight
 from aerial_gym.task.terms.observations import direction_vehicle
@@ -23,7 +24,6 @@ from tests.unit.task.navigation import make
 from tests.unit.task.rewards import term_reward
 
 CFG = task_registry.get("navigation_task")
-assert CFG.command is not None
 RATIOS = (CFG.command.params["low"], CFG.command.params["high"])
 ROUNDING = 2e-6
 """Of distances below 20 m in float32 [m]."""
@@ -75,9 +75,7 @@ def bells(d: float) -> float:
         (make_state([0.3, 0.0, -0.4], prev_distance=0.3, difficulty=1.0), 3.0 * (bells(0.5) - 4.0 + 19.5 / 20)),
         # forward velocity changed by 1, upward by -1, yaw rate by 0.5, sideways does not count; level 0
         (
-            make_state(
-                [0.0, 0.0, 0.0], prev_distance=0.0, actions=[2.0, 9.0, 0.0, 0.5], prev_actions=[1.0, 0.0, 1.0, 0.0]
-            ),
+            make_state([0.0] * 3, prev_distance=0.0, actions=[2.0, 9.0, 0.0, 0.5], prev_actions=[1.0, 0.0, 1.0, 0.0]),
             11.0 + 0.8 * (exp(-3.333) + exp(-5.0) + exp(-3.33 / 4) - 3.0),
         ),
         # half way up the levels: k = 2, and half of the penalties of the command's own size
@@ -163,8 +161,6 @@ def test_the_observation_is_laid_out_as_documented() -> None:
 
 def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
     """The camera of the task marks far and near alike by -1: such a cell is far. A normalised one tells them apart."""
-    from aerial_gym.sensors import SENSORS
-
     camera = SENSORS.get("base_depth_camera")
     assert camera.far_pixel == camera.near_pixel == -1.0
     sensors = make(1, camera=True).env.sensor_manager
@@ -173,21 +169,18 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
 
 def scene_distance(task: Task, points: Tensor) -> Tensor:
     """Return the clearance of the robot's collision spheres at points (E, 3) [m], (E,)."""
-    num = len(points)
-    out = torch.full((num,), float("nan"))
-    upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
+    out = torch.full((len(points),), float("nan"))
+    upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(len(points), 4).contiguous()
     spheres = task.env.robot_manager.cfg.collision.spheres
     CollisionTest(task.env.asset_manager.scene, spheres, position=points, attitude=upright, distance_out=out).measure()
     return out
 
 
-@pytest.mark.parametrize(
-    "name",
-    rare_values(
-        (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).track is None),
-        ("forest_env", "env_with_lidar_nav_obstacles", "landing_platform_env"),
-    ),
-)
+OPEN = (name for name in ENVIRONMENTS.names() if ENVIRONMENTS.get(name).track is None)
+RARE = ("forest_env", "env_with_lidar_nav_obstacles", "landing_platform_env")
+
+
+@pytest.mark.parametrize("name", rare_values(OPEN, RARE))
 def test_no_episode_starts_or_aims_inside_or_near_an_obstacle(name: str) -> None:
     """1000 episodes in every environment; half of them begin in a masked reset within a step."""
     task = make(250, env=name, curriculum=None, episode_len_steps=1)
@@ -277,26 +270,26 @@ def test_evaluation_tells_successes_crashes_and_timeouts_apart() -> None:
 
 
 def test_tasks_that_do_not_fit_together_are_refused() -> None:
-    with pytest.raises(ConfigError, match="term 'nearest_in_cells': robot base_quadrotor has no camera or lidar"):
-        make(1, camera=True, robot="base_quadrotor")
+    blind, attitude = {"camera": True, "robot": "base_quadrotor"}, {"controller": "lee_attitude_control"}
+    flight = {"transform": "forward_flight", "params": {"max_speed": 2.0}}
+    for changes, message in (
+        (blind, "term 'nearest_in_cells': robot base_quadrotor has no camera or lidar"),
+        ({"action": ActionCfg(**flight)}, "action forward_flight: parameter 'max_inclination' is missing"),
+        (attitude, r"forward_flight: gives vx .*; controller lee_attitude_control takes thrust"),
+        (
+            attitude | {"action": ActionCfg()},
+            r"reward 'forward_change': term .* is about vx .*; controller lee_attitude_co",
+        ),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            make(1, **changes)
+    low, high = RATIOS
+    for wrong in (((0.95, 0.1, 0.1), high), ((-0.1, 0.1, 0.1), high), (low, (0.94, 0.88, float("nan")))):
+        params = dict(zip(("low", "high"), wrong, strict=True))
+        with pytest.raises(ConfigError, match="command drawn_point: .* 0 <= low <= high <= 1"):
+            make(1, command=CommandCfg(generator="drawn_point", params=params))
     with pytest.raises(UnknownNameError, match="no action 'backward_flight'. .*Known: affine, direct, forward_flight"):
         make(1, action=ActionCfg(transform="backward_flight"))
-    with pytest.raises(ConfigError, match="action forward_flight: parameter 'max_inclination' is missing"):
-        make(1, action=ActionCfg(transform="forward_flight", params={"max_speed": 2.0}))
-    with pytest.raises(ConfigError, match=r"forward_flight: gives vx .*; controller lee_attitude_control takes thrust"):
-        make(1, controller="lee_attitude_control")
-    with pytest.raises(
-        ConfigError,
-        match=r"reward 'forward_change': term .* is about vx .*; controller lee_attitude_control takes thrust",
-    ):
-        make(1, controller="lee_attitude_control", action=ActionCfg())
-    for low, high in (
-        ((0.95, 0.1, 0.1), RATIOS[1]),
-        ((-0.1, 0.1, 0.1), RATIOS[1]),
-        (RATIOS[0], (0.94, 0.88, float("nan"))),
-    ):
-        with pytest.raises(ConfigError, match="command drawn_point: .* 0 <= low <= high <= 1"):
-            make(1, command=CommandCfg(generator="drawn_point", params={"low": low, "high": high}))
     goal = CFG.terminations["goal"]
     with pytest.raises(ConfigError, match=r"radius = 0.0: must be > 0"):
         replace(CFG, terminations={**CFG.terminations, "goal": replace(goal, params={"radius": 0.0})})

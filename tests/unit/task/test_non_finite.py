@@ -12,27 +12,21 @@ import torch
 
 from aerial_gym import task_registry
 from aerial_gym.cli.main import main
+from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.finite_watch import KEPT_STEPS
 from aerial_gym.robots.non_finite_rows import NonFinite
 from aerial_gym.task import OBSERVATIONS, REWARDS, Task
-from tests.builders import simulation
 from tests.repetitions import frequent_values
+from tests.unit.task.hover import build_task
 
 BAD = 2
 """The row that is spoilt, of four."""
 
 
 def make(backend: str = "auto") -> Task:
-    task = task_registry.make_task("position_setpoint_task", num_envs=4, device="cpu", seed=3)
-    if backend == "torch":
-        task.close()
-        from aerial_gym.env_manager.catalog import SIMS
-
-        sim = replace(SIMS.get(task.cfg.sim), backend="torch")
-        env = simulation(task.cfg.robot, task.cfg.controller, sim=sim, env=task.cfg.env, num_envs=4, seed=3)
-        task = Task(task.cfg, env)
-    return task
+    cfg = task_registry.get("position_setpoint_task")
+    return build_task(replace(cfg, sim=replace(SIMS.get(cfg.sim), backend=backend)), 4, seed=3)
 
 
 def check(task: Task, actions: torch.Tensor, twin: Task) -> None:

@@ -27,17 +27,12 @@ def put(task: Task, *, above: float, speed: float, beside: float = 0.0) -> None:
     state.ang_vel.zero_()
 
 
-def hover_actions(num: int) -> Tensor:
-    """Return the actions of thrust as heavy as the vehicle."""
-    return torch.zeros(num, 4)
-
-
 def test_the_target_stands_on_the_platform_and_drives_with_it() -> None:
     """Its velocity is what its place changes by, at a speed of 0.2 to 0.8 m/s that differs between environments."""
     with begin(NAME, 16) as task:
         for _ in range(5):
             before, velocity = task.target_position.clone(), task.values["target_velocity"].clone()
-            task.step(hover_actions(16))
+            task.step(torch.zeros(16, 4))  # the weight
             torch.testing.assert_close(task.target_position, before + task.env.dt * velocity, atol=1e-5, rtol=0.0)
         assert task.target_position[:, 2].tolist() == pytest.approx([STANDS] * 16)
         speed = velocity.norm(dim=-1)
@@ -45,8 +40,7 @@ def test_the_target_stands_on_the_platform_and_drives_with_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("speed", "beside", "ended"),
-    [(0.3, 0.0, "landed"), (0.7, 0.0, "missed"), (0.3, 0.37, "missed"), (1.3, 0.0, "hard")],
+    ("speed", "beside", "ended"), [(0.3, 0, "landed"), (0.7, 0, "missed"), (0.3, 0.37, "missed"), (1.3, 0, "hard")]
 )
 def test_a_touchdown_is_near_and_slow(speed: float, beside: float, ended: str) -> None:
     """From 5 mm above: slow on its middle, too fast, on its edge, and as fast as a crash."""
@@ -54,7 +48,7 @@ def test_a_touchdown_is_near_and_slow(speed: float, beside: float, ended: str) -
         put(task, above=0.005, speed=speed, beside=beside)
         task.values.own["previous_relative_velocity"].copy_(torch.tensor([0.0, 0.0, -speed]))
         for _ in range(6):
-            *_, info = task.step(hover_actions(4))
+            *_, info = task.step(torch.zeros(4, 4))
             if info["crashes"].any() or info["successes"].any():
                 break
         means = task.episode_means()
@@ -81,7 +75,7 @@ def fly(num: int, backend: str, first: int = 0) -> tuple[Tensor, Tensor]:
     with begin(NAME, num, seed=5, backend=backend, first_env=first) as task:
         put(task, above=0.05, speed=0.0)
         for _ in range(10):
-            task.step(hover_actions(num))
+            task.step(torch.zeros(num, 4))
         assert (task.env.gtd["surface_height"] - 0.2).abs().max() < 1e-6
         return task.env.gtd["robot_position"].clone(), task.env.draws()["effects.ground_effect.k"].flatten().clone()
 

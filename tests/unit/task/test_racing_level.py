@@ -6,8 +6,6 @@ import pytest
 import torch
 
 from aerial_gym import task_registry
-from aerial_gym.config.environment import EnvironmentCfg
-from aerial_gym.config.task import TaskCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.settings import settings_for
 from aerial_gym.robots import ROBOTS
@@ -60,19 +58,13 @@ def level(folder: Path, *changes: tuple[str, str], drawn: bool = False) -> str:
     return str(path)
 
 
-def task_environment(task: TaskCfg) -> EnvironmentCfg:
-    return task.env
-
-
 def test_a_level_has_the_numbers_of_its_file(tmp_path: Path) -> None:
     task = task_registry.get(level(tmp_path))
-    env = task_environment(task)
+    env = task.env
     track, start = env.track, task.start
     assert (task.sim, env.physics_steps_per_env_step) == ("base_sim_2ms", 5)  # 500 Hz, 100 Hz
-    assert [(gate.position, gate.euler) for gate in track.gates] == [
-        ((1.0, 2.0, 0.75), (0.0, 0.1, 1.5)),
-        ((-1.0, 0.5, 1.25), (0.0, 0.0, -1.0)),
-    ]
+    gates = [((1.0, 2.0, 0.75), (0.0, 0.1, 1.5)), ((-1.0, 0.5, 1.25), (0.0, 0.0, -1.0))]
+    assert [(gate.position, gate.euler) for gate in track.gates] == gates
     assert (track.poles, track.layout) == (((0.25, 0.5, 1.5),), None)
     assert (track.gate_position_low, track.gate_position_high) == ((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3))
     assert (track.gate_euler_low, track.gate_euler_high) == ((0.0, -0.01, -0.02), (0.0, 0.01, 0.02))
@@ -101,7 +93,7 @@ def test_a_level_is_flown(tmp_path: Path) -> None:
 
 def test_a_drawn_track_lies_within_the_safety_limits(tmp_path: Path) -> None:
     task = task_registry.get(level(tmp_path, drawn=True))
-    track, start = task_environment(task).track, task.start
+    track, start = task.env.track, task.start
     assert (track.layout.lower, track.layout.upper) == (pytest.approx((-1.9, -1.3)), pytest.approx((2.1, 1.1)))
     assert start.position_ratio_low == pytest.approx((0.6 / 6.0, 1.2 / 6.0, 0.1 / 2.5))
     assert start.position_ratio_high == pytest.approx((5.6 / 6.0, 4.6 / 6.0, 0.125 / 2.5))
@@ -112,7 +104,7 @@ def test_what_is_not_drawn_is_as_it_is_listed(tmp_path: Path) -> None:
     text = Path(path).read_text(encoding="utf-8").partition("[env.randomizations")[0]
     Path(path).write_text(text, encoding="utf-8")
     task = task_registry.get(path)
-    track = task_environment(task).track
+    track = task.env.track
     assert not task.randomize
     assert track.gate_position_low == track.gate_position_high == (0.0, 0.0, 0.0)
 
@@ -127,15 +119,15 @@ kwargs = {minval = [-0.1, -0.2, -0.3], maxval = [0.1, 0.2, 0.3]}
 [env.randomizations.drone_pos]"""
 
 
+DRAWN = "[env.randomizations.drone_pos]"
+
+
 def test_disturbances_are_a_random_force_at_500_hz_and_noise_on_commands(tmp_path: Path) -> None:
-    path = level(tmp_path, ("[env.randomizations.drone_pos]", DISTURBANCES))
-    task = task_registry.get(path)
+    task = task_registry.get(level(tmp_path, (DRAWN, DISTURBANCES)))
     assert task.action.noise_std == 0.001
     drawn = {name: (cfg.how, cfg.low, cfg.high) for name, cfg in task.randomize.items() if "force" in name}
-    assert drawn == {
-        f"effects.random_force.{name}": ("value", value, value)
-        for name, value in {"x": 0.1, "y": 0.2, "z": 0.3, "hold": 0.002}.items()
-    }
+    numbers = {"x": 0.1, "y": 0.2, "z": 0.3, "hold": 0.002}
+    assert drawn == {f"effects.random_force.{name}": ("value", value, value) for name, value in numbers.items()}
     plain = task_registry.get(level(tmp_path))
     assert plain.action.noise_std == 0.0
     assert not any("force" in name for name in plain.randomize)
@@ -147,7 +139,7 @@ def test_disturbances_push_a_vehicle(tmp_path: Path) -> None:
     The attitude loop does not see a force at the centre of mass; drag at these 3 cm/s is less than a hundredth of it.
     """
     ends = []
-    for changes in ((), (("[env.randomizations.drone_pos]", DISTURBANCES.replace("scale = 0.001", "scale = 0.0")),)):
+    for changes in ((), ((DRAWN, DISTURBANCES.replace("scale = 0.001", "scale = 0.0")),)):
         with begin(level(tmp_path, *changes), 200) as task:
             for _ in range(10):
                 task.step(torch.zeros(200, 4))
@@ -162,37 +154,25 @@ def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("old", "new", "message"),
     [
-        ((("cf21B_500", "cf2x_L250"),), "sim.drone_model = 'cf2x_L250': only cf21B_500 is known"),
-        ((("freq = 500", "freq = 400"),), "sim.freq = 400: no sim has this frequency. Known: 100, 500, 250 Hz"),
-        ((("freq = 100", "freq = 150"),), "env.freq = 150: must divide sim.freq = 500"),
-        ((('fn = "uniform"', 'fn = "normal"'),), "drone_pos.fn = 'normal': must be 'uniform'"),
-        ((("randomizations.drone_pos", "randomizations.drone_place"),), "drone_place: unknown. Known: drone_pos"),
-        ((("sensor_range = 0.9", ""),), "field 'sensor_range' is missing"),
-        ((("[sim]", "[sim"),), "no level can be read"),
-        ((("minval = [-0.1, -0.2, -0.3]", "minval = [-0.1, -0.2]"),), "level.toml: "),
-        (
-            (("[env.randomizations.drone_pos]", "[env.disturbances.wind]\n[env.randomizations.drone_pos]"),),
-            "wind: unknown",
-        ),
-        (
-            (("[env.randomizations.drone_pos]", DISTURBANCES.replace("0.1, 0.2, 0.3", "0.1, 0.2, 0.4")),),
-            "dynamics: minval = .* must be opposite",
-        ),
-        (
-            (("[env.randomizations.drone_pos]", DISTURBANCES.replace('"normal"', '"uniform"')),),
-            "action.fn = 'uniform': must be 'normal'",
-        ),
-        (
-            (("[env.randomizations.drone_pos]", DISTURBANCES.replace('"uniform"', '"normal"', 1)),),
-            "dynamics.fn = 'normal': must be 'uniform'",
-        ),
+        ("cf21B_500", "cf2x_L250", "sim.drone_model = 'cf2x_L250': only cf21B_500 is known"),
+        ("freq = 500", "freq = 400", "sim.freq = 400: no sim has this frequency. Known: 100, 500, 250 Hz"),
+        ("freq = 100", "freq = 150", "env.freq = 150: must divide sim.freq = 500"),
+        ('fn = "uniform"', 'fn = "normal"', "drone_pos.fn = 'normal': must be 'uniform'"),
+        ("randomizations.drone_pos", "randomizations.drone_place", "drone_place: unknown. Known: drone_pos"),
+        ("sensor_range = 0.9", "", "field 'sensor_range' is missing"),
+        ("[sim]", "[sim", "no level can be read"),
+        ("minval = [-0.1, -0.2, -0.3]", "minval = [-0.1, -0.2]", "level.toml: "),
+        (DRAWN, f"[env.disturbances.wind]\n{DRAWN}", "wind: unknown"),
+        (DRAWN, DISTURBANCES.replace("0.1, 0.2, 0.3", "0.1, 0.2, 0.4"), "dynamics: minval = .* must be opposite"),
+        (DRAWN, DISTURBANCES.replace('"normal"', '"uniform"'), "action.fn = 'uniform': must be 'normal'"),
+        (DRAWN, DISTURBANCES.replace('"uniform"', '"normal"', 1), "dynamics.fn = 'normal': must be 'uniform'"),
     ],
 )
-def test_levels_that_cannot_be_are_refused(tmp_path: Path, changes: tuple[tuple[str, str], ...], message: str) -> None:
+def test_levels_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        task_registry.get(level(tmp_path, *changes))
+        task_registry.get(level(tmp_path, (old, new)))
 
 
 def test_a_level_that_is_not_there_is_named() -> None:

@@ -1,7 +1,7 @@
 """The radar navigation task: how it differs from the lidar navigation task, and what it sees."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from math import exp, pi
 
 import pytest
@@ -35,12 +35,8 @@ def task() -> Task:
 def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
     *state, cells = CFG.observations["policy"]
     unseen = CFG.rewards["unseen"]
-    assert (cells.term, cells.dropout, cells.dropout_value, unseen.params["looks"]) == (
-        "inverse_nearest",
-        SHARE,
-        -1.0,
-        1.0,
-    )
+    told = (cells.term, cells.dropout, cells.dropout_value, unseen.params["looks"])
+    assert told == ("inverse_nearest", SHARE, -1.0, 1.0)
     assert (CFG.env, CFG.robot, CFG.start) == ("env_with_obstacles", "lmf2_radar", None)
     assert (CFG.curriculum.min_level, CFG.curriculum.max_level) == (25, task().env.asset_manager.num_assets)
     as_lidar = replace(
@@ -147,13 +143,10 @@ def test_it_is_trained_with_the_settings_of_the_lidar_task() -> None:
 
 
 def test_the_held_radar_has_a_larger_memory_of_its_own_and_the_settings_of_the_lidar_task_on_a_cpu() -> None:
-    own, lidar = (
-        settings_for("ppo", name, device="meta") for name in ("radar_navigation_task_held", "lidar_navigation_task")
-    )
-    assert load_settings(own).task == "radar_navigation_task_held"
-    numbers, rest = (load_settings(file).learner for file in (own, lidar))
+    file = partial(settings_for, "ppo", "radar_navigation_task_held")
+    lidar = {device: settings_for("ppo", "lidar_navigation_task", device=device) for device in ("meta", "cpu")}
+    assert load_settings(file(device="meta")).task == "radar_navigation_task_held"
+    numbers, rest = (load_settings(each).learner for each in (file(device="meta"), lidar["meta"]))
     assert replace(numbers, memory=rest.memory, horizon=rest.horizon) == rest
     assert (numbers.memory, numbers.horizon) == (2 * rest.memory, 2 * rest.horizon)
-    assert settings_for("ppo", "radar_navigation_task_held", device="cpu") == settings_for(
-        "ppo", "lidar_navigation_task", device="cpu"
-    )
+    assert file(device="cpu") == lidar["cpu"]

@@ -96,12 +96,8 @@ def test_a_step_neither_keeps_nor_changes_the_action_tensor() -> None:
 
 
 def make_state(position: list[float], *, attitude: list[float], ang_vel: list[float]) -> dict[str, torch.Tensor]:
-    rows = {
-        "target_position": [0.0] * 3,
-        "robot_position": position,
-        "robot_orientation": attitude,
-        "robot_body_angvel": ang_vel,
-    }
+    rows = {"target_position": [0.0] * 3, "robot_position": position, "robot_orientation": attitude}
+    rows |= {"robot_body_angvel": ang_vel}
     return {name: torch.tensor([row], dtype=torch.float64) for name, row in rows.items()}
 
 

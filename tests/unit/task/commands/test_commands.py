@@ -32,13 +32,8 @@ def test_a_point_is_where_it_is_said() -> None:
 
 
 def test_a_task_without_a_target_has_no_distance() -> None:
-    task = make(
-        3,
-        command=None,
-        policy=(ObservationCfg(term="lin_vel_body"),),
-        rewards={"slow": RewardCfg(term="slow", params={"height": 1.0, "width": 1.0})},
-        terminations=CONTACT,
-    )
+    rewards = {"slow": RewardCfg(term="slow", params={"height": 1.0, "width": 1.0})}
+    task = make(3, command=None, policy=(ObservationCfg(term="lin_vel_body"),), rewards=rewards, terminations=CONTACT)
     task.reset()
     *_, info = task.step(STAY)
     assert "distance" not in info
@@ -46,15 +41,9 @@ def test_a_task_without_a_target_has_no_distance() -> None:
         _ = task.target_position
 
 
-def make_task(num_envs: int, *, seed: int = 0, first_env: int = 0, generator: str = "drawn_pose") -> Task:
-    params = {"low": (0.1, 0.2, 0.3), "high": (0.9, 0.8, 0.7)}
-    task = make(
-        num_envs,
-        seed=seed,
-        first_env=first_env,
-        command=CommandCfg(generator=generator, params=params),
-        episode_len_steps=1,
-    )
+def make_task(num_envs: int) -> Task:
+    command = CommandCfg(generator="drawn_pose", params={"low": (0.1, 0.2, 0.3), "high": (0.9, 0.8, 0.7)})
+    task = make(num_envs, command=command, episode_len_steps=1)
     task.reset()
     return task
 
@@ -135,9 +124,8 @@ def test_a_trajectory_is_a_function_of_the_time_in_the_episode(curve: str) -> No
     torch.testing.assert_close(obs["observations"], reference_motion(0.0), rtol=0.0, atol=1e-5)
     for step in range(1, 17):
         obs, *_, info = task.step(STAY)
-        torch.testing.assert_close(
-            info["final_observation"], reference_motion(0.01 * ((step - 1) % 7 + 1)), rtol=0.0, atol=1e-5
-        )
+        final = reference_motion(0.01 * ((step - 1) % 7 + 1))
+        torch.testing.assert_close(info["final_observation"], final, rtol=0.0, atol=1e-5)
         torch.testing.assert_close(obs["observations"], reference_motion(0.01 * (step % 7)), rtol=0.0, atol=1e-5)
 
 
@@ -157,14 +145,10 @@ GATES = {"centers": ((1.0, 0.0, 0.0), (1.0, 2.0, 0.0)), "yaws": (0.0, pi / 2), "
 
 
 def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
-    rewards = {"gate": RewardCfg(term="gate_passed")}
-    ends = {
-        "missed": TerminationCfg(term="gate_missed", kind="crash"),
-        "done": TerminationCfg(term="sequence_done", kind="success"),
-    }
-    task = make(
-        3, command=CommandCfg(generator="gates", params=GATES), rewards=rewards, terminations=ends, crash_reward=None
-    )
+    rewards, kinds = {"gate": RewardCfg(term="gate_passed")}, {"gate_missed": "crash", "sequence_done": "success"}
+    ends = {term: TerminationCfg(term=term, kind=kind) for term, kind in kinds.items()}
+    command = CommandCfg(generator="gates", params=GATES)
+    task = make(3, command=command, rewards=rewards, terminations=ends, crash_reward=None)
     task.reset()
     task.values["previous_position"].copy_(torch.tensor([[0.9, 0.4, 0.2], [0.9, 0.0, 0.0], [1.1, 0.0, 0.0]]))
     result = []
@@ -188,29 +172,23 @@ def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "message"),
+    ("generator", "params", "message"),
     [
-        (CommandCfg(generator="points"), "no command generator 'points'. Did you mean 'point'"),
-        (CommandCfg(generator="point", params={"place": 1.0}), "command point: no parameter 'place'. .*takes position"),
-        (CommandCfg(generator="point", params={"position": (1.0, 2.0)}), "position = .*: must have 3 entries"),
-        (CommandCfg(generator="sequence", params={"points": ()}), "parameter 'radius' is missing"),
-        (CommandCfg(generator="sequence", params={"points": (), "radius": 1.0}), "needs at least one point"),
-        (CommandCfg(generator="sequence", params={"points": POINTS, "radius": 0.0}), "radius = 0.0: must be > 0"),
-        (CommandCfg(generator="gates", params={**GATES, "yaws": (0.0,)}), "2 centers and 1 yaws: needs one of each"),
-        (CommandCfg(generator="gates", params={**GATES, "width": -1.0}), "width = -1.0, height = 0.6: must be > 0"),
-        (
-            CommandCfg(generator="trajectory", params={"curve": "square", "size": (1.0, 1.0, 1.0), "period": 1.0}),
-            "no curve 'square'. Known: circle, lemniscate, helix",
-        ),
-        (
-            CommandCfg(generator="trajectory", params={"curve": "circle", "size": (1.0, 1.0, 1.0), "period": 0.0}),
-            "period = 0.0: must be > 0",
-        ),
+        ("points", {}, "no command generator 'points'. Did you mean 'point'"),
+        ("point", {"place": 1.0}, "command point: no parameter 'place'. .*takes position"),
+        ("point", {"position": (1.0, 2.0)}, "position = .*: must have 3 entries"),
+        ("sequence", {"points": ()}, "parameter 'radius' is missing"),
+        ("sequence", {"points": (), "radius": 1.0}, "needs at least one point"),
+        ("sequence", {"points": POINTS, "radius": 0.0}, "radius = 0.0: must be > 0"),
+        ("gates", {**GATES, "yaws": (0.0,)}, "2 centers and 1 yaws: needs one of each"),
+        ("gates", {**GATES, "width": -1.0}, "width = -1.0, height = 0.6: must be > 0"),
+        ("trajectory", {"curve": "square", "size": (1.0,) * 3, "period": 1.0}, "no curve 'square'. Known: circle, lem"),
+        ("trajectory", {"curve": "circle", "size": (1.0,) * 3, "period": 0.0}, "period = 0.0: must be > 0"),
     ],
 )
-def test_generators_that_cannot_be_are_refused(command: CommandCfg, message: str) -> None:
+def test_generators_that_cannot_be_are_refused(generator: str, params: dict[str, object], message: str) -> None:
     with pytest.raises((ConfigError, UnknownNameError), match=message):
-        make(1, command=command)
+        make(1, command=CommandCfg(generator=generator, params=params))
 
 
 def test_a_generator_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,12 +218,8 @@ def test_a_term_that_is_no_part_of_the_kernel_sees_the_target_of_the_instant(mon
     params = {"curve": "circle", "size": (2.0, 1.0, 0.5), "period": 0.5}
     middle = Term(name="middle", value=lambda target_position: target_position.median(dim=-1).values)
     monkeypatch.setitem(REWARDS._entries, "middle", middle)
-    task = make(
-        3,
-        command=CommandCfg(generator="trajectory", params=params),
-        rewards={"middle": RewardCfg(term="middle")},
-        terminations=CONTACT,
-    )
+    command = CommandCfg(generator="trajectory", params=params)
+    task = make(3, command=command, rewards={"middle": RewardCfg(term="middle")}, terminations=CONTACT)
     task.reset()
     for step in range(1, 6):
         _, reward, *_ = task.step(STAY)

@@ -9,7 +9,7 @@ from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.task import Task
 from aerial_gym.task.commands.polynomial import control_points, derivative, minimum_snap
-from tests.unit.task.hover import begin, make
+from tests.unit.task.hover import make
 
 LIMITS = {"max_speed": 8.0, "max_acceleration": 30.0}
 AT_REST = [(1, np.zeros(3)), (2, np.zeros(3)), (3, np.zeros(3))]
@@ -125,9 +125,3 @@ def test_tracks_that_cannot_be_are_refused(changes: dict[str, object], message: 
     params = {"size": [1.0, 1.0, 1.0], **LIMITS, **changes}
     with pytest.raises(ConfigError, match=f"command polynomial: .*{message}"):
         make(1, command=CommandCfg(generator="polynomial", params=params))
-
-
-def test_the_task_is_registered() -> None:
-    with begin("polynomial_tracking_task", 2) as task:
-        task.step(torch.zeros(2, 4))
-        assert task.values.own["target_velocity"].norm(dim=-1).max() < 2.5

@@ -16,14 +16,13 @@ from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.task import Task
 from aerial_gym.task.commands.gates import crossing
 from aerial_gym.task.terms.gate_path import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, gate_path_direction, gate_path_length
-from tests.builders import simulation
-from tests.unit.task.hover import make
+from tests.unit.task.hover import begin, build_task, make
 
 STAY = torch.zeros(1, 4)
 
 
 def race(num_envs: int, *, name: str = "racing_task", seed: int = 0, first_env: int = 0) -> Task:
-    return task_registry.make_task(name, num_envs=num_envs, device="cpu", seed=seed, first_env=first_env)
+    return begin(name, num_envs, seed=seed, first_env=first_env)
 
 
 def in_gate(task: Task, gate: int, place: tuple[float, float, float]) -> Tensor:
@@ -64,7 +63,6 @@ def test_a_crossing_is_that_of_the_straight_line(before, now, expected) -> None:
 def test_every_drawn_gate_is_passed_where_it_stands() -> None:
     """Each of 50 environments has gates of its own, tilted and turned; the flight goes by teleport along their axes."""
     task = race(50)
-    task.reset()
     done = torch.zeros(50)
     for gate in range(4):
         assert task.values["target_index"].tolist() == [gate] * 50
@@ -90,7 +88,6 @@ def test_every_drawn_gate_is_passed_where_it_stands() -> None:
 )
 def test_from_behind_and_beside_is_no_passage(before, place, passed, missed) -> None:
     task = race(20)
-    task.reset()
     task.values["previous_position"].copy_(in_gate(task, 0, before))
     put(task, in_gate(task, 0, place))
     *_, info = task.step(torch.zeros(20, 4))
@@ -108,7 +105,6 @@ def gate_offsets(task: Task, obs: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
 def test_a_gate_is_known_exactly_once_it_was_close() -> None:
     """Seen from above: 0.71 m away it is where it should be, 0.69 m away, at any height, where it is; and so it stays."""
     task = race(30)
-    task.reset()
     gtd, ahead = task.env.gtd, torch.tensor([[1.0, 0.0, 0.0]]).expand(30, 3)
     there, should = gtd["gate_position"][:, 0].clone(), gtd["gate_nominal_position"][:, 0].clone()
     turned = [quat_rotate(gtd[key][:, 0], ahead) for key in ("gate_orientation", "gate_nominal_orientation")]
@@ -126,7 +122,6 @@ def test_a_gate_is_known_exactly_once_it_was_close() -> None:
 
 def test_poles_are_told_nearest_first() -> None:
     task = race(40)
-    task.reset()
     for k in range(3):
         put(task, torch.tensor([[0.3 * k, 0.2, 1.9]]).expand(40, 3))
         obs, *_ = task.step(torch.zeros(40, 4))
@@ -172,7 +167,6 @@ def test_the_way_leads_where_it_gets_shorter() -> None:
 
 def test_the_way_ahead_is_told_in_the_vehicle_frame() -> None:
     task = race(20)
-    task.reset()
     gtd, ahead = task.env.gtd, torch.tensor([[1.0, 0.0, 0.0]]).expand(20, 3)
     put(task, in_gate(task, 0, (-0.2, 0.0, 0.0)))
     obs, *_ = task.step(torch.zeros(20, 4))
@@ -186,7 +180,6 @@ def test_the_way_ahead_is_told_in_the_vehicle_frame() -> None:
 
 def test_what_is_rewarded_is_the_way_from_gate_to_gate() -> None:
     task = race(20)
-    task.reset()
     column = task.reward_names.index("way")
     put(task, in_gate(task, 0, (-0.2, 0.0, 0.0)))
     task.step(torch.zeros(20, 4))
@@ -206,7 +199,6 @@ def test_what_is_rewarded_is_the_way_from_gate_to_gate() -> None:
 def test_only_a_training_begins_behind_gates() -> None:
     task = race(3000)
     params = task.cfg.command.params
-    task.reset()
     assert not task.values["first_gate"].any()
     start = task.env.gtd["robot_position"].clone()
     task.practise()
@@ -267,7 +259,6 @@ def test_a_saved_race_goes_on_as_it_would_have() -> None:
 
 def test_leaving_the_arena_is_a_crash_and_lifting_off_is_not() -> None:
     task = race(4)
-    task.reset()
     low = torch.tensor([[0.0, 0.0, 2.6], [3.1, 0.0, 1.0], [0.0, -3.1, 1.0], [0.5, 1.5, -0.02]])
     put(task, low)
     *_, info = task.step(torch.zeros(4, 4))
@@ -279,9 +270,7 @@ def test_leaving_the_arena_is_a_crash_and_lifting_off_is_not() -> None:
 
 
 def with_track(env: EnvironmentCfg, **changes: object) -> Task:
-    cfg = replace(task_registry.get("racing_task"), env=env, **changes)
-    built = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=env, num_envs=3)
-    return Task(cfg, built)
+    return build_task(replace(task_registry.get("racing_task"), env=env, **changes), 3)
 
 
 def test_a_track_of_one_gate_has_no_earlier_gate() -> None:

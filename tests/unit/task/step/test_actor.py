@@ -23,10 +23,8 @@ def commands(cfg: ActionCfg, random_commands: torch.Tensor, *, length: int = 500
     result = []
     for actions in random_commands:
         task.step(actions)
-        before = (
-            task.env.gtd["robot_prev_actions"] if task.env.gtd["sim_steps"][0] == 0 else task.env.gtd["robot_actions"]
-        )
-        result.append(before.clone())
+        key = "robot_prev_actions" if task.env.gtd["sim_steps"][0] == 0 else "robot_actions"
+        result.append(task.env.gtd[key].clone())
     return torch.stack(result)
 
 

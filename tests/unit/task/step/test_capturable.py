@@ -40,12 +40,8 @@ def test_the_mode_sees_what_it_refuses() -> None:
     rows, mask = torch.ones(3), torch.tensor([True, False, True])
     with WaitGuard():
         rows.add_(1.0)
-        for wrong in (
-            lambda: torch.tensor((0.0, 1.0)),
-            lambda: float(rows[0]),
-            lambda: rows[mask],
-            lambda: bool(mask[0]),
-        ):
+        wrongs = (lambda: torch.tensor((0.0, 1.0)), lambda: float(rows[0]), lambda: rows[mask], lambda: bool(mask[0]))
+        for wrong in wrongs:
             with pytest.raises(AssertionError, match="aten::"):
                 wrong()
 

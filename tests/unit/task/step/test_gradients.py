@@ -27,9 +27,9 @@ def full_task() -> TaskCfg:
         episode_len_steps=4,
         action=ActionCfg(
             transform="affine",
-            params={"low": [-0.4, -0.5, -0.6, -0.7], "high": [0.5, 0.6, 0.7, 0.8]},
             delay_steps=(0, 2),
             filter_time_s=0.02,
+            params={"low": [-0.4, -0.5, -0.6, -0.7], "high": [0.5, 0.6, 0.7, 0.8]},
         ),
         observations={
             "policy": (
@@ -90,9 +90,8 @@ def test_gradients_of_a_task_with_joints_are_its_differences(name: str) -> None:
     cfg = replace(task_registry.get(f"position_setpoint_task_{name}"), episode_len_steps=3)
     task = build_task(cfg, NUM_ENVS, gradients=F64)
     actions = torch.rand(3, NUM_ENVS, task.num_actions, dtype=F64, generator=torch.Generator().manual_seed(1)) - 0.5
-    assert torch.autograd.gradcheck(
-        make_objective(task), (actions.requires_grad_(),), atol=1e-6, rtol=1e-5, fast_mode=True
-    )
+    check = {"atol": 1e-6, "rtol": 1e-5, "fast_mode": True}
+    assert torch.autograd.gradcheck(make_objective(task), (actions.requires_grad_(),), **check)
 
 
 @pytest.mark.parametrize("name", [*SLOWLY, "everything"])
@@ -195,10 +194,6 @@ def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
     assert results[0] == results[1] == results[2]
 
 
-def change_task(**changes: object) -> TaskCfg:
-    return replace(task_registry.get("position_setpoint_task"), **changes)
-
-
 @pytest.mark.parametrize("key", ["robot_link_state_tensor", "robot_link_body_angvel"])
 def test_frames_of_links_are_refused_by_name(key: str) -> None:
     cfg = task_registry.get("position_setpoint_task_morphy")
@@ -208,26 +203,27 @@ def test_frames_of_links_are_refused_by_name(key: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cfg", "message"),
+    ("changes", "message"),
     [
         (
-            change_task(rewards={"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}),
+            {"rewards": {"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}},
             r"reward 'clear' \(clearance_penalty\): reads robot_clearance, which has no gradient",
         ),
         (
-            change_task(
-                rewards={"there": RewardCfg(term="target_reached")},
-                command=CommandCfg(generator="sequence", params={"points": [[0.0, 0.0, 0.0]], "radius": 0.1}),
-            ),
+            {
+                "rewards": {"there": RewardCfg(term="target_reached")},
+                "command": CommandCfg(generator="sequence", params={"points": [[0.0, 0.0, 0.0]], "radius": 0.1}),
+            },
             r"reward 'there' \(target_reached\): reads target_reached",
         ),
         (
-            change_task(observations={"policy": (ObservationCfg(term="robot_state_tensor"),)}),
+            {"observations": {"policy": (ObservationCfg(term="robot_state_tensor"),)}},
             "observation term 'robot_state_tensor': reads robot_state_tensor",
         ),
     ],
 )
-def test_terms_without_gradient_are_refused_by_name(cfg: TaskCfg, message: str) -> None:
+def test_terms_without_gradient_are_refused_by_name(changes: dict[str, object], message: str) -> None:
+    cfg = replace(task_registry.get("position_setpoint_task"), **changes)
     build_task(cfg, 2)
     with pytest.raises(CapabilityError, match=message):
         build_task(cfg, 2, gradients=torch.float32)

@@ -39,8 +39,7 @@ def test_images_of_the_past_come_first_and_end_with_the_episode() -> None:
     obs, _ = task.reset()
     first = shares(task)[:, 0]
     assert all(torch.equal(obs["depth"][:, k], first) for k in range(3))
-    seen = [first.clone()]
-    kept = obs["depth"].clone()
+    kept, seen = obs["depth"].clone(), [first.clone()]
     for _ in range(3):
         again, *_ = task.step(STAY)
         seen.append(shares(task)[:, 0].clone())

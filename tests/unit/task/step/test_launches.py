@@ -12,9 +12,8 @@ from warp._src.context import Launch
 
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.interop.rows import RowFunction
-from aerial_gym.task import Task, task_registry
-from tests.builders import simulation
-from tests.unit.task.hover import begin
+from aerial_gym.task import task_registry
+from tests.unit.task.hover import begin, build_task
 
 VIEWS = (
     "alias", "as_strided", "detach", "empty", "expand", "permute", "select", "slice", "split", "squeeze", "t", "transpose",
@@ -40,11 +39,8 @@ class LaunchCounter(TorchDispatchMode):
 
 
 EACH_ROTOR = RandomizeCfg(each_rotor=True, low=0.9, high=1.1)
-RANDOMIZE = {
-    "body.mass": RandomizeCfg(low=0.9, high=1.1),
-    "rotor.thrust_map": EACH_ROTOR,
-    "rotor.time_constant": EACH_ROTOR,
-}
+RANDOMIZE = {"body.mass": RandomizeCfg(low=0.9, high=1.1)}
+RANDOMIZE |= {"rotor.thrust_map": EACH_ROTOR, "rotor.time_constant": EACH_ROTOR}
 
 
 @pytest.mark.parametrize(
@@ -53,10 +49,8 @@ RANDOMIZE = {
 )
 def test_a_step_launches_few_kernels(name, randomize, most, monkeypatch) -> None:
     """``most`` is what it takes today: more of them are a choice, to be made here."""
-    cfg = replace(task_registry.get(name), randomize=randomize)
-    task = Task(cfg, simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, randomize=randomize))
-    assert task.action_space.shape is not None
-    actions = torch.zeros(2, *task.action_space.shape)
+    task = build_task(replace(task_registry.get(name), randomize=randomize), 2)
+    actions = torch.zeros(2, task.num_actions)
     task.reset()
     task.step(actions)
     counting, launch, by_row = LaunchCounter(), Launch.launch, RowFunction.__call__

@@ -26,19 +26,15 @@ DRAWN = ("position_setpoint_task", "racing_task")
 """Tasks of one kind each that are tried with drawn parameters as well."""
 
 
-@pytest.mark.parametrize(
-    ("name", "randomize"),
-    [
-        *(
-            pytest.param(name, {}, id=f"{name}-equal", marks=() if name in EQUAL else pytest.mark.slow)
-            for name in task_registry.names()
-        ),
-        *(
-            pytest.param(name, RANDOMIZE, id=f"{name}-randomised", marks=() if name in DRAWN else pytest.mark.slow)
-            for name in task_registry.names()
-        ),
-    ],
-)
+def kinds(randomize: dict, label: str, quick: tuple[str, ...]) -> list:
+    """Return each task as a parameter, the others than the quick ones marked slow."""
+    return [
+        pytest.param(name, randomize, id=f"{name}-{label}", marks=() if name in quick else pytest.mark.slow)
+        for name in task_registry.names()
+    ]
+
+
+@pytest.mark.parametrize(("name", "randomize"), kinds({}, "equal", EQUAL) + kinds(RANDOMIZE, "randomised", DRAWN))
 def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     cfg = replace(task_registry.get(name), num_envs=4)
     if cfg.robot == "snakey6":  # a sixth of its mass is in its base, which draws of the whole would use up
@@ -55,12 +51,10 @@ def test_a_step_makes_no_tensor_of_numbers(name: str, randomize: dict, monkeypat
     def refuse(*args: object, **options: object) -> NoReturn:
         raise AssertionError("a step copies numbers from the host")
 
-    for owner, names in (
-        (torch, ("tensor", "as_tensor", "from_numpy", "asarray")),
-        (torch.Tensor, ("new_tensor", "item")),
-    ):
-        for each in names:
-            monkeypatch.setattr(owner, each, refuse)
+    for each in ("tensor", "as_tensor", "from_numpy", "asarray"):
+        monkeypatch.setattr(torch, each, refuse)
+    for each in ("new_tensor", "item"):
+        monkeypatch.setattr(torch.Tensor, each, refuse)
     for _ in range(2):
         task.env.gtd["sim_steps"].fill_(cfg.episode_len_steps)
         task.step(actions)

@@ -104,9 +104,8 @@ def test_so_many_entries_drop_out_and_the_others_keep_their_noise() -> None:
     shown, count, share = [], 3000, 0.8
     for entry in (whole, replace(whole, dropout=share, dropout_value=-7.0)):
         task = make(count // 3, policy=(entry,))
-        shown.append(
-            (task.reset()[0]["observations"].clone(), task.step(torch.zeros(count // 3, 4))[0]["observations"])
-        )
+        first, then = task.reset()[0]["observations"].clone(), task.step(torch.zeros(count // 3, 4))[0]["observations"]
+        shown.append((first, then))
     bound = 5.0 * (share * (1.0 - share) / count) ** 0.5
     lost = [dropped == -14.0 for _, dropped in zip(*shown, strict=True)]
     for full, dropped, gone in zip(*shown, lost, strict=True):
@@ -130,16 +129,11 @@ def test_a_dropped_entry_shows_what_it_held_for_so_many_steps() -> None:
         age = torch.where(lost, age + 1.0, 0.0)
         held = torch.where(lost, torch.where(age <= 2.0, held, -7.0), seen)
         assert torch.equal(shown, held)
-        counts = [
-            n + int(more.sum())
-            for n, more in zip(counts, (lost & (age > 2.0), lost & (held > -7.0), begun), strict=True)
-        ]
+        events = (lost & (age > 2.0), lost & (held > -7.0), begun)
+        counts = [n + int(more.sum()) for n, more in zip(counts, events, strict=True)]
         (seen, *_), (shown, _, _, truncated, _) = (task.step(torch.zeros(50, 4)) for task in (first, second))
-        seen, shown, begun = (
-            seen["observations"].clone(),
-            shown["observations"].clone(),
-            truncated.bool().unsqueeze(-1).clone(),
-        )
+        seen, shown = seen["observations"].clone(), shown["observations"].clone()
+        begun = truncated.bool().unsqueeze(-1).clone()
     assert min(counts[:2]) > 200
     assert counts[2] == 150
 

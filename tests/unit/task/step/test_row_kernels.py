@@ -6,30 +6,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
 from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.step.row_kernels import RowKernel
 from aerial_gym.task.terms.term import Term
+from tests.repetitions import rare_values
+from tests.unit.task.hover import begin
 from tests.unit.task.navigation import make
 
+RARE = ("lidar_navigation_task", "radar_navigation_task", "platform_landing_task", "racing_split_s_task")
+FREQUENT = ("position_setpoint_task", "navigation_task", "payload_task")
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        "position_setpoint_task",
-        "navigation_task",
-        pytest.param("lidar_navigation_task", marks=pytest.mark.slow),
-        pytest.param("radar_navigation_task", marks=pytest.mark.slow),
-        pytest.param("platform_landing_task", marks=pytest.mark.slow),
-        "payload_task",
-        pytest.param("racing_split_s_task", marks=pytest.mark.slow),
-    ],
-)
+
+@pytest.fixture(scope="module", params=rare_values([*FREQUENT, *RARE], RARE))
 def flight_task(request: pytest.FixtureRequest) -> Task:
     """A task after some steps of random actions."""
-    task = make(5, camera=True) if request.param == "navigation_task" else task_registry.make_task(
-        request.param, num_envs=5, device="cpu", seed=0
-    )  # fmt: skip
+    task = make(5, camera=True) if request.param == "navigation_task" else begin(request.param, 5)
     task.reset()
     generator = torch.Generator().manual_seed(0)
     for _ in range(3):
@@ -39,12 +30,8 @@ def flight_task(request: pytest.FixtureRequest) -> Task:
 
 def test_kernels_of_the_shipped_tasks_compute_what_torch_does(flight_task: Task) -> None:
     """Same types and truth values; numbers within round-off of a few operations on numbers of order one to ten."""
-    parts = [
-        flight_task._judge.rows,
-        flight_task._observer.rows,
-        *([] if flight_task._memory is None else [flight_task._memory]),
-    ]
-    for rows in parts:
+    parts = (flight_task._judge.rows, flight_task._observer.rows, flight_task._memory)
+    for rows in (part for part in parts if part is not None):
         expected = rows.compute()
         result = rows()
         assert rows.reason is None

@@ -99,12 +99,8 @@ def test_a_snake_starts_anywhere_in_its_bounds_heading_anywhere() -> None:
     with begin("position_setpoint_task_reconfigurable", 400, seed=3) as task:
         gtd = task.env.gtd
         euler = Rotation.from_quat(gtd["robot_orientation"].double().numpy()).as_euler("ZYX")
-        for seen, half in (
-            (gtd["robot_position"].numpy(), 1.0),
-            (euler[:, :1], np.pi),
-            (gtd["robot_linvel"].numpy(), 0.2),
-            (gtd["robot_body_angvel"].numpy(), 0.2),
-        ):
+        speeds = ((gtd[key].numpy(), 0.2) for key in ("robot_linvel", "robot_body_angvel"))
+        for seen, half in ((gtd["robot_position"].numpy(), 1.0), (euler[:, :1], np.pi), *speeds):
             assert np.all(np.abs(seen) <= half * (1.0 + 1e-6))
             assert np.all(seen.max(0) > 0.8 * half)
             assert np.all(seen.min(0) < -0.8 * half)
@@ -131,7 +127,6 @@ def test_the_two_rewards_of_morphy_differ_in_distance_and_thrust_as_worked_by_ha
     assert result["position_setpoint_task_morphy_paper", "distance"] == pytest.approx(1.0, rel=1e-5)
     assert result["position_setpoint_task_morphy_paper", "size"] == pytest.approx(-0.00380650, rel=1e-4)
     published, paper = (
-        task_registry.get(name).rewards
-        for name in ("position_setpoint_task_morphy", "position_setpoint_task_morphy_paper")
+        task_registry.get(f"position_setpoint_task_{name}").rewards for name in ("morphy", "morphy_paper")
     )
     assert {name for name in published if published[name] != paper[name]} == {"distance", "size"}

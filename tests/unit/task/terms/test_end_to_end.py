@@ -40,13 +40,13 @@ def test_the_reward_is_that_of_equation_10() -> None:
             actions = 2.0 * torch.rand(64, 4, generator=generator) - 1.0
             _, reward, terminated, truncated, _ = task.step(actions)
             flying = ~(terminated | truncated).numpy()
-            state = {key: gtd[key].double().numpy() for key in ("robot_position", "robot_linvel", "robot_body_angvel")}
+            position, velocity, rates = (
+                gtd[key].double().numpy() for key in ("robot_position", "robot_linvel", "robot_body_angvel")
+            )
             u = gtd["robot_actions"].double().numpy()
             np.testing.assert_allclose(u[flying], (0.2 + 0.5 * (actions.double().numpy() + 1.0))[flying], rtol=1e-6)
             R = Rotation.from_quat(gtd["robot_orientation"].double().numpy()).as_matrix()
-            expected = equation_10(
-                before, -state["robot_position"], R, state["robot_linvel"], state["robot_body_angvel"], u, last
-            )
+            expected = equation_10(before, -position, R, velocity, rates, u, last)
             np.testing.assert_allclose(reward.numpy()[flying], expected[flying], rtol=1e-4, atol=1e-4)
             shown += int(flying.sum())
         assert shown > 500
@@ -54,9 +54,8 @@ def test_the_reward_is_that_of_equation_10() -> None:
 
 def test_what_it_sees_is_that_of_table_6() -> None:
     task = task_registry.get(NAME)
-    assert [entry.term for entry in task.observations["policy"]] == [
-        "position_error_world", "rotation_rows", "lin_vel_world", "ang_vel_body",
-    ]  # fmt: skip
+    seen = ["position_error_world", "rotation_rows", "lin_vel_world", "ang_vel_body"]
+    assert [entry.term for entry in task.observations["policy"]] == seen
     noise = [entry.noise_std for entry in task.observations["policy"]]
     assert noise == pytest.approx([1e-3, np.pi / 1032, 2e-3, 1e-3], rel=1e-5)
     with task_registry.make_task(NAME, num_envs=3, device="cpu", seed=0) as made:

@@ -64,9 +64,8 @@ def test_angles_are_wrapped_to_half_a_turn_on_both_sides() -> None:
 
 def test_to_be_there_counts_with_the_heading() -> None:
     """5 exp(-8 0.5² - 2 0.5²) = 5 exp(-2.5)."""
-    result = aligned_distance_bell(
-        ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), height=5.0, width=8.0, yaw_width=2.0
-    )
+    params = {"height": 5.0, "width": 8.0, "yaw_width": 2.0}
+    result = aligned_distance_bell(ORIGIN, HALF_A_METRE, number(1.2), yaw_attitude(0.7), **params)
     assert result.item() == pytest.approx(0.4104250, abs=1e-7)
 
 
@@ -131,9 +130,8 @@ def test_a_large_command_costs_by_the_difficulty() -> None:
     """0.5 0.15 (exp(-4) - 1) for 2 m/s² upwards, half way up the levels."""
     actions = row(9.0, 9.0, 2.0, 9.0)
     for difficulty, expected in ((0.0, 0.0), (0.5, -0.0736263), (1.0, -0.1472527)):
-        result = action_size_by_difficulty(
-            actions, torch.tensor(difficulty, dtype=torch.float64), entry=2, height=0.15, width=1.0
-        )
+        share = torch.tensor(difficulty, dtype=torch.float64)
+        result = action_size_by_difficulty(actions, share, entry=2, height=0.15, width=1.0)
         assert result.item() == pytest.approx(expected, abs=1e-7)
 
 

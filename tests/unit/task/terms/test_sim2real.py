@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.rl_training import settings_for
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import task_registry
+from tests.unit.task.hover import begin
 
 Values = Mapping[str, np.ndarray]
 
@@ -58,23 +59,16 @@ def by_motors(before: np.ndarray, now: Values) -> np.ndarray:
     return toward + (pos * (forward + speed + spin + change) + spin + speed + up + pos + size) / 100
 
 
-@pytest.mark.parametrize(
-    ("name", "formula", "low", "high"),
-    [
-        ("position_setpoint_task_sim2real", by_velocity, [-1.0] * 4, [1.0] * 4),
-        (
-            "position_setpoint_task_acceleration_sim2real",
-            by_acceleration,
-            [-2.0, -2.0, -2.0, -1.0],
-            [2.0, 2.0, 2.0, 1.0],
-        ),
-        ("position_setpoint_task_sim2real_px4", by_motors, [0.0] * 4, [8.0] * 4),
-    ],
-)
-def test_the_reward_is_what_is_coded_there(name: str, formula, low: list[float], high: list[float]) -> None:
-    with task_registry.make_task(name, num_envs=64, device="cpu", seed=2) as task:
+LIMITS = {by_velocity: (-1.0, 1.0), by_acceleration: ([-2.0, -2.0, -2.0, -1.0], [2.0, 2.0, 2.0, 1.0])}
+LIMITS |= {by_motors: (0.0, 8.0)}
+NAMES = ("sim2real", "acceleration_sim2real", "sim2real_px4")
+
+
+@pytest.mark.parametrize(("name", "formula"), zip(NAMES, LIMITS, strict=True))
+def test_the_reward_is_what_is_coded_there(name: str, formula) -> None:
+    low, high = LIMITS[formula]
+    with begin(f"position_setpoint_task_{name}", 64, seed=2) as task:
         gtd, generator = task.env.gtd, torch.Generator().manual_seed(0)
-        task.reset()
         shown = 0
         for _ in range(25):
             before, last = (gtd[key].double().numpy().copy() for key in ("robot_position", "robot_actions"))
@@ -98,16 +92,9 @@ def test_the_reward_is_what_is_coded_there(name: str, formula, low: list[float],
         assert shown > 500
 
 
-@pytest.mark.parametrize(
-    ("name", "entries", "seconds"),
-    [
-        ("position_setpoint_task_sim2real", 17, 8.0),
-        ("position_setpoint_task_acceleration_sim2real", 17, 8.0),
-        ("position_setpoint_task_sim2real_px4", 15, 5.0),
-    ],
-)
+@pytest.mark.parametrize(("name", "entries", "seconds"), zip(NAMES, (17, 17, 15), (8.0, 8.0, 5.0), strict=True))
 def test_what_is_seen_and_how_long(name: str, entries: int, seconds: float) -> None:
-    with task_registry.make_task(name, num_envs=3, device="cpu", seed=0) as task:
+    with begin(f"position_setpoint_task_{name}", 3) as task:
         assert (task.num_observations, task.num_actions) == (entries, 4)
         assert task.cfg.episode_len_steps * task.env.dt == pytest.approx(seconds)
 

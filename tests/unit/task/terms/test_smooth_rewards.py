@@ -38,10 +38,9 @@ def test_a_smooth_task_draws_to_its_target_from_everywhere(name: str) -> None:
         reads = dict(task._judge.rows._reads)
         for distance in (0.0, 0.3, 3.0, 7.9):
             position = torch.tensor([[distance / sqrt(2.0), 0.0, distance / sqrt(2.0)]], dtype=F64, requires_grad=True)
-            still = torch.zeros(1, 3, dtype=F64)
-            upright = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=F64)
-            now = {"robot_position": position, "robot_linvel": still, "robot_body_angvel": still}
-            now |= {"robot_orientation": upright, "target_position": still, "target_velocity": still}
+            zeros = ("robot_linvel", "robot_body_angvel", "target_position", "target_velocity")
+            now = {"robot_position": position} | dict.fromkeys(zeros, torch.zeros(1, 3, dtype=F64))
+            now |= {"robot_orientation": torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=F64)}
             reward = term_reward(task, reads | now)
             slopes[task_name, distance] = float(torch.autograd.grad(reward.sum(), position)[0].norm())
     assert slopes[f"smooth_{name}", 0.0] == 0.0
