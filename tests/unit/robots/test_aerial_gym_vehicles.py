@@ -81,23 +81,21 @@ OCTAROTOR_MATRIX = (
 """``base_octarotor_config.allocation_matrix`` of the same; its own motors have a tenth of its torque ratio."""
 
 
+@pytest.mark.parametrize(
+    ("name", "torque_ratio", "published"),
+    [("base_random", None, RANDOM_MATRIX), ("base_octarotor", 0.1, OCTAROTOR_MATRIX)],
+)
+def test_the_derived_matrix_is_the_published_one(name: str, torque_ratio: float | None, published) -> None:
+    """With 0.1 m in place of the 0.01 m of its motor model all 48 entries of the octarotor agree."""
+    robot = ROBOTS.get(name)
+    changes = {} if torque_ratio is None else {"rotor": replace(robot.rotor, torque_ratio=torque_ratio)}
+    result, expected = vehicle_matrix(replace(robot, **changes)), torch.tensor(published, dtype=torch.float64)
+    torch.testing.assert_close(result, expected, rtol=0.0, atol=1e-6 if changes else 1e-7)
+    assert not changes or (vehicle_matrix(robot) - expected).abs().max() > 0.05
+
+
 def vehicle_matrix(robot: RobotCfg) -> torch.Tensor:
     return allocation_matrix(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), 9.81)[0]
-
-
-def test_the_derived_matrix_of_base_random_is_the_published_one() -> None:
-    published = torch.tensor(RANDOM_MATRIX, dtype=torch.float64)
-    torch.testing.assert_close(vehicle_matrix(ROBOTS.get("base_random")), published, rtol=0.0, atol=1e-7)
-
-
-def test_the_derived_matrix_of_base_octarotor_is_the_published_one_at_its_torque_ratio() -> None:
-    """With 0.1 m in place of the 0.01 m of its motor model all 48 entries agree."""
-    robot = ROBOTS.get("base_octarotor")
-    assert robot.rotor.torque_ratio == 0.01
-    as_allocated = replace(robot, rotor=replace(robot.rotor, torque_ratio=0.1))
-    published = torch.tensor(OCTAROTOR_MATRIX, dtype=torch.float64)
-    torch.testing.assert_close(vehicle_matrix(as_allocated), published, rtol=0.0, atol=1e-6)
-    assert (vehicle_matrix(robot) - published).abs().max() > 0.05
 
 
 @pytest.mark.parametrize("robot", ["base_octarotor", "base_random", "tilted_hexarotor", "omnidirectional_octarotor"])

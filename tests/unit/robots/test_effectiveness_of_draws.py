@@ -19,6 +19,7 @@ from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.rotor_types import three_type_robot
+from tests.repetitions import rare_values
 
 QUAD = ROBOTS.get("base_quadrotor")
 DRAWN: dict[str, RandomizeCfg] = {
@@ -40,21 +41,16 @@ def make(
     randomize: Mapping[str, RandomizeCfg],
     num_envs: int = 6,
     *,
-    backend: str = "warp",
     effectiveness: str = "actual",
     controller: str = "lee_attitude_control",
     robot: RobotCfg = QUAD,
     allocation: str = "prioritised",
     **options,
 ) -> EnvManager:
+    robot = replace(robot, control=ControlCfg(effectiveness=effectiveness))
+    law = replace(CONTROLLERS.get(controller), allocation=allocation)
     env = simulation(
-        replace(robot, control=ControlCfg(effectiveness=effectiveness)),
-        replace(CONTROLLERS.get(controller), allocation=allocation),
-        num_envs=num_envs,
-        seed=4,
-        randomize=randomize,
-        backend=backend,
-        **options,
+        robot, law, **{"num_envs": num_envs, "seed": 4, "randomize": randomize, "backend": "warp", **options}
     )
     env.reset()
     return env
@@ -106,9 +102,8 @@ def test_each_environment_has_the_pseudo_inverse_of_its_own_matrix(draw_env: Env
         expected = reference_inverse(matrix)
         error = np.abs(inverse - expected)[:, 2:].max(0) / np.abs(expected)[:, 2:].max(0)
         assert error.max() < 8 * np.finfo(np.float32).eps * np.linalg.cond(scaled) ** 2
-    torch.testing.assert_close(
-        manager.controller.allocation.high.double(), maps(draw_env) * 2.0 / QUAD.rotor.thrust_map[2]
-    )
+    high = maps(draw_env) * 2.0 / QUAD.rotor.thrust_map[2]
+    torch.testing.assert_close(manager.controller.allocation.high.double(), high)
 
 
 def test_what_is_commanded_is_what_the_rotors_make(draw_env: EnvManager) -> None:
@@ -156,19 +151,16 @@ def test_a_reset_writes_the_rows_of_its_mask_alone(draw_env: EnvManager) -> None
 
 
 def test_the_kernel_reads_no_number_that_is_zero_anyway() -> None:
-    more = {}
-    for name, cfg in (("all", DRAWN), ("arms", {"mounts.*.position": DRAWN["mounts.*.position"]})):
-        width = [
-            make(cfg, effectiveness=each).robot_manager.backend.parameter_targets()[0].shape[1]
-            for each in ("actual", "nominal")
-        ]
-        more[name] = width[0] - width[1]
-    assert more == {"all": 4 * (4 + 2 + 1), "arms": 4 * 4}
+    more, arms = [], {"mounts.*.position": DRAWN["mounts.*.position"]}
+    for cfg in (DRAWN, arms):
+        managers = (make(cfg, effectiveness=each).robot_manager for each in ("actual", "nominal"))
+        own, nominal = (manager.backend.parameter_targets()[0].shape[1] for manager in managers)
+        more.append(own - nominal)
+    assert more == [4 * (4 + 2 + 1), 4 * 4]
 
 
-@pytest.mark.parametrize("label", ["rotor.time_constant", "battery"])
-def test_nothing_is_kept_where_nothing_differs(label: str) -> None:
-    cfg = {label: RandomizeCfg(low=0.9, high=1.1)} if label != "battery" else {}
+@pytest.mark.parametrize("cfg", [{"rotor.time_constant": RandomizeCfg(low=0.9, high=1.1)}, {}])
+def test_nothing_is_kept_where_nothing_differs(cfg: dict[str, RandomizeCfg]) -> None:
     assert make(cfg).robot_manager.controller.allocation.rows == {}
 
 
@@ -184,21 +176,15 @@ def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
     return env.gtd["robot_state_tensor"].clone()
 
 
-@pytest.mark.parametrize(
-    ("controller", "allocation"),
-    [
-        ("lee_attitude_control", "prioritised"),
-        pytest.param("lee_attitude_control", "clamp", marks=pytest.mark.slow),
-        pytest.param("pid_rates_control", "prioritised", marks=pytest.mark.slow),
-        pytest.param("no_control", "prioritised", marks=pytest.mark.slow),
-    ],
-)
+LAWS = [("lee_attitude_control", "prioritised"), ("lee_attitude_control", "clamp")]
+LAWS += [("pid_rates_control", "prioritised"), ("no_control", "prioritised")]
+
+
+@pytest.mark.parametrize(("controller", "allocation"), rare_values(LAWS, LAWS[1:]))
 def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> None:
     """With rotors at their limits on the way; float32 over 15 steps."""
-    ends = [
-        fly(make(DRAWN, backend=backend, controller=controller, allocation=allocation), hard=True)
-        for backend in ("warp", "torch")
-    ]
+    law = {"controller": controller, "allocation": allocation}
+    ends = [fly(make(DRAWN, backend=backend, **law), hard=True) for backend in ("warp", "torch")]
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-3, atol=1e-3)
 
 
@@ -228,10 +214,7 @@ def test_a_loaded_state_has_the_allocation_that_was_saved(backend: str) -> None:
 
 
 def test_rotors_of_any_kind_make_what_is_commanded() -> None:
-    cfg = {
-        "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
-        "mounts.*.position": RandomizeCfg(how="offset", low=-0.02, high=0.02, each_rotor=True),
-    }
+    cfg = {"rotor.thrust_map": DRAWN["rotor.thrust_map"], "mounts.*.position": DRAWN["mounts.*.position"]}
     options = {"robot": three_type_robot(), "controller": "lee_rates_control"}
     env, fused = make(cfg, backend="torch", **options), make(cfg, backend="warp", **options)
     manager = env.robot_manager
@@ -285,9 +268,8 @@ def test_gradients_in_float64_flow_through_it_and_are_those_of_differences() -> 
         result = effectiveness(env, i)[2:] @ inverse[:, 2:]
         torch.testing.assert_close(result, np.eye(4), atol=2e-5, rtol=0)
     vehicle = env.robot_manager.backend._inner._model.vehicle
-    torch.testing.assert_close(
-        allocation.compute_rows(vehicle)["allocation"], allocation.inverse, rtol=1e-12, atol=1e-12
-    )
+    rows = allocation.compute_rows(vehicle)["allocation"]
+    torch.testing.assert_close(rows, allocation.inverse, rtol=1e-12, atol=1e-12)
 
     def loss(action: Tensor) -> Tensor:
         env.restart(4)

@@ -17,14 +17,9 @@ STILL = {f"{name}_{end}": (0.0, 0.0, 0.0) for name in ("euler", "lin_vel", "ang_
 
 def make(randomize: dict[str, RandomizeCfg], backend: str = "warp") -> EnvManager:
     """Return six vehicles that start alike."""
-    env = simulation(
-        replace(ROBOTS.get("base_quadrotor"), initial_state=InitialStateCfg(**STILL)),
-        "pid_velocity_control",
-        num_envs=6,
-        seed=4,
-        backend=backend,
-        randomize=randomize,
-    )
+    robot = replace(ROBOTS.get("base_quadrotor"), initial_state=InitialStateCfg(**STILL))
+    options = {"num_envs": 6, "seed": 4, "backend": backend, "randomize": randomize}
+    env = simulation(robot, "pid_velocity_control", **options)
     env.reset()
     return env
 

@@ -40,20 +40,14 @@ class InitialCase:
 def make(num_envs: int, seed: int = 0, noticed: NonFiniteRows | None = None):
     random = Randomness(num_envs, seed=seed)
     state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32)
-    derived = {name: torch.full((num_envs, width), torch.nan) for name, width in (
-        ("ang_vel_world", 3), ("lin_vel_body", 3), ("vehicle_attitude", 4), ("vehicle_lin_vel", 3), ("euler", 3),
-        ("root_state", 13),
-    )}  # fmt: skip
+    widths = {"ang_vel_world": 3, "lin_vel_body": 3, "vehicle_attitude": 4, "vehicle_lin_vel": 3, "euler": 3}
+    widths |= {"root_state": 13}
+    derived = {name: torch.full((num_envs, width), torch.nan) for name, width in widths.items()}
+    bounds = tuple(torch.full((num_envs, 3), end) for end in (-2.0, 4.0))
+    actions = {name: torch.ones(num_envs, 4) for name in ("actions", "prev_actions")}
+    speed, rest = torch.tensor([1.0, 2.0, 3.0, 4.0]), {"random": random, "noticed": noticed}
     initial = InitialState(
-        CFG,
-        state,
-        SecondaryStates(state, **derived),
-        bounds=(torch.full((num_envs, 3), -2.0), torch.full((num_envs, 3), 4.0)),
-        rest_speed=torch.tensor([1.0, 2.0, 3.0, 4.0]),
-        actions=torch.ones(num_envs, 4),
-        prev_actions=torch.ones(num_envs, 4),
-        random=random,
-        noticed=noticed,
+        CFG, state, SecondaryStates(state, **derived), bounds=bounds, rest_speed=speed, **actions, **rest
     )
     return state, derived, InitialCase(initial, random)
 
@@ -119,13 +113,8 @@ def test_a_reset_notices_what_ended_its_rows_and_clears_it_there_alone() -> None
     marked = make_record(4)
     _, _, begun = make(4, noticed=marked)
     begun.reset(torch.tensor([True, True, False, False]))
-    assert marked.record[:5].tolist() == [
-        1,
-        1,
-        -1,
-        8,
-        1,
-    ]  # one row: environment 1, the episode before the first, step 8
+    # One row: environment 1, the episode before the first, step 8.
+    assert marked.record[:5].tolist() == [1, 1, -1, 8, 1]
     assert marked.bits.tolist() == [0, 0, 0, 1]
     assert marked.episode_step.tolist() == [0, 0, 9, 10]
     for flag in marked.flags:
@@ -137,14 +126,8 @@ def test_a_step_begins_with_its_action_whatever_its_layout_and_keeps_the_earlier
     begin = StepBegin(actions, before, marked)
     numbers = torch.arange(6.0)
     last = actions.clone()
-    for given in (
-        numbers.view(3, 2),
-        numbers.view(2, 3).T,
-        numbers.double().view(3, 2).requires_grad_(),
-        numbers[:2].expand(3, 2),
-        actions,
-        before,
-    ):
+    views = (numbers.view(3, 2), numbers.view(2, 3).T, numbers[:2].expand(3, 2))
+    for given in (*views, numbers.double().view(3, 2).requires_grad_(), actions, before):
         wanted = (last if given is before else given).detach().float().clone()
         begin.take(given)
         assert torch.equal(before, last)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -16,6 +15,9 @@ from aerial_gym.robots.tune import tune_robot
 from aerial_gym.sim2real.identify.selection.select import select_effects
 from aerial_gym.sim2real.judge.analysis import correct_robot, not_testable
 from aerial_gym.sim2real.predict.model_params import params_from_robot
+from tests.unit.sim2real.judge.builders import make_excess, make_setup
+from tests.unit.sim2real.predict.test_scene import hover
+from tests.unit.sim2real.set_fits import make_selection
 
 FILE = """
 extends: morphy
@@ -48,20 +50,13 @@ def test_what_takes_it_as_rigid_leaves_drag_of_links_out(drag_robot: RobotCfg) -
 
 
 def test_the_loop_lists_it_as_not_testable_and_keeps_it(drag_robot: RobotCfg) -> None:
-    selection, air = (
-        SimpleNamespace(not_testable={}, effect_names=()),
-        SimpleNamespace(wind=SimpleNamespace(untestable=None)),
-    )
+    selection, air = make_selection(), make_excess()
     told = not_testable(selection, drag_robot, air)
-    assert {name: finding.code for name, finding in told.items()} == dict.fromkeys(
-        ("link_drag", "link_buoyancy", "link_added_mass"), "acts_on_links"
-    )
+    acting = dict.fromkeys(("link_drag", "link_buoyancy", "link_added_mass"), "acts_on_links")
+    assert {name: finding.code for name, finding in told.items()} == acting
     assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}
-    declared = SimpleNamespace(
-        robot=drag_robot, stated=drag_robot, train=SimpleNamespace(flights=[SimpleNamespace(name="f")])
-    )
     params = params_from_robot(drag_robot).with_effect("rotor_drag", torch.tensor([0.1, 0.2, 0.3]).numpy())
-    result = correct_robot(declared, params, ["rotor_drag"])
+    result = correct_robot(make_setup([hover("f", 1.0)], robot=drag_robot), params, ["rotor_drag"])
     assert set(result.effects) == {"link_drag", "quadratic_drag", "rotor_drag"}
     assert result.effects["link_drag"] == drag_robot.effects["link_drag"]
     check_effects(result)

@@ -39,19 +39,14 @@ AT_RESET = {"num_obstacles_in_env"}
 
 def build(backend: str, randomize: Randomize | None = None, env_name: str = "empty_env") -> EnvManager:
     """Return two quadrotors with an IMU and effects of every kind."""
-    robot = ROBOTS.get("base_quadrotor_with_imu")
-    effects = {}
+    robot, effects = ROBOTS.get("base_quadrotor_with_imu"), {}
     for name in EFFECTS_ON_BOARD:
         effect = EFFECTS.get(name)
         neutral = zip(effect.parameters, effect.neutral(robot), strict=True)
         effects[name] = {each.name: value + 0.1 * each.scale for each, value in neutral}
-    env = simulation(
-        replace(robot, effects=effects, effects_source="test"),
-        "lee_velocity_control",
-        env=env_name,
-        randomize=randomize or {},
-        backend=backend,
-    )
+    robot = replace(robot, effects=effects, effects_source="test")
+    options = {"env": env_name, "randomize": randomize or {}, "backend": backend}
+    env = simulation(robot, "lee_velocity_control", **options)
     env.reset()
     env.step(torch.zeros(2, 4))
     return env

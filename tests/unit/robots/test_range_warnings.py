@@ -30,9 +30,7 @@ def test_each_end_of_thrust_and_mass_rests_where_the_equations_say() -> None:
     gain = float(law.gains.position[0, 2])
     result = hovers({"rotor.thrust_map": RandomizeCfg(low=0.5, high=2.0), "body.mass": RandomizeCfg(low=0.8, high=1.2)})
     expected = [1.0 - 1.0 / 0.5, 1.0 - 1.0 / 2.0, 1.0 - 0.8, 1.0 - 1.2]
-    assert [hover.offset[2] for hover in result] == pytest.approx(
-        [GRAVITY / gain * part for part in expected], abs=1e-5
-    )
+    assert [hover.offset[2] for hover in result] == pytest.approx([GRAVITY / gain * n for n in expected], abs=1e-5)
 
 
 def test_a_drawn_dead_time_is_judged_at_each_end() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import log
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from scipy import stats
@@ -13,17 +14,16 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import BatteryCfg, RobotCfg
+from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.quantities import second_moments_scaled
 from tests.builders import simulation
+from tests.physics.vehicles import BATTERY
 
 QUAD = ROBOTS.get("base_quadrotor")
-CELL = BatteryCfg(
-    nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=36.0, source="test"
-)
+CELL = replace(BATTERY, capacity=36.0)
 MANY: dict[str, RandomizeCfg] = {
     "body.mass": RandomizeCfg(low=0.8, high=1.2),
     "body.inertia": RandomizeCfg(low=0.9, high=1.1),
@@ -38,17 +38,9 @@ MANY: dict[str, RandomizeCfg] = {
 }
 
 
-def make(
-    randomize: Mapping[str, RandomizeCfg],
-    num_envs: int = 6,
-    *,
-    backend: str = "warp",
-    robot: RobotCfg = QUAD,
-    **numbers: int,
-) -> EnvManager:
-    env = simulation(
-        robot, "lee_velocity_control", num_envs=num_envs, seed=4, randomize=randomize, backend=backend, **numbers
-    )
+def make(randomize: Mapping[str, RandomizeCfg], num_envs: int = 6, *, robot: RobotCfg = QUAD, **options) -> EnvManager:
+    options = {"num_envs": num_envs, "seed": 4, "randomize": randomize, "backend": "warp", **options}
+    env = simulation(robot, "lee_velocity_control", **options)
     env.reset()
     return env
 
@@ -122,36 +114,21 @@ def as_file(env: EnvManager, i: int) -> RobotCfg:
     mass = QUAD.body.mass * float(draws["body.mass"])
     inertia = torch.tensor([QUAD.body.inertia], dtype=torch.float64) * float(draws["body.mass"])
     inertia = second_moments_scaled(inertia, draws["body.inertia"].double().unsqueeze(0))[0]
-    body = replace(
-        QUAD.body, mass=mass, inertia=tuple(map(tuple, inertia.tolist())), com=tuple(draws["body.com"].tolist())
-    )
+    inertia, com = tuple(map(tuple, inertia.tolist())), tuple(draws["body.com"].tolist())
+    body = replace(QUAD.body, mass=mass, inertia=inertia, com=com)
     rotors, layout = {}, []
     for number, mount in enumerate(QUAD.mounts.layout):
         factor, lag = float(draws["rotor.thrust_map"][number]), float(draws["rotor.time_constant"])
-        rotors[f"r{number}"] = replace(
-            QUAD.rotor,
-            thrust_map=tuple(factor * c for c in QUAD.rotor.thrust_map),
-            time_constant_up=lag * QUAD.rotor.time_constant_up,
-            time_constant_down=lag * QUAD.rotor.time_constant_down,
-        )
-        offset = draws["mounts.*.position"][number].tolist()
-        axis = tuple(draws["mounts.2.axis"].tolist()) if number == 1 else (0.0, 0.0, 0.0)
-        layout.append(
-            replace(
-                mount,
-                rotor=f"r{number}",
-                position=tuple(a + b for a, b in zip(mount.position, offset, strict=True)),
-                axis=tuple(a + b for a, b in zip(mount.axis, axis, strict=True)),
-            )
-        )
-    effects = {
-        "rotor_drag": {"dx": float(draws["effects.rotor_drag.dx"]), "dy": 0.0, "dz": 0.0},
-        "payload_mass": {"dm": float(draws["effects.payload_mass.dm"])},
-    }
-    return replace(
-        QUAD, body=body, rotor=None, rotors=rotors, mounts=replace(QUAD.mounts, layout=tuple(layout)), effects=effects,
-        effects_source="test",
-    )  # fmt: skip
+        lags = {f"time_constant_{way}": lag * getattr(QUAD.rotor, f"time_constant_{way}") for way in ("up", "down")}
+        rotors[f"r{number}"] = replace(QUAD.rotor, thrust_map=tuple(factor * c for c in QUAD.rotor.thrust_map), **lags)
+        changes = {"position": draws["mounts.*.position"][number].tolist()}
+        changes["axis"] = draws["mounts.2.axis"].tolist() if number == 1 else [0.0, 0.0, 0.0]
+        moved = {key: tuple(np.add(getattr(mount, key), change).tolist()) for key, change in changes.items()}
+        layout.append(replace(mount, rotor=f"r{number}", **moved))
+    effects = {"rotor_drag": {"dx": float(draws["effects.rotor_drag.dx"]), "dy": 0.0, "dz": 0.0}}
+    effects["payload_mass"] = {"dm": float(draws["effects.payload_mass.dm"])}
+    robot = replace(QUAD, body=body, rotor=None, rotors=rotors, mounts=replace(QUAD.mounts, layout=tuple(layout)))
+    return replace(robot, effects=effects, effects_source="test")
 
 
 def test_it_flies_as_the_robot_whose_file_says_the_drawn_numbers(many: EnvManager) -> None:
@@ -173,17 +150,14 @@ def test_it_flies_as_the_robot_whose_file_says_the_drawn_numbers(many: EnvManage
         for _ in range(25):
             plain.step(speed[i : i + 1].clamp(max=float("inf")))
         for key in states[:4]:
-            torch.testing.assert_close(
-                result.gtd[key][i], plain.gtd[key][0], rtol=2e-4, atol=2e-4, msg=f"{backend} {key}"
-            )
+            told = f"{backend} {key}"
+            torch.testing.assert_close(result.gtd[key][i], plain.gtd[key][0], rtol=2e-4, atol=2e-4, msg=told)
 
 
 def test_a_stretched_body_has_the_inertia_of_its_points() -> None:
     g = torch.Generator().manual_seed(0)
-    points, mass = (
-        torch.randn(20, 3, dtype=torch.float64, generator=g),
-        torch.rand(20, dtype=torch.float64, generator=g),
-    )
+    points = torch.randn(20, 3, dtype=torch.float64, generator=g)
+    mass = torch.rand(20, dtype=torch.float64, generator=g)
 
     def inertia(at: torch.Tensor) -> torch.Tensor:
         unit = torch.eye(3, dtype=torch.float64)
@@ -209,10 +183,8 @@ def test_a_battery_begins_at_the_drawn_charge() -> None:
 
 def test_mass_can_leave_the_inertia_alone() -> None:
     grown = make({"body.mass": RandomizeCfg(low=0.8, high=1.2)}).gtd
-    torch.testing.assert_close(
-        grown["robot_inertia"][:, 0, 0] / grown["robot_mass"],
-        torch.full((6,), QUAD.body.inertia[0][0] / QUAD.body.mass),
-    )
+    expected = torch.full((6,), QUAD.body.inertia[0][0] / QUAD.body.mass)
+    torch.testing.assert_close(grown["robot_inertia"][:, 0, 0] / grown["robot_mass"], expected)
     kept = make({"body.mass": RandomizeCfg(low=0.8, high=1.2, keep_inertia=True)}).gtd
     assert torch.equal(kept["robot_mass"], grown["robot_mass"])
     torch.testing.assert_close(kept["robot_inertia"], torch.tensor(QUAD.body.inertia).expand(6, 3, 3))
@@ -221,9 +193,8 @@ def test_mass_can_leave_the_inertia_alone() -> None:
 def test_names_and_ranges_come_from_files(tmp_path) -> None:
     cfg = from_mapping(RandomizeCfg, {"how": "offset", "low": -0.1, "high": [0.1, 0.2, 0.3]}, where="here")
     assert cfg.components(3) == [(-0.1, 0.1, 0.0, 0.0), (-0.1, 0.2, 0.0, 0.0), (-0.1, 0.3, 0.0, 0.0)]
-    where = replace(
-        ENVIRONMENTS.get("empty_env"), randomize={"body.mass": RandomizeCfg(how="value", low=0.3, high=0.3)}
-    )
+    drawn = {"body.mass": RandomizeCfg(how="value", low=0.3, high=0.3)}
+    where = replace(ENVIRONMENTS.get("empty_env"), randomize=drawn)
     robot = replace(QUAD, randomize={"body.mass": RandomizeCfg(low=2.0, high=2.0), "body.com": MANY["body.com"]})
     env = simulation(robot, env=where)
     env.reset()
@@ -289,15 +260,9 @@ DX, DY, WIND = "effects.rotor_drag.dx", "effects.rotor_drag.dy", "effects.consta
 def normal(mean: float, std: float, low: float, high: float, **correlation: float) -> RandomizeCfg:
     """Return a normal value between limits, correlated with a drag ``dx`` or ``dy``, a ``wind`` or a ``mass``."""
     names = {"dx": DX, "dy": DY, "wind": WIND, "mass": "body.mass", "dz": "effects.rotor_drag.dz"}
-    return RandomizeCfg(
-        how="value",
-        distribution="normal",
-        mean=mean,
-        std=std,
-        low=low,
-        high=high,
-        correlation={names[key]: share for key, share in correlation.items()},
-    )
+    shares = {names[key]: share for key, share in correlation.items()}
+    limits = {"mean": mean, "std": std, "low": low, "high": high}
+    return RandomizeCfg(how="value", distribution="normal", correlation=shares, **limits)
 
 
 TOGETHER = {
@@ -346,15 +311,12 @@ def test_a_correlation_that_cannot_be_drawn_is_refused(changes: Mapping[str, Ran
         make({**TOGETHER, **changes}, 2)
 
 
+UNIFORM = {"distribution": "uniform", "low": 0, "high": 1, "correlation": {DX: 0.5}}
+BEYOND = {"distribution": "normal", "mean": 0, "std": 1, "how": "offset", "correlation": {DX: 1.5}}
+
+
 @pytest.mark.parametrize(
-    ("mapping", "message"),
-    [
-        ({"distribution": "uniform", "low": 0, "high": 1, "correlation": {DX: 0.5}}, "a uniform distribution has none"),
-        (
-            {"distribution": "normal", "mean": 0, "std": 1, "how": "offset", "correlation": {DX: 1.5}},
-            "must lie in -1 to 1",
-        ),
-    ],
+    ("mapping", "message"), [(UNIFORM, "a uniform distribution has none"), (BEYOND, "must lie in -1 to 1")]
 )
 def test_a_correlation_has_its_limits(mapping: Mapping[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
@@ -384,19 +346,12 @@ def test_integers_are_drawn_equally_often_and_name_rotors() -> None:
 @pytest.mark.parametrize(
     ("how", "message"),
     [
-        ({"how": "value", "low": 1.0, "high": 4.0}, "is the number of a rotor. Give how: value, distribution: integer"),
+        ({"low": 1.0, "high": 4.0}, "is the number of a rotor. Give how: value, distribution: integer"),
         ({"how": "offset", "distribution": "integer", "low": 0, "high": 3}, "is the number of a rotor"),
-        (
-            {"how": "value", "distribution": "integer", "low": 1, "high": 5},
-            r"reaches 1 to 5: must stay within \[1, 4\]",
-        ),
+        ({"distribution": "integer", "low": 1, "high": 5}, r"reaches 1 to 5: must stay within \[1, 4\]"),
+        ({"distribution": "integer", "low": 1.5, "high": 4.0}, "an integer distribution needs whole numbers"),
     ],
 )
 def test_the_number_of_a_rotor_is_drawn_among_those_that_there_are(how: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        make({"effects.weak_motor.motor": RandomizeCfg(**how)})
-
-
-def test_integers_lie_between_whole_numbers() -> None:
-    with pytest.raises(ConfigError, match="an integer distribution needs whole numbers"):
-        RandomizeCfg(how="value", distribution="integer", low=1.5, high=4.0)
+        make({"effects.weak_motor.motor": RandomizeCfg(**{"how": "value"} | how)})

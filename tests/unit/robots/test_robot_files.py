@@ -36,12 +36,10 @@ def test_drags_are_those_of_the_sources_for_each_kilogram() -> None:
 def test_speeds_and_offsets_are_those_of_the_sources() -> None:
     """PX4's x500 turns at 150 to 1000 rad/s; the ARPL flights tell offsets of 0.028 m."""
     rotor = ROBOTS.get("x500_px4").the_rotor("a test")
-    np.testing.assert_allclose(
-        [rotor.speed_for_thrust(thrust) for thrust in rotor.thrust_range], (150.0, 1000.0), rtol=1e-9
-    )
-    here, there = (
-        np.array([m.position for m in ROBOTS.get(n).mounts.layout]) for n in ("crazyflie_2x_arpl", "crazyflie_21")
-    )
+    speeds = [rotor.speed_for_thrust(thrust) for thrust in rotor.thrust_range]
+    np.testing.assert_allclose(speeds, (150.0, 1000.0), rtol=1e-9)
+    robots = (ROBOTS.get(name) for name in ("crazyflie_2x_arpl", "crazyflie_21"))
+    here, there = (np.array([mount.position for mount in robot.mounts.layout]) for robot in robots)
     np.testing.assert_allclose(here, 0.028 / 0.0325 * there, rtol=1e-12)
 
 

@@ -9,8 +9,7 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, RobotCfg
-from aerial_gym.control import CONTROLLERS
-from aerial_gym.env_manager import SIMS, EnvManager
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
@@ -22,10 +21,10 @@ WALL = AssetCfg(
 ROBOT = ROBOTS.get("base_quadrotor")
 
 
-def build(env: EnvironmentCfg, *, robot: RobotCfg = ROBOT, backend: str = "auto", **names: str) -> EnvManager:
-    controller = CONTROLLERS.get(names.get("controller", "no_control"))
-    sim = replace(SIMS.get("base_sim"), backend=backend)
-    manager = simulation(robot, controller, sim=sim, env=env)
+def build(
+    env: EnvironmentCfg, *, robot: RobotCfg = ROBOT, backend: str = "auto", law: str = "no_control"
+) -> EnvManager:
+    manager = simulation(robot, law, env=env, backend=backend)
     manager.reset()
     return manager
 
@@ -50,10 +49,8 @@ def test_a_robot_at_rest_shows_its_weight_in_force_and_imu(backend: str, steps: 
 
 def test_walls_on_both_sides_push_back_and_hold() -> None:
     """Flying against a wall of a scene with 1 m/s: stopped by its thickness and the radius, force away from it, no crash."""
-    env = build(
-        replace(ENVIRONMENTS.get("empty_env"), assets=(WALL,), contact=ContactCfg(friction=0.2, crash_speed=5.0)),
-        controller="lee_velocity_control",
-    )
+    contact = ContactCfg(friction=0.2, crash_speed=5.0)
+    env = build(replace(ENVIRONMENTS.get("empty_env"), assets=(WALL,), contact=contact), law="lee_velocity_control")
     side = torch.tensor([-1.0, 1.0])
     env.gtd["robot_position"].zero_()[:, 0] = 0.5 * side
     for key in ("robot_linvel", "robot_body_angvel"):

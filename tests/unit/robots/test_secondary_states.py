@@ -23,10 +23,9 @@ def motions(num_envs: int, device: str) -> BodyState:
     steep = (2.0 * (q[:, 3] * q[:, 1] - q[:, 2] * q[:, 0]) / (q * q).sum(-1)).abs() > 0.98
     q = torch.where(steep.unsqueeze(-1), torch.tensor([0.0, 0.0, 0.6, 0.8]), q)
     q = q / q.norm(dim=-1, keepdim=True)
-    position, attitude, lin_vel, ang_vel, rotor_speed = (
-        part.contiguous().to(device) for part in (rows[:, :3], q, rows[:, 7:10], rows[:, 10:13], rows[:, 13:])
-    )
-    return BodyState(position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=rotor_speed)
+    parts = {"position": rows[:, :3], "attitude": q, "lin_vel": rows[:, 7:10], "ang_vel": rows[:, 10:13]}
+    parts["rotor_speed"] = rows[:, 13:]
+    return BodyState(**{name: part.contiguous().to(device) for name, part in parts.items()})
 
 
 def reference(state: BodyState) -> dict[str, Tensor]:

@@ -25,14 +25,10 @@ def test_a_slow_integrator_is_not_taken_for_unfit(monkeypatch: pytest.MonkeyPatc
     """450 mm, 1.3 kg, rotors of 80 ms: PX4's integral takes 18 s, and holds the vehicle within 3 cm meanwhile."""
     base = ROBOTS.get("base_quadrotor")
     layout = tuple(replace(mount, position=tuple(1.22 * x for x in mount.position)) for mount in base.mounts.layout)
-    robot = replace(
-        base,
-        body=replace(base.body, mass=1.3, inertia=((0.012, 0.0, 0.0), (0.0, 0.012, 0.0), (0.0, 0.0, 0.022))),
-        mounts=replace(base.mounts, layout=layout),
-        rotor=replace(
-            base.the_rotor("a test"), thrust_range=(0.0, 6.4), time_constant_up=0.08, time_constant_down=0.08
-        ),
-    )
+    motor = replace(base.rotor, thrust_range=(0.0, 6.4), time_constant_up=0.08, time_constant_down=0.08)
+    inertia = ((0.012, 0.0, 0.0), (0.0, 0.012, 0.0), (0.0, 0.0, 0.022))
+    body = replace(base.body, mass=1.3, inertia=inertia)
+    robot = replace(base, body=body, mounts=replace(base.mounts, layout=layout), rotor=motor)
     monkeypatch.setattr(flights, "STEP_RANGE", (0.01, 0.02))
     result = largest_stable_step(robot, CONTROLLERS.get("px4_position_control"), name="it")
     assert (result.largest_s, result.at_least, result.little_margin) == (0.02, True, False)

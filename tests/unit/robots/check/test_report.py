@@ -123,15 +123,10 @@ def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
     servo = [[0.0, 0.0, -tan(0.7), 1.0], [0.0, 0.0, -tan(0.7), -1.0]]  # within the range both ways
     for axis, result in enumerate((report.force_n[2], *report.torque_n_m)):
         step = -np.eye(4)[:, [axis]]
-        most = [
-            linprog(
-                [0.0, 0.0, 0.0, 0.0, -1.0],
-                A_eq=np.hstack(([lift, roll, pitch, yaw], way * step)),
-                b_eq=[weight, 0.0, 0.0, 0.0],
-                A_ub=np.hstack((servo, np.zeros((2, 1)))),
-                b_ub=[0.0, 0.0],
-                bounds=[(0.0, 20.0)] * 2 + [(0.0, 20.0 * cos(0.7)), (None, None), (0.0, None)],
-            ).x[4]
-            for way in (1.0, -1.0)
-        ]
+        fixed = {
+            "A_ub": np.hstack((servo, np.zeros((2, 1)))), "b_ub": [0.0, 0.0], "b_eq": [weight, 0.0, 0.0, 0.0],
+            "bounds": [(0.0, 20.0)] * 2 + [(0.0, 20.0 * cos(0.7)), (None, None), (0.0, None)],
+        }  # fmt: skip
+        ways = (np.hstack(([lift, roll, pitch, yaw], way * step)) for way in (1.0, -1.0))
+        most = [linprog([0.0, 0.0, 0.0, 0.0, -1.0], A_eq=equations, **fixed).x[4] for equations in ways]
         assert result == pytest.approx(min(most), rel=1e-6)

@@ -70,12 +70,10 @@ def x500(folder: Path) -> Path:
     box = f'<collision name="c"><pose>0 0 .007 0 0 0</pose>{size}</collision>'
     body = f'<link name="base_link">{base}{box}</link>{links}{joints}'
     motors = "".join(motor(i, turning, X500_MOTOR) for i, turning in enumerate(PX4_TURNING))
-    return write(
-        folder,
-        x500_base=f'<sdf version="1.9"><model name="x500_base"><pose>0 0 .24 0 0 0</pose>{body}</model></sdf>',
-        x500='<sdf version="1.9"><model name="x500"><include merge="true"><uri>model://x500_base</uri></include>'
-        f"{motors}</model></sdf>",
-    )
+    alone = f'<sdf version="1.9"><model name="x500_base"><pose>0 0 .24 0 0 0</pose>{body}</model></sdf>'
+    included = '<include merge="true"><uri>model://x500_base</uri></include>'
+    whole = f'<sdf version="1.9"><model name="x500">{included}{motors}</model></sdf>'
+    return write(folder, x500_base=alone, x500=whole)
 
 
 def iris(folder: Path) -> Path:

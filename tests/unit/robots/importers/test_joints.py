@@ -12,7 +12,6 @@ import pytest
 import torch
 
 from aerial_gym.cli.main import main
-from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import RobotCfg, load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
@@ -71,45 +70,26 @@ def morphy() -> str:
 
 def snakey() -> str:
     """Return four rods of 1 m and 0.3 kg, yaw and roll between, drawn as a square so that it can hover; a slide at the last."""
-    across = 0.3 / 12
+    across, small = 0.3 / 12, (SMALL, SMALL, SMALL)
     text = []
     for n in range(4):
-        text += [link(f"rod_{n}", 0.3, (SMALL, across, across)), link(f"motor_{n}", 0.00625, (SMALL, SMALL, SMALL))]
+        text += [link(f"rod_{n}", 0.3, (SMALL, across, across)), link(f"motor_{n}", 0.00625, small)]
         text.append(joint(f"hub_{n}", "fixed", f"rod_{n}", f"motor_{n}", xyz="0 0 0"))
-    wide = '<limit lower="-2.356" upper="2.356" effort="1.5" velocity="9"/><dynamics damping="10"/>'
+    wide = '<axis xyz="0 0 1"/><limit lower="-2.356" upper="2.356" effort="1.5" velocity="9"/><dynamics damping="10"/>'
+    narrow = '<axis xyz="1 0 0"/><limit lower="-0.2" upper="0.3" effort="1" velocity="1"/>'
     for n in range(1, 4):
-        text.append(link(f"cross_{n}", 1e-3, (SMALL, SMALL, SMALL)))
-        text.append(
-            joint(
-                f"yaw_{n}",
-                "revolute",
-                f"rod_{n - 1}",
-                f"cross_{n}",
-                xyz="0.5 0 0",
-                rpy=f"0 0 {pi / 2}",
-                more=f'<axis xyz="0 0 1"/>{wide}',
-            )
-        )
-        kind = "prismatic" if n == 3 else "continuous"
-        text.append(
-            joint(
-                f"roll_{n}",
-                kind,
-                f"cross_{n}",
-                f"rod_{n}",
-                xyz="0.5 0 0",
-                more='<axis xyz="1 0 0"/><limit lower="-0.2" upper="0.3" effort="1" velocity="1"/>',
-            )
-        )
-    return f'<robot name="snakey">{KEEP}{"".join(text)}</robot>'  # fmt: skip
+        rods, cross, kind = (f"rod_{n - 1}", f"rod_{n}"), f"cross_{n}", "prismatic" if n == 3 else "continuous"
+        text.append(link(cross, 1e-3, small))
+        text.append(joint(f"yaw_{n}", "revolute", rods[0], cross, xyz="0.5 0 0", rpy=f"0 0 {pi / 2}", more=wide))
+        text.append(joint(f"roll_{n}", kind, cross, rods[1], xyz="0.5 0 0", more=narrow))
+    return f'<robot name="snakey">{KEEP}{"".join(text)}</robot>'
 
 
-def import_text(
-    folder: Path, text: str, rotors_of: str, spins: tuple[int, ...] = (1, -1, 1, -1)
-) -> tuple[RobotCfg, Path]:
+def import_text(folder: Path, text: str, rotors_of: str) -> tuple[RobotCfg, Path]:
     path = folder / "robot.urdf"
     path.write_text(text)
-    return import_robot(path, RotorHints(rotors_of=ROBOTS.get(rotors_of), spins=spins, joints=True)).robot, path
+    hints = RotorHints(rotors_of=ROBOTS.get(rotors_of), spins=(1, -1, 1, -1), joints=True)
+    return import_robot(path, hints).robot, path
 
 
 def package_dynamics(robot: RobotCfg, angle: np.ndarray):
@@ -158,29 +138,21 @@ def test_limits_damping_friction_rotors_and_shapes_are_imported(tmp_path: Path) 
     elevation, azimuth = robot.joints.layout[0], next(j for j in robot.joints.layout if j.name == "azimuth_0")
     assert (elevation.spring.damping, elevation.ends.low, elevation.ends.high) == (0.018, -0.25, 0.25)
     assert (azimuth.spring.friction, azimuth.parent) == (0.002, "elevation_0")
-    np.testing.assert_allclose(
-        elevation.axis, (0.5**0.5, 0.5**0.5, 0.0), atol=1e-9
-    )  # y of an arm that points to (1, -1)
-    inertia = 0.01625 * 0.07**2
-    assert elevation.ends.stiffness == pytest.approx(
-        inertia * (2 * pi * 10) ** 2, rel=0.06
-    )  # of the point mass at the rotor
+    # y of an arm that points to (1, -1), and the moment of the point mass at the rotor
+    np.testing.assert_allclose(elevation.axis, (0.5**0.5, 0.5**0.5, 0.0), atol=1e-9)
+    assert elevation.ends.stiffness == pytest.approx(0.01625 * 0.07**2 * (2 * pi * 10) ** 2, rel=0.06)
     assert {mount.link for mount in robot.mounts.layout} == {f"azimuth_{n}" for n in range(4)}
     for mount in robot.mounts.layout:
         x, y = (1, -1, -1, 1)[int(mount.link[-1])], (-1, -1, 1, 1)[int(mount.link[-1])]
         np.testing.assert_allclose(mount.position, (0.0894975 * x, 0.0814975 * y, 0.0), atol=1e-6)
     assert [shape.link for shape in robot.collision.shapes] == [f"azimuth_{n}" for n in range(4)]
     assert robot.body.mass == pytest.approx(0.225 + 4 * (0.01625 + 0.0011))
-    path = tmp_path / "robot.yaml"
-    path.write_text(dump_yaml(robot))
-    assert load_robot(path) == robot
     rigid = RotorHints(rotors_of=ROBOTS.get("morphy_stiff"), spins=(1, -1, 1, -1))
     with pytest.raises(ConfigError):  # its rotors lean in flight, and a rigid vehicle's do not
         import_robot(tmp_path / "robot.urdf", rigid)
     welded = import_robot(tmp_path / "robot.urdf", replace(rigid, accept_losses=True))
-    assert all(
-        any(f"{kind}_{n}" in note for note in welded.notes) for kind in ("elevation", "azimuth") for n in range(4)
-    )
+    names = [f"{kind}_{n}" for kind in ("elevation", "azimuth") for n in range(4)]
+    assert all(any(name in note for note in welded.notes) for name in names)
     assert welded.robot.joints is None
     np.testing.assert_allclose(welded.robot.body.inertia, robot.body.inertia)
 

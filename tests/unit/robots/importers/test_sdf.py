@@ -56,11 +56,8 @@ def body_alone(folder: Path, base: str, **kwargs) -> tuple[float, np.ndarray, np
         lever = r - np.array(body.com)
         return m * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
-    return (
-        mass,
-        com,
-        np.array(body.inertia) - sum(j + shift_inertia(m, r) for m, r, j in weights) - shift_inertia(mass, com),
-    )
+    others = sum(j + shift_inertia(m, r) for m, r, j in weights) + shift_inertia(mass, com)
+    return mass, com, np.array(body.inertia) - others
 
 
 # ------------------------------------------------------------------------------------------------ masses
@@ -252,9 +249,8 @@ def test_the_vehicle_of_a_world_is_the_model_with_motors(tmp_path: Path) -> None
     ground = '<model name="ground"><static>true</static><link name="l"/></model>'
     sun = "<include><uri>https://server/sun</uri></include>"
     model = vehicle().removeprefix('<sdf version="1.11">').removesuffix("</sdf>")
-    result = import_robot(
-        write(tmp_path, world=f'<sdf version="1.9"><world name="w">{ground}{sun}{model}</world></sdf>')
-    )
+    world = f'<sdf version="1.9"><world name="w">{ground}{sun}{model}</world></sdf>'
+    result = import_robot(write(tmp_path, world=world))
     assert result.robot.body.mass == pytest.approx(1.04)
     assert any("ground" in note for note in result.notes)
 
@@ -338,9 +334,8 @@ def test_a_gimbal_and_a_fixed_arm_are_no_losses(tmp_path: Path) -> None:
 def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(tmp_path, capsys) -> None:
     sensors = '<sensor name="front" type="camera"/><sensor name="gyro" type="imu"/><visual name="skin"/>'
     base = inertial(1.0, 0.01, 0.01, 0.02) + sensors + shape("polyline").replace('"c"', '"skirt"')
-    control = (
-        '<plugin name="gz::sim::systems::JointPositionController" filename="x"><joint_name>gimbal</joint_name></plugin>'
-    )
+    system = 'name="gz::sim::systems::JointPositionController" filename="x"'
+    control = f"<plugin {system}><joint_name>gimbal</joint_name></plugin>"
     text = vehicle(base, GIMBAL + control + '<link name="pod"/>', rotor_more="<limit><effort>3</effort></limit>")
     path, out = write(tmp_path, m=text), tmp_path / "m.yaml"
     assert main(["robot", "import", str(path), "--out", str(out)]) == 0

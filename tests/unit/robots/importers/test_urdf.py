@@ -7,6 +7,7 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
+from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.importers import Imported, RotorHints, import_robot
 from tests.unit.robots.importers.files import cf2x
 
@@ -62,26 +63,20 @@ def test_one_drag_coefficient_counts_along_all_axes(tmp_path: Path) -> None:
 
 
 def test_properties_are_named_where_another_robot_gives_the_rotors(tmp_path: Path) -> None:
-    from aerial_gym.robots import ROBOTS
-
     result = read(tmp_path, cf2x(), RotorHints(spins=(1, -1, 1, -1), rotors_of=ROBOTS.get("crazyflie_21")))
     assert result.robot.effects == {}
     assert sum("kf" in note and "drag_coeff" in note for note in result.notes) == 1
 
 
-ARM = (
-    '<link name="arm"><inertial><mass value="0.001"/><inertia ixx="1e-7" iyy="1e-7" izz="1e-7" ixy="0" ixz="0" iyz="0"/>'
-    "</inertial></link>"
-)
+NUMBERS = '<inertia ixx="1e-7" iyy="1e-7" izz="1e-7" ixy="0" ixz="0" iyz="0"/>'
+ARM = f'<link name="arm"><inertial><mass value="0.001"/>{NUMBERS}</inertial></link>'
 
 
 def tilt_arm(kind: str = "revolute", axis: str = "0 1 0") -> str:
     """Return the Crazyflie with its first propeller on an arm that turns."""
     limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
-    arm = (
-        f'{ARM}<joint name="tilt" type="{kind}"><parent link="base_link"/><child link="arm"/>'
-        f'<axis xyz="{axis}"/>{limit}</joint>'
-    )
+    ends = f'<parent link="base_link"/><child link="arm"/><axis xyz="{axis}"/>{limit}'
+    arm = f'{ARM}<joint name="tilt" type="{kind}">{ends}</joint>'
     first = '<parent link="base_link"/><child link="prop0_link"/>'
     return cf2x().replace(first, first.replace("base_link", "arm")).replace("</robot>", f"{arm}</robot>")
 
@@ -114,9 +109,8 @@ def test_wings_and_tilting_joints_are_losses(text: str, tmp_path: Path) -> None:
 
 
 def test_a_floating_joint_to_a_world_without_mass_is_free_flight(tmp_path: Path) -> None:
-    world = (
-        '<link name="world"/><joint name="free" type="floating"><parent link="world"/><child link="base_link"/></joint>'
-    )
+    ends = '<parent link="world"/><child link="base_link"/>'
+    world = f'<link name="world"/><joint name="free" type="floating">{ends}</joint>'
     assert read(tmp_path, cf2x().replace("</robot>", f"{world}</robot>")).robot.num_rotors == 4
     heavy = world.replace("world", "arm").replace('<link name="arm"/>', ARM)
     with pytest.raises(ConfigError):
@@ -152,9 +146,7 @@ def test_what_is_not_used_is_named_once(tmp_path: Path, capsys: pytest.CaptureFi
     skin = '<visual name="skin"><geometry><sphere radius="1"/></geometry></visual>'
     text = cf2x().replace("</robot>", f"{more}</robot>").replace("<collision>", f"{skin}<collision>")
     path, out = tmp_path / "robot.urdf", tmp_path / "robot.yaml"
-    path.write_text(
-        text.replace('<visual name="skin"/>', '<visual name="skin"><geometry><sphere radius="1"/></geometry></visual>')
-    )
+    path.write_text(text)
     given = ["robot", "import", str(path), "--out", str(out), "--lag-s", "0.05", "--spins", "1", "-1", "1", "-1"]
     assert main(given) == 0
     said = capsys.readouterr().err.splitlines()
