@@ -8,57 +8,22 @@ from math import pi
 
 import pytest
 import torch
-from torch import Tensor
 
-from aerial_gym.assets import ENVIRONMENTS, PARKED_Z, AssetManager, Bounds
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg
+from aerial_gym.assets import ENVIRONMENTS, PARKED_Z
+from aerial_gym.config.environment import AssetCfg, ShapeCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import euler_from_quat
-from aerial_gym.math.random import Randomness
-from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import MISS_ID, SENSORS, SensorManager
+from tests.unit.assets.managers import ANYWHERE, begin, every, make_manager
 
 OBSTACLES = ENVIRONMENTS.get("env_with_obstacles")
 PANELS, WALLS, OBJECTS = slice(0, 3), slice(3, 9), slice(9, 44)
 
 
-def make_manager(
-    cfg: EnvironmentCfg, num_envs: int, device: torch.device, *, seed: int = 0, asset_state: Tensor | None = None
-) -> tuple[AssetManager, GlobalTensorDictionary, tuple[Tensor, Tensor]]:
-    random = Randomness(num_envs, device=device, seed=seed)
-    gtd = GlobalTensorDictionary(device=device, sizes={"E": num_envs})
-    lower, upper = (torch.zeros(num_envs, 3, device=device) for _ in range(2))
-    Bounds(cfg, lower=lower, upper=upper, random=random).draw(every(num_envs, device))
-    manager = AssetManager(
-        cfg,
-        gtd,
-        num_envs=num_envs,
-        device=device,
-        random=random,
-        bounds_min=lower,
-        bounds_max=upper,
-        asset_state=asset_state,
-    )
-    return manager, gtd, (lower, upper)
-
-
-def every(num_envs: int, device: torch.device) -> Tensor:
-    return torch.ones(num_envs, dtype=torch.bool, device=device)
-
-
-def begin(made: AssetManager, mask: Tensor) -> None:
-    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
-    made.random.begin(mask)
-    made.reset(mask)
-
-
 def test_bounds_are_drawn_within_their_limits(device: torch.device) -> None:
     _, _, (lower, upper) = make_manager(OBSTACLES, 500, device)
-    for drawn, low, high in (
-        (lower, OBSTACLES.bounds_lower_low, OBSTACLES.bounds_lower_high),
-        (upper, OBSTACLES.bounds_upper_low, OBSTACLES.bounds_upper_high),
-    ):
-        low, high = torch.tensor(low, device=device), torch.tensor(high, device=device)
+    for drawn, side in ((lower, "lower"), (upper, "upper")):
+        low, high = (torch.tensor(getattr(OBSTACLES, f"bounds_{side}_{end}"), device=device) for end in ("low", "high"))
         assert ((drawn >= low) & (drawn <= high)).all()
         assert (drawn.std(dim=0) > 0.2 * (high - low)).all()  # uniform has 0.29
 
@@ -105,16 +70,9 @@ def test_walls_close_the_room_for_a_camera_in_the_middle(device: torch.device) -
     manager.set_num_obstacles(0)
     begin(manager, every(8, device))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0], device=device).repeat(8, 1)
-    camera = replace(SENSORS.get("depth_camera_64"), max_range=20.0, min_range=0.0)
-    sensors = SensorManager(
-        {"camera": camera},
-        gtd,
-        manager.scene,
-        position=0.5 * (lower + upper),
-        attitude=attitude,
-        num_envs=8,
-        device=device,
-    )
+    camera = {"camera": replace(SENSORS.get("depth_camera_64"), max_range=20.0, min_range=0.0)}
+    place = {"position": 0.5 * (lower + upper), "attitude": attitude, "num_envs": 8, "device": device}
+    sensors = SensorManager(camera, gtd, manager.scene, **place)
     sensors.capture()
     ids = gtd["segmentation_pixels"]
     assert (ids != MISS_ID).all()
@@ -177,14 +135,7 @@ def test_each_environment_draws_its_own_kinds_in_fair_shares(device: torch.devic
 
 def test_removable_assets_of_several_kinds_are_shuffled(device: torch.device) -> None:
     """Of 10 balls and 10 cubes the first row is a ball in about half of 400 environments (standard error 0.025)."""
-    ball = AssetCfg(
-        name="ball",
-        shapes=(ShapeCfg(kind="sphere", radius=0.1),),
-        count=10,
-        semantic_id=1,
-        position_ratio_low=(0.0, 0.0, 0.0),
-        position_ratio_high=(1.0, 1.0, 1.0),
-    )
+    ball = AssetCfg(name="ball", shapes=(ShapeCfg(kind="sphere", radius=0.1),), count=10, semantic_id=1, **ANYWHERE)
     cube = replace(ball, name="cube", shapes=(ShapeCfg(kind="box", size=(0.1, 0.1, 0.1)),), semantic_id=2)
     cfg = replace(ENVIRONMENTS.get("empty_env"), assets=(ball, cube))
     manager, _, _ = make_manager(cfg, 400, device)
@@ -227,10 +178,8 @@ def test_wrong_tensors_are_refused(device: torch.device) -> None:
 
 
 def test_importing_assets_and_sensors_starts_no_device_and_compiles_nothing() -> None:
-    code = (
-        "import aerial_gym.assets, aerial_gym.sensors, warp._src.context as c, torch, sys;"
-        "sys.exit(int(c.runtime is not None or torch.cuda.is_initialized() or 'trimesh' in sys.modules))"
-    )
+    code = "import aerial_gym.assets, aerial_gym.sensors, warp._src.context as c, torch, sys;"
+    code += "sys.exit(int(c.runtime is not None or torch.cuda.is_initialized() or 'trimesh' in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""

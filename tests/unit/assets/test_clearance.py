@@ -11,9 +11,8 @@ from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, S
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.random import Randomness
-from aerial_gym.registry import GlobalTensorDictionary
 from tests.builders import simulation
+from tests.unit.assets.managers import ANYWHERE, MIDDLE, begin, box_environment, every, make_manager
 
 ROUNDING = 2e-6
 """Of distances below 20 m in float32 [m]."""
@@ -23,64 +22,27 @@ def simulate(env_name: str, num_envs: int, seed: int = 0) -> EnvManager:
     return simulation("base_quadrotor", "lee_velocity_control", env=env_name, num_envs=num_envs, seed=seed)
 
 
-def manager(assets: tuple[AssetCfg, ...], num_envs: int, *, clearance: float = 0.5) -> AssetManager:
+def manager(assets: tuple[AssetCfg, ...], num_envs: int) -> AssetManager:
     """Obstacles in a cube of 4 m."""
-    corners = {
-        f"bounds_{side}_{end}": (x, x, x) for side, x in (("lower", -2.0), ("upper", 2.0)) for end in ("low", "high")
-    }
-    cfg = EnvironmentCfg(
-        summary="a test", physics_steps_per_env_step=1, source="test", assets=assets, clearance=clearance, **corners
-    )
-    made = AssetManager(
-        cfg,
-        GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs}),
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        random=Randomness(num_envs, seed=3),
-        bounds_min=torch.full((num_envs, 3), -2.0),
-        bounds_max=torch.full((num_envs, 3), 2.0),
-    )
+    made, *_ = make_manager(box_environment((2.0, 2.0, 2.0), *assets, clearance=0.5), num_envs, seed=3)
     begin(made, every(num_envs))
     return made
 
 
-def every(num_envs: int) -> Tensor:
-    return torch.ones(num_envs, dtype=torch.bool)
-
-
-def begin(made: AssetManager, mask: Tensor) -> None:
-    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
-    made.random.begin(mask)
-    made.reset(mask)
-
-
 def distance(made: AssetManager, points: Tensor) -> Tensor:
     """Return the distance of points (E, 3) from the scene [m], (E,)."""
-    num = len(points)
-    out = torch.full((num,), float("nan"))
+    num, out = len(points), torch.full((len(points),), float("nan"))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
     point = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-9),)
     CollisionTest(made.scene, point, position=points, attitude=attitude, distance_out=out).measure()
     return out
 
 
-BOXES = AssetCfg(
-    name="boxes",
-    shapes=(ShapeCfg(kind="box", size=(0.3, 0.5, 0.8)), ShapeCfg(kind="sphere", radius=0.4)),
-    count=10,
-    position_ratio_low=(0.0, 0.0, 0.0),
-    position_ratio_high=(1.0, 1.0, 1.0),
-    euler_low=(-3.0, -3.0, -3.0),
-    euler_high=(3.0, 3.0, 3.0),
-)
+ANY_WAY = {"euler_low": (-3.0, -3.0, -3.0), "euler_high": (3.0, 3.0, 3.0)}
+SOLIDS = (ShapeCfg(kind="box", size=(0.3, 0.5, 0.8)), ShapeCfg(kind="sphere", radius=0.4))
+BOXES = AssetCfg(name="boxes", shapes=SOLIDS, count=10, **ANYWHERE, **ANY_WAY)
 TREES = replace(BOXES, name="trees", shapes=(), family=FamilyCfg(name="trees", variants=4), count=3, keep=True)
-WALL = AssetCfg(
-    name="wall",
-    shapes=(ShapeCfg(kind="box", size=(0.2, 4.0, 4.0)),),
-    count=1,
-    position_ratio_low=(0.5, 0.5, 0.5),
-    position_ratio_high=(0.5, 0.5, 0.5),
-)
+WALL = AssetCfg(name="wall", shapes=(ShapeCfg(kind="box", size=(0.2, 4.0, 4.0)),), count=1, **MIDDLE)
 
 
 def _clears(env: EnvironmentCfg) -> bool:
@@ -142,9 +104,8 @@ def test_what_cannot_be_placed_is_parked_and_walls_stay() -> None:
 def test_making_room_leaves_other_environments_bit_for_bit() -> None:
     made = manager((BOXES, TREES), 6)
     made.clear_start(every(6), torch.zeros(6, 3))
-    made.scene.asset_state[1, 5, :3] = (
-        0.0  # since then an obstacle has come close: not the business of a reset elsewhere
-    )
+    # Since then an obstacle has come close: not the business of a reset elsewhere.
+    made.scene.asset_state[1, 5, :3] = 0.0
     before = made.scene.asset_state.clone()
     mask = torch.tensor([True, False, False, True, False, False])
     begin(made, mask)

@@ -1,5 +1,6 @@
 """Families of shapes and URDF files: what they make, from what, and what is refused with which words."""
 
+import sys
 import time
 from dataclasses import replace
 from math import pi, sqrt
@@ -9,14 +10,13 @@ import pytest
 import torch
 import trimesh
 
-from aerial_gym.assets import FAMILIES, AssetManager, CollisionTest, Scene, family_shapes, load_urdf
+from aerial_gym.assets import FAMILIES, CollisionTest, Scene, family_shapes, load_urdf
 from aerial_gym.assets.mesh_files import load_mesh
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, FamilyCfg, PartCfg, ShapeCfg, load_environment
+from aerial_gym.config.environment import AssetCfg, FamilyCfg, PartCfg, ShapeCfg, load_environment
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler, quat_rotate
-from aerial_gym.math.random import Randomness
-from aerial_gym.registry import GlobalTensorDictionary
+from tests.unit.assets.managers import box_environment, make_manager
 
 POINT = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-6),)
 
@@ -73,13 +73,8 @@ def test_trees_are_13_cylinders_whose_branches_begin_on_the_trunk() -> None:
 
 
 def test_the_inside_of_a_room_is_as_large_as_asked_and_closed() -> None:
-    size = {
-        "length": (6.0, 6.0),
-        "width": (4.0, 4.0),
-        "height": (3.0, 3.0),
-        "tables": (0.0, 0.0),
-        "shelves": (0.0, 0.0),
-    }
+    size = {"length": (6.0, 6.0), "width": (4.0, 4.0), "height": (3.0, 3.0)}
+    size |= dict.fromkeys(("tables", "shelves"), (0.0, 0.0))
     room = family_shapes(FamilyCfg(name="rooms", variants=1, ranges=size))[0]
     half = torch.tensor([3.0, 2.0, 1.5])
     points = (2.0 * torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) - 1.0) * half
@@ -121,10 +116,8 @@ def test_a_compound_moves_and_turns_rigidly(seed: int) -> None:
     generator = torch.Generator().manual_seed(seed)
     sizes, places = ((0.4, 0.6, 0.2), (1.0, 0.1, 0.3)), ((0.5, 0.0, 0.1), (-0.7, 0.4, -0.2))
     eulers = ((0.3, -0.5, 1.0), (0.0, 0.0, 0.0))
-    parts = tuple(
-        PartCfg(shape=ShapeCfg(kind="box", size=size), position=place, euler=euler)
-        for size, place, euler in zip(sizes, places, eulers, strict=True)
-    )
+    placed = zip(sizes, places, eulers, strict=True)
+    parts = tuple(PartCfg(shape=ShapeCfg(kind="box", size=a), position=b, euler=c) for a, b, c in placed)
     points = 3.0 * torch.randn(300, 3, generator=generator)
     position = torch.randn(3, generator=generator)
     attitude = quat_from_euler(torch.randn(3, generator=generator))
@@ -151,76 +144,50 @@ def test_parts_show_their_own_semantic_id_or_that_of_their_asset() -> None:
 
 
 ASSET = AssetCfg(
-    name="forest",
-    family=FamilyCfg(name="trees", variants=5),
-    count=3,
-    position_ratio_low=(0.0, 0.0, 0.0),
-    position_ratio_high=(1.0, 1.0, 0.0),
-)
+    name="forest", family=FamilyCfg(name="trees", variants=5), count=3,
+    position_ratio_low=(0.0, 0.0, 0.0), position_ratio_high=(1.0, 1.0, 0.0),
+)  # fmt: skip
 
 
-def environment(*assets: AssetCfg, **fields) -> EnvironmentCfg:
-    corners = {
-        f"bounds_{side}_{end}": (x, x, x) for side, x in (("lower", -5.0), ("upper", 5.0)) for end in ("low", "high")
-    }
-    return EnvironmentCfg(
-        summary="a test", physics_steps_per_env_step=1, source="test", assets=assets, **corners, **fields
-    )
-
-
-def manager(cfg: EnvironmentCfg, num_envs: int = 4) -> AssetManager:
-    unit_rows = torch.ones(num_envs, 3)
-    return AssetManager(
-        cfg,
-        GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs}),
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        random=Randomness(num_envs),
-        bounds_min=-5.0 * unit_rows,
-        bounds_max=5.0 * unit_rows,
-    )
+def make_scene(*assets: AssetCfg) -> Scene:
+    return make_manager(box_environment((5.0, 5.0, 5.0), *assets), 4)[0].scene
 
 
 def test_an_asset_takes_its_shapes_from_a_family() -> None:
-    scene = manager(environment(ASSET)).scene
+    scene = make_scene(ASSET)
     assert len(scene.shape_table) == 5
     assert scene.num_parts == 39
     assert len(scene.shape_index.unique()) > 1
 
 
 @pytest.mark.parametrize(
-    ("fields", "message"),
+    ("name", "ranges", "message"),
     [
-        (
-            {"family": FamilyCfg(name="tree", variants=1)},
-            r"no family 'tree'. Did you mean 'trees'\? Known: boxes, corr",
-        ),
-        (
-            {"family": FamilyCfg(name="trees", variants=1, ranges={"heigth": (1.0, 2.0)})},
-            r"family 'trees': there is no number 'heigth'. Known: height, trunk_radius",
-        ),
-        (
-            {"family": FamilyCfg(name="trees", variants=1, ranges={"height": (0.0, 0.0)})},
-            r"family 'trees' with .*ShapeCfg.height = 0.0: must be > 0 and finite",
-        ),
+        ("tree", {}, r"no family 'tree'. Did you mean 'trees'\? Known: boxes, corr"),
+        ("trees", {"heigth": (1.0, 2.0)}, r"family 'trees': there is no number 'heigth'. Known: height, trunk_radius"),
+        ("trees", {"height": (0.0, 0.0)}, r"family 'trees' with .*ShapeCfg.height = 0.0: must be > 0 and finite"),
     ],
 )
-def test_families_that_cannot_be_made_are_refused(fields: dict, message: str) -> None:
+def test_families_that_cannot_be_made_are_refused(name: str, ranges: dict, message: str) -> None:
     with pytest.raises((ConfigError, UnknownNameError), match=message):
-        manager(environment(replace(ASSET, **fields)))
+        make_scene(replace(ASSET, family=FamilyCfg(name=name, variants=1, ranges=ranges)))
 
 
 def test_impossible_family_configurations_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"FamilyCfg.variants = 0: must be >= 1"):
-        FamilyCfg(name="trees", variants=0)
-    with pytest.raises(ConfigError, match=r"seed = -1: must be >= 0"):
-        FamilyCfg(name="trees", variants=1, seed=-1)
-    with pytest.raises(ConfigError, match=r"height = \(2.0, 1.0\) needs 0 <= low <= high < inf"):
-        FamilyCfg(name="trees", variants=1, ranges={"height": (2.0, 1.0)})
-    with pytest.raises(ConfigError, match=r"AssetCfg 'forest': give shapes, at least one, or a family, and not both"):
-        replace(ASSET, shapes=(ShapeCfg(kind="sphere", radius=1.0),))
-    with pytest.raises(ConfigError, match=r"AssetCfg 'forest': give shapes, at least one, or a family"):
-        replace(ASSET, family=None)
+    forest = FamilyCfg(name="trees", variants=1)
+    for cfg, changes, message in (
+        (forest, {"variants": 0}, r"FamilyCfg 'trees': variants = 0 must be >= 1"),
+        (forest, {"seed": -1}, r"seed = -1 must be >= 0"),
+        (forest, {"ranges": {"height": (2.0, 1.0)}}, r"height = \(2.0, 1.0\) needs 0 <= low <= high < inf"),
+        (
+            ASSET,
+            {"shapes": (ShapeCfg(kind="sphere", radius=1.0),)},
+            r"'forest': has shapes and a family; give one of them",
+        ),
+        (ASSET, {"family": None}, r"AssetCfg 'forest': shapes needs at least one entry, or name a family"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            replace(cfg, **changes)
 
 
 URDF = """<robot name="lamp">
@@ -280,7 +247,7 @@ def test_an_environment_file_can_hold_a_urdf(lamp: Path) -> None:
         "assets:\n- {name: lamp, count: 2, shapes: [{kind: urdf, path: lamp.urdf, link_ids: {base: 8}}],\n"
         "   semantic_id: 30, position_ratio_low: [0, 0, 0], position_ratio_high: [1, 1, 1]}\n"
     )
-    scene = manager(load_environment(lamp.parent / "env.yaml"), num_envs=1).scene
+    scene = make_manager(load_environment(lamp.parent / "env.yaml"), 1)[0].scene
     assert scene.num_parts == 8
     assert scene.arrays.semantic_id.numpy().tolist() == [[8, 30, 30, 30] * 2]
 
@@ -292,11 +259,7 @@ def test_an_environment_file_can_hold_a_urdf(lamp: Path) -> None:
         ('robot name="lamp"', 'model name="lamp"', r"lamp.urdf: (not valid XML|must hold a <robot>)"),
         ("shade.stl", "none.stl", r"lamp.urdf: link 'shade': mesh none.stl: no such file"),
         ('scale="0.5 0.5 0.5"', 'scale="0.5 0.5 1"', r"link 'shade': mesh shade.stl: scale .* differs by axis"),
-        (
-            'scale="0.5 0.5 0.5"',
-            'scale="1 1 1 1"',
-            r"link 'shade': mesh shade.stl: scale .* must be one number, or three",
-        ),
+        ('scale="0.5 0.5 0.5"', 'scale="1 1 1 1"', r"'shade': mesh shade.stl: scale .* must be one number, or three"),
         ('filename="shade.stl"', "", r"lamp.urdf: (link 'shade': a mesh has no filename|cannot be read)"),
         ("shade.stl", "package://lamp/../../../etc/passwd", r"(leads out of the folder|no such file)"),
         ("shade.stl", "package://etc/passwd", r"mesh package://etc/passwd: no such file"),
@@ -332,8 +295,6 @@ def test_missing_files_and_links_are_refused_by_name(lamp: Path) -> None:
 
 
 def test_a_urdf_without_yourdfpy_names_the_extra(lamp: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
     with pytest.raises(ConfigError, match=r"needs yourdfpy; install aerial-gym\[urdf\]"):
         load_urdf(lamp)
@@ -364,14 +325,10 @@ def test_a_mesh_of_a_package_stays_in_the_asset_folder(lamp: Path) -> None:
 def test_a_long_chain_of_links_takes_a_time_in_proportion(tmp_path: Path) -> None:
     """3,000 links took 40 s: the time grew with the square of their number. Each stands 0.001 m beyond the one before."""
     pytest.importorskip("yourdfpy")
-    count = 3000
-    links = "".join(
-        f"<link name='l{i}'><visual><geometry><sphere radius='1'/></geometry></visual></link>" for i in range(count)
-    )
-    joints = "".join(
-        f"<joint name='j{i}' type='fixed'><origin xyz='0.001 0 0'/><parent link='l{i}'/><child link='l{i + 1}'/></joint>"
-        for i in range(count - 1)
-    )
+    count, shape = 3000, "<visual><geometry><sphere radius='1'/></geometry></visual>"
+    links = "".join(f"<link name='l{i}'>{shape}</link>" for i in range(count))
+    ends = ((i, f"<parent link='l{i}'/><child link='l{i + 1}'/>") for i in range(count - 1))
+    joints = "".join(f"<joint name='j{i}' type='fixed'><origin xyz='0.001 0 0'/>{own}</joint>" for i, own in ends)
     (tmp_path / "chain.urdf").write_text(f"<robot name='chain'>{links}{joints}</robot>")
     started = time.perf_counter()
     parts = load_urdf(tmp_path / "chain.urdf").parts

@@ -95,9 +95,8 @@ def test_the_unit_of_a_collada_file_counts(unit: str, per_metre: float, tmp_path
     np.testing.assert_allclose(load_mesh(path, scale=1.0).bounds, [LOW, HIGH], rtol=1e-6)
     np.testing.assert_allclose(load_mesh(path, scale=2.0).bounds, [2 * LOW, 2 * HIGH], rtol=1e-6)
     np.testing.assert_allclose(bounds_in_urdf(tmp_path, path), [LOW, HIGH], atol=THICKER)
-    np.testing.assert_allclose(
-        bounds_in_urdf(tmp_path, path, scale=' scale="3 3 3"'), [3 * LOW, 3 * HIGH], atol=3 * THICKER
-    )
+    scaled = bounds_in_urdf(tmp_path, path, scale=' scale="3 3 3"')
+    np.testing.assert_allclose(scaled, [3 * LOW, 3 * HIGH], atol=3 * THICKER)
 
 
 @pytest.mark.parametrize("up", ["X_UP", "Y_UP", "Z_UP", ""])

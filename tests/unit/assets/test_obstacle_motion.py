@@ -5,66 +5,35 @@ from math import sqrt
 
 import pytest
 import torch
-from torch import Tensor
 
 from aerial_gym.assets import PARKED_Z, AssetManager
 from aerial_gym.config import build
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, MotionCfg, ShapeCfg
+from aerial_gym.config.environment import AssetCfg, MotionCfg, ShapeCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_exp, quat_multiply
-from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from tests.builders import simulation
+from tests.unit.assets.managers import begin, box_environment, every, make_manager
 
 BALL = AssetCfg(
-    name="ball",
-    shapes=(ShapeCfg(kind="sphere", radius=0.1),),
-    count=3,
-    position_ratio_low=(0.2, 0.2, 0.2),
-    position_ratio_high=(0.8, 0.8, 0.8),
-    euler_low=(-3.0, -3.0, -3.0),
-    euler_high=(3.0, 3.0, 3.0),
-)
+    name="ball", shapes=(ShapeCfg(kind="sphere", radius=0.1),), count=3,
+    position_ratio_low=(0.2, 0.2, 0.2), position_ratio_high=(0.8, 0.8, 0.8),
+    euler_low=(-3.0, -3.0, -3.0), euler_high=(3.0, 3.0, 3.0),
+)  # fmt: skip
 TWIST = MotionCfg(
-    kind="twist",
-    lin_vel_low=(-1.0, -1.0, -1.0),
-    lin_vel_high=(1.0, 1.0, 1.0),
-    ang_vel_low=(-2.0, -2.0, -2.0),
-    ang_vel_high=(2.0, 2.0, 2.0),
-)
+    kind="twist", lin_vel_low=(-1.0, -1.0, -1.0), lin_vel_high=(1.0, 1.0, 1.0),
+    ang_vel_low=(-2.0, -2.0, -2.0), ang_vel_high=(2.0, 2.0, 2.0),
+)  # fmt: skip
 EPS = 2.0**-23
 
 
-def begin(made: AssetManager, mask: Tensor) -> None:
-    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
-    made.random.begin(mask)
-    made.reset(mask)
-
-
-def manager(motion: MotionCfg, num_envs: int = 5, **fields) -> tuple[AssetManager, GlobalTensorDictionary]:
-    half = (-4.0, -3.0, -2.0), (4.0, 3.0, 2.0)
-    corners = {
-        f"bounds_{side}_{end}": x for side, x in zip(("lower", "upper"), half, strict=True) for end in ("low", "high")
-    }
-    cfg = EnvironmentCfg(
-        summary="a test",
-        physics_steps_per_env_step=1,
-        source="test",
-        assets=(replace(BALL, motion=motion, **fields),),
-        **corners,
-    )
-    gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": num_envs})
-    made = AssetManager(
-        cfg,
-        gtd,
-        num_envs=num_envs,
-        device=torch.device("cpu"),
-        random=Randomness(num_envs, seed=1),
-        bounds_min=torch.tensor(half[0]).repeat(num_envs, 1),
-        bounds_max=torch.tensor(half[1]).repeat(num_envs, 1),
-    )
-    begin(made, torch.ones(num_envs, dtype=torch.bool))
+def manager(
+    motion: MotionCfg, num_envs: int = 5, more: tuple[AssetCfg, ...] = ()
+) -> tuple[AssetManager, GlobalTensorDictionary]:
+    cfg = box_environment((4.0, 3.0, 2.0), replace(BALL, motion=motion), *more)
+    made, gtd, _ = make_manager(cfg, num_envs, seed=1)
+    begin(made, every(num_envs))
     return made, gtd
 
 
@@ -149,19 +118,7 @@ def test_obstacles_wrap_to_the_other_side() -> None:
 
 
 def test_assets_without_motion_stay_bit_for_bit_whatever_twist_they_have() -> None:
-    cfg = manager(TWIST)[0].cfg
-    still = replace(BALL, name="still", count=2, keep=True)
-    gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": 3})
-    made = AssetManager(
-        replace(cfg, assets=(*cfg.assets, still)),
-        gtd,
-        num_envs=3,
-        device=torch.device("cpu"),
-        random=Randomness(3, seed=1),
-        bounds_min=-torch.ones(3, 3),
-        bounds_max=torch.ones(3, 3),
-    )
-    begin(made, torch.ones(3, dtype=torch.bool))
+    made, gtd = manager(TWIST, 3, (replace(BALL, name="still", count=2, keep=True),))
     gtd["obstacle_linvel"][:, :2] = 1.0
     before = gtd["env_asset_state_tensor"].clone()
     made.take_actions(torch.full((3, 5, 6), 2.0))
@@ -175,7 +132,7 @@ def test_assets_without_motion_stay_bit_for_bit_whatever_twist_they_have() -> No
 def test_parked_obstacles_stay_parked() -> None:
     made, gtd = manager(TWIST)
     made.set_num_obstacles(1)
-    begin(made, torch.ones(5, dtype=torch.bool))
+    begin(made, every(5))
     before = gtd["env_asset_state_tensor"].clone()
     made.take_actions(torch.ones(5, 3, 6))
     made.step(0.1)

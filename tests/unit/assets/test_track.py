@@ -21,20 +21,8 @@ NOMINAL = ("gate_nominal_position", "gate_nominal_orientation", "pole_nominal_po
 
 
 def simulate(env: str | EnvironmentCfg, num_envs: int, *, seed: int = 0, first_env: int = 0) -> EnvManager:
-    return simulation(
-        "crazyflie_21_brushless_racing",
-        "lee_attitude_control",
-        sim="base_sim_2ms",
-        env=env,
-        num_envs=num_envs,
-        seed=seed,
-        first_env=first_env,
-    )
-
-
-def env_track(env: EnvManager) -> TrackCfg:
-    assert env.cfg.track is not None
-    return env.cfg.track
+    sim = {"sim": "base_sim_2ms", "env": env, "num_envs": num_envs, "seed": seed, "first_env": first_env}
+    return simulation("crazyflie_21_brushless_racing", "lee_attitude_control", **sim)
 
 
 def assert_uniform(values: Tensor, low: float, high: float) -> None:
@@ -48,7 +36,7 @@ def assert_uniform(values: Tensor, low: float, high: float) -> None:
 def test_offsets_are_uniform_about_the_listed_places() -> None:
     env = simulate("racing_env", 1000)
     env.reset()
-    track, gtd = env_track(env), env.gtd
+    track, gtd = env.cfg.track, env.gtd
     listed = torch.tensor([gate.position for gate in track.gates])
     torch.testing.assert_close(gtd["gate_nominal_position"], listed.expand(1000, -1, -1))
     torch.testing.assert_close(gtd["pole_nominal_position"], torch.tensor(track.poles).expand(1000, -1, -1))
@@ -91,7 +79,7 @@ def test_a_drawn_track_keeps_its_distances() -> None:
     """Within its rectangle always; distances where there is room, which is so in 19 of 20 tracks at the least."""
     env = simulate("racing_random_track_env", 2000)
     env.reset()
-    layout, gtd = env_track(env).layout, env.gtd
+    layout, gtd = env.cfg.track.layout, env.gtd
     gates, poles, start = gtd["gate_nominal_position"], gtd["pole_nominal_position"], gtd["robot_position"][:, None]
     for places in (gates, poles):
         assert (places[..., :2] >= torch.tensor(layout.lower) - ROUNDING).all()
@@ -182,26 +170,21 @@ def test_a_pole_ends_at_its_top(height: float, touches: bool) -> None:
     assert bool(env.gtd["crashes"]) == touches
 
 
+RACE = ENVIRONMENTS.get("racing_env")
+UNIT = LayoutCfg(lower=(0.0, 0.0), upper=(1.0, 1.0))
+GATE = GatePlaceCfg(position=(0.0, 0.0, 1.0))
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: TrackCfg(gates=()), "TrackCfg.gates = .*: needs at least one"),
         (lambda: straight(gate_euler_low=(0.1, 0.0, 0.0)), r"gate_euler_low = .* must not exceed"),
-        (lambda: LayoutCfg(lower=(0.0, 0.0), upper=(1.0, -1.0)), "must not exceed"),
-        (lambda: LayoutCfg(lower=(0.0, 0.0), upper=(1.0, 1.0), yaw_range=4.0), "yaw_range = 4.0: must be 0 to pi"),
-        (lambda: replace(ENVIRONMENTS.get("racing_env"), assets=()), r"needs gates \(count: 4, keep: true\), poles"),
-        (
-            lambda: replace(ENVIRONMENTS.get("racing_env"), assets=ENVIRONMENTS.get("racing_env").assets[::-1]),
-            "its gates and poles are the first assets",
-        ),
-        (
-            lambda: TrackCfg(
-                gates=(GatePlaceCfg(position=(0.0, 0.0, 1.0)),),
-                poles=((0.0, 0.0, 1.0),) * 2,
-                layout=LayoutCfg(lower=(0.0, 0.0), upper=(1.0, 1.0)),
-            ),
-            "layout draws one pole, at most",
-        ),
+        (lambda: replace(UNIT, upper=(1.0, -1.0)), "must not exceed"),
+        (lambda: replace(UNIT, yaw_range=4.0), "yaw_range = 4.0: must be 0 to pi"),
+        (lambda: replace(RACE, assets=()), r"needs gates \(count: 4, keep: true\), poles"),
+        (lambda: replace(RACE, assets=RACE.assets[::-1]), "its gates and poles are the first assets"),
+        (lambda: TrackCfg(gates=(GATE,), poles=((0.0, 0.0, 1.0),) * 2, layout=UNIT), "2 poles and 1 gates"),
     ],
 )
 def test_tracks_that_cannot_be_are_refused(make, message: str) -> None:

@@ -42,15 +42,10 @@ def recorder() -> RecordingPolicy:
 
 def reference(position: np.ndarray) -> Reference:
     empty = np.zeros((1, len(position), 3))
-    return Reference(
-        position=position[None],
-        velocity=empty,
-        acceleration=empty,
-        jerk=empty,
-        yaw=empty[..., 0],
-        yaw_rate=empty[..., 0],
-        excite=np.zeros((1, len(position), 4)),
+    rates = dict.fromkeys(("velocity", "acceleration", "jerk"), empty) | dict.fromkeys(
+        ("yaw", "yaw_rate"), empty[..., 0]
     )
+    return Reference(position=position[None], excite=np.zeros((1, len(position), 4)), **rates)
 
 
 def test_the_policy_sees_what_its_task_shows() -> None:
@@ -60,22 +55,11 @@ def test_the_policy_sees_what_its_task_shows() -> None:
     position, target, velocity, rate = rng.normal(size=(4, 5, 3))
     policy = recorder()
     pilot = PolicyPilot(policy, nominal_vehicle(ROBOT))
-    sample = Sample(
-        position=position,
-        velocity=velocity,
-        rotation=turn.as_matrix(),
-        rate=rate,
-        acc=np.zeros((5, 3)),
-        rotor=np.zeros((5, 4)),
-    )
+    seen = {"position": position, "velocity": velocity, "rate": rate, "rotation": turn.as_matrix()}
+    sample = Sample(acc=np.zeros((5, 3)), rotor=np.zeros((5, 4)), **seen)
     pilot.command(sample, reference(target), 0)
-    values = {
-        "target_position": target,
-        "robot_position": position,
-        "robot_orientation": turn.as_quat(),
-        "robot_linvel": velocity,
-        "robot_body_angvel": rate,
-    }
+    values = {"target_position": target, "robot_position": position, "robot_orientation": turn.as_quat()}
+    values |= {"robot_linvel": velocity, "robot_body_angvel": rate}
     tensors = {name: torch.from_numpy(value).float() for name, value in values.items()}
     entries = task_registry.get(TASK).observations["policy"]
     terms = [OBSERVATIONS.get(entry.term) for entry in entries]
@@ -89,14 +73,8 @@ def test_the_middle_of_its_actions_is_the_middle_of_the_thrusts() -> None:
     policy = recorder()
     pilot = PolicyPilot(policy, declared)
     unit_rows = np.ones((2, 3))
-    sample = Sample(
-        position=unit_rows,
-        velocity=unit_rows,
-        rotation=np.tile(np.eye(3), (2, 1, 1)),
-        rate=unit_rows,
-        acc=unit_rows,
-        rotor=np.ones((2, 4)),
-    )
+    ones = dict.fromkeys(("position", "velocity", "rate", "acc"), unit_rows)
+    sample = Sample(rotation=np.tile(np.eye(3), (2, 1, 1)), rotor=np.ones((2, 4)), **ones)
     first = pilot.command(sample, reference(unit_rows), 0)
     np.testing.assert_allclose(first**2 * 3.25852e-7, 0.7, rtol=1e-6)
     policy.seen = torch.zeros(0)

@@ -65,19 +65,13 @@ def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("argv", "device"),
-    [
-        (["train"], None),
-        (["train", "--device", "cpu"], "cpu"),
-        (["train", "--device=cpu"], "cpu"),
-        (["train", "--device"], None),
-    ],
+    ("given", "device"), [([], None), (["--device", "cpu"], "cpu"), (["--device=cpu"], "cpu"), (["--device"], None)]
 )
-def test_a_training_loads_libraries_for_its_device(argv, device, monkeypatch) -> None:
+def test_a_training_loads_libraries_for_its_device(given, device, monkeypatch) -> None:
     loaded: list[str | None] = []
     monkeypatch.setattr(process, "cache_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(process, "preload", loaded.append)
-    monkeypatch.setattr(sys, "argv", ["aerial-gym", *argv])
-    process.prepare_process()
+    monkeypatch.setattr(sys, "argv", ["aerial-gym", "train", *given])
+    process.begin()
     assert loaded == [device]

@@ -19,9 +19,8 @@ def drive_commands(robot: str) -> list[float]:
 
 
 def test_drives_hold_the_reference_pose_and_a_tail_what_turns_it_by_nothing() -> None:
-    torch.testing.assert_close(
-        drive_commands("snakey_position"), [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0], rtol=1e-6, atol=0
-    )
+    turned = [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0]
+    torch.testing.assert_close(drive_commands("snakey_position"), turned, rtol=1e-6, atol=0)
     torch.testing.assert_close(drive_commands("tilt_tricopter"), [*[0.0] * 8, 0.1012477], rtol=1e-5, atol=0)
     assert drive_commands("morphy") == drive_commands("x500") == [0.0] * 9
 

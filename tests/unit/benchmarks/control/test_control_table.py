@@ -86,9 +86,7 @@ def test_the_page_is_written_between_its_marks(tmp_path, monkeypatch, capsys) ->
     path.write_text(f"before\n{BEGIN}\nof before\n{END}\nafter\n", encoding="utf-8")
     bent = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=inf, overshoot=inf)
     refused = Refusal("morphy", "fully_actuated_control", "base_sim", "law ...")
-    monkeypatch.setattr(
-        control_table, "fly_all", lambda _robots, _laws, sims=None: ([bent], [refused]) if sims else ([FLIGHT], [])
-    )
+    monkeypatch.setattr(control_table, "fly_all", lambda *_, sims=None: ([bent], [refused]) if sims else ([FLIGHT], []))
     monkeypatch.setattr("sys.argv", ["control_table", "--json", "--write", str(path), "--out", str(tmp_path)])
     control_table.main()
     text = path.read_text(encoding="utf-8")

@@ -30,10 +30,7 @@ def test_drawn_failures_are_those_of_their_seed_and_within_their_ranges() -> Non
 
 
 def test_the_tables_count_what_is_named_and_what_is_told_of_nothing() -> None:
-    right, wrong = (
-        score_finding(failure("a"), HIDDEN, told=7.5),
-        score_finding(failure("a", motor=3.0), HIDDEN, told=7.5),
-    )
+    right, wrong = (score_finding(failure("a", **motor), HIDDEN, told=7.5) for motor in ({}, {"motor": 3.0}))
     fails = [
         {"truth": HIDDEN.document(), "watch": {"suspected": one, "named": one}, "close_loop": loop}
         for one, loop in ((right, right), (wrong, None))

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-import tyro
+from scipy.stats import binom
 
 from benchmarks.scores import score_undeclared
 from benchmarks.scores.score_table import clopper_pearson, markdown, right_line, share
@@ -16,10 +16,10 @@ CLEAN = {"specific_force": {"unit": "m/s²", "x": {"rms": 3.0, "noise_floor": 2.
 
 def verdict(kind: str, **params: dict[str, tuple[float, float]]) -> dict:
     """Return a verdict with effects given as name to parameter to value and standard deviation."""
-    effects = [
-        {"name": n, "params": {k: v[0] for k, v in p.items()}, "std": {k: v[1] for k, v in p.items()}}
-        for n, p in params.items()
-    ]
+    effects = []
+    for name, own in params.items():
+        values, deviations = ({key: pair[k] for key, pair in own.items()} for k in (0, 1))
+        effects.append({"name": name, "params": values, "std": deviations})
     return {"verdict": kind, "effects": effects, "candidates": [], "not_testable": [], "before": CLEAN, "after": CLEAN}
 
 
@@ -65,8 +65,6 @@ def test_clopper_pearson_has_its_closed_forms() -> None:
     """No hit of n: up to 1 - (a/2)^(1/n); all: mirrored; its own definition as binomial tails for 7 of 10."""
     assert clopper_pearson(0, 20) == pytest.approx((0.0, 1.0 - 0.025 ** (1 / 20)))
     assert clopper_pearson(20, 20) == pytest.approx((0.025 ** (1 / 20), 1.0))
-    from scipy.stats import binom
-
     low, high = clopper_pearson(7, 10)
     assert binom.sf(6, 10, low) == pytest.approx(0.025)
     assert binom.cdf(7, 10, high) == pytest.approx(0.025)

@@ -54,12 +54,8 @@ def test_the_truth_says_which_speed_a_stuck_rotor_keeps() -> None:
     assert "speed" not in fails.document(1)
     fly(fails, 0.1)
     speed = float(lag_speed(DECLARED.hover_speed(), 1100.0, 0.03))
-    assert fails.document(1) == {
-        "kind": "stuck_rotor",
-        "time": 0.03,
-        "motor": 2,
-        "speed": pytest.approx(speed, rel=1e-8),
-    }
+    told = {"kind": "stuck_rotor", "time": 0.03, "motor": 2, "speed": pytest.approx(speed, rel=1e-8)}
+    assert fails.document(1) == told
     weak = PlantFailure(kind="weak_motor", motor=2, scale=0.5, time=0.0)
     assert Failures([weak], 0.0).document(0) == weak.document()
 
@@ -85,9 +81,8 @@ def test_a_weak_propeller_turns_as_told_and_gives_its_share() -> None:
 def test_only_the_named_flight_fails_and_ends_in_the_air(tmp_path: Path) -> None:
     short = {"effects": {}, "seed": 5, "num_train": 1, "num_test": 1, "duration_s": 3.0}
     plain = make_case(tmp_path / "plain", **short)
-    failing = make_case(
-        tmp_path / "failing", failures={"test_1": PlantFailure(kind="motor_failure", scale=0.0, time=0.5)}, **short
-    )
+    motor = PlantFailure(kind="motor_failure", scale=0.0, time=0.5)
+    failing = make_case(tmp_path / "failing", failures={"test_1": motor}, **short)
     assert failing.train[0].read_bytes() == plain.train[0].read_bytes()
     table, whole = (np.loadtxt(files.test[0], delimiter=",", skiprows=1) for files in (failing, plain))
     assert len(table) < len(whole)
