@@ -11,7 +11,6 @@ from aerial_gym.compat import controller_registry, task_registry
 from aerial_gym.compat.native_task import NativeTask, PositionSetpointTask, task_class
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
-from tests.unit.task.hover import begin
 
 NAME = "position_setpoint_task"
 
@@ -49,7 +48,8 @@ def test_a_configuration_class_changes_it() -> None:
         return_state_before_reset = True
 
     task_registry.register_task("short_task", task_class(NAME), Short)
-    task = begin("short_task", 2)
+    task = task_registry.make_task("short_task", num_envs=2, device="cpu", seed=0)
+    task.reset()
     flags = []
     for _ in range(3):
         obs, _, _, truncations, infos = task.step(torch.zeros(2, 4))
