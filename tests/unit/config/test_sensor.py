@@ -249,7 +249,10 @@ def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, w
             r"noise = .*standard deviation is -0.01 m at 0.2 m: must be >= 0",
         ),
         ({"noise": NoiseCfg(std_a=-1e-3)}, r"noise: standard deviation -0.1 m at 10 m"),
-        ({"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False}, r"noise: standard deviation -0.1 m at 2 m"),
+        (
+            {"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False},
+            r"noise: standard deviation -0.1 m at 2 m",
+        ),
     ],
 )
 def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:

@@ -13,38 +13,30 @@ from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.rl_training.settings import TrainingCfg, load_settings, settings_for
 from aerial_gym.task import Task, task_registry
-from tests.builders import simulation
 from tests.unit.task.hover import build_task
 
 HOVER = task_registry.get("position_setpoint_task")
 
+PLACES = {
+    "low": [0.1, -2.0, 0.0, -1.0], "high": [2.0, 2.0, 1.0, 1.5], "speeds": [True, True, False, False],
+    "mix": [[0.7, 0.2, 0.1, 0.3], [-0.4, 0.9, -0.3, 0.1], [0.5, -0.9, 0.2, 0.1], [0.3, 0.3, -0.8, -0.7]],
+}  # fmt: skip
 TRANSFORMS = {
-    "direct": (ActionCfg(), "lee_attitude_control"),
-    "forward_flight": (
-        ActionCfg(transform="forward_flight", params={"max_speed": 2.0, "max_inclination": 0.7, "max_yaw_rate": 1.0}),
-        "lee_velocity_control",
-    ),
-    "affine": (
-        ActionCfg(transform="affine", params={"low": [-1.0, -0.5, -3.0, 0.0], "high": [2.0, 0.5, 1.0, 0.25]}),
-        "lee_attitude_control",
-    ),
-    "affine_in_another_order": (
-        ActionCfg(transform="affine", params={"low": [-1.0] * 4, "high": [2.0] * 4, "order": [2, 0, 3, 1]}),
-        "lee_attitude_control",
-    ),
-    "four_places": (
-        ActionCfg(
-            transform="four_places",
-            params={
-                "low": [0.1, -2.0, 0.0, -1.0],
-                "high": [2.0, 2.0, 1.0, 1.5],
-                "mix": [[0.7, 0.2, 0.1, 0.3], [-0.4, 0.9, -0.3, 0.1], [0.5, -0.9, 0.2, 0.1], [0.3, 0.3, -0.8, -0.7]],
-                "speeds": [True, True, False, False],
-            },
+    name: (ActionCfg(transform=transform, params=params), controller)
+    for name, transform, params, controller in (
+        ("direct", "direct", {}, "lee_attitude_control"),
+        (
+            "forward_flight", "forward_flight", {"max_speed": 2.0, "max_inclination": 0.7, "max_yaw_rate": 1.0},
+            "lee_velocity_control",
         ),
-        "lee_attitude_control",
-    ),
-}
+        ("affine", "affine", {"low": [-1.0, -0.5, -3.0, 0.0], "high": [2.0, 0.5, 1.0, 0.25]}, "lee_attitude_control"),
+        (
+            "affine_in_another_order", "affine", {"low": [-1.0] * 4, "high": [2.0] * 4, "order": [2, 0, 3, 1]},
+            "lee_attitude_control",
+        ),
+        ("four_places", "four_places", PLACES, "lee_attitude_control"),
+    )
+}  # fmt: skip
 """Each transform of actions, with a controller that takes what it gives."""
 
 
@@ -53,23 +45,12 @@ def training() -> TrainingCfg:
 
 
 def random_policy(
-    num_observations: int = 13,
-    *,
-    activation: str = "elu",
-    memory: int = 0,
-    normalize: bool = True,
-    num_actions: int = 4,
+    num_observations: int = 13, *, activation: str = "elu", memory: int = 0, normalize: bool = True
 ) -> Policy:
     """Return a policy of random weights whose normaliser has seen something of every size."""
     generator = torch.Generator().manual_seed(3)
-    body = NetworkBodyCfg(
-        shapes={"observations": (num_observations,)},
-        hidden_layers=(24, 17),
-        activation=activation,
-        memory=memory,
-        normalize=normalize,
-    )
-    policy = Policy(body, num_actions)
+    kind = {"activation": activation, "memory": memory, "normalize": normalize, "hidden_layers": (24, 17)}
+    policy = Policy(NetworkBodyCfg(shapes={"observations": (num_observations,)}, **kind), 4)
     for parameter in policy.parameters():
         parameter.data = 0.4 * torch.randn(parameter.shape, generator=generator)
     if normalize:
@@ -91,14 +72,8 @@ def hover_policy(*, memory: bool = False) -> Policy:
     law[2, 0], law[2, 7] = 0.25, -0.3
     law[1, 1], law[1, 8] = -0.25, 0.3
     law[3, 5] = -2.0
-    body = NetworkBodyCfg(
-        shapes={"observations": (13,)},
-        hidden_layers=(8,),
-        activation="relu",
-        normalize=False,
-        memory=8 if memory else 0,
-    )
-    policy = Policy(body, 4)
+    kind = {"activation": "relu", "normalize": False, "memory": 8 if memory else 0, "hidden_layers": (8,)}
+    policy = Policy(NetworkBodyCfg(shapes={"observations": (13,)}, **kind), 4)
     (linear, _), head, cell = policy.body.layers, policy.head, policy.body.cell
     linear.weight.data, linear.bias.data = torch.cat((law, -law)), torch.zeros(8)
     head.weight.data, head.bias.data = torch.cat((torch.eye(4), -torch.eye(4)), dim=1), torch.zeros(4)
@@ -113,18 +88,12 @@ def hover_policy(*, memory: bool = False) -> Policy:
 def hover(rate_hz: int, *, delay: int = 0, noise: float = 0.0, num_envs: int = 16) -> Task:
     """Return the position task at a rate on a simulation of 500 Hz, commands late by so many steps, all it sees noisy."""
     seen = tuple(replace(entry, noise_std=noise) for entry in HOVER.observations["policy"])
+    action = ActionCfg(delay_steps=delay)
     cfg = replace(
-        HOVER, observations={"policy": seen}, action=ActionCfg(delay_steps=delay), episode_len_steps=3 * rate_hz
+        HOVER, observations={"policy": seen}, action=action, episode_len_steps=3 * rate_hz, sim="base_sim_2ms"
     )
-    env = simulation(
-        cfg.robot,
-        cfg.controller,
-        sim="base_sim_2ms",
-        env=replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=500 // rate_hz),
-        num_envs=num_envs,
-        seed=5,
-    )
-    return Task(cfg, env)
+    place = replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=500 // rate_hz)
+    return build_task(replace(cfg, env=place), num_envs, seed=5)
 
 
 @cache

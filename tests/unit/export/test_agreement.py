@@ -33,19 +33,16 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def compare_columns(exact: list[float], rounded: list[float], result: list[float]) -> Comparison:
+    columns = (torch.tensor(exact, dtype=torch.float64), torch.tensor(rounded), torch.tensor(result))
     comparison = Comparison(["x"])
-    comparison.add(
-        torch.tensor(exact, dtype=torch.float64)[:, None], torch.tensor(rounded)[:, None], torch.tensor(result)[:, None]
-    )
+    comparison.add(*(column[:, None] for column in columns))
     return comparison
 
 
 def test_the_limit_is_that_of_float32() -> None:
     """Error 0.02, rounding 0.001 and range 8: limit FACTOR (0.001 + 8 2^-23)."""
     worst = compare_columns([0.0, 8.0], [0.001, 8.0], [0.02, 8.0]).worst
-    assert worst.error == pytest.approx(0.02)
-    assert worst.rounding == pytest.approx(0.001)
-    assert worst.span == 8.0
+    assert (worst.error, worst.rounding, worst.span) == pytest.approx((0.02, 0.001, 8.0))
     assert worst.limit == pytest.approx(FACTOR * (0.001 + 8.0 * UNIT), rel=1e-6)
     assert not worst.holds
     assert compare_columns([0.0, 8.0], [0.001, 8.0], [0.009, 8.0]).worst.holds
@@ -95,34 +92,30 @@ def test_a_number_for_an_input_that_is_not_finite_does_not_pass() -> None:
     assert not comparison.worst.holds
 
 
-def large(policy: Policy) -> Policy:
-    """Return a policy with weights that are ten times as large: float32 itself is 1e-4 off."""
+GOOD: dict[str, tuple[dict[str, object], float, str, dict[str, list[float]]]] = {
+    "commands in rad/s": ({}, 1.0, "affine", {"low": [0.0] * 4, "high": [3000.0] * 4}),
+    "roots of thrust shares": ({}, 1.0, "four_places", {"low": [0.0] * 4, "high": [3000.0] * 4}),
+    "large weights": ({"activation": "relu"}, 10.0, "direct", {}),
+    "large weights and a memory": ({"memory": 16}, 10.0, "direct", {}),
+    "small commands": ({"activation": "tanh"}, 1.0, "affine", {"low": [0.0] * 4, "high": [1e-6] * 4}),
+    "offset commands": ({}, 1.0, "affine", {"low": [1000.0] * 4, "high": [1000.1] * 4}),
+}
+"""Options of a policy, a factor of its weights (float32 itself is 1e-4 off by 10), transform of actions and its numbers."""
+
+
+def make_good(name: str) -> tuple[Policy, Layout]:
+    options, factor, transform, numbers = GOOD[name]
+    policy = random_policy(**options)
     for layer in policy.body.layers:
         if isinstance(layer, nn.Linear):
-            layer.weight.data *= 10.0
-    return policy
-
-
-GOOD: dict[str, Callable[[], tuple[Policy, Layout]]] = {
-    "commands in rad/s": lambda: _policy_layout(random_policy(), "affine", low=[0.0] * 4, high=[3000.0] * 4),
-    "roots of thrust shares": lambda: _policy_layout(random_policy(), "four_places", low=[0.0] * 4, high=[3000.0] * 4),
-    "large weights": lambda: _policy_layout(large(random_policy(activation="relu")), "direct"),
-    "large weights and a memory": lambda: _policy_layout(large(random_policy(memory=16)), "direct"),
-    "small commands": lambda: _policy_layout(
-        random_policy(activation="tanh"), "affine", low=[0.0] * 4, high=[1e-6] * 4
-    ),
-    "offset commands": lambda: _policy_layout(random_policy(), "affine", low=[1000.0] * 4, high=[1000.1] * 4),
-}
-
-
-def _policy_layout(policy: Policy, name: str, **params: list[float]) -> tuple[Policy, Layout]:
-    return policy, make_layout(policy, name, **params)
+            layer.weight.data *= factor
+    return policy, make_layout(policy, transform, **numbers)
 
 
 @COMPILER
 @pytest.mark.parametrize("name", list(GOOD))
 def test_good_files_pass(name: str, tmp_path: Path) -> None:
-    policy, made = GOOD[name]()
+    policy, made = make_good(name)
     for each in write_policy(policy, made, tmp_path, ["c99", "torchscript"]):
         assert each.agrees, each
 
@@ -131,7 +124,7 @@ def test_good_files_pass(name: str, tmp_path: Path) -> None:
 def test_good_onnx_files_pass(tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
-    policy, made = GOOD["commands in rad/s"]()
+    policy, made = make_good("commands in rad/s")
     (written,) = write_policy(policy, made, tmp_path, ["onnx"])
     assert written.agrees, written
 

@@ -1,6 +1,7 @@
 """Exported policies against torch: numbers entry by entry, flights in the simulator, what is refused."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from shutil import which
 
@@ -17,6 +18,7 @@ from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.robots import ROBOTS
 from aerial_gym.task import ACTIONS, task_registry
+from tests.repetitions import rare_values
 from tests.unit.export.policies import HOVER, TRANSFORMS, hover, hover_policy, layout, random_policy, training
 from tests.unit.task.hover import build_task
 
@@ -25,16 +27,11 @@ TOLERANCE = 1e-5
 """Of commands and actions: some ulps of sums of a few dozen products of order 1 to 10."""
 
 
+KINDS = [("elu", 0, True), ("relu", 16, False), ("relu", 0, False), ("tanh", 0, True), ("elu", 16, True)]
+
+
 @COMPILER
-@pytest.mark.parametrize(
-    ("activation", "memory", "normalize"),
-    [
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("elu", 0, True), ("relu", 16, False))),
-        ("relu", 0, False),
-        ("tanh", 0, True),
-        ("elu", 16, True),
-    ],
-)
+@pytest.mark.parametrize(("activation", "memory", "normalize"), rare_values(KINDS, KINDS[:2]))
 def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, normalize: bool, tmp_path: Path) -> None:
     """Of 100,000 observations in sequences of 10 steps; gcc takes all warnings as errors."""
     policy = random_policy(activation=activation, memory=memory, normalize=normalize)
@@ -80,19 +77,11 @@ def test_every_transform_of_actions_has_a_form_in_c() -> None:
     assert {ACTIONS.get(name).value for name in ACTIONS.names()} <= set(_TRANSFORMS)
 
 
-FLIGHTS = [
-    (form, memory, rate)
-    for form in ("c99", "onnx", "torchscript")
-    for memory in (False, True)
-    for rate in (50, 100, 250)
-]
+FLIGHTS = list(product(("c99", "onnx", "torchscript"), (False, True), (50, 100, 250)))
 
 
 @COMPILER
-@pytest.mark.parametrize(
-    ("form", "memory", "rate_hz"),
-    [FLIGHTS[0], *(pytest.param(*flight, marks=pytest.mark.slow) for flight in FLIGHTS[1:])],
-)
+@pytest.mark.parametrize(("form", "memory", "rate_hz"), rare_values(FLIGHTS, FLIGHTS[1:]))
 def test_an_exported_policy_flies(form: str, memory: bool, rate_hz: int, tmp_path: Path) -> None:
     """At three rates, with commands that are 20 ms late and noise: it hovers, and each flight is that of torch.
 
@@ -111,10 +100,8 @@ def test_an_exported_policy_flies(form: str, memory: bool, rate_hz: int, tmp_pat
     assert reference.crash_rate == 0.0
     assert reference.final_error_mean_m < 0.1
     assert reference.final_error_max_m == pytest.approx(actual.final_error_max_m, abs=1e-4)
-    difference = abs(reference.final_error_max_m - actual.final_error_max_m)
-    print(
-        f"{form}, memory {memory}, {rate_hz} Hz: {reference.final_error_mean_m:.4f} m off, {difference:.1e} m from torch"
-    )
+    off, difference = reference.final_error_mean_m, abs(reference.final_error_max_m - actual.final_error_max_m)
+    print(f"{form}, memory {memory}, {rate_hz} Hz: {off:.4f} m off, {difference:.1e} m from torch")
 
 
 def test_observations_are_taken_in_their_own_units(tmp_path: Path) -> None:

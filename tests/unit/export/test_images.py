@@ -69,9 +69,8 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_c_and_torchscript_give_what_torch_gives(shapes, activation, memory, dtype, tmp_path) -> None:
     """Of images and vectors in sequences of 10 steps; gcc takes all warnings as errors."""
     policy = random_policy(shapes, activation=activation, memory=memory)
-    result = write_policy(
-        policy, image_layout(policy, {"depth": ImageCfg(dtype=dtype)}), tmp_path, ["c99", "torchscript"]
-    )
+    made = image_layout(policy, {"depth": ImageCfg(dtype=dtype)})
+    result = write_policy(policy, made, tmp_path, ["c99", "torchscript"])
     for each in result:
         assert each.largest_difference < TOLERANCE, each
     text = (tmp_path / "pixels.c").read_text()

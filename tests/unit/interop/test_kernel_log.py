@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,16 +19,14 @@ RowFunction(lambda a: 2.0 * a, (torch.zeros(2, 3),))(torch.zeros(2, 3))
 @pytest.mark.slow
 def test_a_compilation_is_told_once_per_machine(tmp_path: Path) -> None:
     environment = {"WARP_CACHE_PATH": str(tmp_path), "PATH": "", "PYTHONPATH": ":".join(sys.path)}
-    said = [
-        subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, env=environment, check=True)
-        for _ in range(2)
-    ]
+    run = partial(subprocess.run, capture_output=True, text=True, env=environment, check=True)
+    said = [run([sys.executable, "-c", CODE]) for _ in range(2)]
     lines = said[0].stderr.splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("compiled aerial_gym_rows_")
     assert " for cpu in " in lines[0]
     assert f"kept in {tmp_path}" in lines[0]
-    assert [run.stdout for run in said] == ["", ""]
+    assert [each.stdout for each in said] == ["", ""]
     assert said[1].stderr == ""
 
 

@@ -4,6 +4,7 @@ import os
 import threading
 import time
 from concurrent.futures import Future
+from functools import partial
 from math import inf
 
 import pytest
@@ -62,9 +63,8 @@ def test_a_launch_waits_for_its_kernel_and_its_making_does_not(cpu: wp.Device, m
 
     monkeypatch.setattr(wp, "force_load", late)
     out = torch.full((3,), float("nan"))
-    made = [
-        ReusableLaunch(_fill, dim=3, inputs=[value], outputs=[wp.from_torch(out)], device=cpu) for value in (1.0, 2.0)
-    ]
+    make = partial(ReusableLaunch, _fill, dim=3, outputs=[wp.from_torch(out)], device=cpu)
+    made = [make(inputs=[value]) for value in (1.0, 2.0)]
     assert not loaded
     threading.Timer(0.1, go.set).start()
     for launch, value in zip(made, (1.0, 2.0), strict=True):

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -23,27 +22,19 @@ from tests.builders import simulation
 
 
 @contextmanager
-def default_dtype(dtype: torch.dtype) -> Iterator[None]:
-    torch.set_default_dtype(dtype)
+def default(kind: str, value: object, usual: object) -> Iterator[None]:
+    """Set the default float type or device of torch for a block."""
+    getattr(torch, f"set_default_{kind}")(value)
     try:
         yield
     finally:
-        torch.set_default_dtype(torch.float32)
-
-
-@contextmanager
-def default_device(name: str) -> Iterator[None]:
-    torch.set_default_device(name)
-    try:
-        yield
-    finally:
-        torch.set_default_device(None)
+        getattr(torch, f"set_default_{kind}")(usual)
 
 
 SETTINGS: dict[str, Callable[[], AbstractContextManager[object]]] = {
-    "float64": lambda: default_dtype(torch.float64),
-    "bfloat16": lambda: default_dtype(torch.bfloat16),
-    "meta": lambda: default_device("meta"),
+    "float64": lambda: default("dtype", torch.float64, torch.float32),
+    "bfloat16": lambda: default("dtype", torch.bfloat16, torch.float32),
+    "meta": lambda: default("device", "meta", None),
     "inference mode": torch.inference_mode,
     "no gradients": torch.no_grad,
 }
@@ -74,7 +65,7 @@ def test_settings_are_usual_inside_and_the_callers_elsewhere() -> None:
     def fails() -> None:
         raise KeyError("lost")
 
-    with default_dtype(torch.float64), pytest.raises(KeyError, match="lost"):
+    with SETTINGS["float64"](), pytest.raises(KeyError, match="lost"):
         fails()
     assert make_tensor().dtype is torch.float32
 
@@ -158,16 +149,16 @@ def test_a_graph_is_recorded_on_its_own_gpu(monkeypatch: pytest.MonkeyPatch) -> 
         current.pop()
 
     @contextmanager
-    def graph(_: object, *, stream: SimpleNamespace, capture_error_mode: str) -> Iterator[None]:
-        seen.append((current[-1], stream.device, capture_error_mode))
+    def graph(_: object, *, stream: torch.device, capture_error_mode: str) -> Iterator[None]:
+        seen.append((current[-1], stream, capture_error_mode))
         yield
 
     seen: list[object] = []
     monkeypatch.setattr(torch.cuda, "device", device)
     monkeypatch.setattr(torch.cuda, "graph", graph)
-    monkeypatch.setattr(torch.cuda, "Stream", lambda place: SimpleNamespace(device=place))
+    monkeypatch.setattr(torch.cuda, "Stream", lambda place: place)
     second = torch.device("cuda", 1)
-    with record_graph(SimpleNamespace(), second, errors="thread_local"):
+    with record_graph(object(), second, errors="thread_local"):
         assert current[-1] == second
     assert seen == [(second, second, "thread_local")]
     assert current == [torch.device("cuda", 0)]

@@ -6,75 +6,65 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import SimBuilder, task_registry
 from aerial_gym.errors import CapabilityError, MissingDependencyError, UnknownNameError
 from aerial_gym.physics import BACKENDS, TorchBackend, WarpBackend
 from aerial_gym.physics.capabilities import Needs, choose_backend, require, robot_needs
+from tests.builders import simulation
 from tests.physics.rotor_types import three_type_robot
+from tests.unit.task.hover import begin
 
 CPU = torch.device("cpu")
+LACKS = {"rotors": (), "contact": False, "effects": (), "integrators": ("euler",), "joints": False}
 
 
 class Plain(WarpBackend):
     """A backend that knows nothing but plain rotors that are held by nothing."""
 
-    capabilities = replace(
-        WarpBackend().capabilities, rotors=(), contact=False, effects=(), integrators=("euler",), joints=False
-    )
+    capabilities = replace(WarpBackend().capabilities, **LACKS)
+
+
+ALL = "'warp', 'torch', 'mujoco', 'mujoco_warp'"
+GPU, META = torch.device("cuda"), torch.device("meta")
 
 
 @pytest.mark.parametrize(
     ("needs", "message"),
     [
-        (Needs(device=torch.device("meta")), r"cannot run on meta \(devices: cpu, cuda\). No registered backend can"),
-        (Needs(device=CPU, dtype=torch.float64), r"cannot compute in torch.float64 .*. Use backend 'torch'"),
-        (
-            Needs(device=CPU, integrator="rk4"),
-            r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp', 'torch'.$",
-        ),
-        (
-            Needs(device=CPU, effects=("rotor_drag",)),
-            r"cannot run effect 'rotor_drag'. Use backend 'warp', 'torch', 'mujoco', 'mujoco_warp'",
-        ),
-        (
-            Needs(device=CPU, rotors=frozenset({"reversible"})),
-            r"cannot run reversible rotors. Use backend 'warp', 'torch', 'mujoco', 'mujoco_warp'",
-        ),
-        (Needs(device=CPU, rotors=frozenset({"force"})), r"cannot run rotors in force mode"),
-        (Needs(device=CPU, rotors=frozenset({"slew"})), r"cannot run rotors with a slew rate"),
-        (Needs(device=CPU, contact=True), r"cannot push back at a contact. Use backend 'warp', 'torch', 'mujoco'"),
-        (Needs(device=CPU, gradients=True), r"cannot pass gradients through a step. Use backend 'torch'"),
-        (Needs(device=CPU, joints=True), r"cannot move joints. Use backend 'warp', 'torch', 'mujoco'"),
+        ({"device": META}, r"cannot run on meta \(devices: cpu, cuda\). No registered backend can"),
+        ({"dtype": torch.float64}, r"cannot compute in torch.float64 .*. Use backend 'torch'"),
+        ({"integrator": "rk4"}, r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp', 'torch'.$"),
+        ({"effects": ("rotor_drag",)}, f"cannot run effect 'rotor_drag'. Use backend {ALL}"),
+        ({"rotors": frozenset({"reversible"})}, f"cannot run reversible rotors. Use backend {ALL}"),
+        ({"rotors": frozenset({"force"})}, r"cannot run rotors in force mode"),
+        ({"rotors": frozenset({"slew"})}, r"cannot run rotors with a slew rate"),
+        ({"contact": True}, r"cannot push back at a contact. Use backend 'warp', 'torch', 'mujoco'"),
+        ({"gradients": True}, r"cannot pass gradients through a step. Use backend 'torch'"),
+        ({"joints": True}, r"cannot move joints. Use backend 'warp', 'torch', 'mujoco'"),
     ],
 )
-def test_a_lack_is_refused_by_name_with_the_way_out(needs: Needs, message: str) -> None:
+def test_a_lack_is_refused_by_name_with_the_way_out(needs: dict[str, object], message: str) -> None:
     with pytest.raises(CapabilityError, match=f"backend plain: {message}"):
-        require(Plain(), needs, name="plain")
+        require(Plain(), Needs(**{"device": CPU} | needs), name="plain")
 
 
 @pytest.mark.parametrize(
     ("needs", "message"),
     [
-        (Needs(device=torch.device("cuda")), r"cannot run on cuda \(devices: cpu\). Use backend 'warp', 'torch'.$"),
-        (
-            Needs(device=CPU, integrator="rk4"),
-            r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp'",
-        ),
-        (Needs(device=CPU, gradients=True), r"cannot pass gradients through a step. Use backend 'torch'.$"),
+        ({"device": GPU}, r"cannot run on cuda \(devices: cpu\). Use backend 'warp', 'torch'.$"),
+        ({"integrator": "rk4"}, r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp'"),
+        ({"gradients": True}, r"cannot pass gradients through a step. Use backend 'torch'.$"),
     ],
 )
-def test_what_mujoco_cannot_is_refused_by_name(needs: Needs, message: str) -> None:
+def test_what_mujoco_cannot_is_refused_by_name(needs: dict[str, object], message: str) -> None:
     with pytest.raises(CapabilityError, match=f"backend mujoco: {message}"):
-        choose_backend("mujoco", needs=needs)
+        choose_backend("mujoco", needs=Needs(**{"device": CPU} | needs))
 
 
 def test_a_backend_that_is_not_installed_names_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    names = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
-    with pytest.raises(
-        MissingDependencyError, match=r"backend 'mujoco' needs mujoco: pip install 'aerial-gym\[mujoco\]'"
-    ):
-        SimBuilder().build_env(**names, controller_name="no_control", num_envs=1, device="cpu", backend="mujoco")
+    told = r"backend 'mujoco' needs mujoco: pip install 'aerial-gym\[mujoco\]'"
+    with pytest.raises(MissingDependencyError, match=told):
+        simulation("base_quadrotor", backend="mujoco")
 
 
 def test_both_backends_run_rotors_of_any_kind() -> None:
@@ -90,13 +80,10 @@ def test_auto_takes_warp_unless_gradients_or_another_float_type_are_requested() 
 
 
 def test_a_simulation_and_a_task_run_on_the_backend_that_is_named() -> None:
-    names = {"sim_name": "base_sim", "env_name": "empty_env", "robot_name": "base_quadrotor"}
-    build = {**names, "controller_name": "lee_attitude_control", "num_envs": 2, "device": "cpu"}
-    assert isinstance(SimBuilder().build_env(**build, backend="torch").robot_manager.backend, TorchBackend)
-    assert isinstance(SimBuilder().build_env(**build).robot_manager.backend, WarpBackend)
-    with task_registry.make_task("position_setpoint_task", num_envs=2, device="cpu", backend="torch") as task:
+    for options, kind in (({"backend": "torch"}, TorchBackend), ({}, WarpBackend)):
+        assert isinstance(simulation("base_quadrotor", "lee_attitude_control", **options).robot_manager.backend, kind)
+    with begin("position_setpoint_task", 2, backend="torch") as task:
         assert isinstance(task.env.robot_manager.backend, TorchBackend)
-        task.reset()
         task.step(torch.zeros(2, 4))
     with pytest.raises(UnknownNameError, match="physics backend 'wrap'.*Did you mean 'warp'"):
-        SimBuilder().build_env(**build, backend="wrap")
+        simulation("base_quadrotor", "lee_attitude_control", backend="wrap")

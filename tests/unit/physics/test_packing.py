@@ -18,17 +18,8 @@ ENVS, DT = 8, 0.004
 def test_what_follows_from_other_numbers_takes_no_rows() -> None:
     """Mass 1, inertia and its inverse 6 each, squares of thrust and torque 4 each, lags 4, as they rise so they fall."""
     drawn = RandomizeCfg(each_rotor=True, low=0.9, high=1.1)
-    env = simulation(
-        "base_quadrotor",
-        "lee_velocity_control",
-        randomize={
-            "body.mass": RandomizeCfg(low=0.9, high=1.1),
-            "rotor.thrust_map": drawn,
-            "rotor.time_constant": drawn,
-        },
-    )
-    backend = env.robot_manager.backend
-    assert isinstance(backend, WarpBackend)
+    randomize = {"body.mass": RandomizeCfg(low=0.9, high=1.1), "rotor.thrust_map": drawn, "rotor.time_constant": drawn}
+    backend = simulation("base_quadrotor", "lee_velocity_control", randomize=randomize).robot_manager.backend
     assert [rows.shape for rows in backend.parameter_targets()] == [(2, 1 + 12 + 8 + 4)]
 
 

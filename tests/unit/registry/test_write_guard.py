@@ -20,6 +20,7 @@ def _augment(name: str, t: Tensor) -> None:
     getattr(operator, name)(t, 2.0)
 
 
+AUGMENTED = ("iadd", "isub", "imul", "itruediv", "ifloordiv", "imod", "ipow")
 WRITES: dict[str, Callable[[Tensor], object]] = {
     "one element": lambda t: t.__setitem__((0, 0), 5.0),
     "a slice": lambda t: t.__setitem__(slice(None), 5.0),
@@ -32,10 +33,7 @@ WRITES: dict[str, Callable[[Tensor], object]] = {
     "data": lambda t: t.data.fill_(5.0),
     "detached": lambda t: t.detach().fill_(5.0),
     "in place": lambda t: t.add_(1.0),
-    **{
-        f"augmented {name}": partial(_augment, name)
-        for name in ("iadd", "isub", "imul", "itruediv", "ifloordiv", "imod", "ipow")
-    },
+    **{f"augmented {name}": partial(_augment, name) for name in AUGMENTED},
     "copy": lambda t: t.copy_(torch.zeros(2, 3)),
     "random numbers": lambda t: t.normal_(),
     "out": lambda t: torch.add(torch.ones(2, 3), 1.0, out=t),
@@ -51,9 +49,8 @@ RESHAPED = ("other memory", "another size", "another shape")
 
 def dictionary() -> tuple[GlobalTensorDictionary, Tensor]:
     gtd = GlobalTensorDictionary(device="cpu", sizes={"E": 2})
-    plain = gtd.declare(
-        TensorSpec(key="mass", shape=("E", 3), unit="kg", frame="-", owner="robot", meaning="a parameter")
-    )
+    told = {"unit": "kg", "frame": "-", "owner": "robot", "meaning": "a parameter"}
+    plain = gtd.declare(TensorSpec(key="mass", shape=("E", 3), **told))
     plain.copy_(torch.arange(6.0).reshape(2, 3))
     return gtd, plain
 

@@ -22,16 +22,8 @@ from aerial_gym.sensors import IMUS, SENSORS, Pose, SensorManager, mounted_senso
 from tests.builders import simulation
 
 BASE = ROBOTS.get("base_quadrotor")
-CAMERA = CameraCfg(
-    summary="small",
-    width=8,
-    height=8,
-    hfov_deg=90.0,
-    min_range=0.0,
-    max_range=10.0,
-    position=(0.1, 0.0, 0.0),
-    source="chosen for the test",
-)
+SIZE = {"width": 8, "height": 8, "hfov_deg": 90.0, "min_range": 0.0, "max_range": 10.0}
+CAMERA = CameraCfg(summary="small", position=(0.1, 0.0, 0.0), source="chosen for the test", **SIZE)
 LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 
 

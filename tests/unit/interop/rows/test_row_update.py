@@ -49,21 +49,11 @@ def test_rows_of_the_mask_are_made_followed_and_worked_on_and_others_stay(functi
     scale, marks = torch.arange(1.0, count + 1.0), torch.zeros(count, dtype=torch.int32)
     given = RowInput()
     given.scale, given.marks = wp.from_torch(scale), wp.from_torch(marks)
-    made = KernelInput(
-        lines=("made_0 = scaled(given, row, 2.0)", "made_1 = scaled(given, row, 3.0)"),
-        names={"scaled": scale_number},
-        given_type=RowInput,
-        given=given,
-    )
+    lines = ("made_0 = scaled(given, row, 2.0)", "made_1 = scaled(given, row, 3.0)")
+    made = KernelInput(lines=lines, names={"scaled": scale_number}, given_type=RowInput, given=given)
     numbers, base, sums = torch.full((count, 2), -1.0), torch.full((count, 2), 10.0), torch.full((count, 2), -1.0)
-    rows = RowUpdate(
-        function,
-        (numbers, base),
-        (sums,),
-        mask=mask,
-        made=made,
-        beside=RowWork(function=mark, given_type=RowInput, given=given),
-    )
+    beside = RowWork(function=mark, given_type=RowInput, given=given)
+    rows = RowUpdate(function, (numbers, base), (sums,), mask=mask, made=made, beside=beside)
     assert bool(rows.why_slow) == (function is sum_indirect)
     rows()
     expected = torch.where(mask.unsqueeze(-1), torch.outer(scale, torch.tensor([2.0, 3.0])), -1.0)

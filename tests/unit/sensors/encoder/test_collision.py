@@ -69,7 +69,6 @@ def test_images_and_blocks_of_rays_do_not_change_each_other(monkeypatch: pytest.
     seen = 5.0 * torch.rand(7, 4, 6, generator=generator)
     whole = collision_distance(seen, rays, radius=RADIUS, largest=LARGEST)
     monkeypatch.setitem(collision.PAIRS, "cpu", 50)
-    torch.testing.assert_close(
-        collision_distance(seen, rays, radius=RADIUS, largest=LARGEST), whole, atol=0.0, rtol=0.0
-    )
+    blocks = collision_distance(seen, rays, radius=RADIUS, largest=LARGEST)
+    torch.testing.assert_close(blocks, whole, atol=0.0, rtol=0.0)
     assert bool((whole <= seen).all())

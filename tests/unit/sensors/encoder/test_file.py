@@ -46,9 +46,8 @@ def test_encoder_that_diverged_is_refused(tmp_path: Path) -> None:
 def test_other_images_are_refused() -> None:
     camera = coarse_camera()
     random_encoder().check_fits(camera, name="camera", label="encoder x")
-    with pytest.raises(
-        ConfigError, match=r"encoder x: knows images of 40 x 24 .*depth to 10 m; sensor eye has .*to 5 m"
-    ):
+    told = r"encoder x: knows images of 40 x 24 .*depth to 10 m; sensor eye has .*to 5 m"
+    with pytest.raises(ConfigError, match=told):
         random_encoder().check_fits(replace(camera, max_range=5.0), name="eye", label="encoder x")
 
 

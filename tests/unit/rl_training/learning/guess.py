@@ -1,0 +1,62 @@
+"""Tasks of one action each step, and how well a training does in them, for tests."""
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from aerial_gym.rl_training.learning.networks import make_network
+from aerial_gym.rl_training.learning.ppo import Ppo
+from tests.unit.rl_training.learning.test_ppo import settings
+
+
+class GuessTask:
+    """Each episode draws -0.8 or 0.8; an action costs the square of its distance to it. Ages are staggered from the start."""
+
+    num_envs, num_actions, device = 64, 1, torch.device("cpu")
+    observation_shapes: ClassVar = {"observations": (1,)}
+    length = 5
+    """Steps of an episode."""
+    truncated = False
+    """Whether episodes end as truncated, and not as terminated."""
+
+    def __init__(self) -> None:
+        self.generator, self.age = torch.Generator().manual_seed(0), torch.arange(self.num_envs) % self.length
+        self.drawn = self._draw()
+
+    def _draw(self) -> Tensor:
+        return 0.8 * (2.0 * torch.randint(0, 2, (self.num_envs,), generator=self.generator) - 1.0)
+
+    def observe(self) -> dict[str, Tensor]:
+        """Show what was drawn in the first step of an episode, and nothing after it."""
+        return {"observations": torch.where(self.age == 0, self.drawn, 0.0).unsqueeze(-1)}
+
+    def reset(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        return self.observe(), {}
+
+    def stagger(self) -> None:
+        pass
+
+    def step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, dict[str, Tensor]]:
+        reward = -((actions[:, 0] - self.drawn) ** 2)
+        self.age = self.age + 1
+        ended = self.age == self.length
+        final = torch.zeros(self.num_envs, *self.observation_shapes["observations"])
+        info = {"final_observation": final, "episode_return": reward, "episode_length": self.age}
+        self.age = torch.where(ended, 0, self.age)
+        self.drawn = torch.where(ended, self._draw(), self.drawn)
+        no = torch.zeros_like(ended)
+        return self.observe(), reward, *((no, ended) if self.truncated else (ended, no)), info
+
+
+def late_cost(task: GuessTask, iterations: int, **ppo: object) -> float:
+    """Return the mean cost of an action after a training, exploration included."""
+    numbers = {"horizon": 8, "num_minibatches": 2, "hidden_layers": (16,), "num_epochs": 4, "discount": 0.9}
+    rates = {"initial_std": 0.3, "min_std": 0.01, "max_learning_rate": 5e-3}
+    cfg = settings(task.num_envs, **numbers, **rates, **ppo)
+    learner = Ppo(cfg, task, make_network(cfg, task))
+    learner.begin()
+    for _ in range(iterations):
+        learner.iterate()
+    with torch.no_grad():
+        return float(-learner._fly().reward.mean())
