@@ -6,7 +6,6 @@ import os
 import random
 import signal
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -139,20 +138,31 @@ def test_a_signal_waits_for_what_cannot_be_left_half_done() -> None:
     assert done == ["the rest"]
 
 
-def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
-    calls = []
+class EventsStub:
+    """A writer whose second event finds a full disk."""
 
-    def write(event: object) -> None:
-        calls.append(event)
-        if len(calls) == 2:
+    def __init__(self) -> None:
+        self.calls: list[object] = []
+
+    def write_event(self, event: object) -> None:
+        self.calls.append(event)
+        if len(self.calls) == 2:
             full_disk(0)
 
-    events = SafeEvents(SimpleNamespace(write_event=write, flush=lambda: None, close=lambda: None), "summaries")
+    def flush(self) -> None:
+        pass
+
+    close = flush
+
+
+def test_a_writer_of_summaries_outlives_a_full_disk_and_says_so() -> None:
+    writer = EventsStub()
+    events = SafeEvents(writer, "summaries")
     events.write_event(1)
     events.check()
     events.write_event(2)
     events.write_event(3)
-    assert calls == [1, 2]
+    assert writer.calls == [1, 2]
     with pytest.raises(StorageError, match="summaries: cannot be written, the disk is full"):
         events.check()
 
@@ -163,8 +173,7 @@ def test_a_training_that_diverged_ends_and_keeps_what_was_good(tmp_path: Path) -
     keeper = CheckpointKeeper(cfg, folder, task, resumed=None)
     keeper.save({"model": {"weight": torch.ones(3)}}, env_steps=5)
     good = folder.last_checkpoint()
-    with pytest.raises(
-        TrainingError, match=f"diverged: weight is NaN or infinite. The last checkpoint before that is {good}"
-    ):
+    told = f"diverged: weight is NaN or infinite. The last checkpoint before that is {good}"
+    with pytest.raises(TrainingError, match=told):
         keeper.save({"model": {"weight": torch.tensor([1.0, float("nan")])}}, env_steps=9)
     assert folder.checkpoints() == [good]

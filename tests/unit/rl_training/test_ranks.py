@@ -83,8 +83,7 @@ def test_a_trainer_of_one_process_refuses_several(tmp_path: Path, monkeypatch: p
     pytest.importorskip("sample_factory", reason="Sample Factory is not installed: pip install 'aerial-gym[rl]'")
     monkeypatch.setattr(training_module, "join_ranks", lambda device: nullcontext(Twins(0, 2, joined=True)))
     cfg = load_settings(settings_for("sample_factory", "position_setpoint_task"))
-    with pytest.raises(
-        ConfigError, match="sample_factory learns in one process, and 2 were started. Leave torchrun out"
-    ):
+    told = "sample_factory learns in one process, and 2 were started. Leave torchrun out"
+    with pytest.raises(ConfigError, match=told):
         train(cfg, tmp_path / "run")
     assert not (tmp_path / "run").exists()

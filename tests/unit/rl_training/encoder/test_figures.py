@@ -53,6 +53,5 @@ def test_components_of_images_tell_another_target_by_least_squares() -> None:
 
 def test_mean_is_the_mean_of_the_targets() -> None:
     images = draw_images(3)
-    torch.testing.assert_close(
-        reconstruct_by_mean(make_images(images, 2.0 * images))(images[:2])[1], 2.0 * images.mean(0)
-    )
+    told = reconstruct_by_mean(make_images(images, 2.0 * images))(images[:2])
+    torch.testing.assert_close(told[1], 2.0 * images.mean(0))

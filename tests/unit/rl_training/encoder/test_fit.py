@@ -31,10 +31,9 @@ def test_learns_more_than_the_mean_image() -> None:
 def test_going_on_is_as_if_it_had_never_ended() -> None:
     """Bit for bit, on one device."""
     whole, first, second = (EncoderFit(CFG, edges()) for _ in range(3))
-    for _ in range(4):
-        whole.epoch()
-    for _ in range(2):
-        first.epoch()
+    for fit, epochs in ((whole, 4), (first, 2)):
+        for _ in range(epochs):
+            fit.epoch()
     second.load(first.state())
     for _ in range(2):
         second.epoch()

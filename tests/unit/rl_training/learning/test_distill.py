@@ -38,9 +38,8 @@ def hover(**changes: int) -> Task:
 
 def damping() -> Policy:
     """A teacher whose actions are a function of everything, velocities above all."""
-    teacher = Policy(
-        NetworkBodyCfg(shapes={"observations": (13,)}, hidden_layers=(13,), activation="tanh", normalize=False), 4
-    )
+    body = {"hidden_layers": (13,), "activation": "tanh", "normalize": False}
+    teacher = Policy(NetworkBodyCfg(shapes={"observations": (13,)}, **body), 4)
     with torch.no_grad():
         layer = teacher.body.layers[0]
         layer.weight.copy_(torch.eye(13))
@@ -101,11 +100,8 @@ def test_the_teacher_flies_first_and_the_student_in_the_end() -> None:
 
 def test_a_policy_is_handed_on_through_run_folders_and_a_resumed_training_is_the_uninterrupted_one(tmp_path) -> None:
     ppo = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
-    train(
-        replace(ppo, num_envs=64, device="cpu", max_time_s=None, max_env_steps=5_000),
-        tmp_path / "ppo",
-        show_progress=False,
-    )
+    ppo = replace(ppo, num_envs=64, device="cpu", max_time_s=None, max_env_steps=5_000)
+    train(ppo, tmp_path / "ppo", show_progress=False)
     cfg = replace(settings(), teacher=str(tmp_path / "ppo"), max_env_steps=8 * 64 * 16)
     with task_registry.make_task(cfg.task, num_envs=64, device="cpu", seed=0, capture=False) as task:
         training = DistillTrainer().make_training(cfg, task)

@@ -29,20 +29,9 @@ RELATIVE = 5e-3 if DEVICE == "cuda" else 2e-5
 @pytest.mark.parametrize("critic", [(), ("critic",), ("observations", "critic")], ids=["alike", "other", "more"])
 def test_gradient_values_and_actions_are_those_of_torch(activation, clip_value, critic) -> None:
     name = "position_setpoint_task_sim2real" if critic else "position_setpoint_task"
-    cfg = settings(
-        24,
-        critic_keys=critic,
-        horizon=8,
-        hidden_layers=(16, 16),
-        num_minibatches=2,
-        activation=activation,
-        clip_value=clip_value,
-        entropy_coef=1e-2,
-        bound_coef=0.1,
-        normalize_observation=True,
-        head_variance=1.0,
-        max_grad_norm=1e9,
-    )
+    sizes = {"critic_keys": critic, "horizon": 8, "hidden_layers": (16, 16), "num_minibatches": 2, "head_variance": 1.0}
+    kind = {"activation": activation, "clip_value": clip_value, "normalize_observation": True}
+    cfg = settings(24, **sizes, **kind, entropy_coef=1e-2, bound_coef=0.1, max_grad_norm=1e9)
     cfg = replace(cfg, task=name, device=DEVICE)
     result = {}
     with task_registry.make_task(cfg.task, num_envs=24, device=DEVICE, seed=0, capture=False) as task:
@@ -55,9 +44,8 @@ def test_gradient_values_and_actions_are_those_of_torch(activation, clip_value, 
             samples = plain._judge(flown)
             old_log_std = network.actor.log_std.clone()
         fused = FusedPpo(cfg, task, network)
-        fused._adam.weights.add_(
-            0.1 * torch.randn(fused._adam.weights.shape, generator=torch.Generator().manual_seed(2)).to(DEVICE)
-        )
+        nudge = torch.randn(fused._adam.weights.shape, generator=torch.Generator().manual_seed(2))
+        fused._adam.weights.add_(0.1 * nudge.to(DEVICE))
         chosen = torch.randperm(24, generator=torch.Generator().manual_seed(3)).to(DEVICE)[:11]
         ratio = network.sequence(samples.prepared, samples.memory, samples.in_time["begins"])[0]
         ratio = (ratio.log_prob(samples.in_time["action"]) - samples.in_time["log_prob"]).exp()

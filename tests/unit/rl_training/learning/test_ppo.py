@@ -139,11 +139,8 @@ class StepCounter:
         self.count = self.count + 1.0
         truncated = torch.tensor([bool(self.count[0] == 3.0), False])
         terminated = torch.tensor([False, bool(self.count[1] == 2.0)])
-        info = {
-            "final_observation": self.count.clone().unsqueeze(-1),
-            "episode_return": self.count.clone(),
-            "episode_length": self.count.clone(),
-        }
+        info = dict.fromkeys(("episode_return", "episode_length"), self.count.clone())
+        info["final_observation"] = self.count.clone().unsqueeze(-1)
         self.count = self.count.masked_fill(terminated | truncated, 0.0)
         return {"observations": self.count.clone().unsqueeze(-1)}, torch.ones(2), terminated, truncated, info
 

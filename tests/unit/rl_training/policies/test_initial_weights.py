@@ -46,12 +46,8 @@ def test_a_wider_network_does_what_the_other_one_did_whatever_it_sees_in_additio
     load_initial_weights(wide, narrow.state_dict(), where="run")
     for more in (torch.zeros(16, 4), draw_observations(4)):
         observation = {"observations": torch.cat((draw_observations(5), more), dim=1)}
-        torch.testing.assert_close(
-            policy_outputs(wide, observation),
-            policy_outputs(narrow, {"observations": draw_observations(5)}),
-            atol=1e-6,
-            rtol=1e-6,
-        )
+        expected = policy_outputs(narrow, {"observations": draw_observations(5)})
+        torch.testing.assert_close(policy_outputs(wide, observation), expected, atol=1e-6, rtol=1e-6)
     assert wide.actor.body.normalizers["observations"].std[5:].sub(1.0).abs().max() < 1e-4
 
 
@@ -87,18 +83,11 @@ def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
 
     task = task_registry.get("position_setpoint_task")
     terms = (*task.observations["policy"], ObservationCfg(term="lin_vel_body"))
-    training = PpoTrainer().make_training(
-        cfg, build_task(replace(task, observations={**task.observations, "policy": terms}), 64)
-    )
-    assert cfg.initial is not None
+    training = make_training(cfg, build_task(replace(task, observations={**task.observations, "policy": terms}), 64))
     training.load_initial_weights(cfg.initial)
     wide, narrow = training.learner.network.actor, draw_observations(first.shapes["observations"][0])
-    torch.testing.assert_close(
-        wide({"observations": torch.cat((narrow, draw_observations(3)), dim=1)}),
-        first({"observations": narrow}),
-        atol=1e-6,
-        rtol=0.0,
-    )
+    result = wide({"observations": torch.cat((narrow, draw_observations(3)), dim=1)})
+    torch.testing.assert_close(result, first({"observations": narrow}), atol=1e-6, rtol=0.0)
 
 
 def test_other_trainers_and_missing_runs_are_refused(tmp_path: Path) -> None:

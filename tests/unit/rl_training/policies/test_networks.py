@@ -96,9 +96,8 @@ def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: s
     """Of all weights, what enters and the first memory; a GPU sums in another order, and small units in one launch."""
     torch.manual_seed(0)
     cell = nn.GRUCell(5, size, device=device)
-    seen, first, weight = (
-        randn(*shape, seed=i).to(device) for i, shape in enumerate(((7, 21, 5), (21, size), (7, 21, size)))
-    )
+    shapes = ((7, 21, 5), (21, size), (7, 21, size))
+    seen, first, weight = (randn(*shape, seed=i).to(device) for i, shape in enumerate(shapes))
     begins = (torch.rand(7, 21, generator=torch.Generator().manual_seed(1)) < 0.3).to(device)
     wanted = [seen.requires_grad_(), first.requires_grad_(), *cell.parameters()]
     memory, loss = first, torch.zeros((), device=device)
@@ -154,9 +153,8 @@ def test_memories_of_policy_and_critic_stand_apart(shared: bool) -> None:
 
 def test_a_critic_sees_its_own_keys_and_what_both_see_is_normalised_alike() -> None:
     both, more = {"observations": (5,)}, {"observations": (5,), "critic": (3,)}
-    network = ActorCritic(
-        Policy(NetworkBodyCfg(shapes=both, hidden_layers=(8,)), 2), NetworkBodyCfg(shapes=more, hidden_layers=(8,))
-    )
+    policy = Policy(NetworkBodyCfg(shapes=both, hidden_layers=(8,)), 2)
+    network = ActorCritic(policy, NetworkBodyCfg(shapes=more, hidden_layers=(8,)))
     torch.nn.init.normal_(network.value_head.weight)
     observation = {"observations": 3.0 + randn(4, 6, 5), "critic": randn(4, 6, 3, seed=1)}
     network.count(observation)
@@ -189,9 +187,8 @@ def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to
     other = images.clone()
     other[1, 2] = 255 - other[1, 2]
     changed, _ = body.sequence({"observations": seen, "depth": other}, empty, begins)
-    assert torch.equal(
-        (changed != features).any(dim=-1), torch.tensor([[False] * 5, [False, False, True, False, False]])
-    )
+    expected = torch.tensor([[False] * 5, [False, False, True, False, False]])
+    assert torch.equal((changed != features).any(dim=-1), expected)
 
 
 def test_keys_that_are_neither_vectors_nor_images_are_refused() -> None:
