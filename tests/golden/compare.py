@@ -63,9 +63,8 @@ def differences(reference: Any, present: Any, name: str, *, relative: float = RE
 def _equal(reference: Any, present: Any, relative: float) -> bool:
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (reference, present))
     if numbers and float in (type(reference), type(present)):
-        return math.isclose(reference, present, rel_tol=relative, abs_tol=ABSOLUTE) or (
-            math.isnan(reference) and math.isnan(present)
-        )
+        both = math.isnan(reference) and math.isnan(present)
+        return both or math.isclose(reference, present, rel_tol=relative, abs_tol=ABSOLUTE)
     return type(reference) is type(present) and reference == present
 
 
@@ -91,8 +90,8 @@ def write(path: Path, content: dict[str, Any]) -> None:
 
 
 def _item(name: str, parts: dict[str, Any]) -> str:
-    rows = ",\n".join(
-        f"  {json.dumps(key)}: {json.dumps(part, ensure_ascii=False, separators=(',', ':'))}"
-        for key, part in parts.items()
+    texts = (
+        (json.dumps(key), json.dumps(part, ensure_ascii=False, separators=(",", ":"))) for key, part in parts.items()
     )
+    rows = ",\n".join(f"  {key}: {text}" for key, text in texts)
     return f"{json.dumps(name)}: {{\n{rows}\n}}"

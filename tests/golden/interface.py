@@ -163,10 +163,8 @@ def _python() -> dict[str, Any]:
 
 def _describe(value: Any) -> Any:
     if inspect.isclass(value):
-        methods = {
-            n: _signature(m) for n, m in inspect.getmembers(value) if not n.startswith("_") and _is_package_member(m)
-        }
-        return {"()": _signature(value), **methods}
+        members = ((n, m) for n, m in inspect.getmembers(value) if not n.startswith("_") and _is_package_member(m))
+        return {"()": _signature(value), **{n: _signature(m) for n, m in members}}
     if callable(value) and not isinstance(value, Registry):
         return _signature(value)
     return "registry" if isinstance(value, Registry) else "value"

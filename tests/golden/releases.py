@@ -111,19 +111,8 @@ def write_files(folder: Path) -> None:
             sessions = json.loads((run / "versions.json").read_text(encoding="utf-8"))
             text = json.dumps([session | {"machine": "x86_64"} for session in sessions], indent=1)
             (folder / trainer / "versions.json").write_text(f"{text}\n", encoding="utf-8")
-    main(
-        [
-            "export",
-            "--policy",
-            str(folder / "ppo"),
-            "--to",
-            *EXPORTS,
-            "--name",
-            "hover",
-            "--out",
-            str(folder / "export"),
-        ]
-    )
+    out = ["--name", "hover", "--out", str(folder / "export")]
+    main(["export", "--policy", str(folder / "ppo"), "--to", *EXPORTS, *out])
     _forget_places(folder / "export" / "hover.onnx")
     (folder / "robot.yaml").write_text(robot_text("com_offset"), encoding="utf-8")
 

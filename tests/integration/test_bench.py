@@ -6,13 +6,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.cli.main import main
+from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.control import CONTROLLERS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, state_at_rest
+from aerial_gym.sensors import RayCaster, SensorImages
 from aerial_gym.workloads.episodes import check_crashes, check_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
 from aerial_gym.workloads.measure import WorkloadError, rate_range, time_launches, torch_threads
+from aerial_gym.workloads.scene_meshes import SceneMeshes
+from aerial_gym.workloads.scenes import make_scene
+from tests.integration.commands import run
 from tests.physics.vehicles import ON_RIGID
 from tests.repetitions import frequent_values
 
@@ -21,25 +25,10 @@ CPU = torch.device("cpu")
 SHARED_KEYS = {"case", "device", "num_envs", "threads", "versions", "commit", "load1"}
 
 
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
-    status = main(argv)
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
-
-
 def small_flight(**changes: object) -> HoverFlight:
-    options = {
-        "backend": "warp",
-        "robot": "base_quadrotor",
-        "controller": "rotor_speed_control",
-        "effects": ("rotor_drag",),
-        "integrator": "euler",
-        "num_envs": 8,
-        "substeps": 50,
-        "dt": 0.002,
-        "device": CPU,
-    }
-    return make_flight(**{**options, **changes})
+    law = {"robot": "base_quadrotor", "controller": "rotor_speed_control", "effects": ("rotor_drag",)}
+    sizes = {"backend": "warp", "integrator": "euler", "num_envs": 8, "substeps": 50, "dt": 0.002, "device": CPU}
+    return make_flight(**{**law, **sizes, **changes})
 
 
 def hover_state(num_envs: int = 3) -> BodyState:
@@ -254,11 +243,6 @@ def test_rendering_measures_a_lidar_whose_columns_share_poses(capsys: pytest.Cap
 
 def test_merged_meshes_show_the_same_depths(capsys: pytest.CaptureFixture[str]) -> None:
     """The baseline sees what we see: boxes to round-off; the median leaves out pixels along edges."""
-    from aerial_gym.config.sensor import CameraCfg
-    from aerial_gym.sensors import RayCaster, SensorImages
-    from aerial_gym.workloads.scene_meshes import SceneMeshes
-    from aerial_gym.workloads.scenes import make_scene
-
     scene = make_scene("boxes", 3, device=CPU)
     camera = CameraCfg(
         summary="test", width=32, height=32, hfov_deg=87.0, min_range=0.0, max_range=scene.max_range, segmentation=False,

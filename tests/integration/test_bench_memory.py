@@ -6,16 +6,10 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym.cli.main import main
 from aerial_gym.workloads.memory import array_bytes
+from tests.integration.commands import run_bench as run
 
 CPU = torch.device("cpu")
-
-
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
-    status = main(("bench", *argv))
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
 
 
 def test_memory_is_counted_once_however_many_views_there_are() -> None:
@@ -38,10 +32,8 @@ def test_memory_of_a_simulator_is_that_of_its_images_and_of_91_obstacles(capsys:
     sizes = {row["name"]: row["bytes_per_env"] for row in arrays}
     assert len(sizes) == 4
     assert sizes["gtd.depth_range_pixels"] == 240 * 135 * 4
-    _, *arrays = map(
-        json.loads,
-        run(capsys, "memory", "--num-envs", "8", "--device", "cpu", "--json", "--largest", "99")[1].splitlines(),
-    )
+    argv = ("memory", "--num-envs", "8", "--device", "cpu", "--json", "--largest", "99")
+    _, *arrays = map(json.loads, run(capsys, *argv)[1].splitlines())
     sizes = {row["name"]: row["bytes_per_env"] for row in arrays}
     assert sizes["gtd.vec_root_tensor"] == 92 * 13 * 4
     assert sizes["sensor_manager.casters.base_depth_camera._view.rows"] == 91 * 12 * 4

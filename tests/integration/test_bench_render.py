@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.cli.main import main
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.workloads.measure import WorkloadError
@@ -18,16 +17,11 @@ from aerial_gym.workloads.renderers import runs
 from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
 from aerial_gym.workloads.renderers.runs import absence_reason, mismatch_share, run_peer, scene_arrays
 from aerial_gym.workloads.scenes import RenderScene, make_scene
+from tests.integration.commands import run_bench as run
 
 CPU = torch.device("cpu")
 QUICK = ("--device", "cpu", "--repeats", "2", "--repeat-time-s", "0.01", "--width", "32", "--height", "24")
 PEER_FOLDER = Path(runs.__file__).parent
-
-
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
-    status = main(("bench", *argv))
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
 
 
 def test_others_stand_below_ours_in_one_run(capsys: pytest.CaptureFixture[str]) -> None:
@@ -67,9 +61,8 @@ def test_what_cannot_be_measured_is_skipped_with_the_way_out(capsys: pytest.Capt
     assert why == "mujoco is skipped: it runs on cpu only."
     assert "does not start" in str(absence_reason("mujoco", "/nowhere/python", "cpu"))
     assert absence_reason("mujoco", sys.executable, "cpu") is None
-    status, _, err = run(
-        capsys, "render", *QUICK, "--scene", "env_with_obstacles", "--num-envs", "2", "--against", "mujoco"
-    )
+    argv = ("--scene", "env_with_obstacles", "--num-envs", "2", "--against", "mujoco")
+    status, _, err = run(capsys, "render", *QUICK, *argv)
     assert "mujoco is skipped: it needs a scene of its own kind, such as --scene boxes" in err
 
 
@@ -130,13 +123,9 @@ def test_only_a_level_box_below_every_camera_is_a_floor() -> None:
         state = scene.state.clone()
         state[1, 20, 3], state[1, 20, 6] = math.sin(turn), math.cos(turn)
         position = torch.tensor([[0.0, 0.0, 1.0], camera])
-        changed = RenderScene(
-            shapes=(*scene.shapes[:20], ShapeCfg(kind="box", size=(40.0, 40.0, 0.2))),
-            state=state,
-            position=position,
-            attitude=scene.attitude,
-            max_range=50.0,
-        )
+        shapes = (*scene.shapes[:20], ShapeCfg(kind="box", size=(40.0, 40.0, 0.2)))
+        places = {"position": position, "attitude": scene.attitude}
+        changed = RenderScene(shapes=shapes, state=state, max_range=50.0, **places)
         result = scene_arrays(changed, direction, vfov_deg=87.0, segmentation=False)
         height = 0.0 if result["kind"][20] == "floor" else -0.1
         assert result["position"][:, 20, 2] == pytest.approx(height)

@@ -9,18 +9,13 @@ from pathlib import Path
 import pytest
 
 from aerial_gym import __version__
-from aerial_gym.cli.main import COMMANDS, RENAMED, main
+from aerial_gym.cli.main import COMMANDS, RENAMED
 from aerial_gym.config import CONFIG_DIR
 from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, effects
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-
-
-def run(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
-    status = main(argv)
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
+from tests.integration.commands import run
 
 
 def test_overview_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,7 +41,7 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
     status, out, _ = run(capsys, "list", "--json")
     assert status == 0
     result = json.loads(out)
-    assert {
+    kinds = {
         "sims",
         "environments",
         "robots",
@@ -57,7 +52,8 @@ def test_list_as_json_holds_every_kind(capsys: pytest.CaptureFixture[str]) -> No
         "backends",
         "tasks",
         "trainers",
-    } == set(result)
+    }
+    assert kinds == set(result)
     assert set(result["imus"]) == {"base_imu", "bmi088", "vn100"} < set(result["sensors"])
     assert result["controllers"]["no_control"] == "thrust of each rotor [N]"
     assert "base_sim_headless" in result["sims"]
@@ -118,6 +114,9 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
     assert all(len(line) > 10 and "`" not in line for line in result.values())
 
 
+LOGS = ("--train", "a.csv", "--test", "b.csv", "--out", "never")
+
+
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
@@ -125,16 +124,13 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
         (("list", "robts"), "no kind 'robts'. Known: sims"),
         (
             ("train", "--task", "position_setpoint_tsk"),
-            "no task 'position_setpoint_tsk'. Did you mean 'position_setpoint_task'",
+            "'position_setpoint_tsk'. Did you mean 'position_setpoint_task'",
         ),
         (("train", "--device", "tpu9"), "device 'tpu9': must be auto, cpu, cuda"),
         (("evaluate", "--policy", "nowhere"), "nowhere"),
         (("replay", "tinyprp", "flight.csv"), "no robot 'tinyprp'. Did you mean 'tinyprop'"),
         (("replay", "tinyprop", "flight.csv"), "flight.csv: no such file"),
-        (
-            ("close-loop", "--robot", "missing.yaml", "--train", "a.csv", "--test", "b.csv", "--out", "never"),
-            "missing.yaml: no such file",
-        ),
+        (("close-loop", "--robot", "missing.yaml", *LOGS), "missing.yaml: no such file"),
     ],
 )
 def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
@@ -168,7 +164,7 @@ def test_what_is_material_reaches_the_loop(monkeypatch: pytest.MonkeyPatch, caps
         raise ConfigError("seen")
 
     monkeypatch.setattr("aerial_gym.sim2real.close_loop", record_criteria)
-    call = ("close-loop", "--robot", "tinyprop", "--train", "a.csv", "--test", "b.csv", "--out", "never")
+    call = ("close-loop", "--robot", "tinyprop", *LOGS)
     for more, material in ((("--material", "0.2"), 0.2), ((), Criteria().material)):
         assert run(capsys, *call, *more)[0] == 2
         assert given[-1] == Criteria(material=material)

@@ -9,7 +9,7 @@ import warp as wp
 
 from aerial_gym import task_registry
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import BatteryCfg
+from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.interop.rows.transport import FEW
@@ -19,6 +19,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
 from tests.builders import simulation
+from tests.physics.vehicles import BATTERY
 from tests.unit.interop.rows.test_transport import check_transport
 from tests.unit.robots.test_secondary_states import check_derived, compute_states, motions
 from tests.unit.task.hover import camera_task, rich
@@ -27,31 +28,33 @@ from tests.unit.task.navigation import make_cfg
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA GPU")
 
 
-def obstacle_env(num_envs: int = 64):
-    env = simulation(
-        "base_quadrotor_with_camera",
-        "lee_velocity_control",
-        env="env_with_obstacles",
-        num_envs=num_envs,
-        device="cuda:0",
-    )
+def obstacle_env() -> EnvManager:
+    where = {"env": "env_with_obstacles", "num_envs": 64, "device": "cuda:0"}
+    env = simulation("base_quadrotor_with_camera", "lee_velocity_control", **where)
     env.reset()
     return env
 
 
-def test_step_render_and_masked_reset_wait_for_nothing() -> None:
-    env, actions = obstacle_env(), torch.zeros(64, 4, device="cuda:0")
-    env.step(actions)
-    env.reset(env.gtd["crashes"] | env.gtd["truncations"])
-    env.render()
+def assert_without_waits(act: Callable[[], None]) -> None:
+    """Do something twice, the second time with an error where torch waits for the host."""
+    act()
     torch.cuda.synchronize()
     torch.cuda.set_sync_debug_mode("error")
     try:
+        act()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+
+
+def test_step_render_and_masked_reset_wait_for_nothing() -> None:
+    env, actions = obstacle_env(), torch.zeros(64, 4, device="cuda:0")
+
+    def act() -> None:
         env.step(actions)
         env.reset(env.gtd["crashes"] | env.gtd["truncations"])
         env.render()
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
+
+    assert_without_waits(act)
 
 
 def make_task(num_envs: int = 256, **options) -> Task:
@@ -109,9 +112,8 @@ def test_a_captured_navigation_step_is_the_eager_step() -> None:
         limits = replace(cfg.curriculum, check_after=100, raise_above=0.0, lower_below=0.0)
         env = simulation(cfg.robot, cfg.controller, sim=cfg.sim, env=cfg.env, num_envs=64, device="cuda:0")
         noiseless = tuple(replace(entry, noise_std=0.0) for entry in cfg.observations["policy"])
-        cfg = make_cfg(
-            cfg, curriculum=limits, episode_len_steps=10, success_radius=11.0, observations={"policy": noiseless}
-        )
+        sizes = {"episode_len_steps": 10, "success_radius": 11.0, "observations": {"policy": noiseless}}
+        cfg = make_cfg(cfg, curriculum=limits, **sizes)
         task = Task(cfg, env, capture=capture)
         task.reset(seed=3)
         g = torch.Generator(device="cuda:0").manual_seed(1)
@@ -153,23 +155,12 @@ def test_a_captured_step_with_effects_that_remember_is_the_eager_step() -> None:
     robot, effects = ROBOTS.get("tinyprop"), {"rotor_drag": {"dx": 0.3, "dy": 0.3, "dz": 0.3}}
     for name in (name for name in EFFECTS.names() if EFFECTS.get(name).remembers):
         effect = EFFECTS.get(name)
-        row = [
-            a + 0.5 * p.scale * (p.kind != "rotor")
-            for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)
-        ]
-        effects[name] = dict(zip([p.name for p in effect.parameters], row, strict=True))
-    battery = BatteryCfg(
-        nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=3600.0, source="test"
-    )  # fmt: skip
+        params = zip(effect.neutral(robot), effect.parameters, strict=True)
+        effects[name] = {p.name: a + 0.5 * p.scale * (p.kind != "rotor") for a, p in params}
+    robot = replace(robot, effects=effects, effects_source="test", battery=BATTERY)
     result = []
     for capture in (False, True):
-        env = simulation(
-            replace(robot, effects=effects, effects_source="test", battery=battery),
-            "lee_velocity_control",
-            num_envs=64,
-            device=torch.device("cuda:0"),
-            seed=5,
-        )
+        env = simulation(robot, "lee_velocity_control", num_envs=64, device=torch.device("cuda:0"), seed=5)
         env.reset()
         actions, mask = torch.zeros(64, 4, device="cuda:0"), torch.arange(64, device="cuda:0") % 3 == 0
 
@@ -209,17 +200,8 @@ RANDOMIZE = {
 
 def make_random_task(num_envs: int, *, capture: bool, **numbers: int) -> Task:
     cfg = replace(task_registry.get("position_setpoint_task"), num_envs=num_envs, randomize=RANDOMIZE)
-    env = simulation(
-        "base_quadrotor_with_imu",
-        cfg.controller,
-        sim=cfg.sim,
-        env=cfg.env,
-        num_envs=num_envs,
-        device="cuda:0",
-        seed=3,
-        randomize=RANDOMIZE,
-        **numbers,
-    )
+    options = {"num_envs": num_envs, "device": "cuda:0", "seed": 3, "randomize": RANDOMIZE, **numbers}
+    env = simulation("base_quadrotor_with_imu", cfg.controller, sim=cfg.sim, env=cfg.env, **options)
     return Task(cfg, env, capture=capture)
 
 
@@ -232,15 +214,8 @@ def roll_out(task: Task, first: int = 0, steps: int = 12) -> list[dict[str, torc
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 3 == 0, task.cfg.episode_len_steps)
         obs, reward, *_ = task.step(actions)
-        keys = (
-            "robot_position",
-            "robot_linvel",
-            "robot_mass",
-            "drawn_parameters",
-            "episodes",
-            "rotor_speed",
-            "robot_imu_errors",
-        )
+        keys = ("robot_position", "robot_linvel", "robot_mass", "drawn_parameters", "episodes", "rotor_speed")
+        keys += ("robot_imu_errors",)
         row = {"observations": obs["observations"], "reward": reward} | {key: task.env.gtd[key] for key in keys}
         result.append({key: value.clone() for key, value in row.items()})
     return result
@@ -270,15 +245,12 @@ def test_a_masked_reset_of_a_randomised_robot_waits_for_nothing() -> None:
     env = make_random_task(64, capture=False).env
     env.reset()
     actions, mask = torch.zeros(64, 4, device="cuda:0"), torch.arange(64, device="cuda:0") % 3 == 0
-    env.step(actions)
-    env.reset(mask)
-    torch.cuda.synchronize()
-    torch.cuda.set_sync_debug_mode("error")
-    try:
+
+    def act() -> None:
         env.step(actions)
         env.reset(mask)
-    finally:
-        torch.cuda.set_sync_debug_mode("default")
+
+    assert_without_waits(act)
 
 
 @pytest.mark.parametrize("num_rows", [1, 33, 65, FEW - 1, FEW, FEW + 33])

@@ -52,14 +52,9 @@ def compile_for_gpu(module, *, assemble: bool = False) -> None:
 
 @pytest.mark.parametrize("rich", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_ray_kernels_compile(rich: bool) -> None:
-    outputs = PixelOutputs(
-        images=tuple(IMAGES) if rich else ("distance",),
-        in_world=("points", "normals") if rich else (),
-        noise=rich,
-        shadows=rich,
-        lamps=rich,
-        scan=rich,
-    )
+    kind = dict.fromkeys(("noise", "shadows", "lamps", "scan"), rich)
+    images, in_world = (tuple(IMAGES), ("points", "normals")) if rich else (("distance",), ())
+    outputs = PixelOutputs(images=images, in_world=in_world, **kind)
     compile_for_gpu(make_warp_kernel(outputs).module)
 
 
@@ -90,11 +85,8 @@ def test_physics_kernels_compile(controller: str, integrator: str, names: Sequen
 
 @pytest.mark.slow
 def test_the_physics_kernel_of_links_with_effects_compiles() -> None:
-    values = {
-        "link_drag": {"qx": 0.1},
-        "link_buoyancy": {"force": 0.1, "x": 0.01},
-        "link_added_mass": {"mx": 0.1, "jx": 0.01},
-    }
+    values = {"link_drag": {"qx": 0.1}, "link_buoyancy": {"force": 0.1, "x": 0.01}}
+    values |= {"link_added_mass": {"mx": 0.1, "jx": 0.01}}
     robot = replace(ROBOTS.get("morphy_fixed_base"), effects=values, effects_source="test")
     vehicle = vehicle_from_config(robot, num_envs=2)
     effects = robot_effects(robot, num_envs=2, device=torch.device("cpu"), dtype=torch.float32)
@@ -116,13 +108,8 @@ def test_the_physics_kernel_of_mixed_rotors_compiles(integrator: str) -> None:
 
 def test_the_physics_kernel_with_contact_compiles() -> None:
     vehicle = vehicle_from_config(ROBOTS.get("base_quadrotor"), num_envs=2)
-    ground = Ground(
-        height=0.0,
-        spheres=torch.rand(4, 4),
-        contact=torch.zeros(2, dtype=torch.bool),
-        cfg=ContactCfg(friction=0.5),
-        impulse=torch.zeros(2, 3),
-    )
+    memory = {"contact": torch.zeros(2, dtype=torch.bool), "impulse": torch.zeros(2, 3)}
+    ground = Ground(height=0.0, spheres=torch.rand(4, 4), cfg=ContactCfg(friction=0.5), **memory)
     backend = WarpBackend()
     law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, 9.81)
     backend.allocate(build_model(vehicle), law, integrator="euler", ground=ground)
@@ -130,17 +117,11 @@ def test_the_physics_kernel_with_contact_compiles() -> None:
 
 
 def test_the_kernel_of_a_randomised_robot_compiles() -> None:
-    env = simulation(
-        "base_quadrotor",
-        "lee_velocity_control",
-        randomize={
-            "body.mass": RandomizeCfg(low=0.8, high=1.2),
-            "effects.com_offset.x": RandomizeCfg(how="value", low=0.0, high=0.01),
-            "effects.imu_misalignment.yaw": RandomizeCfg(how="value", low=0.0, high=0.01),
-        },
-    )
-    update = env.robot_manager._update
-    compile_for_gpu(update._rows.kernel.module)
+    small = RandomizeCfg(how="value", low=0.0, high=0.01)
+    randomize = {"body.mass": RandomizeCfg(low=0.8, high=1.2), "effects.com_offset.x": small}
+    randomize |= {"effects.imu_misalignment.yaw": small}
+    env = simulation("base_quadrotor", "lee_velocity_control", randomize=randomize)
+    compile_for_gpu(env.robot_manager._update._rows.kernel.module)
 
 
 @pytest.mark.parametrize(
@@ -148,17 +129,11 @@ def test_the_kernel_of_a_randomised_robot_compiles() -> None:
     ["base_quadrotor", pytest.param("omnidirectional_octarotor", marks=pytest.mark.slow)],  # the same of another size
 )
 def test_the_kernels_of_an_allocation_in_each_environment_compile(robot: str) -> None:
-    env = simulation(
-        replace(ROBOTS.get(robot), control=ControlCfg(effectiveness="actual")),
-        "lee_attitude_control",
-        randomize={
-            "rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1),
-            "mounts.*.axis": RandomizeCfg(each_rotor=True, how="offset", low=-0.1, high=0.1),
-        },
-    )
-    manager = env.robot_manager
+    randomize = {"rotor.thrust_map": RandomizeCfg(each_rotor=True, low=0.9, high=1.1)}
+    randomize["mounts.*.axis"] = RandomizeCfg(each_rotor=True, how="offset", low=-0.1, high=0.1)
+    own = replace(ROBOTS.get(robot), control=ControlCfg(effectiveness="actual"))
+    manager = simulation(own, "lee_attitude_control", randomize=randomize).robot_manager
     compile_for_gpu(manager._update._rows.kernel.module)
-    assert isinstance(manager.backend, WarpBackend)
     compile_for_gpu(manager.backend.kernel.module)
 
 
@@ -188,23 +163,21 @@ def test_the_kernel_of_image_cells_compiles(lanes: int, rows: int) -> None:
     compile_for_gpu(make_pool(lanes=lanes, rows=rows).module)
 
 
-@pytest.mark.parametrize(
-    "module",
-    [
-        secondary_states,
-        initial_state,
-        imu,
-        goals,
-        noise,
-        sensor_poses,
-        placement,
-        practice,
-        track,
-        obstacle_motion,
-        clearance,
-        sensor_view,
-        flow,
-    ],
+MODULES = (
+    secondary_states,
+    initial_state,
+    imu,
+    goals,
+    noise,
+    sensor_poses,
+    placement,
+    practice,
+    track,
+    obstacle_motion,
 )
+MODULES += (clearance, sensor_view, flow)
+
+
+@pytest.mark.parametrize("module", MODULES)
 def test_kernels_of_modules_compile(module) -> None:
     compile_for_gpu(wp.get_module(module.__name__))

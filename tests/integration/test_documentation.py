@@ -22,6 +22,7 @@ from aerial_gym.cli.main import main
 from aerial_gym.physics import BACKENDS, EFFECTS
 from aerial_gym.rl_training import TRAINERS
 from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS
+from docs.generate.configuration import configuration_names, documented_names
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -199,13 +200,10 @@ def external_urls(site: Path) -> list[str]:
 def test_external_urls_are_those_that_a_page_loads(tmp_path: Path) -> None:
     page = '<script src="https://a/x.js"></script><link href="//b/y.css"><a href="https://c"></a><img src="z.png">'
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
-    (tmp_path / "style.css").write_text(
-        "@font-face { src: url('https://d/f.woff') } i { src: url(g.woff) }", encoding="utf-8"
-    )
+    style = "@font-face { src: url('https://d/f.woff') } i { src: url(g.woff) }"
+    (tmp_path / "style.css").write_text(style, encoding="utf-8")
     assert external_urls(tmp_path) == ["https://a/x.js", "//b/y.css", "https://d/f.woff"]
 
 
 def test_every_configuration_class_is_in_the_reference() -> None:
-    from docs.generate.configuration import configuration_names, documented_names
-
     assert configuration_names() <= documented_names()

@@ -33,9 +33,8 @@ def flight_failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failu
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)  # as the fixture coarser_plant
         folder = tmp_path_factory.mktemp("failing")
-        files = make_case(
-            folder, effects={}, seed=731, num_test=2, duration_s=8.0, rate_hz=200, nuisance=True, failures=HIDDEN
-        )
+        sizes = {"num_test": 2, "duration_s": 8.0, "rate_hz": 200, "nuisance": True}
+        files = make_case(folder, effects={}, seed=731, failures=HIDDEN, **sizes)
     robot = robot_by_name(files.robot)
     finder = FailureFinder(robot)
     flights = load_flights([*files.train, *files.test], robot, mapping=None, bandwidth=10.0)

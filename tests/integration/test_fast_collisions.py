@@ -10,11 +10,12 @@ import pytest
 import torch
 
 from aerial_gym.config.collision import CapsuleCfg, CollisionCfg
-from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, PartCfg, ShapeCfg
+from aerial_gym.config.environment import AssetCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
+from tests.unit.assets.managers import MIDDLE, box_environment
 
 NUM_ENVS, SPEED, DT = 400, 20.0, 0.01
 RACER = ROBOTS.get("crazyflie_21_brushless_racing")
@@ -25,30 +26,16 @@ POLE = ShapeCfg(kind="cylinder", radius=0.01, height=4.0)
 WALL = ShapeCfg(kind="box", size=(0.02, 4.0, 4.0))
 OPENING = 0.4
 BAR = ShapeCfg(kind="box", size=(0.02, 1.0, 0.1))
-GATE = ShapeCfg(
-    kind="compound",
-    parts=tuple(
-        PartCfg(shape=BAR, position=position, euler=(turn, 0.0, 0.0))
-        for position, turn in (
-            ((0.0, 0.0, 0.25), 0.0), ((0.0, 0.0, -0.25), 0.0),
-            ((0.0, 0.25, 0.0), 0.5 * pi), ((0.0, -0.25, 0.0), 0.5 * pi),
-        )
-    ),
-)  # fmt: skip
-ROOM = {f"bounds_{side}_{end}": 3 * (x,) for side, x in (("lower", -5.0), ("upper", 5.0)) for end in ("low", "high")}
-MIDDLE = {"position_ratio_low": (0.5, 0.5, 0.5), "position_ratio_high": (0.5, 0.5, 0.5)}
+BARS = (((0.0, 0.0, 0.25), 0.0), ((0.0, 0.0, -0.25), 0.0), ((0.0, 0.25, 0.0), 0.5 * pi), ((0.0, -0.25, 0.0), 0.5 * pi))
+PARTS = tuple(PartCfg(shape=BAR, position=position, euler=(turn, 0.0, 0.0)) for position, turn in BARS)
+GATE = ShapeCfg(kind="compound", parts=PARTS)
 
 
 def build(shape: ShapeCfg | None, *, backend: str = "warp", robot: RobotCfg = RACER, **fields: object) -> EnvManager:
     """Return robots in rooms with one shape in the middle, level and with their rotors at rest."""
-    asset = None if shape is None else AssetCfg(name="obstacle", count=1, keep=True, shapes=(shape,), **MIDDLE)
-    cfg = EnvironmentCfg(
-        summary="a test", source="test", physics_steps_per_env_step=1, assets=() if asset is None else (asset,),
-        **ROOM, **fields,
-    )  # fmt: skip
-    env = simulation(
-        robot, sim=replace(SIMS.get("base_sim"), backend=backend, dt=DT), env=cfg, num_envs=NUM_ENVS, seed=1
-    )
+    assets = () if shape is None else (AssetCfg(name="obstacle", count=1, keep=True, shapes=(shape,), **MIDDLE),)
+    sim = replace(SIMS.get("base_sim"), backend=backend, dt=DT)
+    env = simulation(robot, sim=sim, env=box_environment((5.0, 5.0, 5.0), *assets, **fields), num_envs=NUM_ENVS, seed=1)
     env.reset()
     for key in ("robot_position", "robot_linvel", "robot_body_angvel", "rotor_speed"):
         env.gtd[key].zero_()

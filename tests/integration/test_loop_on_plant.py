@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from _pytest.mark import ParameterSet
 
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from benchmarks.undeclared import make_case
+from tests.repetitions import rare_values
 
 SHORT: dict[str, Any] = {"num_train": 4, "num_test": 2, "duration_s": 8.0, "rate_hz": 200}
 EFFECTS = ("com_offset",)
@@ -36,20 +36,15 @@ def plant(request: pytest.FixtureRequest) -> None:
         request.getfixturevalue("coarser_plant")
 
 
-def slow(names: tuple[str, ...]) -> list[ParameterSet]:
-    return [pytest.param(name, marks=pytest.mark.slow) for name in names]
-
-
 def run_case(folder: Path, effects: dict[str, Any], seed: int, **flights: Any) -> tuple[dict, dict]:
     files = make_case(folder / "case", effects=effects, seed=seed, **(SHORT | flights))
     close_loop(files.robot, files.train, files.test, folder / "out")
     check_effects(robot_by_name(folder / "out" / "robot.yaml"))
-    return json.loads((folder / "out" / "verdict.json").read_text()), json.loads(
-        Path(files.truth).read_text(encoding="utf-8")
-    )
+    truth = json.loads(Path(files.truth).read_text(encoding="utf-8"))
+    return json.loads((folder / "out" / "verdict.json").read_text()), truth
 
 
-@pytest.mark.parametrize("effect", [*EFFECTS, *slow(MORE_EFFECTS)])
+@pytest.mark.parametrize("effect", rare_values([*EFFECTS, *MORE_EFFECTS], MORE_EFFECTS))
 def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
     """The right name, every parameter within four standard deviations (of some 40), the residual down to near the noise floor.
 

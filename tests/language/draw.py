@@ -28,13 +28,11 @@ def rows(node: ast.AST, module: str, owner: str = "") -> Iterator[Row]:
 
 def main(count: int) -> None:
     """Print the draw."""
-    seed = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.strip()
+    command = ["git", "rev-parse", "HEAD"]
+    seed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
     draw, files = random.Random(seed), sorted((ROOT / "aerial_gym").rglob("*.py"))
-    candidates = [
-        row for file in files for row in rows(ast.parse(file.read_text("utf-8")), str(file.relative_to(ROOT)))
-    ]
+    modules = ((str(file.relative_to(ROOT)), ast.parse(file.read_text("utf-8"))) for file in files)
+    candidates = [row for module, tree in modules for row in rows(tree, module)]
     print(f"commit {seed}")
     for module, name, _ in draw.sample(sorted(candidates), count):
         print(f"name: {module} {name}")

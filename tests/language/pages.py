@@ -31,10 +31,8 @@ def pages() -> dict[str, str]:
 @cache
 def menu() -> list[str]:
     """Return the pages of the site's menu; those below ``docs/reference`` are generated, and not in the repository."""
-    return [
-        f"docs/{name}"
-        for name in re.findall(r"^\s+- (?:.*: )?(\S+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M)
-    ]
+    names = re.findall(r"^\s+- (?:.*: )?(\S+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.M)
+    return [f"docs/{name}" for name in names]
 
 
 def prose_lines(text: str) -> Iterator[str]:

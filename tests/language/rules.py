@@ -42,13 +42,11 @@ def mean_lengths() -> Offences:
 
 def long_sentences() -> Offences:
     """Return the sentences of pages with too many words."""
-    rows = {
-        path: [part for part in text.sentences(page) if text.count(part) > LONGEST]
-        for path, page in text.pages().items()
-    }
-    return {
-        path: [f"{text.count(part)} words: {part[:60]!r}" for part in parts] for path, parts in rows.items() if parts
-    }
+    offences = {}
+    for path, page in text.pages().items():
+        if parts := [part for part in text.sentences(page) if text.count(part) > LONGEST]:
+            offences[path] = [f"{text.count(part)} words: {part[:60]!r}" for part in parts]
+    return offences
 
 
 def table_shares() -> Offences:
@@ -97,9 +95,7 @@ def pronouns() -> Offences:
 def duplicate_classes() -> Offences:
     """Return the public classes of the package, the benchmarks and the examples that share a name."""
     rows = [row for row in names.definitions() if row.kind == "class" and not row.path.startswith("tests/")]
-    public = sorted(
-        (row.name, row.path) for row in rows if not row.name.startswith("_") and row.name not in IMPOSED_CLASSES
-    )
+    public = sorted((row.name, row.path) for row in rows if row.name[0] != "_" and row.name not in IMPOSED_CLASSES)
     places = {name: [path for _, path in group] for name, group in groupby(public, lambda row: row[0])}
     return {name: paths[1:] for name, paths in places.items() if len(paths) > 1}
 

@@ -50,9 +50,8 @@ def test_many_motors_and_propellers(capsys: pytest.CaptureFixture[str]) -> None:
     result = identify(capsys, "motor", BENCH / "strawson_static_tests.csv")
     assert result["all_tests"]["tests"] == 136
     assert len(result["left_out"]) == 2  # two propellers were mounted the other way round
-    assert (
-        result["all_tests"]["median_relative_error_after"] < 0.5 * result["all_tests"]["median_relative_error_before"]
-    )
+    all_tests = result["all_tests"]
+    assert all_tests["median_relative_error_after"] < 0.5 * all_tests["median_relative_error_before"]
 
 
 def test_propellers_at_rest_have_one_coefficient_of_thrust_as_blade_elements_say() -> None:

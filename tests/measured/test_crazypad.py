@@ -47,7 +47,7 @@ def judge(
     *,
     first: int = 0,
     baseline: tuple[int, ...] = (0, 1),
-    aside: str | None = None,
+    aside=None,
 ) -> Balance:
     """The verdict on a condition; ``first`` is the log that decides, ``aside`` another condition that is not used."""
     normal = f"normal_flight_{condition[-2:]}"
@@ -122,13 +122,10 @@ def test_names_with_few_repeats_are_wrong_no_more_often_than_promised(pairs: dic
         for count, first, baseline in product(range(3, 8), (0, 1), ((0, 1), (0,), (1,))):
             for _ in range(2):
                 kept = rng.sample(rest, count)
-                results = judge_balance(
-                    [pairs[normal][log] for log in baseline],
-                    [pairs[condition][first]],
-                    robot=ROBOTS.get("crazyflie_21"),
-                    test=[pairs[condition][1 - first]],
-                    repeats=[hover for name in kept for hover in pairs[name]],
-                )
+                usual, flight = [pairs[normal][log] for log in baseline], pairs[condition]
+                hovers = [hover for name in kept for hover in pairs[name]]
+                robot = ROBOTS.get("crazyflie_21")
+                results = judge_balance(usual, [flight[first]], robot=robot, test=[flight[1 - first]], repeats=hovers)
                 verdicts += 1
                 if results.fits and not right(condition, results):
                     wrong.append(f"{condition} {results.freedom} {results.candidates}")

@@ -36,12 +36,8 @@ SHOWN_S = 0.002
 def let_go(robot: RobotCfg, start: float, time: np.ndarray, *, dt: float) -> np.ndarray:
     """Return the first elevation [rad] at times [s] after the base's arms were let go at ``start``, in steps of ``dt`` [s]."""
     substeps = round(SHOWN_S / dt)
-    env = simulation(
-        robot,
-        sim=replace(SIMS.get("base_sim_2ms"), dt=dt),
-        env=replace(ENVIRONMENTS.get("empty_env_2ms"), physics_steps_per_env_step=substeps),
-        num_envs=1,
-    )
+    sim, place = replace(SIMS.get("base_sim_2ms"), dt=dt), ENVIRONMENTS.get("empty_env_2ms")
+    env = simulation(robot, sim=sim, env=replace(place, physics_steps_per_env_step=substeps), num_envs=1)
     env.reset()
     env.gtd["dof_position"].zero_()
     env.gtd["dof_velocity"].zero_()
@@ -98,12 +94,10 @@ def test_a_law_found_in_half_of_a_record_holds_in_the_other(dt: float, law_held:
     published = robot.joints.layout[0].spring
     assert published is not None
     wrong = let_go(with_elevations(published), start, record.time, dt=dt) - record.angle
-    print(
-        f"steps of {1e3 * dt:g} ms, degrees: published {degrees_off(wrong, ~late):.3f}, {degrees_off(wrong, late):.3f}",
-        end="",
-    )
-    print(f", first second {degrees_off(wrong, early):.3f}, all {degrees_off(wrong, early | ~early):.3f}")
-    assert degrees_off(wrong, early | ~early) > 0.45
+    shares = [degrees_off(wrong, rows) for rows in (~late, late, early, early | ~early)]
+    text = "published {:.3f}, {:.3f}, first second {:.3f}, all {:.3f}".format(*shares)
+    print(f"steps of {1e3 * dt:g} ms, degrees: {text}")
+    assert shares[3] > 0.45
     for fitted, left in (("even swings", odd), ("odd swings", ~odd), ("first half", late)):
         for name in (ELEMENTS, POWER):
             law = fit_rows(name, record, ~left)

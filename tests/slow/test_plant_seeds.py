@@ -20,16 +20,8 @@ def test_the_hidden_effect_is_named_on_another_seed(nuisance: tuple[str, ...]) -
 
 
 def test_flights_that_only_hover_make_up_no_effect() -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "benchmarks.scores.score_undeclared",
-        "--seeds",
-        "1823",
-        "--nuisance",
-        "--hover",
-        "--json",
-    ]
+    module, flags = "benchmarks.scores.score_undeclared", ["--seeds", "1823", "--nuisance", "--hover", "--json"]
+    command = [sys.executable, "-m", module, *flags]
     out = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     rows = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
     hovers = [row for row in rows if "hover" in row["features"]]

@@ -75,11 +75,8 @@ def test_ten_seconds_without_divergence(num_joints: int, floating: bool, chain: 
     backend.allocate(model, law, integrator="euler", random=Randomness(NUM_ENVS))
     gen = torch.Generator().manual_seed(1)
     start = state_at_rest(NUM_ENVS, vehicle.num_rotors, device=torch.device("cpu"), dtype=torch.float32)
-    state = ArticulatedState(
-        **vars(start),
-        joint_pos=1.4 * torch.rand(NUM_ENVS, num_joints, generator=gen) - 0.7,
-        joint_vel=4.0 * torch.rand(NUM_ENVS, num_joints, generator=gen) - 2.0,
-    )
+    drawn = [torch.rand(NUM_ENVS, num_joints, generator=gen) for _ in range(2)]
+    state = ArticulatedState(**vars(start), joint_pos=1.4 * drawn[0] - 0.7, joint_vel=4.0 * drawn[1] - 2.0)
     action, largest = torch.zeros(NUM_ENVS, len(law.action_names)), 0.0
     for _ in range(round(10 * SECONDS)):
         backend.step(state, action, DT, round(0.1 / DT))

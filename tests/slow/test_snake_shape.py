@@ -24,9 +24,8 @@ BENT = 0.02
 def bending_time(name: str, dt: float, seconds: float = 5.0) -> float:
     """Return when a joint is off by more than ``BENT`` [s]; infinite where none is."""
     robot = ROBOTS.get(name)
-    env = simulation(
-        robot, "lee_position_control", sim=replace(SIMS.get("base_sim_2ms"), dt=dt), env="empty_env_2ms", seed=1
-    )
+    sim = replace(SIMS.get("base_sim_2ms"), dt=dt)
+    env = simulation(robot, "lee_position_control", sim=sim, env="empty_env_2ms", seed=1)
     env.reset()
     pose = torch.tensor([joint.reference for joint in robot.joints.layout])
     actions = torch.zeros(2, 4 + len(pose))

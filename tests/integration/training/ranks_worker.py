@@ -32,9 +32,8 @@ STEPS_OF_ONE = 16 * ENVS
 def settings(size: int, **ppo: object) -> TrainingCfg:
     cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))
     cfg = replace(cfg, num_envs=ENVS // size, device="cpu", max_time_s=None, max_env_steps=100 * STEPS_OF_ONE)
-    return replace(
-        cfg, ppo=replace(cfg.ppo, **{"horizon": 16, "num_minibatches": 4, "normalize_observation": True} | ppo)
-    )
+    numbers = {"horizon": 16, "num_minibatches": 4, "normalize_observation": True} | ppo
+    return replace(cfg, ppo=replace(cfg.ppo, **numbers))
 
 
 def train_ranks(ranks: Ranks, *, iterations: int, like_one: bool) -> dict[str, Any]:
@@ -56,11 +55,9 @@ def train_ranks(ranks: Ranks, *, iterations: int, like_one: bool) -> dict[str, A
             torch.randn = draw
         kept = training.learner.state_tensors()
         common = {name: kept[name].clone() for name in kept if name.startswith(("adam", "rate", "sums"))}
-        return {
-            "common": common | training.state()["model"],
-            "seen": kept["observation.observations"].clone(),
-            "env_steps": training.env_steps,
-        }
+        common |= training.state()["model"]
+        seen = kept["observation.observations"].clone()
+        return {"common": common, "seen": seen, "env_steps": training.env_steps}
 
 
 def learn(out: Path, ports: list[str]) -> None:
@@ -103,9 +100,8 @@ def fail(out: Path, ports: list[str]) -> None:
 
     NativeTraining.advance = fails
     os.environ["MASTER_PORT"] = ports.pop()
-    sys.exit(
-        main(["train", "--out", str(out / "fault"), "--num-envs", "32", "--device", "cpu", "--max-env-steps", "99999"])
-    )
+    limits = ["--num-envs", "32", "--device", "cpu", "--max-env-steps", "99999"]
+    sys.exit(main(["train", "--out", str(out / "fault"), *limits]))
 
 
 def learn_with_rl_games(out: Path, ports: list[str]) -> None:
@@ -131,6 +127,5 @@ def learn_with_rl_games(out: Path, ports: list[str]) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    {"learn": learn, "resume": resume, "fail": fail, "rl_games": learn_with_rl_games}[sys.argv[1]](
-        Path(sys.argv[2]), sys.argv[3:]
-    )
+    acts = {"learn": learn, "resume": resume, "fail": fail, "rl_games": learn_with_rl_games}
+    acts[sys.argv[1]](Path(sys.argv[2]), sys.argv[3:])

@@ -19,25 +19,13 @@ ENVS, STEPS = 64, 24
 EXAMPLES = Path(__file__).parents[3] / "examples" / "other_libraries"
 
 
-def skrl() -> ModuleType:
-    pytest.importorskip("skrl", reason="skrl is not installed: pip install 'aerial-gym[skrl]'")
-    from aerial_gym.rl_training.adapters import skrl
-
-    return skrl
-
-
-def rsl_rl() -> ModuleType:
-    pytest.importorskip("rsl_rl", reason="rsl_rl is not installed: pip install 'aerial-gym[rsl-rl]'")
-    from aerial_gym.rl_training.adapters import rsl_rl
-
-    return rsl_rl
+def library(name: str, extra: str) -> ModuleType:
+    """Return the adapter of a library that is installed."""
+    pytest.importorskip(name, reason=f"{name} is not installed: pip install 'aerial-gym[{extra}]'")
+    return importlib.import_module(f"aerial_gym.rl_training.adapters.{name}")
 
 
-def stable_baselines3() -> ModuleType:
-    pytest.importorskip("stable_baselines3", reason="stable_baselines3 is not installed: pip install 'aerial-gym[sb3]'")
-    from aerial_gym.rl_training.adapters import stable_baselines3
-
-    return stable_baselines3
+EXTRAS = {"skrl": "skrl", "rsl_rl": "rsl-rl", "stable_baselines3": "sb3"}
 
 
 def make() -> Task:
@@ -73,7 +61,7 @@ def reference_steps() -> Iterator[tuple[Tensor, dict[str, Tensor], Tensor, Tenso
 
 
 def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
-    env = skrl().SkrlEnv(as_captured(make()), state="observations")
+    env = library("skrl", "skrl").SkrlEnv(as_captured(make()), state="observations")
     script = reference_steps()
     assert env.num_envs == ENVS
     assert env.observation_space == env.state_space
@@ -94,7 +82,7 @@ def test_skrl_gets_columns_and_keeps_what_it_was_given() -> None:
 
 
 def test_rsl_rl_gets_time_outs_and_a_dictionary_of_groups() -> None:
-    env = rsl_rl().RslRlEnv(as_captured(make()))
+    env = library("rsl_rl", "rsl-rl").RslRlEnv(as_captured(make()))
     script = reference_steps()
     assert torch.equal(env.get_observations()["observations"], next(script)[1]["observations"])
     assert env.max_episode_length == 500
@@ -115,7 +103,7 @@ def test_rsl_rl_gets_time_outs_and_a_dictionary_of_groups() -> None:
 
 
 def test_stable_baselines3_gets_the_last_observation_of_an_episode() -> None:
-    env = stable_baselines3().Sb3Env(as_captured(make()))
+    env = library("stable_baselines3", "sb3").Sb3Env(as_captured(make()))
     script = reference_steps()
     observation = env.reset()
     assert (observation == next(script)[1]["observations"].numpy()).all()
@@ -132,19 +120,17 @@ def test_stable_baselines3_gets_the_last_observation_of_an_episode() -> None:
             if told:
                 assert (told["terminal_observation"] == info["final_observation"][row].numpy()).all()
                 assert told["TimeLimit.truncated"] == bool(truncated[row])
-                assert told["episode"] == {
-                    "r": float(info["episode_return"][row]),
-                    "l": int(info["episode_length"][row]),
-                }
+                episode = {"r": float(info["episode_return"][row]), "l": int(info["episode_length"][row])}
+                assert told["episode"] == episode
                 ended += told["TimeLimit.truncated"]
     assert ended > 0
     assert env.env_is_wrapped(object) == [False] * ENVS
     assert env.get_attr("num_envs", [0, 1]) == [ENVS] * 2
 
 
-@pytest.mark.parametrize("adapter", [skrl, rsl_rl, stable_baselines3])
-def test_the_examples_train(adapter: object, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    name = adapter().__name__.rpartition(".")[2]
+@pytest.mark.parametrize(("name", "extra"), EXTRAS.items())
+def test_the_examples_train(name: str, extra: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    library(name, extra)
     spec = importlib.util.spec_from_file_location(f"with_{name}", EXAMPLES / f"with_{name}.py")
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)

@@ -159,9 +159,8 @@ def test_each_task_has_a_short_example(name: str) -> None:
 
 @pytest.mark.slow
 def test_a_rule_flies_through_obstacles_seen_as_cells_logarithms_and_images(run_example: Told) -> None:
-    few = run_example("through_obstacles.py", 32, "navigation_task", "safe_navigation_task", "pixel_navigation_task")[
-        ::2
-    ]
+    tasks = ("navigation_task", "safe_navigation_task", "pixel_navigation_task")
+    few = run_example("through_obstacles.py", 32, *tasks)[::2]
     assert all(arrive > 60.0 and crash < 25.0 for _, (arrive, crash) in few)
     assert len(few) == 3
 

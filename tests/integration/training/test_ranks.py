@@ -39,15 +39,9 @@ def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
         "MASTER_PORT": actual[-1],
         "OMP_NUM_THREADS": "1",
     }
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", "tests.integration.training.ranks_worker", act, str(out), *actual],
-            env=shared | {"RANK": str(rank), "LOCAL_RANK": str(rank)},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in range(2)
-    ]
+    command = [sys.executable, "-m", "tests.integration.training.ranks_worker", act, str(out), *actual]
+    own = ({"RANK": str(rank), "LOCAL_RANK": str(rank)} for rank in range(2))
+    processes = [subprocess.Popen(command, env=shared | each, stderr=subprocess.PIPE, text=True) for each in own]
     try:
         return [(each.wait(LIMIT_S), each.stderr.read()) for each in processes]
     finally:
@@ -73,9 +67,8 @@ def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) ->
         assert not torch.equal(first["seen"], second["seen"])
         assert first["env_steps"] == second["env_steps"] == 2 * STEPS_OF_ONE == int(first["common"]["sums"][0])
     both = torch.load(tmp_path / "one_0.pt")["common"]
-    weights = [
-        key for key in one if key.startswith(("actor.", "own_body.", "value_head.")) and ".normalizers." not in key
-    ]
+    parts = ("actor.", "own_body.", "value_head.")
+    weights = [key for key in one if key.startswith(parts) and ".normalizers." not in key]
     moved, apart = (torch.cat([(one[key] - of[key]).flatten() for key in weights]).norm() for of in (begun, both))
     assert apart < 0.05 * moved
     for key in one.keys() - set(weights):

@@ -13,9 +13,8 @@ EXAMPLE = Path(__file__).parents[3] / "examples" / "search_with_ray_tune.py"
 
 @pytest.mark.parametrize("more", [(), ("--population",)], ids=["random", "population"])
 def test_a_search_leaves_a_policy(more: tuple[str, ...], tmp_path: Path) -> None:
-    pytest.importorskip(
-        "ray.tune", reason="Ray Tune is not installed: pip install 'aerial-gym[tune]'", exc_type=ImportError
-    )
+    reason = "Ray Tune is not installed: pip install 'aerial-gym[tune]'"
+    pytest.importorskip("ray.tune", reason=reason, exc_type=ImportError)
     size = ("--device", "cpu", "--num-envs", "64", "--samples", "2", "--slices", "2", "--slice-steps", "4096")
     command = [sys.executable, str(EXAMPLE), *size, "--out", str(tmp_path / "search"), *more]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)

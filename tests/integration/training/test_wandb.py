@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from aerial_gym.cli.main import main
+from tests.repetitions import rare_values
 
 pytest.importorskip("wandb", reason="wandb is not installed: pip install 'aerial-gym[wandb]'")
 pytest.importorskip("tensorboardX", reason="tensorboardX is not installed: pip install 'aerial-gym[wandb]'")
-event_accumulator = pytest.importorskip(
-    "tensorboard.backend.event_processing.event_accumulator", reason="tensorboard is not installed"
-)
+place = "tensorboard.backend.event_processing.event_accumulator"
+event_accumulator = pytest.importorskip(place, reason="tensorboard is not installed")
 
 
 def entries(content: bytes) -> Iterator[bytes]:
@@ -61,9 +61,7 @@ def tensorboard_scalars(out: Path) -> dict[str, set[int]]:
     return result
 
 
-@pytest.mark.parametrize(
-    "trainer", ["ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rl_games", "sample_factory"))]
-)
+@pytest.mark.parametrize("trainer", rare_values(["ppo", "rl_games", "sample_factory"], ("rl_games", "sample_factory")))
 def test_every_scalar_of_tensorboard_is_sent(trainer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if trainer != "ppo":
         pytest.importorskip(trainer, reason=f"{trainer} is not installed: pip install 'aerial-gym[rl]'")
