@@ -37,7 +37,6 @@ NUM_ENVS, STEPS = 32, 50
 
 def snake(name: str) -> RobotCfg:
     robot = ROBOTS.get(name)
-    assert robot.joints is not None
     layout = tuple(
         replace(joint, spring=replace(joint.spring or SpringCfg(), friction=0.05 * (k % 2)))
         for k, joint in enumerate(robot.joints.layout)
@@ -91,7 +90,6 @@ class RobotFlight:
     def __init__(self, robot: RobotCfg, backend: TorchBackend | WarpBackend, dtype: torch.dtype) -> None:
         self.vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
         bends = build_articulation(robot, like=self.vehicle.mass)
-        assert bends is not None
         self.bends, self.backend, self.dtype = bends, backend, dtype
         law = make_controller(CONTROLLERS.get("no_control"), self.vehicle, 9.81, dt=DT)
         backend.allocate(build_model(self.vehicle, [], articulation=bends), law, integrator="euler")

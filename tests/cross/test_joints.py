@@ -46,7 +46,7 @@ def odd_tree() -> RobotCfg:
     def joint(
         name: str, parent: str, axis: tuple[float, float, float], at: tuple[float, float, float], **remaining: object
     ):
-        return JointCfg(name=name, parent=parent, axis=axis, position=at, initial=(-0.1, 0.1), **remaining)  # type: ignore[arg-type]
+        return JointCfg(name=name, parent=parent, axis=axis, position=at, initial=(-0.1, 0.1), **remaining)
 
     def lump_link(*com: float) -> LinkCfg:
         return LinkCfg(mass=0.02, com=(com[0], com[1], com[2]), inertia=lump)
@@ -89,7 +89,6 @@ def ground_effect_tree(radius: float = 0.4) -> RobotCfg:
     third = replace(third, link="left", axis=(0.1, -0.2, 1.0))
     mounts = replace(robot.mounts, layout=(first, replace(second, link="left"), third, fourth))
     rotor = ROBOTS.get("tinyprop").rotor
-    assert rotor is not None
     return replace(robot, mounts=mounts, rotor=replace(rotor, radius=radius))
 
 
@@ -121,7 +120,6 @@ def fly(
         row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
         rows.append((effect, torch.tensor(row, dtype=dtype).expand(copies * NUM_ENVS, -1).clone()))
     model = build_model(adjust(vehicle), rows, ceiling_height=CEILING, articulation=articulation)
-    assert articulation is not None
     hover = vehicle.speed_high[0, 0].item() * 0.5
     start = random_state(NUM_ENVS, seed=5, rotor_speed=hover)
     gen = torch.Generator().manual_seed(7)

@@ -70,7 +70,6 @@ def make_start(
     robot = ROBOTS.get(name)
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     bends = build_articulation(robot, like=vehicle.mass)
-    assert bends is not None
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, G, dt=DT)
     backend = backend or (WarpBackend() if dtype == torch.float32 else TorchBackend())
     random = Randomness(NUM_ENVS)
@@ -167,7 +166,6 @@ def step_bound(start: Start, first: int) -> Bound:
 
     model, num_rotors = start.model, start.model.vehicle.num_rotors
     bends = model.articulation
-    assert bends is not None
     crept = bends.initialise_creep(bends.fresh_creep(NUM_ENVS), start.state.joint_pos) if bends.num_creep else None
     speeds = state_for_thrust(model.vehicle, start.action[:, :num_rotors])
     articulated_step(model, start.state, speeds, start.action[:, num_rotors:], DT, crept=crept, stepper=stepper)
@@ -187,7 +185,7 @@ def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows
     """
     exact = make_start(name, torch.float64, spread=0.3, moves=1.0)
     single = make_start(name, torch.float32, spread=0.3, moves=1.0)
-    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)  # type: ignore[union-attr]
+    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
     for start in (exact, single):
         start.backend.step(start.state, start.action, DT, 1)
     width = bound.scale.shape[1]
@@ -224,7 +222,6 @@ def test_a_second_is_off_by_no_more_than_its_steps_together(name: str) -> None:
     """500 steps of 2 ms: the bound of a step each, grown as a start that is off by it grows in float64 until then."""
     exact, single = (make_start(name, dtype, spread=0.05, moves=0.1) for dtype in (torch.float64, torch.float32))
     other = make_start(name, torch.float64, spread=0.05, moves=0.1)
-    assert exact.model.articulation is not None
     bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
     other = perturb(other, bound)
     for start in (exact, single, other):

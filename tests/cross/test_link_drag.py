@@ -73,7 +73,6 @@ def fly(
         make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=dt),
         build_articulation(robot, like=vehicle.mass),
     )
-    assert articulation is not None
     model = build_model(vehicle, effect_rows(robot, rest, dtype), articulation=articulation)
     gen = torch.Generator().manual_seed(7)
 
@@ -124,7 +123,6 @@ def test_each_environment_flies_as_it_does_alone() -> None:
             make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81, dt=DT),
             build_articulation(robot, like=vehicle.mass),
         )
-        assert articulation is not None
         rows = [(effect, params[:count]) for effect, params in effect_rows(robot, remaining, torch.float32)]
         backend = WarpBackend()
         model = build_model(vehicle, rows, articulation=articulation)
@@ -142,7 +140,7 @@ def test_each_environment_flies_as_it_does_alone() -> None:
 def make_env(robot: RobotCfg, randomize: dict[str, RandomizeCfg], **rest: object) -> EnvManager:
     defaults = {"sim_name": "base_sim_2ms", "env_name": "empty_env", "controller_name": "no_control", "num_envs": 32}
     robot = replace(robot, randomize=randomize)
-    return SimBuilder().build_env(**(defaults | rest), robot_name=robot, device="cpu", seed=1)  # type: ignore[arg-type]
+    return SimBuilder().build_env(**(defaults | rest), robot_name=robot, device="cpu", seed=1)
 
 
 def test_a_reset_draws_the_drag_of_a_link_and_the_arms_feel_it() -> None:
@@ -154,7 +152,6 @@ def test_a_reset_draws_the_drag_of_a_link_and_the_arms_feel_it() -> None:
         sensors=(),
     )
     drawn = RandomizeCfg(how="value", distribution="uniform", low=0.001, high=0.02)
-    assert robot.joints is not None
     env = make_env(robot, {"effects.link_drag.azimuth_1.lx": drawn})
     env.reset()
     env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])

@@ -80,7 +80,6 @@ def test_a_reset_draws_the_buoyancy_of_a_link() -> None:
     env.gtd["dof_position"].zero_()
     env.gtd["dof_velocity"].zero_()
     env.step(torch.zeros(8, 4))
-    assert robot.joints is not None
     draws = env.robot_manager.draws()["effects.link_buoyancy.azimuth_1.force"]
     torch.testing.assert_close(env.gtd["effect_link_buoyancy"][:, 0], draws)
     raised = -env.gtd["dof_position"][:, robot.joints.names.index("elevation_1")]

@@ -107,7 +107,6 @@ def test_two_of_a_kind_that_is_single_are_refused() -> None:
 def test_predictor_and_rollout_follow_a_new_kind() -> None:
     """Speeds w that rise by a tenth at 2 s push ``k w (1 + 0.1 (1 - exp(-(t - 2) / tau)))``; thrust is a fifth larger."""
     flight, push_per_speed = hover("a", 5.0), 1e-3
-    assert flight.rotor_speed is not None
     still = float(flight.rotor_speed[0].mean())
     more = np.where(flight.time >= 2.0, 1.1, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * more[:, None])

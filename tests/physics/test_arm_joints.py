@@ -29,9 +29,7 @@ UPRIGHT = (0.0, 0.0, 1.0)
 
 
 def joint(name: str) -> ArmJoint:
-    effect = EFFECTS.get(name)
-    assert isinstance(effect, ArmJoint)
-    return effect
+    return EFFECTS.get(name)
 
 
 def cross_robot(count: int = 4, *, height: float = 0.0, distance: float = 0.2) -> RobotCfg:

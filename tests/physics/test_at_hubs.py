@@ -23,7 +23,7 @@ def evaluate_effect(effect: Effect, condition: Condition) -> Tensor:
     shares = 0.5 + torch.rand(scales.numel() + len(effect.fresh_memory(4)), generator=generator, dtype=F64)
     shares[: scales.numel()] *= scales
     params = shares.expand(ROWS, -1)
-    return effect.thrust(condition, params) if isinstance(effect, RotorEffect) else effect.wrench(condition, params)  # type: ignore[attr-defined]
+    return effect.thrust(condition, params) if isinstance(effect, RotorEffect) else effect.wrench(condition, params)
 
 
 def both_conditions() -> tuple[Condition, Condition]:

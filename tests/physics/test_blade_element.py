@@ -384,7 +384,6 @@ def test_what_no_propeller_can_do_is_refused() -> None:
     with pytest.raises(ConfigError, match="has a drag torque of at least"):
         check_effects(replace(one_rotor(torque=0.0009), **effects))
     robot = one_rotor()
-    assert robot.rotor is not None
     with pytest.raises(ConfigError, match=r"must give rotor.radius \[m\]"):
         check_effects(replace(robot, rotor=replace(robot.rotor, radius=None), **effects))
 

@@ -111,7 +111,6 @@ def test_quadratic_drag_has_a_finite_gradient_at_rest() -> None:
     velocity = torch.zeros(1, 3, dtype=F64, requires_grad=True)
     model = symmetric_model({"quadratic_drag": {"dx": 0.01, "dy": 0.02, "dz": 0.05}})
     accelerations(model, replace(rest_state(), lin_vel=velocity)).specific_force.sum().backward()
-    assert velocity.grad is not None
     assert torch.isfinite(velocity.grad).all()
 
 

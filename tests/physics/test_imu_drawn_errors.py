@@ -159,7 +159,6 @@ def test_parameters_that_were_written_are_measured(ideal: str) -> None:
 def test_it_is_drawn_in_the_launch_of_the_reset(ideal: str) -> None:
     env = build(ideal, 4, BIAS_THEN_TURN)
     update, errors = env.robot_manager._update, env.gtd["robot_imu_errors"]
-    assert update is not None
     assert update.why_slow == ""
     place = errors.data_ptr()
     fly(env)

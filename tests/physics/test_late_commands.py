@@ -132,7 +132,6 @@ def test_the_rates_of_a_step_sum_up_to_its_change(change: float) -> None:
 def test_angular_momentum_is_kept_where_commands_arrive_within_substeps() -> None:
     """Rotors without thrust and drag in a tumbling body: what is lost is of second order in its turn during a substep."""
     jr, rotor = 2e-6, asymmetric_robot().rotor
-    assert rotor is not None
     silent = replace(rotor, thrust_map=(0.0, 0.0, 1e-30), torque_map=(0.0, 0.0, 0.0), thrust_range=(0.0, 1e-24))
     vehicle = vehicle_from_config(with_rotor(asymmetric_robot(), silent), num_envs=8, dtype=F64)
     start = random_state(8)

@@ -239,7 +239,7 @@ def test_a_backend_that_does_not_know_it_refuses() -> None:
     assert "learned_residual" in (backend.capabilities.effects or ())
 
     class Older(WarpBackend):
-        capabilities = replace(backend.capabilities, effects=())  # type: ignore[assignment]
+        capabilities = replace(backend.capabilities, effects=())
 
     with pytest.raises(CapabilityError, match="cannot run effect 'learned_residual'"):
         require(Older(), robot_needs(robot, torch.device("cpu")))

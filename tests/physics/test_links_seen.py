@@ -45,16 +45,16 @@ STILL = {
 def bending(*joints: JointCfg, floating: bool = False, **changes: object) -> RobotCfg:
     base, round_one = ROBOTS.get("base_quadrotor"), ((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3))
     base = replace(base, body=replace(base.body, inertia=round_one))
-    start = InitialStateCfg(position_ratio_low=(0.5,) * 3, position_ratio_high=(0.5,) * 3, **STILL)  # type: ignore[arg-type]
+    start = InitialStateCfg(position_ratio_low=(0.5,) * 3, position_ratio_high=(0.5,) * 3, **STILL)
     cfg = JointsCfg(layout=joints, floating=floating, source="invented")
-    return replace(base, joints=cfg, initial_state=start, visible=True, visual=(BALL,), **changes)  # type: ignore[arg-type]
+    return replace(base, joints=cfg, initial_state=start, visible=True, visual=(BALL,), **changes)
 
 
 def arm(axis: Sequence[float], angle: float, *, rate: float = 0.0, **changes: object) -> JointCfg:
     light = LinkCfg(mass=0.001, com=(0.15, 0.0, 0.0), inertia=((1e-6, 0.0, 0.0), (0.0, 1e-6, 0.0), (0.0, 0.0, 1e-6)))
     return JointCfg(
-        name="arm", axis=tuple(axis), position=(HINGE, 0.0, 0.0), link=light,  # type: ignore[arg-type]
-        initial=(angle, angle), initial_rate=(rate, rate), **changes,  # type: ignore[arg-type]
+        name="arm", axis=tuple(axis), position=(HINGE, 0.0, 0.0), link=light,
+        initial=(angle, angle), initial_rate=(rate, rate), **changes,
     )  # fmt: skip
 
 
@@ -101,7 +101,6 @@ def test_a_camera_on_the_body_sees_a_bent_arm_at_its_pixel_and_range(axis, angle
     caster = take_image(manager, CAMERA)
     exact = ball_range(centre, pixel_rays(CAMERA)).reshape(CAMERA.height, CAMERA.width)
     seen = caster.images.segmentation
-    assert seen is not None
     for env in range(2):
         hit = (seen[env, 0] == ROBOT_ID).cpu().numpy()
         assert (hit == np.isfinite(exact)).all()
@@ -221,7 +220,6 @@ def test_an_imu_on_a_link_feels_the_turn_about_its_hinge(rate, device, tmp_path)
 
 def flow_of_ball(manager: EnvManager, cfg: CameraCfg, link: int) -> Tensor:
     flow = take_image(manager, cfg, link).images.optical_flow
-    assert flow is not None
     return flow[0, 0, 0, 0].cpu()
 
 

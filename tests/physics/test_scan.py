@@ -166,12 +166,10 @@ def meet(shape: ShapeCfg, start: Tensor, ray: Tensor) -> Tensor:
         t = -start[..., 2] / ray[..., 2]
         return torch.where(t > 0.0, t, torch.inf)
     if shape.kind == "sphere":
-        assert shape.radius is not None
         along = (start * ray).sum(-1)
         root = along**2 - (start**2).sum(-1) + shape.radius**2
         t = -along - root.clamp(min=0.0).sqrt()
         return torch.where((root > 0.0) & (t > 0.0), t, torch.inf)
-    assert shape.size is not None
     half = 0.5 * torch.tensor(shape.size, dtype=torch.float64)
     one, two = (-half - start) / ray, (half - start) / ray
     near, far = torch.minimum(one, two).amax(-1), torch.maximum(one, two).amin(-1)
@@ -223,7 +221,6 @@ def test_any_twists_of_robot_and_obstacles_match_an_intersection_of_every_ray(
         out_of_reach = nearest > cfg.max_range
         expected_id[out_of_reach] = -2
         for number in range(2):
-            assert images.segmentation is not None
             ids = images.segmentation[env, number].cpu()
             same = ids == expected_id
             assert same.float().mean() > 0.998  # rays along an edge may fall to either side
@@ -233,13 +230,11 @@ def test_any_twists_of_robot_and_obstacles_match_an_intersection_of_every_ray(
             error = (result - nearest)[hit].abs() / nearest[hit]
             assert error.quantile(0.99) < 1e-5
             assert error.max() < 1e-3  # where a ray grazes a surface, round-off counts more
-            assert images.points is not None
             exact = hit & ((result - nearest).abs() < 1e-4)
             point = origin + nearest.unsqueeze(-1) * heading
             torch.testing.assert_close(
                 images.points[env, number].cpu().double()[exact], point[exact], rtol=0.0, atol=2e-4
             )
-            assert images.normals is not None
             normals = images.normals[env, number].cpu().double()
             instance = int((scene.shape_index[env] == 3).nonzero()[0, 0])
             state = scene.asset_state[env, instance].cpu().double()
@@ -256,7 +251,6 @@ def test_points_in_the_sensor_frame_lie_along_the_rays_of_the_table(device: torc
     cfg = replace(SECTOR, points="sensor")
     twist = {"lin_vel": torch.tensor([[3.0, 1.0, 0.5]]), "ang_vel": torch.tensor([[0.5, -0.7, 2.0]])}
     caster = shoot(cfg, wall(6.0, device), **twist)
-    assert caster.images.points is not None
     expected = caster.images.distance.unsqueeze(-1) * caster.direction
     torch.testing.assert_close(caster.images.points, expected, rtol=1e-6, atol=0.0)
     assert (caster.images.distance > 0.0).all()

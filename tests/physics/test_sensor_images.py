@@ -79,14 +79,12 @@ def test_points_lie_at_the_measured_range_along_their_rays(frame: str, device: t
             mount = quat_multiply(attitude, quat_from_euler(torch.tensor([cfg.euler])))
             origin = position + quat_rotate(attitude, torch.tensor([cfg.position]))
             expected = origin + quat_rotate(mount.expand(30, 40, 4), expected)
-        assert caster.images.points is not None
         torch.testing.assert_close(caster.images.points[0, 0].cpu(), expected, rtol=1e-5, atol=1e-5)
 
 
 def test_a_pixel_without_a_distance_has_its_point_at_the_sensor(device: torch.device) -> None:
     scene = make_scene([WALL], [([30.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
     caster = shoot(replace(CAMERA, points="world"), scene, position=torch.tensor([[1.0, 2.0, 3.0]]))
-    assert caster.images.points is not None
     expected = torch.tensor([1.0, 2.0, 3.0], device=device).expand_as(caster.images.points)
     assert torch.equal(caster.images.points, expected)
 
@@ -99,9 +97,6 @@ def test_normals_are_those_of_the_surface(name: str, device: torch.device) -> No
     cfg = replace(CAMERA, points="world", normals="world", face_ids=True)
     caster = shoot(cfg, scene)
     images = caster.images
-    assert images.points is not None
-    assert images.normals is not None
-    assert images.segmentation is not None
     hit = (images.segmentation[0, 0] == 0).cpu()
     assert hit.sum() > 60
     attitude = quat_from_euler(torch.tensor(turn))
@@ -121,14 +116,11 @@ def surface_normal(shape: ShapeCfg, local: Tensor) -> tuple[Tensor, Tensor]:
     if shape.kind == "sphere":
         return local / local.norm(dim=-1, keepdim=True), torch.ones(len(local), dtype=torch.bool)
     if shape.kind == "box":
-        assert shape.size is not None
         gap = (local.abs() - 0.5 * torch.tensor(shape.size)).abs()
         axis = gap.argmin(dim=-1)
         normal = torch.zeros_like(local)
         normal[torch.arange(len(local)), axis] = local.gather(-1, axis[:, None])[:, 0].sign()
         return normal, gap.sort(dim=-1).values[:, 1] > 1e-3
-    assert shape.radius is not None
-    assert shape.height is not None
     if shape.kind == "capsule":
         middle = torch.zeros_like(local)
         middle[:, 2] = local[:, 2].clamp(-0.5 * shape.height, 0.5 * shape.height)
@@ -160,8 +152,6 @@ def test_a_plane_has_the_distance_of_its_equation_at_every_pixel(
         quat_from_euler(torch.tensor(turn, dtype=torch.float64)), torch.tensor([0.0, 0.0, 1.0]).double()
     )
     t = (normal @ torch.tensor(place, dtype=torch.float64)) / (world @ normal)
-    assert images.segmentation is not None
-    assert images.normals is not None
     ids, result = images.segmentation[0, 0].cpu(), images.distance[0, 0].cpu().double()
     ground = ids == 0
     assert ground.sum() > 200
@@ -184,7 +174,6 @@ def test_faces_of_a_box_are_numbered_by_axis_and_side(device: torch.device) -> N
         position[face, face // 2] = 3.0 if face % 2 else -3.0
         attitude[face] = quat_from_euler(torch.tensor(euler))
     caster = shoot(replace(CAMERA, face_ids=True), scene, position=position, attitude=attitude)
-    assert caster.images.face_ids is not None
     assert caster.images.face_ids[:, 0, 15, 20].tolist() == [0, 1, 2, 3, 4, 5]
     assert (caster.images.face_ids[:, 0, 0, 0] == -1).all()
 
@@ -198,8 +187,6 @@ def test_normals_and_faces_of_a_mesh_match_trimesh(device: torch.device, tmp_pat
     place, turn = [3.0, 0.1, -0.1], [0.4, 0.2, -0.9]
     caster = shoot(replace(CAMERA, normals="world", face_ids=True), make_scene([shape], [(place, turn)], device))
     images = caster.images
-    assert images.normals is not None
-    assert images.face_ids is not None
     loaded = trimesh.load_mesh(tmp_path / "egg.stl", process=False)
     turned = loaded.copy()
     matrix = trimesh.transformations.euler_matrix(*turn, "sxyz")
@@ -245,9 +232,6 @@ def test_a_matt_ground_has_the_brightness_of_lambert_and_the_shadow_of_a_roof(de
     attitude = quat_from_euler(torch.tensor([[0.1, 0.35, 0.2]]))
     cfg = replace(CAMERA, light=light, points="world", max_range=40.0)
     images = shoot(cfg, scene, attitude=attitude).images
-    assert images.color is not None
-    assert images.points is not None
-    assert images.segmentation is not None
     ids, color, point = images.segmentation[0, 0].cpu(), images.color[0, 0].cpu(), images.points[0, 0].cpu().double()
     shift = h * sun[:2] / sun[2]
     inside = (point[..., :2] + shift - torch.tensor(place[:2]).double()).abs()
@@ -265,7 +249,6 @@ def test_a_matt_ground_has_the_brightness_of_lambert_and_the_shadow_of_a_roof(de
     assert sky.any()
     torch.testing.assert_close(color[sky], torch.tensor([0.5, 0.6, 0.7]).expand(int(sky.sum()), 3))
     unshaded = shoot(replace(cfg, light=replace(light, shadows=False)), scene, attitude=attitude).images.color
-    assert unshaded is not None
     everywhere = (0.3 + 0.7 * sun[2]).float() * torch.tensor(albedo)
     seen = unshaded[0, 0].cpu()[ids == 0]
     torch.testing.assert_close(seen, everywhere.expand_as(seen), rtol=0.0, atol=1e-5)
@@ -359,7 +342,6 @@ def test_a_stereo_pixel_is_invalid_exactly_where_the_second_camera_is_blocked(de
     invalid = depth == -1.0
     assert torch.equal(invalid[sure], (blocked | outside)[sure])
     assert torch.equal(depth[~invalid], plain[~invalid])
-    assert caster.images.disparity is not None
     disparity = caster.images.disparity[0, 0].cpu()
     focal = 80.0 / np.tan(np.radians(40.0))
     torch.testing.assert_close(disparity[~invalid], focal * baseline / plain[~invalid], rtol=1e-5, atol=0.0)
@@ -390,8 +372,6 @@ def test_a_compound_is_seen_as_its_parts_would_be(device: torch.device) -> None:
     )
     pieces = shoot(CAMERA, apart).images
     torch.testing.assert_close(whole.distance, pieces.distance, rtol=0.0, atol=1e-5)
-    assert whole.segmentation is not None
-    assert pieces.segmentation is not None
     assert (whole.segmentation == pieces.segmentation).float().mean() > 0.999
     assert set(whole.segmentation.unique().tolist()) == {0, 1, 7}
 

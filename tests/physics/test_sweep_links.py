@@ -79,7 +79,6 @@ def crash_flags(base: SweepMotion, first: Array, rate: Array, pole: Array, pole_
     rows = torch.zeros(1, dtype=torch.int64)
     scene = Scene([POLE], shape_index=rows, semantic_id=rows, asset_state=tensor(state).unsqueeze(1))
     record = Trajectory.zeros(1, n, device=torch.device("cpu"), num_joints=2)
-    assert record.joint_pos is not None
     for row in range(2):
         x, q = base.pose(0, float(row))
         record.position[row], record.attitude[row] = tensor(x), tensor(q.as_quat())

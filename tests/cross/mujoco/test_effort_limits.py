@@ -62,7 +62,7 @@ def test_snakes_keep_their_limits_on_the_backend(name: str, monkeypatch: pytest.
 
 
 def numbers(values: object) -> str:
-    return " ".join(f"{float(x):.17g}" for x in values)  # type: ignore[attr-defined]
+    return " ".join(f"{float(x):.17g}" for x in values)
 
 
 def write_tree(bent: TreeCase, env: int) -> str:

@@ -23,7 +23,6 @@ def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows
     """Beside torch in float64, by the bound of ``test_joints_in_single_precision``: drives, springs, rotors on links."""
     exact = make_start(name, F64, spread=0.3, moves=1.0)
     single = make_start(name, torch.float32, spread=0.3, moves=1.0, backend=BACKENDS.get("mujoco_warp")())
-    assert exact.model.articulation is not None
     bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
     for start in (exact, single):
         start.backend.step(start.state, start.action, DT, 1)

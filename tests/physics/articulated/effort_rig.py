@@ -90,7 +90,6 @@ def snake_model(name: str, num_envs: int, friction: float) -> Model:
     """Return a registered snake with dry friction [N m] in its joints, in float64."""
     vehicle = vehicle_from_config(ROBOTS.get(name), num_envs=num_envs, dtype=F64)
     bends = build_articulation(ROBOTS.get(name), like=vehicle.mass)
-    assert bends is not None
     bends = replace(bends, friction=torch.full_like(bends.friction, friction), rubs=friction > 0.0)
     return build_model(vehicle, [], articulation=bends)
 
@@ -99,13 +98,11 @@ def random_snakes(name: str, *, num_envs: int = 32, friction: float = 0.02, seed
     """Return snakes that are bent, moving and told anything, each rotor at 0 to 15 N."""
     model = snake_model(name, num_envs, friction)
     bends, generator = model.articulation, torch.Generator().manual_seed(seed)
-    assert bends is not None
     motion = random_motion(bends.tree, num_envs, seed)
     state = replace(motion, joint_pos=bends.reference + 0.5 * motion.joint_pos)
     share = torch.rand(num_envs, bends.num_driven + model.vehicle.num_rotors, dtype=F64, generator=generator)
     told, thrust = share[:, : bends.num_driven], 15.0 * share[:, bends.num_driven :]
     drive = bends.drive(bends.command_low + told * (bends.command_high - bends.command_low))
-    assert drive is not None
     speed = state_for_thrust(model.vehicle, thrust)
     wrench = link_wrenches(model, bends, state, speed, torch.zeros_like(speed))
     return TreeCase(

@@ -39,7 +39,7 @@ class Energies:
         empty = {"added": np.zeros((count, 6)), "push": np.zeros(count), "lever": np.zeros((count, 3)), "gravity": 0.0}
         mass, com, inertia = (rows.expand(env + 1, *rows.shape[1:])[env].numpy() for rows in vars(links).values())
         attitude = Rotation.from_quat(state.attitude[env].numpy())
-        return cls(tree=tree, attitude=attitude, mass=mass, com=com, inertia=inertia, **(empty | rest))  # type: ignore[arg-type]
+        return cls(tree=tree, attitude=attitude, mass=mass, com=com, inertia=inertia, **(empty | rest))
 
     def places(self, x: Array) -> Array:
         """Return the centre of mass and the axes of each link, world, in columns, (L, 3, 4)."""

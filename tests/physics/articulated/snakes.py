@@ -37,7 +37,6 @@ class SnakeHover:
     def from_robot(cls, robot: RobotCfg) -> "SnakeHover":
         vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
         articulation = build_articulation(robot, like=vehicle.mass)
-        assert articulation is not None
         return cls(build_model(vehicle, [], articulation=articulation), articulation)
 
     @property

@@ -37,7 +37,6 @@ def make_model(robot: RobotCfg, articulation: Articulation | None = None, num_en
 
 
 def at_rest(model: Model) -> ArticulatedState:
-    assert model.articulation is not None
     body = state_at_rest(model.vehicle.num_envs, model.vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
     joints = model.articulation.reference.repeat(model.vehicle.num_envs, 1)
     return ArticulatedState(**vars(body), joint_pos=joints, joint_vel=torch.zeros_like(joints))
@@ -90,7 +89,6 @@ def test_a_tree_of_one_link_flies_as_the_rigid_vehicle(change: Callable[[RobotCf
     """Its centre of mass is the body origin, where both integrate the same quantities: rounding is left."""
     robot = change(ROBOTS.get("morphy_stiff"))
     bending = build_articulation(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
-    assert bending is not None
     tree, rigid = make_model(robot, make_rod(bending)), make_model(robot)
     state = throw(at_rest(tree))
     state = replace(state, rotor_speed=torch.rand(3, 4, dtype=F64) + 0.2)
@@ -108,7 +106,6 @@ def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
     robot = ROBOTS.get(name)
     model = make_model(robot, num_envs=1)
     state = at_rest(model)
-    assert model.articulation is not None
     tree = TreeState(**{n: v for n, v in vars(state).items() if n != "rotor_speed"})
     mass = equations(model.articulation.tree, model.articulation.links(model.vehicle), tree, gravity=0.0).mass[
         0, :6, :6
@@ -122,7 +119,6 @@ def test_all_links_together_weigh_what_the_robot_file_says(name: str) -> None:
 
 
 def stiffen(robot: RobotCfg, stiffness: float) -> RobotCfg:
-    assert robot.joints is not None
     layout = tuple(
         replace(
             joint, drive=None, spring=SpringCfg(stiffness=stiffness, damping=0.02 * stiffness, rest=joint.reference)
@@ -141,7 +137,6 @@ def test_stiff_joints_are_the_rigid_vehicle_in_its_reference_pose() -> None:
     command = torch.tensor([2.0, 4.0, 3.0, 3.5, 2.5], dtype=F64).expand(3, 5)
     bending = [build_articulation(stiffen(robot, each), like=torch.zeros(1, dtype=F64)) for each in (1e3, 1e4, 1e5)]
     springs = [vars(each.spring) for each in bending if each is not None]
-    assert bending[0] is not None
     spring = {name: torch.cat([rows[name] for rows in springs]) for name in springs[0]}
     model = make_model(robot, replace(bending[0], spring=type(bending[0].spring)(**spring)))
     state = replace(at_rest(model), ang_vel=torch.tensor([0.3, -0.2, 0.5], dtype=F64).expand(3, 3))
@@ -274,7 +269,6 @@ CREEP = (
 def creep_arm(creep: tuple[CreepCfg, ...]) -> RobotCfg:
     """Morphy on a stand without weight, with linear springs in the elevations, of which part creeps."""
     robot = ROBOTS.get("morphy_fixed_base")
-    assert robot.joints is not None
     spring = SpringCfg(stiffness=0.388, damping=0.0045, rest=0.1247, creep=creep)
     layout = tuple(
         replace(joint, ends=None, spring=spring if joint.name.startswith("elevation") else joint.spring)
@@ -287,7 +281,6 @@ def let_go(dt: float, num_steps: int) -> Tensor:
     """Return the elevation after each step of an arm that is let go 0.4 rad from its stop, where all has relaxed."""
     model = replace(make_model(creep_arm(CREEP), num_envs=1), gravity=0.0)
     bends = model.articulation
-    assert bends is not None
     state = replace(at_rest(model), joint_pos=torch.tensor([[0.4, 0.0] * 4], dtype=F64))
     crept, off, seen = bends.initialise_creep(bends.fresh_creep(1), state.joint_pos), torch.zeros(1, 4, dtype=F64), []
     for _ in range(num_steps):

@@ -61,7 +61,7 @@ def make_model(robot: RobotCfg, effects: dict[str, tuple[float, ...]], num_envs:
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=F64)
     rows = [(EFFECTS.get(name), torch.tensor(row, dtype=F64).expand(num_envs, -1)) for name, row in effects.items()]
     bends = None if robot.joints is None else build_articulation(robot, like=vehicle.mass)
-    return build_model(vehicle, rows, ceiling_height=CEILING, articulation=bends, **rest)  # type: ignore[arg-type]
+    return build_model(vehicle, rows, ceiling_height=CEILING, articulation=bends, **rest)
 
 
 def strong(name: str) -> tuple[float, ...]:
@@ -100,7 +100,6 @@ def test_they_see_the_shape_that_it_has(name: str) -> None:
     state = replace(state, position=state.position.clamp(-0.5, 0.5) + torch.tensor([0.0, 0.0, 1.0], dtype=F64))
     spin_up = torch.linspace(-300.0, 400.0, ROWS * 4, dtype=F64).view(ROWS, 4)
     model = make_model(robot, effects, ROWS, ground_height=0.4)
-    assert model.articulation is not None
     joints = pose.expand(ROWS, -1)
     moving = {field: value for field, value in vars(state).items() if field != "rotor_speed"}
     tree_state = TreeState(**moving, joint_pos=joints, joint_vel=torch.zeros_like(joints))

@@ -32,13 +32,12 @@ def under_water(
     joints: tuple[JointCfg, ...], effects: dict[str, dict[str, float]], *, floating: bool = True
 ) -> RobotCfg:
     robot = make_drag_robot(1.0, joints, {})
-    assert robot.joints is not None
     return replace(robot, effects=effects, joints=replace(robot.joints, floating=floating))
 
 
 def link(mass: float, *com: float, inertia: tuple[float, float, float] = (1e-3, 2e-3, 2.5e-3)) -> LinkCfg:
     rows = tuple(tuple(inertia[i] if i == j else 0.0 for j in range(3)) for i in range(3))
-    return LinkCfg(mass=mass, com=(com[0], com[1], com[2]), inertia=rows)  # type: ignore[arg-type]
+    return LinkCfg(mass=mass, com=(com[0], com[1], com[2]), inertia=rows)
 
 
 def tree_state(state: ArticulatedState) -> TreeState:
@@ -88,7 +87,6 @@ def test_forces_along_coordinates_are_what_heights_of_centres_of_buoyancy_say() 
     """``-dU/dx`` with ``U = -sum F z``, by SciPy's rotations; numbers of a link stand in place of those of all."""
     model, state = make_model(under_water(make_joints(), {"link_buoyancy": FORCES}), num_envs=3)
     state, articulation = draw_state(state), model.articulation
-    assert articulation is not None
     tree, links, there = articulation.tree, articulation.links(model.vehicle), tree_state(state)
     wrench = link_wrenches(model, articulation, there, state.rotor_speed, state.rotor_speed)
     result = [equations(tree, links, there, gravity=0.0, wrench=rows).force for rows in (wrench, None)]
@@ -106,9 +104,8 @@ def test_forces_along_coordinates_are_what_heights_of_centres_of_buoyancy_say() 
 def of_one_link(robot: RobotCfg, effects: list[tuple[object, Tensor]]) -> tuple[Model, ArticulatedState]:
     """Return a rigid robot as a tree of one link with effects on it, and a state in which it moves."""
     bending = build_articulation(ROBOTS.get("morphy"), like=torch.zeros(1, dtype=F64))
-    assert bending is not None
     vehicle = vehicle_from_config(robot, num_envs=3, dtype=F64)
-    model = build_model(vehicle, effects, articulation=make_rod(bending))  # type: ignore[arg-type]
+    model = build_model(vehicle, effects, articulation=make_rod(bending))
     state = throw(at_rest(model))
     return model, replace(state, rotor_speed=torch.rand(3, 4, dtype=F64, generator=torch.Generator().manual_seed(1)))
 

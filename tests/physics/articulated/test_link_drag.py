@@ -101,7 +101,7 @@ def make_drag_robot(
 def arm(name: str, com: tuple[float, float, float], position: tuple[float, float, float], **rest: object) -> JointCfg:
     lump = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
     defaults = {"axis": (0.0, 0.0, 1.0), "link": LinkCfg(mass=0.1, com=com, inertia=lump)}
-    return JointCfg(name=name, position=position, **(defaults | rest))  # type: ignore[arg-type]
+    return JointCfg(name=name, position=position, **(defaults | rest))
 
 
 def make_model(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> tuple[Model, ArticulatedState]:
@@ -109,7 +109,6 @@ def make_model(robot: RobotCfg, *, gravity: float = 0.0, num_envs: int = 1) -> t
     check_effects(robot)
     effects = robot_effects(robot, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
     articulation = build_articulation(robot, like=vehicle.mass)
-    assert articulation is not None
     model = build_model(vehicle, effects, gravity=gravity, articulation=articulation)
     body = state_at_rest(num_envs, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
     joints = articulation.reference.repeat(num_envs, 1)
@@ -209,26 +208,23 @@ def test_a_number_of_a_link_stands_in_place_of_that_of_all() -> None:
     assert [p.name for p in effect.parameters] == list(drag)
     assert effect.parameters[2].meaning == "force per speed squared along x of azimuth_2"
     velocity = torch.tensor([2.0, 0.0, 0.0, 0.0, 0.0, 1.0], dtype=F64).expand(1, 9, 6)
-    result = effect.damping(velocity, params)[0]  # type: ignore[attr-defined]
-    assert robot.joints is not None
+    result = effect.damping(velocity, params)[0]
     expected = torch.tensor([[0.2, 0.0, 0.2, 0.0, 0.0, 0.0]], dtype=F64).repeat(9, 1)
     expected[0, 2] = 0.0
     place = robot.joints.link_names.index("azimuth_2")
     expected[place, 0], expected[place, 4] = 0.6, 0.4
     torch.testing.assert_close(result, expected)
     expected[:, 0], expected[place, 4] = 0.0, 0.4
-    torch.testing.assert_close(effect.damping(0.0 * velocity, params)[0], expected)  # type: ignore[attr-defined]
+    torch.testing.assert_close(effect.damping(0.0 * velocity, params)[0], expected)
 
 
 def test_links_without_mass_feel_nothing_and_the_base_what_others_do() -> None:
     """Of morphy's universal joints: five of nine links have mass."""
     robot = replace(ROBOTS.get("morphy"), effects={"link_drag": {"lx": 0.1}}, effects_source="test")
     model, state = make_model(robot)
-    assert model.articulation is not None
     links = model.articulation.links(model.vehicle)
     tree = TreeState(**{name: rows for name, rows in vars(state).items() if name != "rotor_speed"})
     acts = link_damping(model, model.articulation, links, tree)
-    assert acts is not None
     assert acts.damping[0, :, 0].tolist() == [0.1, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1]
 
 

@@ -26,7 +26,7 @@ def wheel(moment: float) -> LinkCfg:
 
 
 def about_x(name: str, **rest: object) -> JointCfg:
-    return JointCfg(name=name, axis=(1.0, 0.0, 0.0), position=(0.04, 0.05, 0.0), **rest)  # type: ignore[arg-type]
+    return JointCfg(name=name, axis=(1.0, 0.0, 0.0), position=(0.04, 0.05, 0.0), **rest)
 
 
 def make_robot(*layout: JointCfg, floating: bool = True) -> RobotCfg:

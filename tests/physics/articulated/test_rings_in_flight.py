@@ -34,7 +34,6 @@ QUADRATIC, REST, PRELOAD = 0.4646, 0.125, -0.01107181
 def arms(damping: float) -> RobotCfg:
     """Return Morphy with a damping of its joints [N m s/rad] and rotors without drag, which would turn arms aside."""
     robot = ROBOTS.get("morphy")
-    assert robot.joints is not None
     layout = tuple(
         replace(joint, spring=replace(joint.spring, damping=damping), ends=None)
         for joint in robot.joints.layout

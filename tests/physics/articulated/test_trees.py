@@ -224,7 +224,7 @@ def test_float32_loses_no_more_than_rounding() -> None:
     [
         (lambda: Joint(parent=0, axis=(1.0, 1.0, 0.0)), "axis has length 1.41421"),
         (lambda: Joint(parent=0, attitude=(0.0, 0.0, 0.0, 0.5)), "attitude has length 0.5"),
-        (lambda: Joint(parent=0, kind="ball"), "choose revolute or prismatic"),  # type: ignore[arg-type]
+        (lambda: Joint(parent=0, kind="ball"), "choose revolute or prismatic"),
         (lambda: Joint(parent=0, position=(float("nan"), 0.0, 0.0)), "not finite"),
         (lambda: Tree(joints=(Joint(parent=1),)), "joint 0 is on link 1"),
     ],
