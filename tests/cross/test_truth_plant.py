@@ -18,8 +18,7 @@ from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant
 from benchmarks.undeclared.logs import robot_document
 from benchmarks.undeclared.surroundings import PlantSurroundings
 from benchmarks.undeclared.vehicle import DECLARED, Array
-from tests.physics.test_effects import make_effects
-from tests.physics.vehicles import F64
+from tests.physics.vehicles import F64, make_effects
 
 COUNT, CEILING = 16, 2.0
 OTHER_VEHICLE = (0.1, 0.2, 2.5)

@@ -18,8 +18,7 @@ from aerial_gym.physics.effects.arm_joint import LARGEST_ANGLE, ArmJoint
 from aerial_gym.physics.memory import make_memory, place_memory
 from aerial_gym.physics.rigid_body import condition_in
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effects import rest_state
-from tests.physics.vehicles import F64, asymmetric_robot, random_state
+from tests.physics.vehicles import F64, asymmetric_robot, random_state, rest_state
 
 Array = NDArray[np.float64]
 

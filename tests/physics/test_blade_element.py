@@ -19,8 +19,7 @@ from aerial_gym.physics.effects.blade_element import _inflow
 from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, DESCENT_FIT, WINDMILL, axial_induced, induced
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
-from tests.physics.test_effects import make_effects
-from tests.physics.vehicles import F64, random_state
+from tests.physics.vehicles import F64, make_effects, random_state
 
 RADIUS, SPEED = 0.1, 800.0
 TIP = RADIUS * SPEED

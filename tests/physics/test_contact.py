@@ -5,7 +5,6 @@ where a closed form in continuous time is met, round-off where the discrete equa
 """
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 from math import atan, cos, exp, radians, sin, sqrt
 
@@ -15,10 +14,10 @@ import torch
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.physics import Ground, TorchBackend, WarpBackend
 from aerial_gym.physics.rotors import speed_for_thrust
+from aerial_gym.robots import ROBOTS
 from tests.physics.contact_rig import (
     BALL,
     FEET,
@@ -41,10 +40,7 @@ CLEAR = 0.02
 """Height of the body origin at which FEET just touch the ground [m]."""
 
 
-@pytest.fixture(autouse=True)
-def single_thread() -> Iterator[None]:
-    with one_thread():
-        yield
+pytestmark = pytest.mark.usefixtures("single_thread")
 
 
 @pytest.mark.parametrize("integrator", ["euler", pytest.param("rk4", marks=pytest.mark.slow)])
@@ -355,6 +351,36 @@ def test_only_a_touch_at_the_crash_speed_is_a_crash(where: str) -> None:
             rig = GroundRig({"torch": TorchBackend, "warp": WarpBackend}[where](), cfg, state)
             rig.run(0.2, 0.01)
         assert rig.crashes.tolist() == expected
+
+
+@pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
+def test_a_touch_comes_when_the_lowest_sphere_has_fallen_to_the_ground(backend) -> None:
+    """From height h the body falls ``g t²/2``; turned over, a sphere at body z = 0.3 of radius 0.1 hangs 0.4 m below it."""
+    spheres, heights = ((0.0, 0.0, 0.0, 0.05), (0.0, 0.0, 0.3, 0.1)), torch.tensor([1.0, 2.0, 5.0])
+    for height in heights.tolist():
+        landing = sqrt(2.0 * (height - 0.4) / GRAVITY)
+        for share, touched in ((0.98, heights < height), (1.02, heights <= height)):
+            state = start(3, height=heights, dtype=F32, attitude=(1.0, 0.0, 0.0, 0.0))
+            rig = GroundRig(backend(), None, state, spheres=spheres, integrator="rk4")
+            rig.run(share * landing, share * landing / 100.0)
+            assert rig.crashes.tolist() == touched.tolist()
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_a_touch_within_a_step_is_kept_though_the_body_is_free_at_its_end(backend) -> None:
+    state = start(dtype=F32, height=0.11, lin_vel=(0.0, 0.0, -1.0), rotor_speed=1300.0)
+    rig = GroundRig(backend(), None, state, robot=ROBOTS.get("base_quadrotor"))
+    rig.backend.step(state, torch.full((1, 4), 2400.0), 0.005, 100)
+    assert state.position[0, 2] > 0.2
+    assert rig.crashes.all()
+
+
+@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
+def test_the_offset_of_the_centre_of_mass_does_not_move_the_ground(backend) -> None:
+    state = start(2, height=torch.tensor([0.11, 0.09]), dtype=F32)
+    rig = GroundRig(backend(), None, state, robot=make_robot(com=(0.0, 0.0, 0.2)))
+    rig.run(1e-4, 1e-4)
+    assert rig.crashes.tolist() == [False, True]
 
 
 @pytest.mark.slow

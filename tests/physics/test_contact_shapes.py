@@ -1,6 +1,5 @@
 """Boxes and capsules on the ground: they rest, tip, roll and slide as closed forms say, in both backends, and as in MuJoCo."""
 
-from collections.abc import Iterator
 from math import atan2, cos, exp, sin
 
 import pytest
@@ -10,7 +9,6 @@ from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.robot import BoxCfg, CapsuleCfg, CollisionShape
 from aerial_gym.config.shape import ShapeCfg
-from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate
 from aerial_gym.physics import TorchBackend, WarpBackend
 from tests.physics.contact_rig import CPU, GRAVITY, INERTIA, MASS, GroundRig, ObstacleRig, obstacle, start
@@ -27,10 +25,7 @@ LOG = CapsuleCfg(radius=0.04, height=0.3, euler=(0.0, 1.5707963267948966, 0.0))
 """Its long axis is the body's x."""
 
 
-@pytest.fixture(autouse=True)
-def single_thread() -> Iterator[None]:
-    with one_thread():
-        yield
+pytestmark = pytest.mark.usefixtures("single_thread")
 
 
 def point_rows(*shapes: CollisionShape) -> tuple[tuple[float, ...], ...]:

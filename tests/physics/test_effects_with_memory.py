@@ -27,15 +27,22 @@ from aerial_gym.physics import (
     build_model,
 )
 from aerial_gym.physics.effects.battery_sag import speed_factor, voltage_under_load
-from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.memory import begin_substep, end_substep, forget, load_state, make_memory
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effects import make_effects, rest_state
-from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import BATTERY, CEILING, F64, asymmetric_robot, random_state
+from tests.physics.vehicles import (
+    BATTERY,
+    CEILING,
+    F64,
+    DirectSpeed,
+    asymmetric_robot,
+    make_effects,
+    random_state,
+    rest_state,
+    single,
+)
 from tests.repetitions import rare_values
 
 TAU_UP, TAU_DOWN = 0.03, 0.05
@@ -47,16 +54,6 @@ REMEMBERING = [name for name in EFFECTS.names() if EFFECTS.get(name).remembers]
 def make_model(values: dict[str, dict[str, float]], num_envs: int = 1, robot: RobotCfg | None = None, **scene) -> Model:
     vehicle = vehicle_from_config(robot or asymmetric_robot(), num_envs=num_envs, dtype=F64)
     return build_model(vehicle, make_effects(values, num_envs), **{"ceiling_height": CEILING, **scene})
-
-
-def single(state: BodyState) -> BodyState:
-    return BodyState(**{name: tensor.float() for name, tensor in vars(state).items()})
-
-
-class DirectSpeed(SpeedControl):
-    def fused(self):
-        low, high = torch.zeros(4).expand(2, 4), torch.full((4,), 1e4).expand(2, 4)  # shared rows
-        return FusedLaw(output="speed", num_actions=4, low=low, high=high)
 
 
 # actuation delay

@@ -3,7 +3,6 @@
 The crossings are those of ``test_sweep``: truth that shares no code with the package.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ import torch
 from aerial_gym.assets.cores import contact_points
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.shape import ShapeCfg
-from aerial_gym.interop.threads import one_thread
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import TorchBackend, WarpBackend
 from tests.physics.contact_rig import CPU, MASS, ObstacleRig, make_robot, obstacle, start
@@ -28,10 +26,7 @@ BACKENDS = rare_values([WarpBackend, TorchBackend], [TorchBackend])
 WALL = ShapeCfg(kind="box", size=(0.02, 50.0, 50.0))
 
 
-@pytest.fixture(autouse=True)
-def single_thread() -> Iterator[None]:
-    with one_thread():
-        yield
+pytestmark = pytest.mark.usefixtures("single_thread")
 
 
 def tensor(values: np.ndarray) -> torch.Tensor:

@@ -17,10 +17,8 @@ from aerial_gym.physics import INTEGRATORS, BodyState, advance, build_model, veh
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_load
-from tests.physics.test_effects import make_effects
-from tests.physics.test_rigid_body import SpeedControl
 from tests.physics.test_slung_payload import random_load
-from tests.physics.vehicles import F64
+from tests.physics.vehicles import F64, SpeedControl, make_effects
 
 G = 9.81
 ENVS = 24

@@ -14,11 +14,8 @@ from aerial_gym.physics.rotor_lag import CommandSwitch, follow_command, slew_lim
 from aerial_gym.physics.vehicle import Vehicle
 from tests.physics.rotor_types import REVERSIBLE, three_type_robot, with_rotor
 from tests.physics.swing import fly_remembering
-from tests.physics.test_effect_library import momentum
-from tests.physics.test_effects import make_effects, rest_state
-from tests.physics.test_effects_with_memory import single
-from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64, asymmetric_robot, random_state
+from tests.physics.test_effects import momentum
+from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, make_effects, random_state, rest_state, single
 from tests.repetitions import rare_values
 
 DT, PARTS, STEPS = 0.004, 5, 60

@@ -20,12 +20,7 @@ from aerial_gym.physics import (
 )
 from aerial_gym.physics.integrators import to_body_state, to_mass_state
 from aerial_gym.physics.model import Model
-from tests.physics.vehicles import F64, asymmetric_robot, random_state
-
-
-class SpeedControl:
-    def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
-        return action
+from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state
 
 
 def make_model(num_envs: int, *, com: tuple[float, float, float] = (0.01, -0.02, 0.03), gravity: float = 9.81) -> Model:

@@ -10,8 +10,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import EFFECTS, BodyState, WarpBackend, accelerations, build_model, vehicle_from_config
 from aerial_gym.physics.model import Model
 from tests.physics.rotor_types import FORCE, REVERSIBLE, with_rotor
-from tests.physics.test_effects_with_memory import single
-from tests.physics.vehicles import F64, asymmetric_robot
+from tests.physics.vehicles import F64, asymmetric_robot, single
 
 RADIUS, MASS = 0.1, 0.8
 K = {"ground_effect": 2.0, "ceiling_effect": 1.5}

@@ -15,9 +15,7 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_rotate, quat_rotate
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, advance, build_model, vehicle_from_config
 from aerial_gym.physics.model import Model
 from aerial_gym.robots import ROBOTS
-from tests.physics.test_effects import make_effects
-from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64
+from tests.physics.vehicles import F64, SpeedControl, make_effects
 from tests.repetitions import thin_values
 
 MASS, INERTIA, G = 2.0, (0.02, 0.03, 0.05), 9.81

@@ -8,7 +8,9 @@ import torch
 from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.math.quaternion import quat_normalize
-from aerial_gym.physics import EFFECTS, BodyState
+from aerial_gym.physics import EFFECTS, BodyState, effects_from_config, state_at_rest
+from aerial_gym.physics.effects import Effect
+from aerial_gym.physics.fused.law import FusedLaw
 
 F64 = torch.float64
 
@@ -75,6 +77,38 @@ def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) ->
         ang_vel=2.0 * normal(3),
         rotor_speed=rotor_speed * (1.0 + 0.1 * normal(4)),
     )
+
+
+class SpeedControl:
+    """The action is the rotor command."""
+
+    def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
+        return action
+
+
+class DirectSpeed(SpeedControl):
+    """The same, also in a kernel."""
+
+    def fused(self):
+        low, high = torch.zeros(4).expand(2, 4), torch.full((4,), 1e4).expand(2, 4)  # shared rows
+        return FusedLaw(output="speed", num_actions=4, low=low, high=high)
+
+
+def make_effects(values: dict[str, dict[str, float]], num_envs: int) -> list[tuple[Effect, torch.Tensor]]:
+    return effects_from_config(values, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
+
+
+def rest_state(num_envs: int = 1, **changes: list[float]) -> BodyState:
+    """Return level bodies at rest with still rotors, but for what is given."""
+    state = state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=F64)
+    for name, row in changes.items():
+        getattr(state, name)[:] = torch.tensor(row, dtype=F64)
+    return state
+
+
+def single(state: BodyState) -> BodyState:
+    """Return the state in float32."""
+    return BodyState(**{name: tensor.float() for name, tensor in vars(state).items()})
 
 
 def random_network(*widths: int, seed: int = 0) -> LearnedResidualCfg:

@@ -7,8 +7,7 @@ import torch
 from aerial_gym.math.quaternion import quat_multiply, quat_normalize
 from aerial_gym.physics import INTEGRATORS, advance, build_model, vehicle_from_config
 from aerial_gym.physics.rotors import evaluate_map
-from tests.physics.test_rigid_body import SpeedControl
-from tests.physics.vehicles import F64, asymmetric_robot, random_state
+from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state
 
 mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[dev]'")
 
