@@ -67,10 +67,17 @@ LIDARS = {
 
 
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
-    others = {"depth_camera_64", "coarse_depth_camera", "coarse_dome_lidar", "base_rgb_camera"}
-    others |= {"base_optical_flow_camera", "st_vl53l5cx", "st_vl53l7cx", "livox_mid40", "livox_mid70", "livox_avia"}
-    others |= {"velodyne_vlp16", "velodyne_vlp32c", "velodyne_hdl32e", "velodyne_hdl64e"}
-    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *others}
+    further_sensors = {"depth_camera_64", "coarse_depth_camera", "coarse_dome_lidar", "base_rgb_camera"}
+    further_sensors |= {
+        "base_optical_flow_camera",
+        "st_vl53l5cx",
+        "st_vl53l7cx",
+        "livox_mid40",
+        "livox_mid70",
+        "livox_avia",
+    }
+    further_sensors |= {"velodyne_vlp16", "velodyne_vlp32c", "velodyne_hdl32e", "velodyne_hdl64e"}
+    assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *further_sensors}
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -104,6 +104,6 @@ def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest
     manager.capture()
     POSE["position"][:, 0] = 0.0
     torch.testing.assert_close(result[..., 0] * result[..., 1], torch.full((2, 1, 6, 8), 3.0))  # it is delayed too
-    others = SensorImages(distance=caster.images.distance, segmentation=caster.images.segmentation)
+    missing_heading = SensorImages(distance=caster.images.distance, segmentation=caster.images.segmentation)
     with pytest.raises(ShapeError, match="heading must be given exactly if the sensor has such an image: it is True"):
-        others.check(CAMERA, 2, torch.device("cpu"))
+        missing_heading.check(CAMERA, 2, torch.device("cpu"))

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+import tyro
 from scipy.stats import binom
 
 from benchmarks.scores import score_undeclared

@@ -117,11 +117,11 @@ def _record(true: PlantVehicle, declared: PlantVehicle, *, num_train: int, num_t
     return fly(true=true, declared=declared, reference=reference, sensors=sensors), reference
 
 
-OTHERS = ("none", "motor_time_constant", "rotor_drag", "quadratic_drag", "thrust_coefficient", "constant_wind")
+RARE_EFFECTS = ("none", "motor_time_constant", "rotor_drag", "quadratic_drag", "thrust_coefficient", "constant_wind")
 
 
 @pytest.mark.usefixtures("coarser_plant")
-@pytest.mark.parametrize("effect", rare_values(["com_offset", *OTHERS], OTHERS))
+@pytest.mark.parametrize("effect", rare_values(["com_offset", *RARE_EFFECTS], RARE_EFFECTS))
 def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -> None:
     """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free."""
     params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)

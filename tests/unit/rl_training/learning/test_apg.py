@@ -179,7 +179,7 @@ def test_what_has_no_gradient_is_refused_by_name() -> None:
         (randomized, r"draws body.mass at resets, .* Take them out of randomize, or train with ppo"),
     ):
         with pytest.raises(CapabilityError, match=message):
-            make_training(cfg, task)
+            ApgTrainer().make_training(cfg, task)
 
 
 def test_a_task_with_a_flat_reward_is_told_of_its_smooth_one(caplog: pytest.LogCaptureFixture) -> None:

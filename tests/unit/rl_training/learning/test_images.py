@@ -8,7 +8,7 @@ from torch import Tensor
 
 from aerial_gym.rl_training.evaluation import evaluate
 from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
-from aerial_gym.rl_training.trainers.ppo import make_training
+from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from tests.unit.rl_training.learning.test_memory import GuessTask, late_cost
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.hover import camera_task

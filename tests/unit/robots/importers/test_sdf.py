@@ -56,8 +56,8 @@ def body_alone(folder: Path, base: str, **kwargs) -> tuple[float, np.ndarray, np
         lever = r - np.array(body.com)
         return m * (lever @ lever * np.eye(3) - np.outer(lever, lever))
 
-    others = sum(j + shift_inertia(m, r) for m, r, j in weights) + shift_inertia(mass, com)
-    return mass, com, np.array(body.inertia) - others
+    part_inertia = sum(j + shift_inertia(m, r) for m, r, j in weights) + shift_inertia(mass, com)
+    return mass, com, np.array(body.inertia) - part_inertia
 
 
 # ------------------------------------------------------------------------------------------------ masses
