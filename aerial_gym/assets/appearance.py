@@ -86,11 +86,11 @@ def read_mesh_appearance(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.
         return None
     vertex_color, face_color, uv, texture, images = [], [], [], [], []
     for piece in pieces:
-        of_vertices, of_faces = _plain_colors(piece)
-        image = _image(piece)
+        of_vertices, of_faces = _mesh_colors(piece)
+        image = _texture_image(piece)
         vertex_color.append(of_vertices)
         face_color.append(of_faces)
-        uv.append(_coordinates(piece))
+        uv.append(_texture_coordinates(piece))
         texture.append(np.full(len(piece.faces), -1 if image is None else len(images)))
         images += [] if image is None else [np.asarray(image.convert("RGB"), dtype=np.uint8)]
     color = np.concatenate(vertex_color)[faces] * np.concatenate(face_color)[:, None]
@@ -102,50 +102,50 @@ def read_mesh_appearance(pieces: Sequence["trimesh.Trimesh"], faces: NDArray[np.
     )
 
 
-def _plain_colors(piece: "trimesh.Trimesh") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _mesh_colors(piece: "trimesh.Trimesh") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the colours of vertices (V, 3) and triangles (F, 3), whose product is the surface's colour."""
     from trimesh.visual import ColorVisuals, TextureVisuals
 
     of_vertices, of_faces = np.ones((len(piece.vertices), 3)), np.ones((len(piece.faces), 3))
     visual = piece.visual
     if isinstance(visual, TextureVisuals):
-        of_faces = of_faces * _factor(visual.material)
+        of_faces = of_faces * _base_color(visual.material)
         painted = visual.vertex_attributes.data.get("color")
         if painted is not None:
-            of_vertices = _shares(painted)
+            of_vertices = _color_shares(painted)
     elif isinstance(visual, ColorVisuals) and visual.kind == "vertex":
-        of_vertices = _shares(visual.vertex_colors)
+        of_vertices = _color_shares(visual.vertex_colors)
     elif isinstance(visual, ColorVisuals) and visual.kind == "face":
-        of_faces = _shares(visual.face_colors)
+        of_faces = _color_shares(visual.face_colors)
     else:
         of_faces = of_faces * DEFAULT_COLORS["mesh"]
     return of_vertices, of_faces
 
 
-def _shares(colors: NDArray[np.generic]) -> NDArray[np.float64]:
+def _color_shares(colors: NDArray[np.generic]) -> NDArray[np.float64]:
     """Return red, green, blue (N, 3) in 0 to 1 of colours (N, 3) or (N, 4): 0 to 255 if they are bytes."""
     values = np.asarray(colors)
     return values[:, :3].astype(np.float64) / (255.0 if values.dtype == np.uint8 else 1.0)
 
 
-def _factor(material: object) -> NDArray[np.float64]:
+def _base_color(material: object) -> NDArray[np.float64]:
     """Return the base colour of a material (red, green, blue), which multiplies its image."""
     value = getattr(material, "baseColorFactor", None)  # of GLB and other files with physically based materials
     if value is None:
         value = getattr(material, "kwargs", {}).get("kd")  # of MTL files; trimesh calls a missing one grey
     if value is not None:
-        return _shares(np.atleast_2d(value))[0]
+        return _color_shares(np.atleast_2d(value))[0]
     painted = any(getattr(material, name, None) is not None for name in ("image", "baseColorTexture"))
     return np.ones(3) if painted else np.asarray(DEFAULT_COLORS["mesh"])
 
 
-def _image(piece: "trimesh.Trimesh") -> "Image | None":
+def _texture_image(piece: "trimesh.Trimesh") -> "Image | None":
     """Return the image of a piece; None without an image or texture coordinates."""
     material = None if getattr(piece.visual, "uv", None) is None else getattr(piece.visual, "material", None)
     return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
 
 
-def _coordinates(piece: "trimesh.Trimesh") -> NDArray[np.float64]:
+def _texture_coordinates(piece: "trimesh.Trimesh") -> NDArray[np.float64]:
     """Return the texture coordinates of the vertices, (V, 2); 0 without any."""
     uv = getattr(piece.visual, "uv", None)
     return np.zeros((len(piece.vertices), 2)) if uv is None else np.asarray(uv, dtype=np.float64)[:, :2]
@@ -178,30 +178,25 @@ class AppearanceTable:
         """Return the arrays on a device."""
         rows = np.zeros(len(self._rows), dtype=Appearance.numpy_dtype())  # type: ignore[call-overload]
         for row, (color, checker_color, size, first) in zip(rows, self._rows, strict=True):
-            row["color"], row["checker_color"], row["checker_size"], row["first_face"] = (
-                color,
-                checker_color,
-                size,
-                first,
-            )
+            row["color"], row["checker_color"] = color, checker_color
+            row["checker_size"], row["first_face"] = size, first
         looks = AppearanceArrays()
         looks.shape = wp.array(rows, dtype=Appearance, device=device)
-        looks.corner_color = self._concatenate([m.color.reshape(-1, 3) for m in self._meshes], wp.vec3, device)
-        looks.corner_uv = self._concatenate([m.uv.reshape(-1, 2) for m in self._meshes], wp.vec2, device)
+        looks.corner_color = _concatenate([m.color.reshape(-1, 3) for m in self._meshes], wp.vec3, device)
+        looks.corner_uv = _concatenate([m.uv.reshape(-1, 2) for m in self._meshes], wp.vec2, device)
         images = [image for mesh in self._meshes for image in mesh.images]
         counts = np.cumsum([0, *(len(mesh.images) for mesh in self._meshes)])
         face_textures = [np.where(m.texture < 0, -1, m.texture + n) for m, n in zip(self._meshes, counts, strict=False)]
-        looks.face_texture = self._concatenate(face_textures, wp.int32, device)
+        looks.face_texture = _concatenate(face_textures, wp.int32, device)
         first = np.cumsum([0, *(image.shape[0] * image.shape[1] for image in images)])
         table = np.zeros(len(images), dtype=Texture.numpy_dtype())  # type: ignore[call-overload]
         for row, image, start in zip(table, images, first, strict=False):
             row["first"], row["height"], row["width"] = start, image.shape[0], image.shape[1]
         looks.textures = wp.array(table, dtype=Texture, device=device)
-        looks.texels = self._concatenate([image.reshape(-1, 3) for image in images], wp.vec3ub, device)
+        looks.texels = _concatenate([image.reshape(-1, 3) for image in images], wp.vec3ub, device)
         return looks
 
-    @staticmethod
-    def _concatenate(pieces: Sequence[np.ndarray], dtype: type, device: wp.Device) -> wp.array:
-        if not pieces:
-            return wp.empty(0, dtype=dtype, device=device)
-        return wp.array(np.concatenate(pieces), dtype=dtype, device=device)
+
+def _concatenate(pieces: Sequence[np.ndarray], dtype: type, device: wp.Device) -> wp.array:
+    """Return the rows of all pieces as one array, which may be empty."""
+    return wp.array(np.concatenate(pieces) if pieces else [], dtype=dtype, device=device)

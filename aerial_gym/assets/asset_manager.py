@@ -197,23 +197,17 @@ class AssetManager:
         gtd.define_size("A", self.num_assets)
 
         def declare(
-            key: str, shape: tuple[str | int, ...], unit: str, meaning: str, view: Tensor | None, dtype: torch.dtype
+            key: str, shape: tuple[str | int, ...], unit: str, meaning: str, view: Tensor | None = None
         ) -> Tensor:
-            frame = "-" if dtype == torch.int32 else "world"
-            spec = TensorSpec(key=key, shape=shape, unit=unit, frame=frame, owner=_OWNER, meaning=meaning, dtype=dtype)
+            spec = TensorSpec(key=key, shape=shape, unit=unit, frame="world", owner=_OWNER, meaning=meaning)
             return gtd.declare(spec, view=view)
 
-        real = torch.float32
-        state = declare(
-            "env_asset_state_tensor", ("E", "A", 13), "m, -, m/s, rad/s", "obstacle p, q xyzw, v, w", asset_state, real
-        )
-        self._state = state
-        declare(
-            "obstacle_position", ("E", "A", 3), "m", "origin of each shape; z < -500: absent", state[..., 0:3], real
-        )
-        declare("obstacle_orientation", ("E", "A", 4), "-", "shape to world, xyzw", state[..., 3:7], real)
-        declare("obstacle_linvel", ("E", "A", 3), "m/s", "velocity of the origin", state[..., 7:10], real)
-        declare("obstacle_angvel", ("E", "A", 3), "rad/s", "angular velocity", state[..., 10:13], real)
+        unit, meaning = "m, -, m/s, rad/s", "obstacle p, q xyzw, v, w"
+        state = self._state = declare("env_asset_state_tensor", ("E", "A", 13), unit, meaning, asset_state)
+        declare("obstacle_position", ("E", "A", 3), "m", "origin of each shape; z < -500: absent", state[..., 0:3])
+        declare("obstacle_orientation", ("E", "A", 4), "-", "shape to world, xyzw", state[..., 3:7])
+        declare("obstacle_linvel", ("E", "A", 3), "m/s", "velocity of the origin", state[..., 7:10])
+        declare("obstacle_angvel", ("E", "A", 3), "rad/s", "angular velocity", state[..., 10:13])
         self._places: list[Tensor] = []
         if self.cfg.track is not None:
             gtd.define_size("G", len(self.cfg.track.gates))
@@ -226,19 +220,19 @@ class AssetManager:
                 ("gate_orientation", ("E", "G", 4), "-", "gate to world, xyzw"),
                 ("pole_position", ("E", "P", 3), "m", "top of each pole"),
             ):
-                self._places.append(declare(key, shape, unit, meaning, None, real))
-        self._num_obstacles = declare(
-            "num_obstacles_in_env", (1,), "-", "assets not always kept that the next reset places", None, torch.int32
-        )
-        rows = ("E", "A")
+                self._places.append(declare(key, shape, unit, meaning))
+        self._num_obstacles = gtd.declare(TensorSpec(
+            key="num_obstacles_in_env", shape=(1,), unit="-", frame="-", owner=_OWNER, dtype=torch.int32,
+            meaning="assets not always kept that the next reset places",
+        ))  # fmt: skip
         if self.cfg.moves:
             unit, meaning = "m/s, rad/s", "twist v, w asked for, of obstacles that move by twist"
-            self._env_actions = declare("env_actions", (*rows, 6), unit, meaning, None, real)
-            self._prev_env_actions = declare("prev_env_actions", (*rows, 6), unit, f"{meaning}, before", None, real)
+            self._env_actions = declare("env_actions", ("E", "A", 6), unit, meaning)
+            self._prev_env_actions = declare("prev_env_actions", ("E", "A", 6), unit, f"{meaning}, before")
         self._waypoints = torch.zeros(0, 0, 2, 3, device=self._device)
         if any(asset.motion.kind == "waypoints" for asset in self.cfg.assets):
             meaning = "ends of the path of obstacles with waypoints"
-            self._waypoints = declare("obstacle_waypoints", (*rows, 2, 3), "m", meaning, None, real)
+            self._waypoints = declare("obstacle_waypoints", ("E", "A", 2, 3), "m", meaning)
 
     def _draw_kinds(self) -> tuple[Tensor, Tensor]:
         """Draw the asset of each instance; return its row of the shape table and its semantic id, int64, each (E, A)."""

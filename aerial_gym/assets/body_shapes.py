@@ -36,10 +36,7 @@ def shape_gap(
     nearest = float(limit)
     offset = position + wp.quat_rotate(attitude, own.center) - origin
     if wp.length(offset) - shape.radius - own.reach < nearest:
-        core = Core()
-        core.center = wp.quat_rotate_inv(turn, offset)
-        core.turn = wp.quat_inverse(turn) * attitude * own.attitude
-        core.half = own.half
+        core = Core(wp.quat_rotate_inv(turn, offset), wp.quat_inverse(turn) * attitude * own.attitude, own.half)
         distance = signed_distance(shape, core.center)
         if own.reach > own.radius and distance - own.reach < nearest:
             pair = nearest_of_core(shape, core, wp.min(distance, nearest + own.radius))

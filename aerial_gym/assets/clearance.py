@@ -11,7 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.geometry import signed_distance
-from aerial_gym.assets.obstacles import Obstacles, draw_instance
+from aerial_gym.assets.obstacles import Obstacles, draw_instance, park_instance
 from aerial_gym.assets.scene import PARKED_Z, Scene
 from aerial_gym.assets.scene_arrays import ABSENT_BELOW, SceneArrays, part_attitude, part_position
 from aerial_gym.interop import ReusableLaunch
@@ -28,7 +28,7 @@ START, GOAL = 0, 1
 def _gap(
     scene: SceneArrays, env: int, first: int, end: int, start: wp.vec3, goal: wp.vec3, point_index: int, room: float
 ) -> float:
-    """Return the least distance of parts ``first`` to ``end`` from points 0 to ``which`` [m], at most ``room``."""
+    """Return the least distance of parts ``first`` to ``end`` from points 0 to ``point_index`` [m], at most ``room``."""
     nearest = float(room)
     for k in range(point_index + 1):
         point = wp.where(k == 0, start, goal)
@@ -81,10 +81,7 @@ def _clear(
         draw_instance(obstacles_out, env, a, attempt)
         gap = _gap(scene, env, first, end, start, goal, point_index, room)
     if gap < room:
-        place = obstacles_out.position[env, a]
-        obstacles_out.position[env, a] = wp.vec3(place[0], place[1], parked_z)
-        obstacles_out.lin_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
-        obstacles_out.ang_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
+        park_instance(obstacles_out, env, a, parked_z)
 
 
 class Clearance:

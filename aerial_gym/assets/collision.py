@@ -43,11 +43,7 @@ class LinkGeometry:
     number: int = 0  # Index of the link; 0 for the body
     position: Tensor  # Origin of the frame [m], world, (E, 3); may be strided, but for the last axis
     attitude: Tensor  # To the world, xyzw, unit, (E, 4); likewise
-    pivot: Vec3 = (
-        0.0,
-        0.0,
-        0.0,
-    )  # Point that moves in a straight line between two poses [m]: the hinge of a revolute link
+    pivot: Vec3 = (0.0, 0.0, 0.0)  # Point that moves straight between two poses [m]: the hinge of a revolute link
 
 
 class _Body:
@@ -94,7 +90,7 @@ class CollisionTest:
         self._now: list[list[ReusableLaunch]] = []
         if self.has_solids:
             poses = [(own.link.position.unsqueeze(0), own.link.attitude.unsqueeze(0)) for own in self._links]
-            self._now = self._record(poses, dt=0.0, crashes=self._nothing)
+            self._now = self._record_launches(poses, dt=0.0, crashes=self._nothing)
         self._step: list[list[ReusableLaunch]] | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, dt: float, crashes_out: Tensor) -> None:
@@ -113,9 +109,9 @@ class CollisionTest:
         poses = [(position, attitude)]
         if position.dim() == 4:
             poses = [(position[:, :, own.link.number], attitude[:, :, own.link.number]) for own in self._links]
-        self._step = self._record(poses, dt=dt, crashes=crashes_out, is_step=True)
+        self._step = self._record_launches(poses, dt=dt, crashes=crashes_out, is_step=True)
 
-    def _record(
+    def _record_launches(
         self, poses: Sequence[tuple[Tensor, Tensor]], *, dt: float, crashes: Tensor, is_step: bool = False
     ) -> list[list[ReusableLaunch]]:
         """Record the launches link by link."""
@@ -139,25 +135,12 @@ class CollisionTest:
             dt,
             *flags,
         ]
-        outputs = [
-            NoObstacles() if self._moving is None else self._moving,
-            wp.from_torch(self._out),
-            wp.from_torch(crashes),
-        ]
-        shared = scene.device.type == "cuda"
+        moves, shared = self._moving is not None, scene.device.type == "cuda"
+        outputs = [self._moving if moves else NoObstacles(), self._out, crashes]
+        kernel = make_collision_kernel(moves=moves, shared=shared, cores=own.cores, meshes=scene.has_meshes)
+        launch = {"outputs": outputs, "block_dim": BLOCK_DIM if shared else 1, "device": scene.device, "tiled": True}
         return [
-            ReusableLaunch(
-                make_collision_kernel(
-                    moves=self._moving is not None, shared=shared, cores=own.cores, meshes=scene.has_meshes
-                ),
-                dim=[count],
-                inputs=[*inputs, first],
-                outputs=outputs,
-                block_dim=BLOCK_DIM if shared else 1,
-                device=scene.device,
-                tiled=True,
-            )
-            for first, count in self._chunks()
+            ReusableLaunch(kernel, dim=[count], inputs=[*inputs, first], **launch) for first, count in self._chunks()
         ]
 
     def _chunks(self) -> list[tuple[int, int]]:
@@ -169,17 +152,18 @@ class CollisionTest:
 
     def measure(self) -> None:
         """Launch the measurement at the present poses on torch's current stream."""
-        if not self.has_solids:
+        if self.has_solids:
+            self._launch(self._now)
+        else:
             self._out.fill_(inf)
-            return
-        with on_torch_stream(self._out):
-            for launches in self._now:
-                launch_side_by_side(launches)
 
     def step(self) -> None:
         """Launch a step: move the obstacles by K substeps, set crashes, write the distances after the last substep."""
         if self._step is None:
             raise ShapeError("CollisionTest.step: the poses of the substeps are missing. Call follow() first")
+        self._launch(self._step)
+
+    def _launch(self, launches_by_link: list[list[ReusableLaunch]]) -> None:
         with on_torch_stream(self._out):
-            for launches in self._step:
+            for launches in launches_by_link:
                 launch_side_by_side(launches)

@@ -157,32 +157,20 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
                 if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
                     if a != WORLD and is_step and instance_moves(obstacles_out, env, a):
                         v = obstacles_out.lin_vel[env, a]
+                        solid = scene.shapes[row]
+                        room = scene.radius[env, part]
                         for k in range(last):
-                            path = make_path(
-                                pivot, position[k, env], attitude[k, env], position[k + 1, env], attitude[k + 1, env]
-                            )
+                            p = position[k, env]
+                            path = make_path(pivot, p, attitude[k, env], position[k + 1, env], attitude[k + 1, env])
                             touches = touches or meets_moving(
-                                obstacles_out,
-                                env,
-                                a,
-                                x,
-                                q,
-                                v,
-                                dt,
-                                scene.shapes[row],
-                                scene.radius[env, part],
-                                body,
-                                hull,
-                                path,
+                                obstacles_out, env, a, x, q, v, dt, solid, room, body, hull, path
                             )
                             if wp.static(meshes):  # noqa: SIM102 (only what stands alone is static)
-                                if scene.shapes[row].kind == MESH and not touches:
-                                    shape = scene.shapes[row]
-                                    origin = x + wp.quat_rotate(q, shape.position)
-                                    p = position[k, env]
-                                    if wp.length(p - origin) - scene.radius[env, part] - hull < 0.0:
-                                        turn = q * shape.attitude
-                                        touches = gap_of(shape, origin, turn, body, p, attitude[k, env], 0.0) < 0.0
+                                if solid.kind == MESH and not touches:
+                                    origin = x + wp.quat_rotate(q, solid.position)
+                                    if wp.length(p - origin) - room - hull < 0.0:
+                                        turn = q * solid.attitude
+                                        touches = gap_of(solid, origin, turn, body, p, attitude[k, env], 0.0) < 0.0
                             x, q, v = advance_pose(obstacles_out, env, a, x, q, v, dt)
                 p = position[last, env]
                 origin = x + wp.quat_rotate(q, scene.shapes[row].position)

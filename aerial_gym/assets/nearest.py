@@ -66,17 +66,23 @@ def repeats_corner(half: wp.vec3, number: int) -> wp.bool:
 
 
 @wp.func
+def nearer_pair(best: Nearest, distance: float, point: wp.vec3, normal: wp.vec3) -> Nearest:
+    """Return the nearer of two pairs."""
+    if distance < best.distance:
+        return Nearest(distance, point, normal)
+    return best
+
+
+@wp.func
 def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: Nearest) -> Nearest:
-    """Return the nearer pair: ``found``, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
+    """Return the nearer pair: ``best``, or the nearest on the edge from ``middle - half`` to ``middle + half``."""
     if primitive_distance(shape, middle) - wp.length(half) >= best.distance:
         return best  # distances change by no more than the point moves
     low = wp.float32(-1.0)
     high = wp.float32(1.0)
     t = wp.float32(1.0)
     normal = wp.vec3()
-    k = wp.int32(
-        -2
-    )  # both ends, the bisections, and the middle that is left; in one place, for the sake of compile times
+    k = wp.int32(-2)  # both ends, the bisections, and the middle that is left; in one place, for short compile times
     while k <= BISECTIONS:
         normal = primitive_normal(shape, middle + t * half)
         slope = wp.dot(normal, half)
@@ -92,12 +98,7 @@ def _search_edge(shape: Shape, middle: wp.vec3, half: wp.vec3, best: Nearest) ->
             t = 0.5 * (low + high)
         k += 1
     point = middle + t * half
-    distance = primitive_distance(shape, point)
-    if distance < best.distance:
-        best.distance = distance
-        best.point = point
-        best.normal = normal
-    return best
+    return nearer_pair(best, primitive_distance(shape, point), point, normal)
 
 
 @wp.func
@@ -113,10 +114,8 @@ def _search_face(shape: Shape, core: Core, axis: int, side: float, best: Nearest
     inside = wp.quat_rotate_inv(core.turn, point - core.center)
     distance = side * inside[axis] - core.half[axis]
     beside = wp.max(wp.abs(inside[b]) - core.half[b], wp.abs(inside[c]) - core.half[c])
-    if beside <= 0.0 and distance > -2.0 * core.half[axis] and distance < best.distance:
-        best.distance = distance
-        best.point = point
-        best.normal = normal
+    if beside <= 0.0 and distance > -2.0 * core.half[axis]:
+        return nearer_pair(best, distance, point, normal)
     return best
 
 
@@ -142,13 +141,19 @@ def _edge_half(half: wp.vec3, number: int) -> wp.vec3:
 
 
 @wp.func
+def _is_edge(half: wp.vec3, number: int) -> wp.bool:
+    """Return whether edge 0 to 11 of a box has a length and, in a box without width, repeats no other."""
+    axis = number >> 2
+    repeats = (number & 3) > 0 and half[(axis + 1) % 3] + half[(axis + 2) % 3] == 0.0
+    return half[axis] > 0.0 and not repeats
+
+
+@wp.func
 def _search_edges(shape: Shape, center: wp.vec3, turn: wp.quat, half: wp.vec3, best: Nearest) -> Nearest:
     """Return the nearer pair: ``found``, or the nearest on the edges of a box, or on its line if it has no width."""
     k = wp.int32(0)
     while k < 12:
-        axis = k >> 2
-        repeats = (k & 3) > 0 and half[(axis + 1) % 3] + half[(axis + 2) % 3] == 0.0
-        if half[axis] > 0.0 and not repeats:
+        if _is_edge(half, k):
             middle = center + wp.quat_rotate(turn, _edge_middle(half, k))
             best = _search_edge(shape, middle, wp.quat_rotate(turn, _edge_half(half, k)), best)
         k += 1
@@ -167,11 +172,9 @@ def as_box(core: Core) -> Shape:
 @wp.func
 def _swap_pair(core: Core, seen: Nearest, radius: float) -> Nearest:
     """Return a pair of the core's frame in the other shape's frame, with that shape's radius subtracted."""
-    best = Nearest()
-    best.distance = seen.distance - radius
-    best.normal = -wp.quat_rotate(core.turn, seen.normal)
-    best.point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * best.normal
-    return best
+    normal = -wp.quat_rotate(core.turn, seen.normal)
+    point = core.center + wp.quat_rotate(core.turn, seen.point) + radius * normal
+    return Nearest(seen.distance - radius, point, normal)
 
 
 @wp.func
@@ -260,13 +263,11 @@ def _search_mesh(shape: Shape, core: Core, best: Nearest) -> Nearest:
 
 
 @wp.func
-def _closer(best: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
-    """Return the nearer pair: ``found``, or that of a point at ``away`` from the other shape."""
+def _nearer_point(best: Nearest, point: wp.vec3, away: wp.vec3) -> Nearest:
+    """Return the nearer pair: ``best``, or that of a point at ``away`` from the other shape."""
     distance = wp.length(away)
-    if distance < best.distance and distance > 0.0:
-        best.distance = distance
-        best.point = point
-        best.normal = away / distance
+    if distance > 0.0:
+        return nearer_pair(best, distance, point, away / distance)
     return best
 
 
@@ -276,7 +277,6 @@ def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
 
     The nearest pair of two separate polytopes has a corner of one of them, or an edge of each.
     """
-    box = as_box(core)
     a = shape.size
     b = shape.center
     c = shape.half
@@ -284,30 +284,24 @@ def _search_triangle(shape: Shape, core: Core, best: Nearest) -> Nearest:
     while k < 8:
         if not repeats_corner(core.half, k):
             point = core.center + wp.quat_rotate(core.turn, box_corner(core.half, k))
-            best = _closer(best, point, point - nearest_on_triangle(point, a, b, c))
+            best = _nearer_point(best, point, point - nearest_on_triangle(point, a, b, c))
         k += 1
     k = wp.int32(0)
     while k < 3:
         own = wp.quat_rotate_inv(core.turn, a - core.center)
-        inside = wp.vec3(
-            wp.clamp(own[0], -box.size[0], box.size[0]),
-            wp.clamp(own[1], -box.size[1], box.size[1]),
-            wp.clamp(own[2], -box.size[2], box.size[2]),
-        )
+        inside = wp.min(wp.max(own, -core.half), core.half)
         if wp.length_sq(own - inside) == 0.0:
             best.distance = wp.min(best.distance, -PIERCED)
         point = core.center + wp.quat_rotate(core.turn, inside)
-        best = _closer(best, point, point - a)
+        best = _nearer_point(best, point, point - a)
         n = wp.int32(0)
         while n < 12:
             half = wp.quat_rotate(core.turn, _edge_half(core.half, n))
-            axis = n >> 2
-            repeats = (n & 3) > 0 and core.half[(axis + 1) % 3] + core.half[(axis + 2) % 3] == 0.0
-            if core.half[axis] > 0.0 and not repeats:
+            if _is_edge(core.half, n):
                 middle = core.center + wp.quat_rotate(core.turn, _edge_middle(core.half, n))
                 pair = wp.closest_point_edge_edge(middle - half, middle + half, a, b, 1.0e-12)
                 point = middle + (2.0 * pair[0] - 1.0) * half
-                best = _closer(best, point, point - (a + pair[1] * (b - a)))
+                best = _nearer_point(best, point, point - (a + pair[1] * (b - a)))
             n += 1
         first = a
         a = b

@@ -120,6 +120,15 @@ def _draw_place(random: wp.uint32, quantity: int, row: AssetRow, lower: wp.vec3,
 
 
 @wp.func
+def park_instance(obstacles: Obstacles, env: int, a: int, parked_z: float):
+    """Move an instance to the parking height [m], at rest."""
+    place = obstacles.position[env, a]
+    obstacles.position[env, a] = wp.vec3(place[0], place[1], parked_z)
+    obstacles.lin_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
+    obstacles.ang_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
+
+
+@wp.func
 def draw_instance(obstacles: Obstacles, env: int, a: int, attempt: int):
     """Draw pose, twist and path of one instance."""
     row = obstacles.table[obstacles.asset[env, a]]

@@ -7,7 +7,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.assets.obstacles import Obstacles, draw_instance
+from aerial_gym.assets.obstacles import Obstacles, draw_instance, park_instance
 from aerial_gym.assets.scene import PARKED_Z
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg
 from aerial_gym.interop import ReusableLaunch, start_warp
@@ -107,10 +107,7 @@ def _place(
         return
     draw_instance(obstacles_out, env, a, 0)
     if a >= num_kept + num_others[0]:
-        place = obstacles_out.position[env, a]
-        obstacles_out.position[env, a] = wp.vec3(place[0], place[1], parked_z)
-        obstacles_out.lin_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
-        obstacles_out.ang_vel[env, a] = wp.vec3(0.0, 0.0, 0.0)
+        park_instance(obstacles_out, env, a, parked_z)
 
 
 class Placement:

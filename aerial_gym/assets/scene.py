@@ -18,7 +18,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
@@ -27,7 +26,7 @@ from aerial_gym.assets.views import check_tensor, vector_view
 from aerial_gym.config.environment import LampCfg, PartCfg, ShapeCfg
 from aerial_gym.config.shape import BASE
 from aerial_gym.errors import ConfigError, ShapeError
-from aerial_gym.interop import on_torch_stream, start_warp
+from aerial_gym.interop import make_struct, on_torch_stream, start_warp
 
 PARKED_Z = -1000.0
 """Height of an absent instance [m]. Source: Aerial Gym parks its obstacles there (parity 4.8)."""
@@ -84,16 +83,17 @@ class Scene:
         carriers = [int(WORLD)] * len(fixed) + [int(BODY) - _link_index(part, robot_links) for part in robot]
         self._allocate_parts(self._most_parts(groups), carriers)
         self._lay_out_parts()
-        size = (self.num_envs, self.num_instances)
-        self.arrays = SceneArrays()
-        self.arrays.shapes = self.shape_table.array
-        self.arrays.part_shape = wp.from_torch(self._part_shape)
-        self.arrays.part_instance = wp.from_torch(self._part_instance)
-        self.arrays.semantic_id = wp.from_torch(self._part_semantic)
-        self.arrays.num_solid = self.num_parts - len(robot)
-        self.arrays.radius = wp.from_torch(self._radius)
-        self.arrays.position = vector_view("position", asset_state[..., 0:3], (*size, 3), device=self.device)
-        self.arrays.attitude = vector_view("attitude", asset_state[..., 3:7], (*size, 4), device=self.device)
+        self.arrays = make_struct(
+            SceneArrays,
+            shapes=self.shape_table.array,
+            part_shape=self._part_shape,
+            part_instance=self._part_instance,
+            semantic_id=self._part_semantic,
+            num_solid=self.num_parts - len(robot),
+            radius=self._radius,
+            position=vector_view("position", asset_state[..., 0:3], (*size, 3), device=self.device),
+            attitude=vector_view("attitude", asset_state[..., 3:7], (*size, 4), device=self.device),
+        )
         self.robot_state: Tensor | None = None
         """States of the robot's links, (E, L, 13); None where it is not seen."""
         if robot:
@@ -111,7 +111,7 @@ class Scene:
 
     def instance_parts(self) -> tuple[tuple[PartCfg, ...], Tensor, Tensor]:
         """Return all parts of instances, and views (E, P) of the row of each (-1 for an empty slot) and of its instance."""
-        slots = slice(None, self._num_carried)
+        slots = slice(self._num_carried)
         return self.shape_table.parts[: self._num_rows], self._part_shape[:, slots], self._part_instance[:, slots]
 
     def relabel(self, shape_index: Tensor, semantic_id: Tensor) -> None:
@@ -174,7 +174,7 @@ class Scene:
             row = table.first_part[index].gather(1, instance) + within
             own = [-1 if part.semantic_id is None else part.semantic_id for part in table.parts]
             own_id = torch.tensor(own, dtype=torch.int32, device=self.device)[torch.where(exists, row, 0)]
-            carried = slice(None, self._num_carried)
+            carried = slice(self._num_carried)
             self._part_shape[:, carried] = torch.where(exists, row, -1).int()
             self._part_instance[:, carried] = instance.int()
             self._part_semantic[:, carried] = torch.where(own_id >= 0, own_id, self.semantic_id.gather(1, instance))
@@ -201,6 +201,7 @@ class Scene:
 
 
 def _link_index(part: PartCfg, names: Sequence[str]) -> int:
+    """Return the number of the link that carries a part."""
     if part.link not in names:
         raise ConfigError(f"{part.shape.kind} on link {part.link!r}: the robot has the links {', '.join(names)}")
     return names.index(part.link)

@@ -58,9 +58,7 @@ def _test_pairs(
     pairs: wp.array2d[wp.int32],  # (N, 2)
     pivot: wp.array[wp.vec3],  # (L,) point that moves straight between poses, frame of the link [m]
     # state
-    position: wp.array3d[
-        wp.vec3
-    ],  # (K + 1, E, L) at the start of a step and after each substep, or (1, E, L), world [m]
+    position: wp.array3d[wp.vec3],  # (K + 1, E, L) at the start and after each substep, or (1, E, L), world [m]
     attitude: wp.array3d[wp.quat],  # (K + 1, E, L) link to world, xyzw
     is_step: wp.bool,  # whether contacts are crashes
     # out
@@ -79,11 +77,12 @@ def _test_pairs(
         j = link[b]
         k = wp.int32(0)
         while k < last and not touches:
+            later = k + 1
             one = make_path(
-                pivot[i], position[k, e, i], attitude[k, e, i], position[k + 1, e, i], attitude[k + 1, e, i]
+                pivot[i], position[k, e, i], attitude[k, e, i], position[later, e, i], attitude[later, e, i]
             )
             other = make_path(
-                pivot[j], position[k, e, j], attitude[k, e, j], position[k + 1, e, j], attitude[k + 1, e, j]
+                pivot[j], position[k, e, j], attitude[k, e, j], position[later, e, j], attitude[later, e, j]
             )
             touches = _touches(shapes[a], one, body[b], other, 0.0, 1.0)
             k += 1

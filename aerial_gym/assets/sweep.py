@@ -51,17 +51,13 @@ class Path:
 @wp.func
 def make_path(pivot: wp.vec3, x0: wp.vec3, q0: wp.quat, x1: wp.vec3, q1: wp.quat) -> Path:
     """Return the motion between two poses of a body's origin, with the shorter rotation."""
-    path = Path()
-    path.pivot = pivot
-    path.start = x0 + wp.quat_rotate(q0, pivot)
-    path.shift = x1 + wp.quat_rotate(q1, pivot) - path.start
-    path.attitude = q0
+    start = x0 + wp.quat_rotate(q0, pivot)
     turned = q1 * wp.quat_inverse(q0)
     axis = wp.vec3(turned[0], turned[1], turned[2])
     half = wp.length(axis)
     angle = 2.0 * wp.atan2(half, wp.abs(turned[3]))
-    path.turn = wp.where(half > 0.0, wp.where(turned[3] < 0.0, -angle, angle) / wp.max(half, 1.0e-20), 2.0) * axis
-    return path
+    turn = wp.where(half > 0.0, wp.where(turned[3] < 0.0, -angle, angle) / wp.max(half, 1.0e-20), 2.0) * axis
+    return Path(pivot, start, x1 + wp.quat_rotate(q1, pivot) - start, q0, turn)
 
 
 @wp.func
@@ -94,12 +90,7 @@ def as_body_shape(own: BodyShape) -> BodyShape:  # pyright: ignore[reportRedecla
 @wp.func
 def as_body_shape(own: wp.vec4) -> BodyShape:  # noqa: F811 (Warp tells functions of one name by their arguments)
     """Return a sphere by centre in the body frame and radius [m]."""
-    shape = BodyShape()
-    shape.center = wp.vec3(own[0], own[1], own[2])
-    shape.attitude = wp.quat_identity()
-    shape.radius = own[3]
-    shape.reach = own[3]
-    return shape
+    return BodyShape(wp.vec3(own[0], own[1], own[2]), wp.quat_identity(), wp.vec3(), own[3], own[3])
 
 
 @wp.func
@@ -157,10 +148,7 @@ def make_touch_time(*, cores: bool) -> wp.Function:
             is_refined = own.reach == own.radius or not by_center
             if wp.static(cores):  # noqa: SIM102 (only what stands alone is static)
                 if own.reach > own.radius and not by_center:
-                    core = Core()
-                    core.center = local
-                    core.turn = wp.quat_inverse(turn) * q * own.attitude
-                    core.half = own.half
+                    core = Core(local, wp.quat_inverse(turn) * q * own.attitude, own.half)
                     pair = nearest_of_core(shape, core, distance)
                     if pair.distance < distance:
                         distance = pair.distance
@@ -288,9 +276,7 @@ def make_static_sweep(*, cores: bool, meshes: bool) -> wp.Function:
 
         ``radius`` [m] bounds the part about its origin, ``hull`` the robot about the body's.
         """
-        other = Path()
-        other.start = x
-        other.attitude = q
+        other = Path(wp.vec3(), x, wp.vec3(), q, wp.vec3())
         origin = x + wp.quat_rotate(q, shape.position)
         k = wp.int32(0)
         while k + 1 < position.shape[0]:
@@ -340,11 +326,9 @@ def make_moving_sweep(*, cores: bool, meshes: bool) -> wp.Function:
             quarter = 0.25 * (last - first)
             early, _q, _v = advance_pose(obstacles, env, a, x, q, v, dt * (first + quarter))
             late, _q, _v = advance_pose(obstacles, env, a, x, q, v, dt * (last - quarter))
-            other = Path()
-            other.shift = (late - early) / wp.max(2.0 * quarter, 1.0e-20)
-            other.start = early - (first + quarter) * other.shift
-            other.attitude = q
-            other.turn = dt * obstacles.ang_vel[env, a]
+            shift = (late - early) / wp.max(2.0 * quarter, 1.0e-20)
+            start = early - (first + quarter) * shift
+            other = Path(wp.vec3(), start, shift, q, dt * obstacles.ang_vel[env, a])
             away = path.start - other.start + last * (path.shift - other.shift)
             room = radius + wp.length(shape.position) + hull + wp.length(path.pivot) + NEAR
             if wp.length(away) - room < (last - first) * wp.length(path.shift - other.shift):

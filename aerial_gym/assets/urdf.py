@@ -174,17 +174,12 @@ def _check_tree(root: ElementTree.Element) -> None:
     roots = [name for name in links if name not in parents]
     if len(roots) != 1:
         raise ConfigError(f"{len(roots)} links have no parent ({', '.join(roots)}); a tree has one")
-    below: dict[str, list[str]] = {}
-    for child, parent in parents.items():
-        below.setdefault(parent, []).append(child)
-    reached, waiting = set(), [roots[0]]
-    while waiting:
-        name = waiting.pop()
-        reached.add(name)
-        waiting += below.get(name, [])
-    if reached != known:
-        first = next(name for name in links if name not in reached)
-        raise ConfigError(f"link {first!r} is its own ancestor")
+    reached, frontier = set(), {roots[0]}
+    while frontier:
+        reached |= frontier
+        frontier = {child for child, parent in parents.items() if parent in frontier}
+    if missing := [name for name in links if name not in reached]:
+        raise ConfigError(f"link {missing[0]!r} is its own ancestor")
 
 
 def _part(geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, color: Vec3 | None, folder: Path) -> PartCfg:
@@ -230,9 +225,8 @@ def _mesh_file(name: str, folder: Path) -> Path:
     package = name.startswith("package://")
     whole = name.removeprefix("package://").removeprefix("file://")
     tails = [whole, whole.partition("/")[2]] if package else [whole]
-    bases = (
-        [base for base in (folder, *folder.parents[:PACKAGE_LEVELS]) if base.parent != base] if package else [folder]
-    )
+    folders = (folder, *folder.parents[: PACKAGE_LEVELS if package else 0])
+    bases = [base for base in folders if not package or base.parent != base]
     matches = [(base, base / tail) for base in bases for tail in tails if tail and (base / tail).is_file()]
     if not matches:
         raise ConfigError(f"mesh {name}: no such file")

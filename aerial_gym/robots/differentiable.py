@@ -10,10 +10,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_rotate, quat_rotate_inverse
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics.backend import Capabilities, ControlLaw, PhysicsBackend
+from aerial_gym.physics.backend import ControlLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import ArticulatedState, BodyState
@@ -22,29 +21,18 @@ from aerial_gym.physics.torch_backend import TorchBackend, copy_tensors
 from aerial_gym.physics.torch_rows import SubstepRows
 
 
-class DifferentiableBackend:
+class DifferentiableBackend(TorchBackend):
     """The torch backend in a float type of its own; it keeps the motion as an autograd graph and copies it to the GTD."""
 
-    def __init__(
-        self, backend: PhysicsBackend, shown: BodyState, shown_actions: tuple[Tensor, Tensor], *, dtype: torch.dtype
-    ) -> None:
-        """Take a new backend, state and last two actions in the Global Tensor Dictionary, and the float type of the graph.
-
-        Raises:
-            CapabilityError: If it is another backend than ``torch``.
-        """
-        if not isinstance(backend, TorchBackend):
-            raise CapabilityError(
-                f"backend {type(backend).__name__}: gradients flow through an environment on backend 'torch' alone"
-            )
-        self._inner, self._shown, self._shown_actions, self._dtype = backend, shown, shown_actions, dtype
-        self._hook: SubstepHook | None = None
+    def __init__(self, shown: BodyState, shown_actions: tuple[Tensor, Tensor], *, dtype: torch.dtype) -> None:
+        """Take state and last two actions in the Global Tensor Dictionary, and the float type of the graph."""
+        self._shown, self._shown_actions, self._dtype = shown, shown_actions, dtype
         self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
         self.actions: tuple[Tensor, Tensor] = _map_pair(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
         """Actions of this step and the previous one, each (E, U), with gradients."""
         self._traced: GradientTensors | None = None
         self._rows: tuple[float, SubstepRows | None] | None = None
-        self._places: dict[str, Tensor] = {}
+        self._graph_places: dict[str, Tensor] = {}
 
     @property
     def gradient_tensors(self) -> "GradientTensors":
@@ -56,11 +44,6 @@ class DifferentiableBackend:
     def act(self, action: Tensor) -> None:
         """Take the action of a step, (E, U), with its graph."""
         self.actions, self._traced = (action.to(self._dtype), self.actions[0]), None
-
-    @property
-    def capabilities(self) -> Capabilities:
-        """Capabilities of the backend."""
-        return self._inner.capabilities
 
     def allocate(
         self,
@@ -75,44 +58,27 @@ class DifferentiableBackend:
         """Take everything in the float type of the graph; the control law is in it already."""
         if ground is not None:
             ground = replace(ground, spheres=ground.spheres.to(self._dtype))
-        self._hook = hook
-        self._inner.allocate(model.to(self._dtype), control, integrator=integrator, ground=ground, random=random)
+        super().allocate(model, control, integrator=integrator, ground=ground, hook=hook, random=random)
 
     def set_model(self, model: Model) -> None:
         """Replace the parameters of the model."""
         self._rows = None
-        self._inner.set_model(model.to(self._dtype))
-
-    def take_ground_heights(self) -> None:
-        """Take the present values of ``Model.ground_height``."""
-        self._inner.take_ground_heights()
+        super().set_model(model.to(self._dtype))
 
     def load(self) -> Tensor | None:
         """Return direction and rate of the load's cable, in float32 and without gradients; None without a load."""
-        link = self._inner.load()
+        link = super().load()
         return None if link is None else link.detach().float()
-
-    def prepare(self, dt: float) -> None:
-        """Make the memory of the effects."""
-        self._inner.prepare(dt)
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Return the tensors of a saved state, by name; gradients end here."""
         self.detach()
         graph = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
-        return self._inner.state_tensors() | {f"graph.{name}": rows for name, rows in graph.items()}
+        return super().state_tensors() | {f"graph.{name}": rows for name, rows in graph.items()}
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the parameters of the inner backend for each environment, in its float type."""
-        return tuple(rows.to(self._dtype) for rows in self._inner.parameter_rows(model))
-
-    def parameter_targets(self) -> tuple[Tensor, ...]:
-        """Return the tensors that ``parameter_rows`` is copied into."""
-        return self._inner.parameter_targets()
-
-    def advance(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> BodyState:
-        """Return the state after ``substeps`` of ``dt`` [s]; differentiable."""
-        return self._inner.advance(state, command, dt, substeps)
+        return tuple(rows.to(self._dtype) for rows in super().parameter_rows(model))
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:
         """Extend the graph by ``substeps`` of ``dt`` [s] under its own action, and copy the result to ``state``."""
@@ -124,7 +90,7 @@ class DifferentiableBackend:
         rows = self._in_rows(dt)
         for k in range(substeps):
             if rows is None:
-                before, self.state = self._inner.advance_once(self.state, self.actions[0], dt)
+                before, self.state = self.advance_once(self.state, self.actions[0], dt)
             else:
                 before, self.state = None, rows(self.state, self.actions[0])
             with torch.no_grad():
@@ -136,13 +102,13 @@ class DifferentiableBackend:
         """Return a substep of ``dt`` [s] as one float32 kernel, without the hook, which needs the motion before it."""
         if self._rows is None or self._rows[0] != dt:
             plain = self._dtype == torch.float32 and self._hook is None
-            self._rows = (dt, self._inner.make_substep_rows(self.state, self.actions[0], dt) if plain else None)
+            self._rows = (dt, self.make_substep_rows(self.state, self.actions[0], dt) if plain else None)
         return self._rows[1]
 
     def reset(self, mask: Tensor) -> None:
         """Restart the graph of the environments in ``mask``, bool (E,), from the GTD's state; others continue."""
         mask = mask.clone()  # the graph keeps it; the next reset overwrites the mask
-        self._inner.forget(mask)
+        self.forget(mask)
         rows = mask.unsqueeze(-1)
 
         def select_rows(new: Tensor, old: Tensor) -> Tensor:
@@ -159,16 +125,15 @@ class DifferentiableBackend:
         """Cut the gradients at this instant."""
         self.state = _map(self.state, torch.Tensor.detach)
         self.actions = _map_pair(self.actions, torch.Tensor.detach)
-        self._inner.detach()
+        super().detach()
 
     def settle(self) -> None:
         """Cut the gradients at this instant, in tensors that stay the same at every call, as start of a recorded window."""
-        self.detach()
+        super().settle()
         own = vars(self.state) | dict(zip(("action", "previous_action"), self.actions, strict=True))
-        settled = copy_tensors(self._places, own)
+        settled = copy_tensors(self._graph_places, own)
         self.actions = (settled.pop("action"), settled.pop("previous_action"))
         self.state, self._traced = replace(self.state, **settled), None
-        self._inner.settle()
 
 
 def _map(state, change):

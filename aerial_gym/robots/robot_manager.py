@@ -15,7 +15,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.control import Controller, make_controller
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.errors import ShapeError
+from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import with_usual_settings
 from aerial_gym.interop.rows import RowUpdate
 from aerial_gym.math.random import Randomness, take_mask
@@ -26,6 +26,7 @@ from aerial_gym.physics.effects.imu_errors import WIDTH, imu_errors
 from aerial_gym.physics.model import Model, check_effects, load_articulation, robot_effects
 from aerial_gym.physics.rotors import hover_speed
 from aerial_gym.physics.state import ArticulatedState
+from aerial_gym.physics.torch_backend import TorchBackend
 from aerial_gym.physics.vehicle import is_shared, own_rows
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.registry.state import add_prefix
@@ -92,9 +93,12 @@ class RobotManager:
         self.tensors: RobotTensors = declare_robot_tensors(gtd, root_state, robot.joints)
         self.differentiable: DifferentiableBackend | None = None
         if gradients is not None:
-            self.backend = self.differentiable = DifferentiableBackend(
-                self.backend, self.tensors.state, self.tensors.both_actions, dtype=gradients
-            )
+            if not isinstance(self.backend, TorchBackend):
+                raise CapabilityError(
+                    f"{type(self.backend).__name__}: gradients flow on backend 'torch' alone. Choose it"
+                )
+            state, actions = self.tensors.state, (self.tensors.actions, self.tensors.prev_actions)
+            self.backend = self.differentiable = DifferentiableBackend(state, actions, dtype=gradients)
         self._declare_model()
         self._randomized = self._make_randomized(randomize or {})
         self._stale = False
@@ -232,7 +236,7 @@ class RobotManager:
         model, followed = self._make_model(*self._parameter_sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
-        for target, rows in zip(self._targets(), self._rows(model, followed), strict=True):
+        for target, rows in self._drawn_rows(model, followed):
             target.copy_(rows)
         if self.imu_errors is not None:
             exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
@@ -259,25 +263,19 @@ class RobotManager:
         drawn = [] if self._randomized is None else self._randomized.random_effects
         return any(isinstance(self._effects[i][0], ImuEffect) for i in drawn)
 
-    def _rows(self, model: Model, followed: DrawResult) -> list[Tensor]:
-        """Return allocation, parameters of effects, gains and errors of inertial sensors that follow from draws."""
-        tensors = [] if self._allocation is None else [*self._allocation.compute_rows(model.vehicle).values()]
+    def _drawn_rows(self, model: Model, followed: DrawResult) -> list[tuple[Tensor, Tensor]]:
+        """Return tensors and the rows that follow from draws: of allocation, effects, gains, errors of inertial sensors."""
+        pairs = []
+        if self._allocation is not None:
+            rows = self._allocation.compute_rows(model.vehicle)
+            pairs += [(target, rows[name]) for name, target in self._allocation.rows.items()]
         if self._randomized is not None:
-            tensors += [followed.params[i] for i in self._randomized.random_effects]
-            tensors += [followed.gains[name] for name in self._randomized.random_gains]
-        if self._draws_imu_errors:
-            tensors.append(imu_errors(model.effects[ImuEffect]))
-        return tensors
-
-    def _targets(self) -> list[Tensor]:
-        """Return the tensors that receive the results of ``_rows``, in that order."""
-        tensors = [] if self._allocation is None else [*self._allocation.rows.values()]
-        if self._randomized is not None:
-            tensors += [self._effects[i][1] for i in self._randomized.random_effects]
-            tensors += [self.controller.gains_by_name[name] for name in self._randomized.random_gains]
+            pairs += [(self._effects[i][1], followed.params[i]) for i in self._randomized.random_effects]
+            gains = self.controller.gains_by_name
+            pairs += [(gains[name], followed.gains[name]) for name in self._randomized.random_gains]
         if self.imu_errors is not None and self._draws_imu_errors:
-            tensors.append(self.imu_errors)
-        return tensors
+            pairs.append((self.imu_errors, imu_errors(model.effects[ImuEffect])))
+        return pairs
 
     def _make_update(self) -> RowUpdate | None:
         """Return the launch that draws parameters and initial state for a mask; None without random parameters."""
@@ -287,13 +285,13 @@ class RobotManager:
         def rows(*sources: Tensor, declared: Vehicle | None = None) -> tuple[Tensor, ...]:
             model, followed = self._make_model(*sources, declared=declared)
             shown = (getattr(model.vehicle, name) for name in own)
-            follows = (rows.to(dtype) for rows, dtype in zip(self._rows(model, followed), types, strict=True))
+            follows = (rows.to(target.dtype) for target, rows in self._drawn_rows(model, followed))
             return (*shown, *follows, *self.backend.parameter_rows(model))
 
-        types = [target.dtype for target in self._targets()]
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
-        targets = (*(shown[name] for name in own), *self._targets(), *self.backend.parameter_targets())
+        drawn = self._drawn_rows(*self._make_model(*self._parameter_sources(), declared=self.declared))
+        targets = (*(shown[name] for name in own), *(t for t, _ in drawn), *self.backend.parameter_targets())
         return RowUpdate(
             rows,
             self._parameter_sources(),

@@ -25,11 +25,6 @@ class RobotTensors:
     actions: Tensor  # (E, U)
     prev_actions: Tensor  # (E, U)
 
-    @property
-    def both_actions(self) -> tuple[Tensor, Tensor]:
-        """The last action and the one before."""
-        return self.actions, self.prev_actions
-
 
 def _spec(key: str, width: int | str, unit: str, frame: str, owner: str, meaning: str) -> TensorSpec:
     return TensorSpec(key=key, shape=("E", width), unit=unit, frame=frame, owner=owner, meaning=meaning)
