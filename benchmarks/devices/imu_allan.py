@@ -9,7 +9,8 @@ Letters: T samples, S sensors, K averaging times, C channels (accelerometer x y 
 """
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import log, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -43,27 +44,12 @@ NORMAL_95 = 1.96
 """Half of a 95 % interval in standard errors."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AllanRow:
-    """One axis of one IMU. Densities: accelerometer in m/s², gyro in rad/s, N per sqrt(Hz), K per s and sqrt(Hz)."""
+AllanRow = dict[str, str | int | float]
+"""One axis of one IMU: ``noise``, ``walk`` and ``lowest``, each ``_configured``, ``_found``, ``_low`` and ``_high``.
 
-    imu: str
-    sensor: str
-    axis: str
-    num_sensors: int
-    noise_configured: float
-    noise_found: float
-    noise_low: float
-    noise_high: float
-    walk_configured: float
-    walk_found: float
-    walk_low: float
-    walk_high: float
-    lowest_at_s: float  # The averaging time nearest to where both lines meet [s]
-    lowest_configured: float  # Allan deviation there by the configured densities
-    lowest_found: float
-    lowest_low: float
-    lowest_high: float
+Densities: accelerometer in m/s², gyro in rad/s, N per sqrt(Hz), K per s and sqrt(Hz). ``lowest`` is the Allan deviation at the
+averaging time ``lowest_at_s`` [s] nearest to where both lines meet.
+"""
 
 
 def crossing_s(noise: float, walk: float) -> float:
@@ -124,9 +110,8 @@ def records(cfg: ImuCfg, *, num_sensors: int, num_samples: int, seed: int) -> tu
     """Return the fast and the slow record of an IMU."""
     slow = SLOW_SHARE * max(crossing_s(noise, walk) for noise, walk in densities(cfg))
     size = {"num_sensors": num_sensors, "num_samples": num_samples}
-    return AllanRecord.simulate(cfg, dt=FAST_DT, seed=seed, **size), AllanRecord.simulate(
-        cfg, dt=slow, seed=seed + 1, **size
-    )
+    fast = AllanRecord.simulate(cfg, dt=FAST_DT, seed=seed, **size)
+    return fast, AllanRecord.simulate(cfg, dt=slow, seed=seed + 1, **size)
 
 
 def compare(name: str, cfg: ImuCfg, fast: AllanRecord, slow: AllanRecord) -> list[AllanRow]:
@@ -134,32 +119,18 @@ def compare(name: str, cfg: ImuCfg, fast: AllanRecord, slow: AllanRecord) -> lis
     rows = []
     for channel, ((noise, walk), (sensor, axis)) in enumerate(zip(densities(cfg), CHANNELS, strict=True)):
         truth = torch.tensor([noise, walk], dtype=torch.float64).square()
-        results = [fit_densities(r.tau, r.deviation[:, :, channel], r.dt, truth) for r in (fast, slow)]
-        (n, n_low, n_high), (k, k_low, k_high) = interval(results[0][:, 0]), interval(results[1][:, 1])
+        squares = [fit_densities(r.tau, r.deviation[:, :, channel], r.dt, truth) for r in (fast, slow)]
         record, at = lowest_point(crossing_s(noise, walk), fast, slow)
         expected = float((shares(record.tau[at : at + 1], record.dt) * truth).sum().sqrt())
-        low, low_low, low_high = interval(record.deviation[at, :, channel].square())
-        rows.append(
-            AllanRow(
-                imu=name,
-                sensor=sensor,
-                axis=axis,
-                num_sensors=fast.deviation.shape[1],
-                noise_configured=noise,
-                noise_found=n,
-                noise_low=n_low,
-                noise_high=n_high,
-                walk_configured=walk,
-                walk_found=k,
-                walk_low=k_low,
-                walk_high=k_high,
-                lowest_at_s=float(record.tau[at]),
-                lowest_configured=expected,
-                lowest_found=low,
-                lowest_low=low_low,
-                lowest_high=low_high,
-            )
-        )
+        row: AllanRow = {"imu": name, "sensor": sensor, "axis": axis, "num_sensors": fast.deviation.shape[1]}
+        for quantity, configured, samples in (
+            ("noise", noise, squares[0][:, 0]),
+            ("walk", walk, squares[1][:, 1]),
+            ("lowest", expected, record.deviation[at, :, channel].square()),
+        ):
+            names = (f"{quantity}_{end}" for end in ("configured", "found", "low", "high"))
+            row |= zip(names, (configured, *interval(samples)), strict=True)
+        rows.append(row | {"lowest_at_s": float(record.tau[at])})
     return rows
 
 
@@ -197,37 +168,25 @@ class ImuAllanCmd:
         draw(results, self.out / "imu_allan.png")
         if self.json:
             for row in rows:
-                print(json.dumps(asdict(row)))
+                print(json.dumps(row))
         else:
             print_rows(rows)
         return 0
 
 
 def print_rows(rows: list[AllanRow]) -> None:
-    """Print the table of configured and found figures."""
+    """Print the table of configured and measured figures."""
     table = Table(box=None, pad_edge=False)
-    for head in (
-        "imu",
-        "sensor",
-        "N configured",
-        "N found [95 %]",
-        "K configured",
-        "K found [95 %]",
-        "lowest",
-        "found",
-    ):
+    heads = ("imu", "sensor", "N configured", "N found [95 %]", "K configured", "K found [95 %]", "lowest", "found")
+    for head in heads:
         table.add_column(head, overflow="fold")
     for row in rows:
-        table.add_row(
-            row.imu,
-            f"{row.sensor} {row.axis}",
-            f"{row.noise_configured:.4g}",
-            f"{row.noise_found:.4g} [{row.noise_low:.4g}, {row.noise_high:.4g}]",
-            f"{row.walk_configured:.3g}",
-            f"{row.walk_found:.3g} [{row.walk_low:.3g}, {row.walk_high:.3g}]",
-            f"{row.lowest_configured:.3g} at {row.lowest_at_s:.3g} s",
-            f"{row.lowest_found:.3g} [{row.lowest_low:.3g}, {row.lowest_high:.3g}]",
+        cells = "{imu}|{sensor} {axis}|{noise_configured:.4g}|{noise_found:.4g} [{noise_low:.4g}, {noise_high:.4g}]|"
+        cells += "{walk_configured:.3g}|{walk_found:.3g} [{walk_low:.3g}, {walk_high:.3g}]|"
+        cells += (
+            "{lowest_configured:.3g} at {lowest_at_s:.3g} s|{lowest_found:.3g} [{lowest_low:.3g}, {lowest_high:.3g}]"
         )
+        table.add_row(*cells.format(**row).split("|"))
     Console(markup=False, width=180).print(table)
 
 
@@ -238,8 +197,8 @@ def draw(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path)
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, first in zip(figure.subplots(1, 2), (0, 3), strict=True):
         kind = CHANNELS[first][0]
-        for color, (name, (cfg, fast, slow)) in zip(("C0", "C1", "C2"), result.items(), strict=False):
-            _draw_channel(axes, name, color, densities(cfg)[first], (fast, slow), first)
+        for color, (name, (cfg, *both)) in zip(("C0", "C1", "C2"), result.items(), strict=False):
+            _draw_channel(axes, name, color, densities(cfg)[first], both, first)
         axes.plot([], [], "k--", linewidth=0.8, label="configured N / sqrt(tau)")
         axes.plot([], [], "k:", linewidth=0.8, label="configured K sqrt(tau / 3)")
         axes.set_xlabel("averaging time tau [s]")
@@ -250,21 +209,13 @@ def draw(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path)
 
 
 def _draw_channel(
-    axes: "Axes",
-    name: str,
-    color: str,
-    density: tuple[float, float],
-    both: tuple[AllanRecord, AllanRecord],
-    channel: int,
+    axes: "Axes", name: str, color: str, density: tuple[float, float], both: Sequence[AllanRecord], channel: int
 ) -> None:
     for record, label in zip(both, (f"{name}, simulated", None), strict=True):
-        signal = record.deviation[:, :, channel]
-        axes.loglog(
-            record.tau, signal.square().mean(1).sqrt(), "o-", color=color, markersize=2.5, linewidth=0.8, label=label
-        )
-        axes.fill_between(
-            record.tau, signal.quantile(0.05, dim=1), signal.quantile(0.95, dim=1), color=color, alpha=0.2
-        )
+        signal, style = record.deviation[:, :, channel], {"markersize": 2.5, "linewidth": 0.8, "label": label}
+        axes.loglog(record.tau, signal.square().mean(1).sqrt(), "o-", color=color, **style)
+        low, high = signal.quantile(torch.tensor([0.05, 0.95], dtype=signal.dtype), dim=1)
+        axes.fill_between(record.tau, low, high, color=color, alpha=0.2)
     tau = torch.cat([record.tau for record in both]).sort().values
     noise, walk = density
     lowest = 0.5 * sqrt(2.0 * noise * walk / sqrt(3.0))

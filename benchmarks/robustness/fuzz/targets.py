@@ -1,9 +1,7 @@
 """Targets of fuzzing: valid inputs, mutations, and a use of each input as far as a user would go."""
 
-import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 import torch
@@ -40,13 +38,10 @@ class Target:
     use: Callable[[Path], object]  # What is done with a file
 
 
-def _sim():
-    return replace(SIMS.get("base_sim"), backend="torch")  # composes no kernel for every robot
-
-
 def _build(**changes: object) -> EnvManager:
     names = {"env_name": "empty_env", "robot_name": "base_quadrotor", "controller_name": "lee_position_control"}
-    return SimBuilder().build_env(sim_name=_sim(), **(names | changes), num_envs=NUM_ENVS, device="cpu")
+    sim = replace(SIMS.get("base_sim"), backend="torch")  # composes no kernel for every robot
+    return SimBuilder().build_env(sim_name=sim, **(names | changes), num_envs=NUM_ENVS, device="cpu")
 
 
 def _fly(env: EnvManager) -> None:
@@ -56,20 +51,7 @@ def _fly(env: EnvManager) -> None:
     env.close()
 
 
-def _robot(path: Path) -> None:
-    _fly(_build(robot_name=load_robot(path)))
-
-
-def _environment(path: Path) -> None:
-    _fly(_build(env_name=load_environment(path)))
-
-
-@cache
-def _env() -> EnvManager:
-    return _build()
-
-
-def _task(path: Path) -> None:
+def _fly_task(path: Path) -> None:
     cfg = load(TaskCfg, path)
     names = {"env_name": cfg.env, "robot_name": cfg.robot, "controller_name": cfg.controller}
     with Task(cfg, _build(**names)) as task:
@@ -78,31 +60,9 @@ def _task(path: Path) -> None:
         task.step(torch.zeros(NUM_ENVS, task.action_space.shape[0]))
 
 
-def _log(path: Path) -> None:
-    load_flights([path], flat_flights.ROBOT, mapping=None, bandwidth=BANDWIDTH)
-
-
-@cache
-def _valid_log() -> Path:
-    path = Path("/tmp") / "aerial_gym_fuzz_log.csv"
-    path.write_bytes(_flight_text())
-    return path
-
-
-def _mapping(path: Path) -> None:
-    layout = find_mapping(path)
-    load_flights([_valid_log()], flat_flights.ROBOT, mapping=layout, bandwidth=BANDWIDTH)
-
-
-@cache
-def _flight_text() -> bytes:
-    text = io.StringIO()
-    flat_flights.flight(0, seconds=3.0, rate=100.0).to_csv(text, index=False)
-    return text.getvalue().encode()
-
-
-def _policy(path: Path) -> None:
-    load_policy(path)
+def _load_log(path: Path, mapping: Path | None = None) -> None:
+    layout = None if mapping is None else find_mapping(mapping)
+    load_flights([path], flat_flights.ROBOT, mapping=layout, bandwidth=BANDWIDTH)
 
 
 def _checkpoint_bytes(folder: Path) -> bytes:
@@ -132,6 +92,8 @@ STL = b"solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nver
 def targets(folder: Path) -> tuple[Target, ...]:
     """Return all targets; ``folder`` receives the files that their inputs need."""
     (folder / "bulb.obj").write_bytes(OBJ)
+    valid_log = folder / "valid_log.csv"
+    flat_flights.flight(0, seconds=3.0, rate=100.0).to_csv(valid_log, index=False)
 
     def files(kind: str) -> tuple[bytes, ...]:
         return tuple(path.read_bytes() for path in family_files(kind).values())
@@ -146,15 +108,15 @@ def targets(folder: Path) -> tuple[Target, ...]:
         return Target(name=name, suffix=".yaml", inputs=inputs, ways=TREE, use=use)
 
     return (
-        yaml("robot", robots, _robot),
-        yaml("environment", files("environments"), _environment),
-        yaml("task", files("tasks"), _task),
+        yaml("robot", robots, lambda path: _fly(_build(robot_name=load_robot(path)))),
+        yaml("environment", files("environments"), lambda path: _fly(_build(env_name=load_environment(path)))),
+        yaml("task", files("tasks"), _fly_task),
         yaml("settings", files("training"), load_settings),
         yaml("sensor", files("sensors"), load_any_sensor),
-        yaml("mapping", mappings, _mapping),
-        Target(name="log", suffix=".csv", inputs=(_flight_text(),), ways=TEXT, use=_log),
-        Target(name="urdf", suffix=".urdf", inputs=(URDF,), ways=TEXT, use=lambda path: load_urdf(path)),
+        yaml("mapping", mappings, lambda path: _load_log(valid_log, path)),
+        Target(name="log", suffix=".csv", inputs=(valid_log.read_bytes(),), ways=TEXT, use=_load_log),
+        Target(name="urdf", suffix=".urdf", inputs=(URDF,), ways=TEXT, use=load_urdf),
         Target(name="obj", suffix=".obj", inputs=(OBJ,), ways=TEXT, use=lambda path: load_mesh(path, scale=1.0)),
         Target(name="stl", suffix=".stl", inputs=(STL,), ways=TEXT, use=lambda path: load_mesh(path, scale=1.0)),
-        Target(name="checkpoint", suffix=".pth", inputs=(_checkpoint_bytes(folder),), ways=PLAIN, use=_policy),
+        Target(name="checkpoint", suffix=".pth", inputs=(_checkpoint_bytes(folder),), ways=PLAIN, use=load_policy),
     )
