@@ -53,24 +53,19 @@ CLIMB, FULL = 100.0, 0.5
 NEAR_LIMIT = 0.02
 """Of a rotor at a limit: distance from it, as a share of the range of its speed, in force mode of its thrust."""
 
-STEPS = {
-    "position": 1.0,
-    "pose": 1.0,
-    "steering": 1.0,
-    "velocity": 1.0,
-    "acceleration": 1.0,
+STEPS = dict.fromkeys(("position", "pose", "steering", "velocity", "acceleration"), 1.0) | {
     "attitude": 0.2,
     "rates": 0.5,
 }
 UNITS = {
-    "position": "m",
-    "pose": "m",
-    "steering": "m/s",
-    "velocity": "m/s",
-    "acceleration": "m/s²",
-    "attitude": "rad",
+    **{"position": "m", "pose": "m", "steering": "m/s", "velocity": "m/s", "acceleration": "m/s²", "attitude": "rad"},
     "rates": "rad/s",
 }
+RESPONSES = {
+    **{"position": "robot_position", "pose": "robot_position", "attitude": "robot_euler_angles"},
+    **{"steering": "robot_vehicle_linvel", "velocity": "robot_vehicle_linvel", "rates": "robot_body_angvel"},
+}
+"""Key of the response to the command of a law; the acceleration is computed."""
 
 MEANT_FOR = {"lmf2": "lmf2", "magpie": "magpie", "octarotor": "base_octarotor", "rov": "base_rov"}
 """Robots whose gains a controller means by the first part of its name."""
@@ -124,16 +119,15 @@ def holds_shape(robot: RobotCfg) -> bool:
     return all(joint.drive is None or joint.drive.mode == "position" for joint in layout)
 
 
-def geometric_controllers() -> dict[str, ControllerCfg]:
-    """Return the registered controllers that take their gains from the robot."""
-    result = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
-    return {name: cfg for name, cfg in result.items() if cfg.law in STEPS and cfg.gains is None}
+def geometric_controllers(*, derived_gains: bool = True) -> dict[str, ControllerCfg]:
+    """Return the registered controllers that take their gains from the robot, or those with gains of their own."""
+    known = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
+    return {name: cfg for name, cfg in known.items() if cfg.law in STEPS and (cfg.gains is None) == derived_gains}
 
 
 def robot_controllers() -> dict[str, ControllerCfg]:
     """Return the registered controllers with the gains of one robot, ``target_robot``."""
-    result = {name: CONTROLLERS.get(name) for name in CONTROLLERS}
-    return {name: cfg for name, cfg in result.items() if cfg.law in STEPS and cfg.gains is not None}
+    return geometric_controllers(derived_gains=False)
 
 
 def target_robot(controller: str) -> str:
@@ -192,11 +186,13 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
         env.step(actions)
         acceleration = (gtd["robot_linvel"] - before) / SAMPLE
         before = gtd["robot_linvel"].clone()
-        result = _attitude_measure(law, gtd, acceleration, can_turn)
-        wanted = torch.zeros_like(result)
+        response = _response(law, gtd, acceleration)
+        controlled = response[:, :2] if law == "attitude" else response
+        controlled = controlled * torch.tensor(can_turn) if law == "rates" else controlled
+        wanted = torch.zeros_like(controlled)
         wanted[[STEP, AT_LIMITS], axis] = STEPS[law]
-        errors.append((result - wanted).norm(dim=-1))
-        responses.append(_answer(law, gtd, acceleration)[:, axis] / STEPS[law])
+        errors.append((controlled - wanted).norm(dim=-1))
+        responses.append(response[:, axis] / STEPS[law])
         tilts.append(float(_tilt(gtd["robot_orientation"][DRAWN]).max()))
         margin = NEAR_LIMIT * (high - low)
         speed = gtd["rotor_speed"][AT_LIMITS]
@@ -264,28 +260,9 @@ def _limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
     return state_for_thrust(vehicle, allocation.low)[0], state_for_thrust(vehicle, allocation.high)[0]
 
 
-def _attitude_measure(
-    law: str, gtd: GlobalTensorDictionary, acceleration: Tensor, can_turn: tuple[bool, ...]
-) -> Tensor:
-    """Return the quantity that a law controls, (E, 3); for ``attitude`` roll and pitch, (E, 2)."""
-    if law == "attitude":
-        return gtd["robot_euler_angles"][:, :2]
-    if law == "rates":
-        return gtd["robot_body_angvel"] * torch.tensor(can_turn)
-    return _answer(law, gtd, acceleration)
-
-
-def _answer(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Tensor:
+def _response(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Tensor:
     """Return the response to a law's command, (E, 3)."""
-    return {
-        "position": gtd["robot_position"],
-        "pose": gtd["robot_position"],
-        "steering": gtd["robot_vehicle_linvel"],
-        "velocity": gtd["robot_vehicle_linvel"],
-        "acceleration": acceleration,
-        "attitude": gtd["robot_euler_angles"],
-        "rates": gtd["robot_body_angvel"],
-    }[law]
+    return acceleration if law == "acceleration" else gtd[RESPONSES[law]]
 
 
 def _tilt(attitude: Tensor) -> Tensor:

@@ -8,9 +8,9 @@ at `base_sim`. Robots with joints fly there with their own gains. ``--json`` pri
 line; the tables summarise them. ``--out`` draws the step responses at `base_sim`.
 """
 
-import argparse
 import json
 import platform
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from math import isfinite, pi
@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import median
 
 import torch
+import tyro
 import warp
 
 from aerial_gym.control import CONTROLLERS
@@ -38,6 +39,7 @@ from benchmarks.control.control_flights import (
     target_robot,
     unfit,
 )
+from benchmarks.markdown import insert_between_marks, table
 
 BEGIN, END = "<!-- tables: begin, by python -m benchmarks.control.control_table -->", "<!-- tables: end -->"
 
@@ -140,18 +142,14 @@ def _is_lost(flight: ControlFlight) -> bool:
 
 def controllers_table(flights: list[ControlFlight]) -> str:
     """Return a row for each controller: the largest error from drawn starts at the coarsest sim, and steps at each sim."""
-    flights = own(flights)
+    flights, lines = own(flights), []
     heads = [f"step, {1e3 * SIMS.get(sim).dt:g} ms" for sim in COMPARED_SIMS]
-    lines = [
-        f"| controller | robots | largest error from drawn starts, 10 ms | {' | '.join(heads)} |",
-        "| --- | --- | --- |" + " --- |" * len(heads),
-    ]
     for controller in _controllers(flights):
         rows = _controller_flights(flights, controller)
         error = _largest(rows, lambda flight: flight.error) if rows else "-"
         cells = [_summary(_controller_flights(flights, controller, sim)) for sim in COMPARED_SIMS]
-        lines.append(f"| `{controller}` | {len(rows)} | {error} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((f"`{controller}`", len(rows), error, *cells))
+    return table(("controller", "robots", "largest error from drawn starts, 10 ms", *heads), lines)
 
 
 def _summary(flights: list[ControlFlight]) -> str:
@@ -173,41 +171,34 @@ def steps_table(flights: list[ControlFlight], refusals: list[Refusal], controlle
         cells[flight.robot, flight.controller] = f"{answer}, **lost**" if lost else answer
     for refusal in (r for r in refusals if r.sim == COARSEST):
         cells[refusal.robot, refusal.controller] = "unfit" if refusal.of_kind else "refused"
-    lines = [f"| robot | {' | '.join(f'`{name}`' for name in controllers)} |", "| --- |" + " --- |" * len(controllers)]
-    for robot in dict.fromkeys(row.robot for row in (*flights, *refusals)):
-        lines.append(f"| `{robot}` | {' | '.join(cells.get((robot, name), '-') for name in controllers)} |")
-    return "\n".join(lines)
+    robots = dict.fromkeys(row.robot for row in (*flights, *refusals))
+    lines = ((f"`{robot}`", *(cells.get((robot, name), "-") for name in controllers)) for robot in robots)
+    return table(("robot", *(f"`{name}`" for name in controllers)), lines)
 
 
 def wind_table(flights: list[ControlFlight]) -> str:
     """Return a row for each controller of position or velocity: its error in wind, and the share that remains after 10 s."""
-    lines = [
-        "| controller | robots | error after 10 s, median | largest | share of the largest error that remains, median |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    lines = []
     held = [f for f in own(flights) if f.sim == COARSEST and f.law in HELD and f.wind_largest > 0.0]
     for controller in _controllers(held):
         rows = _controller_flights(held, controller)
         middle = f"{_error_text(median(f.wind_error for f in rows))} {UNITS[rows[0].law]}"
         share = median(f.wind_error / f.wind_largest for f in rows)
         largest = _largest(rows, lambda flight: flight.wind_error)
-        lines.append(f"| `{controller}` | {len(rows)} | {middle} | {largest} | {share:.0%} |")
-    return "\n".join(lines)
+        lines.append((f"`{controller}`", len(rows), middle, largest, f"{share:.0%}"))
+    remaining = "share of the largest error that remains, median"
+    return table(("controller", "robots", "error after 10 s, median", "largest", remaining), lines)
 
 
 def refusals_table(refusals: list[Refusal]) -> str:
     """Return the robots that each controller refuses at the coarsest sim, for its law and for its gains."""
-    lines = [
-        "| controllers | vehicles that do not fit the law | vehicles that the gains do not stabilise |",
-        "| --- | --- | --- |",
-    ]
     alike: dict[tuple[str, ...], list[str]] = {}
     for controller in dict.fromkeys(r.controller for r in refusals):
         rows = [r for r in refusals if r.controller == controller and r.sim == COARSEST]
         cells = tuple(_names(r.robot for r in rows if r.of_kind == of_kind) for of_kind in (True, False))
         alike.setdefault(cells, []).append(controller)
-    lines += [f"| {_names(controllers)} | {' | '.join(cells)} |" for cells, controllers in alike.items()]
-    return "\n".join(lines)
+    heads = ("controllers", "vehicles that do not fit the law", "vehicles that the gains do not stabilise")
+    return table(heads, ((_names(controllers), *cells) for cells, controllers in alike.items()))
 
 
 def _names(robots: Iterable[str]) -> str:
@@ -216,18 +207,15 @@ def _names(robots: Iterable[str]) -> str:
 
 def joints_table(flights: list[ControlFlight]) -> str:
     """Return a row for each robot with joints: how many controllers lose it at the coarsest sim."""
-    lines = [
-        "| robot | controllers | overturned from drawn starts | lost after a step | lost with rotors at limits | "
-        "error from drawn starts under `lee_position_control` [m] |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
+    lines = []
     for robot in dict.fromkeys(flight.robot for flight in flights):
         rows = [flight for flight in flights if flight.robot == robot]
         overturned = sum(flight.tilt_rad > pi / 2 for flight in rows)
         lost = sum(not flight.overshoot < LOST for flight in rows)
         error = next((_error_text(f.error) for f in rows if f.controller == "lee_position_control"), "-")
-        lines.append(f"| `{robot}` | {len(rows)} | {overturned} | {lost} | {sum(map(_is_lost, rows))} | {error} |")
-    return "\n".join(lines)
+        lines.append((f"`{robot}`", len(rows), overturned, lost, sum(map(_is_lost, rows)), error))
+    heads = ("robot", "controllers", "overturned from drawn starts", "lost after a step", "lost with rotors at limits")
+    return table((*heads, "error from drawn starts under `lee_position_control` [m]"), lines)
 
 
 def page(
@@ -307,40 +295,40 @@ def draw(flights: list[ControlFlight], path: Path) -> None:
     figure.savefig(path, dpi=90)
 
 
-def _selection(names: list[str] | None, robots: Iterable[str]) -> list[str]:
-    return [name for name in robots if names is None or name in names]
+@dataclass(frozen=True, kw_only=True)
+class ControlTableCmd:
+    """Fly robots under controllers, and print the tables."""
 
+    json: bool = False  # One object a line instead of the tables
+    write: Path | None = None  # Page with the marks
+    out: Path | None = None  # Folder for control_steps.png
+    robots: tuple[str, ...] = ()  # Only these
+    controllers: tuple[str, ...] = ()  # Only these
 
-def main() -> None:
-    """Print the tables; with ``--write`` put them between the marks of a page, with ``--out`` draw the steps too."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="one object a line instead of the tables")
-    parser.add_argument("--write", type=Path, help="page with the marks")
-    parser.add_argument("--out", type=Path, help="folder for control_steps.png")
-    parser.add_argument("--robots", nargs="+", help="only these")
-    parser.add_argument("--controllers", nargs="+", help="only these")
-    options = parser.parse_args()
-    if options.write is not None and not options.write.is_file():
-        parser.error(f"--write {options.write}: no such page")
-    torch.set_num_threads(1)
-    controllers = options.controllers or [*geometric_controllers(), *robot_controllers()]
-    rigid, bending = (_selection(options.robots, different_robots(bend=bend)) for bend in (False, True))
-    flights, refusals = fly_all(rigid, controllers)
-    own_gains = [name for name in controllers if name in geometric_controllers()]
-    bent = fly_all([name for name in bending if holds_shape(ROBOTS.get(name))], own_gains, [COARSEST])
-    text = page(flights, refusals, bent)
-    if options.json:
-        for row in (*flights, *refusals, *bent[0], *bent[1]):
-            print(json.dumps({key: _finite(value) for key, value in asdict(row).items() if key != "response"}))
-    elif options.write is None:
-        print(text)
-    if options.write is not None:
-        before, _, rest = options.write.read_text(encoding="utf-8").partition(BEGIN)
-        _, _, after = rest.partition(END)
-        options.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
-    if options.out is not None:
-        draw(flights, options.out / "control_steps.png")
+    def run(self) -> None:
+        """Print the tables; write them between the marks of a page, and draw the steps, as asked."""
+        if self.write is not None and not self.write.is_file():
+            sys.exit(f"--write {self.write}: no such page")
+        torch.set_num_threads(1)
+        controllers = self.controllers or (*geometric_controllers(), *robot_controllers())
+        rigid, bending = (
+            [name for name in different_robots(bend=bend) if not self.robots or name in self.robots]
+            for bend in (False, True)
+        )
+        flights, refusals = fly_all(rigid, controllers)
+        own_gains = [name for name in controllers if name in geometric_controllers()]
+        bent = fly_all([name for name in bending if holds_shape(ROBOTS.get(name))], own_gains, [COARSEST])
+        text = page(flights, refusals, bent)
+        if self.json:
+            for row in (*flights, *refusals, *bent[0], *bent[1]):
+                print(json.dumps({key: _finite(value) for key, value in asdict(row).items() if key != "response"}))
+        elif self.write is None:
+            print(text)
+        if self.write is not None:
+            insert_between_marks(self.write, BEGIN, END, text)
+        if self.out is not None:
+            draw(flights, self.out / "control_steps.png")
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(ControlTableCmd, description=__doc__).run()

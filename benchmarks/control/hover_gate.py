@@ -14,6 +14,7 @@ import json
 import random
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from itertools import chain, islice
 from pathlib import Path
 
 import torch
@@ -59,25 +60,9 @@ LOOK = 0.02
 """Time between two looks at a flight [s]."""
 
 DRAWN_EFFECTS = (
-    None,
-    None,
-    None,
-    "motor_time_constant",
-    "motor_asymmetry",
-    "payload_mass",
-    "thrust_coefficient",
-    "com_offset",
-    "weak_motor",
-    "torque_ratio",
-    "inertia_error",
-    "motor_tilt",
-    "rotor_inertia",
-    "rotor_drag",
-    "h_force_flapping",
-    "axial_inflow",
-    "buoyancy",
-    "slung_payload",
-    "battery_sag",
+    *(None, None, None, "motor_time_constant", "motor_asymmetry", "payload_mass", "thrust_coefficient", "com_offset"),
+    *("weak_motor", "torque_ratio", "inertia_error", "motor_tilt", "rotor_inertia", "rotor_drag", "h_force_flapping"),
+    *("axial_inflow", "buoyancy", "slung_payload", "battery_sag"),
 )
 """Effects that act at hover, with parameters about the neutral ones by a normal draw of their scale; None for none."""
 
@@ -144,18 +129,17 @@ def _scale_robot(robot: RobotCfg, *, mass: float, lag: float) -> RobotCfg:
 
 
 def _draw_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Effects:
-    result: dict[str, Mapping[str, float]] = {"actuation_delay": {"delay": draw.uniform(0.0, LONGEST)}}
+    delay = {"actuation_delay": {"delay": draw.uniform(0.0, LONGEST)}}
     if name is None:
-        return result
+        return delay
     effect, values = EFFECTS.get(name), {}
-    for parameter, neutral, (low, high) in zip(
-        effect.parameters, effect.neutral(robot), effect.bounds(robot), strict=True
-    ):
+    numbers = zip(effect.parameters, effect.neutral(robot), effect.bounds(robot), strict=True)
+    for parameter, neutral, (low, high) in numbers:
         value = neutral + draw.gauss(0.0, 1.0) * parameter.scale
         values[parameter.name] = min(max(value, low), high)
         if parameter.kind == "rotor":
             values[parameter.name] = float(draw.randint(1, robot.num_rotors))
-    return result | {name: values}
+    return delay | {name: values}
 
 
 def judge(group: Group) -> list[Case] | None:
@@ -163,13 +147,9 @@ def judge(group: Group) -> list[Case] | None:
     hovers = []
     try:
         for effects in group.effects:
-            loop = ClosedLoop(
-                _with_effects(group.cfg, effects),
-                CONTROLLERS.get(group.controller),
-                gravity=GRAVITY,
-                integrator="euler",
-                names=(group.robot, group.controller),
-            )
+            robot, names = _with_effects(group.cfg, effects), (group.robot, group.controller)
+            controller = CONTROLLERS.get(group.controller)
+            loop = ClosedLoop(robot, controller, gravity=GRAVITY, integrator="euler", names=names)
             hovers.append(loop.hover(group.dt))
     except ConfigError:
         return None
@@ -257,13 +237,8 @@ def _starts(allocation: Allocation, robot: RobotCfg) -> BodyState:
 
 def cases(seed: int, count: int) -> Iterator[Case]:
     """Yield the cases of so many groups that fit together."""
-    result = 0
-    for group in groups(seed):
-        if result == count:
-            return
-        if (of_group := judge(group)) is not None:
-            result += 1
-            yield from of_group
+    judged = (judge(group) for group in groups(seed))
+    yield from chain.from_iterable(islice(filter(None, judged), count))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,11 +7,12 @@ The largest stable time steps are flown: 8 disturbed starts a time step, 60 s an
 Robots with joints count as rigid in their reference pose, and have one row for all modes of their drives.
 """
 
-import argparse
 import platform
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+import tyro
 import warp
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
@@ -19,6 +20,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import RobotReport, check_robot
 from aerial_gym.robots.check.flights import make_tail
 from benchmarks.control.control_flights import different_robots
+from benchmarks.markdown import insert_between_marks, table
 
 BEGIN, END = "<!-- table: begin, by python -m benchmarks.control.robot_table -->", "<!-- table: end -->"
 
@@ -37,24 +39,20 @@ def robot_variants(name: str) -> list[str]:
     return [other for other in same if other != name and ROBOTS.get(other).rotor_types == first.rotor_types]
 
 
-def table(reports: list[RobotReport]) -> str:
+def robots_table(reports: list[RobotReport]) -> str:
     """Return a row for each robot."""
-    lines = [
-        "| robot | rotors | mass [kg] | inertia [kg m²] | thrust to weight | hover | rank | angular acceleration [rad/s²] | "
-        "largest stable dt |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    lines = []
     for report in reports:
         inertia = ", ".join(f"{report.inertia_kg_m2[i][i]:.4g}" for i in range(3))
         turn = ", ".join(f"{a:.3g}" for a in report.angular_acceleration_rad_s2)
-        lines.append(
-            f"| `{report.name}` | {report.num_rotors} | {report.mass_kg:.4g} | {inertia} | {report.thrust_to_weight:.2f} | "
-            f"{report.hover_share:.0%} | {report.rank} | {turn} | {_steps(report)} |"
-        )
-    return "\n".join(lines)
+        mass, lift, hover = f"{report.mass_kg:.4g}", f"{report.thrust_to_weight:.2f}", f"{report.hover_share:.0%}"
+        cells = (f"`{report.name}`", report.num_rotors, mass, inertia, lift, hover, report.rank, turn)
+        lines.append((*cells, _largest_steps(report)))
+    heads = ("robot", "rotors", "mass [kg]", "inertia [kg m²]", "thrust to weight", "hover", "rank")
+    return table((*heads, "angular acceleration [rad/s²]", "largest stable dt"), lines)
 
 
-def _steps(report: RobotReport) -> str:
+def _largest_steps(report: RobotReport) -> str:
     """Return the smallest of the largest stable time steps and its controller, of those that fit."""
     fitting = [step for step in report.stable_steps if step.refused is None]
     if not fitting:
@@ -68,28 +66,25 @@ def _steps(report: RobotReport) -> str:
     return largest if moves else f"held rigid: {largest}"
 
 
-def page(reports: list[RobotReport]) -> str:
-    """Return the table with the hardware and versions that made it."""
-    versions = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
-    return f"{table(reports)}\n\n{versions}"
+@dataclass(frozen=True, kw_only=True)
+class RobotTableCmd:
+    """Print the limits of every registered robot."""
 
+    write: Path | None = None  # Page with the marks, which receives the table
+    robots: tuple[str, ...] = ()  # Only these
 
-def main() -> None:
-    """Print the table; with ``--write`` put it between the marks of a page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", type=Path, help="page with the marks")
-    parser.add_argument("--robots", nargs="+", metavar="NAME", help="only these")
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    names = [name for name in table_robots() if options.robots is None or name in options.robots]
-    text = page([check_robot(ROBOTS.get(name), name=name) for name in names])
-    if options.write is None:
-        print(text)
-        return
-    before, _, rest = options.write.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    options.write.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+    def run(self) -> None:
+        """Print the table, or put it between the marks of a page."""
+        torch.set_num_threads(1)
+        names = [name for name in table_robots() if not self.robots or name in self.robots]
+        versions = f"{platform.machine()} CPU, torch {torch.__version__.split('+')[0]}, Warp {warp.config.version}."
+        reports = [check_robot(ROBOTS.get(name), name=name) for name in names]
+        text = f"{robots_table(reports)}\n\n{versions}"
+        if self.write is None:
+            print(text)
+        else:
+            insert_between_marks(self.write, BEGIN, END, text)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(RobotTableCmd, description=__doc__).run()

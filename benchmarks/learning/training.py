@@ -83,17 +83,19 @@ class BenchTraining:
                 marks.setdefault(round(number * self.every_s, 6), []).append(row)
         for mark, rows in marks.items():
             errors = [inf if row["final_error_mean_m"] is None else row["final_error_mean_m"] for row in rows]
+            since = [row["since_process_start_s"] for row in rows]
+            success = [row["success_rate"] for row in rows]
             self._print(
                 {
                     "training_s": mark,
                     "seeds": len(rows),
                     "final_error_median_m": median(errors),
                     "final_error_worst_m": max(errors),
-                    "success_rate_median": median(row["success_rate"] for row in rows),
-                    "success_rate_worst": min(row["success_rate"] for row in rows),
+                    "success_rate_median": median(success),
+                    "success_rate_worst": min(success),
                     "crash_rate_worst": max(row["crash_rate"] for row in rows),
-                    "since_process_start_median_s": median(row["since_process_start_s"] for row in rows),
-                    "since_process_start_worst_s": max(row["since_process_start_s"] for row in rows),
+                    "since_process_start_median_s": median(since),
+                    "since_process_start_worst_s": max(since),
                 }
             )
         return 0
@@ -102,55 +104,31 @@ class BenchTraining:
         """Train once."""
         import torch
 
-        from aerial_gym.rl_training import evaluate, load_settings, settings_for
-        from aerial_gym.rl_training.trainers import apg, ppo
+        from aerial_gym.rl_training import TRAINERS, evaluate
         from aerial_gym.task import task_registry
 
         if self.threads is not None:
             torch.set_num_threads(self.threads)
-        cfg = load_settings(self.config or settings_for(self.trainer, self.task, device=self.device))
-        changes = {name: json.loads(value) for name, value in (entry.split("=", 1) for entry in self.set)}
-        changes = {name: tuple(value) if isinstance(value, list) else value for name, value in changes.items()}
-        cfg = replace(
-            cfg,
-            task=self.task,
-            seed=self.seed,
-            device=self.device,
-            robot=self.robot or cfg.robot,
-            num_envs=self.num_envs or cfg.num_envs,
-            max_time_s=self.train_s,
-            **{self.trainer: replace(cfg.learner, **changes)},
-        )
+        cfg, trainer, make = self._settings(), TRAINERS.get(self.trainer), task_registry.make_task
         with contextlib.ExitStack() as stack:
-            make = task_registry.make_task
-            task = stack.enter_context(
-                make(
-                    cfg.task,
-                    num_envs=cfg.num_envs,
-                    device=cfg.device,
-                    seed=cfg.seed,
-                    robot=cfg.robot,
-                    capture=False,
-                    differentiable=self.trainer == "apg",
-                )
-            )
+            options = {"robot": cfg.robot, "capture": False, "differentiable": trainer.differentiable}
+            task = make(cfg.task, num_envs=cfg.num_envs, device=cfg.device, seed=cfg.seed, **options)
+            stack.enter_context(task)
             task.practise()
             curriculum = task.cfg.curriculum
             level = curriculum.max_level if self.level is None and curriculum is not None else self.level
             cuda = task.device.type == "cuda"
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
-            if self.trainer == "apg":
-                training = apg.ApgTrainer().make_training(cfg, task)
-            else:
-                training = ppo.PpoTrainer().make_training(cfg, task, fused=not self.plain)
+            plain = {"fused": False} if self.plain else {}
+            training = trainer.make_training(cfg, task, **plain)
             trained_s, evaluated_s, iteration_s, fresh = 0.0, 0.0, 0.0, None
             started_s = time.perf_counter() - STARTED
             begun = clock()
             reports = [training.advance()]
             wait()
             recording_s, warm = clock() - begun, training.iterations
-            while True:
+            while trained_s < self.train_s:
                 due = min(trained_s + self.every_s, self.train_s)
                 while trained_s < due:
                     training.learner.time_share.fill_(trained_s / self.train_s)
@@ -164,39 +142,25 @@ class BenchTraining:
                 begun = time.perf_counter()
                 since = begun - STARTED - evaluated_s
                 if fresh is None:
-                    seed = 1_000_003 + cfg.seed
-                    fresh = stack.enter_context(
-                        make(cfg.task, num_envs=self.num_starts, device=cfg.device, seed=seed, level=level)
-                    )
+                    options = {"seed": 1_000_003 + cfg.seed, "level": level}
+                    fresh = make(cfg.task, num_envs=self.num_starts, device=cfg.device, **options)
+                    stack.enter_context(fresh)
                 result = evaluate(training.learner.network.actor, fresh)
                 wait()
                 evaluated_s += time.perf_counter() - begun
-                self._print(
-                    {
-                        "training_s": trained_s,
-                        "since_process_start_s": since,
-                        "env_steps": training.env_steps,
-                        "final_error_mean_m": result.final_error_mean_m,
-                        "final_error_p95_m": result.final_error_p95_m,
-                        "success_rate": result.success_rate,
-                        "crash_rate": result.crash_rate,
-                        **training.gauges(),
-                    }
-                )
-                if trained_s >= self.train_s:
-                    break
+                figures = ("final_error_mean_m", "final_error_p95_m", "success_rate", "crash_rate")
+                progress = {"training_s": trained_s, "since_process_start_s": since, "env_steps": training.env_steps}
+                self._print(progress | {name: getattr(result, name) for name in figures} | training.gauges())
             if self.out is not None:
-                keep(self.out, cfg, training, reports)
+                write_run_folder(self.out, cfg, training, reports)
             wait()
             begun, first = clock(), training.env_steps
             for _ in range(4):
                 training.advance()
             wait()
-            rate = (training.env_steps - first) / (clock() - begun)
-            name = torch.cuda.get_device_name() if cuda else platform.processor() or platform.machine()
             self._print(
                 {
-                    "steps_per_s": rate,
+                    "steps_per_s": (training.env_steps - first) / (clock() - begun),
                     "before_training_s": started_s,
                     "recording_s": max(recording_s - warm * iteration_s, 0.0),
                     "iteration_s": iteration_s,
@@ -204,23 +168,28 @@ class BenchTraining:
                     "horizon": cfg.learner.horizon,
                     "learner": type(training.learner).__name__,
                     "seed": cfg.seed,
-                    "device": name,
+                    "device": torch.cuda.get_device_name() if cuda else platform.processor() or platform.machine(),
                     "torch": torch.__version__,
                 }
             )
         return 0
 
-    def _print(self, told: dict[str, object]) -> None:
-        if self.json:
-            print(json.dumps(told), flush=True)
-        else:
-            shown = (
-                f"{key} {value:,.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in told.items()
-            )
-            print("  ".join(shown), flush=True)
+    def _settings(self) -> "TrainingCfg":
+        from aerial_gym.rl_training import load_settings, settings_for
+
+        cfg = load_settings(self.config or settings_for(self.trainer, self.task, device=self.device))
+        changes = {name: json.loads(value) for name, value in (entry.split("=", 1) for entry in self.set)}
+        changes = {name: tuple(value) if isinstance(value, list) else value for name, value in changes.items()}
+        own = {"task": self.task, "seed": self.seed, "device": self.device, "max_time_s": self.train_s}
+        given = {name: value for name in ("robot", "num_envs") if (value := getattr(self, name))}
+        return replace(cfg, **own, **given, **{self.trainer: replace(cfg.learner, **changes)})
+
+    def _print(self, row: dict[str, object]) -> None:
+        texts = (f"{key} {value:,.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in row.items())
+        print(json.dumps(row) if self.json else "  ".join(texts), flush=True)
 
 
-def keep(
+def write_run_folder(
     out: Path, cfg: "TrainingCfg", training: "NativeTraining[Ppo] | NativeTraining[Apg]", reports: Sequence["Report"]
 ) -> None:
     """Write the policy and the learning curve as a run folder, which cannot be resumed."""

@@ -19,7 +19,7 @@ from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.task import task_registry
 
 ADAPTERS = {"rl_games": "TaskVecEnv", "sample_factory": "TaskBatchedEnv"}
-"""Class that a library steps, in the trainer's module."""
+"""Class that a library steps, in its adapter."""
 
 WARM_UP_STEPS = 64
 
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument("--max-time-s", type=float, default=25.0)
     asked = parser.parse_args()
     task_registry.get(asked.task)
-    adapter = getattr(import_module(f"aerial_gym.rl_training.trainers.{asked.trainer}"), ADAPTERS[asked.trainer])
+    adapter = getattr(import_module(f"aerial_gym.rl_training.adapters.{asked.trainer}"), ADAPTERS[asked.trainer])
     timed = StepTimer(adapter.step)
     adapter.step = lambda env, actions: timed(env, actions)
     cfg = replace(

@@ -9,6 +9,7 @@ from benchmarks.control.control_flights import ControlFlight
 from benchmarks.control.control_table import (
     BEGIN,
     END,
+    ControlTableCmd,
     Refusal,
     controllers_table,
     fly_all,
@@ -86,9 +87,10 @@ def test_the_page_is_written_between_its_marks(tmp_path, monkeypatch, capsys) ->
     path.write_text(f"before\n{BEGIN}\nof before\n{END}\nafter\n", encoding="utf-8")
     bent = replace(FLIGHT, robot="morphy", controller="lee_position_control", error=inf, overshoot=inf)
     refused = Refusal("morphy", "fully_actuated_control", "base_sim", "law ...")
-    monkeypatch.setattr(control_table, "fly_all", lambda *_, sims=None: ([bent], [refused]) if sims else ([FLIGHT], []))
-    monkeypatch.setattr("sys.argv", ["control_table", "--json", "--write", str(path), "--out", str(tmp_path)])
-    control_table.main()
+    monkeypatch.setattr(
+        control_table, "fly_all", lambda _robots, _laws, sims=None: ([bent], [refused]) if sims else ([FLIGHT], [])
+    )
+    ControlTableCmd(json=True, write=path, out=tmp_path).run()
     text = path.read_text(encoding="utf-8")
     assert text.startswith(f"before\n{BEGIN}\n## ")
     assert text.endswith(f"{END}\nafter\n")
