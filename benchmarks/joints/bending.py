@@ -10,6 +10,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 import tyro
@@ -46,22 +47,20 @@ class Bending:
 
     def run(self) -> None:
         """Measure and print."""
-        for robot in self.robots:
-            for engine in self.engines:
-                counts = (1,) if engine == "mujoco" else self.num_envs
-                for num_envs in counts:
-                    for substeps in self.substeps if engine == "ours" else (1,):
-                        self._one(robot, engine, num_envs, substeps)
+        for robot, engine in product(self.robots, self.engines):
+            counts = (1,) if engine == "mujoco" else self.num_envs
+            for num_envs, substeps in product(counts, self.substeps if engine == "ours" else (1,)):
+                self._measure_engine(robot, engine, num_envs, substeps)
 
-    def _one(self, robot: str, engine: str, num_envs: int, substeps: int) -> None:
+    def _measure_engine(self, robot: str, engine: str, num_envs: int, substeps: int) -> None:
         device = resolve_device(self.device)
         where, steps, run = _MAKERS[engine](robot, num_envs, substeps, device)
         result = {"engine": engine, "robot": robot, "device": where, "num_envs": num_envs, "substeps": substeps}
-        figures = _measure(run, steps * num_envs, self.seconds, cuda=device.type == "cuda" and engine != "mujoco")
+        figures = _step_rates(run, steps * num_envs, self.seconds, cuda=device.type == "cuda" and engine != "mujoco")
         print(json.dumps(result | figures), flush=True)
 
 
-def _measure(run: Callable[[], object], steps: int, seconds: float, *, cuda: bool) -> dict[str, float]:
+def _step_rates(run: Callable[[], object], steps: int, seconds: float, *, cuda: bool) -> dict[str, float]:
     def measure(times: int) -> float:
         start = time.perf_counter()
         for _ in range(times):
@@ -76,24 +75,23 @@ def _measure(run: Callable[[], object], steps: int, seconds: float, *, cuda: boo
     return {"steps_per_s": statistics.median(rates), "steps_per_s_min": min(rates), "steps_per_s_max": max(rates)}
 
 
-def _package_case(
-    robot: str, num_envs: int, substeps: int, device: torch.device
-) -> tuple[str, int, Callable[[], object]]:
-    flight = make_flight(
-        backend="warp",
-        robot=robot,
-        controller="rotor_speed_control",
-        effects=(),
-        integrator="euler",
-        num_envs=num_envs,
-        substeps=substeps,
-        dt=DT,
-        device=device,
-    )
-    return _name(device), substeps * flight.launches_per_batch, flight.run_batch
+EngineRun = tuple[str, int, Callable[[], object]]
+"""Hardware, steps of a call, and the call."""
 
 
-def _name(device: torch.device) -> str:
+def _package_case(robot: str, num_envs: int, substeps: int, device: torch.device) -> EngineRun:
+    names = {
+        "backend": "warp",
+        "robot": robot,
+        "controller": "rotor_speed_control",
+        "effects": (),
+        "integrator": "euler",
+    }
+    flight = make_flight(**names, num_envs=num_envs, substeps=substeps, dt=DT, device=device)
+    return _device_name(device), substeps * flight.launches_per_batch, flight.run_batch
+
+
+def _device_name(device: torch.device) -> str:
     return torch.cuda.get_device_name(device) if device.type == "cuda" else f"cpu, {torch.get_num_threads()} threads"
 
 
@@ -105,12 +103,8 @@ def _mujoco_model(robot: str):
     articulation = build_articulation(cfg, like=vehicle.mass)
     assert articulation is not None
     links = articulation.links(vehicle)
-    heavy = Links(
-        mass=links.mass.clamp_min(LEAST),
-        com=links.com,
-        inertia=links.inertia
-        + LEAST * torch.eye(3, dtype=torch.float64) * (links.inertia.sum((-1, -2)) == 0.0)[..., None, None],
-    )
+    least = LEAST * torch.eye(3, dtype=torch.float64) * (links.inertia.sum((-1, -2)) == 0.0)[..., None, None]
+    heavy = Links(mass=links.mass.clamp_min(LEAST), com=links.com, inertia=links.inertia + least)
     text = write_mjcf(articulation.tree, heavy, gravity=9.81, dt=DT, integrator="implicitfast")
     model = mujoco.MjModel.from_xml_string(text)
     model.jnt_stiffness[1:] = LINEAR
@@ -118,7 +112,7 @@ def _mujoco_model(robot: str):
     return mujoco, model, articulation.rotor_links, cfg.body.mass * 9.81 / cfg.num_rotors
 
 
-def _mujoco(robot: str, num_envs: int, substeps: int, device: torch.device) -> tuple[str, int, Callable[[], object]]:
+def _mujoco_case(robot: str, num_envs: int, substeps: int, device: torch.device) -> EngineRun:
     del num_envs, substeps, device
     mujoco, model, rotor_links, thrust = _mujoco_model(robot)
     data = mujoco.MjData(model)
@@ -127,9 +121,7 @@ def _mujoco(robot: str, num_envs: int, substeps: int, device: torch.device) -> t
     return "cpu, 1 thread", 1000, lambda: mujoco.mj_step(model, data, 1000)
 
 
-def _mujoco_warp(
-    robot: str, num_envs: int, substeps: int, device: torch.device
-) -> tuple[str, int, Callable[[], object]]:
+def _mujoco_warp_case(robot: str, num_envs: int, substeps: int, device: torch.device) -> EngineRun:
     import mujoco_warp
     import warp as wp
 
@@ -157,10 +149,10 @@ def _mujoco_warp(
             else:
                 mujoco_warp.step(compiled, data)
 
-    return _name(device), steps, run
+    return _device_name(device), steps, run
 
 
-_MAKERS = {"ours": _package_case, "mujoco": _mujoco, "mujoco_warp": _mujoco_warp}
+_MAKERS = {"ours": _package_case, "mujoco": _mujoco_case, "mujoco_warp": _mujoco_warp_case}
 
 if __name__ == "__main__":
     tyro.cli(Bending).run()

@@ -6,10 +6,12 @@ Thrusts of 0 to 15 N and the full range of the drives, drawn anew every quarter 
 ends. Prints a line for each robot, step and seed. On a CPU.
 """
 
-import argparse
 from dataclasses import replace
+from itertools import product
+from typing import Literal
 
 import torch
+import tyro
 from torch import Tensor
 
 from aerial_gym.assets import ENVIRONMENTS
@@ -17,7 +19,7 @@ from aerial_gym.control import CONTROLLERS
 from aerial_gym.env_manager import SIMS, EnvManager
 from aerial_gym.robots import ROBOTS
 
-SNAKES = [f"snakey{rods}{mode}" for mode in ("", "_position", "_effort") for rods in ("", "5", "6")]
+SNAKES = tuple(f"snakey{rods}{mode}" for mode in ("", "_position", "_effort") for rods in ("", "5", "6"))
 SPAN, LARGEST_THRUST = 0.25, 15.0
 """Between draws [s], and [N]."""
 
@@ -46,30 +48,24 @@ def fly(
     return env.gtd["robot_body_angvel"].clone(), env.gtd["dof_velocity"].clone()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robots", nargs="+", choices=SNAKES, default=SNAKES, metavar="ROBOT", help=", ".join(SNAKES))
-    parser.add_argument("--dt-ms", nargs="+", type=float, default=[2.0, 4.0, 10.0])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1])
-    parser.add_argument("--num-envs", type=int, default=256)
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--backend", choices=("warp", "torch", "mujoco"), default="warp")
-    args = parser.parse_args()
-    for name in args.robots:
-        for dt in args.dt_ms:
-            for seed in args.seeds:
-                turn, rates = fly(
-                    name, dt * 1e-3, seconds=args.seconds, num_envs=args.num_envs, seed=seed, backend=args.backend
-                )
-                fine = turn.isfinite().all(dim=1) & rates.isfinite().all(dim=1)
-                speed = turn[fine].norm(dim=1)
-                median, most = (f"{float(x):.3g}" for x in (speed.median(), speed.max())) if fine.any() else ("-", "-")
-                print(
-                    f"{name}, {dt:g} ms, seed {seed}: {int((~fine).sum())} of {args.num_envs} lost; the others turn at "
-                    f"{median} rad/s (median), {most} (fastest)",
-                    flush=True,
-                )
+def main(
+    *,
+    robots: tuple[str, ...] = SNAKES,
+    dt_ms: tuple[float, ...] = (2.0, 4.0, 10.0),
+    seeds: tuple[int, ...] = (0, 1),
+    num_envs: int = 256,
+    seconds: float = 5.0,
+    backend: Literal["warp", "torch", "mujoco"] = "warp",
+) -> None:
+    """Fly and print a line for each robot, step and seed."""
+    for name, dt, seed in product(robots, dt_ms, seeds):
+        turn, rates = fly(name, dt * 1e-3, seconds=seconds, num_envs=num_envs, seed=seed, backend=backend)
+        fine = turn.isfinite().all(dim=1) & rates.isfinite().all(dim=1)
+        speed = turn[fine].norm(dim=1)
+        median, most = (f"{float(x):.3g}" for x in (speed.median(), speed.max())) if fine.any() else ("-", "-")
+        lost = f"{name}, {dt:g} ms, seed {seed}: {int((~fine).sum())} of {num_envs} lost"
+        print(f"{lost}; the others turn at {median} rad/s (median), {most} (fastest)", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, description=__doc__)

@@ -2,8 +2,7 @@
 
 import json
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import tyro
@@ -14,7 +13,7 @@ from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.workloads.output import device_name, format_value, provenance
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import Conditions, RunFailedError, measure_package, peers, schedule, skip_reason
+from benchmarks.peers.runs import Conditions, RunFailedError, measure, schedule, skip_reason
 from benchmarks.peers.table import Measurement, Ratio, ratios
 
 
@@ -53,31 +52,22 @@ class PeersCmd:
         if self.json:
             shared = {"num_envs": self.num_envs, "threads": self.threads, "device": device, **beside}
             for row in rows:
-                print(json.dumps({**asdict(row), **shared}, ensure_ascii=False))
+                print(json.dumps({**row.as_mapping(), **shared}, ensure_ascii=False))
         else:
             print_ratios(rows, f"{device}, {self.num_envs} vehicles, {self.threads} threads, load {beside['load1']}")
         return 1 if failed else 0
 
     def _measure(self, pythons: dict[str, str]) -> tuple[list[Measurement], bool]:
         """Return the measurements of all rounds, and whether one failed; report progress on stderr."""
-        conditions = Conditions(
-            num_envs=self.num_envs,
-            threads=self.threads,
-            device=self.device,
-            repeats=self.repeats,
-            repeat_time_s=self.repeat_time_s,
-        )
+        conditions = Conditions(**{field.name: getattr(self, field.name) for field in fields(Conditions)})
         broken, result = set(), []
+        turn_order = [(case, owner) for case in self.cases for owner in schedule(case, list(pythons), self.substeps)]
         for turn in range(self.rounds):
-            for case, owner in self._turn(list(pythons)):
+            for case, owner in turn_order:
                 if (owner, case) in broken:
                     continue
                 try:
-                    new = (
-                        measure_package(case, owner, conditions)
-                        if isinstance(owner, int)
-                        else peers(owner, pythons[owner], case, conditions)
-                    )
+                    new = measure(case, owner, pythons.get(str(owner), sys.executable), conditions)
                 except RunFailedError as error:
                     broken.add((owner, case))
                     print(f"{owner} failed in case {case}: {error}", file=sys.stderr)
@@ -87,23 +77,18 @@ class PeersCmd:
                 print(f"{done}{new.call} a call: {format_value(new.steps_per_s)} steps/s", file=sys.stderr)
         return result, bool(broken)
 
-    def _turn(self, names: list[str]) -> Iterator[tuple[str, str | int]]:
-        """Give case and who, a peer or our number of substeps, in the order of one round."""
-        for case in self.cases:
-            for owner in schedule(case, names, self.substeps):
-                yield case, owner
-
 
 def print_ratios(rows: list[Ratio], title: str) -> None:
     """Print the table for people: a line per peer and case, two columns per number of substeps of ours."""
     lines: dict[tuple[str, str], list[str]] = {}
     for row in rows:
-        line = lines.setdefault((row.case, row.peer), [row.peer_call, format_value(row.peer_steps_per_s)])
-        line += [format_value(row.ours_steps_per_s), f"{row.ratio:.2f}"]
+        start = [row.peer.call, format_value(row.peer.steps_per_s)]
+        line = lines.setdefault((row.peer.case, row.peer.name), start)
+        line += [format_value(row.package.steps_per_s), f"{row.ratio:.2f}"]
     table = Table(box=None, pad_edge=False, title=title, title_justify="left")
     for head in ("case", "peer", "steps a call", "steps/s"):
         table.add_column(head)
-    for call in dict.fromkeys(row.ours_call for row in rows):
+    for call in dict.fromkeys(row.package.call for row in rows):
         table.add_column(f"ours, {call} a call", justify="right")
         table.add_column("ratio", justify="right")
     for (case, peer), line in lines.items():
@@ -111,14 +96,9 @@ def print_ratios(rows: list[Ratio], title: str) -> None:
     Console(markup=False, highlight=False).print(table)
 
 
-def main() -> int:
-    """Run the command line; return the exit status."""
+if __name__ == "__main__":
     try:
-        return tyro.cli(PeersCmd, prog="python -m benchmarks.peers").run()
+        sys.exit(tyro.cli(PeersCmd, prog="python -m benchmarks.peers").run())
     except AerialGymError as error:
         print(f"benchmarks.peers: {error}", file=sys.stderr)
-        return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        sys.exit(2)

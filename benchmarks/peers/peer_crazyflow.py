@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from crazyflow.sim import Sim
 
-from benchmarks.peers.timing import StepBlock, measure, parse, report
+from benchmarks.peers.timing import StepBlock, parse, report
 
 FREQ_HZ = 500
 FUSED_STEPS = 100
@@ -61,14 +61,8 @@ def main() -> None:
         wait=lambda: jax.block_until_ready(sim.data.states.pos),
         heights=lambda: np.asarray(sim.data.states.pos[:, 0, 2]).tolist(),
     )
-    report(
-        request,
-        measure(request, batch),
-        peer="crazyflow",
-        version=f"{version('crazyflow')}, jax {jax.__version__} on {sim.device}",
-        dt_s=batch.dt,
-        call=f"{FUSED_STEPS} (lax.scan)",
-    )
+    versions = f"{version('crazyflow')}, jax {jax.__version__} on {sim.device}"
+    report(request, batch, version=versions, call=f"{FUSED_STEPS} (lax.scan)")
 
 
 def hover(sim: Sim) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from importlib.metadata import version
 import numpy as np
 from hyperdrone import dynamics
 
-from benchmarks.peers.timing import StepBlock, measure, parse, report
+from benchmarks.peers.timing import StepBlock, parse, report
 
 STEPS = 20
 HOVER = 0.58
@@ -41,8 +41,7 @@ def main() -> None:
         wait=sim.synchronize,
         heights=lambda: np.asarray(sim.state["position"])[:, 2].tolist(),
     )
-    rates = measure(request, batch)
-    report(request, rates, peer="hyperdrone", version=version("hyperdrone"), dt_s=batch.dt, call="1")
+    report(request, batch, version=version("hyperdrone"), call="1")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from importlib.metadata import version
 import l2f
 import numpy as np
 
-from benchmarks.peers.timing import StepBlock, measure, parse, report
+from benchmarks.peers.timing import StepBlock, parse, report
 
 STEPS = 20
 HOVER = 0.58
@@ -49,7 +49,7 @@ def main() -> None:
         wait=lambda: None,
         heights=lambda: [float(state.position[2]) for state in states[0].states],
     )
-    report(request, measure(request, batch), peer="l2f", version=version("l2f"), dt_s=dt, call="1")
+    report(request, batch, version=version("l2f"), call="1")
 
 
 if __name__ == "__main__":

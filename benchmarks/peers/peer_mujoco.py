@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from benchmarks.peers.timing import StepBlock, measure, parse, report
+from benchmarks.peers.timing import StepBlock, parse, report
 
 STEPS = 50
 DT_S = 0.002
@@ -46,9 +46,7 @@ def main() -> None:
             wait=lambda: None,
             heights=lambda: states[:, -1, 3].tolist(),  # time, x, y, z
         )
-        rates = measure(request, batch)
-    call = f"{STEPS} (rollout)"
-    report(request, rates, peer="mujoco", version=mujoco.__version__, dt_s=DT_S, call=call)
+        report(request, batch, version=mujoco.__version__, call=f"{STEPS} (rollout)")
 
 
 def quadrotor(integrator: str) -> str:

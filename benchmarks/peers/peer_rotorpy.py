@@ -12,7 +12,7 @@ import torch
 from rotorpy.vehicles.crazyflie_params import quad_params
 from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
 
-from benchmarks.peers.timing import StepBlock, measure, parse, report
+from benchmarks.peers.timing import StepBlock, parse, report
 
 STEPS = 5
 DT_S = 0.01
@@ -56,7 +56,7 @@ def main() -> None:
         heights=lambda: state["x"][:, 2].tolist(),
     )
     about = f"{version('rotorpy')}, torch {torch.__version__}, float64"
-    report(request, measure(request, batch), peer="rotorpy", version=about, dt_s=DT_S, call="1")
+    report(request, batch, version=about, call="1")
 
 
 def start_state(count: int, speed: float, device: torch.device) -> dict[str, torch.Tensor]:

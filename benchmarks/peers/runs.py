@@ -2,7 +2,6 @@
 
 import json
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,36 +51,18 @@ def skip_reason(name: str, python: str, device: str) -> str | None:
     return None
 
 
-def measure_package(case: str, substeps: int, conditions: Conditions) -> Measurement:
-    """Measure our physics in a process of its own."""
-    command = ["-m", "aerial_gym.cli.main", "bench", "physics", "--json", f"--substeps={substeps}"]
-    arguments = [*command, *conditions.flags(), *CASES[case]]
-    figures = json.loads(_run(sys.executable, arguments, threads=conditions.core_count))
+def measure(case: str, owner: str | int, python: str, conditions: Conditions) -> Measurement:
+    """Measure a peer, or our physics in a launch of ``owner`` substeps, in a process of its own."""
+    if isinstance(owner, int):
+        command = ["-m", "aerial_gym.cli.main", "bench", "physics", "--json", f"--substeps={owner}", *CASES[case]]
+    else:
+        command = ["-m", PEERS.get(owner).script, f"--case={case}"]
+    figures = json.loads(_run(python, [*command, *conditions.flags()], threads=conditions.core_count))
+    shared = {"case": case, "rates": (figures["steps_per_s"],), "dt_s": figures["dt_s"]}
+    if isinstance(owner, str):
+        return Measurement(**shared, name=owner, substeps=None, version=figures["version"], call=figures["call"])
     version = f"{figures['versions']['aerial_gym']}, {figures['commit']}, warp {figures['versions']['warp']}"
-    return Measurement(
-        name="aerial_gym",
-        case=case,
-        substeps=substeps,
-        rates=(figures["steps_per_s"],),
-        version=version,
-        dt_s=figures["dt_s"],
-        call=str(substeps),
-    )
-
-
-def peers(name: str, python: str, case: str, conditions: Conditions) -> Measurement:
-    """Measure a peer in a process of its own."""
-    arguments = ["-m", PEERS.get(name).script, f"--case={case}", *conditions.flags()]
-    figures = json.loads(_run(python, arguments, threads=conditions.core_count))
-    return Measurement(
-        name=name,
-        case=case,
-        substeps=None,
-        rates=(figures["steps_per_s"],),
-        version=figures["version"],
-        dt_s=figures["dt_s"],
-        call=figures["call"],
-    )
+    return Measurement(**shared, name="aerial_gym", substeps=owner, version=version, call=str(owner))
 
 
 def schedule(case: str, names: list[str], substeps: tuple[int, ...]) -> Iterator[str | int]:

@@ -36,42 +36,26 @@ def gather(measurements: Iterable[Measurement]) -> list[Measurement]:
 class Ratio:
     """Ours against one peer in one case."""
 
-    case: str
-    peer: str
-    peer_version: str
-    peer_call: str
-    peer_dt_s: float
-    peer_steps_per_s: float
-    peer_rounds: tuple[float, ...]
-    ours_call: str
-    ours_version: str
-    ours_dt_s: float
-    ours_steps_per_s: float
-    ours_rounds: tuple[float, ...]
-    ratio: float  # Ours over the peer's; above 1 ours is faster
+    peer: Measurement
+    package: Measurement
+
+    @property
+    def ratio(self) -> float:
+        """Our rate over the peer's; above 1 ours is faster."""
+        return self.package.steps_per_s / self.peer.steps_per_s
+
+    def as_mapping(self) -> dict[str, object]:
+        """Return the row as plain data."""
+        row: dict[str, object] = {"case": self.peer.case, "peer": self.peer.name}
+        for side, given in (("peer", self.peer), ("ours", self.package)):
+            row |= {f"{side}_{name}": getattr(given, name) for name in ("version", "call", "dt_s", "steps_per_s")}
+            row[f"{side}_rounds"] = given.rates
+        return row | {"ratio": self.ratio}
 
 
 def ratios(measurements: Sequence[Measurement]) -> list[Ratio]:
     """Return a row for every peer's case and every number of substeps of ours in that case, in order of the cases."""
     gathered = gather(measurements)
-    result = []
-    for peer in (m for m in gathered if m.substeps is None):
-        for own in (m for m in gathered if m.substeps is not None and m.case == peer.case):
-            result.append(
-                Ratio(
-                    case=peer.case,
-                    peer=peer.name,
-                    peer_version=peer.version,
-                    peer_call=peer.call,
-                    peer_dt_s=peer.dt_s,
-                    peer_steps_per_s=peer.steps_per_s,
-                    peer_rounds=peer.rates,
-                    ours_call=own.call,
-                    ours_version=own.version,
-                    ours_dt_s=own.dt_s,
-                    ours_steps_per_s=own.steps_per_s,
-                    ours_rounds=own.rates,
-                    ratio=own.steps_per_s / peer.steps_per_s,
-                )
-            )
-    return result
+    own = [m for m in gathered if m.substeps is not None]
+    peers = [m for m in gathered if m.substeps is None]
+    return [Ratio(peer=peer, package=run) for peer in peers for run in own if run.case == peer.case]

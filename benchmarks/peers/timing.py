@@ -92,21 +92,9 @@ def check(before: list[float], after: list[float]) -> None:
         raise RuntimeError(f"vehicles did not fly: heights changed by {min(moved):.3g} to {max(moved):.3g} m")
 
 
-def report(request: Request, rates: list[float], *, peer: str, version: str, dt_s: float, call: str) -> None:
-    """Print one JSON object; ``call`` says how many steps one call makes, and what fuses them."""
-    print(
-        json.dumps(
-            {
-                "peer": peer,
-                "version": version,
-                "case": request.case,
-                "num_envs": request.num_envs,
-                "threads": request.threads,
-                "device": request.device,
-                "dt_s": dt_s,
-                "call": call,
-                "steps_per_s": statistics.median(rates),
-                "rates": rates,
-            }
-        )
-    )
+def report(request: Request, batch: StepBlock, *, version: str, call: str) -> None:
+    """Measure and print one JSON object; ``call`` says how many steps one call makes, and what fuses them."""
+    rates = measure(request, batch)
+    row = {name: getattr(request, name) for name in ("case", "num_envs", "threads", "device")}
+    row |= {"version": version, "dt_s": batch.dt, "call": call, "steps_per_s": statistics.median(rates), "rates": rates}
+    print(json.dumps(row))

@@ -34,12 +34,12 @@ GIVEN = [
 
 
 def test_ratios_are_those_of_the_medians_of_all_rounds() -> None:
-    result = {(row.case, row.peer, row.ours_call): row for row in ratios(GIVEN)}
+    result = {(row.peer.case, row.peer.name, row.package.call): row for row in ratios(GIVEN)}
     assert result.keys() == {("plant", "crazyflow", "1"), ("plant", "crazyflow", "10"), ("rk4", "l2f", "1")}
     assert result["plant", "crazyflow", "1"].ratio == 20.0 / 5.0
     assert result["plant", "crazyflow", "10"].ratio == 30.0 / 5.0
     assert result["rk4", "l2f", "1"].ratio == 0.5
-    assert result["plant", "crazyflow", "1"].peer_rounds == (4.0, 6.0, 5.0)
+    assert result["plant", "crazyflow", "1"].as_mapping()["peer_rounds"] == (4.0, 6.0, 5.0)
 
 
 def test_the_table_has_a_line_per_peer_and_case(capsys: pytest.CaptureFixture[str]) -> None:
