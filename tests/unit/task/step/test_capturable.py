@@ -1,22 +1,25 @@
 """A step of every registered task makes no tensor from Python numbers and reads none: either ends the capture of a CUDA graph.
 
-Both are seen by torch's dispatcher on any device, so that this needs no GPU; what only a GPU shows is in
-``tests/integration/test_cuda.py``.
+Both are seen by torch's dispatcher on any device, but for arrays of NumPy, whose functions refuse. So this needs no GPU; what
+only a GPU shows is in ``tests/integration/test_cuda.py``.
 """
 
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, NoReturn
 
 import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import SensorMountCfg
+from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.robots import ROBOTS
-from aerial_gym.task import task_registry
+from aerial_gym.task import Task, task_registry
 from tests.builders import simulation
 from tests.repetitions import rare_values
-from tests.unit.task.hover import camera_task, rich
+from tests.unit.task.hover import build_task, camera_task, rich
 
 FORBIDDEN = {
     "aten::lift_fresh": "makes a tensor from Python numbers: torch.tensor, new_tensor",
@@ -68,13 +71,45 @@ LIKE_OTHERS = (
 """Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
 
-@pytest.mark.parametrize("name", rare_values([*task_registry.names(), "rich", "seeing"], LIKE_OTHERS))
-def test_a_step_of_a_task_can_be_captured(name: str) -> None:
-    own = {"rich": rich, "seeing": camera_task}
-    task = own[name](4) if name in own else task_registry.make_task(name, num_envs=4, device="cpu", seed=0)
+RANDOMIZE = {
+    "body.mass": RandomizeCfg(low=0.8, high=1.2),
+    "body.inertia": RandomizeCfg(low=0.9, high=1.1),
+    "rotor.thrust_map": RandomizeCfg(each_rotor=True, distribution="normal", mean=1.0, std=0.03, low=0.9, high=1.1),
+    "effects.rotor_drag.dx": RandomizeCfg(how="value", low=0.0, high=0.2),
+    "gains.velocity": RandomizeCfg(low=0.9, high=1.1),
+}
+DRAWN = ("position_setpoint_task", "racing_task")
+"""Tasks of one kind each that are always tried with drawn parameters as well."""
+
+
+def make_random_task(name: str) -> Task:
+    """Return a task with drawn parameters, whose actions are velocities unless they are laid out for its robot."""
+    cfg, randomize = task_registry.get(name), RANDOMIZE
+    if cfg.robot == "snakey6":  # a sixth of its mass is in its base, which draws of the whole would use up
+        randomize = {key: drawn for key, drawn in RANDOMIZE.items() if not key.startswith("body.")}
+    tells_rotors = cfg.action.transform == "rotor_range" or "snakey" in cfg.robot
+    action = ActionCfg() if tells_rotors else cfg.action
+    return build_task(replace(cfg, controller="lee_velocity_control", action=action, randomize=randomize), 4)
+
+
+MAKERS = {name: partial(task_registry.make_task, name, num_envs=4, device="cpu") for name in task_registry.names()}
+MAKERS |= {"rich": partial(rich, 4), "seeing": partial(camera_task, 4)}
+MAKERS |= {f"{name}-drawn": partial(make_random_task, name) for name in task_registry.names()}
+RARE = {*LIKE_OTHERS, *(f"{name}-drawn" for name in task_registry.names() if name not in DRAWN)}
+
+
+@pytest.mark.parametrize("name", rare_values(MAKERS, RARE))
+def test_a_step_of_a_task_can_be_captured(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = MAKERS[name]()
     task.reset()
     actions = torch.zeros(4, task.num_actions)
     task.step(actions)
+
+    def refuse(*args: object, **options: object) -> NoReturn:
+        raise AssertionError("a step copies numbers from the host")
+
+    for function in ("as_tensor", "from_numpy", "asarray"):
+        monkeypatch.setattr(torch, function, refuse)
     task.env.gtd["sim_steps"][::2] = task.cfg.episode_len_steps
     with WaitGuard():
         task.step(actions)

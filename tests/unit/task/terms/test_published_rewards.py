@@ -1,0 +1,212 @@
+"""Rewards of tasks, written out once more in NumPy: from the Aerial Gym Simulator 2.0.1, and eq. 10 of its appendix."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from aerial_gym.rl_training import settings_for
+from aerial_gym.robots import ROBOTS
+from aerial_gym.task import task_registry
+from tests.repetitions import rare_values
+from tests.unit.task.hover import begin
+
+KEYS = {"p": "robot_position", "v": "robot_linvel", "w": "robot_body_angvel", "u": "robot_actions"}
+KEYS |= {"joint_vel": "dof_velocity"}
+
+Values = Mapping[str, np.ndarray]
+"""Of ``KEYS`` after a step; matrices ``R`` and angles ``euler``; actions ``last`` and ``p_before`` before the step."""
+
+
+def bell(x: np.ndarray, a: float, b: float) -> np.ndarray:
+    return a * np.exp(-b * x**2)
+
+
+def cusp(x: np.ndarray, a: float, b: float) -> np.ndarray:
+    return a * np.exp(-b * np.abs(x))
+
+
+def norm(x: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(x, axis=1)
+
+
+def proximity_reward(d: np.ndarray) -> np.ndarray:
+    return bell(d, 2, 1) + bell(d, 3, 10) + cusp(d, 3, 50)
+
+
+def by_velocity(now: Values) -> np.ndarray:
+    d, yaw = norm(now["p"]), now["euler"][:, 2]
+    size = (cusp(now["u"], 0.2, 4) - 0.2).sum(1)
+    change = (cusp(now["u"] - now["last"], 0.3, 6) - 0.3).sum(1)
+    closer = 400 * (norm(now["p_before"]) - d)
+    there = proximity_reward(d) * (bell(norm(now["v"]), 1, 3) + size + change + closer / 10)
+    return proximity_reward(d) + (20 - d) / 40 + there + size + change + closer + cusp(yaw, 2, 3)
+
+
+def by_acceleration(now: Values) -> np.ndarray:
+    d, speed, yaw = norm(now["p"]), bell(norm(now["v"]), 2, 2.5), now["euler"][:, 2]
+    size = (cusp(now["u"], 0.3, 4) - 0.3).sum(1)
+    change = (cusp(now["u"] - now["last"], 0.4, 6) - 0.4).sum(1)
+    gained = norm(now["p_before"]) - d
+    closer = np.where(gained > 0, 400, 1200) * gained
+    there = proximity_reward(d) * (closer / 9 + size / 3 + speed / 1.5)
+    return proximity_reward(d) + there + size + change + closer + cusp(yaw, 3, 5) + bell(d, 2, 1) + 0.2 * speed
+
+
+def by_motors(now: Values) -> np.ndarray:
+    stretched = now["p"] * [1.0, 1.0, 13.0]
+    pos = bell(stretched, 10, 10).sum(1) + bell(stretched, 2, 2).sum(1)
+    tilt, off = 1 - now["R"][:, 2, 2], 1 - now["R"][:, 0, 0]
+    up, forward = bell(tilt, 2.5, 5) + bell(tilt, 2.5, 2), bell(off, 4, 5) + bell(off, 2, 2)
+    spin, speed = bell(now["w"], 0.75, 10).sum(1), bell(now["v"], 1, 5).sum(1)
+    size = (bell(now["u"] - 9.81 * 1.656 / 4, 0.01, 10) - 0.01).sum(1)
+    change = (bell(now["u"] - now["last"], 0.5, 6) - 0.5).sum(1)
+    gained = norm(now["p_before"]) - norm(now["p"])
+    toward = np.where(gained > 0, 50, 100) * gained
+    return toward + (pos * (forward + speed + spin + change) + spin + speed + up + pos + size) / 100
+
+
+def equation_10(now: Values) -> np.ndarray:
+    stretched = now["p"] * [1.0, 1.0, 11.0]
+    pos = bell(stretched, 10, 10).sum(1) + bell(stretched, 2, 2).sum(1)
+    up, forward = bell(1 - now["R"][:, 2, 2], 2.5, 5), bell(1 - now["R"][:, 0, 0], 6, 5)
+    spin, speed = bell(now["w"], 0.3, 10).sum(1), bell(now["v"], 1, 5).sum(1)
+    size = (bell(now["u"] - 9.81 * 0.372 / 4, 0.01, 10) - 0.01).sum(1)
+    change = (bell(now["u"] - now["last"], 1.3, 6) - 1.3).sum(1)
+    closer = norm(now["p_before"]) - norm(now["p"])
+    toward = np.where(closer >= 0, 10 * closer, 15 * closer)
+    return toward + (pos * (forward + speed + spin + change) + spin + speed + up + pos + size) / 100
+
+
+def of_morphy(now: Values) -> np.ndarray:
+    d = norm(now["p"])
+    pos = bell(d, 4, 12) + bell(d, 1, 3)
+    up, spin = bell(1 - now["R"][:, 2, 2], 5, 25), bell(norm(now["w"]), 3, 10.5)
+    change = (bell(now["u"] - now["last"], 0.2, 5) - 0.2).sum(1)
+    size = -0.15 * ((now["u"] - 0.711225) ** 2).sum(1)
+    joint = (bell(now["joint_vel"], 0.3, 30) - 0.3).sum(1)
+    return pos + (20 - d) / 40 + pos * (up + spin) + change + change * pos + size + joint
+
+
+def of_morphy_in_the_paper(now: Values) -> np.ndarray:
+    d = norm(now["p"])
+    thrust = (bell(now["u"] - 0.711225, 0.01, 10) - 0.01).sum(1)
+    published = (20 - d) / 40 - 0.15 * ((now["u"] - 0.711225) ** 2).sum(1)
+    return of_morphy(now) - published + 10 * (norm(now["p_before"]) - d) + thrust
+
+
+def of_snake(now: Values) -> np.ndarray:
+    d = norm(now["p"])
+    pos, yaw = bell(d, 3, 8) + bell(d, 0.5, 1), bell(now["w"][:, 2], 5, 20.5)
+    up, spin = bell(now["euler"][:, :2], 3, 5).sum(1), bell(norm(now["w"]), 3, 10.5)
+    return pos + (20 - d) / 40 + yaw + pos * (up + spin + yaw)
+
+
+FULL = [2.0, 2.0, 2.0, 1.0]
+TASKS: dict[str, tuple[Callable[[Values], np.ndarray], float, tuple | None, int, float]] = {
+    "sim2real": (by_velocity, 2e-3, (-1.0, 1.0), 17, 8.0),
+    "acceleration_sim2real": (by_acceleration, 2e-3, (np.negative(FULL), FULL), 17, 8.0),
+    "sim2real_px4": (by_motors, 2e-3, (0.0, 8.0), 15, 5.0),
+    "sim2real_end_to_end": (equation_10, 1e-4, (0.2, 1.2), 15, 6.0),
+    "morphy": (of_morphy, 1e-5, None, 33, 5.0),
+    "morphy_paper": (of_morphy_in_the_paper, 1e-5, None, 33, 5.0),
+    "reconfigurable": (of_snake, 1e-5, None, 49, 5.0),
+}
+"""Formula and how near it is; limits of commands; entries of the observation; length of an episode [s]."""
+
+
+@pytest.mark.parametrize("name", rare_values(TASKS, ("reconfigurable",)))
+def test_the_reward_is_the_published_one(name: str) -> None:
+    formula, atol, limits, entries, seconds = TASKS[name]
+    with begin(f"position_setpoint_task_{name}", 40, seed=2) as task:
+        assert task.num_observations == entries
+        assert task.cfg.episode_len_steps * task.env.dt == pytest.approx(seconds)
+        gtd, generator, shown = task.env.gtd, torch.Generator().manual_seed(0), 0
+
+        def read(key: str) -> np.ndarray:
+            return gtd[key].double().numpy().copy()
+
+        for _ in range(20):
+            now = {"last": read("robot_actions"), "p_before": read("robot_position")}
+            actions = 2.0 * torch.rand(40, task.num_actions, generator=generator) - 1.0
+            obs, reward, terminated, truncated, _ = task.step(actions)
+            flying, turn = ~(terminated | truncated).numpy(), Rotation.from_quat(read("robot_orientation"))
+            now |= {"R": turn.as_matrix(), "euler": turn.as_euler("ZYX")[:, ::-1]}
+            now |= {letter: read(key) for letter, key in KEYS.items() if key in gtd}
+            np.testing.assert_allclose(reward.numpy()[flying], formula(now)[flying], rtol=1e-4, atol=atol)
+            if limits is None:
+                joints = np.concatenate([gtd["dof_position"].numpy(), gtd["dof_velocity"].numpy()], axis=1)
+                np.testing.assert_allclose(obs["observations"].numpy()[:, -joints.shape[1] :], joints, rtol=1e-6)
+            else:
+                wanted = np.add(limits[0], 0.5 * (actions.double().numpy() + 1.0) * np.subtract(limits[1], limits[0]))
+                np.testing.assert_allclose(now["u"][flying], wanted[flying], rtol=1e-5, atol=1e-6)
+            shown += int(flying.sum())
+        assert shown > 300
+
+
+def test_the_end_to_end_policy_sees_what_table_6_says() -> None:
+    entries = task_registry.get("position_setpoint_task_sim2real_end_to_end").observations["policy"]
+    seen = ["position_error_world", "rotation_rows", "lin_vel_world", "ang_vel_body"]
+    assert [entry.term for entry in entries] == seen
+    noise = [entry.noise_std for entry in entries]
+    assert noise == pytest.approx([1e-3, np.pi / 1032, 2e-3, 1e-3], rel=1e-5)
+    with task_registry.make_task("position_setpoint_task_sim2real_end_to_end", num_envs=3, device="cpu") as made:
+        start = made.reset()[0]["observations"][:, :3]
+        assert float(start.norm(dim=-1).max()) < 1.5
+
+
+@pytest.mark.parametrize("name", ["position_setpoint_task_sim2real", "position_setpoint_task_acceleration_sim2real"])
+def test_a_critic_sees_the_same_without_noise(name: str) -> None:
+    """The policy sees it with the noise of the task file: 0.03 m, 0.01 of the attitude, 0.02 m/s, 0.02 rad/s."""
+    assert settings_for("ppo", name, device="cpu").name == "ppo_position_setpoint_task_sim2real_cpu.yaml"
+    with task_registry.make_task(name, num_envs=4096, device="cpu", seed=2) as task:
+        obs, _ = task.reset()
+        gtd = task.env.gtd
+        position, attitude, speed, rates = obs["critic"].split([3, 4, 3, 3], dim=1)
+        assert torch.equal(position, -gtd["robot_position"])
+        assert torch.equal(attitude.abs(), gtd["robot_orientation"].abs())
+        assert torch.equal(speed, gtd["robot_body_linvel"])
+        assert torch.equal(rates, gtd["robot_body_angvel"])
+        noise = (obs["observations"][:, :13] - obs["critic"]).std(0)
+        stated = torch.tensor([0.03] * 3 + [0.01] * 4 + [0.02] * 6)
+        torch.testing.assert_close(noise, stated, rtol=0.05, atol=0.0)  # 4.5 standard deviations of 4,096 draws
+
+
+def test_the_rotors_of_the_vehicles_hover_as_their_files_say() -> None:
+    """And stand in PX4's order on the X500: front right and back left turn counter-clockwise."""
+    mounts = ROBOTS.get("x500").mounts.layout
+    places = np.array([mount.position for mount in mounts])
+    assert np.sign(places[:, :2]).tolist() == [[1, -1], [-1, 1], [1, 1], [-1, -1]]
+    assert [mount.spin for mount in mounts] == [1, 1, -1, -1]
+    for robot, rate in (("x500", 689.0), ("lmf2", 470.0 * 2.0 * np.pi)):
+        cfg = ROBOTS.get(robot)
+        rotor = cfg.the_rotor("the test")
+        assert np.sqrt(cfg.body.mass * 9.81 / 4.0 / rotor.thrust_map[2]) == pytest.approx(rate, rel=1e-3)
+
+
+def test_a_crash_is_worth_what_it_is_there() -> None:
+    with begin("position_setpoint_task_morphy", 8, seed=2) as task:
+        for _ in range(200):
+            _, reward, terminated, _, _ = task.step(-torch.ones(8, 4))
+            if bool(terminated.any()):
+                assert bool((reward[terminated] == -20.0).all())
+                return
+        raise AssertionError("nobody fell three metres")
+
+
+def test_a_snake_starts_anywhere_in_its_bounds_heading_anywhere() -> None:
+    """As there: places from all of the 2 m box, any yaw, up to 0.2 m/s and 0.2 rad/s on each axis; level, in a ring.
+
+    Uniform draws of 400 starts fill more than 90 % of each range but for one in 1e17 tries (0.9^400 at either end).
+    """
+    with begin("position_setpoint_task_reconfigurable", 400, seed=3) as task:
+        gtd = task.env.gtd
+        euler = Rotation.from_quat(gtd["robot_orientation"].double().numpy()).as_euler("ZYX")
+        speeds = ((gtd[key].numpy(), 0.2) for key in ("robot_linvel", "robot_body_angvel"))
+        for seen, half in ((gtd["robot_position"].numpy(), 1.0), (euler[:, :1], np.pi), *speeds):
+            assert np.all(np.abs(seen) <= half * (1.0 + 1e-6))
+            assert np.all(seen.max(0) > 0.8 * half)
+            assert np.all(seen.min(0) < -0.8 * half)
+        np.testing.assert_allclose(euler[:, 1:], 0.0, atol=1e-6)
