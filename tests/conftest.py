@@ -1,9 +1,7 @@
-"""Settings of all tests: threads of a worker, optimisation of kernels, lifetime of registered names.
-
-Warp kernels for CPUs are compiled at their first launch. Most tests run unoptimised kernels, which compile in half of the time.
-Tests with the fixture ``optimised``, and a run of slow tests only, run the kernels of users: the optimiser contracts products
-into sums, so that rounding differs.
-"""
+"""Settings of all tests: threads of a worker, optimisation of kernels, lifetime of registered names. Warp kernels for
+CPUs are compiled at their first launch. Most tests run unoptimised kernels, which compile in half of the time. Tests
+with the fixture ``optimised``, and a run of slow tests only, run the kernels of users: the optimiser contracts products
+into sums, so that rounding differs."""
 
 import gc
 import os
@@ -76,10 +74,9 @@ def is_long_run(module: wp.Module) -> bool:
 
 def set_level(module: wp.Module) -> None:
     """Set the optimisation of a module: none for modules that compile for minutes, full for long runs, else ``level``.
-
-    Ray kernels are optimised without Warp's eager inlining: they run 10 % faster, but would compile three times longer for each
-    combination of images. Unoptimised kernels keep their loops and suit any CPU; this saves a third of the compilation.
-    """
+    Ray kernels are optimised without Warp's eager inlining: they run 10 % faster, but would compile three times longer
+    for each combination of images. Unoptimised kernels keep their loops and suit any CPU; this saves a third of the
+    compilation."""
     flags = _own_flags.setdefault(module, module.options["cpu_compiler_flags"])
     rays, long = "cast_by_tile" in module.name, is_long_run(module)
     chosen = level_of_rays if rays else 0 if "-fno-slp-vectorize" in (flags or "") else None if long else level
@@ -99,10 +96,8 @@ def set_levels() -> None:
 
 
 class CompileAtLaunch:
-    """Replacement for the threads of ``compile_ahead`` that compiles nothing, so that only launched kernels are compiled.
-
-    ``unit/interop/test_launches.py`` tests the threads themselves; processes that tests start have them.
-    """
+    """Replacement for the threads of ``compile_ahead`` that compiles nothing, so that only launched kernels are
+    compiled. ``unit/interop/test_launches.py`` tests the threads themselves; processes that tests start have them."""
 
     def submit(self, load: object, *, modules: list[wp.Module], **kwargs: object) -> Future[None]:
         for module in modules:
@@ -177,11 +172,9 @@ def device(request: pytest.FixtureRequest) -> torch.device:
 
 @pytest.fixture
 def optimise_kernels() -> Iterator[None]:
-    """Compile kernels as users have them, also those that were launched before.
-
-    Each family of kernels has tests with this fixture; the others compare unoptimised ones. Tests of batch independence need
-    it: the optimiser decides which environments share a vector instruction, and which products it contracts into sums.
-    """
+    """Compile kernels as users have them, also those that were launched before. Each family of kernels has tests with
+    this fixture; the others compare unoptimised ones. Tests of batch independence need it: the optimiser decides which
+    environments share a vector instruction, and which products it contracts into sums."""
     global level, level_of_rays
     before, level, level_of_rays = (level, level_of_rays), None, None
     set_levels()
@@ -203,8 +196,6 @@ def few_rays() -> Iterator[None]:
 
 @pytest.fixture
 def coarser_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fly ``benchmarks.undeclared`` in steps of 1.25 ms in place of 0.5 ms, which moves no flight by 1e-7 mm.
-
-    A delay is rounded to steps: where one is measured, the short ones are needed.
-    """
+    """Fly ``benchmarks.undeclared`` in steps of 1.25 ms in place of 0.5 ms, which moves no flight by 1e-7 mm. A delay
+    is rounded to steps: where one is measured, the short ones are needed."""
     monkeypatch.setattr("benchmarks.undeclared.simulate.SUBSTEPS", 2)

@@ -67,10 +67,8 @@ def module_imports(path: Path) -> set[str]:
 
 
 def wrong_imports(folder: Path, ranks: dict[str, int]) -> list[str]:
-    """Return the files of a package that import a part of it which does not stand further left.
-
-    A module of the same group, such as ``errors.py``, may be imported by the packages of its group.
-    """
+    """Return the files of a package that import a part of it which does not stand further left. A module of the same
+    group, such as ``errors.py``, may be imported by the packages of its group."""
     package = ".".join(folder.relative_to(ROOT.parent).parts)
     offences = []
     for path in sorted(folder.rglob("*.py")):

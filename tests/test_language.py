@@ -1,7 +1,5 @@
-"""Language of names, docstrings and pages: each rule is one test that lists all offences.
-
-A rule that the tree does not meet yet has its allowed offences in ``tests/language/debt.json``.
-"""
+"""Language of names, docstrings and pages: each rule is one test that lists all offences. A rule that the tree does not
+meet yet has its allowed offences in ``tests/language/debt.json``."""
 
 import pytest
 

@@ -1,9 +1,7 @@
-"""The fused Warp backend against the torch reference.
-
-Both follow the same equations; what may differ is round-off. Float32 torch is itself off the float64 result by some amount
-that grows with the flight (a clamped rotor amplifies it), so the bound is taken from it: the fused step may be at most
-``FACTOR`` times as far from float64 as float32 torch is, plus a few units in the last place.
-"""
+"""The fused Warp backend against the torch reference. Both follow the same equations; what may differ is round-off.
+Float32 torch is itself off the float64 result by some amount that grows with the flight (a clamped rotor amplifies it),
+so the bound is taken from it: the fused step may be at most ``FACTOR`` times as far from float64 as float32 torch is,
+plus a few units in the last place."""
 
 from collections.abc import Sequence
 from dataclasses import replace

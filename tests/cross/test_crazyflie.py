@@ -1,7 +1,5 @@
 """Our controllers against those of the Crazyflie's firmware: golden vectors of 10,000 random states each.
-
-``tests/cross/firmware/crazyflie_vectors.py`` made them; ``crazyflie_pairs.py`` lays ours beside them.
-"""
+``tests/cross/firmware/crazyflie_vectors.py`` made them; ``crazyflie_pairs.py`` lays ours beside them."""
 
 import pytest
 import torch

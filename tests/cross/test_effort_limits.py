@@ -1,9 +1,7 @@
-"""Drives with limits and dry friction on the fused backend: the efforts that its steps applied, by inverse dynamics in float64.
-
-Float32 rounding of the rates at the end is itself an effort, inertia times rate over the step. So the bound is taken from
-float32 torch from the same starts: the fused step may be ``FACTOR`` times as far from the laws.
-Letters: E environments, D joints.
-"""
+"""Drives with limits and dry friction on the fused backend: the efforts that its steps applied, by inverse dynamics in
+float64. Float32 rounding of the rates at the end is itself an effort, inertia times rate over the step. So the bound is
+taken from float32 torch from the same starts: the fused step may be ``FACTOR`` times as far from the laws. Letters: E
+environments, D joints."""
 
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
-"""Random vehicle files: what each rotor does to the body against MuJoCo (MJCF), or against the file's own numbers (SDF, URDF).
-
-Accelerations per newton come from the composite body and the allocation of the imported robot. The other side is an engine that
-shares no code with ours, or sums about the origin of the root link with SciPy's rotations.
-"""
+"""Random vehicle files: what each rotor does to the body against MuJoCo (MJCF), or against the file's own numbers (SDF,
+URDF). Accelerations per newton come from the composite body and the allocation of the imported robot. The other side is
+an engine that shares no code with ours, or sums about the origin of the root link with SciPy's rotations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

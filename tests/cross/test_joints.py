@@ -1,9 +1,7 @@
-"""Vehicles that bend on the fused backend, which eliminates link by link, against the torch reference, which factors the whole
-mass matrix.
-
-Both follow the same equations in different ways. Float32 torch is itself off the float64 result, so the bound is taken from it:
-the fused step may be ``FACTOR`` times as far from float64 as float32 torch is, plus a few units in the last place.
-"""
+"""Vehicles that bend on the fused backend, which eliminates link by link, against the torch reference, which factors
+the whole mass matrix. Both follow the same equations in different ways. Float32 torch is itself off the float64 result,
+so the bound is taken from it: the fused step may be ``FACTOR`` times as far from float64 as float32 torch is, plus a
+few units in the last place."""
 
 from collections.abc import Callable
 from dataclasses import replace

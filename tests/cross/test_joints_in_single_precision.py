@@ -1,8 +1,6 @@
-"""How far single precision is from double, of every registered vehicle with joints: one step and one second of the fused
-backend beside the torch reference in float64, without effects, thrusts of hover, drives told to stay.
-
-Letters: E environments, D joints, L links, N = 6 + D coordinates of motion (D on a stand).
-"""
+"""How far single precision is from double, of every registered vehicle with joints: one step and one second of the
+fused backend beside the torch reference in float64, without effects, thrusts of hover, drives told to stay. Letters: E
+environments, D joints, L links, N = 6 + D coordinates of motion (D on a stand)."""
 
 from dataclasses import dataclass, replace
 
@@ -174,15 +172,11 @@ def step_bound(start: Start, first: int) -> Bound:
 
 @pytest.mark.parametrize("name", frequent_values(WITH_JOINTS, OFTEN))
 def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows(name: str) -> None:
-    """Rates x after a step of dt, each times the root d of its own entry on the diagonal of M, D = diag(d), H = D⁻¹ M D⁻¹:
-
-    ``|D dx| <= N (3 N + 1) u (k(H) |D (x - x0)| + dt |D⁻¹ F| / l(H) + |D x0|)``
-
-    with u = 2⁻²⁴, the condition k(H), its smallest eigenvalue l(H), and the sizes F of all terms of the forces. M has what an
-    implicit step adds.
-    Source: Higham (2002), Accuracy and Stability of Numerical Algorithms, theorem 10.6 (Demmel), for a factor of M; terms of
-    the forces, off by as many units, go through ``M⁻¹ = D⁻¹ H⁻¹ D⁻¹``.
-    """
+    """Rates x after a step of dt, each times the root d of its own entry on the diagonal of M, D = diag(d), H = D⁻¹ M
+    D⁻¹: ``|D dx| <= N (3 N + 1) u (k(H) |D (x - x0)| + dt |D⁻¹ F| / l(H) + |D x0|)`` with u = 2⁻²⁴, the condition k(H),
+    its smallest eigenvalue l(H), and the sizes F of all terms of the forces. M has what an implicit step adds. Source:
+    Higham (2002), Accuracy and Stability of Numerical Algorithms, theorem 10.6 (Demmel), for a factor of M; terms of
+    the forces, off by as many units, go through ``M⁻¹ = D⁻¹ H⁻¹ D⁻¹``."""
     exact = make_start(name, torch.float64, spread=0.3, moves=1.0)
     single = make_start(name, torch.float32, spread=0.3, moves=1.0)
     bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)

@@ -1,7 +1,5 @@
-"""Drag of links on the fused backend, which eliminates link by link, against the torch reference, which factors a matrix.
-
-The bound is that of ``test_joints``: so many times as far from float64 as float32 torch is.
-"""
+"""Drag of links on the fused backend, which eliminates link by link, against the torch reference, which factors a
+matrix. The bound is that of ``test_joints``: so many times as far from float64 as float32 torch is."""
 
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """PX4's cascade against PX4's own control libraries: golden vectors of 10,000 random states each.
-
-``tests/cross/firmware/px4_vectors.py`` made them; ``px4_pairs.py`` lays ours beside them.
-"""
+``tests/cross/firmware/px4_vectors.py`` made them; ``px4_pairs.py`` lays ours beside them."""
 
 import pytest
 from torch import Tensor

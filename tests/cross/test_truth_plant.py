@@ -1,7 +1,6 @@
-"""The plant of ``benchmarks.undeclared`` and this package, which share no code, give the same accelerations for each effect.
-
-Random states in float64. ``tests/physics`` compares the effects of the package with closed forms and signed cases.
-"""
+"""The plant of ``benchmarks.undeclared`` and this package, which share no code, give the same accelerations for each
+effect. Random states in float64. ``tests/physics`` compares the effects of the package with closed forms and signed
+cases."""
 
 import numpy as np
 import pytest

@@ -1,9 +1,7 @@
-"""Golden results of files that release 0.1.0 wrote: runs, checkpoints, exported policies, robot files. They must still load.
-
-The files lie in ``reference/0.1.0``. ``python -m tests.golden.releases FOLDER`` wrote them with that release. Checkpoints hold
-tensors, numbers and text; they name no Python module or class. But keys of the state, such as ``body.layers.0.weight``, are
-attributes of networks: whoever renames an attribute must read the old key as well.
-"""
+"""Golden results of files that release 0.1.0 wrote: runs, checkpoints, exported policies, robot files. They must still
+load. The files lie in ``reference/0.1.0``. ``python -m tests.golden.releases FOLDER`` wrote them with that release.
+Checkpoints hold tensors, numbers and text; they name no Python module or class. But keys of the state, such as
+``body.layers.0.weight``, are attributes of networks: whoever renames an attribute must read the old key as well."""
 
 import io
 import json

@@ -1,7 +1,5 @@
-"""Golden results of tasks: 100 steps of every registered task on the ``torch`` and the ``warp`` backend.
-
-Letters: E environments.
-"""
+"""Golden results of tasks: 100 steps of every registered task on the ``torch`` and the ``warp`` backend. Letters: E
+environments."""
 
 from collections import defaultdict
 from hashlib import sha256

@@ -15,11 +15,9 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 @pytest.fixture(scope="module")
 def verdict_texts(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the verdict of a loop and, by where they stand, its texts.
-
-    All flights have weak rotors, of which the torque tells beside the force. The air holds the training flights back and pushes
-    the test flights on: their forces along x and y and their rollouts become worse by the correction.
-    """
+    """Return the verdict of a loop and, by where they stand, its texts. All flights have weak rotors, of which the
+    torque tells beside the force. The air holds the training flights back and pushes the test flights on: their forces
+    along x and y and their rollouts become worse by the correction."""
     folder, printed = tmp_path_factory.mktemp("worse"), StringIO()
     (folder / "robot.yaml").write_text(dump_yaml(ROBOT))
     for number, (drag, seconds) in enumerate(((0.25, 3.0), (0.25, 3.0), (-0.25, 4.0), (-0.25, 4.0))):

@@ -38,10 +38,8 @@ ARCHITECTURE = 90
 
 
 def compile_for_gpu(module, *, assemble: bool = False) -> None:
-    """Compile into the cache of all kernels: the same source is not compiled twice on a machine.
-
-    To PTX, where all errors of a source show but those within inline assembly; assembling takes as long again, or longer.
-    """
+    """Compile into the cache of all kernels: the same source is not compiled twice on a machine. To PTX, where all
+    errors of a source show but those within inline assembly; assembling takes as long again, or longer."""
     start_warp()
     if isinstance(module, wp.Module):  # without optimisation it takes far longer, and with all of it twice as long
         module.options["optimization_level"] = 2

@@ -1,10 +1,8 @@
-"""README and site: code blocks run, links resolve, pages are reachable, and the site needs no network.
-
-A block of language ``python`` or ``sh`` runs, block after block, in one folder for each page. A comment in front of a block
-changes this: ``<!-- file: NAME -->`` writes it to a file, ``<!-- slow -->`` leaves it to the slow suite, and
-``<!-- not run: REASON -->`` leaves it out. Pages of results name commands for other machines, so that only blocks with
-``<!-- compare -->`` run there: the slow suite compares their output with the page.
-"""
+"""README and site: code blocks run, links resolve, pages are reachable, and the site needs no network. A block of
+language ``python`` or ``sh`` runs, block after block, in one folder for each page. A comment in front of a block
+changes this: ``<!-- file: NAME -->`` writes it to a file, ``<!-- slow -->`` leaves it to the slow suite, and ``<!-- not
+run: REASON -->`` leaves it out. Pages of results name commands for other machines, so that only blocks with ``<!--
+compare -->`` run there: the slow suite compares their output with the page."""
 
 import os
 import re

@@ -1,7 +1,6 @@
 """Failures in flight, of an independent plant, are named with rotor, size and time; flights without one have none.
-
-Beside small errors of mass, rotors, inertia, lag and sensors, which no failure is. Other seeds than those of any development.
-"""
+Beside small errors of mass, rotors, inertia, lag and sensors, which no failure is. Other seeds than those of any
+development."""
 
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
-"""Fast flights through thin obstacles, whole environment steps: every crossing between two poses is a crash, nothing else is.
-
-Robots start at 20 m/s along x in still air; a step of 10 ms takes them 20 cm.
-"""
+"""Fast flights through thin obstacles, whole environment steps: every crossing between two poses is a crash, nothing
+else is. Robots start at 20 m/s along x in still air; a step of 10 ms takes them 20 cm."""
 
 from dataclasses import replace
 from math import cos, pi
@@ -71,10 +69,9 @@ def test_no_start_ahead_of_a_thin_obstacle_flies_through_it(shape: ShapeCfg, bac
 
 
 def test_a_gate_is_open_as_far_as_it_is_wide() -> None:
-    """Robots beside the middle by up to 0.3 m: those that fit between the posts pass, those within 1 mm of them may do either.
-
-    The two spheres in a row are as high as they are wide, 0.07 m, so that the posts meet them at their full width.
-    """
+    """Robots beside the middle by up to 0.3 m: those that fit between the posts pass, those within 1 mm of them may do
+    either. The two spheres in a row are as high as they are wide, 0.07 m, so that the posts meet them at their full
+    width."""
     env = build(GATE)
     send_ahead(env)
     beside = torch.linspace(-0.3, 0.3, NUM_ENVS)
@@ -102,10 +99,8 @@ def test_a_robot_that_is_moved_is_not_swept_from_its_old_place() -> None:
 @pytest.mark.parametrize("backend", ["warp", "torch"])
 @pytest.mark.parametrize("depth", [-2e-3, 2e-3])
 def test_a_turning_rod_touches_the_ground_between_two_poses(depth: float, backend: str) -> None:
-    """A rod below the body turns from -0.3 to 0.3 rad in a step: it hangs straight down in the middle alone.
-
-    It falls by 0.5 mm meanwhile.
-    """
+    """A rod below the body turns from -0.3 to 0.3 rad in a step: it hangs straight down in the middle alone. It falls
+    by 0.5 mm meanwhile."""
     length, rate = 0.4, 60.0
     rod = CapsuleCfg(center=(0.0, 0.0, -0.5 * length), radius=0.01, height=length)
     robot = replace(RACER, collision=CollisionCfg(capsules=(rod,), source="invented"))

@@ -1,7 +1,5 @@
-"""The loop on flights of an independent plant that hides one effect (or nothing) from its robot file.
-
-Other seeds than those of any development; ``python -m benchmarks.scores.score_undeclared`` scores longer flights.
-"""
+"""The loop on flights of an independent plant that hides one effect (or nothing) from its robot file. Other seeds than
+those of any development; ``python -m benchmarks.scores.score_undeclared`` scores longer flights."""
 
 import json
 from pathlib import Path
@@ -46,11 +44,9 @@ def run_case(folder: Path, effects: dict[str, Any], seed: int, **flights: Any) -
 
 @pytest.mark.parametrize("effect", rare_values([*EFFECTS, *MORE_EFFECTS], MORE_EFFECTS))
 def test_the_hidden_effect_is_named_and_measured(effect: str, tmp_path: Path) -> None:
-    """The right name, every parameter within four standard deviations (of some 40), the residual down to near the noise floor.
-
-    Deviations within the tolerances are fitted beside the effect and are not in the corrected model, so that what they took
-    remains: 1.6 times the floor beside a shifted centre of mass.
-    """
+    """The right name, every parameter within four standard deviations (of some 40), the residual down to near the noise
+    floor. Deviations within the tolerances are fitted beside the effect and are not in the corrected model, so that
+    what they took remains: 1.6 times the floor beside a shifted centre of mass."""
     verdict, truth = run_case(tmp_path, {effect: "moderate"}, 211, **(BRIEF if effect in EFFECTS else {}))
     assert [result["name"] for result in verdict["effects"]] == [effect]
     assert verdict["verdict"] == "explained"

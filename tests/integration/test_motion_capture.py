@@ -31,10 +31,8 @@ def judge_case(
 @pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effects", [{}, {"rotor_drag": "moderate"}])
 def test_neither_is_an_effect_of_the_vehicle(tmp_path: Path, effects: dict[str, str]) -> None:
-    """The notes say in what flights differ.
-
-    Rules that knew neither gave this seed a misaligned sensor and a tilted motor.
-    """
+    """The notes say in what flights differ. Rules that knew neither gave this seed a misaligned sensor and a tilted
+    motor."""
     verdict = judge_case(tmp_path, effects, 3602, TRACKED)
     (point,) = (one for one in verdict.open_points if one.code == "offsets_of_flights")
     assert any(channel.startswith("specific_force") for channel in point.values["channels"])
@@ -52,8 +50,6 @@ def test_a_late_sensor_and_an_accelerometer_with_a_scale_and_a_place_are_not_eit
 
 @pytest.mark.slow
 def test_an_early_gyro_beside_a_far_accelerometer_is_no_soft_joint(tmp_path: Path) -> None:
-    """Deviations of 4 ms and 1 cm that act on each other; linear ones named a soft joint beside the inertia of the rotors.
-
-    Short flights do not show it.
-    """
+    """Deviations of 4 ms and 1 cm that act on each other; linear ones named a soft joint beside the inertia of the
+    rotors. Short flights do not show it."""
     judge_case(tmp_path, {"rotor_inertia": "moderate"}, 3816, LOGGED, size={})

@@ -1,8 +1,6 @@
-"""Debt of the language checks: counts of offences for each rule and file, in ``debt.json``, that may only fall.
-
-A file with more offences than its debt fails. One with fewer fails until ``python -m tests.language`` lowers the debt, so that
-no offence comes back. A rule without debt allows no offence.
-"""
+"""Debt of the language checks: counts of offences for each rule and file, in ``debt.json``, that may only fall. A file
+with more offences than its debt fails. One with fewer fails until ``python -m tests.language`` lowers the debt, so that
+no offence comes back. A rule without debt allows no offence."""
 
 import json
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
-"""Draw names and docstrings for a reader who sees no code: ``python -m tests.language.draw [COUNT]``.
-
-The hash of the last commit is the seed. The reader explains each in one sentence, and a second person compares with the code.
-"""
+"""Draw names and docstrings for a reader who sees no code: ``python -m tests.language.draw [COUNT]``. The hash of the
+last commit is the seed. The reader explains each in one sentence, and a second person compares with the code."""
 
 import ast
 import random

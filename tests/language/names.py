@@ -1,8 +1,6 @@
-"""Rules for names: no participle or adverb at the start, no preposition at the end, no pronoun.
-
-The words of a name are its parts between underscores, or between the capitals of a class. ``IMPOSED`` has the names that a
-library fixes, ``TERMS`` the terms of the field, each with its reason.
-"""
+"""Rules for names: no participle or adverb at the start, no preposition at the end, no pronoun. The words of a name are
+its parts between underscores, or between the capitals of a class. ``IMPOSED`` has the names that a library fixes,
+``TERMS`` the terms of the field, each with its reason."""
 
 import ast
 import re

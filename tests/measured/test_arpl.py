@@ -24,10 +24,8 @@ def half(folder: Path, name: str, number: int) -> Path:
 
 @pytest.mark.slow
 def test_the_motor_lag_is_named_from_commands_alone(tmp_path: Path) -> None:
-    """The first halves of both logs train, the second halves test.
-
-    At 500 Hz -74 % of the force along z, -68 and -67 % of the torques; held to 80 % of that.
-    """
+    """The first halves of both logs train, the second halves test. At 500 Hz -74 % of the force along z, -68 and -67 %
+    of the torques; held to 80 % of that."""
     train, test = ([half(tmp_path, name, number) for name in ("log10", "log15")] for number in (0, 1))
     out = tmp_path / "out"
     close_loop("crazyflie_2x_arpl", train, test, out, mapping="arpl_crazyflie_imu")
@@ -45,10 +43,9 @@ def test_the_motor_lag_is_named_from_commands_alone(tmp_path: Path) -> None:
 
 
 def test_lag_and_inertia_of_the_rotors_are_named_together_with_a_flight_that_yaws(tmp_path: Path) -> None:
-    """Either alone makes another axis worse; no mass takes the place of both, and no air where no speed is logged.
-
-    The half of the yaw flight that no fit has seen gets better about every axis: 17.5 to 7.3, 22.1 to 12.8, 10.2 to 8.1 rad/s².
-    """
+    """Either alone makes another axis worse; no mass takes the place of both, and no air where no speed is logged. The
+    half of the yaw flight that no fit has seen gets better about every axis: 17.5 to 7.3, 22.1 to 12.8, 10.2 to 8.1
+    rad/s²."""
     train, test = ([half(tmp_path, name, number) for name in ("log10", "log15", "log16_a")] for number in (0, 1))
     out = tmp_path / "out"
     close_loop("crazyflie_2x_arpl", train, test, out, mapping="arpl_crazyflie_imu")

@@ -1,8 +1,6 @@
-"""Payloads and cut propellers by the balance at hover of Crazyflies without gyro and attitude (CrazyPAD, Data 2024, 9, 79).
-
-Both logs of a condition decide; parameters come from one and are judged on the other. Every other pair shows how much two logs
-differ.
-"""
+"""Payloads and cut propellers by the balance at hover of Crazyflies without gyro and attitude (CrazyPAD, Data 2024, 9,
+79). Both logs of a condition decide; parameters come from one and are judged on the other. Every other pair shows how
+much two logs differ."""
 
 import json
 import random

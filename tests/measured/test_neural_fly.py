@@ -15,9 +15,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights
 @pytest.mark.slow
 def test_drag_learned_at_other_wind_speeds_holds_at_an_unseen_one(tmp_path: Path) -> None:
     """Trained at 0, 4.2 and 12.1 m/s, judged at 8.5 m/s; measured -85 %, -58 % and -80 % or more, held to 80 % of that.
-
-    How the force is shared between drags that grow with the speed and with its square these flights hardly tell.
-    """
+    How the force is shared between drags that grow with the speed and with its square these flights hardly tell."""
     train = ("NF_nowind", "baseline_35wind", "indi_35wind", "baseline_100wind", "NF_100wind")
     test = ("NF_70wind", "baseline_70wind", "indi_70wind")
     logs = [[DATA / f"{name}.csv" for name in names] for names in (train, test)]

@@ -30,10 +30,8 @@ def assert_unbiased(result: Tensor, expected: Tensor) -> None:
 
 def shares(tau: Tensor, dt: float) -> Tensor:
     """Return the Allan variance of white noise of N = 1 and of a random walk of K = 1 that is sampled every dt, (K, 2).
-
-    ``1 / tau`` and ``tau / 3 (1 + 1 / (2 m²))`` with m = tau / dt. Derived: the variance of the difference of neighbouring
-    averages of m samples of a walk with unit steps is ``(2 m² + 1) / (3 m)``.
-    """
+    ``1 / tau`` and ``tau / 3 (1 + 1 / (2 m²))`` with m = tau / dt. Derived: the variance of the difference of
+    neighbouring averages of m samples of a walk with unit steps is ``(2 m² + 1) / (3 m)``."""
     return torch.stack((1.0 / tau, tau / 3.0 * (1.0 + 0.5 * (dt / tau) ** 2)), dim=-1)
 
 

@@ -1,8 +1,6 @@
-"""The blade-element rotor against integrals of its blade elements, its limits and tunnel tests.
-
-A rotor of radius 0.1 m turns at 800 rad/s; ``rho pi R² (w R)²`` is the unit of its coefficients. All cases are one rotor on the
-vertical axis of a body, unless something else is said, so that what the body feels is what the rotor does.
-"""
+"""The blade-element rotor against integrals of its blade elements, its limits and tunnel tests. A rotor of radius 0.1 m
+turns at 800 rad/s; ``rho pi R² (w R)²`` is the unit of its coefficients. All cases are one rotor on the vertical axis
+of a body, unless something else is said, so that what the body feels is what the rotor does."""
 
 from dataclasses import dataclass, replace
 from math import pi, sqrt

@@ -1,7 +1,6 @@
 """Boxes and capsules of a robot against everything that it can touch: distances, touches within a step, contact points.
-
-The reference for shapes that are apart is a bounded least-squares problem (scipy), that of overlaps a grid of points.
-"""
+The reference for shapes that are apart is a bounded least-squares problem (scipy), that of overlaps a grid of
+points."""
 
 from math import cos, pi, sin
 from pathlib import Path

@@ -1,8 +1,6 @@
-"""The collision test against closed forms and against trimesh.
-
-Each environment holds one point, so a batch is a sample of points. Float32 distances of a few metres are good to 1e-6 m;
-5e-6 m is asked, and 5e-5 m of meshes, whose closest point is found through barycentric coordinates.
-"""
+"""The collision test against closed forms and against trimesh. Each environment holds one point, so a batch is a sample
+of points. Float32 distances of a few metres are good to 1e-6 m; 5e-6 m is asked, and 5e-5 m of meshes, whose closest
+point is found through barycentric coordinates."""
 
 import numpy as np
 import pytest

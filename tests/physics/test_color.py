@@ -1,7 +1,6 @@
-"""Colour images: what surfaces are painted with, and the light of lamps, against closed forms and scipy's interpolation.
-
-Light with ``ambient`` 1 shows the paint itself. Points of pixels are good to 1e-5 m, so weights of corners are too.
-"""
+"""Colour images: what surfaces are painted with, and the light of lamps, against closed forms and scipy's
+interpolation. Light with ``ambient`` 1 shows the paint itself. Points of pixels are good to 1e-5 m, so weights of
+corners are too."""
 
 from dataclasses import replace
 from pathlib import Path

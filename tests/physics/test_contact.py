@@ -1,8 +1,7 @@
-"""Compliant contact against closed forms: resting, landing, sliding, bouncing, toppling, in both backends and in a scene.
-
-Step sizes are those of the registered sims unless an order is measured. Euler is of order 1: an error of ``C dt`` is allowed
-where a closed form in continuous time is met, round-off where the discrete equations have that solution exactly.
-"""
+"""Compliant contact against closed forms: resting, landing, sliding, bouncing, toppling, in both backends and in a
+scene. Step sizes are those of the registered sims unless an order is measured. Euler is of order 1: an error of ``C
+dt`` is allowed where a closed form in continuous time is met, round-off where the discrete equations have that solution
+exactly."""
 
 import itertools
 from dataclasses import replace

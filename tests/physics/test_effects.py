@@ -1,8 +1,6 @@
-"""Each effect against a closed form, with a sign; and what every effect must state.
-
-The vehicle is tinyprop where nothing else is said: 0.373 kg, rotors at (+-0.16, +-0.16, 0) m in the plane of the centre of
-mass, thrust along z. Rotors 1 to 4 are at (+,-), (-,-), (-,+), (+,+) and spin +, -, +, -.
-"""
+"""Each effect against a closed form, with a sign; and what every effect must state. The vehicle is tinyprop where
+nothing else is said: 0.373 kg, rotors at (+-0.16, +-0.16, 0) m in the plane of the centre of mass, thrust along z.
+Rotors 1 to 4 are at (+,-), (-,-), (-,+), (+,+) and spin +, -, +, -."""
 
 from dataclasses import replace
 from math import cos, exp, pi, sin

@@ -1,7 +1,5 @@
-"""Firm contact at speed: no crossing of a part is missed, and nothing passes through a thin wall or pole.
-
-The crossings are those of ``test_sweep``: truth that shares no code with the package.
-"""
+"""Firm contact at speed: no crossing of a part is missed, and nothing passes through a thin wall or pole. The crossings
+are those of ``test_sweep``: truth that shares no code with the package."""
 
 from pathlib import Path
 

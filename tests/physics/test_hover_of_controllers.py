@@ -1,7 +1,6 @@
-"""Every registered controller holds a robot at rest, and flies each environment as if it were alone: 1, 2 and 5 of them.
-
-In float64 with the torch backend; the fused kernel, which runs an environment a thread, in ``test_alone_in_the_fused_kernel``.
-"""
+"""Every registered controller holds a robot at rest, and flies each environment as if it were alone: 1, 2 and 5 of
+them. In float64 with the torch backend; the fused kernel, which runs an environment a thread, in
+``test_alone_in_the_fused_kernel``."""
 
 import pytest
 import torch

@@ -1,7 +1,6 @@
-"""The inertial measurement unit: signed closed forms, order of convergence, and the statistics of its errors.
-
-The kernel is float32: without noise, a tolerance is the round-off of a velocity difference, 1e-7 |v| / dt, unless stated.
-"""
+"""The inertial measurement unit: signed closed forms, order of convergence, and the statistics of its errors. The
+kernel is float32: without noise, a tolerance is the round-off of a velocity difference, 1e-7 |v| / dt, unless
+stated."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -1,8 +1,6 @@
-"""What a reset draws of the robot's own errors of inertial sensors, seen in what the IMU measures.
-
-``measured = R^T (true + bias)`` with R from sensors to body, by the draws of each environment. The effects do not change the
-flight: what is true stands in the same simulation without draws. Tolerances are float32 round-off: 8 ulp of 16 m/s².
-"""
+"""What a reset draws of the robot's own errors of inertial sensors, seen in what the IMU measures. ``measured = R^T
+(true + bias)`` with R from sensors to body, by the draws of each environment. The effects do not change the flight:
+what is true stands in the same simulation without draws. Tolerances are float32 round-off: 8 ulp of 16 m/s²."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,6 @@
 """IMUs whose places a reset draws: what each feels at its own lever arm, and that draws are of its environment alone.
-
-The kernel is float32: without noise, a tolerance is the round-off of a velocity difference, 1e-7 |v| / dt, unless stated.
-"""
+The kernel is float32: without noise, a tolerance is the round-off of a velocity difference, 1e-7 |v| / dt, unless
+stated."""
 
 from dataclasses import replace
 from itertools import pairwise

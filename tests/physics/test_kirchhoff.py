@@ -1,7 +1,5 @@
 """A hull with added mass under the Euler integrator: energy, impulse and moment of impulse of hull and water, float64.
-
-Energies and impulses are written out here, so that nothing of the integrator checks itself.
-"""
+Energies and impulses are written out here, so that nothing of the integrator checks itself."""
 
 from dataclasses import replace
 from itertools import pairwise

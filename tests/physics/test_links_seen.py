@@ -1,7 +1,6 @@
 """Links that move, as sensors see them and as sensors on them move: closed-form kinematics with signs, and differences.
-
-The arm hinges 0.1 m before the body origin and reaches to x = 0.5 m in the reference pose, with a ball of 0.05 m at its end.
-"""
+The arm hinges 0.1 m before the body origin and reaches to x = 0.5 m in the reference pose, with a ball of 0.05 m at its
+end."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,8 +1,6 @@
-"""The ray caster against closed forms in float64, against trimesh, and against itself.
-
-The closed forms here intersect boundaries (faces, discs, quadrics) and pick the nearest point that lies on the shape; the
-kernel intersects intervals. Float32 distances of a few metres with well-posed rays are good to 1e-6 m; 1e-4 m is asked.
-"""
+"""The ray caster against closed forms in float64, against trimesh, and against itself. The closed forms here intersect
+boundaries (faces, discs, quadrics) and pick the nearest point that lies on the shape; the kernel intersects intervals.
+Float32 distances of a few metres with well-posed rays are good to 1e-6 m; 1e-4 m is asked."""
 
 from dataclasses import replace
 from math import inf, radians, tan

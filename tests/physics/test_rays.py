@@ -1,7 +1,5 @@
 """Ray tables against closed forms of their projections, in float64. A float32 direction is good to 6e-8: 1e-6 is asked.
-
-Angles are taken from directions by atan2, which keeps that accuracy everywhere (arccos does not).
-"""
+Angles are taken from directions by atan2, which keeps that accuracy everywhere (arccos does not)."""
 
 from dataclasses import replace
 from math import cos, pi, radians, sin, tan

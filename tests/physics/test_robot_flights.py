@@ -1,8 +1,5 @@
-"""Every registered robot hovers under every geometric controller that fits it.
-
-Flights take 100 Hz, the coarsest registered sim, where time step and rotor lag leave the smallest margins. The slow suite
-flies all sims.
-"""
+"""Every registered robot hovers under every geometric controller that fits it. Flights take 100 Hz, the coarsest
+registered sim, where time step and rotor lag leave the smallest margins. The slow suite flies all sims."""
 
 from itertools import product
 from math import atan, exp, pi, sqrt

@@ -1,9 +1,7 @@
-"""All substeps of a step in one launch: where the robot goes, what it touches on the way, and how obstacles move meanwhile.
-
-The reference is the loop over substeps that the launch replaces: one substep, one move of the obstacles, one measurement of
-the distance. Poses and distances must agree bit for bit on the CPU, since each is found by the same arithmetic. A touch at a
-pose is a crash, and so is one between two poses (``test_sweep.py``).
-"""
+"""All substeps of a step in one launch: where the robot goes, what it touches on the way, and how obstacles move
+meanwhile. The reference is the loop over substeps that the launch replaces: one substep, one move of the obstacles, one
+measurement of the distance. Poses and distances must agree bit for bit on the CPU, since each is found by the same
+arithmetic. A touch at a pose is a crash, and so is one between two poses (``test_sweep.py``)."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,10 +1,8 @@
-"""Swept collisions, one pair of shapes at a time: no crossing between two poses is missed, and no clear pass is reported.
-
-Truth shares no code with the package. A *crossing* is built: at a random time a random point of the robot's shape is put on a
-random point of the part. A *clear pass* is built too: in the frame of the part, the support functions of both shapes along a
-fixed direction stay a given clearance apart, at 100 times of each substep in float64.
-Letters: N flights, each an environment; K substeps.
-"""
+"""Swept collisions, one pair of shapes at a time: no crossing between two poses is missed, and no clear pass is
+reported. Truth shares no code with the package. A *crossing* is built: at a random time a random point of the robot's
+shape is put on a random point of the part. A *clear pass* is built too: in the frame of the part, the support functions
+of both shapes along a fixed direction stay a given clearance apart, at 100 times of each substep in float64. Letters: N
+flights, each an environment; K substeps."""
 
 from dataclasses import dataclass
 from pathlib import Path

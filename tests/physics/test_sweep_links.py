@@ -1,9 +1,7 @@
-"""Swept collisions of links: a chain of two arms past a thin pole, and links past each other.
-
-As in ``test_sweep.py``, a crossing is built by putting a random point of a shape on a random point of the other at a random
-time. The chain's kinematics are written here anew: a base that moves evenly, and hinges that turn evenly, in float64.
-Letters: N flights, each an environment.
-"""
+"""Swept collisions of links: a chain of two arms past a thin pole, and links past each other. As in ``test_sweep.py``,
+a crossing is built by putting a random point of a shape on a random point of the other at a random time. The chain's
+kinematics are written here anew: a base that moves evenly, and hinges that turn evenly, in float64. Letters: N flights,
+each an environment."""
 
 import numpy as np
 import pytest

@@ -1,8 +1,6 @@
-"""A tricopter whose tail rotor tilts on a servo: its balance in hover by hand, its heading, and signs of the tail.
-
-With a thrust T of the tail at the angle d, the torque k T of its rotor and the arm L: yaw is in balance at ``tan d = k / L``,
-pitch where each front rotor gives ``T (cos d + k sin d / L)``; the side force leans the vehicle.
-"""
+"""A tricopter whose tail rotor tilts on a servo: its balance in hover by hand, its heading, and signs of the tail. With
+a thrust T of the tail at the angle d, the torque k T of its rotor and the arm L: yaw is in balance at ``tan d = k /
+L``, pitch where each front rotor gives ``T (cos d + k sin d / L)``; the side force leans the vehicle."""
 
 from math import atan, cos, pi, sin, tan
 

@@ -1,7 +1,5 @@
-"""Effects under water against closed forms and conservation laws, float64; and the registered ``base_rov`` with its own.
-
-The hull has 2 kg and (0.02, 0.03, 0.05) kg m²; rotors stand still.
-"""
+"""Effects under water against closed forms and conservation laws, float64; and the registered ``base_rov`` with its
+own. The hull has 2 kg and (0.02, 0.03, 0.05) kg m²; rotors stand still."""
 
 from dataclasses import replace
 from math import cos, exp, pi, sqrt, tanh

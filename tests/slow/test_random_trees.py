@@ -1,9 +1,7 @@
-"""Ten seconds of trees as large as the robots on which another solver diverges: none diverges.
-
-Newton's Featherstone solver gives NaN within 0.3 s on serial arms of 6 joints (so100, so101, z1) and on humanoids of 19 and 23
-(h1, g1) that nothing drives or touches (newton-physics/newton issue 4269). Their files are not here: trees of that size are
-drawn, with links of 0.1 to 1 kg in any direction, and fly in the fused kernel, in float32, in steps of 2 ms.
-"""
+"""Ten seconds of trees as large as the robots on which another solver diverges: none diverges. Newton's Featherstone
+solver gives NaN within 0.3 s on serial arms of 6 joints (so100, so101, z1) and on humanoids of 19 and 23 (h1, g1) that
+nothing drives or touches (newton-physics/newton issue 4269). Their files are not here: trees of that size are drawn,
+with links of 0.1 to 1 kg in any direction, and fly in the fused kernel, in float32, in steps of 2 ms."""
 
 from dataclasses import replace
 from typing import Any

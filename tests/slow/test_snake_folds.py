@@ -1,7 +1,5 @@
 """Snakes that hold their shape and fold in the air, in each mode of their drives, each rotor carrying its rod.
-
-Environments of one batch: told to stay; to fold and to unfold by 0.2 rad at each joint in yaw within 2 s.
-"""
+Environments of one batch: told to stay; to fold and to unfold by 0.2 rad at each joint in yaw within 2 s."""
 
 from dataclasses import dataclass
 

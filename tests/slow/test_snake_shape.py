@@ -1,10 +1,8 @@
-"""Snakes whose joints are told to keep the shape, flown as if they were stiff by a law that knows the inertia of that shape.
-
-Their drives hold no more than 0.3 N m in roll. Four and five rods stay a polygon; six, or any whose drives are told rates, give
-way while they hover: rods that twist by the differing thrusts of a yaw command turn the torque of six about z around
-(docs/results/joints.md). Drives reach their limit only after that. Half the step gives way at the same time:
-the vehicle causes it, not the method.
-"""
+"""Snakes whose joints are told to keep the shape, flown as if they were stiff by a law that knows the inertia of that
+shape. Their drives hold no more than 0.3 N m in roll. Four and five rods stay a polygon; six, or any whose drives are
+told rates, give way while they hover: rods that twist by the differing thrusts of a yaw command turn the torque of six
+about z around (docs/results/joints.md). Drives reach their limit only after that. Half the step gives way at the same
+time: the vehicle causes it, not the method."""
 
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
-"""Differences of our controllers from the firmware on the golden vectors of this folder, as a table.
-
-python -m tests.cross.firmware.agreement [--write docs/results/firmware.md]
-"""
+"""Differences of our controllers from the firmware on the golden vectors of this folder, as a table: ``python -m
+tests.cross.firmware.agreement [--write docs/results/firmware.md]``."""
 
 import argparse
 import platform

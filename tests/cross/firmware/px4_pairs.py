@@ -1,8 +1,5 @@
-"""Our answers to the random states of ``px4_vectors``, beside PX4's, in our frames.
-
-PX4's frames are north, east, down and forward, right, down; ours have y and z the other way round, so everything is compared
-after two changes of sign.
-"""
+"""Our answers to the random states of ``px4_vectors``, beside PX4's, in our frames. PX4's frames are north, east, down
+and forward, right, down; ours have y and z the other way round, so everything is compared after two changes of sign."""
 
 import numpy as np
 import torch

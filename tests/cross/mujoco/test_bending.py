@@ -1,7 +1,5 @@
 """Vehicles that bend on MuJoCo as a backend: its step of a tree against ``implicit_euler``, and against closed forms.
-
-All in float64 but for whole simulations.
-"""
+All in float64 but for whole simulations."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,9 +1,6 @@
-"""Drives with limits and dry friction beside MuJoCo's own, and on backend ``mujoco``.
-
-The MJCF is written here: MuJoCo itself clamps its actuators (``forcerange``) and solves for dry friction (``frictionloss``),
-in steps so short that its explicit actuators follow. No function of this package has a part in it.
-Letters: E environments, D joints.
-"""
+"""Drives with limits and dry friction beside MuJoCo's own, and on backend ``mujoco``. The MJCF is written here: MuJoCo
+itself clamps its actuators (``forcerange``) and solves for dry friction (``frictionloss``), in steps so short that its
+explicit actuators follow. No function of this package has a part in it. Letters: E environments, D joints."""
 
 import itertools
 from dataclasses import replace

@@ -1,7 +1,5 @@
-"""Whole simulations and tasks on MuJoCo as a backend, beside those on torch.
-
-What a step computes in float32 differs by its rounding, some 1e-7 a step, which a law that flies to a place does not let grow.
-"""
+"""Whole simulations and tasks on MuJoCo as a backend, beside those on torch. What a step computes in float32 differs by
+its rounding, some 1e-7 a step, which a law that flies to a place does not let grow."""
 
 import json
 from dataclasses import replace

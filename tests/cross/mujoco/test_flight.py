@@ -1,7 +1,5 @@
-"""MuJoCo as a backend in free flight: against closed forms, and against the torch backend, whose euler it repeats.
-
-All in float64.
-"""
+"""MuJoCo as a backend in free flight: against closed forms, and against the torch backend, whose euler it repeats. All
+in float64."""
 
 from dataclasses import replace
 from pathlib import Path

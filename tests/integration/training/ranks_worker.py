@@ -1,7 +1,5 @@
-"""One process of several that train together on a CPU; ``test_ranks.py`` starts them as ``torchrun`` would.
-
-usage: python -m tests.integration.training.ranks_worker ACT OUT PORT ...
-"""
+"""One process of several that train together on a CPU; ``test_ranks.py`` starts them as ``torchrun`` would. usage:
+python -m tests.integration.training.ranks_worker ACT OUT PORT ..."""
 
 import os
 import signal

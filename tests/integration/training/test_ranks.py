@@ -52,10 +52,8 @@ def start_two(act: str, out: Path, *, ports: int) -> list[tuple[int, str]]:
 @pytest.mark.slow
 def test_two_processes_are_equal_bit_for_bit_and_learn_as_one(tmp_path: Path) -> None:
     """As one that flies the environments of both: but for the order of sums, which grows with every update of a flight.
-
-    Adam divides by the size of a gradient, so that a weight with almost none moves by rounding alone: 0.1 and 1.1 % of the way
-    were seen on two processors.
-    """
+    Adam divides by the size of a gradient, so that a weight with almost none moves by rounding alone: 0.1 and 1.1 % of
+    the way were seen on two processors."""
     one, begun = (train_ranks(ALONE, iterations=count, like_one=True)["common"] for count in (2, 0))
     for status, said in start_two("learn", tmp_path, ports=2):
         assert status == 0, said
@@ -124,10 +122,8 @@ def test_a_fault_in_one_process_ends_the_other_with_a_sentence(tmp_path: Path) -
 
 
 def assert_equal(first: object, second: object, where: str = "") -> None:
-    """Compare nested mappings and sequences bit for bit.
-
-    But for what depends on the clock, the tallies of a log, and for global random states, which nothing uses.
-    """
+    """Compare nested mappings and sequences bit for bit. But for what depends on the clock, the tallies of a log, and
+    for global random states, which nothing uses."""
     if isinstance(first, dict):
         assert first.keys() == second.keys()
         for key in first:

@@ -17,10 +17,9 @@ event_accumulator = pytest.importorskip(place, reason="tensorboard is not instal
 
 
 def entries(content: bytes) -> Iterator[bytes]:
-    """Give the entries of a .wandb file: a log of LevelDB, in blocks of 32 KiB of pieces, behind a header of 7 bytes.
-
-    A piece is a check sum, its length, and whether it is a whole entry (1), the first, a middle or the last piece (2, 3, 4).
-    """
+    """Give the entries of a .wandb file: a log of LevelDB, in blocks of 32 KiB of pieces, behind a header of 7 bytes. A
+    piece is a check sum, its length, and whether it is a whole entry (1), the first, a middle or the last piece (2, 3,
+    4)."""
     place, entry = 7, b""
     while place + 7 <= len(content):
         if (left := 32768 - place % 32768) < 7:

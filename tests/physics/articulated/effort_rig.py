@@ -1,7 +1,5 @@
 """Trees and snakes whose joints have drives with limits and dry friction, and the efforts that a step applies to them.
-
-Letters: E environments, D joints.
-"""
+Letters: E environments, D joints."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,9 +1,7 @@
-"""How a tree of links moves by Lagrange's equations, from energies alone: places by SciPy's rotations, all else by differences.
-
-Coordinates x of a tree: place of the base (3), a rotation vector that turns it from its attitude, in its own axes (3), joints.
-With ``T = x' M x' / 2`` and U: ``M x'' = -M' x' + dT/dx - dU/dx``. At a rotation vector of zero its second derivative is the
-angular acceleration. Nothing is shared with the engine but the description of the tree.
-"""
+"""How a tree of links moves by Lagrange's equations, from energies alone: places by SciPy's rotations, all else by
+differences. Coordinates x of a tree: place of the base (3), a rotation vector that turns it from its attitude, in its
+own axes (3), joints. With ``T = x' M x' / 2`` and U: ``M x'' = -M' x' + dT/dx - dU/dx``. At a rotation vector of zero
+its second derivative is the angular acceleration. Nothing is shared with the engine but the description of the tree."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

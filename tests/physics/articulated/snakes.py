@@ -1,7 +1,5 @@
-"""Snakes in hover: what their joints must bear, and commands that hold a shape in each mode of the drives.
-
-Letters: D joints, R rods with a rotor each.
-"""
+"""Snakes in hover: what their joints must bear, and commands that hold a shape in each mode of the drives. Letters: D
+joints, R rods with a rotor each."""
 
 from dataclasses import dataclass, replace
 

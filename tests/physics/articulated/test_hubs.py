@@ -1,7 +1,5 @@
 """What effects at hubs do to a vehicle that bends: as to a rigid one of its shape, and closed forms of arms that move.
-
-On the reference engine; on the fused one in ``tests/cross/test_joints.py``.
-"""
+On the reference engine; on the fused one in ``tests/cross/test_joints.py``."""
 
 from dataclasses import replace
 from math import sin

@@ -1,10 +1,9 @@
 """Arms on springs in flight ring, or fade, against the reduced inertia of arms and body, not that of an arm on a stand.
-
-Four arms alike, a point mass m at the end of each, length l, on a body of mass m0, M = m0 + 4 m. All droop by q together.
-With the height z of the body, ``T = m0 z'²/2 + 2 m ((z' - l cos q q')² + (l sin q q')²)``; thrusts T turn with the arms.
-Lagrange's equations without z: ``J q'' + c q' + V'(q) + T l (1 - (4 m/M) cos² q) = 0`` for slow q', and about the angle of rest
-``J q'' + c q' + k q = 0`` with ``J = m l² (1 - (4 m/M) cos² q)`` and ``k = V''(q) + (4 m/M) T l sin 2 q``.
-"""
+Four arms alike, a point mass m at the end of each, length l, on a body of mass m0, M = m0 + 4 m. All droop by q
+together. With the height z of the body, ``T = m0 z'²/2 + 2 m ((z' - l cos q q')² + (l sin q q')²)``; thrusts T turn
+with the arms. Lagrange's equations without z: ``J q'' + c q' + V'(q) + T l (1 - (4 m/M) cos² q) = 0`` for slow q', and
+about the angle of rest ``J q'' + c q' + k q = 0`` with ``J = m l² (1 - (4 m/M) cos² q)`` and ``k = V''(q) + (4 m/M) T l
+sin 2 q``."""
 
 import cmath
 from dataclasses import replace

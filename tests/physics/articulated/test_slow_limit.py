@@ -1,11 +1,8 @@
 """``joint_spring`` and ``joint_creep`` of a rigid vehicle are what its arms on joints do when thrust changes slowly.
-
-Four arms of length l on springs 1/C with dampers tau/C; each has an inertia J about its hinge and its centre of mass on it, so
-that what the body does does not move it. All thrusts go up and down together, ``T0 + A sin w t``. The joints follow
-``J q'' + (tau q' + q) / C = T l``, the effects ``tau h' + h = C T l``: with ``s = i w`` they differ by
-
-``C A l (1 / (1 + tau s + C J s²) - 1 / (1 + tau s))``, which is ``w² C J`` of the angle for small w.
-"""
+Four arms of length l on springs 1/C with dampers tau/C; each has an inertia J about its hinge and its centre of mass on
+it, so that what the body does does not move it. All thrusts go up and down together, ``T0 + A sin w t``. The joints
+follow ``J q'' + (tau q' + q) / C = T l``, the effects ``tau h' + h = C T l``: with ``s = i w`` they differ by ``C A l
+(1 / (1 + tau s + C J s²) - 1 / (1 + tau s))``, which is ``w² C J`` of the angle for small w."""
 
 from dataclasses import replace
 from math import log2, pi, sin

@@ -39,6 +39,5 @@ def every(num_envs: int, device: torch.device = CPU) -> Tensor:
 
 
 def begin(made: AssetManager, mask: Tensor) -> None:
-    """Begin an episode in the environments of a mask, as an ``EnvManager`` does."""
     made.random.begin(mask)
     made.reset(mask)

@@ -30,7 +30,6 @@ def manager(assets: tuple[AssetCfg, ...], num_envs: int) -> AssetManager:
 
 
 def distance(made: AssetManager, points: Tensor) -> Tensor:
-    """Return the distance of points (E, 3) from the scene [m], (E,)."""
     num, out = len(points), torch.full((len(points),), float("nan"))
     attitude = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(num, 4).contiguous()
     point = (SphereCfg(center=(0.0, 0.0, 0.0), radius=1e-9),)
@@ -52,7 +51,6 @@ def _clears(env: EnvironmentCfg) -> bool:
 
 @pytest.mark.parametrize("name", [name for name in ENVIRONMENTS.names() if _clears(ENVIRONMENTS.get(name))])
 def test_no_robot_starts_inside_or_near_an_obstacle(name: str) -> None:
-    """1000 resets: the robot's collision spheres keep the clearance from everything, and next to nothing is parked."""
     env = simulate(name, 250)
     assert env.cfg.clearance == 0.4
     for _ in range(4):
@@ -115,7 +113,6 @@ def test_making_room_leaves_other_environments_bit_for_bit() -> None:
 
 
 def test_a_new_start_forgets_the_goal_of_the_last_episode() -> None:
-    """Environment 0 with an old goal is the same as environment 0 of a manager that never had one."""
     states = []
     for has_goal in (False, True):
         made = manager((BOXES,), 3)

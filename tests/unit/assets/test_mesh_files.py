@@ -34,7 +34,6 @@ TURNED = {
 
 
 def collada(folder: Path, *, unit: str = '<unit name="metre" meter="1"/>', up: str = "Z_UP", per_metre: float = 1.0):
-    """Write the box as Collada and return its path."""
     corners = trimesh.creation.box(bounds=per_metre * np.array([LOW, HIGH]))
     numbers = " ".join(f"{value:.9g}" for value in corners.vertices.ravel())
     faces = " ".join(str(index) for index in corners.faces.ravel())
@@ -56,13 +55,11 @@ def collada(folder: Path, *, unit: str = '<unit name="metre" meter="1"/>', up: s
 
 
 def gltf(folder: Path, name: str) -> Path:
-    """Write the box as glTF, corners as they are, and return its path."""
     trimesh.creation.box(bounds=[LOW, HIGH]).export(folder / name)
     return folder / name
 
 
 def urdf(folder: Path, mesh: Path, *, scale: str = "") -> Path:
-    """Write a URDF whose one link collides with a mesh, and return its path."""
     shape = f'<collision><geometry><mesh filename="{mesh.name}"{scale}/></geometry></collision>'
     path = folder / "robot.urdf"
     path.write_text(f'<robot name="r"><link name="l">{shape}</link></robot>')

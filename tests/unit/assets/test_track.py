@@ -128,7 +128,6 @@ def straight(**changes: object) -> EnvironmentCfg:
 
 
 def put(env: EnvManager, gate: tuple[float, float, float]) -> None:
-    """Put the robots at rest into the frame of the gate, level and turned like it."""
     state, turn = env.robot_manager.tensors.state, quat_from_euler(torch.tensor([[0.0, 0.0, 0.7]]))
     state.position.copy_(torch.tensor([0.5, -0.2, 1.0]) + quat_rotate(turn, torch.tensor([gate])))
     state.attitude.copy_(turn.expand(env.num_envs, 4))

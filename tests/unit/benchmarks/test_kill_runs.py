@@ -14,7 +14,6 @@ SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 
 @pytest.fixture
 def ignore_interrupts() -> Iterator[None]:
-    """As in the background of a shell."""
     kept = signal.signal(signal.SIGINT, signal.SIG_IGN)
     yield
     signal.signal(signal.SIGINT, kept)

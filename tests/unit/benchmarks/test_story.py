@@ -29,8 +29,6 @@ from benchmarks.undeclared.trajectories import Reference
 
 
 class RecordingPolicy(Policy):
-    """Gives the middle of its range, and keeps what it saw."""
-
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
         self.seen = observation["observations"]
         return torch.zeros(len(self.seen), 4)
@@ -49,7 +47,6 @@ def reference(position: np.ndarray) -> Reference:
 
 
 def test_the_policy_sees_what_its_task_shows() -> None:
-    """The same state as terms of the task, from quaternions in place of matrices; 1e-6 is float32."""
     rng = np.random.default_rng(0)
     turn = Rotation.from_quat(rng.normal(size=(5, 4)))
     position, target, velocity, rate = rng.normal(size=(4, 5, 3))

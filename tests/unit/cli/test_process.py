@@ -54,7 +54,6 @@ def test_settings_of_python_stay_otherwise(case: str, installation: Path, monkey
 
 
 def test_a_command_counts_from_the_start_of_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a process that ran for a while, ``begin`` looks back by the time that it took."""
     monkeypatch.setattr(process, "cache_bytecode", lambda: None)
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "list"])

@@ -10,8 +10,6 @@ from aerial_gym.compat import BaseTask
 
 
 class TaskConfig:
-    """The part of a script's configuration that the base class reads."""
-
     def __init__(self, seed: int | None) -> None:
         self.seed = seed
 

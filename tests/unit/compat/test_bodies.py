@@ -25,7 +25,6 @@ URDF = """<robot name="hexa"><link name="base">
 
 
 def hexarotor(folder: Path, **changes: Any) -> type:
-    """Return a robot class of six rotors on a circle of 0.25 m, as a user writes it, without a parent."""
     angles = np.arange(6) * np.pi / 3
     x, y, spins = 0.25 * np.cos(angles), 0.25 * np.sin(angles), [1, -1] * 3
     matrix = np.stack([0 * x, 0 * x, 1 + 0 * x, y, -x, [-0.02 * s for s in spins]])

@@ -81,7 +81,6 @@ KEPT = {
 
 
 def other_value(field: ConfigField, value: Any) -> Any:
-    """Return another value of the same kind."""
     if field.script_name in OTHER:
         return OTHER[field.script_name]
     if isinstance(value, bool):
@@ -242,7 +241,6 @@ def test_units_of_the_motor_model() -> None:
 
 
 def make_rotor(**values: object) -> RotorCfg:
-    """Return the rotor of a robot class with some fields of its motor model."""
     motor = "control_allocator_config.motor_model_config"
     cls = make_subclass(robots.BaseQuadCfg, {f"{motor}.{name}": value for name, value in values.items()})
     return robots.translate_robot(cls).rotor
@@ -262,7 +260,6 @@ def test_depth_of_cameras_there_is_divided_by_the_range() -> None:
 
 
 def test_an_imu_of_one_s_own() -> None:
-    """Six numbers are three of the accelerometers and three of the gyros; a bias that is switched off is 0."""
     assert imus.imu_name(imus.CLASSES["bmi088"]) == "bmi088"
 
     class Noisy(sensors.BaseSensorConfig):

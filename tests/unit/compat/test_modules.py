@@ -38,7 +38,6 @@ def test_other_missing_modules_are_missing_as_ever() -> None:
 
 
 def test_a_package_of_ours_gives_a_class_of_theirs() -> None:
-    """In whatever order; in a process of its own, because a name that was found once stays."""
     code = (
         "from aerial_gym.robots import ROBOTS, BaseMultirotor\n"
         "from aerial_gym.robots.base_multirotor import BaseMultirotor as Other\n"

@@ -20,7 +20,6 @@ def make(**given: object) -> NativeTask:
 
 
 def test_it_is_our_task() -> None:
-    """Observation, reward and flags are those of the task that ``aerial_gym.task_registry`` makes with the same seed."""
     reference, actual = make(seed=4), TASKS.make_task(NAME, num_envs=3, device="cpu", seed=4)
     assert isinstance(reference, PositionSetpointTask)
     obs, rewards, terminations, truncations, infos = reference.reset()
@@ -60,8 +59,6 @@ def test_a_configuration_class_changes_it() -> None:
 
 
 def test_it_draws_what_the_task_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``randomize`` of a task of ours, beside the gains that a class of the script draws; the same draws as with us."""
-
     class RandomRobot(controller_registry.get_controller_config("lee_velocity_control")):
         randomize_params = True
 

@@ -135,8 +135,6 @@ def test_registered_gains_fly() -> None:
 
 
 def test_randomised_gains_are_drawn_by_name() -> None:
-    """What ``randomize_params`` draws lies between minimum and maximum, is of each environment, and changes with an episode."""
-
     class RandomGains(controllers.control):
         K_rot_tensor_min, K_rot_tensor_max = [0.9, 0.9, 0.4], [1.1, 1.1, 0.6]
         K_angvel_tensor_min, K_angvel_tensor_max = [0.15, 0.15, 0.15], [0.2, 0.2, 0.2]

@@ -20,7 +20,6 @@ def make_env(env_name: str, robot: str = "base_quadrotor", *, num_envs: int) -> 
 
 @pytest.fixture(scope="module")
 def env() -> Iterator[EnvManager]:
-    """Return an environment of obstacles that move, a camera and an IMU."""
     env = make_env("dynamic_env", "base_quadrotor_with_camera_imu", num_envs=E)
     env.reset()
     env.step(torch.zeros(E, 4))

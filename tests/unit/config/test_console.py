@@ -41,6 +41,5 @@ def test_json_on_stdout_loses_nothing(encoding: str | None, monkeypatch: pytest.
 
 
 def test_names_that_are_no_text_are_written_as_their_bytes(tmp_path: Path) -> None:
-    """A file name in another encoding than that of the system reaches Python with lone surrogates."""
     write_atomic(tmp_path / "a.txt", b"fl\xfcg".decode("utf-8", "surrogateescape"))
     assert (tmp_path / "a.txt").read_bytes() == b"fl\xfcg"

@@ -82,7 +82,6 @@ def test_numbers_of_a_task_are_checked(make: Callable, given: dict, message: str
 @pytest.mark.parametrize("number", [3.5e38, -1e308, float("inf"), float("nan")])
 @pytest.mark.parametrize("name", ["value", "difficulty_value"])
 def test_what_ends_and_terms_are_worth_is_finite_in_single_precision(name: str, number: float) -> None:
-    """As the largest number is; ``tests/unit/task`` counts rewards in it."""
     with pytest.raises(ConfigError, match=rf"EndRewardCfg.{name} = .*: must be finite, and at most 3.4e\+38"):
         EndRewardCfg(**({"value": 0.0} | {name: number}))
     with pytest.raises(ConfigError, match=r"RewardCfg.weight = .*: must be finite"):

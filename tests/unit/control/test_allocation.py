@@ -63,10 +63,8 @@ def wrenches(robot: RobotCfg, count: int, size: float) -> Tensor:
 
 
 def best_by_linear_programs(allocation: Allocation, wrench: np.ndarray) -> np.ndarray:
-    """Return the thrusts of which each of roll-pitch share, thrust and the rest's share is the best given those before it.
-
-    On a quadrotor the rest may help from the start; it cannot help roll and pitch there.
-    """
+    """Return the thrusts of which each of roll-pitch share, thrust and the rest's share is the best given those before
+    it. On a quadrotor the rest may help from the start; it cannot help roll and pitch there."""
     inverse, low, high = (t[0].numpy() for t in (allocation.inverse, allocation.low, allocation.high))
     parts = inverse * wrench
     turn, rest, lift = parts[:, 3] + parts[:, 4], parts[:, 0] + parts[:, 1] + parts[:, 5], inverse[:, 2]
@@ -148,7 +146,6 @@ def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
 
 
 def launch_params(kind: type, allocation: Allocation) -> Any:
-    """Return the parameters of the fused twin for a vehicle."""
     params = kind()
     for field, rows in (("low", allocation.low), ("high", allocation.high), ("allocation", allocation.inverse)):
         setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))

@@ -62,7 +62,6 @@ def turn_state(rate: list[float]) -> BodyState:
 
 
 def commands(law: CascadeController, actions: list[Tensor], states: list[BodyState]) -> tuple[Tensor, list[LawMemory]]:
-    """Return the commands (T, R) of successive steps and the memories after them."""
     memory, result, memories = fresh_law_memory(law.needs, 1, states[0].position), [], []
     for action, state in zip(actions, states, strict=True):
         command, memory = law.command(state, action, memory)
@@ -72,8 +71,6 @@ def commands(law: CascadeController, actions: list[Tensor], states: list[BodySta
 
 
 class Push(WrenchEffect):
-    """A constant torque about the body axes."""
-
     name = "push"
     summary = "a constant torque"
     parameters = tuple(
@@ -132,7 +129,6 @@ def test_the_derivative_is_taken_back_from_the_wanted_acceleration() -> None:
 
 
 def random_flight(steps: int) -> tuple[list[Tensor], list[BodyState]]:
-    """Return actions and states that differ in every step."""
     g = torch.Generator().manual_seed(0)
     actions = [0.2 * torch.randn(1, 4, dtype=F64, generator=g) for _ in range(steps)]
     return actions, [turn_state((0.2 * torch.randn(3, generator=g)).tolist()) for _ in range(steps)]
@@ -146,7 +142,6 @@ def test_a_command_changes_only_when_its_loop_runs() -> None:
 
 
 def test_a_loop_at_a_rate_of_its_own_is_the_loop_at_that_time_step() -> None:
-    """Every 5th of the physics steps of 2 ms is bit for bit what steps of 10 ms are."""
     cfg = replace(PID, rate_loop=RateLoopCfg(rate_hz=100.0, derivative=(0.1, 0.1, 0.1), cutoff_hz=9.0))
     actions, states = random_flight(40)
     slow, _ = commands(make_law(cfg), actions, states)
@@ -162,7 +157,6 @@ def test_an_action_acts_exactly_its_delay_later_and_the_first_at_once() -> None:
 
 
 def test_a_wish_reaches_the_rate_loop_exactly_its_delay_later_and_is_held() -> None:
-    """The rates law wishes what the action says: seen every 3 steps, 4 steps late, by a loop that runs in every step."""
     actions, states = random_flight(40)
     late, _ = commands(make_law(replace(PID, rate_hz=1 / 0.006, delay=0.008)), actions, states)
     shifted = [actions[max(k - 4, 0) // 3 * 3] for k in range(40)]
@@ -245,7 +239,6 @@ LATE = {"rate_hz": 50.0, "delay": 0.014}
 
 
 def change(name: str, **changes: object) -> tuple[ControllerCfg, tuple[str, ...]]:
-    """Return a controller with changes, without effects."""
     return replace(CONTROLLERS.get(name), **changes), ()
 
 

@@ -17,10 +17,8 @@ ENVS, SUBSTEPS, DT = 16, 5, 0.004
 
 @pytest.mark.parametrize("name", LAWS)
 def test_a_launch_of_many_substeps_is_as_many_launches(name: str) -> None:
-    """An action that is prepared once for five substeps gives, bit for bit, the flight of one that is prepared for each.
-
-    Actions are to both sides of the limits of inclination and yaw rate, and turn all ways.
-    """
+    """An action that is prepared once for five substeps gives, bit for bit, the flight of one that is prepared for
+    each. Actions are to both sides of the limits of inclination and yaw rate, and turn all ways."""
     robot = ROBOTS.get("omnidirectional_octarotor" if name == "pose" else "base_quadrotor")
     vehicle = vehicle_from_config(robot, num_envs=ENVS)
     law = make_controller(ControllerCfg(summary="", law=name), vehicle, 9.81, dt=DT)

@@ -21,7 +21,6 @@ X500 = ROBOTS.get("x500")
 
 
 def vehicles() -> Vehicle:
-    """Return four of x500: as declared, heavy to turn, slow rotors, quick rotors."""
     vehicle = vehicle_from_config(X500, num_envs=4, dtype=F64)
     turn, slow = torch.tensor([1.0, 2.0, 1.0, 0.7], dtype=F64), torch.tensor([1.0, 1.0, 1.6, 0.5], dtype=F64)
     return replace(

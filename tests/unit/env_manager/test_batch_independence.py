@@ -35,20 +35,17 @@ def build(env: str, robot: str, num_envs: int, **options: Any) -> EnvManager:
 
 
 def make_actions(num_envs: int, first: int = 0, *, width: int = 4) -> Tensor:
-    """Return an action (E, width) for each environment, by its number."""
     number = torch.arange(first, first + num_envs, dtype=torch.float32).unsqueeze(-1)
     return torch.sin(number + torch.arange(float(width))).clamp(-0.5, 0.5)
 
 
 def snapshot(gtd: Mapping[str, Tensor], rows: slice) -> dict[str, Tensor]:
-    """Return every tensor that has a row for each environment."""
     num_envs = gtd["sim_steps"].shape[0]
     shared = ("num_obstacles_in_env", "curriculum_level")
     return {k: value[rows].clone() for k, value in gtd.items() if value.shape[0] == num_envs and k not in shared}
 
 
 def fly(env: EnvManager, first: int = 0, *, steps: int = 6) -> None:
-    """Fly with resets of some environments, by their number, on the way."""
     env.reset()
     number = torch.arange(first, first + env.num_envs)
     for step in range(steps):
@@ -114,7 +111,6 @@ def test_the_torch_backend_flies_an_environment_the_same_among_any_number(env: s
 
 
 def test_an_environment_can_be_flown_alone_from_its_numbers() -> None:
-    """Environment 17 in its fourth episode, of 37 that were reset together, is the only environment of another simulation."""
     many = build("env_with_obstacles", "base_quadrotor_with_camera_imu", MANY)
     for _ in range(3):
         many.reset()
@@ -126,7 +122,6 @@ def test_an_environment_can_be_flown_alone_from_its_numbers() -> None:
 
 
 def test_another_seed_is_another_simulation() -> None:
-    """A restart gives what a new simulation with that seed gives, the choice of obstacles included."""
     first = build("env_with_obstacles", "base_quadrotor_with_camera_imu", FEW, seed=1)
     fly(first)
     first.restart(2)
@@ -141,7 +136,6 @@ def test_another_seed_is_another_simulation() -> None:
 
 
 def roll_out(task: Task, first: int = 0, steps: int = 4) -> list[dict[str, Tensor]]:
-    """Return everything that a task gives, step by step; every episode ends on the way."""
     observation, _ = task.reset()
     results = [{"observation": observation["observations"].clone()}]
     number = torch.arange(first, first + task.num_envs)

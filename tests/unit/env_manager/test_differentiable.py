@@ -18,7 +18,6 @@ STEPS, NUM_ENVS = 3, 2
 
 
 def build(controller: str = "lee_attitude_control", **options) -> EnvManager:
-    """Return a simulation with gradients in float64, reset."""
     chosen = {"env_name": "empty_env", "robot_name": "base_quadrotor", "dtype": F64, "differentiable": True, **options}
     fixed = {"sim_name": "base_sim", "num_envs": NUM_ENVS, "device": "cpu", "seed": 3}
     env = SimBuilder().build_env(controller_name=controller, **fixed, **chosen)
@@ -45,7 +44,6 @@ def make_objective(env: EnvManager) -> Callable[[Tensor], Tensor]:
 
 @pytest.mark.parametrize(("controller", "size"), [("lee_attitude_control", 0.1), ("no_control", 0.6)])
 def test_gradients_of_a_flight_are_its_differences(controller: str, size: float) -> None:
-    """Of every state in every step with respect to every action before it, to the accuracy of central differences."""
     actions = size * torch.rand(STEPS, NUM_ENVS, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
     objective = make_objective(build(controller))
     assert torch.autograd.gradcheck(objective, (actions.requires_grad_(),), atol=1e-6, rtol=1e-5)
@@ -61,10 +59,9 @@ def flight_gradient(env: EnvManager) -> Tensor:
 
 @pytest.mark.parametrize("robot", [pytest.param("base_quadrotor", marks=pytest.mark.slow), "mixed"])
 def test_kernels_have_the_gradients_of_torch_operations(robot: str) -> None:
-    """A step in float32 is two kernels, forward and back; in float64 it is torch's own operations, held to differences above.
-
-    1e-4 of the largest entry: some thousand operations in float32, whose results pass through the root of small thrusts.
-    """
+    """A step in float32 is two kernels, forward and back; in float64 it is torch's own operations, held to differences
+    above. 1e-4 of the largest entry: some thousand operations in float32, whose results pass through the root of small
+    thrusts."""
     chosen = {"robot_name": three_type_robot()} if robot == "mixed" else {}
     controller = "no_control" if robot == "mixed" else "lee_attitude_control"
     single, exact = (build(controller, dtype=dtype, **chosen) for dtype in (torch.float32, F64))
@@ -84,7 +81,6 @@ def test_what_remembers_runs_as_torch_operations() -> None:
 
 
 def test_the_dictionary_shows_what_is_traced() -> None:
-    """Position to yaw, each key in float32; nothing of the dictionary carries a graph."""
     env = build()
     for _ in range(2):
         env.step(torch.full((NUM_ENVS, 4), 0.1, dtype=F64).requires_grad_())
@@ -96,7 +92,6 @@ def test_the_dictionary_shows_what_is_traced() -> None:
 
 
 def test_a_flight_with_gradients_is_the_plain_flight() -> None:
-    """The same starts and actions on the fused backend, to float32."""
     traced, fused = build(), build(differentiable=False, dtype=torch.float32)
     for _ in range(20):
         for env in (traced, fused):
@@ -193,7 +188,6 @@ def test_resets_one_after_the_other_cut_each_their_own_rows() -> None:
 
 
 def test_actions_are_traced_beside_the_motion() -> None:
-    """The last action and the one before, each with its gradient; 0 where an episode has just begun."""
     env = build()
     first, second = (torch.full((NUM_ENVS, 4), u, dtype=F64, requires_grad=True) for u in (0.1, 0.2))
     env.step(first)

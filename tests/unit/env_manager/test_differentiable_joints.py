@@ -55,16 +55,13 @@ def make_actions(env: EnvManager, low: float, high: float) -> Tensor:
 )
 def test_gradients_of_a_flight_are_its_differences(robot: RobotCfg, low: float, high: float) -> None:
     """Of every state in every step with respect to every action before it, to the accuracy of central differences.
-
-    Joints begin beyond their ends, and drives come to their limits in some steps.
-    """
+    Joints begin beyond their ends, and drives come to their limits in some steps."""
     env = build(robot)
     actions = make_actions(env, low, high).requires_grad_()
     assert torch.autograd.gradcheck(make_objective(env), (actions,), atol=1e-6, rtol=1e-5, fast_mode=True)
 
 
 def test_the_dictionary_shows_what_is_traced() -> None:
-    """Joints as the rest, each key in float32; nothing of the dictionary carries a graph."""
     env = build("morphy")
     for _ in range(2):
         env.step(torch.full((NUM_ENVS, 4), 0.8, dtype=F64).requires_grad_())
@@ -81,7 +78,6 @@ def test_a_rigid_vehicle_has_no_joints_to_trace() -> None:
 
 @pytest.mark.parametrize("robot", ["morphy_creeping", "snakey"])
 def test_a_flight_with_gradients_is_the_plain_flight(robot: str) -> None:
-    """The same starts and actions on the fused backend, to float32, across a reset of one row."""
     traced, fused = build(robot), build(robot, differentiable=False, dtype=torch.float32)
     for step in range(8):
         for env in (traced, fused):
@@ -116,7 +112,6 @@ def test_a_reset_cuts_its_own_rows_and_detach_all() -> None:
 
 
 def test_what_a_recorded_window_begins_with_stays_in_its_place() -> None:
-    """Joints and dashpots are in the same memory after every ``settle``, with the values they had."""
     env, places = build("morphy_creeping"), []
     for _ in range(3):
         env.step(torch.full((NUM_ENVS, 4), 0.8, dtype=F64, requires_grad=True))

@@ -49,7 +49,6 @@ def rich(backend: str = "warp", *, env: str = "dynamic_env", seed: int = 1, num_
 
 
 def fly(env: EnvManager, steps: int) -> list[dict[str, Tensor]]:
-    """Fly with a reset on the way; return everything after every step."""
     results, actions = [], torch.linspace(-0.5, 0.5, 4 * env.num_envs).view(-1, 4)
     for step in range(steps):
         env.step(actions)

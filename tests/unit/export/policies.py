@@ -47,7 +47,6 @@ def training() -> TrainingCfg:
 def random_policy(
     num_observations: int = 13, *, activation: str = "elu", memory: int = 0, normalize: bool = True
 ) -> Policy:
-    """Return a policy of random weights whose normaliser has seen something of every size."""
     generator = torch.Generator().manual_seed(3)
     kind = {"activation": activation, "memory": memory, "normalize": normalize, "hidden_layers": (24, 17)}
     policy = Policy(NetworkBodyCfg(shapes={"observations": (num_observations,)}, **kind), 4)
@@ -62,11 +61,10 @@ def random_policy(
 
 def hover_policy(*, memory: bool = False) -> Policy:
     """Return a position controller as a network: linear in position error, velocity and yaw, as ``relu(x) - relu(-x)``.
-
-    Attitude commands (thrust - 1, roll, pitch, yaw rate) of 13 observations: error in the world, quaternion, velocity in the
-    body, rates. Right near level and near heading 0, where the task begins. With a memory a gated recurrent unit takes the mean
-    of what it remembers and ``tanh`` of a tenth of each of the eight, of which the head takes ten times as much: a low pass.
-    """
+    Attitude commands (thrust - 1, roll, pitch, yaw rate) of 13 observations: error in the world, quaternion, velocity
+    in the body, rates. Right near level and near heading 0, where the task begins. With a memory a gated recurrent unit
+    takes the mean of what it remembers and ``tanh`` of a tenth of each of the eight, of which the head takes ten times
+    as much: a low pass."""
     law = torch.zeros(4, 13)
     law[0, 2], law[0, 9] = 0.6, -0.5
     law[2, 0], law[2, 7] = 0.25, -0.3

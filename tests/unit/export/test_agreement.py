@@ -28,7 +28,6 @@ COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reas
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare 5,000 observations in place of 100,000."""
     monkeypatch.setattr(export, "CHECKED", 5_000)
 
 

@@ -33,7 +33,6 @@ KINDS = [("elu", 0, True), ("relu", 16, False), ("relu", 0, False), ("tanh", 0, 
 @COMPILER
 @pytest.mark.parametrize(("activation", "memory", "normalize"), rare_values(KINDS, KINDS[:2]))
 def test_c_and_torchscript_give_what_torch_gives(activation: str, memory: int, normalize: bool, tmp_path: Path) -> None:
-    """Of 100,000 observations in sequences of 10 steps; gcc takes all warnings as errors."""
     policy = random_policy(activation=activation, memory=memory, normalize=normalize)
     result = write_policy(policy, layout(policy), tmp_path, ["c99", "torchscript"])
     for each in result:
@@ -84,10 +83,8 @@ FLIGHTS = list(product(("c99", "onnx", "torchscript"), (False, True), (50, 100, 
 @pytest.mark.parametrize(("form", "memory", "rate_hz"), rare_values(FLIGHTS, FLIGHTS[1:]))
 def test_an_exported_policy_flies(form: str, memory: bool, rate_hz: int, tmp_path: Path) -> None:
     """At three rates, with commands that are 20 ms late and noise: it hovers, and each flight is that of torch.
-
-    Differences of rounding grow along a flight as the closed loop lets them: it is stable, so that they stay small. ``-s``
-    prints the figures of ``docs/results/export.md``.
-    """
+    Differences of rounding grow along a flight as the closed loop lets them: it is stable, so that they stay small.
+    ``-s`` prints the figures of ``docs/results/export.md``."""
     if form == "onnx":
         pytest.importorskip("onnxruntime")
         pytest.importorskip("onnxscript")

@@ -30,7 +30,6 @@ COMPILER = pytest.mark.skipif(which("gcc") is None and which("cc") is None, reas
 
 
 def random_policy(shapes: dict[str, tuple[int, ...]], *, activation: str = "elu", memory: int = 0) -> Policy:
-    """Return a policy of drawn weights whose actions are of the order of 1."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(5)
         body = NetworkBodyCfg(shapes=shapes, hidden_layers=(24, 17), activation=activation, memory=memory)
@@ -51,7 +50,6 @@ def image_layout(policy: Policy, images: dict[str, ImageCfg] | None = None) -> L
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare with 1,000 images in place of 10,000."""
     monkeypatch.setattr(export, "CHECKED_WITH_IMAGES", 1_000)
 
 
@@ -67,7 +65,6 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
     ids=["bytes", "image first and memory", "floats"],
 )
 def test_c_and_torchscript_give_what_torch_gives(shapes, activation, memory, dtype, tmp_path) -> None:
-    """Of images and vectors in sequences of 10 steps; gcc takes all warnings as errors."""
     policy = random_policy(shapes, activation=activation, memory=memory)
     made = image_layout(policy, {"depth": ImageCfg(dtype=dtype)})
     result = write_policy(policy, made, tmp_path, ["c99", "torchscript"])

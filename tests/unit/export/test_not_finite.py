@@ -76,7 +76,6 @@ def test_every_transform(name: str, tmp_path: Path) -> None:
     ("activation", "memory", "name"), [("relu", 5, "forward_flight"), ("elu", 0, "four_places"), ("tanh", 0, "affine")]
 )
 def test_onnx(activation: str, memory: int, name: str, tmp_path: Path) -> None:
-    """Each comparison of an ONNX file asks the same (``test_export.py``); here entry by entry, against torch."""
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnxscript")
     policy = random_policy(activation=activation, memory=memory)
@@ -142,7 +141,6 @@ def test_an_overflow_inside_is_no_command(tmp_path: Path) -> None:
 
 @NEEDS_C
 def test_pixels(tmp_path: Path) -> None:
-    """A bad pixel of an image of floats, also one in the corner."""
     policy = drawn_image_policy({"observations": OBSERVATIONS, "depth": IMAGE}, activation="relu")
     made = image_layout(policy, {"depth": ImageCfg(dtype="float32")})
     for written in write_policy(policy, made, tmp_path, QUICK, check=False):

@@ -44,8 +44,6 @@ def idle(cpu: wp.Device, monkeypatch: pytest.MonkeyPatch) -> wp.Device:
 
 
 class Idle:
-    """Stands for the threads."""
-
     def submit(self, *_: object, **__: object) -> Future[None]:
         done: Future[None] = Future()
         done.set_result(None)

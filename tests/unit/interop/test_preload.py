@@ -10,8 +10,6 @@ from aerial_gym.interop import preload as module
 
 
 class Driver:
-    """Stands for all libraries of a machine with two GPUs; notes the calls."""
-
     def __init__(self, status: int = 0) -> None:
         self.calls: list[object] = []
         self._status = status

@@ -23,7 +23,6 @@ from tests.builders import simulation
 
 @contextmanager
 def default(kind: str, value: object, usual: object) -> Iterator[None]:
-    """Set the default float type or device of torch for a block."""
     getattr(torch, f"set_default_{kind}")(value)
     try:
         yield
@@ -71,7 +70,6 @@ def test_settings_are_usual_inside_and_the_callers_elsewhere() -> None:
 
 
 def fly(robot: str, controller: str, env: str, backend: str, device: str = "cpu") -> dict[str, Tensor]:
-    """Return the content of the GTD after three steps and a look."""
     sim = simulation(robot, controller, env=env, device=device, backend=backend)
     sim.reset()
     for _ in range(3):
@@ -114,7 +112,6 @@ def test_tasks_are_the_same_under_all_settings(name: str) -> None:
 
 
 def test_every_entry_point_takes_the_usual_settings() -> None:
-    """What wraps a function keeps it under ``__wrapped__``."""
     functions = (train, train_encoder, evaluate, load_policy, load_encoder, export_policy, load_exported)
     methods = (SimBuilder.build_env, EnvManager.step, Task.reset, Task.step, RayCaster.__init__, Imu.__init__)
     assert all(hasattr(one, "__wrapped__") for one in (*functions, *methods))

@@ -14,7 +14,6 @@ def threads() -> list[int]:
 
 
 def test_torch_and_linear_algebra_run_on_one_thread_inside_and_as_before_after_it() -> None:
-    """NumPy, SciPy and torch bring one library each, and all are loaded; also after an error."""
     np.testing.assert_allclose(solve_triangular(np.eye(2), np.ones(2)), 1.0)
     torch.set_num_threads(2)
     before = threads()

@@ -12,7 +12,6 @@ from aerial_gym.math.random import Purpose, Randomness, normal_draws, split_stat
 
 @wp.kernel(enable_backward=False)
 def _draw(random: RandomArrays, purpose: int, out: wp.array2d[float]):
-    """Write the state's upper half, a uniform and three normal draws."""
     env = wp.tid()
     state = substream(episode_stream(random, env, purpose), 7)
     uniform = state

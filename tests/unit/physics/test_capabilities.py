@@ -18,8 +18,6 @@ LACKS = {"rotors": (), "contact": False, "effects": (), "integrators": ("euler",
 
 
 class Plain(WarpBackend):
-    """A backend that knows nothing but plain rotors that are held by nothing."""
-
     capabilities = replace(WarpBackend().capabilities, **LACKS)
 
 

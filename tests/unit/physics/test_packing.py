@@ -69,7 +69,6 @@ def test_maps_and_inertias_of_any_kind_arrive_whole() -> None:
 
 
 def with_linear_terms(vehicle: Vehicle) -> Vehicle:
-    """Return the vehicle with a constant thrust and one that grows with the speed."""
     more = vehicle.thrust_map.clone()
     more[..., 0], more[..., 1] = 0.1, 1e-3
     return replace(vehicle, thrust_map=more)

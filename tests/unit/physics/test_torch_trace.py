@@ -17,15 +17,12 @@ MATRIX = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
 @wp.struct
 class Body:
-    """State of the test functions."""
-
     velocity: wp.vec3
     axes: MATRIX
     mass: float
 
 
 def push(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
-    """Return force (E, 3) and a number (E,), by most kinds of operations."""
     along = (body.axes * body.velocity.unsqueeze(1)).sum(-1)
     force = torch.linalg.cross(body.axes[:, 0], body.velocity) / body.mass.unsqueeze(-1)
     size = 1.0 / body.velocity.norm(dim=-1)
@@ -33,8 +30,6 @@ def push(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def run(function: wp.Function, velocity: Tensor, axes: Tensor, mass: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the results of the traced function in a kernel."""
-
     start_warp()
 
     @wp.kernel(module="unique")

@@ -139,8 +139,6 @@ def test_a_signal_waits_for_what_cannot_be_left_half_done() -> None:
 
 
 class EventsStub:
-    """A writer whose second event finds a full disk."""
-
     def __init__(self) -> None:
         self.calls: list[object] = []
 

@@ -92,8 +92,6 @@ class ScriptPilot:
 
 
 class Clock(NamedTuple):
-    """What an evaluation reads of an environment."""
-
     dt: float
 
 

@@ -33,10 +33,8 @@ def test_each_hovers_at_the_speed_worked_out_by_hand(robot: str, speed: float) -
 
 def test_each_rotor_of_lmf1_turns_it_as_px4_says() -> None:
     """Front right, back left, front left, back right: 0.1 m to the side and 0.05 m of drag torque per newton, by hand.
-
-    A rotor on the right rolls it to the left (negative, x forward), one in front pitches it up (negative, y left); the body
-    turns against its rotor. The last holds in flight, too: 1 N more from one rotor alone.
-    """
+    A rotor on the right rolls it to the left (negative, x forward), one in front pitches it up (negative, y left); the
+    body turns against its rotor. The last holds in flight, too: 1 N more from one rotor alone."""
     matrix = allocation_matrix(vehicle_from_config(ROBOTS.get("lmf1"), num_envs=1, dtype=torch.float64), 9.81)[0, 3:]
     by_hand = torch.tensor([[-0.1, -0.1, -0.05], [0.1, 0.1, -0.05], [0.1, -0.1, 0.05], [-0.1, 0.1, 0.05]])
     torch.testing.assert_close(matrix.T, by_hand.double())

@@ -136,7 +136,6 @@ def _arm_rows() -> list[list[float]]:
 
 
 def test_a_reset_writes_the_rows_of_its_mask_alone(draw_env: EnvManager) -> None:
-    """Here and in the backend; afterwards all is what building it anew gives, but for round-off of float32."""
     manager = draw_env.robot_manager
     targets = [*manager.controller.allocation.rows.values(), *manager.backend.parameter_targets()]
     before = [target.clone() for target in targets]
@@ -165,7 +164,6 @@ def test_nothing_is_kept_where_nothing_differs(cfg: dict[str, RandomizeCfg]) -> 
 
 
 def fly(env: EnvManager, *, hard: bool = False) -> Tensor:
-    """Return the end of a flight with resets on the way, (E, 13)."""
     number = torch.arange(env.num_envs, dtype=torch.float32).unsqueeze(-1)
     action = torch.sin(number + torch.arange(4.0)) * torch.tensor([1.0, 0.4, 0.4, 0.5])
     for step in range(12):
@@ -182,7 +180,6 @@ LAWS += [("pid_rates_control", "prioritised"), ("no_control", "prioritised")]
 
 @pytest.mark.parametrize(("controller", "allocation"), rare_values(LAWS, LAWS[1:]))
 def test_the_fused_kernel_flies_as_torch(controller: str, allocation: str) -> None:
-    """With rotors at their limits on the way; float32 over 15 steps."""
     law = {"controller": controller, "allocation": allocation}
     ends = [fly(make(DRAWN, backend=backend, **law), hard=True) for backend in ("warp", "torch")]
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-3, atol=1e-3)

@@ -16,7 +16,6 @@ STILL = {f"{name}_{end}": (0.0, 0.0, 0.0) for name in ("euler", "lin_vel", "ang_
 
 
 def make(randomize: dict[str, RandomizeCfg], backend: str = "warp") -> EnvManager:
-    """Return six vehicles that start alike."""
     robot = replace(ROBOTS.get("base_quadrotor"), initial_state=InitialStateCfg(**STILL))
     options = {"num_envs": 6, "seed": 4, "backend": backend, "randomize": randomize}
     env = simulation(robot, "pid_velocity_control", **options)

@@ -27,8 +27,6 @@ CFG = InitialStateCfg(
 
 @dataclass(frozen=True)
 class InitialCase:
-    """Initial states with the numbers that they follow from."""
-
     initial: InitialState
     random: Randomness
 
@@ -103,7 +101,6 @@ def test_what_follows_from_the_motion_is_written_with_it() -> None:
 
 
 def make_record(num_envs: int) -> NonFiniteRows:
-    """Return rows that ended in every way, with marks in all."""
     made = NonFiniteRows.placeholder(state_at_rest(num_envs, 4, device=torch.device("cpu"), dtype=torch.float32))
     marks = torch.arange(num_envs, dtype=torch.int32)
     return replace(made, bits=marks % 2, episode_step=7 + marks, flags=(marks >= 0, marks >= 0))

@@ -38,7 +38,6 @@ AT_RESET = {"num_obstacles_in_env"}
 
 
 def build(backend: str, randomize: Randomize | None = None, env_name: str = "empty_env") -> EnvManager:
-    """Return two quadrotors with an IMU and effects of every kind."""
     robot, effects = ROBOTS.get("base_quadrotor_with_imu"), {}
     for name in EFFECTS_ON_BOARD:
         effect = EFFECTS.get(name)
@@ -53,14 +52,12 @@ def build(backend: str, randomize: Randomize | None = None, env_name: str = "emp
 
 
 def future(env: EnvManager, steps: int = 1) -> dict[str, Tensor]:
-    """Return every key after some steps."""
     for _ in range(steps):
         env.step(torch.tensor([[0.5, 0.2, 0.1, 0.1]]).expand(2, 4))
     return {key: env.gtd.plain(key).clone().nan_to_num() for key in env.gtd}
 
 
 def write(target: Tensor) -> None:
-    """Change every number of a tensor."""
     if target.dtype == torch.bool:
         target[:] = ~target
     elif target.dtype.is_floating_point:
@@ -139,7 +136,6 @@ def test_a_refused_write_leaves_the_flight_as_it_was(backend: str) -> None:
 
 
 def test_a_written_wind_acts_alike_on_both_backends() -> None:
-    """The same write to an effect's parameters, by a view, in inference mode: velocities agree to float32 round-off."""
     velocities = []
     for backend in BACKENDS:
         env = build(backend)

@@ -81,7 +81,6 @@ def test_a_draw_does_not_depend_on_what_else_is_drawn() -> None:
 
 
 def test_an_episode_begins_as_without_draws(many: EnvManager) -> None:
-    """Initial states are drawn in the same launch as the parameters; bit for bit the same as in a launch of their own."""
     plain = make({}, backend=many.sim_cfg.backend)
     drawn = make(MANY, backend=many.sim_cfg.backend)
     for env in (plain, drawn):
@@ -92,7 +91,6 @@ def test_an_episode_begins_as_without_draws(many: EnvManager) -> None:
 
 
 def test_only_the_rows_of_the_mask_are_written(many: EnvManager) -> None:
-    """What the backend keeps is afterwards what building it anew gives, but for round-off of float32."""
     manager, mask = many.robot_manager, torch.tensor([True, False, True, False, False, True])
     assert manager._update.why_slow == ""
     targets = [*manager.backend.parameter_targets(), many.gtd["robot_mass"], many.gtd["robot_inertia"]]

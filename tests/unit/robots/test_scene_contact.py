@@ -32,7 +32,6 @@ def build(
 @pytest.mark.parametrize("backend", ["warp", "torch"])
 @pytest.mark.parametrize("steps", [1, 4])
 def test_a_robot_at_rest_shows_its_weight_in_force_and_imu(backend: str, steps: int) -> None:
-    """Rotors off, on the ground of ``landing_env``: force m g, specific force +g on z, and no crash."""
     cfg = replace(ENVIRONMENTS.get("landing_env"), physics_steps_per_env_step=steps)
     env = build(cfg, robot=replace(ROBOT, imu="base_imu"), backend=backend)
     for key, value in (("robot_linvel", 0.0), ("robot_body_angvel", 0.0), ("rotor_speed", 0.0)):
@@ -48,7 +47,6 @@ def test_a_robot_at_rest_shows_its_weight_in_force_and_imu(backend: str, steps: 
 
 
 def test_walls_on_both_sides_push_back_and_hold() -> None:
-    """Flying against a wall of a scene with 1 m/s: stopped by its thickness and the radius, force away from it, no crash."""
     contact = ContactCfg(friction=0.2, crash_speed=5.0)
     env = build(replace(ENVIRONMENTS.get("empty_env"), assets=(WALL,), contact=contact), law="lee_velocity_control")
     side = torch.tensor([-1.0, 1.0])

@@ -1,7 +1,5 @@
-"""Derived states against the torch formulas in float64.
-
-On a CPU rows are written plainly; ``tests/integration/test_cuda.py`` does the same on a GPU. Letters: E environments.
-"""
+"""Derived states against the torch formulas in float64. On a CPU rows are written plainly;
+``tests/integration/test_cuda.py`` does the same on a GPU. Letters: E environments."""
 
 from math import nan
 
@@ -29,7 +27,6 @@ def motions(num_envs: int, device: str) -> BodyState:
 
 
 def reference(state: BodyState) -> dict[str, Tensor]:
-    """Return the secondary states of the same motion by torch formulas in float64."""
     x, q, v, w = (t.double() for t in (state.position, state.attitude, state.lin_vel, state.ang_vel))
     turn, level = quat_rotate(q, w), quat_yaw(q)
     return {

@@ -23,7 +23,6 @@ POSE = {"position": torch.zeros(2, 3), "attitude": torch.tensor([[0.0, 0.0, 0.0,
 
 
 def wall(depth: float) -> Scene:
-    """Return a scene of two environments with a wall across the x axis."""
     state = torch.zeros(2, 1, 13)
     state[..., 0], state[..., 6] = depth + 0.1, 1.0
     rows = torch.zeros(1, dtype=torch.long)

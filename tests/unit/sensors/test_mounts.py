@@ -28,7 +28,6 @@ LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 
 
 def boxes(places: list[list[float]], num_envs: int = 1) -> Scene:
-    """Return a scene with a box at each place, which segmentation shows as its number."""
     state = torch.zeros(num_envs, len(places), 13)
     state[..., :3], state[..., 6] = torch.tensor(places), 1.0
     rows, box = torch.arange(len(places)), ShapeCfg(kind="box", size=(1.5, 1.5, 1.5))
@@ -36,7 +35,6 @@ def boxes(places: list[list[float]], num_envs: int = 1) -> Scene:
 
 
 def manager(cfgs: dict, poses: dict, scene: Scene) -> tuple[SensorManager, GlobalTensorDictionary]:
-    """Return the sensors of level bodies at the origin."""
     envs, device = scene.num_envs, torch.device("cpu")
     gtd = GlobalTensorDictionary(device=device, sizes={"E": envs})
     pose = {"position": torch.zeros(envs, 3), "attitude": LEVEL.repeat(envs, 1)}
@@ -139,7 +137,6 @@ def test_what_is_drawn_deviates_from_the_mount_along_its_own_axes() -> None:
 
 
 def test_a_mount_in_the_nominal_place_changes_nothing() -> None:
-    """Also with a turned nominal placement and everything drawn: the draws are equal to round-off."""
     cfg = replace(
         CAMERA, euler=(0.4, -0.3, 1.0), position_low=(0.0, -0.1, -0.2), position_high=(0.2, 0.3, 0.1),
         euler_low=(0.3, -0.4, 0.9), euler_high=(0.5, -0.2, 1.3),

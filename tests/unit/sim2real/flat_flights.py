@@ -1,7 +1,5 @@
-"""Exact flights for tests: the rotor speeds that a smooth path needs, from differential flatness.
-
-Independent of the simulator: no equation of motion is integrated. Letters: T rows, R rotors.
-"""
+"""Exact flights for tests: the rotor speeds that a smooth path needs, from differential flatness. Independent of the
+simulator: no equation of motion is integrated. Letters: T rows, R rotors."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -74,15 +72,11 @@ def flight(
     seconds: float = 12.0,
     rate: float = 200.0,
 ) -> pd.DataFrame:
-    """Return the log of a flight with linear drag [N s/m] along all axes through a wind [m/s], world.
-
-    In the columns of the contract, without commands.
-
-    ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], ``spring`` a pull ``-k x`` along the world's x [N/m], ``fading`` the share of
-    their thrust that rotors lose evenly up to the end of the flight: no effect has them. ``outside`` is any other force, world,
-    (T, 3) [N].
-    ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003 rad/s, rotors 0.3 %.
-    """
+    """Return the log of a flight with linear drag [N s/m] along all axes through a wind [m/s], world. In the columns of
+    the contract, without commands. ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], ``spring`` a pull ``-k x`` along the
+    world's x [N/m], ``fading`` the share of their thrust that rotors lose evenly up to the end of the flight: no effect
+    has them. ``outside`` is any other force, world, (T, 3) [N]. ``noise`` scales: accelerometer 0.05 m/s², gyro 0.003
+    rad/s, rotors 0.3 %."""
     rng, body = np.random.default_rng(seed), ROBOT.body
     time = np.arange(round(seconds * rate)) / rate
     place, velocity, acceleration = sines(time, rng, (0.7, 0.7, 0.4), slow=0.2)
@@ -119,12 +113,10 @@ def flight(
 
 
 def load_flight(path: str | Path, robot: RobotCfg, *, mapping: LogMapping | None, bandwidth: float) -> Flight:
-    """Return one flight, as ``load_flights`` does."""
     return load_flights([path], robot, mapping=mapping, bandwidth=bandwidth)[0]
 
 
 def write(table: pd.DataFrame, path: Path) -> Path:
-    """Write a log and return its path."""
     table.to_csv(path, index=False)
     return path
 
@@ -164,6 +156,5 @@ class PredictorStub(Predictor):
         self.tolerances, self.model, self.calls = Tolerances(), predict, 0
 
     def predict(self, params: ModelParams) -> list[Array]:
-        """Return the prediction of the test's model."""
         self.calls += 1
         return self.model(params)

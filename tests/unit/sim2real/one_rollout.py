@@ -19,6 +19,5 @@ def roll_out(
     given_attitude: bool = False,
     **options: Any,
 ) -> RolloutErrors:
-    """Return the open-loop errors of a model; arguments as for ``rollout_errors_of_models``."""
     (result,) = rollout_errors_of_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
     return result[""]

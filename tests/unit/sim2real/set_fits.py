@@ -31,10 +31,8 @@ def make_fit(
     odds: Mapping[str, float] | None = None,
     params: Mapping[str, Sequence[float]] | None = None,
 ) -> EffectSetFit:
-    """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its ``odds``.
-
-    ``fits`` is its log likelihood; the log posterior if None.
-    """
+    """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its
+    ``odds``. ``fits`` is its log likelihood; the log posterior if None."""
     values = {name: np.array((params or {}).get(name, EFFECTS.get(name).neutral(ROBOT)), float) for name in effects}
     size = sum(own.size for own in values.values())
     return EffectSetFit(
@@ -64,7 +62,6 @@ class FitStub(Fitter):
         self.predictor, self.declared, self._derivatives, self._beside = PredictorStub(), ModelParams(), {}, {}
 
     def fit(self, effects: Sequence[str], structures: Sequence[NuisanceColumns], start: ModelParams, *_, **_compared):
-        """Return the set; its start has its effects and no others."""
         assert set(start.effects) == set(effects)
         empty = make_fit(*effects, log=-1e3, odds=dict.fromkeys(effects, -1.0))
         return self.sets.get((tuple(effects), bool(structures)), empty)

@@ -44,7 +44,6 @@ OUTPUTS = {"verdict.json", "robot.yaml", "report.html", "report.md", "run.json"}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a robot, three training flights and a test flight that hide drag."""
     path = tmp_path_factory.mktemp("flights")
     (path / "robot.yaml").write_text(dump_yaml(ROBOT))
     for seed in range(4):
@@ -54,17 +53,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def call(folder: Path) -> list[str]:
-    """Return the command that closes the loop, without its folder of results."""
     train, test = [str(folder / f"f{n}.csv") for n in range(3)], str(folder / "f3.csv")
     return ["close-loop", "--robot", str(folder / "robot.yaml"), "--train", *train, "--test", test]
 
 
 @pytest.fixture(scope="module")
 def run(folder: Path, call: list[str]) -> tuple[Path, str]:
-    """Return the folder of results of the command, and what it printed.
-
-    One more training flight cannot be used, and the folder of the flights is gone as soon as they are read.
-    """
+    """Return the folder of results of the command, and what it printed. One more training flight cannot be used, and
+    the folder of the flights is gone as soon as they are read."""
     out, known, printed = folder / "result", folder.parent / "tolerances.yaml", StringIO()
     known.write_text("mass: 0.002\n")
     gone = Path(shutil.copytree(folder, folder.parent / "gone"))
@@ -273,7 +269,6 @@ def test_only_what_is_requested_is_searched(tmp_path: Path) -> None:
 
 
 def test_the_command_refuses(folder: Path, call: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Status 2 and one sentence for a wrong request, and nothing half-written."""
     test, robot, train, known = call[-1], call[2], call[4:7], folder.parent / "wrong_tolerances.yaml"
     known.write_text("mas: 0.002\n")
     before = sorted(path.name for path in folder.iterdir())

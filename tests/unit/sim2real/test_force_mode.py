@@ -34,11 +34,9 @@ COMMANDS = [f"cmd_{n}" for n in (1, 2, 3, 4)]
 
 
 def force_flight(seed: int, *, tau: float = TAU, late: int = 0, scale: float = 1.0, drag: float = 0.0) -> pd.DataFrame:
-    """Return a flight in which held commands [N] lead to the thrusts that the path needs, through a lag and a dead time.
-
-    The exact inverse of ``T' = (c - T) / tau`` over a row: ``c = T + (T_next - T) / (1 - exp(-dt / tau))``. Commands are read
-    ``late`` rows before they act, and the rotors give ``scale`` times what they are told.
-    """
+    """Return a flight in which held commands [N] lead to the thrusts that the path needs, through a lag and a dead
+    time. The exact inverse of ``T' = (c - T) / tau`` over a row: ``c = T + (T_next - T) / (1 - exp(-dt / tau))``.
+    Commands are read ``late`` rows before they act, and the rotors give ``scale`` times what they are told."""
     kept = {"drag": drag, "seconds": 8.0, "rate": 100.0}
     thrust = 1.2e-6 * flight(seed, **kept)[ROTORS].to_numpy() ** 2 / scale
     table = flight(seed, noise=1.0, **kept)
@@ -50,7 +48,6 @@ def force_flight(seed: int, *, tau: float = TAU, late: int = 0, scale: float = 1
 
 
 def run_loop(folder: Path, **hidden: float) -> dict:
-    """Return the verdict of the loop on four flights that hide something."""
     (folder / "robot.yaml").write_text(dump_yaml(FORCED))
     logs = [write(force_flight(40 + n, **hidden), folder / f"f{n}.csv") for n in range(4)]
     close_loop(folder / "robot.yaml", logs[:3], logs[3:], folder / "out")
@@ -67,7 +64,6 @@ def run_loop(folder: Path, **hidden: float) -> dict:
 )
 @pytest.mark.slow
 def test_the_hidden_effect_is_named(hidden, name, params, tmp_path) -> None:
-    """By its name, within four standard deviations; what needs rotor speeds is not testable, and the reason says so."""
     verdict = run_loop(tmp_path, **hidden)
     assert [effect["name"] for effect in verdict["effects"]] == [name]
     effect = verdict["effects"][0]

@@ -12,7 +12,6 @@ RESIDENT = Path("/proc/self/statm")
 
 
 def resident() -> int:
-    """Return the memory of this process that is there, in pages."""
     return int(RESIDENT.read_text(encoding="utf-8").split()[1])
 
 

@@ -24,7 +24,6 @@ from tests.builders import simulation
 
 
 def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: object) -> Task:
-    """Return it; ``policy`` alone is the group of that name."""
     if "policy" in changes:
         changes["observations"] = {"policy": changes.pop("policy")}
     cfg = replace(task_registry.get("position_setpoint_task"), **changes)
@@ -60,7 +59,6 @@ def build_task(
 
 
 def begin(name: str, num_envs: int, **given: Any) -> Task:
-    """Return a registered task on the CPU, reset."""
     task = task_registry.make_task(name, num_envs=num_envs, device="cpu", **given)
     task.reset()
     return task

@@ -9,7 +9,6 @@ from tests.unit.task.hover import build_task
 
 
 def make_cfg(cfg: TaskCfg, *, camera: bool = True, success_radius: float | None = None, **changes: object) -> TaskCfg:
-    """Return a navigation task with changes; ``success_radius`` is that of its success."""
     if not camera:
         blind = tuple(entry for entry in cfg.observations["policy"] if entry.term != "nearest_in_cells")
         cfg = replace(cfg, robot="base_quadrotor", observations={"policy": blind})

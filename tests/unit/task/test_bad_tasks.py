@@ -66,6 +66,5 @@ def test_whatever_is_used_after_close_says_so() -> None:
 @pytest.mark.parametrize("width", [1, 3, 5])
 @pytest.mark.parametrize("name", ["position_setpoint_task", "position_setpoint_task_sim2real_px4"])
 def test_actions_of_another_width_are_refused(name: str, width: int) -> None:
-    """Also where a kernel works on them, which would read numbers beside them."""
     with begin(name, 4) as task, pytest.raises(ShapeError, match=r"expected \(E, V\) = \(4, 4\)"):
         task.step(torch.zeros(4, width))

@@ -151,7 +151,6 @@ def test_impossible_curricula_are_refused(changes: dict, message: str) -> None:
 
 
 def test_a_curriculum_must_fit_the_environment() -> None:
-    """Fifty rows where 44 exist, or fewer than are always kept, mean nothing."""
     with pytest.raises(ConfigError, match="max_level = 50: this environment has 44 obstacle rows. Lower it"):
         make(curriculum=replace(CFG, max_level=50))
     with pytest.raises(ConfigError, match="min_level = 5: this environment always keeps 9 obstacle rows. Raise it"):
@@ -168,7 +167,6 @@ def test_unknown_keys_of_a_curriculum_are_refused() -> None:
 
 
 def test_an_episode_is_replayed_alone_with_the_level_that_it_had() -> None:
-    """Environment 2 of 3 in its second episode, which begins at the level to which the first episodes led."""
     many = begin("navigation_task", 3, seed=1)
     many.curriculum.load({"level": 23, "finished": 0, "succeeded": 0})
     many.env.gtd["sim_steps"].fill_(many.cfg.episode_len_steps)

@@ -25,7 +25,6 @@ def encoder(tmp_path: Path) -> str:
 
 
 def test_latents_stand_where_cells_stood(encoder: str) -> None:
-    """17 numbers of the state, then 64 latents of the image of this instant, also of rows that have just begun."""
     with begin("navigation_task", 6, seed=1, robot=ROBOT, encoder=encoder) as task:
         observation, _ = task.reset()
         for _ in range(3):

@@ -30,7 +30,6 @@ def make(num_envs: int = 4, **changes: object) -> Task:
 
 
 def put(task: Task, position: Tensor, *, yaw: float = 0.0) -> None:
-    """Put the robots at rest somewhere."""
     state = task.env.robot_manager.tensors.state
     state.position.copy_(position)
     state.attitude.copy_(quat_from_euler(torch.tensor([0.0, 0.0, yaw])))
@@ -47,7 +46,6 @@ def clear(task: Task) -> None:
 
 
 def test_the_observation_is_laid_out_as_documented() -> None:
-    """13 numbers of the state with the heading error at 6, 4 of the command, 320 of the lidar."""
     task = make()
     task.reset()
     obs, *_ = task.step(torch.tensor([0.2, -0.5, 2.0, 0.3]).expand(4, 4))
@@ -75,12 +73,10 @@ def test_the_observation_is_laid_out_as_documented() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, pi])
 def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
-    """In an empty hall: behind the robot in the top row, left, right, floor and ceiling in the bottom row.
-
-    Rows hold 3 of 48 elevations, of which the highest is half a step of 90 deg / 47.5 below the zenith, which looks backwards,
-    and the lowest is square to it. Columns hold 6 of 120 azimuths, from 180 deg (down), 90 (left), 0 (up), -90 (right)
-    to -180; the ray next to each of these is half a step of 3 deg away. The sensor is 5 cm behind the middle.
-    """
+    """In an empty hall: behind the robot in the top row, left, right, floor and ceiling in the bottom row. Rows hold 3
+    of 48 elevations, of which the highest is half a step of 90 deg / 47.5 below the zenith, which looks backwards, and
+    the lowest is square to it. Columns hold 6 of 120 azimuths, from 180 deg (down), 90 (left), 0 (up), -90 (right) to
+    -180; the ray next to each of these is half a step of 3 deg away. The sensor is 5 cm behind the middle."""
     task = make(2, env="env_with_lidar_nav_obstacles")
     task.reset()
     clear(task)

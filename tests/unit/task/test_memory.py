@@ -11,7 +11,6 @@ from tests.unit.task.hover import camera_task, rich
 
 
 def fly(task: Task, first: int = 0, *, steps: int = 9) -> list[dict[str, Tensor]]:
-    """Return all that a task gives; some episodes end on the way, by their number."""
     results, number = [], torch.arange(first, first + task.num_envs)
     for step in range(steps):
         task.env.gtd["sim_steps"].masked_fill_((number + step) % 4 == 0, task.cfg.episode_len_steps)
@@ -48,7 +47,6 @@ def test_a_saved_state_goes_on_the_same_in_another_task(maker: Callable[..., Tas
 
 @MAKERS
 def test_a_reset_forgets_what_came_earlier(maker: Callable[..., Task]) -> None:
-    """With the same seed the same flight, whatever happened before."""
     task = maker(3, seed=1)
     task.reset(seed=1)
     expected = fly(task)

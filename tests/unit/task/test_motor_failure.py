@@ -14,7 +14,6 @@ NAME, HOVER = "motor_failure_task", -0.387
 
 
 def draws(task: Task) -> list[torch.Tensor]:
-    """Return rotor, factor and moment, each (E,)."""
     return [task.env.draws()[f"effects.motor_failure.{key}"].flatten().clone() for key in ("motor", "scale", "time")]
 
 

@@ -42,8 +42,6 @@ def make_state(
     difficulty: float = 0.0,
     euler: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> dict[str, Tensor]:
-    """The target is the origin."""
-
     def row(values: list[float]) -> Tensor:
         return torch.tensor([values], dtype=torch.float64)
 
@@ -133,7 +131,6 @@ def target_direction(state: dict[str, Tensor]) -> Tensor:
 
 
 def test_the_observation_is_laid_out_as_documented() -> None:
-    """13 numbers of the state, 4 of the command, 64 of the image, whose upper left cell comes first."""
     task = make(3, camera=True, **noiseless())
     obs, _ = task.reset()
     obs, *_ = task.step(torch.tensor([0.2, -0.5, 0.3, 0.0]).expand(3, 4))
@@ -168,7 +165,6 @@ def test_what_a_cell_without_a_distance_means_follows_from_the_sensor() -> None:
 
 
 def scene_distance(task: Task, points: Tensor) -> Tensor:
-    """Return the clearance of the robot's collision spheres at points (E, 3) [m], (E,)."""
     out = torch.full((len(points),), float("nan"))
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).expand(len(points), 4).contiguous()
     spheres = task.env.robot_manager.cfg.collision.spheres
@@ -245,8 +241,6 @@ def test_each_episode_ends_as_success_crash_or_timeout() -> None:
 
 
 class ConstantPilot:
-    """Flies one action."""
-
     def __init__(self, action: torch.Tensor) -> None:
         self.action = action
 

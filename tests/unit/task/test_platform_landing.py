@@ -28,7 +28,6 @@ def put(task: Task, *, above: float, speed: float, beside: float = 0.0) -> None:
 
 
 def test_the_target_stands_on_the_platform_and_drives_with_it() -> None:
-    """Its velocity is what its place changes by, at a speed of 0.2 to 0.8 m/s that differs between environments."""
     with begin(NAME, 16) as task:
         for _ in range(5):
             before, velocity = task.target_position.clone(), task.values["target_velocity"].clone()

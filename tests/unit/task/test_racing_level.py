@@ -134,10 +134,9 @@ def test_disturbances_are_a_random_force_at_500_hz_and_noise_on_commands(tmp_pat
 
 
 def test_disturbances_push_a_vehicle(tmp_path: Path) -> None:
-    """In 0.1 s of the same flight each axis differs by f sqrt(t T / 3) / m from that without, in the mean over 200 flights.
-
-    The attitude loop does not see a force at the centre of mass; drag at these 3 cm/s is less than a hundredth of it.
-    """
+    """In 0.1 s of the same flight each axis differs by f sqrt(t T / 3) / m from that without, in the mean over 200
+    flights. The attitude loop does not see a force at the centre of mass; drag at these 3 cm/s is less than a hundredth
+    of it."""
     ends = []
     for changes in ((), ((DRAWN, DISTURBANCES.replace("scale = 0.001", "scale = 0.0")),)):
         with begin(level(tmp_path, *changes), 200) as task:

@@ -24,7 +24,6 @@ SHARE = 0.8
 
 @cache
 def task() -> Task:
-    """Return the task without noise of the state; all tests may move it on."""
     quiet = {"policy": tuple(replace(entry, noise_std=0.0) for entry in CFG.observations["policy"])}
     made = build_task(replace(CFG, observations=quiet), 16)
     made.reset()
@@ -51,7 +50,6 @@ def test_it_is_the_lidar_task_but_for_what_it_says() -> None:
 
 @pytest.mark.slow
 def test_the_observation_is_laid_out_as_documented() -> None:
-    """13 numbers of the state with the heading error at 6, 4 of the command, 320 of the radar, -1 where nothing returns."""
     obs, *_ = task().step(torch.tensor([0.2, -0.5, 2.0, 0.3]).expand(16, 4))
     seen, gtd = obs["observations"], task().env.gtd
     assert seen.shape == (16, 337)
@@ -99,7 +97,6 @@ def test_the_held_task_differs_by_what_lost_cells_show() -> None:
 
 
 def states(rows: int = 64) -> dict[str, Tensor]:
-    """Return flights in all directions, about the goal and away from it."""
     generator = torch.Generator().manual_seed(0)
 
     def draw(*shape: int) -> Tensor:

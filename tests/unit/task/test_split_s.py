@@ -11,7 +11,6 @@ NAME, UPPER, LOWER = "racing_split_s_task", 3, 4
 
 
 def at_gate(task: Task, number: int) -> None:
-    """Let all robots be about to fly through a gate."""
     gate = torch.tensor(task.cfg.command.params["centers"])[number]
     yaw = torch.tensor(task.cfg.command.params["yaws"])[number]
     own, count = task.values.own, task.num_envs
@@ -21,7 +20,6 @@ def at_gate(task: Task, number: int) -> None:
 
 
 def put(task: Task, x: float, z: float) -> None:
-    """Put all robots at rest, beside the fourth and the fifth gate by their x [m]."""
     state = task.env.robot_manager.tensors.state
     state.position.copy_(torch.tensor([x, -6.0, z]))
     state.lin_vel.zero_()

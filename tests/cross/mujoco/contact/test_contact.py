@@ -1,7 +1,5 @@
-"""The ground in MuJoCo as a backend: the compliance that a robot's contact file asks for, in closed form and beside torch.
-
-All in float64. K is the stiffness and zeta the damping ratio of a ``ContactCfg``, per mass of the robot.
-"""
+"""The ground in MuJoCo as a backend: the compliance that a robot's contact file asks for, in closed form and beside
+torch. All in float64. K is the stiffness and zeta the damping ratio of a ``ContactCfg``, per mass of the robot."""
 
 from dataclasses import replace
 from math import asin, exp, pi, sqrt, tan

@@ -1,7 +1,5 @@
 """Links that touch the ground or each other, in MuJoCo as a backend: rest, overlap, momentum and energy in closed form.
-
-All in float64 but for whole simulations. K is the stiffness of a ``ContactCfg`` per mass of the whole vehicle.
-"""
+All in float64 but for whole simulations. K is the stiffness of a ``ContactCfg`` per mass of the whole vehicle."""
 
 from dataclasses import replace
 from math import cos, sin

@@ -1,8 +1,6 @@
-"""Obstacles that push links, in MuJoCo as a backend: in closed form, beside flat ground, and beside a model written by hand.
-
-Without a simulation around all is in float64; steps begin and end in the same frame as the obstacles. K is the stiffness of a
-``ContactCfg`` per mass of the whole vehicle.
-"""
+"""Obstacles that push links, in MuJoCo as a backend: in closed form, beside flat ground, and beside a model written by
+hand. Without a simulation around all is in float64; steps begin and end in the same frame as the obstacles. K is the
+stiffness of a ``ContactCfg`` per mass of the whole vehicle."""
 
 from dataclasses import replace
 from itertools import product

@@ -1,8 +1,6 @@
-"""Links of a vehicle on a stand that touch ground, walls and each other, in MuJoCo as a backend, in closed form.
-
-All in float64 but for the simulation. K is the stiffness of a ``ContactCfg`` per mass of the whole vehicle; arms hang on hinges
-0.05 m beside the base, 0.2 m to the middle of a foot of 0.01 m.
-"""
+"""Links of a vehicle on a stand that touch ground, walls and each other, in MuJoCo as a backend, in closed form. All in
+float64 but for the simulation. K is the stiffness of a ``ContactCfg`` per mass of the whole vehicle; arms hang on
+hinges 0.05 m beside the base, 0.2 m to the middle of a foot of 0.01 m."""
 
 from dataclasses import replace
 from math import inf

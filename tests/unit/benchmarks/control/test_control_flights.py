@@ -12,7 +12,6 @@ LEVEL = {"robot_orientation": torch.tensor([[0.0, 0.0, 0.0, 1.0]]), "robot_body_
 
 
 def drive_commands(robot: str) -> list[float]:
-    """Return the drive commands for a level robot with zero angular velocity."""
     actions = torch.zeros(1, 9)
     Drives(ROBOTS.get(robot), 0.01).hold(LEVEL, actions)
     return actions[0].tolist()

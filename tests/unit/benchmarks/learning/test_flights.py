@@ -11,7 +11,6 @@ from benchmarks.learning import flights
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the folder of a policy that has hardly learned anything."""
     out = tmp_path_factory.mktemp("run") / "hover"
     given = ["--max-env-steps", "4096", "--num-envs", "64", "--device", "cpu", "--out", str(out)]
     assert aerial_gym(["train", "--task", "position_setpoint_task", *given]) == 0

@@ -23,7 +23,6 @@ def make_short(make: Callable[..., Task], level: str, **options: int | str) -> T
 
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> BenchRacing:
-    """With a policy of random weights in place of one that was trained."""
     result = (random_policy(56), load_settings(settings_for("ppo", "racing_task")))
     monkeypatch.setattr("aerial_gym.rl_training.policies.load.load_policy", lambda source, device: result)
     monkeypatch.setattr(task_registry, "make_task", partial(make_short, task_registry.make_task))

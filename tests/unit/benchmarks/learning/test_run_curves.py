@@ -23,7 +23,6 @@ def test_every_name_gets_a_panel(tmp_path: Path) -> None:
 
 
 def test_a_return_far_from_all_others_does_not_set_the_scale() -> None:
-    """A training whose returns rise from -20 to 20 keeps all of them; one at -2400 leaves the picture."""
     rising = [-20.0 + 0.1 * step for step in range(401)]
     assert run_curves.span(rising) == (rising[0], rising[-1])
     assert run_curves.span([*rising, -2400.0]) == (rising[0], rising[-1])

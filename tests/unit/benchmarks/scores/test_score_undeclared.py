@@ -77,7 +77,6 @@ def plan_jobs(**flags: object) -> list[Job]:
 
 
 def test_cases_are_those_that_were_requested() -> None:
-    """By default the first six effects and a plain control for each seed, as it was; all, pairs and unknown add theirs."""
     jobs = plan_jobs()
     assert [job.hidden for job in jobs[:7]] == [(), *((name,) for name in CLASSIC)]
     assert len(jobs) == 14
@@ -94,7 +93,6 @@ def test_cases_are_those_that_were_requested() -> None:
 
 
 def fake_row(job: Job) -> dict[str, object]:
-    """Return a row of an effect that is always named, with one parameter."""
     truth = {name: {"a": 1.0} for name in job.hidden}
     given = verdict("explained" if truth else "none", **{name: {"a": (1.1, 0.1)} for name in truth})
     row = {"hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden), "size": job.size, "seed": job.seed}
@@ -102,7 +100,6 @@ def fake_row(job: Job) -> dict[str, object]:
 
 
 def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows that were kept are not made again; a failed case is; no file is left half written."""
     jobs, made = plan_jobs(effects=["rotor_drag"], seeds=[1, 2]), []
 
     def score_job(job: Job) -> dict[str, object]:
@@ -121,7 +118,6 @@ def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_tables_count_the_rows() -> None:
-    """Names, parameters with coverage, controls and unknown causes each have their table."""
     jobs = plan_jobs(effects=["rotor_drag", "gusts"], unknown=True)
     rows = [fake_row(job) for job in jobs]
     assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"
@@ -136,7 +132,6 @@ def test_tables_count_the_rows() -> None:
 
 
 def test_the_command_prints_and_writes(tmp_path, monkeypatch, capsys) -> None:
-    """Rows and totals on stdout; the page only when asked for; a wrong request is told, with status 2."""
     monkeypatch.setattr(score_undeclared, "score", fake_row)
     page = tmp_path / "page.md"
     monkeypatch.setattr("sys.argv", ["score", "--seeds", "205", "--write", str(page)])

@@ -1,7 +1,5 @@
 """The truth plant: integration, sensors, logs and cases. It referees the identification.
-
-``tests/cross/test_truth_plant.py`` compares its accelerations with those of the package.
-"""
+``tests/cross/test_truth_plant.py`` compares its accelerations with those of the package."""
 
 import ast
 import json
@@ -32,21 +30,18 @@ IDLE = np.zeros((1, 4))
 
 
 def level_state(*, flights: int = 1, rotor: float = 0.0, vehicle: PlantVehicle = DECLARED) -> Array:
-    """Return level states at rest at the origin, heading along x, with the given rotor speed."""
     state = rest_state(vehicle, np.zeros((flights, 3)), np.zeros(flights))
     state[:, ROTOR] = rotor
     return state
 
 
 def run(plant: Plant, state: Array, command: Array, *, span: float, dt: float) -> Array:
-    """Return the state after ``span`` in steps of ``dt``."""
     for _ in range(round(span / dt)):
         state = plant.step(state, command, dt)
     return state
 
 
 def tumble_state() -> Array:
-    """Return a state in air with every component at work."""
     state = level_state(rotor=1100.0)
     state[:, VEL], state[:, RATE], state[:, ROTOR] = (2.0, -1.0, 0.5), (3.0, -4.0, 2.0), (900.0, 1200.0, 1300.0, 1000.0)
     return state
@@ -70,10 +65,8 @@ def _spin(dt: float) -> tuple[Array, float, Array]:
 
 
 def test_torque_free_rotation_conserves_momentum_and_energy_with_order_four() -> None:
-    """R I w and w . I w are constant without torque; their drift at 2000 Hz is within (|w| dt)^4 per radian turned.
-
-    The error of the attitude and rate falls with dt^4: slope within 0.1 over two halvings, against dt / 8.
-    """
+    """R I w and w . I w are constant without torque; their drift at 2000 Hz is within (|w| dt)^4 per radian turned. The
+    error of the attitude and rate falls with dt^4: slope within 0.1 over two halvings, against dt / 8."""
     start = np.array([9.0, -6.0, 4.0])
     momentum, energy, _ = _spin(0.0005)
     bound = (np.linalg.norm(start) * 0.0005) ** 4 * np.linalg.norm(start) * 0.64
@@ -123,7 +116,6 @@ RARE_EFFECTS = ("none", "motor_time_constant", "rotor_drag", "quadratic_drag", "
 @pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effect", rare_values(["com_offset", *RARE_EFFECTS], RARE_EFFECTS))
 def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -> None:
-    """The autopilot knows the declared vehicle only: rms error within 0.15 m, tilt within 60 degrees, rotors free."""
     params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)
     declared, true = split(DECLARED, params)
     record, reference = _record(true, declared, num_train=2, num_test=1, span=3.0, noise=PlantNoise())
@@ -277,7 +269,6 @@ def test_hidden_rotor_drag_is_not_declared() -> None:
 
 @pytest.mark.usefixtures("coarser_plant")
 def test_same_seed_same_files(tmp_path: Path) -> None:
-    """Files repeat byte for byte; another seed changes flight and values."""
     made, given = {}, ["--effect", "constant_wind", "--num-train", "1", "--num-test", "0", "--nuisance", "--seed", "7"]
     for name in ("a", "b"):
         assert main(["--out", str(tmp_path / name), "--duration-s", "1.0", *given]) == 0

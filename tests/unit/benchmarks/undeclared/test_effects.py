@@ -1,7 +1,5 @@
 """The truth plant: loads on cables and soft arms, gusts, sensors, unknown forces and drawn parameters.
-
-``tests/cross/test_truth_plant.py`` compares its accelerations with those of the package.
-"""
+``tests/cross/test_truth_plant.py`` compares its accelerations with those of the package."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +40,6 @@ def set_extra(vehicle: PlantVehicle = BARE, **extra: object) -> PlantVehicle:
 
 
 def hide_effects(vehicle: PlantVehicle = BARE, **effects: dict[str, float]) -> PlantVehicle:
-    """Return the vehicle with effects applied as a case does it."""
     return split(vehicle, resolve(effects, declared=vehicle, seed=0))[1]
 
 
@@ -73,7 +70,6 @@ def tumble_state() -> Array:
 
 
 def full_plant() -> FullPlant:
-    """Return a plant with all forces and torques at work at once."""
     extra = Extra(
         h_force=5e-5, flapping=3e-7, axial_inflow=8e-5, translational_lift=0.01, rotor_inertia=2e-5, slung=(0.1, 0.7, 0.03),
         shear=(3.0, -1.0, 10.0, 0.3), ground=2.0, periodic=(0.3, 7.0), attraction=(0.5, 0.5, 1.0, 0.5, 1.0),
@@ -170,10 +166,8 @@ def test_slung_load_swings_at_the_frequency_of_the_pair() -> None:
 
 def test_slung_load_keeps_momentum_and_damping_takes_energy() -> None:
     """Free fall of a turning pair: m v + M (v + l q') = -(m + M) g t; swing energy kept without damping, lost with it.
-
-    In the falling frame the energy is ``m M / (m + M) l² |q'|² / 2``, and damping c takes it at the rate
-    ``2 c (1 / m + 1 / M)``.
-    """
+    In the falling frame the energy is ``m M / (m + M) l² |q'|² / 2``, and damping c takes it at the rate ``2 c (1 / m +
+    1 / M)``."""
     mass, length, span = 0.15, 0.8, 0.5
     for damping in (0.0, 0.05):
         plant = FullPlant(set_extra(slung=(mass, length, damping)))
@@ -352,10 +346,8 @@ BODY = ("joint_spring", "joint_creep", "com_offset", "thrust_coefficient")
 @pytest.mark.parametrize("effects", [MILD, DRIVES, LOADS, NEAR, READINGS, BODY, tuple(UNKNOWN)])
 @pytest.mark.slow
 def test_flights_follow_their_reference_with_several_effects(effects: tuple[str, ...]) -> None:
-    """The autopilot holds on to its reference within 0.25 m with four or more moderate effects at once.
-
-    The delay among them is rounded to the coarser steps: 0.3 mm.
-    """
+    """The autopilot holds on to its reference within 0.25 m with four or more moderate effects at once. The delay among
+    them is rounded to the coarser steps: 0.3 mm."""
     case = fly_case(effects=dict.fromkeys(effects, "moderate"), seed=5, num_train=2, num_test=0, duration_s=1.5)
     first = round(2.0 * CONTROL_RATE)
     for flight in summarise(case.record, case.reference, declared=case.declared, first=first):

@@ -1,7 +1,5 @@
-"""Betaflight's rate loop: rates, filters, integral, attenuation and mixer, each against what it must do exactly.
-
-Its Warp twin is held to torch in ``test_cascade.py``.
-"""
+"""Betaflight's rate loop: rates, filters, integral, attenuation and mixer, each against what it must do exactly. Its
+Warp twin is held to torch in ``test_cascade.py``."""
 
 from dataclasses import replace
 from math import cos, pi, radians, sqrt
@@ -275,10 +273,8 @@ def test_betaflights_own_gains_fly_a_racer() -> None:
 
 @pytest.mark.parametrize(("lag", "rests"), [(0.028, True), (0.031, False)])
 def test_yaw_rests_where_routh_says(lag: float, rests: bool) -> None:
-    """P + I / s on a first-order lag and an inertia is stable if the lag is below P / I, whatever the loop gain.
-
-    P / I of yaw is ``45 * 0.032029 / (80 * 0.244381 * 2.5)`` = 29.5 ms; with the unit of roll it would be 73.7 ms.
-    """
+    """P + I / s on a first-order lag and an inertia is stable if the lag is below P / I, whatever the loop gain. P / I
+    of yaw is ``45 * 0.032029 / (80 * 0.244381 * 2.5)`` = 29.5 ms; with the unit of roll it would be 73.7 ms."""
     own = BetaflightCfg(p_yaw=45.0, i_yaw=80.0)
     cfg = replace(CONTROLLERS.get(NAME), betaflight=own)
     loop = ClosedLoop(with_rotor_lag(lag), cfg, gravity=9.81, integrator="rk4", names=("racer", NAME))

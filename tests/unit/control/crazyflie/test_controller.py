@@ -1,7 +1,5 @@
-"""The Crazyflie's controllers in flight: gains in counts, integrals, rates, resets, and what they do not fly.
-
-Their laws are held to the firmware in ``tests/cross/test_crazyflie.py``, their Warp twins to torch in ``test_cascade.py``.
-"""
+"""The Crazyflie's controllers in flight: gains in counts, integrals, rates, resets, and what they do not fly. Their
+laws are held to the firmware in ``tests/cross/test_crazyflie.py``, their Warp twins to torch in ``test_cascade.py``."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -45,7 +43,6 @@ def at_rest(turn: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: tuple[floa
 
 
 def rest_state(robot: RobotCfg) -> BodyState:
-    """Return a level body with the rotors of a robot."""
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
     return state_at_rest(1, vehicle.num_rotors, device=torch.device("cpu"), dtype=F64)
 
@@ -100,7 +97,6 @@ FIRMWARES_RATES = {
 
 @pytest.mark.parametrize("name", [MELLINGER, PID, LEE, BRESCIANINI])
 def test_a_crazyflie_flies_with_its_own_numbers(name: str) -> None:
-    """At its own rates, 500 and 100 Hz, the numbers of the robot file (``test_registered_flights.py`` flies it)."""
     law = make_law(name, TUNED, **FIRMWARES_RATES[name])
     assert law.timing.law == (1 if name in (MELLINGER, LEE) else 5)
     assert law.timing.loop == 1
@@ -184,7 +180,6 @@ def test_brescianini_has_derived_thrust_limits() -> None:
 
 
 def test_brescianini_holds_thrust_and_rates_for_its_rate_loop() -> None:
-    """At 100 Hz over 500 Hz a new attitude is seen by every fifth run, new body rates by each."""
     law = make_law(BRESCIANINI, **FIRMWARES_RATES[BRESCIANINI])
     states = [at_rest((0.1 * k, 0.0, 0.0), (0.0, 0.1 * (k == 3), 0.0)) for k in range(6)]
     memory, result = fresh_law_memory(law.needs, 1, states[0].position), []
@@ -251,10 +246,8 @@ def test_an_axis_that_a_robot_leaves_alone_is_left_alone(name: str) -> None:
 
 
 def test_lee_with_integrals_holds_a_weight_and_a_torque_that_nobody_declared() -> None:
-    """3 % more weight, the centre of mass 2 mm ahead: of 0.03 g / K_p, and of x, a twentieth at most is left after 20 s.
-
-    Without integrals all of it stands after 8 s.
-    """
+    """3 % more weight, the centre of mass 2 mm ahead: of 0.03 g / K_p, and of x, a twentieth at most is left after 20
+    s. Without integrals all of it stands after 8 s."""
     plant = replace(X500, body=replace(X500.body, com=(0.002, 0.0, 0.0)))
     kept, left = (
         fly(make_law(LEE, dt=0.02, **own), plant, span, [0.0] * 4, heavier=1.03, dt=0.02)[-1].position[0].abs()

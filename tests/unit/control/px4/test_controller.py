@@ -1,7 +1,5 @@
-"""PX4's cascade as a controller: units, filters, limits and integrals, each against what it must do exactly.
-
-Its laws are held to PX4's own library in ``tests/cross/test_px4.py``, its Warp twin to torch in ``test_cascade.py``.
-"""
+"""PX4's cascade as a controller: units, filters, limits and integrals, each against what it must do exactly. Its laws
+are held to PX4's own library in ``tests/cross/test_px4.py``, its Warp twin to torch in ``test_cascade.py``."""
 
 from cmath import exp
 from dataclasses import replace
@@ -165,10 +163,9 @@ def test_notches_act_on_the_body_rates_before_the_low_pass() -> None:
 def test_first_order_low_passes_leave_the_same_share_of_a_gap_every_run(
     name: str, px4: Px4Cfg, axis: int, proportional: float, derivative: float, unit: float
 ) -> None:
-    """Backward Euler of ``y' = (x - y) / T``: a share ``q = 1 / (1 + dt / T)`` of the gap remains, ``T = 1 / (2 pi f)``.
-
-    The yaw torque answers a step; roll and climb speed grow evenly, so that their filtered derivative is a step.
-    """
+    """Backward Euler of ``y' = (x - y) / T``: a share ``q = 1 / (1 + dt / T)`` of the gap remains, ``T = 1 / (2 pi
+    f)``. The yaw torque answers a step; roll and climb speed grow evenly, so that their filtered derivative is a
+    step."""
     law, dt, slope = make_law(name, px4=px4), 0.002, 0.5
     q = 1.0 / (1.0 + 2.0 * pi * 20.0 * dt)
     state, action = state_at_rest(1, 4, device=CPU, dtype=F64), torch.zeros(1, 4, dtype=F64)
@@ -218,7 +215,6 @@ def test_speeds_and_tilt_have_their_limits() -> None:
 
 
 def test_parameters_belong_to_the_robot() -> None:
-    """What a robot file says under ``control: px4:`` is taken, unless the controller has parameters of its own."""
     control = build(ControlCfg, {"px4": {"MC_ROLL_P": 7.0, "source": "flown"}}, where="here")
     assert float(make_law("px4_attitude_control", control=control).gains.attitude[0, 0]) == 7.0
     slower = make_law("px4_attitude_control", px4=Px4Cfg(rate_hz=250.0), control=control)

@@ -1,7 +1,5 @@
-"""What gives way where PX4's motors are at their limits: numbers of its unit tests, what the integral is told, the Warp twin.
-
-PX4's own code is laid beside it in ``tests/cross/test_px4.py``.
-"""
+"""What gives way where PX4's motors are at their limits: numbers of its unit tests, what the integral is told, the Warp
+twin. PX4's own code is laid beside it in ``tests/cross/test_px4.py``."""
 
 from dataclasses import replace
 
@@ -68,7 +66,6 @@ def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
     ("airmode", "num_rotors"), rare_values([(a, n) for n in (4, 6) for a in (0, 1, 2)], ((0, 4), (2, 4), (1, 6)))
 )
 def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
-    """1,000 random commands, many of them beyond limits, to rounding; six motors have random parts, weak ones among them."""
     g = torch.Generator().manual_seed(num_rotors)
     columns = QUADROTOR.to(F64)
     if num_rotors == 6:

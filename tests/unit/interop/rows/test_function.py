@@ -92,7 +92,6 @@ def test_integers_and_shared_numbers() -> None:
 
 
 def test_limits_of_integers_are_not_asked_for_nan() -> None:
-    """``x != x`` of an integer is a warning of the compiler, shown to whoever makes the task."""
     steps, other = torch.tensor([-3, 1, 12], dtype=torch.int32), torch.tensor([2, 0, 9], dtype=torch.int32)
 
     def limit(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
@@ -171,6 +170,5 @@ def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("shape", [(3,), (row_trace.ROWS, 2)])
 def test_a_number_below_zero_is_no_scalar(shape: tuple[int, ...]) -> None:
-    """As an operation that moves numbers and takes some from each other would leave it, in one row or in all."""
     with pytest.raises(UntraceableError, match="mixes rows"):
         row_trace._remove_marks(torch.full(shape, -1))

@@ -13,21 +13,17 @@ MASK = (True, False, True, True, False)
 
 @wp.struct
 class RowInput:
-    """What both read and one writes."""
-
     scale: wp.array[float]  # (E,)
     marks: wp.array[wp.int32]  # (E,)
 
 
 @wp.func
 def scale_number(given: RowInput, row: int, number: float) -> float:
-    """Return a number times the scale of the row."""
     return number * given.scale[row]
 
 
 @wp.func
 def mark(row: int, given: RowInput):
-    """Count the row."""
     given.marks[row] = given.marks[row] + 1
 
 
@@ -37,13 +33,11 @@ def sum_indirect(made: Tensor, base: Tensor) -> tuple[Tensor, ...]:
 
 
 def sum_rows(made: Tensor, base: Tensor) -> tuple[Tensor, ...]:
-    """Return the sum."""
     return (base + made,)
 
 
 @pytest.mark.parametrize("function", [sum_rows, sum_indirect])
 def test_rows_of_the_mask_are_made_followed_and_worked_on_and_others_stay(function) -> None:
-    """Numbers 2 and 3 times the scale of the row; five rows are no whole number of blocks."""
     start_warp()
     count, mask = len(MASK), torch.tensor(MASK)
     scale, marks = torch.arange(1.0, count + 1.0), torch.zeros(count, dtype=torch.int32)

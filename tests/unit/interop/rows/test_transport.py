@@ -1,7 +1,5 @@
-"""Rows that warps bring to memory: what arrives is what was stored, and nothing beside it is touched.
-
-On a CPU this is the plain loop; ``tests/integration/test_cuda.py`` does the same on a GPU. Letters: E rows.
-"""
+"""Rows that warps bring to memory: what arrives is what was stored, and nothing beside it is touched. On a CPU this is
+the plain loop; ``tests/integration/test_cuda.py`` does the same on a GPU. Letters: E rows."""
 
 import re
 from math import nan

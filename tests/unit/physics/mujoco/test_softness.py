@@ -18,10 +18,9 @@ def test_short_steps_have_the_very_spring_and_damper() -> None:
 @pytest.mark.parametrize("sinking", [1e-5, 1e-3, 0.05])
 @pytest.mark.parametrize("damping_ratio", [0.0, 0.5, 1.0, 4.0])
 def test_no_motion_is_too_fast_for_its_step(dt: float, sinking: float, damping_ratio: float) -> None:
-    """``dt b / d <= 1``, an equality where damping is above critical, and ``dt² k / d <= 1 / 4``; MuJoCo's limits of d hold.
-
-    At its largest impedance MuJoCo leaves no more softening: the bounds are then kept by that alone, to its 1e-4.
-    """
+    """``dt b / d <= 1``, an equality where damping is above critical, and ``dt² k / d <= 1 / 4``; MuJoCo's limits of d
+    hold. At its largest impedance MuJoCo leaves no more softening: the bounds are then kept by that alone, to its
+    1e-4."""
     cfg = ContactCfg(friction=0.5, sinking=sinking, damping_ratio=damping_ratio)
     (stiffness, damping), (impedance, *_) = solver_numbers(cfg, dt)
     assert 1e-4 <= impedance <= 1.0 - 1e-4

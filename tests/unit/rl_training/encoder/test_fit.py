@@ -29,7 +29,6 @@ def test_learns_more_than_the_mean_image() -> None:
 
 
 def test_going_on_is_as_if_it_had_never_ended() -> None:
-    """Bit for bit, on one device."""
     whole, first, second = (EncoderFit(CFG, edges()) for _ in range(3))
     for fit, epochs in ((whole, 4), (first, 2)):
         for _ in range(epochs):

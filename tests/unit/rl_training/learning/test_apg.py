@@ -83,7 +83,6 @@ def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
 
 
 def make_learner(cfg: TrainingCfg, task: Task) -> Apg:
-    """Return a learner in float64 whose value depends on what it sees."""
     network = make_network(cfg, task)
     torch.manual_seed(0)
     torch.nn.init.normal_(network.value_head.weight, std=0.3)
@@ -148,7 +147,6 @@ def test_a_row_that_goes_astray_teaches_nothing() -> None:
 
 
 def test_what_a_policy_makes_of_joints_has_a_gradient() -> None:
-    """Of a window, finite and not 0 in each weight of an angle or a rate; that it is right, the tests of the task say."""
     cfg = replace(settings(2, horizon=3), task="position_setpoint_task_morphy")
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
         learner = ApgTrainer().make_training(cfg, task).learner

@@ -24,11 +24,9 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a G
     ("fused", "memory"), [(True, 0), (False, 0), (False, 16)], ids=["kernels", "operations", "recurrent"]
 )
 def test_a_training_on_a_gpu_is_a_graph_that_repeats_and_continues(fused: bool, memory: int) -> None:
-    """With one seed the same, and after a checkpoint too, but for the order in which a GPU sums.
-
-    A rounding of the last bit grows with every update of a flight: the bound is on the weights after 16 iterations, which
-    move by 0.01 each.
-    """
+    """With one seed the same, and after a checkpoint too, but for the order in which a GPU sums. A rounding of the last
+    bit grows with every update of a flight: the bound is on the weights after 16 iterations, which move by 0.01
+    each."""
     cfg = replace(settings(256, hidden_layers=(32, 32), memory=memory), device="cuda")
 
     def train(looks: int, state: dict[str, object] | None = None) -> tuple[dict[str, object], float]:

@@ -66,7 +66,6 @@ def test_a_student_who_sees_the_same_comes_to_do_the_same() -> None:
 
 
 def test_what_is_learned_from_is_what_was_flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a memory, over two segments in which episodes of 5 steps end; one row is led by the teacher."""
     cfg, task = settings(policy_keys=("sensed",), memory=8, horizon=12), hover(episode_len_steps=5)
     learner = Distill(cfg, task, make_network(cfg, task), damping())
     learner.begin()

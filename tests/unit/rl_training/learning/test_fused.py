@@ -1,7 +1,5 @@
 """The learner in kernels of its own against the one in torch operations: on a GPU, or in Triton's interpreter.
-
-``TRITON_INTERPRET=1 python -m pytest tests/unit/rl_training/learning/test_fused.py`` runs it without a GPU.
-"""
+``TRITON_INTERPRET=1 python -m pytest tests/unit/rl_training/learning/test_fused.py`` runs it without a GPU."""
 
 import os
 from dataclasses import replace

@@ -97,7 +97,6 @@ def test_the_rate_follows_the_divergence_between_its_limits() -> None:
 
 @pytest.mark.parametrize("scale", [0.01, 100.0])
 def test_flat_adam_is_torchs_adam_behind_a_limit_of_the_norm(scale: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Gradients below and above the limit of 1; 32 weights in pieces of 7."""
     monkeypatch.setattr(adam, "PIECE", 7)
     networks = []
     for _ in range(2):
@@ -117,10 +116,8 @@ def test_flat_adam_is_torchs_adam_behind_a_limit_of_the_norm(scale: float, monke
 
 
 class StepCounter:
-    """Two environments that count their steps: row 0 is truncated after 3, row 1 crashes after 2. The observation is the
-
-    count, the reward is 1, and the last observation is told apart from the first one of the next episode.
-    """
+    """Two environments that count their steps: row 0 is truncated after 3, row 1 crashes after 2. The observation is
+    the count, the reward is 1, and the last observation is told apart from the first one of the next episode."""
 
     num_envs, num_actions, device = 2, 1, torch.device("cpu")
     observation_shapes: ClassVar = {"observations": (1,)}

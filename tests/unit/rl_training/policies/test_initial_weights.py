@@ -28,7 +28,6 @@ def network(width: int, *, hidden: tuple[int, ...] = (8, 6), actions: int = 2, *
 
 
 def policy_outputs(of: ActorCritic, observation: Mapping[str, Tensor]) -> list[Tensor]:
-    """Return mean actions, deviations and values of single observations."""
     memory, begins = of.empty_memory(len(observation["observations"])), torch.zeros(1, 16, dtype=torch.bool)
     prepared = {key: value.unsqueeze(0) for key, value in of.prepare(observation).items()}
     acting, value = of.sequence(prepared, memory, begins)

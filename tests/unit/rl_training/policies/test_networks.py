@@ -93,7 +93,6 @@ GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
     ("device", "size"), [("cpu", 6), *(pytest.param("cuda", size, marks=GPU) for size in (6, 16, 32, 64, 128))]
 )
 def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: str, size: int) -> None:
-    """Of all weights, what enters and the first memory; a GPU sums in another order, and small units in one launch."""
     torch.manual_seed(0)
     cell = nn.GRUCell(5, size, device=device)
     shapes = ((7, 21, 5), (21, size), (7, 21, size))

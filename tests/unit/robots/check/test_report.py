@@ -22,10 +22,8 @@ def with_mounts(robot: RobotCfg, *mounts: MountCfg) -> RobotCfg:
 
 
 def test_a_flat_quadrotor_is_what_is_worked_out_by_hand() -> None:
-    """Each rotor of lmf1 carries m g / 4 of 20 N and can give up all of it: 4 h a about x, and 4 h k about z.
-
-    Downwards there is the same room as the weight, upwards more, and it is the lesser that is given both ways.
-    """
+    """Each rotor of lmf1 carries m g / 4 of 20 N and can give up all of it: 4 h a about x, and 4 h k about z. Downwards
+    there is the same room as the weight, upwards more, and it is the lesser that is given both ways."""
     report, hover = make_report(ROBOTS.get("lmf1")), 1.235 * 9.81 / 4.0
     assert report.hover_thrust_n == pytest.approx((hover,) * 4)
     assert report.hover_share == pytest.approx(hover / 20.0)
@@ -101,10 +99,9 @@ def test_what_cannot_be_is_refused_with_a_way_out() -> None:
 
 
 def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
-    """Hover in closed form: ``tan d = k / L``, each front rotor ``T (cos d + k sin d / L)``; the lean takes the side force.
-
-    What it gives is the optimum of a linear program: thrusts within their limits, the tail within its angles (0.7 rad).
-    """
+    """Hover in closed form: ``tan d = k / L``, each front rotor ``T (cos d + k sin d / L)``; the lean takes the side
+    force. What it gives is the optimum of a linear program: thrusts within their limits, the tail within its angles
+    (0.7 rad)."""
     report = make_report(ROBOTS.get("tilt_tricopter"))
     arm, ratio, weight = 0.2460732, 0.025, 1.592 * 9.81
     angle = atan(ratio / arm)

@@ -1,7 +1,5 @@
-"""Joints of imported files, against MuJoCo's own loader of the same file: places of links and mass matrices.
-
-The numbers of the two URDFs are those published of Morphy and Snakey of the Aerial Gym Simulator 2.0.1.
-"""
+"""Joints of imported files, against MuJoCo's own loader of the same file: places of links and mass matrices. The
+numbers of the two URDFs are those published of Morphy and Snakey of the Aerial Gym Simulator 2.0.1."""
 
 from dataclasses import replace
 from math import pi

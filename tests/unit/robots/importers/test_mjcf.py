@@ -19,7 +19,6 @@ LAG = RotorHints(lag=0.04)
 
 
 def vehicle(actuator: str = 'ctrlrange="0 6"', more: str = "", head: str = "", tail: str = "", kind="general") -> str:
-    """Return a quadrotor of 1 kg, each of whose actuators has the given attributes."""
     sites = "".join(f'<site name="s{n}" pos="{place}"/>' for n, place in enumerate(PLACES))
     turns = zip(range(4), (-0.02, -0.02, 0.02, 0.02), strict=True)
     rotors = "".join(f'<{kind} name="m{n}" site="s{n}" gear="0 0 1 0 0 {turn}" {actuator}/>' for n, turn in turns)
@@ -141,7 +140,6 @@ def test_what_is_no_rotor_is_refused(text: str, tmp_path: Path) -> None:
 
 
 def on_arm(joint: str, **kwargs) -> str:
-    """Return a quadrotor whose first site is on a body with a joint."""
     site = f'<site name="s0" pos="{PLACES[0]}"/>'
     arm = f'<body name="arm">{joint}<inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/>{site}</body>'
     return vehicle(more=arm, **kwargs).replace(site, "", 1)

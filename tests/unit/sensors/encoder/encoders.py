@@ -11,12 +11,10 @@ ROBOT = "base_quadrotor_with_coarse_camera"
 
 
 def coarse_camera() -> RangeSensorCfg:
-    """Return the sensor of ``ROBOT``."""
     return sensor_by_name(str(ROBOTS.get(ROBOT).sensors[0]))
 
 
 def random_encoder(*, latents: int = 64, seed: int = 0) -> Encoder:
-    """Return an encoder of random weights for the coarse camera."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = Autoencoder(AutoencoderCfg(rows=24, columns=40, latents=latents, channels=(4, 8)))

@@ -46,11 +46,9 @@ def test_points_behind_are_left_behind_and_points_within_the_ball_stop_it() -> N
 
 
 def test_ball_stops_a_radius_before_a_wall() -> None:
-    """Before a wall at d the centre of the ball reaches d - r, whatever its direction: t = (d - r) / cos.
-
-    Points of the wall are h apart, so the one that is touched lies within h of the foot of the ball: its centre gets at most
-    ``r - sqrt(r² - h²)`` further.
-    """
+    """Before a wall at d the centre of the ball reaches d - r, whatever its direction: t = (d - r) / cos. Points of the
+    wall are h apart, so the one that is touched lies within h of the foot of the ball: its centre gets at most ``r -
+    sqrt(r² - h²)`` further."""
     camera = CameraCfg(summary="", width=80, height=48, hfov_deg=87.0, min_range=0.2, max_range=10.0, source="")
     rays, wall = pinhole_rays(camera, device=torch.device("cpu")).double(), 3.0
     ahead = rays[..., 0]
@@ -63,7 +61,6 @@ def test_ball_stops_a_radius_before_a_wall() -> None:
 
 
 def test_images_and_blocks_of_rays_do_not_change_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever is held at once, the result is the same, bit for bit."""
     generator = torch.Generator().manual_seed(0)
     rays = torch.nn.functional.normalize(torch.randn(4, 6, 3, generator=generator) + torch.tensor([3.0, 0, 0]), dim=-1)
     seen = 5.0 * torch.rand(7, 4, 6, generator=generator)

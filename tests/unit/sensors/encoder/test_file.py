@@ -13,7 +13,6 @@ from tests.unit.sensors.encoder.encoders import ROBOT, coarse_camera, random_enc
 
 
 def test_file_holds_what_was_saved(tmp_path: Path) -> None:
-    """Bit for bit, as weights have 16 bits before they are used."""
     encoder, images = random_encoder(), torch.rand(3, 24, 40)
     encoder.save(tmp_path / "mine.pt")
     result = load_encoder(tmp_path / "mine.pt")

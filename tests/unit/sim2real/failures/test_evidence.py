@@ -18,7 +18,6 @@ LEAST, SHARE, LENGTH = 0.003, 0.7, 0.1
 
 
 def make_work(seed: int, blocks: int = 24, rotors: int = 3, columns: int = 2) -> RotorWork:
-    """Return blocks with noise alone, whose numbers mean nothing."""
     rng = np.random.default_rng(seed)
     own = 1.0 + 0.2 * rng.standard_normal((blocks, rotors))
     return RotorWork(
@@ -101,10 +100,8 @@ def test_sums_give_every_onset_of_a_rotor_that_sticks() -> None:
 
 
 def test_log_evidence_is_the_integral_over_the_parameter() -> None:
-    """Of many values the noise is known: the likelihood is normal in the parameter, and the integral over a normal prior exact.
-
-    With n = 1e6 values the log likelihood ``-(n / 2) log(RSS / n)`` is linear in the squares to 1e-4.
-    """
+    """Of many values the noise is known: the likelihood is normal in the parameter, and the integral over a normal
+    prior exact. With n = 1e6 values the log likelihood ``-(n / 2) log(RSS / n)`` is linear in the squares to 1e-4."""
     count, variance, inner, along, scale = 1e6, 0.5, 40.0, 6.0, 0.3
     change = along / (inner + variance / scale**2)
     rss = count * variance - 2.0 * change * along + change**2 * inner

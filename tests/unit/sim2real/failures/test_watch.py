@@ -28,12 +28,10 @@ def failure_table() -> pd.DataFrame:
 
 
 def run_watch(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> list[Alarm]:
-    """Return the alarms of a watch over some rows of a table."""
     return watch_rows(table, kept)[0]
 
 
 def watch_rows(table: pd.DataFrame, kept: slice | np.ndarray = slice(None)) -> tuple[list[Alarm], tuple[int, int]]:
-    """Return these alarms, and the numbers of bad rows and of clock steps."""
     watch = FlightWatch(ROBOT, list(table.columns))
     alarms = [alarm for row in table.to_numpy()[kept] for alarm in watch.add(row)] + watch.finish()
     return alarms, (watch.bad_rows, watch.clock_steps)
@@ -176,10 +174,8 @@ def test_a_step_of_the_clock_is_followed_and_a_late_block_of_40_rows_is_left_out
 
 
 def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:
-    """The sum of the odds over n blocks has a mean of n at most: it passes 20 n in a twentieth of cases at most (Markov).
-
-    Of 200 draws at most 10 then, and 3 standard deviations more: 19.
-    """
+    """The sum of the odds over n blocks has a mean of n at most: it passes 20 n in a twentieth of cases at most
+    (Markov). Of 200 draws at most 10 then, and 3 standard deviations more: 19."""
     rng, blocks, rotors = np.random.default_rng(0), 60, 4
     own = np.ones((blocks, rotors))
     passed = 0

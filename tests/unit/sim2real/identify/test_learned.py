@@ -29,14 +29,12 @@ FORCES, TURNS = OUTPUTS[:3], OUTPUTS[3:]
 
 
 def fly(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path], Path]:
-    """Return three training flights and a test flight."""
     tables = [flight(20 + n, noise=1.0, seconds=seconds, rate=100.0, cubic=cubic) for n in range(4)]
     *train, test = [write(table, folder / f"f{n}.csv") for n, table in enumerate(tables)]
     return train, test
 
 
 def make_judge(predictor: Predictor) -> LeftOut:
-    """Return the judge of a loop without effects."""
     residuals = predictor.residuals(params_from_robot(ROBOT))
     blocks = block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals])
     return LeftOut(
@@ -121,9 +119,7 @@ def test_flights_without_velocity_and_a_robot_that_has_one_are_refused(tmp_path:
 @pytest.mark.slow
 def test_the_loop_adds_it_beside_the_verdict(tmp_path: Path) -> None:
     """Named effects come first; the verdict stays unexplained, and the corrected robot is replayed with the network.
-
-    Only drag is looked for, to save time.
-    """
+    Only drag is looked for, to save time."""
     train, test = fly(tmp_path, CUBIC)
     (tmp_path / "robot.yaml").write_text(dump_yaml(ROBOT), encoding="utf-8")
     out = tmp_path / "out"

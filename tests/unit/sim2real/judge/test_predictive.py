@@ -66,10 +66,9 @@ def judge_flight(
     most: float = 0.15,
     more: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> ResidualExcess:
-    """Return the residual excess of a test flight with drag after training flights without it; the inertia is off by a factor.
-
-    ``own``: how large offsets of single flights seem, and ``most`` may be; ``more`` is felt along x in the last, at a time [s].
-    """
+    """Return the residual excess of a test flight with drag after training flights without it; the inertia is off by a
+    factor. ``own``: how large offsets of single flights seem, and ``most`` may be; ``more`` is felt along x in the
+    last, at a time [s]."""
     body = replace(ROBOT.body, inertia=tuple(tuple(inertia * value for value in row) for row in ROBOT.body.inertia))
     robot: RobotCfg = replace(ROBOT, body=body)
     rng, flights = np.random.default_rng(0), []

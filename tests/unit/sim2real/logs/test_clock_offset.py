@@ -165,11 +165,9 @@ def test_flights_that_judge_do_not_move_those_for_training() -> None:
 
 @pytest.mark.parametrize(("offset", "moved"), [(1.6, False), (-1.6, False), (2.4, True), (-2.4, True)])
 def test_what_late_sensors_explain_as_well_is_no_other_clock(offset: float, moved: bool) -> None:
-    """Rotor speeds and accelerometer are late by 3 ms each: 8 ms are theirs, 12 ms are those of a clock, which is anywhere.
-
-    Even odds of a normal deviation of ``s = 3 sqrt(2)`` ms and of any within 50 ms: ``s sqrt(2 ln(100 / (s sqrt(2 pi))))`` is
-    9.0 ms.
-    """
+    """Rotor speeds and accelerometer are late by 3 ms each: 8 ms are theirs, 12 ms are those of a clock, which is
+    anywhere. Even odds of a normal deviation of ``s = 3 sqrt(2)`` ms and of any within 50 ms: ``s sqrt(2 ln(100 / (s
+    sqrt(2 pi))))`` is 9.0 ms."""
     curve = make_curve(np.random.default_rng(11), offset, size=1.0)
     assert curve.offset.rows == pytest.approx(offset, abs=0.2)
     (result,), expected = common_offsets([curve], 1), curve.offset if moved else ClockOffset()

@@ -14,12 +14,10 @@ from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 @pytest.fixture
 def logs(tmp_path: Path) -> list[Path]:
-    """Return the logs of four flights."""
     return [write(flight(40 + n, noise=1.0, seconds=5.0, rate=100.0), tmp_path / f"f{n}.csv") for n in range(4)]
 
 
 def spoil(path: Path) -> None:
-    """Let a sensor fail in the middle of a log."""
     table = pd.read_csv(path)
     table.loc[100:110, "omega_y"] = np.nan
     write(table, path)

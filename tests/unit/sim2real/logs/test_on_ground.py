@@ -54,7 +54,6 @@ def load_parts(parts: list[pd.DataFrame], folder: Path) -> Flight:
 
 
 def ground_rows(parts: list[pd.DataFrame], folder: Path, *, lift_off: float) -> NDArray[np.bool_] | None:
-    """Return the rows on the ground of pieces that need not fit together."""
     mapping = replace(find_mapping("aerial_gym"), lift_off_m=lift_off)
     return rows_on_ground(read_flight_log(join_parts(parts, folder), mapping=mapping), ROBOT)
 

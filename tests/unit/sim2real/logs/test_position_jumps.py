@@ -36,7 +36,6 @@ def fly(seed: int, *, noise: float = 0.01, bias: float = 0.05, seconds: float = 
 
 
 def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -> FlightLog:
-    """Return the log with steps added to its position from some times [s] on."""
     position = log.position.copy()
     for at, size in steps.items():
         position[log.time >= at] += size
@@ -44,7 +43,6 @@ def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -
 
 
 def jump_notes(log: FlightLog) -> list[tuple[np.ndarray, float]]:
-    """Return size and time of each jump that notes tell."""
     assert {note.code for note in log.notes} == {"position_jump"}
     return [(np.array(note.values["size_m"]), note.values["start_s"]) for note in log.notes]
 
@@ -136,7 +134,6 @@ def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: 
 
 
 def test_noise_takes_nothing_back() -> None:
-    """Each of 200 stretches of 20 s, after a jump."""
     rng = np.random.default_rng(2)
     for _ in range(200):
         left = 0.006 * rng.standard_t(4, (1000, 3))

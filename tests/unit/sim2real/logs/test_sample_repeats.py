@@ -23,7 +23,6 @@ def table() -> pd.DataFrame:
 
 
 def freeze(table: pd.DataFrame, columns: list[str], rows: np.ndarray) -> pd.DataFrame:
-    """Return the table with some columns holding the value of the row before in some rows."""
     values = table[columns].to_numpy().copy()
     for row in rows:
         values[row] = values[row - 1]

@@ -181,7 +181,6 @@ MODELS = {
 
 
 def test_a_prediction_does_not_depend_on_the_earlier_models(tmp_path: Path) -> None:
-    """Bit for bit: nothing that is kept of one model is used for another one that it does not hold for."""
     results = load(tmp_path)
 
     def new() -> Predictor:
@@ -491,9 +490,8 @@ def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(tmp_path, par
 
 def test_derivatives_half_way_know_how_deviations_act_on_each_other(tmp_path: Path) -> None:
     """A gyro that is early and an accelerometer beside the origin: what it feels of the turning comes at another time.
-
-    Derivatives where nothing deviates miss 4 % of the change of the force in this gentle flight; of third order is 0.03 %.
-    """
+    Derivatives where nothing deviates miss 4 % of the change of the force in this gentle flight; of third order is 0.03
+    %."""
     results = load(tmp_path, rate=400.0)
     predictor = make_predictor([results])
     deviation = draw_deviations(sensor_delay_gyro=-3.0, imu_place_z=2.0)
@@ -520,9 +518,8 @@ def test_the_noise_floor_is_the_residual_of_a_perfect_model(tmp_path: Path) -> N
 )
 def test_the_noise_floor_of_rounded_rotor_speeds_is_what_a_perfect_model_leaves(noise, step, tmp_path) -> None:
     """Speeds that stay within a step for long are wrong by the same all the while, which above the band is not seen.
-
-    What is white there alone would give 0.1 to 0.6 of it along z. Of one step or another, rms is known to half of itself.
-    """
+    What is white there alone would give 0.1 to 0.6 of it along z. Of one step or another, rms is known to half of
+    itself."""
     results = load(tmp_path, rate=400.0, noise=noise, seconds=20.0)
     coarse = replace(results, rotor_speed=np.round(results.rotor_speed / step) * step)
     channels = find_channels([results])
@@ -542,10 +539,8 @@ def test_what_a_log_holds_in_full_has_no_noise_of_rounding(tmp_path: Path) -> No
 
 
 def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path: Path) -> None:
-    """A filter at 30 Hz takes noise away above, none below 10 Hz: the floor stays.
-
-    Lines from 15 to 24 Hz cannot tell a level from growth with f²; growth alone would give 10 / 19.5 / sqrt(3) = 0.3 of it.
-    """
+    """A filter at 30 Hz takes noise away above, none below 10 Hz: the floor stays. Lines from 15 to 24 Hz cannot tell a
+    level from growth with f²; growth alone would give 10 / 19.5 / sqrt(3) = 0.3 of it."""
     results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
     assert results.specific_force is not None
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
@@ -557,11 +552,9 @@ def test_the_noise_floor_of_a_filtered_sensor_is_that_below_its_filter(tmp_path:
 
 @pytest.mark.parametrize("rate", [50.0, pytest.param(100.0, marks=pytest.mark.slow)])
 def test_the_noise_floor_shows_in_a_log_of_the_highest_band(rate: float, tmp_path: Path) -> None:
-    """At 10 Hz there is little left above the band, but noise of a sensor is white: sqrt(400 / rate) times that at 400 Hz.
-
-    Of 30 s some 250 lines of Welch's spectrum tell it to 5 %; where growth may take a share, only to a factor of two. Along
-    z there is noise of rotors too, which a log of 50 Hz is too slow to tell.
-    """
+    """At 10 Hz there is little left above the band, but noise of a sensor is white: sqrt(400 / rate) times that at 400
+    Hz. Of 30 s some 250 lines of Welch's spectrum tell it to 5 %; where growth may take a share, only to a factor of
+    two. Along z there is noise of rotors too, which a log of 50 Hz is too slow to tell."""
     slow, fast = (load(tmp_path, rate=each, noise=1.0, seconds=30.0) for each in (rate, 400.0))
     channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
     floors = [noise_floor(ROBOT, [each], ModelParams(), channels, bandwidth=BAND) for each in (slow, fast)]

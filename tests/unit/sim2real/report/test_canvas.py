@@ -10,7 +10,6 @@ from aerial_gym.sim2real.report.canvas import INCH, Panel, panels, ticks
 
 
 def path_points(panel: Panel) -> list[np.ndarray]:
-    """Return the points of each path of a panel."""
     result = re.findall(r' d="([^"]*)"', panel.svg(panel.x_values))
     return [np.array(re.sub("[Mh]", " ", path).split(), dtype=float) for path in result]
 

@@ -29,7 +29,6 @@ CORE = {"mass": 0.5, "inertia": (1.2e-3, 1.3e-3, 2.2e-3)}
 
 
 def plant(springs: list[dict[str, float]]) -> str:
-    """Return the vehicle: four arms on hinges across the diagonals, positive downwards."""
     arms = ""
     for number, (x, y, _) in enumerate(CORNERS):
         own = springs[number]
@@ -87,7 +86,6 @@ def flight(springs: list[dict[str, float]], seed: int, *, seconds: float = 12.0,
 
 
 def robot() -> RobotCfg:
-    """Return the declared vehicle: the same masses, all springs alike."""
     arm = np.diag((2e-5, 2e-5, 3e-5))
     places = [np.array((x * TIP, y * TIP, 0.01)) for x, y, _ in CORNERS]
     mass = CORE["mass"] + 4 * ARM

@@ -39,10 +39,8 @@ def make_ride(table: pd.DataFrame, path: Path) -> Ride:
 
 @pytest.mark.slow
 def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(tmp_path, monkeypatch) -> None:
-    """The true springs leave a fifth of what the declared ones leave at most.
-
-    To save time pieces begin a second before; half of it damped, a swing is forgotten to ``exp(-0.5 s c / 2 J)``, 0.19.
-    """
+    """The true springs leave a fifth of what the declared ones leave at most. To save time pieces begin a second
+    before; half of it damped, a swing is forgotten to ``exp(-0.5 s c / 2 J)``, 0.19."""
     monkeypatch.setattr(swing, "SETTLE_S", 1.0)
     monkeypatch.setattr(swing, "USED_S", 0.7)
     hidden = [SAME | {"stiffness": 0.8}, SAME | {"damping": 0.008, "rest": 0.05}, SAME, SAME]
@@ -104,10 +102,8 @@ def test_what_cannot_be_found_so_is_refused_by_name(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [10, 11])
 def test_hidden_springs_are_named_and_found(seed: int, tmp_path: Path) -> None:
-    """One flight of 10 s: stiffness to 3 %, damping to 10 %, rest to 10 mrad, friction to 15 %, and no other joint's name.
-
-    Beside friction, which the fitted law lets creep, damping is off by up to 25 %.
-    """
+    """One flight of 10 s: stiffness to 3 %, damping to 10 %, rest to 10 mrad, friction to 15 %, and no other joint's
+    name. Beside friction, which the fitted law lets creep, damping is off by up to 25 %."""
     (tmp_path / "robot.yaml").write_text(dump_yaml(robot()))
     without_angles(flight(HIDDEN, seed, seconds=11.0)).to_csv(tmp_path / "f.csv", index=False)
     out = tmp_path / "out"
@@ -132,7 +128,6 @@ def test_hidden_springs_are_named_and_found(seed: int, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_loop_names_joints_beside_effects(tmp_path: Path) -> None:
-    """By their angles; a mapping is refused, as it would hide them."""
     (tmp_path / "robot.yaml").write_text(dump_yaml(robot()))
     paths = [tmp_path / f"f{seed}.csv" for seed in range(3)]
     for seed, path in enumerate(paths):

@@ -302,9 +302,7 @@ def test_creep_solves_the_generalised_maxwell_equations() -> None:
 
 def test_elements_of_a_power_law_relax_by_a_power() -> None:
     """``sum k_i exp(-t / T_i)`` is ``c Gamma(a) t^-a / h`` and a constant, h the logarithm of the ratio of two times.
-
-    Elements that are left out, below 1 ms and above 32 s, and the steps between the others are within 2e-3 of it.
-    """
+    Elements that are left out, below 1 ms and above 32 s, and the steps between the others are within 2e-3 of it."""
     amount, exponent, step = 400.0, 0.43, 0.5 * np.log(10.0)
     stiffness, times = creep_elements({"creep": amount, "exponent": exponent})
     time = np.array([0.01, 0.03, 0.1, 0.3, 1.0])

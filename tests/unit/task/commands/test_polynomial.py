@@ -16,10 +16,8 @@ AT_REST = [(1, np.zeros(3)), (2, np.zeros(3)), (3, np.zeros(3))]
 
 
 def fit_spline(points: np.ndarray, times: np.ndarray) -> BSpline:
-    """Return the spline of degree 7 through points (K, 3) that begins and ends at rest.
-
-    By the theorem of Holladay and de Boor it has the least snap of all curves that do.
-    """
+    """Return the spline of degree 7 through points (K, 3) that begins and ends at rest. By the theorem of Holladay and
+    de Boor it has the least snap of all curves that do."""
     return make_interp_spline(times, points, k=7, bc_type=(AT_REST, AT_REST))
 
 
@@ -31,7 +29,6 @@ def tracks(num_envs: int = 5, points: int = 5, *, seed: int = 0) -> Task:
 
 
 def read_draws(task: Task) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (E, K, 3) and times of segments (E,)."""
     own = task.values.own
     return own["track_points"].double().view(task.num_envs, 3, -1).mT.numpy(), own["track_time"].double().numpy()
 
@@ -61,10 +58,8 @@ def test_bernstein_control_points_are_those_of_a_known_polynomial() -> None:
 
 @pytest.mark.parametrize("points", [pytest.param(2, marks=pytest.mark.slow), 5])
 def test_a_target_flies_the_spline_of_its_points(points: int) -> None:
-    """Place, velocity and acceleration are scipy's, and so each is the derivative of the one before; at the end it stays.
-
-    Bounds: 200 roundings of float32 of numbers of the size of the largest one.
-    """
+    """Place, velocity and acceleration are scipy's, and so each is the derivative of the one before; at the end it
+    stays. Bounds: 200 roundings of float32 of numbers of the size of the largest one."""
     task = tracks(points=points)
     knots, times = read_draws(task)
     names = ("target_position", "target_velocity", "target_acceleration")

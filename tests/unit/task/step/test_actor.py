@@ -17,7 +17,6 @@ STEPS = 12
 
 
 def commands(cfg: ActionCfg, random_commands: torch.Tensor, *, length: int = 500) -> torch.Tensor:
-    """Return the commands that the controller received for random actions, (steps, E, 4)."""
     task = make(random_commands.shape[1], action=cfg, episode_len_steps=length)
     task.reset()
     result = []

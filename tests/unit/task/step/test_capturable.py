@@ -1,8 +1,6 @@
-"""A step of every registered task makes no tensor from Python numbers and reads none: either ends the capture of a CUDA graph.
-
-Both are seen by torch's dispatcher on any device, but for arrays of NumPy, whose functions refuse. So this needs no GPU; what
-only a GPU shows is in ``tests/integration/test_cuda.py``.
-"""
+"""A step of every registered task makes no tensor from Python numbers and reads none: either ends the capture of a CUDA
+graph. Both are seen by torch's dispatcher on any device, but for arrays of NumPy, whose functions refuse. So this needs
+no GPU; what only a GPU shows is in ``tests/integration/test_cuda.py``."""
 
 from dataclasses import replace
 from functools import partial

@@ -96,10 +96,8 @@ def test_gradients_of_a_task_with_joints_are_its_differences(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*SLOWLY, "everything"])
 def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
-    """In float32, by two kernels for each part of the step, against torch's own operations in float64, held to differences.
-
-    1e-4 of the largest entry: some thousand operations in float32.
-    """
+    """In float32, by two kernels for each part of the step, against torch's own operations in float64, held to
+    differences. 1e-4 of the largest entry: some thousand operations in float32."""
     cfg = full_task() if name == "everything" else replace(task_registry.get(name), episode_len_steps=4)
     single, exact = (build_task(cfg, NUM_ENVS, seed=3, gradients=dtype) for dtype in (torch.float32, F64))
     actions = 0.4 * torch.rand(STEPS, NUM_ENVS, 4, generator=torch.Generator().manual_seed(1))
@@ -115,7 +113,6 @@ def test_kernels_have_the_gradients_of_torch_operations(name: str) -> None:
 
 @pytest.mark.parametrize("name", [*SLOWLY, "everything"])
 def test_a_task_with_gradients_is_the_plain_task(name: str) -> None:
-    """Rewards, ends and observations of the same flight, from kernels and from torch operations, to float32."""
     cfg = full_task() if name == "everything" else replace(task_registry.get(name), episode_len_steps=7)
     plain, traced = (build_task(cfg, 5, seed=2, gradients=gradients) for gradients in (None, torch.float32))
     assert not any(rows.apart for rows in (plain._judge.rows, plain._observer.rows))
@@ -241,7 +238,6 @@ def test_images_and_captures_are_refused() -> None:
 
 
 def test_gradients_of_a_row_do_not_depend_on_the_batch() -> None:
-    """Of 64 rows, which torch takes as they stand, and of 2, which it pads: what is written anew is copied in both."""
     gradients = []
     for num_envs in (2, 64):
         task = build_task(full_task(), num_envs, gradients=F64)

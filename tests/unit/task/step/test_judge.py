@@ -26,7 +26,6 @@ def make_task(there: TerminationCfg, **changes: object) -> Task:
 
 
 def put(task: Task, *distances: float) -> None:
-    """Put the robots at rest at distances from the target."""
     state = task.env.robot_manager.tensors.state
     state.position.zero_()
     state.position[:, 0] = torch.tensor(distances)

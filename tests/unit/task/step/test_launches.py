@@ -26,12 +26,10 @@ class LaunchCounter(TorchDispatchMode):
     """Counts operations of torch that launch a kernel on a GPU, most of them one."""
 
     def __init__(self) -> None:
-        """Begin at none."""
         super().__init__()
         self.found: Counter[str] = Counter()
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        """Count one, and do it."""
         name = func._schema.name.removeprefix("aten::").split(".")[0]
         if name not in VIEWS and not name.startswith("empty"):
             self.found[name] += 1
@@ -71,8 +69,6 @@ def test_a_step_launches_few_kernels(name, randomize, most, monkeypatch) -> None
 
 
 def test_a_reset_copies_its_mask_once() -> None:
-    """Placement, clearance of start and goal, sensors and robot read one mask, which ``Randomness`` keeps."""
-
     class Masks(TorchDispatchMode):
         copied = 0
 

@@ -19,7 +19,6 @@ FREQUENT = ("position_setpoint_task", "navigation_task", "payload_task")
 
 @pytest.fixture(scope="module", params=rare_values([*FREQUENT, *RARE], RARE))
 def flight_task(request: pytest.FixtureRequest) -> Task:
-    """A task after some steps of random actions."""
     task = make(5, camera=True) if request.param == "navigation_task" else begin(request.param, 5)
     task.reset()
     generator = torch.Generator().manual_seed(0)

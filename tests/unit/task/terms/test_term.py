@@ -12,7 +12,6 @@ from tests.unit.task.hover import make
 
 
 def stretch(robot_position: Tensor, *, by: float, axis: int = 0) -> Tensor:
-    """Return a coordinate, stretched."""
     return by * robot_position[:, axis]
 
 
@@ -95,7 +94,6 @@ def test_a_buffer_of_ones_own_remembers(monkeypatch: pytest.MonkeyPatch) -> None
 
     @registry.buffer("highest", unit="m")
     def highest(highest: Tensor, begun: Tensor, robot_position: Tensor) -> Tensor:
-        """Return the largest height of the episode."""
         height = robot_position[:, 2]
         return torch.where(begun, height, torch.maximum(highest, height))
 

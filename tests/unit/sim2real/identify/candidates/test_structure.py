@@ -14,7 +14,6 @@ from tests.unit.sim2real.flat_flights import flight, load_tables
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
-    """Return four flights of 8 s."""
     tables = [flight(20 + n, noise=1.0, seconds=8.0, rate=100.0) for n in range(4)]
     return load_tables(tmp_path_factory.mktemp("flights"), tables)
 

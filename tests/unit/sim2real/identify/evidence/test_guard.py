@@ -57,9 +57,8 @@ def test_a_parameter_is_shown_where_flights_tell_it_better_than_by_its_scale(row
 
 
 def library(values: Array) -> Library:
-    """Return candidates of one parameter each, orthogonal to each other, for which flights ask for values (F, K);
-    the tolerance behind them does nothing.
-    """
+    """Return candidates of one parameter each, orthogonal to each other, for which flights ask for values (F, K); the
+    tolerance behind them does nothing."""
     flights, width = values.shape
     names = ("rotor_drag", "quadratic_drag", "constant_wind")[:width]
     product = np.pad(

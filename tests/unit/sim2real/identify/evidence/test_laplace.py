@@ -25,10 +25,8 @@ def test_without_effects_the_evidence_is_that_of_a_normal_model() -> None:
 @pytest.mark.parametrize("low", [-np.inf, 0.0])
 @pytest.mark.parametrize("best", [-1.0, 0.3, 4.0, 20.0])
 def test_the_evidence_of_one_parameter_is_its_integral_over_the_prior(best: float, low: float) -> None:
-    """Data that tell the parameter to 0.05 of its scale: Laplace is good to some per cent, also across a bound.
-
-    Where the best value lies beyond the bound the prior is taken there: wrong by its change up to the bound at most.
-    """
+    """Data that tell the parameter to 0.05 of its scale: Laplace is good to some per cent, also across a bound. Where
+    the best value lies beyond the bound the prior is taken there: wrong by its change up to the bound at most."""
     precision = 400.0
     result = posterior(
         candidates(1, low=low), Normal(product=np.array([[precision]]), gradient=np.array([precision * best])), (0,)

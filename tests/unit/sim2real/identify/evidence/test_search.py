@@ -11,7 +11,6 @@ from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 
 
 def all_subsets(count: int) -> list[tuple[int, ...]]:
-    """Return every subset of so many candidates."""
     return list(chain.from_iterable(combinations(range(count), size) for size in range(count + 1)))
 
 

@@ -46,7 +46,6 @@ def flights(seed: int) -> Sums:
 
 
 def whole(part: SparseDerivatives) -> np.ndarray:
-    """Return the same derivative with all its zeros, (T, 3, P)."""
     result = np.zeros((part.values.shape[0], 3, part.width))
     result[:, list(part.channels), part.first : part.first + part.values.shape[2]] = part.values
     return result
@@ -67,7 +66,6 @@ def test_zeros_are_put_back_as_they_were() -> None:
 
 @pytest.mark.parametrize("parts", [1, 4])
 def test_weighted_sums_are_those_of_the_channels_times_their_weights(parts: int) -> None:
-    """Whatever is left out because it is zero; effects in front, all else behind, in the order given."""
     own = flights(3)
     columns = list(zip(own.dense, own.first, own.last, strict=True))
     assert num_columns(columns[0]) == 9

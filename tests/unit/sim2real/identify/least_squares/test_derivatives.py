@@ -50,7 +50,6 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
 
 
 def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_alone() -> None:
-    """At the upper bound the difference is taken downwards; the number of a motor has none; others stand behind."""
     asked: list[float] = []
 
     def predict(params: ModelParams) -> list[np.ndarray]:

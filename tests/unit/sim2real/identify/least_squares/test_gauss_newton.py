@@ -51,10 +51,8 @@ def linear_fit(
 
 @pytest.mark.parametrize("colour", [pytest.param(15.0, marks=pytest.mark.slow), 2.0])
 def test_intervals_cover_the_truth_in_coloured_noise_and_with_a_vehicle_that_is_off(colour: float) -> None:
-    """95 % intervals hold 95 % of the time: white noise or slow noise, deviations of one sigma drawn anew.
-
-    240 trials of 3 parameters: at 95 % the count of misses is 36 +- 8 if parameters of a trial are correlated at most 0.3.
-    """
+    """95 % intervals hold 95 % of the time: white noise or slow noise, deviations of one sigma drawn anew. 240 trials
+    of 3 parameters: at 95 % the count of misses is 36 +- 8 if parameters of a trial are correlated at most 0.3."""
     rng = np.random.default_rng(5)
     truth, inside, widths = np.array([0.5, -0.2, 0.3]), [], []
     for _ in range(240):
@@ -93,7 +91,6 @@ def test_squares_after_a_step_are_those_of_the_rows() -> None:
 
 
 def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() -> None:
-    """Three flights of 8 s have four blocks each; joined by flight they are what whole flights give."""
     rng = np.random.default_rng(10)
     residuals = [rng.standard_normal((240, 2)) for _ in range(3)]
     jacobians = [rng.standard_normal((240, 2, 3)) for _ in range(3)]
@@ -164,7 +161,6 @@ def exponential(seed: int, remainder: float) -> tuple[PredictorStub, np.ndarray]
 
 
 def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
-    """Right ones save predictions; ones that are 30 % too large and 60 % too small are mended; ``exp`` of three parameters."""
     predictor, derivative = exponential(3, 1e-4)
     start = ModelParams(effects={WIND: np.zeros(3)})
     result, costs = [], []
@@ -195,7 +191,6 @@ def fit_exponential(goal: Goal) -> tuple[ModelFit, float, float, int]:
 
 
 def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -> None:
-    """What it is worth and may have missed is no less than what it would reach."""
     _, reached, _, whole = fit_exponential(Goal())
     fit, nowhere, more, few = fit_exponential(Goal(worth=worth, least=reached + 1e5))
     assert worth(fit) + more > reached > nowhere
@@ -243,7 +238,6 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
 
 
 def test_short_flights_have_short_blocks() -> None:
-    """24 blocks where they can be longer than half a second, and never longer than two."""
     assert [block_length([np.array([0.0, span])] * 3) for span in (2.0, 5.0, 16.0, 100.0)] == [0.5, 0.625, 2.0, 2.0]
     times = [np.arange(150) / 50.0] * 4
     moments = block_moments(times, [np.ones((150, 1))] * 4, [np.ones((150, 1, 1))] * 4)

@@ -7,7 +7,6 @@ from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
 
 
 def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return residuals (rows, 2) and derivatives (rows, 2, 3) of three flights."""
     rows = (7, 12, 30)
     return [rng.standard_normal((n, 2)) for n in rows], [rng.standard_normal((n, 2, 3)) for n in rows]
 

@@ -43,13 +43,11 @@ def most_probable(
 
 
 def fly(folder: Path, rate: float, **hidden: float) -> Predictor:
-    """Return three flights of 8 s with sensor noise."""
     tables = [flight(seed, noise=1.0, seconds=8.0, rate=rate, **hidden) for seed in range(3)]
     return make_predictor(load_tables(folder, tables))
 
 
 def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray:
-    """Return the errors of the parameters of a set's first effect, in standard deviations."""
     assert fitted.effects[0] == name
     scale = scales((name,))
     std = scale * np.sqrt(np.diag(fitted.parameters.covariance)[: scale.size])
@@ -102,11 +100,9 @@ def test_an_effect_whose_size_follows_the_time_is_a_surrogate_unless_flights_dis
 
 @pytest.mark.slow
 def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
-    """Drag beside the spring: both are found, and the drag is right.
-
-    Along z it is 7 % off, 4.3 of its deviations: what the spring does along the z of a leaning vehicle is in no structure,
-    which has one channel, so that the interval there is too short.
-    """
+    """Drag beside the spring: both are found, and the drag is right. Along z it is 7 % off, 4.3 of its deviations: what
+    the spring does along the z of a leaning vehicle is in no structure, which has one channel, so that the interval
+    there is too short."""
     results = most_probable(tmp_path, FEW, 100.0, spring=0.05, drag=0.05)
     assert results.effects == ("rotor_drag",)
     assert "position in specific_force.x" in results.structures

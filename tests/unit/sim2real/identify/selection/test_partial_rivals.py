@@ -31,12 +31,10 @@ def make_fitter(folder: Path, noise: float) -> Fitter:
 
 @pytest.fixture(scope="module")
 def fitter(tmp_path_factory: pytest.TempPathFactory) -> Fitter:
-    """Return that of noisy flights."""
     return make_fitter(tmp_path_factory.mktemp("flights"), 8.0)
 
 
 def fit_start(fitter: Fitter, **params: list[float]) -> EffectSetFit:
-    """Return a set fitted from some parameters."""
     start = fitter.declared
     for name, values in params.items():
         start = start.with_effect(name, np.array(values))

@@ -40,10 +40,8 @@ def select_hidden(
 
 
 def fade_thrust(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight whose thrust falls from 4 to 14 % below the declared one: rotors turn faster for it.
-
-    About the mean of 9 % that is a third of it (rms).
-    """
+    """Return a flight whose thrust falls from 4 to 14 % below the declared one: rotors turn faster for it. About the
+    mean of 9 % that is a third of it (rms)."""
     table[ROTORS] = table[ROTORS].div(np.sqrt(0.96 - 0.1 * table["t"] / table["t"].max()), axis=0)
     return table
 
@@ -184,7 +182,6 @@ class PriorScorer(_Scorer):
         self.predictor, self.variance = PredictorStub(), variance
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
-        """Return a fit with parameters of all effects, one after the other."""
         return make_score(start, effects, variance=[v for name in effects for v in self.variance[name]], frozen=frozen)
 
 

@@ -23,22 +23,16 @@ NAMES = ("com_offset", "rotor_drag", "quadratic_drag", "constant_wind")
 
 
 class Singles(FitStub):
-    """Fits of one effect of ``NAMES`` each."""
-
     def fit_set(self, _library: object, _sets: object, model: Model, *_: object) -> EffectSetFit:
-        """Return the set."""
         effects = tuple(NAMES[k] for k in model)
         return self.fit(effects, (), ModelParams(effects=dict.fromkeys(effects, np.zeros(0))))
 
 
 class GuardStub(Guard):
-    """Guard that removes all candidates or none."""
-
     def __init__(self, *, keeps: bool = True) -> None:
         self.keeps = keeps
 
     def drop_unsupported(self, model: Model) -> Model:
-        """Return the set if it is kept."""
         return model if self.keeps else ()
 
 
@@ -108,7 +102,6 @@ class SearchStub(SetSearch):
         return Weighting(variance=np.array([1.0 / weight]), effective=np.ones(1))
 
     def start(self) -> CandidateView:
-        """Return the first view of the search."""
         return self.start_view(self.declared, (), (), self.residual_weights(None))
 
     def start_view(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting, *_: Any):
@@ -119,7 +112,6 @@ class SearchStub(SetSearch):
         return make_view({}, make_fit(), fitter=fitter)
 
     def climb(self, ways: Any) -> None:
-        """Stay."""
         self.gone.append("all" if self.fit_rivals in ways else "likely")
 
 

@@ -88,10 +88,8 @@ def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: Cat
 
 
 def test_a_shifted_centre_of_mass_and_a_weak_motor_tie_in_hover_and_are_told_by_rotation(catalogue: Catalogue) -> None:
-    """In hover both are constant torques; a turn changes the thrusts, and with them what a weak motor lacks.
-
-    The shift is the one with the torques of the weak motor: ``(1 - scale) / 4`` of the arm in x and y.
-    """
+    """In hover both are constant torques; a turn changes the thrusts, and with them what a weak motor lacks. The shift
+    is the one with the torques of the weak motor: ``(1 - scale) / 4`` of the arm in x and y."""
     loss = 0.025
     shift = 0.1 * loss / 4.0
     one, other = model(com_offset=[-shift, shift, 0.0]), model(weak_motor=[1.0, 1.0 - loss])

@@ -1,7 +1,5 @@
-"""Gusts in what is left over: the process and its moments, and everything that must not be called gusts.
-
-Series are drawn from the spectrum (sums of cosines), not by the recursion that the simulator and the plant use.
-"""
+"""Gusts in what is left over: the process and its moments, and everything that must not be called gusts. Series are
+drawn from the spectrum (sums of cosines), not by the recursion that the simulator and the plant use."""
 
 from collections.abc import Callable
 from dataclasses import replace

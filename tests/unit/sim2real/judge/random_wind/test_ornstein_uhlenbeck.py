@@ -16,7 +16,6 @@ RNG = np.random.default_rng(0)
 
 
 def make_series(*rows: int) -> WindSeries:
-    """Return flights of white noise, of so many rows."""
     return WindSeries(wind=[RNG.normal(size=(n, 3)) for n in rows], features={}, step=0.1, bandwidth=8.0)
 
 

@@ -24,7 +24,6 @@ def table() -> pd.DataFrame:
 
 
 def check_rows(log: FlightLog, table: pd.DataFrame, atol: float = 0.0) -> None:
-    """The log holds these rows."""
     np.testing.assert_allclose(log.time, table["t"], atol=1e-6)
     np.testing.assert_allclose(log.attitude, table[["q_x", "q_y", "q_z", "q_w"]], atol=atol)
     np.testing.assert_allclose(log.rotor_speed, table[[f"rotor_{n}" for n in range(1, 5)]], atol=atol)
@@ -35,7 +34,6 @@ def csv_lines(table: pd.DataFrame) -> list[str]:
 
 
 def change_lines(change: Callable[[str], str]) -> Callable[[list[str]], str]:
-    """Return a layout that changes every line."""
     return lambda lines: "\n".join(change(line) for line in lines)
 
 
@@ -163,7 +161,6 @@ def test_a_log_that_was_sorted_after_its_clock_was_set_back_is_refused(shift, un
 @pytest.mark.parametrize("columns", [[], ["p_x", "p_y", "p_z"], ["v_x", "v_y", "v_z"], ["acc_x", "acc_y", "acc_z"]])
 @pytest.mark.parametrize("hold", [1, 2, 3, 4])
 def test_one_flight_is_one_time_course(hold: int, columns: list[str], table: pd.DataFrame, tmp_path: Path) -> None:
-    """Also with a tracker that is slower than the log, and where the log lacks a quantity."""
     held = table.copy()
     pose = ["p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"]
     held[pose] = held[pose].iloc[np.arange(len(table)) // hold * hold].to_numpy()
@@ -179,7 +176,6 @@ def px4(result: dict[str, dict[str, np.ndarray]]) -> tuple[pd.DataFrame, list[st
 
 
 def change_stamps(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):
-    """Return topics in which the stamps of one are changed."""
     results = topics(table)
     results[name] |= {key: np.asarray(change(results[name]["timestamp"].copy()))}
     return results

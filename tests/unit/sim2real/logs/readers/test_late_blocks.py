@@ -68,7 +68,6 @@ def test_three_blocks_in_any_order_are_put_in_order() -> None:
 
 
 def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
-    """Of the late block and of the one before it 20 rows each were never written."""
     true = true_time()
     kept = np.r_[:720, 740:820, 840:ROWS]
     order = swap_blocks(700, 100, 100)

@@ -15,8 +15,6 @@ Change = Callable[[np.ndarray], list[int]]
 
 
 def put(rows: list[int], value: Callable[[np.ndarray], object]) -> Change:
-    """Return a change that gives some rows another stamp."""
-
     def change(stamps: np.ndarray) -> list[int]:
         stamps[rows] = value(stamps[rows])
         return rows
@@ -25,8 +23,6 @@ def put(rows: list[int], value: Callable[[np.ndarray], object]) -> Change:
 
 
 def swap(one: int, other: int) -> Change:
-    """Return a change that exchanges two stamps."""
-
     def change(stamps: np.ndarray) -> list[int]:
         stamps[[one, other]] = stamps[[other, one]]
         return [one, other]

@@ -236,10 +236,9 @@ def test_a_load_cannot_be_followed_without_velocity() -> None:
 
 
 def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
-    """A free vehicle M above a swinging m: ``x'' = m / M g b``, ``b = A cos w t``, ``w² = g / l (1 + m / M)``, in small angles.
-
-    Rotors carry both weights, without torque. Terms of second order are A² = 4e-4 of g; the start is found to its prior.
-    """
+    """A free vehicle M above a swinging m: ``x'' = m / M g b``, ``b = A cos w t``, ``w² = g / l (1 + m / M)``, in small
+    angles. Rotors carry both weights, without torque. Terms of second order are A² = 4e-4 of g; the start is found to
+    its prior."""
     mass, length, angle, vehicle = 0.15, 0.8, 0.02, 0.6
     omega = sqrt(G / length * (1.0 + mass / vehicle))
     time, zero = np.arange(round(8.0 * RATE)) / RATE, np.zeros(round(8.0 * RATE))

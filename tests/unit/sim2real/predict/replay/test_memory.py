@@ -88,9 +88,8 @@ def test_rollouts_begin_with_arms_as_the_log_bends_them(speeds: str) -> None:
 
 
 def test_rollouts_begin_with_arms_that_are_as_far_from_rest_as_a_deviation_says() -> None:
-    """Unbent when the log begins, ``joint_rest`` off by -1 / 0.3; in hover ``h = rest (1 - exp(-t / tau))``.
-
-    Thrust falls by ``1 - cos h``; the arms of a substep of 5 ms are those of its end."""
+    """Unbent when the log begins, ``joint_rest`` off by -1 / 0.3; in hover ``h = rest (1 - exp(-t / tau))``. Thrust
+    falls by ``1 - cos h``; the arms of a substep of 5 ms are those of its end."""
     flight, tau = hover("a", 1.0), 2.0
     names = Tolerances().names(4)
     unbent = np.zeros(len(names))
@@ -104,10 +103,8 @@ def test_rollouts_begin_with_arms_that_are_as_far_from_rest_as_a_deviation_says(
 
 
 def test_rollouts_begin_with_arms_as_they_are_at_their_row() -> None:
-    """Arms that creep up after a step of thrust at 1 s: ``1 - cos h`` of it is lost, h in the middle of each 0.1 s.
-
-    In straight lines between rows the step comes half a row early, 5 ms of tau = 2 s: 0.3 % of the loss.
-    """
+    """Arms that creep up after a step of thrust at 1 s: ``1 - cos h`` of it is lost, h in the middle of each 0.1 s. In
+    straight lines between rows the step comes half a row early, 5 ms of tau = 2 s: 0.3 % of the loss."""
     flight = hover("a", 5.0)
     more = np.where(flight.time >= 1.0, 1.44, 1.0)
     flight = replace(flight, rotor_speed=flight.rotor_speed * np.sqrt(more)[:, None])
@@ -174,10 +171,8 @@ def test_predictions_are_those_of_the_independent_plant(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("compliance", [0.4, 0.8])
 def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance: float) -> None:
-    """Two flights, one with twice the thrust in rotors 1 and 3 as in 2 and 4.
-
-    After 0.1 s each has lost ``1 - cos h`` of the thrust of each rotor.
-    """
+    """Two flights, one with twice the thrust in rotors 1 and 3 as in 2 and 4. After 0.1 s each has lost ``1 - cos h``
+    of the thrust of each rotor."""
     still = hover("a", 5.0)
     uneven = np.array([4.0, 2.0, 4.0, 2.0]) / 3.0
     flights = [still, replace(still, name="b", rotor_speed=np.sqrt(uneven) * still.rotor_speed)]

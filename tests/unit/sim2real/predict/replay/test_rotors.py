@@ -60,7 +60,6 @@ def up_and_down(time: np.ndarray, start: float, high: float = 1100.0) -> np.ndar
 
 
 def make_model(effects: dict[str, list[float]] | None = None, *, robot: RobotCfg = ROBOT) -> Model:
-    """Return the model of a robot with the lags of this file, and with effects."""
     rotor = replace(robot.rotor, time_constant_up=TAU_UP, time_constant_down=TAU_DOWN)
     vehicle = vehicle_from_config(replace(robot, rotor=rotor), num_envs=1, dtype=F64)
     return build_model(vehicle, [(EFFECTS.get(n), torch.tensor([p], dtype=F64)) for n, p in (effects or {}).items()])
@@ -182,11 +181,9 @@ def drain_battery(time: np.ndarray, speed: np.ndarray, full: float) -> np.ndarra
 def flight_from_commands(
     folder: Path, *, delay: float, gain: float, seed: int = 3, full: float = 0.0, volt_noise: float = 0.0
 ) -> Flight:
-    """Return an exact flight at 400 rows per second with the commands that lead to its speeds.
-
-    Inverted: ``c = (w + tau w') / factor`` at the middle of the span for which a command holds, ``delay`` after its row.
-    The voltage is a made-up curve, or with ``full`` [V] that of a battery that is drained.
-    """
+    """Return an exact flight at 400 rows per second with the commands that lead to its speeds. Inverted: ``c = (w + tau
+    w') / factor`` at the middle of the span for which a command holds, ``delay`` after its row. The voltage is a
+    made-up curve, or with ``full`` [V] that of a battery that is drained."""
     result = uniform_flight(flight(seed, rate=400.0, seconds=8.0), folder, f"flown{seed}")
     assert result.rotor_speed is not None
     arrives = result.time + delay + 0.5 / 400.0
@@ -200,10 +197,8 @@ def flight_from_commands(
 
 
 def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path) -> None:
-    """8.7 ms and 0.5, both at once, from neutral, with 20 mV on the voltage: to 0.05 ms and 1 %.
-
-    Beside the tolerances, of which the hold of a command and a late rotor log make the same as a delay, to half a millisecond.
-    """
+    """8.7 ms and 0.5, both at once, from neutral, with 20 mV on the voltage: to 0.05 ms and 1 %. Beside the tolerances,
+    of which the hold of a command and a late rotor log make the same as a delay, to half a millisecond."""
     flights = [flight_from_commands(tmp_path, delay=0.0087, gain=0.5, seed=seed, volt_noise=0.02) for seed in (3, 4)]
     predictor = make_predictor(flights, POWERED, channels=ROTOR_SPEEDS)
     start = ModelParams(effects={"actuation_delay": np.zeros(1), "battery_sag": np.zeros(1)})
@@ -216,10 +211,8 @@ def test_a_replay_finds_delay_and_gain_under_noise_of_the_voltage(tmp_path: Path
 
 
 def test_sensors_that_are_all_late_are_a_delay_of_the_commands(tmp_path: Path) -> None:
-    """7.5 ms of one and of the other, three rows, between which no held command tells them apart: to 1e-3 of the change.
-
-    Of rows that are thinned to the band too: a spline through these missed 2 %.
-    """
+    """7.5 ms of one and of the other, three rows, between which no held command tells them apart: to 1e-3 of the
+    change. Of rows that are thinned to the band too: a spline through these missed 2 %."""
     predictor = make_predictor([flight_from_commands(tmp_path, delay=0.0, gain=0.0)], channels=ROTOR_SPEEDS)
     all_late = np.array([2.5 * name.startswith("sensor_delay") for name in Tolerances().names(4)])
     delay = ModelParams(effects={"actuation_delay": np.array([0.0075])})
@@ -253,10 +246,8 @@ def test_without_measured_rotor_speeds_the_delay_shows_in_the_forces(tmp_path: P
 
 
 def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> None:
-    """Resistance, fall per charge and nominal voltage of the battery that was flown, with 20 mV on the voltage.
-
-    The nominal voltage to five times what that noise leaves in a mean of 9600 rows, 0.2 mV.
-    """
+    """Resistance, fall per charge and nominal voltage of the battery that was flown, with 20 mV on the voltage. The
+    nominal voltage to five times what that noise leaves in a mean of 9600 rows, 0.2 mV."""
     flights = [
         flight_from_commands(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
         for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))

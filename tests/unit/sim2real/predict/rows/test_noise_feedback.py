@@ -24,10 +24,8 @@ Array = np.ndarray
 def hold_heading(
     seed: int = 0, *, noise: float = 0.02, asked: float = 0.0, rate: float = 200.0, told: bool = True
 ) -> Flight:
-    """Return a hover whose heading rate is held by a loop of 12 1/s that reads a noisy gyro [rad/s], logged.
-
-    ``asked`` is the rms of a turn of 1 Hz that it is told to make [rad/s]; ``told``: commands are logged, not exact speeds.
-    """
+    """Return a hover whose heading rate is held by a loop of 12 1/s that reads a noisy gyro [rad/s], logged. ``asked``
+    is the rms of a turn of 1 Hz that it is told to make [rad/s]; ``told``: commands are logged, not exact speeds."""
     rng, fine = np.random.default_rng(seed), 5
     rows, step, drift = round(SECONDS * rate), 1.0 / (rate * fine), 0.0
     base = np.sqrt(ROBOT.body.mass * G / 4.0 / FACTOR)
@@ -52,7 +50,6 @@ def hold_heading(
 
 
 def torque_std(flight: Flight) -> Array:
-    """Return one standard deviation of the seeming torque, (3,)."""
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     return torque_gain_uncertainty(flight, vehicle, make_predictor([flight]).predict(ModelParams())[0][:, 3:6], BAND)
 

@@ -47,10 +47,8 @@ def slope(true: Array, results: Array) -> float:
 
 @pytest.mark.parametrize("motion", [0.3, 0.6, 3.0])
 def test_what_is_true_follows_what_is_expected_one_to_one(motion: float) -> None:
-    """Measured speeds have S / (S + N) for a slope, N the noise in the band of 10 of 100 Hz; expected ones have 1.
-
-    In the mean over eight flights, and each flight within two deviations of what it says is unsure.
-    """
+    """Measured speeds have S / (S + N) for a slope, N the noise in the band of 10 of 100 Hz; expected ones have 1. In
+    the mean over eight flights, and each flight within two deviations of what it says is unsure."""
     measured, expected, away = [], [], []
     for seed in range(8):
         flight, true = pitch_flight(motion, seed)

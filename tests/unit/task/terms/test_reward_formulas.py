@@ -198,9 +198,7 @@ def test_a_crash_is_worth_what_it_is_there() -> None:
 
 def test_a_snake_starts_anywhere_in_its_bounds_heading_anywhere() -> None:
     """As there: places from all of the 2 m box, any yaw, up to 0.2 m/s and 0.2 rad/s on each axis; level, in a ring.
-
-    Uniform draws of 400 starts fill more than 90 % of each range but for one in 1e17 tries (0.9^400 at either end).
-    """
+    Uniform draws of 400 starts fill more than 90 % of each range but for one in 1e17 tries (0.9^400 at either end)."""
     with begin("position_setpoint_task_reconfigurable", 400, seed=3) as task:
         gtd = task.env.gtd
         euler = Rotation.from_quat(gtd["robot_orientation"].double().numpy()).as_euler("ZYX")
