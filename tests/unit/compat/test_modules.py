@@ -7,6 +7,7 @@ from importlib import import_module
 import pytest
 
 from aerial_gym.compat.modules import GONE, MODULES
+from docs.generate.aerial_gym_names import METHODS
 
 
 @pytest.mark.parametrize("path", [path for path, names in MODULES.items() if "" not in names])
@@ -45,3 +46,12 @@ def test_a_package_of_ours_gives_a_class_of_theirs() -> None:
         "assert BaseMultirotor is Other and 'position_setpoint_task' in task_registry"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("path", [f"{place}.{name}" for place, methods in METHODS.items() for name in methods])
+def test_every_method_is_there(path: str) -> None:
+    module, _, members = path.partition(":")
+    member = import_module(f"aerial_gym.compat.{module}")
+    for name in members.split("."):
+        member = getattr(member, name)
+    assert member.__doc__

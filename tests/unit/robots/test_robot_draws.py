@@ -14,7 +14,7 @@ from aerial_gym.assets import ENVIRONMENTS
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
@@ -38,9 +38,17 @@ MANY: dict[str, RandomizeCfg] = {
 }
 
 
-def make(randomize: Mapping[str, RandomizeCfg], num_envs: int = 6, *, robot: RobotCfg = QUAD, **options) -> EnvManager:
-    options = {"num_envs": num_envs, "seed": 4, "randomize": randomize, "backend": "warp", **options}
-    env = simulation(robot, "lee_velocity_control", **options)
+def make(
+    randomize: Mapping[str, RandomizeCfg],
+    num_envs: int = 6,
+    *,
+    robot=QUAD,
+    controller="lee_velocity_control",
+    backend="warp",
+    **options,
+) -> EnvManager:
+    options |= {"num_envs": num_envs, "seed": 4, "randomize": randomize, "backend": backend}
+    env = simulation(robot, controller, **options)
     env.reset()
     return env
 
@@ -353,3 +361,29 @@ def test_integers_are_drawn_equally_often_and_name_rotors() -> None:
 def test_the_number_of_a_rotor_is_drawn_among_those_that_there_are(how: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make({"effects.weak_motor.motor": RandomizeCfg(**{"how": "value"} | how)})
+
+
+STILL = InitialStateCfg(
+    **{f"{name}_{end}": (0.0, 0.0, 0.0) for name in ("euler", "lin_vel", "ang_vel") for end in ("low", "high")}
+)
+STILL_PID = {"robot": replace(QUAD, initial_state=STILL), "controller": "pid_velocity_control"}
+
+
+@pytest.mark.parametrize("backend", ["warp", "torch"])
+def test_gains_over_a_rate_loop_are_drawn(backend: str) -> None:
+    """From one start, the larger the gain on the velocity error the faster after 0.1 s."""
+    plain, env = (
+        make(cfg, backend=backend, **STILL_PID) for cfg in ({}, {"gains.velocity": RandomizeCfg(low=0.5, high=1.0)})
+    )
+    gains, declared = (each.robot_manager.controller.gains_by_name["velocity"] for each in (env, plain))
+    factor = env.draws()["gains.velocity"]
+    torch.testing.assert_close(gains, factor * declared)
+    for _ in range(10):
+        env.step(torch.tensor([[0.5, 0.0, 0.0, 0.0]]).expand(6, 4))
+    assert torch.equal(env.gtd["robot_linvel"][:, 0].argsort(), factor[:, 0].argsort())
+
+
+def test_a_unit_gain_is_not_to_be_drawn() -> None:
+    """Over a rate loop the law's gain on the rate is 1: its torque is the body rates that it wants."""
+    with pytest.raises(ConfigError, match=r"no quantity 'gains.rate'"):
+        make({"gains.rate": RandomizeCfg(low=0.9, high=1.1)}, controller="pid_velocity_control")

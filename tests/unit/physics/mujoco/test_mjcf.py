@@ -1,14 +1,16 @@
-"""What the writer of MJCF says: its frames, numbers to the last digit, and what is left out."""
+"""What the writer of MJCF says: its frames, numbers to the last digit, and what is left out; limits of contacts."""
 
 from dataclasses import replace
 from math import inf
 from xml.etree import ElementTree
 
+import pytest
 import torch
 
+from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics.articulated.tree import Joint, Links, Tree
 from aerial_gym.physics.ground import LinkContacts
-from aerial_gym.physics.mujoco.mjcf import Floor, write_mjcf
+from aerial_gym.physics.mujoco.mjcf import Floor, contact_softness, solver_numbers, write_mjcf
 from aerial_gym.physics.solids import Solid, Solids
 
 TREE = Tree(joints=(Joint(parent=0, axis=(0.0, 1.0, 0.0), position=(0.1, 0.2, 0.3), attitude=(0.5, -0.5, 0.1, 0.7)),))
@@ -59,3 +61,28 @@ def test_obstacles_are_bodies_of_their_environment_all_of_one_size() -> None:
             assert {body.get("mocap") for body in bodies} == {None if moves else "true"}
             assert {body.get("gravcomp") for body in bodies} == {"1" if moves else None}
             assert root.find("worldbody/geom") is None
+
+
+def test_short_steps_have_the_very_spring_and_damper() -> None:
+    cfg = ContactCfg(friction=0.5, damping_ratio=0.3)
+    (stiffness, damping), (impedance, *_) = solver_numbers(cfg, 1e-6)
+    assert -stiffness == pytest.approx(cfg.stiffness, rel=1e-3)
+    assert -damping == pytest.approx(cfg.damping, rel=1e-3)
+    assert impedance == pytest.approx(1e-4, rel=1.0)
+
+
+@pytest.mark.parametrize("dt", [1e-5, 1e-3, 4e-3, 0.02, 1.0])
+@pytest.mark.parametrize("sinking", [1e-5, 1e-3, 0.05])
+@pytest.mark.parametrize("damping_ratio", [0.0, 0.5, 1.0, 4.0])
+def test_no_motion_is_too_fast_for_its_step(dt: float, sinking: float, damping_ratio: float) -> None:
+    """``dt b / d <= 1``, an equality where damping is above critical, and ``dt² k / d <= 1 / 4``; MuJoCo's limits of d
+    hold. At its largest impedance MuJoCo leaves no more softening: the bounds are then kept by that alone, to its
+    1e-4."""
+    cfg = ContactCfg(friction=0.5, sinking=sinking, damping_ratio=damping_ratio)
+    (stiffness, damping), (impedance, *_) = solver_numbers(cfg, dt)
+    assert 1e-4 <= impedance <= 1.0 - 1e-4
+    if contact_softness(cfg, dt) > 1e-4:
+        assert dt * -damping / impedance <= 1.0 + 1e-9
+        assert dt**2 * -stiffness / impedance <= 0.25 + 1e-9
+        if damping_ratio >= 1.0 and impedance > 1e-4:
+            assert dt * -damping / impedance == pytest.approx(1.0)
