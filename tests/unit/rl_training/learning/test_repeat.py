@@ -18,12 +18,15 @@ Make = Callable[[TrainingCfg, Task], NativeTraining[Any]]
 SHARED = {"separate_value_network": False, "entropy_coef": 1e-3}
 
 TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
-    "ppo, separate": (test_ppo.settings(), ppo.make_training),
-    "ppo, shared": (test_ppo.settings(separate_value_network=False, clip_value=True), ppo.make_training),
-    "ppo, recurrent": (test_ppo.settings(memory=8, normalize_observation=True), ppo.make_training),
-    "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), ppo.make_training),
-    "apg": (test_apg.settings(), apg.make_training),
-    "apg, with a critic": (test_apg.settings(terminal_value=True, normalize_value=True), apg.make_training),
+    "ppo, separate": (test_ppo.settings(), ppo.PpoTrainer().make_training),
+    "ppo, shared": (test_ppo.settings(separate_value_network=False, clip_value=True), ppo.PpoTrainer().make_training),
+    "ppo, recurrent": (test_ppo.settings(memory=8, normalize_observation=True), ppo.PpoTrainer().make_training),
+    "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), ppo.PpoTrainer().make_training),
+    "apg": (test_apg.settings(), apg.ApgTrainer().make_training),
+    "apg, with a critic": (
+        test_apg.settings(terminal_value=True, normalize_value=True),
+        apg.ApgTrainer().make_training,
+    ),
 }
 
 
