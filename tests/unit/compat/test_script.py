@@ -51,11 +51,9 @@ def test_modules_of_a_script_may_import_what_is_not_installed(tmp_path: Path) ->
 
 
 def test_a_script_is_main_with_its_arguments_and_folder(tmp_path: Path) -> None:
-    (tmp_path / "beside_the_script.py").write_text("value = 3\n")
+    (tmp_path / "beside.py").write_text("value = 3\n")
     script = tmp_path / "script.py"
-    script.write_text(
-        "import isaacgym, sys\nfrom beside_the_script import value\nargv, main = sys.argv[1:], __name__\n"
-    )
+    script.write_text("import isaacgym, sys\nfrom beside import value\nargv, main = sys.argv[1:], __name__\n")
     before = sys.modules["__main__"], sys.argv, list(sys.path)
     names = run_script(script, ["--a", "1"])
     assert (names["value"], names["main"], names["argv"]) == (3, "__main__", ["--a", "1"])

@@ -23,10 +23,7 @@ def topics(table: pd.DataFrame) -> dict[str, dict[str, np.ndarray]]:
     force = table[["acc_x", "acc_y", "acc_z"]].to_numpy() * flip
 
     def topic(every: int, **fields: np.ndarray) -> dict[str, np.ndarray]:
-        return {
-            "timestamp": stamp[::every],
-            **{key: value[::every].astype(np.float32) for key, value in fields.items()},
-        }
+        return {"timestamp": stamp[::every], **{key: all[::every].astype(np.float32) for key, all in fields.items()}}
 
     return {
         "vehicle_attitude": topic(2, **{f"q[{i}]": quaternion[:, i] for i in range(4)}),

@@ -40,13 +40,10 @@ def test_terms_that_return_another_shape_are_refused(monkeypatch: pytest.MonkeyP
                 task_registry.make_task("position_setpoint_task", num_envs=4, device="cpu")
 
 
-@pytest.mark.parametrize(
-    ("num_envs", "message"),
-    [(10**10, "must be at least 1, and at most"), (2**31 - 1, "do not fit into the memory of cpu")],
-)
-def test_counts_that_nothing_holds_are_refused(num_envs: int, message: str) -> None:
+@pytest.mark.parametrize(("count", "message"), [(10**10, "must be at least 1"), (2**31 - 1, "memory of cpu")])
+def test_counts_that_nothing_holds_are_refused(count: int, message: str) -> None:
     with pytest.raises((ConfigError, CapabilityError), match=message):
-        SimBuilder().build_env(**NAMES, num_envs=num_envs, device="cpu")
+        SimBuilder().build_env(**NAMES, num_envs=count, device="cpu")
 
 
 def test_whatever_is_used_after_close_says_so() -> None:

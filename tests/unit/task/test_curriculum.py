@@ -14,9 +14,8 @@ from aerial_gym.task.curriculum import next_level
 from tests.unit.task.hover import begin
 from tests.unit.task.navigation import make
 
-CFG = CurriculumCfg(
-    min_level=15, max_level=20, check_after=10, raise_above=0.7, lower_below=0.6, raise_by=2, lower_by=1
-)
+LEVELS = {"min_level": 15, "max_level": 20, "raise_by": 2, "lower_by": 1}
+CFG = CurriculumCfg(**LEVELS, check_after=10, raise_above=0.7, lower_below=0.6)
 
 
 def decide(level: int, finished: int, succeeded: int, cfg: CurriculumCfg = CFG) -> tuple[int, int, int]:

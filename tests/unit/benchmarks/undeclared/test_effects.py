@@ -398,11 +398,9 @@ def test_wrong_requests_are_refused(effects: dict, features: tuple[str, ...], me
         make_case(tmp_path, effects=effects, seed=0, features=features)
 
 
-@pytest.mark.parametrize(
-    ("name", "message"), [("ceiling_effect", "needs a ceiling"), ("downwash", "needs another vehicle")]
-)
-def test_effects_need_their_surroundings(name: str, message: str) -> None:
-    with pytest.raises(ValueError, match=f"{name}: {message}"):
+@pytest.mark.parametrize(("name", "needs"), [("ceiling_effect", "a ceiling"), ("downwash", "another vehicle")])
+def test_effects_need_their_surroundings(name: str, needs: str) -> None:
+    with pytest.raises(ValueError, match=f"{name}: needs {needs}"):
         FullPlant(hide_effects(**{name: "large"}))
 
 

@@ -23,10 +23,7 @@ TRAININGS: dict[str, tuple[TrainingCfg, Make]] = {
     "ppo, recurrent": (test_ppo.settings(memory=8, normalize_observation=True), ppo.PpoTrainer().make_training),
     "ppo, recurrent and shared": (test_ppo.settings(memory=8, **SHARED), ppo.PpoTrainer().make_training),
     "apg": (test_apg.settings(), apg.ApgTrainer().make_training),
-    "apg, with a critic": (
-        test_apg.settings(terminal_value=True, normalize_value=True),
-        apg.ApgTrainer().make_training,
-    ),
+    "apg, a critic": (test_apg.settings(terminal_value=True, normalize_value=True), apg.ApgTrainer().make_training),
 }
 
 

@@ -99,15 +99,12 @@ def revolution_solid(radius: Callable[[float], float], low: float, high: float) 
 
 
 R, L = 0.06, 0.25
+ROD = f"<radius>{R}</radius><length>{L}</length>"
 REVOLVED = {
     "sphere": (f"<radius>{R}</radius>", lambda z: (R * R - z * z) ** 0.5, R),
-    "cylinder": (f"<radius>{R}</radius><length>{L}</length>", lambda z: R, L / 2),
-    "cone": (f"<radius>{R}</radius><length>{L}</length>", lambda z: R * (0.5 - z / L), L / 2),
-    "capsule": (
-        f"<radius>{R}</radius><length>{L}</length>",
-        lambda z: (R * R - max(abs(z) - L / 2, 0.0) ** 2) ** 0.5,
-        L / 2 + R,
-    ),
+    "cylinder": (ROD, lambda z: R, L / 2),
+    "cone": (ROD, lambda z: R * (0.5 - z / L), L / 2),
+    "capsule": (ROD, lambda z: (R * R - max(abs(z) - L / 2, 0.0) ** 2) ** 0.5, L / 2 + R),
     "ellipsoid": (f"<radii>{R} {R} {L}</radii>", lambda z: R * (1.0 - (z / L) ** 2) ** 0.5, L),
 }
 

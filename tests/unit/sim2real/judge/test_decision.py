@@ -5,6 +5,7 @@ import pytest
 from aerial_gym.sim2real.judge.decision import Decision, decide
 
 X, Z = ("specific_force.x",), ("angular_acceleration.z",)
+DRAG = ("rotor_drag",)
 
 
 def codes(decision: Decision) -> list[str]:
@@ -25,17 +26,12 @@ def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
 @pytest.mark.parametrize(
     ("effects", "remains", "kind", "expected"),
     [
-        (("rotor_drag",), {}, "explained", ["remains_near_floor"]),
-        (("rotor_drag",), {"left_open": X}, "explained", ["left_open"]),
-        (("rotor_drag",), {"of_flights": X}, "explained", ["offsets_of_flights", "remains_near_floor"]),
-        (("rotor_drag",), {"unexplained": X}, "unexplained", ["remains_unexplained"]),
-        (
-            ("rotor_drag",),
-            {"unexplained": X, "open_to": ("gusts",)},
-            "ambiguous",
-            ["remains_unexplained", "effects_open"],
-        ),
-        (("rotor_drag",), {"floor_known": False}, "explained", ["floor_unknown"]),
+        (DRAG, {}, "explained", ["remains_near_floor"]),
+        (DRAG, {"left_open": X}, "explained", ["left_open"]),
+        (DRAG, {"of_flights": X}, "explained", ["offsets_of_flights", "remains_near_floor"]),
+        (DRAG, {"unexplained": X}, "unexplained", ["remains_unexplained"]),
+        (DRAG, {"unexplained": X, "open_to": ("gusts",)}, "ambiguous", ["remains_unexplained", "effects_open"]),
+        (DRAG, {"floor_known": False}, "explained", ["floor_unknown"]),
         ((), {}, "none", []),
         ((), {"of_flights": X}, "none", ["offsets_of_flights"]),
         ((), {"left_open": Z}, "not shown", ["left_open"]),

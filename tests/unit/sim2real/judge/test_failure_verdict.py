@@ -43,14 +43,8 @@ def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(na
 
 def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else() -> None:
     params, verdict = ModelParams(), make_verdict("none", notes=(OTHER,))
-    judged = LoopResult(
-        declared=make_setup(),
-        selection=make_selection(),
-        params=params,
-        within=params,
-        corrected=ROBOT,
-        verdict=verdict,
-    )
+    given = {"declared": make_setup(), "selection": make_selection(), "verdict": verdict}
+    judged = LoopResult(**given, params=params, within=params, corrected=ROBOT)
     failure = make_failure("motor_failure", {"time": 3.0})
     told = failure_verdict.with_suspicions(judged, [failure])
     expected = Finding("failure_suspected", "f1", {**failure.finding.values, "log_odds": 24.81})

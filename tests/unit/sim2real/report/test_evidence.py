@@ -40,8 +40,7 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_needs(ligh
     alone = {cloud.channel.name: cloud for cloud in clue.clouds}
     for name, truth in (
         ("specific_force.z", SCALE),
-        ("angular_acceleration.x", SCALE * lighter),
-        ("angular_acceleration.y", SCALE * lighter),
+        *((f"angular_acceleration.{axis}", SCALE * lighter) for axis in "xy"),
     ):
         assert alone[name].alone == pytest.approx(truth, abs=4.0 * alone[name].std)
         assert alone[name].std < 0.02

@@ -77,10 +77,7 @@ def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(table, tmp_path,
     [
         (lambda t: scale(t, P, 1 / 0.3048), r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft"),
         (lambda t: scale(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
-        (
-            lambda t: scale(t, V, 1.6),
-            r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_vel gain",
-        ),
+        (lambda t: scale(t, V, 1.6), r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_v"),
         (lambda t: scale(t, P, (-1, 1, 1)), r"it looks as if p_x have the wrong sign: multiply each column by -1"),
         (lambda t: scale(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
         (lambda t: scale(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),

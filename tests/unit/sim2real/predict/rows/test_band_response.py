@@ -52,10 +52,8 @@ WATER = {"added_mass": (0.3, 0.2, 0.4)}
 )
 def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[float, ...]], tmp_path: Path) -> None:
     """Against the accelerations of all forces together in every row, low-passed: to rounding, 1e-11 of 10 m/s²."""
-    flights = [
-        uniform_flight(flight(3, seconds=4.0), tmp_path, "3"),
-        uniform_flight(flight(5, seconds=5.0, drag=0.2), tmp_path, "5"),
-    ]
+    logs = {"3": flight(3, seconds=4.0), "5": flight(5, seconds=5.0, drag=0.2)}
+    flights = [uniform_flight(log, tmp_path, name) for name, log in logs.items()]
     rotors = estimate_rotors(ROBOT, flights, BAND)
     data = Dataset(flights, rotors=rotors, bandwidth=BAND, channels=find_channels(flights), every_row=False)
     count = data.speed.shape[0]
