@@ -348,19 +348,6 @@ def test_a_reversed_rotor_is_one_upside_down() -> None:
     np.testing.assert_allclose(b, a * np.array([1, -1, -1, 1, -1, -1]), atol=1e-15)
 
 
-def test_forces_grow_with_the_square_of_the_speed_at_one_advance_ratio_and_vanish_with_it() -> None:
-    a = loads([0.1, 0.0, 0.02], flap_frequency=0.0)
-    b = loads([0.05, 0.0, 0.01], speed=0.5 * SPEED, flap_frequency=0.0)
-    np.testing.assert_allclose(b, 0.25 * a, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(loads([0.3, 0.1, -0.2], speed=0.0), 0.0, atol=1e-5)
-
-
-def test_in_sideways_flight_thrust_grows_and_in_climb_it_falls() -> None:
-    rest, sideways, climb, sinking = (loads(v)[2] for v in ([0, 0, 0.0], [0.15, 0, 0.0], [0, 0, 0.05], [0, 0, -0.02]))
-    assert climb < rest < sideways
-    assert sinking == pytest.approx(rest, rel=0.02)  # the wake comes back: hardly any gain in a slow descent
-
-
 def test_hubs_away_from_the_centre_turn_the_body() -> None:
     """With four rotors the torque beside hub moments is ``sum l x F``: here from thrusts that a roll rate makes uneven."""
     robot = ROBOTS.get("racing_quadrotor")

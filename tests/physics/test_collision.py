@@ -13,6 +13,7 @@ from aerial_gym.assets import PARKED_Z, CollisionTest, Scene
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.robot import SphereCfg
 from aerial_gym.errors import ShapeError
+from tests.physics.sensor_rig import make_scene
 
 Array = NDArray[np.float64]
 
@@ -33,12 +34,6 @@ def random_unit_quaternions(*shape: int, generator: torch.Generator) -> Tensor:
 def rotation(q: Tensor) -> Array:
     x, y, z, w = q.double().tolist()
     return trimesh.transformations.quaternion_matrix([w, x, y, z])[:3, :3]
-
-
-def make_scene(shapes: list[ShapeCfg], position: Tensor, attitude: Tensor, *, device: torch.device) -> Scene:
-    state = torch.cat((position, attitude, torch.zeros(*position.shape[:2], 6)), dim=-1).float().to(device)
-    rows = torch.arange(len(shapes))
-    return Scene(shapes, shape_index=rows, semantic_id=rows, asset_state=state)
 
 
 def measure(

@@ -20,7 +20,7 @@ from aerial_gym.config.environment import CheckerCfg, LampCfg, PartCfg, ShapeCfg
 from aerial_gym.config.sensor import CameraCfg, LightCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_conjugate, quat_from_euler, quat_rotate
-from aerial_gym.sensors import RayCaster, SensorImages
+from tests.physics.sensor_rig import place_shapes, shoot
 
 PAINT = LightCfg(sun=None, ambient=1.0, shadows=False, sky=(0.0, 0.0, 0.0))
 DARK = LightCfg(sun=None, ambient=0.0, sky=(0.0, 0.0, 0.0))
@@ -40,29 +40,10 @@ DOWN = [0.0, np.pi / 2, 0.0]
 pytestmark = pytest.mark.usefixtures("few_rays")
 
 
-def make_scene(
-    shapes: list[ShapeCfg], poses: list[tuple[list[float], list[float]]], device, *, lamps: tuple[LampCfg, ...] = ()
-) -> Scene:
-    state = torch.zeros(1, len(shapes), 13)
-    for a, (position, euler) in enumerate(poses):
-        state[:, a, :3], state[:, a, 3:7] = torch.tensor(position), quat_from_euler(torch.tensor(euler))
-    rows = torch.arange(len(shapes))
-    return Scene(shapes, shape_index=rows, semantic_id=rows, asset_state=state.to(device), lamps=lamps)
-
-
 def look(cfg: CameraCfg, scene: Scene, position: list[float], euler: list[float]) -> tuple[Tensor, Tensor, Tensor]:
-    shape, device = (1, 1, cfg.height, cfg.width), scene.device
-    color, points = (torch.full((*shape, 3), float("nan"), device=device) for _ in range(2))
-    ids = torch.full(shape, -12345, dtype=torch.int32, device=device)
-    distance = torch.full(shape, float("nan"), device=device)
-    RayCaster(
-        cfg,
-        scene,
-        SensorImages(distance=distance, segmentation=ids, points=points, color=color),
-        position=torch.tensor([position], device=device),
-        attitude=quat_from_euler(torch.tensor([euler])).to(device),
-    ).cast()
-    return color[0, 0].cpu(), points[0, 0].cpu().double(), ids[0, 0].cpu()
+    pose = {"position": torch.tensor([position]), "attitude": quat_from_euler(torch.tensor([euler]))}
+    images = shoot(cfg, scene, **pose).images
+    return images.color[0, 0].cpu(), images.points[0, 0].cpu().double(), images.segmentation[0, 0].cpu()
 
 
 def own_points(points: Tensor, position: list[float], euler: list[float]) -> Tensor:
@@ -87,7 +68,7 @@ def test_vertex_colors_are_weighed_by_the_areas_of_the_opposite_triangles(kind: 
     trimesh.Trimesh(stored, [[0, 1, 2]], vertex_colors=colors, process=False).export(path)
     place, turn, scale = [3.0, -0.8, 0.6], [0.3, 1.1, 0.2], 1.5
     shape = ShapeCfg(kind="mesh", path=str(path), scale=scale)
-    color, points, ids = look(CAMERA, make_scene([shape], [(place, turn)], device), [0.0] * 3, [0.0] * 3)
+    color, points, ids = look(CAMERA, place_shapes([shape], [(place, turn)], device), [0.0] * 3, [0.0] * 3)
     p, (a, b, c) = own_points(points, place, turn).numpy()[(ids == 0).numpy()], scale * corners
     assert len(p) > 100
     area = np.linalg.norm(np.cross(b - a, c - a))
@@ -108,7 +89,7 @@ def test_colors_of_faces_and_of_an_inverted_mesh_stay_at_their_places(device, tm
         cube.export(tmp_path / f"{name}.ply")
         place, turn = [4.0, 0.2, 0.1], [0.4, 0.5, 0.6]
         shape = ShapeCfg(kind="mesh", path=str(tmp_path / f"{name}.ply"))
-        color, points, ids = look(CAMERA, make_scene([shape], [(place, turn)], device), [0.0] * 3, [0.0] * 3)
+        color, points, ids = look(CAMERA, place_shapes([shape], [(place, turn)], device), [0.0] * 3, [0.0] * 3)
         expected = 0.5 + 0.5 * own_points(points, place, turn)[ids == 0]
         assert len(expected) > 200
         np.testing.assert_allclose(color[ids == 0].numpy(), expected.numpy(), atol=0.5 / 255 + 1e-4)  # stored as bytes
@@ -119,7 +100,7 @@ def test_each_face_may_have_a_color_of_its_own(device, tmp_path: Path) -> None:
     square.visual.face_colors = np.array([[0, 0, 255, 255], [255, 0, 0, 255]], dtype=np.uint8)
     square.export(tmp_path / "square.ply")
     shape = ShapeCfg(kind="mesh", path=str(tmp_path / "square.ply"))
-    color, points, ids = look(CAMERA, make_scene([shape], [([0.0] * 3, [0.0] * 3)], device), [0.5, 0.5, 1.0], DOWN)
+    color, points, ids = look(CAMERA, place_shapes([shape], [([0.0] * 3, [0.0] * 3)], device), [0.5, 0.5, 1.0], DOWN)
     below = points[..., 1] < points[..., 0]
     sure = (ids == 0) & ((points[..., 1] - points[..., 0]).abs() > 1e-3)
     expected = torch.where(below.unsqueeze(-1), torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.0, 0.0]))
@@ -159,7 +140,7 @@ def test_textures_are_those_of_a_bilinear_interpolation_that_repeats(
     factor, tiles = (0.6, 1.0, 0.2), 2.5
     shape = ShapeCfg(kind="mesh", path=write_square(tmp_path, kind, image, factor=factor, tiles=tiles))
     place, turn = [0.2, 0.1, 0.0], [0.1, -0.2, 0.7]
-    color, points, ids = look(CAMERA, make_scene([shape], [(place, turn)], device), [0.0, 0.0, 2.0], DOWN)
+    color, points, ids = look(CAMERA, place_shapes([shape], [(place, turn)], device), [0.0, 0.0, 2.0], DOWN)
     uv = tiles * 0.5 * (own_points(points, place, turn)[ids == 0][:, :2].numpy() + 1.0)
     rows, columns = (1.0 - uv[:, 1]) * size[1] - 0.5, uv[:, 0] * size[0] - 0.5
     channels = [map_coordinates(image[..., k] / 255.0, (rows, columns), order=1, mode="grid-wrap") for k in range(3)]
@@ -174,7 +155,7 @@ def test_texels_between_texels_and_beyond_the_border(device, tmp_path: Path) -> 
     red, green, blue, white = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
     image = np.array([[red, green], [blue, white]], dtype=np.uint8)
     shape = ShapeCfg(kind="mesh", path=write_square(tmp_path, "obj", image, factor=(1.0, 1.0, 1.0), tiles=1.0))
-    scene = make_scene([shape], [([0.0] * 3, [0.0] * 3)], device)
+    scene = place_shapes([shape], [([0.0] * 3, [0.0] * 3)], device)
     pixel = replace(CAMERA, width=1, height=1, hfov_deg=1.0)
     expected = {
         (-0.5, 0.5): (1.0, 0.0, 0.0),
@@ -201,7 +182,7 @@ def test_materials_of_one_file_and_a_shared_file_are_kept_apart_and_stored_once(
     shape = ShapeCfg(kind="mesh", path=str(tmp_path / "two.obj"))
     plain = replace(shape, color=(0.3, 0.2, 0.1))
     poses = [([float(x), 0.0, 0.0], [0.0] * 3) for x in (-1, 0, 1)]
-    scene = make_scene([shape, replace(shape), plain], poses, device)
+    scene = place_shapes([shape, replace(shape), plain], poses, device)
     assert scene.shape_table.looks.corner_color.shape == (6,)
     color, points, ids = look(CAMERA, scene, [0.5, 0.5, 2.0], DOWN)
     x = points[..., 0] - (ids - 1)
@@ -223,7 +204,7 @@ def test_colors_come_from_the_shape_its_compound_or_its_kind(device) -> None:
     parts = (PartCfg(shape=own), PartCfg(shape=without, position=(0.0, 0.6, 0.0)))
     painted = ShapeCfg(kind="compound", parts=parts, color=(0.8, 0.2, 0.6))
     poses = [([3.0, y, 0.0], [0.0] * 3) for y in (-1.4, 0.0, 1.0)]
-    scene = make_scene([box, ShapeCfg(kind="compound", parts=parts), painted], poses, device)
+    scene = place_shapes([box, ShapeCfg(kind="compound", parts=parts), painted], poses, device)
     color, points, ids = look(CAMERA, scene, [0.0] * 3, [0.0] * 3)
 
     def nearest_color(y: float) -> list[float]:
@@ -252,14 +233,14 @@ def test_links_of_a_urdf_have_the_colors_of_their_materials(device, tmp_path: Pa
         text += f'{joint}<origin xyz="0 {y} 0"/></joint>'
     (tmp_path / "three.urdf").write_text(text + "</robot>")
     shape = ShapeCfg(kind="urdf", path=str(tmp_path / "three.urdf"), color=(0.3, 0.3, 0.9), first_link_id=1)
-    color, _, ids = look(CAMERA, make_scene([shape], [([3.0, -1.0, 0.0], [0.0] * 3)], device), [0.0] * 3, [0.0] * 3)
+    color, _, ids = look(CAMERA, place_shapes([shape], [([3.0, -1.0, 0.0], [0.0] * 3)], device), [0.0] * 3, [0.0] * 3)
     for link, value in ((1, (0.9, 0.1, 0.2)), (2, (0.2, 0.7, 0.1)), (3, (0.3, 0.3, 0.9))):
         seen = color[ids == link]
         assert len(seen) > 10
         torch.testing.assert_close(seen, torch.tensor(value).expand_as(seen), rtol=0.0, atol=1e-6)
     (tmp_path / "three.urdf").write_text(text.replace("0.9 0.1 0.2 1", "9 0.1 0.2 1") + "</robot>")
     with pytest.raises(ConfigError, match=r"link 'a': material 'x': rgba \[9.0"):
-        make_scene([shape], [([3.0, -1.0, 0.0], [0.0] * 3)], device)
+        place_shapes([shape], [([3.0, -1.0, 0.0], [0.0] * 3)], device)
 
 
 @pytest.mark.parametrize("kind", ["plane", "box", "cylinder", "sphere", "capsule", "mesh"])
@@ -279,17 +260,9 @@ def test_fields_of_a_checkerboard_lie_where_its_cubes_are(kind: str, device, tmp
     shape = ShapeCfg(kind=kind, color=first, checker=CheckerCfg(size=size, color=second), **numbers[kind])
     place, turn = [0.1, 0.2, 0.0], [0.3, 0.2, 0.5]
     cfg = replace(CAMERA, normals="world")
-    scene = make_scene([shape], [(place, turn)], device)
-    images = (1, 1, cfg.height, cfg.width)
-    result = SensorImages(
-        distance=torch.zeros(images, device=device),
-        segmentation=torch.zeros(images, dtype=torch.int32, device=device),
-        points=torch.zeros(*images, 3, device=device),
-        normals=torch.zeros(*images, 3, device=device),
-        color=torch.zeros(*images, 3, device=device),
-    )
-    position, attitude = torch.tensor([[-0.5, 0.4, 2.0]]), quat_from_euler(torch.tensor([[0.0, 1.2, -0.2]]))
-    RayCaster(cfg, scene, result, position=position.to(device), attitude=attitude.to(device)).cast()
+    scene = place_shapes([shape], [(place, turn)], device)
+    pose = {"position": torch.tensor([[-0.5, 0.4, 2.0]]), "attitude": quat_from_euler(torch.tensor([[0.0, 1.2, -0.2]]))}
+    result = shoot(cfg, scene, **pose).images
     hit = (result.segmentation[0, 0] == 0).cpu()
     inside = result.points[0, 0].cpu().double() - 0.01 * size * result.normals[0, 0].cpu().double()
     cell = own_points(inside, place, turn) / size
@@ -320,7 +293,7 @@ def test_a_lamp_lights_a_plane_with_the_cosine_over_the_square_of_its_distance(d
     below = LampCfg(position=(0.0, 0.0, -1.0), intensity=5.0)
     albedo, turn = torch.tensor(GROUND.color), [0.2, 1.3, 0.4]
     for lamps, ambient in (((a,), 0.0), ((b,), 0.0), ((a, b), 0.0), ((a, b), 0.25), ((strong,), 0.0), ((below,), 0.1)):
-        scene = make_scene([GROUND], [([0.0] * 3, [0.0] * 3)], device, lamps=lamps)
+        scene = place_shapes([GROUND], [([0.0] * 3, [0.0] * 3)], device, lamps=lamps)
         cfg = replace(CAMERA, light=replace(DARK, ambient=ambient))
         color, points, ids = look(cfg, scene, HIGH, turn)
         assert (ids == 0).all()
@@ -337,7 +310,7 @@ def test_a_sphere_under_a_lamp_throws_the_shadow_of_its_cone(device) -> None:
     lamp = LampCfg(position=(x, y, height), intensity=1.5)
     ball = ShapeCfg(kind="sphere", radius=radius)
     poses = [([0.0] * 3, [0.0] * 3), ([x, y, height - d], [0.0] * 3), ([x + 0.3, y, height + 0.5], [0.0] * 3)]
-    scene = make_scene([GROUND, ball, ball], poses, device, lamps=(lamp,))
+    scene = place_shapes([GROUND, ball, ball], poses, device, lamps=(lamp,))
     lit, points, ids = look(replace(CAMERA, light=DARK), scene, [-2.2, 0.0, 1.8], [0.0, 0.6, 0.0])
     out = (points[..., :2] - torch.tensor([x, y])).norm(dim=-1) - height * radius / (d * d - radius * radius) ** 0.5
     sure = (ids == 0) & (out.abs() > 0.01)  # the ray to the lamp starts 1e-3 of the distance above the ground
@@ -355,7 +328,7 @@ def test_what_stands_beyond_a_lamp_throws_no_shadow(device) -> None:
     wall = ShapeCfg(kind="box", size=(0.1, 40.0, 40.0))
     for x, blocked in ((0.9, False), (1.1, True)):
         lamp = LampCfg(position=(x, 0.0, 1.0), intensity=1.0)
-        scene = make_scene(
+        scene = place_shapes(
             [GROUND, wall], [([0.0] * 3, [0.0] * 3), ([1.0, 0.0, 0.0], [0.0] * 3)], device, lamps=(lamp,)
         )
         color, points, ids = look(replace(CAMERA, light=DARK), scene, [-1.0, 0.0, 1.0], [0.0, 0.5, 0.0])
@@ -367,7 +340,7 @@ def test_what_stands_beyond_a_lamp_throws_no_shadow(device) -> None:
 def test_the_sun_of_the_sensor_and_the_lamps_of_the_environment_add(device) -> None:
     lamp = LampCfg(position=(0.2, 0.1, 1.5), intensity=0.5)
     sun = LightCfg(sun=(0.0, 3.0, 4.0), ambient=0.2)
-    scene = make_scene([GROUND], [([0.0] * 3, [0.0] * 3)], device, lamps=(lamp,))
+    scene = place_shapes([GROUND], [([0.0] * 3, [0.0] * 3)], device, lamps=(lamp,))
     color, points, _ = look(replace(CAMERA, light=sun), scene, HIGH, DOWN)
     expected = (0.2 + 0.8 * 0.8 + lamp_brightness(points, lamp)) * torch.tensor(GROUND.color)
     torch.testing.assert_close(color.double(), expected.clamp(max=1.0), rtol=0.0, atol=1e-5)

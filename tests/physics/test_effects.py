@@ -4,6 +4,7 @@ Rotors 1 to 4 are at (+,-), (-,-), (-,+), (+,+) and spin +, -, +, -."""
 
 from dataclasses import replace
 from math import cos, exp, pi, sin
+from typing import Any
 
 import pytest
 import torch
@@ -45,7 +46,7 @@ DRAG = 0.01 * THRUST
 
 def make_model(values: dict[str, dict[str, float]], num_envs: int = 1, **options: float) -> Model:
     vehicle = vehicle_from_config(ROBOT, num_envs=num_envs, dtype=F64)
-    return build_model(vehicle, make_effects(values, num_envs), ceiling_height=CEILING, **options)
+    return build_model(vehicle, make_effects(values, num_envs), **{"ceiling_height": CEILING, **options})
 
 
 def effect_wrench(values: dict[str, dict[str, float]], state: BodyState, **options: float) -> torch.Tensor:
@@ -79,7 +80,7 @@ def roll_and_yaw(roll: float, yaw: float) -> list[float]:
     return quat_from_euler(torch.tensor([roll, 0.0, yaw], dtype=F64)).tolist()
 
 
-WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, list[float]], list[float]]] = [
+WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, Any], list[float]]] = [
     # Yawed by 90 degrees, a velocity along world x is along body -y
     (DRAG_XYZ, {"attitude": roll_and_yaw(0.0, pi / 2), "lin_vel": [1.0, 0.0, 0.0]}, [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]),
     # -d |v| v with v = (3, 4, 0)
@@ -143,23 +144,40 @@ WRENCHES: list[tuple[dict[str, dict[str, float]], dict[str, list[float]], list[f
             2 * THRUST * ARM * (UPPER / (1 - UPPER) - LOWER / (1 - LOWER)), 0.0, 0.0,
         ],
     ),
+    ({"ground_effect": {"k": 1.0}}, {"position": [0, 0, 2 + RADIUS], "ground_height": 2.0}, [0, 0, 4 * THRUST / 15, 0, 0, 0]),
+    *(  # The same law of a ceiling, of the room above; not closer than half a radius, and the same above it
+        (
+            {"ceiling_effect": {"k": 1.0}},
+            {"position": [0, 0, 2.0], "ceiling_height": 2.0 + room},
+            [0, 0, 4 * THRUST / (16 * (felt / RADIUS) ** 2 - 1), 0, 0, 0],
+        )
+        for room, felt in ((3.0 * RADIUS, 3.0 * RADIUS), (RADIUS, RADIUS), (0.4 * RADIUS, 0.5 * RADIUS), (-1.0, 0.5 * RADIUS))
+    ),
+    *(  # 2 N right below the other vehicle, a Gaussian of 0.3 m beside, none above; along world z, at the centre of mass
+        (
+            {"downwash": {"force": 2.0, "sigma": 0.3}},
+            {"position": place, "attitude": roll_and_yaw(0.4, 0.0), "other_position": torch.tensor([[1.0, -2.0, 3.0]])},
+            [0.0, -2.0 * share * sin(0.4), -2.0 * share * cos(0.4), 0.0, 0.0, 0.0],
+        )
+        for place, share in (
+            ([1.0, -2.0, 0.0], 1.0), ([1.3, -2.0, 0.0], exp(-0.5)), ([1.0, -2.6, 0.0], exp(-2.0)), ([1.0, -2.0, 3.1], 0.0)
+        )
+    ),
+    # Without another vehicle the wake stands over the origin
+    ({"downwash": {"force": 2.0, "sigma": 0.3}}, {"position": [0, 0, 1e3]}, [0, 0, -2.0, 0, 0, 0]),
 ]  # fmt: skip
-"""Effects, what differs from hover at the origin, and force [N] and torque [N m] of the effects, body."""
+"""Effects, what differs from hover at the origin without surroundings, and force [N] and torque [N m] of the effects, body."""
 
 
 @pytest.mark.parametrize(
     ("values", "changes", "expected"), WRENCHES, ids=lambda v: "+".join(v) if isinstance(v, dict) else ""
 )
 def test_wrenches_are_those_by_hand(
-    values: dict[str, dict[str, float]], changes: dict[str, list[float]], expected: list[float]
+    values: dict[str, dict[str, float]], changes: dict[str, Any], expected: list[float]
 ) -> None:
-    assert_wrench(effect_wrench(values, hover_state(**changes)), expected)
-
-
-def test_the_ground_may_be_raised() -> None:
-    state = hover_state(position=[0.0, 0.0, 2.0 + RADIUS])
-    result = effect_wrench({"ground_effect": {"k": 1.0}}, state, ground_height=2.0)
-    assert_wrench(result, [0.0, 0.0, 4 * THRUST / 15.0, 0.0, 0.0, 0.0])
+    around = {key: changes[key] for key in ("ground_height", "ceiling_height", "other_position") if key in changes}
+    state = hover_state(**{key: value for key, value in changes.items() if key not in around})
+    assert_wrench(effect_wrench(values, state, **around), expected)
 
 
 def test_rotor_drag_slows_exponentially_per_body_axis() -> None:

@@ -18,7 +18,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics import EFFECTS, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from tests.builders import simulation
-from tests.physics.test_collision import make_scene
+from tests.physics.sensor_rig import make_scene
 from tests.physics.test_surfaces import MASS, K, body_state, gain, level_robot, push
 from tests.physics.vehicles import F64
 

@@ -18,7 +18,7 @@ from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rota
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import Pose
 from tests.builders import simulation
-from tests.physics.imu_rig import IDEAL, NOISY, G, ImuRig, spin_about_z, wobble
+from tests.physics.imu_rig import IDEAL, NOISY, G, ImuRig, wobble
 
 LOW, HIGH = (-0.2, -0.3, -0.1), (0.4, 0.1, 0.2)
 DRAWN = replace(IDEAL, position_low=LOW, position_high=HIGH)
@@ -39,18 +39,6 @@ def test_places_are_uniform_and_independent_of_the_errors() -> None:
     noise = (rig.measurement - rig.imu.bias - torch.cat((upwards, torch.zeros_like(upwards)), dim=-1)).square()
     columns = torch.cat((place, turn, rig.imu.bias, noise, place.roll(1, dims=0)), dim=-1)
     assert (torch.corrcoef(columns.T) - torch.eye(columns.shape[1])).abs().max() < 5.0 / count**0.5
-
-
-def test_each_feels_its_own_lever_arm() -> None:
-    """``f = dw x r + w x (w x r) + g``: about z that is (-dw y - w² x, dw x - w² y, g), with the r of each environment."""
-    w, dw, dt = 2.0, 3.0, 0.01
-    rig = ImuRig(DRAWN, 32)
-    (result,) = spin_about_z(rig, 1, w, dw)
-    x, y, _ = rig.imu.mount_position.double().unbind(-1)
-    assert x.std() > 0.1
-    middle = w + 0.5 * dt * dw
-    expected = torch.stack((-dw * y - middle**2 * x, dw * x - middle**2 * y, torch.full_like(x, G)), dim=-1)
-    torch.testing.assert_close(result[:, :3].double(), expected, rtol=0.0, atol=dt**2 * w * dw)  # O(dt²)
 
 
 def test_force_is_the_second_derivative_of_the_place_of_each() -> None:

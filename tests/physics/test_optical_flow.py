@@ -17,6 +17,7 @@ from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import SENSORS, RayCaster, SensorManager, make_images
 from tests.builders import simulation
+from tests.physics.sensor_rig import LEVEL, make_wall, shoot
 
 COMMON = {
     "summary": "test", "width": 36, "height": 28, "min_range": 0.0, "max_range": 20.0, "optical_flow": True,
@@ -28,24 +29,13 @@ FISHEYE = FisheyeCfg(**{**COMMON, "width": 35, "height": 27}, hfov_deg=200.0)
 """Odd numbers of pixels: one looks along the axis."""
 
 FOCAL = 18.0 / tan(radians(40.0))
-LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
-WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
-
-
-def make_wall(depth: float, device: torch.device, *, twist: Sequence[float] = (0.0,) * 6) -> Scene:
-    state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *twist]]], device=device)
-    return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
 
 def sense_flow(
     cfg: RangeSensorCfg, scene: Scene, *, velocity: Sequence[float] = (0.0,) * 3, rates: Sequence[float] = (0.0,) * 3
 ) -> Tensor:
-    device = scene.device
-    images = make_images(cfg, 1, device=device, poisoned=True)
-    pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
-    lin_vel, ang_vel = torch.tensor([velocity], device=device), torch.tensor([rates], device=device)
-    RayCaster(cfg, scene, images, **pose, lin_vel=lin_vel, ang_vel=ang_vel).cast()
-    return images.optical_flow[0, 0].cpu()
+    caster = shoot(cfg, scene, lin_vel=torch.tensor([velocity]), ang_vel=torch.tensor([rates]))
+    return caster.images.optical_flow[0, 0].cpu()
 
 
 def pixels(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
@@ -159,11 +149,8 @@ def test_flow_is_the_limit_of_the_differences_of_projected_points(cfg: RangeSens
     position, lin_vel, ang_vel = (0.6 * torch.rand(2, 3, generator=draw) - 0.3 for _ in range(3))
     attitude = quat_from_euler(0.4 * torch.rand(2, 3, generator=draw) - 0.2)
     lin_vel, ang_vel = 3.0 * lin_vel, 3.0 * ang_vel
-    images = make_images(cfg, 2, device=device, poisoned=True)
-    given = (position, attitude, lin_vel, ang_vel)
-    keys = ("position", "attitude", "lin_vel", "ang_vel")
-    caster = RayCaster(cfg, scene, images, **dict(zip(keys, (t.to(device) for t in given), strict=True)))
-    caster.cast()
+    caster = shoot(cfg, scene, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel)
+    images = caster.images
     ids, size = images.segmentation.cpu(), images.segmentation.shape
     assert all((ids == instance).any() for instance in (-2, 0, 1, 2, 3))
 

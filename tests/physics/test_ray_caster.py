@@ -18,6 +18,7 @@ from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.errors import ShapeError
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.sensors import MISS_ID, RayCaster, SensorImages, SensorManager
+from tests.physics.sensor_rig import make_caster, make_scene, shoot
 from tests.physics.test_collision import random_unit_quaternions, rotation
 
 Array = NDArray[np.float64]
@@ -44,27 +45,10 @@ CAPSULE = ShapeCfg(kind="capsule", radius=0.35, height=1.1)
 # ---------------------------------------------------------------------------------------------- helpers
 
 
-def make_scene(
-    shapes: list[ShapeCfg], position: Tensor, attitude: Tensor, *, device: torch.device, ids: Tensor | None = None
-) -> Scene:
-    rows = torch.arange(len(shapes))
-    state = torch.cat((position, attitude, torch.zeros(*position.shape[:2], 6)), dim=-1).float().to(device)
-    return Scene(shapes, shape_index=rows, semantic_id=rows if ids is None else ids, asset_state=state)
-
-
-def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
-    image = (scene.num_envs, 1, cfg.height, cfg.width)
-    distance = torch.full(image, float("nan"), device=scene.device)
-    ids = torch.full(image, UNWRITTEN, dtype=torch.int32, device=scene.device)
-    caster = RayCaster(
-        cfg,
-        scene,
-        SensorImages(distance=distance, segmentation=ids if cfg.segmentation else None),
-        position=position.float().to(scene.device),
-        attitude=attitude.float().to(scene.device),
-    )
-    caster.cast()
-    return distance[:, 0].cpu(), ids[:, 0].cpu()
+def take_image(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
+    """Return distances and ids, (E, H, W), on the CPU."""
+    images = shoot(cfg, scene, position=position, attitude=attitude).images
+    return images.distance[:, 0].cpu(), images.segmentation[:, 0].cpu()
 
 
 def level(num_envs: int) -> tuple[Tensor, Tensor]:
@@ -175,7 +159,7 @@ def test_every_pixel_of_a_turned_shape_matches_the_closed_form(shape: ShapeCfg, 
     place = (body[0] + torch.stack(turned))[:, None]
     attitude = random_unit_quaternions(num_envs, 1, generator=generator)
     scene = make_scene([shape], place, attitude, device=device)
-    measured, ids = shoot(CAMERA, scene, *body)
+    measured, ids = take_image(CAMERA, scene, *body)
     for env in range(num_envs):
         expected, instance = exact_image(CAMERA, scene, body, env)
         assert ids[env].numpy().tolist() == np.where(instance == 0, 0, -2).tolist()
@@ -191,7 +175,7 @@ def test_from_inside_a_shape_its_far_side_is_seen(shape: ShapeCfg, device: torch
     body = (torch.zeros(4, 3) + 0.05, random_unit_quaternions(4, generator=generator))
     place = torch.rand(4, 1, 3, generator=generator) * 0.2 - 0.1
     scene = make_scene([shape], place, random_unit_quaternions(4, 1, generator=generator), device=device)
-    measured, ids = shoot(CAMERA, scene, *body)
+    measured, ids = take_image(CAMERA, scene, *body)
     assert (ids == 0).all()
     for env in range(4):
         expected, _ = exact_image(CAMERA, scene, body, env)
@@ -205,7 +189,7 @@ def test_rays_exactly_along_an_axis_are_no_special_case(shape: ShapeCfg, end: fl
     one = replace(CAMERA, width=1, height=1)
     up = torch.tensor([[-0.5, -0.5, -0.5, 0.5]]).repeat(2, 1)
     scene = make_scene([shape], torch.zeros(2, 1, 3), level(2)[1][:, None], device=device)
-    measured, ids = shoot(one, scene, torch.tensor([[0.0, 0.0, -3.0], [0.5, 0.0, -3.0]]), up)
+    measured, ids = take_image(one, scene, torch.tensor([[0.0, 0.0, -3.0], [0.5, 0.0, -3.0]]), up)
     assert measured[0].item() == pytest.approx(3.0 - end, abs=1e-6)
     assert ids.flatten().tolist() == [0, MISS_ID]
 
@@ -215,7 +199,7 @@ def test_a_ray_parallel_to_a_surface_sees_it_or_passes(shape: ShapeCfg, end: flo
     """A horizontal ray 1 mm above the top passes; 1 mm below the top it meets the side, or the cap near its pole."""
     one = replace(CAMERA, width=1, height=1)
     scene = make_scene([shape], torch.zeros(2, 1, 3), level(2)[1][:, None], device=device)
-    _, ids = shoot(one, scene, torch.tensor([[-3.0, 0.0, end + 1e-3], [-3.0, 0.0, end - 1e-3]]), level(2)[1])
+    _, ids = take_image(one, scene, torch.tensor([[-3.0, 0.0, end + 1e-3], [-3.0, 0.0, end - 1e-3]]), level(2)[1])
     assert ids.flatten().tolist() == [MISS_ID, 0]
 
 
@@ -233,7 +217,7 @@ def test_a_random_mesh_matches_the_ray_caster_of_trimesh(device: torch.device, t
     place = torch.tensor([[[2.0, 0.1, -0.2]], [[1.4, -0.2, 0.1]]])
     attitude = random_unit_quaternions(2, 1, generator=generator)
     scene = make_scene([shape], place, attitude, device=device)
-    measured, ids = shoot(CAMERA, scene, *level(2))
+    measured, ids = take_image(CAMERA, scene, *level(2))
     stored = trimesh.load_mesh(tmp_path / "bumpy.stl")
     stored.apply_scale(2.0)
     for env in range(2):
@@ -252,49 +236,17 @@ def test_a_random_mesh_matches_the_ray_caster_of_trimesh(device: torch.device, t
 # ---------------------------------------------------------------------------------------------- pinhole
 
 
-@pytest.mark.parametrize("share", [0.02, 0.98])
-def test_an_edge_between_two_pixel_centres_divides_them(share: float, device: torch.device) -> None:
-    """The left edge of a box lies 0.02 or 0.98 pixels right of the centre of column 20: columns from 21 on see the box."""
-    camera = replace(CAMERA, width=64, height=64, hfov_deg=90.0, kind="depth")
-    edge = 32.0 - (20.5 + share)  # pixels left of the principal point
-    side, depth = 20.0, 4.0
-    left = edge / 32.0 * depth  # y of the edge [m] on the front face
-    box = ShapeCfg(kind="box", size=(1.0, side, side))
-    center = torch.tensor([[[depth + 0.5, left - side / 2, 0.0]]])
-    measured, ids = shoot(camera, make_scene([box], center, level(1)[1][:, None], device=device), *level(1))
-    columns = torch.arange(64) >= 21
-    assert torch.equal(ids[0] == 0, columns.expand(64, 64))
-    torch.testing.assert_close(measured[0][:, 21:], torch.full((64, 43), depth), rtol=0.0, atol=1e-5)
-
-
-def test_left_is_left_and_up_is_up(device: torch.device) -> None:
-    scene = make_scene([SPHERE], torch.tensor([[[4.0, 1.5, 1.2]]]), level(1)[1][:, None], device=device)
-    _, ids = shoot(CAMERA, scene, *level(1))
-    row, col = (ids[0] == 0).nonzero().double().mean(dim=0).tolist()
-    assert row < CAMERA.height / 2 - 3
-    assert col < CAMERA.width / 2 - 3
-
-
 def test_depth_is_range_times_the_cosine_to_the_axis(device: torch.device) -> None:
     """The same scene read as depth and as range: depth / range is the x component of the unit ray."""
     generator = torch.Generator().manual_seed(7)
     place = torch.tensor([[[2.5, 0.3, 0.1], [3.5, -0.8, 0.4]]])
     scene = make_scene([BOX, CAPSULE], place, random_unit_quaternions(1, 2, generator=generator), device=device)
-    depth, _ = shoot(replace(CAMERA, kind="depth"), scene, *level(1))
-    ranges, _ = shoot(CAMERA, scene, *level(1))
+    depth, _ = take_image(replace(CAMERA, kind="depth"), scene, *level(1))
+    ranges, _ = take_image(CAMERA, scene, *level(1))
     cosine = torch.as_tensor(pixel_rays(CAMERA)[:, 0].reshape(CAMERA.height, CAMERA.width)).float()
     hit = ranges[0] > 0.0
     assert 100 < hit.sum() < hit.numel()
     torch.testing.assert_close(depth[0][hit], (ranges[0] * cosine)[hit], rtol=1e-6, atol=0.0)
-
-
-def test_a_mount_turns_with_the_body(device: torch.device) -> None:
-    """0.5 m ahead of a body that is yawed by 90 degrees: a wall whose face is at y = 3 has depth 2.5."""
-    wall = ShapeCfg(kind="box", size=(40.0, 0.2, 40.0))
-    scene = make_scene([wall], torch.tensor([[[0.0, 3.1, 0.0]]]), level(1)[1][:, None], device=device)
-    left = torch.tensor([[0.0, 0.0, 0.5**0.5, 0.5**0.5]])
-    depth, _ = shoot(replace(CAMERA, kind="depth", position=(0.5, 0.0, 0.0)), scene, torch.zeros(1, 3), left)
-    torch.testing.assert_close(depth, torch.full_like(depth, 2.5), rtol=0.0, atol=1e-5)
 
 
 # ---------------------------------------------------------------------------------------------- limits and ids
@@ -313,7 +265,7 @@ def test_segmentation_names_the_nearest_instance_in_every_pixel(device: torch.de
     """Of eight overlapping solids the id is that of the smallest closed-form distance; nothing is -2."""
     scene = make_clutter(3, device)
     body = level(3)
-    measured, ids = shoot(CAMERA, scene, *body)
+    measured, ids = take_image(CAMERA, scene, *body)
     for env in range(3):
         expected, instance = exact_image(CAMERA, scene, body, env)
         names = np.append(scene.semantic_id[env].cpu().numpy(), MISS_ID)
@@ -340,7 +292,7 @@ def test_out_of_range_pixels_hold_the_documented_values(
     wall = ShapeCfg(kind="box", size=(0.2, 40.0, 40.0))
     place = torch.tensor([[[0.6, 0.0, 0.0]], [[3.1, 0.0, 0.0]], [[6.1, 0.0, 0.0]], [[-3.0, 0.0, 0.0]]])
     scene = make_scene([wall], place, level(4)[1][:, None], device=device)
-    depth, ids = shoot(camera, scene, *level(4))
+    depth, ids = take_image(camera, scene, *level(4))
     assert (depth[0] == near).all()
     assert (ids[0] == 0).all()
     torch.testing.assert_close(depth[1], torch.full_like(depth[1], 3.0 / scale), rtol=0.0, atol=1e-6)
@@ -352,8 +304,8 @@ def test_the_far_limit_of_depth_is_a_plane_and_that_of_range_a_sphere(device: to
     """A wall at 4.9 m: depth sees all of it within 5 m, range only where 4.9 / cosine is at most 5."""
     wall = ShapeCfg(kind="box", size=(0.2, 40.0, 40.0))
     scene = make_scene([wall], torch.tensor([[[5.0, 0.0, 0.0]]]), level(1)[1][:, None], device=device)
-    _, depth_ids = shoot(replace(CAMERA, kind="depth", max_range=5.0), scene, *level(1))
-    _, range_ids = shoot(replace(CAMERA, kind="range", max_range=5.0), scene, *level(1))
+    _, depth_ids = take_image(replace(CAMERA, kind="depth", max_range=5.0), scene, *level(1))
+    _, range_ids = take_image(replace(CAMERA, kind="range", max_range=5.0), scene, *level(1))
     assert (depth_ids == 0).all()
     cosine = pixel_rays(CAMERA)[:, 0].reshape(CAMERA.height, CAMERA.width)
     assert ((range_ids[0].numpy() == 0) == (4.9 / cosine < 5.0)).all()
@@ -361,24 +313,15 @@ def test_the_far_limit_of_depth_is_a_plane_and_that_of_range_a_sphere(device: to
 
 def test_a_scene_without_instances_is_all_misses(device: torch.device) -> None:
     scene = make_scene([], torch.zeros(2, 0, 3), torch.zeros(2, 0, 4), device=device)
-    depth, ids = shoot(CAMERA, scene, *level(2))
+    depth, ids = take_image(CAMERA, scene, *level(2))
     assert (depth == -1.0).all()
     assert (ids == MISS_ID).all()
-    depth, ids = shoot(replace(CAMERA, segmentation=False), scene, *level(2))
-    assert (depth == -1.0).all()
-    assert (ids == UNWRITTEN).all()
+    without_ids = shoot(replace(CAMERA, segmentation=False), scene).images
+    assert (without_ids.distance == -1.0).all()
+    assert without_ids.segmentation is None
 
 
 # ---------------------------------------------------------------------------------------------- instances
-
-
-def make_caster(scene: Scene, cfg: CameraCfg = CAMERA) -> tuple[RayCaster, Tensor, Tensor]:
-    image = (scene.num_envs, 1, cfg.height, cfg.width)
-    depth = torch.full(image, float("nan"), device=scene.device)
-    ids = torch.full(image, UNWRITTEN, dtype=torch.int32, device=scene.device)
-    position, attitude = (t.to(scene.device) for t in level(scene.num_envs))
-    caster = RayCaster(cfg, scene, SensorImages(distance=depth, segmentation=ids), position=position, attitude=attitude)
-    return caster, depth, ids
 
 
 def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> None:
@@ -386,7 +329,8 @@ def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> Non
     root = torch.zeros(3, 2, 13, device=device)  # row 0 is the robot: the scene has a strided view of row 1
     root[:, 1, 0], root[:, 1, 6] = 3.1, 1.0
     scene = Scene([wall], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=root[:, 1:])
-    caster, depth, _ = make_caster(scene, replace(CAMERA, kind="depth"))
+    caster = make_caster(replace(CAMERA, kind="depth"), scene)
+    depth = caster.images.distance
     caster.cast()
     torch.testing.assert_close(depth, torch.full_like(depth, 3.0), rtol=0.0, atol=1e-6)
     root[1, 1, 0] = 4.1
@@ -399,13 +343,14 @@ def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> Non
 def test_a_parked_obstacle_is_absent_even_within_range(device: torch.device) -> None:
     scene = make_scene([SPHERE], torch.tensor([[[0.0, 0.0, PARKED_Z]]]), level(1)[1][:, None], device=device)
     down = torch.tensor([[0.0, 0.5**0.5, 0.0, 0.5**0.5]])
-    _, ids = shoot(replace(CAMERA, max_range=2000.0), scene, torch.tensor([[0.0, 0.0, PARKED_Z + 5.0]]), down)
+    _, ids = take_image(replace(CAMERA, max_range=2000.0), scene, torch.tensor([[0.0, 0.0, PARKED_Z + 5.0]]), down)
     assert (ids == MISS_ID).all()
 
 
 def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.device) -> None:
     scene = make_clutter(3, device)
-    caster, depth, _ = make_caster(scene)
+    caster = make_caster(CAMERA, scene)
+    depth = caster.images.distance
     caster.cast()
     nominal = depth.clone()
     caster.mount_position.add_(torch.tensor([0.3, 0.2, -0.1], device=device))

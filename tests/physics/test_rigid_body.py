@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse, quat_to_matrix
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
 from aerial_gym.physics import (
     EFFECTS,
     INTEGRATORS,
@@ -119,63 +119,6 @@ def test_specific_force_is_the_measured_acceleration_of_the_origin() -> None:
         result.specific_force, quat_rotate_inverse(state.attitude, acc - gravity), atol=1e-5, rtol=1e-6
     )
     torch.testing.assert_close(result.ang_acc, ang_acc, atol=1e-5, rtol=1e-6)
-
-
-def test_hover_feels_plus_g_on_z() -> None:
-    model = make_model(1, com=(0.0, 0.0, 0.0))
-    robot = asymmetric_robot(com=(0.0, 0.0, 0.0))
-    vehicle = model.vehicle
-    vehicle.rotor_axis[:] = torch.tensor([0.0, 0.0, 1.0], dtype=F64)
-    state = random_state(1)
-    state.attitude[:] = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=F64)
-    state.ang_vel[:] = 0.0
-    state.rotor_speed[:] = robot.rotor.speed_for_thrust(0.8 * 9.81 / 4)
-    torch.testing.assert_close(accelerations(model, state).specific_force, torch.tensor([[0.0, 0.0, 9.81]], dtype=F64))
-
-
-def test_specific_force_at_the_origin_of_a_spinning_free_body_points_to_the_centre_of_mass() -> None:
-    """Free body spinning at w about z with c = +x: the origin circles the centre of mass, f = w² c (towards it)."""
-    model, state = make_model(1, com=(0.1, 0.0, 0.0), gravity=0.0), no_thrust(random_state(1))
-    model.vehicle.inertia[:] = torch.diag(torch.tensor([1e-3, 2e-3, 2.5e-3], dtype=F64))
-    model = build_model(model.vehicle, gravity=0.0)
-    state.ang_vel[:] = torch.tensor([0.0, 0.0, 4.0], dtype=F64)
-    torch.testing.assert_close(accelerations(model, state).specific_force, torch.tensor([[1.6, 0.0, 0.0]], dtype=F64))
-
-
-def test_angular_acceleration_of_a_spinning_asymmetric_body_has_the_sign_of_euler() -> None:
-    """J1 w1' = (J2 - J3) w2 w3 for principal axes."""
-    model, state = make_model(1, com=(0.0, 0.0, 0.0)), no_thrust(random_state(1))
-    model.vehicle.inertia[:] = torch.diag(torch.tensor([1e-3, 2e-3, 2.5e-3], dtype=F64))
-    model = build_model(model.vehicle)
-    state.ang_vel[:] = torch.tensor([0.0, 3.0, 2.0], dtype=F64)
-    torch.testing.assert_close(
-        accelerations(model, state).ang_acc, torch.tensor([[-0.5e-3 * 6.0 / 1e-3, 0, 0]], dtype=F64)
-    )
-
-
-@pytest.mark.parametrize("name", list(INTEGRATORS))
-def test_attitude_stays_unit_and_batch_rows_are_independent(name: str) -> None:
-    model, state = make_model(16), random_state(16)
-    end = run(model, state, state.rotor_speed * 1.1, name, 0.01, 100)
-    torch.testing.assert_close(end.attitude.norm(dim=-1), torch.ones(16, dtype=F64), atol=1e-14, rtol=0)
-    alone = BodyState(**{k: v[5:6] for k, v in vars(state).items()})
-    single = run(make_model(1), alone, alone.rotor_speed * 1.1, name, 0.01, 100)
-    for a, b in zip(single.tensors(), end.tensors(), strict=True):
-        torch.testing.assert_close(a, b[5:6], atol=1e-12, rtol=1e-12)
-
-
-def test_body_and_world_attitude_conventions_agree() -> None:
-    """A yaw rate about body z of a level body turns body x towards world y."""
-    model, state = make_model(1, com=(0.0, 0.0, 0.0), gravity=0.0), no_thrust(random_state(1))
-    state.attitude[:] = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=F64)
-    model.vehicle.inertia[:] = torch.diag(torch.tensor([1e-3, 2e-3, 2.5e-3], dtype=F64))
-    model = build_model(model.vehicle, gravity=0.0)
-    state.ang_vel[:] = torch.tensor([0.0, 0.0, 1.0], dtype=F64)
-    end = run(model, state, state.rotor_speed, "rk4", 0.01, 10)
-    angle = torch.tensor(0.1, dtype=F64)
-    torch.testing.assert_close(
-        quat_to_matrix(end.attitude)[0, :, 0], torch.stack((angle.cos(), angle.sin(), angle * 0)), atol=1e-10, rtol=0
-    )
 
 
 def test_what_effects_see_in_a_state_serves_all_models_of_the_vehicle() -> None:

@@ -9,18 +9,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.assets import Scene
-from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.sensor import LidarCfg, PrismCfg, RosetteCfg, load_sensor
 from aerial_gym.errors import ConfigError
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import SENSORS, RayCaster, SensorManager, make_images
+from aerial_gym.sensors import SENSORS, SensorManager
 from aerial_gym.sensors.rays import ray_table, rosette_rays, through_prisms
 from aerial_gym.sensors.scan import group_ages
+from tests.physics.sensor_rig import LEVEL, make_caster, make_wall
 
 CPU = torch.device("cpu")
-LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
-WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 AHEAD = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 THIN = PrismCfg(wedge_deg=0.01, turns_hz=7.0, refractive_index=1.5)
 ROSETTE = RosetteCfg(
@@ -224,22 +221,9 @@ def test_every_lidar_that_is_round_is_in_the_table_of_turning_ones() -> None:
 # ------------------------------------------------------------------------------------------------ in flight
 
 
-def make_wall(envs: int, depth: float, device: torch.device) -> Scene:
-    state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *(6 * [0.0])]]], device=device).repeat(envs, 1, 1)
-    return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
-
-
-def make_caster(cfg: RosetteCfg, scene: Scene, **state: Tensor) -> RayCaster:
-    envs = scene.num_envs
-    zero = torch.zeros(envs, 3)
-    body = {"position": zero, "attitude": LEVEL.repeat(envs, 1), "lin_vel": zero, "ang_vel": zero, **state}
-    images = make_images(cfg, envs, device=scene.device, poisoned=True)
-    return RayCaster(cfg, scene, images, **{name: value.clone().to(scene.device) for name, value in body.items()})
-
-
 def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None:
     """Before a wall at d, the range along a ray is d / x; after the last frame the scan begins anew."""
-    caster = make_caster(ROSETTE, make_wall(1, 6.0, device))
+    caster = make_caster(ROSETTE, make_wall(6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     assert (frames[0] - frames[1]).abs().max() > 0.1
     for image in range(7):
@@ -249,7 +233,7 @@ def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None
 
 
 def test_environments_are_at_their_own_place_of_the_table_and_reset_by_mask(device: torch.device) -> None:
-    caster = make_caster(ROSETTE, make_wall(3, 6.0, device))
+    caster = make_caster(ROSETTE, make_wall(6.0, device, num_envs=3))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     seen = [0, 0, 0]
     for call in range(6):
@@ -272,8 +256,8 @@ def test_a_batch_sees_what_one_environment_sees(device: torch.device) -> None:
     cfg = replace(ROSETTE, points="world")
     draw = torch.Generator().manual_seed(4)
     state = {name: 0.5 * torch.randn(4, 3, generator=draw) for name in ("position", "lin_vel", "ang_vel")}
-    batch = make_caster(cfg, make_wall(4, 6.0, device), **state)
-    alone = make_caster(cfg, make_wall(1, 6.0, device), **{name: value[2:3] for name, value in state.items()})
+    batch = make_caster(cfg, make_wall(6.0, device, num_envs=4), **state)
+    alone = make_caster(cfg, make_wall(6.0, device), **{name: value[2:3] for name, value in state.items()})
     for _ in range(3):
         batch.cast()
         alone.cast()
@@ -289,7 +273,7 @@ def column_ages(cfg: RosetteCfg) -> Tensor:
 def test_flying_at_a_wall_each_ray_has_the_range_of_its_own_time(device: torch.device) -> None:
     """The wall was v t further away at a ray of age t: r = (d + v t) / x."""
     speed = 8.0
-    caster = make_caster(ROSETTE, make_wall(1, 6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
+    caster = make_caster(ROSETTE, make_wall(6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     for image in range(2):
         caster.cast()
@@ -301,7 +285,7 @@ def test_flying_at_a_wall_each_ray_has_the_range_of_its_own_time(device: torch.d
 def test_a_turning_rosette_sees_the_wall_along_the_rays_as_they_were_turned(columns: int, device: torch.device) -> None:
     """Yawing at w, a ray of age t was turned by -w t: r = d / (x cos(w t) + y sin(w t)); columns of a group share one age."""
     cfg, rate = replace(ROSETTE, scan_columns=columns), 3.0
-    caster = make_caster(cfg, make_wall(1, 6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
+    caster = make_caster(cfg, make_wall(6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
     caster.cast()
     rays = rosette_rays(cfg, device=CPU).double()[0]
     ages = torch.cat([group.mean().expand(len(group)) for group in column_ages(cfg).split(columns)])
@@ -311,7 +295,7 @@ def test_a_turning_rosette_sees_the_wall_along_the_rays_as_they_were_turned(colu
 
 def test_lasers_of_one_pulse_share_its_time(device: torch.device) -> None:
     cfg = replace(ROSETTE, height=2, lasers_deg=((0.0, 1.0), (0.0, -1.0)))
-    caster = make_caster(cfg, make_wall(1, 6.0, device), lin_vel=torch.tensor([[8.0, 0.0, 0.0]]))
+    caster = make_caster(cfg, make_wall(6.0, device), lin_vel=torch.tensor([[8.0, 0.0, 0.0]]))
     caster.cast()
     rays = rosette_rays(cfg, device=CPU).double()[0]
     assert ((rays[0] - rays[1]).norm(dim=-1) > radians(1.0)).all()
@@ -323,7 +307,7 @@ def make_manager(cfg: RosetteCfg, dt: float, device: torch.device) -> tuple[Sens
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
     zero = torch.zeros(1, 3, device=device)
     state = {"position": zero, "attitude": LEVEL.repeat(1, 1).to(device), "lin_vel": zero, "ang_vel": zero}
-    return SensorManager({"top": cfg}, gtd, make_wall(1, 6.0, device), num_envs=1, device=device, dt=dt, **state), gtd
+    return SensorManager({"top": cfg}, gtd, make_wall(6.0, device), num_envs=1, device=device, dt=dt, **state), gtd
 
 
 def test_the_scan_keeps_time_between_its_frames(device: torch.device) -> None:
@@ -347,7 +331,7 @@ def test_frames_shorter_than_a_step_are_refused(device: torch.device) -> None:
 def test_a_captured_image_moves_on_at_every_replay() -> None:
     """The frame is a number on the device: replays of one graph see frame after frame."""
     device = torch.device("cuda:0")
-    caster = make_caster(ROSETTE, make_wall(1, 6.0, device))
+    caster = make_caster(ROSETTE, make_wall(6.0, device))
     frames = rosette_rays(ROSETTE, device=CPU).double()
     caster.cast()
     graph = torch.cuda.CUDAGraph()

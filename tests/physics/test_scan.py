@@ -13,7 +13,8 @@ from aerial_gym.config.sensor import LidarCfg, LightCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import RayCaster, SensorImages, SensorManager, make_images
+from aerial_gym.sensors import RayCaster, SensorImages, SensorManager
+from tests.physics.sensor_rig import LEVEL, make_wall, shoot
 
 SCAN_S = 0.1
 LIDAR = LidarCfg(
@@ -28,8 +29,6 @@ LIDAR = LidarCfg(
     source="chosen for the test",
 )
 SECTOR = replace(LIDAR, azimuth_low_deg=-50.0, azimuth_high_deg=50.0)
-LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
-WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 TREE = ShapeCfg(
     kind="compound",
     parts=(
@@ -45,23 +44,6 @@ BALL, BRICK, GROUND = (
 SHAPES = [TREE, BALL, BRICK, GROUND]
 
 pytestmark = pytest.mark.usefixtures("few_rays")
-
-
-def shoot(cfg: LidarCfg, scene: Scene, **pose: Tensor) -> RayCaster:
-    """Return a lidar that has taken one image; level at the origin and at rest unless given."""
-    envs, device = scene.num_envs, scene.device
-    images = make_images(cfg, envs, device=device, poisoned=True)
-    zero = torch.zeros(envs, 3)
-    state = {"position": zero, "attitude": LEVEL.repeat(envs, 1), "lin_vel": zero, "ang_vel": zero, **pose}
-    caster = RayCaster(cfg, scene, images, **{key: value.clone().to(device) for key, value in state.items()})
-    caster.cast()
-    return caster
-
-
-def wall(depth: float, device: torch.device) -> Scene:
-    """Return a wall across the x axis with its near side at a depth."""
-    state = torch.tensor([[[depth + 0.1, 0.0, 0.0, *LEVEL.tolist(), *(6 * [0.0])]]], device=device)
-    return Scene([WALL], shape_index=torch.zeros(1), semantic_id=torch.zeros(1), asset_state=state)
 
 
 def crowd(device: torch.device, *, moving: bool) -> Scene:
@@ -127,7 +109,7 @@ def test_flying_at_a_wall_each_column_has_the_range_of_its_own_time(
     """With t the age of a column, the wall was v t further away: r = (d + v t) / (cos el cos az). The last column, right
     or left, belongs to the capture."""
     cfg, speed, depth = replace(cfg, scan_clockwise=clockwise), 8.0, 6.0
-    caster = shoot(cfg, wall(depth, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
+    caster = shoot(cfg, make_wall(depth, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
     result, ahead = caster.images.distance[0, 0].cpu().double(), caster.direction[..., 0].cpu().double()
     age = ages(cfg)
     assert age[-1 if clockwise else 0] == 0.0
@@ -142,7 +124,7 @@ def test_flying_at_a_wall_each_column_has_the_range_of_its_own_time(
 @pytest.mark.parametrize("columns", [2, 3, 8, 16, 24, 40])
 def test_columns_that_share_a_pose_have_that_of_the_middle_of_their_time(columns: int, device: torch.device) -> None:
     cfg, speed = replace(SECTOR, scan_columns=columns), 8.0
-    caster = shoot(cfg, wall(6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
+    caster = shoot(cfg, make_wall(6.0, device), lin_vel=torch.tensor([[speed, 0.0, 0.0]]))
     expected = (6.0 + speed * middle_ages(cfg)) / caster.direction[..., 0].cpu().double()
     torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=1e-6)
 
@@ -150,7 +132,7 @@ def test_columns_that_share_a_pose_have_that_of_the_middle_of_their_time(columns
 def test_the_column_of_the_capture_has_no_distortion_and_lever_arms_count(device: torch.device) -> None:
     """A lidar at (l, 0) on a body that yaws at r was at l (cos r t, -sin r t): the wall was l (1 - cos r t) further."""
     cfg, rate, lever = replace(SECTOR, position=(2.0, 0.0, 0.0)), 4.0, 2.0
-    caster = shoot(cfg, wall(6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
+    caster = shoot(cfg, make_wall(6.0, device), ang_vel=torch.tensor([[0.0, 0.0, rate]]))
     level = (caster.direction[..., 0] ** 2 + caster.direction[..., 1] ** 2).sqrt().cpu().double()
     turned = rate * ages(cfg)
     expected = (6.0 - lever * torch.cos(turned)) / (level * torch.cos(azimuths(cfg) - turned))
@@ -250,7 +232,7 @@ def test_points_in_the_sensor_frame_lie_along_the_rays_of_the_table(device: torc
     """Raw, as drivers give them: range times direction, whatever the twist."""
     cfg = replace(SECTOR, points="sensor")
     twist = {"lin_vel": torch.tensor([[3.0, 1.0, 0.5]]), "ang_vel": torch.tensor([[0.5, -0.7, 2.0]])}
-    caster = shoot(cfg, wall(6.0, device), **twist)
+    caster = shoot(cfg, make_wall(6.0, device), **twist)
     expected = caster.images.distance.unsqueeze(-1) * caster.direction
     torch.testing.assert_close(caster.images.points, expected, rtol=1e-6, atol=0.0)
     assert (caster.images.distance > 0.0).all()
@@ -265,7 +247,9 @@ def test_a_scan_with_rate_and_latency_is_that_of_its_own_capture(device: torch.d
     cfg, gtd = replace(SECTOR, rate_hz=10.0, latency_s=0.03), GlobalTensorDictionary(device=device, sizes={"E": 1})
     state = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     twist = {"lin_vel": torch.tensor([[2.0, 0.0, 0.0]], device=device), "ang_vel": torch.zeros(1, 3, device=device)}
-    manager = SensorManager({"top": cfg}, gtd, wall(6.0, device), num_envs=1, device=device, dt=0.01, **state, **twist)
+    manager = SensorManager(
+        {"top": cfg}, gtd, make_wall(6.0, device), num_envs=1, device=device, dt=0.01, **state, **twist
+    )
     manager.reset(torch.ones(1, dtype=torch.bool, device=device))
     ahead = manager.casters["top"].direction[..., 0].cpu().double()
     for step in range(25):
@@ -286,7 +270,7 @@ def test_impossible_scans_are_refused(device: torch.device) -> None:
     images = SensorImages(distance=torch.zeros(shape), segmentation=torch.zeros(shape, dtype=torch.int32))
     with pytest.raises(ConfigError, match=r"LidarCfg.scan_s needs lin_vel and ang_vel"):
         RayCaster(
-            LIDAR, wall(4.0, torch.device("cpu")), images, position=torch.zeros(1, 3), attitude=LEVEL.repeat(1, 1)
+            LIDAR, make_wall(4.0, torch.device("cpu")), images, position=torch.zeros(1, 3), attitude=LEVEL.repeat(1, 1)
         )
 
 

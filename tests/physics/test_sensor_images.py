@@ -10,12 +10,12 @@ from torch import Tensor
 
 from aerial_gym.assets import Scene
 from aerial_gym.config.environment import PartCfg, ShapeCfg
-from aerial_gym.config.sensor import CameraCfg, LidarCfg, LightCfg, NoiseCfg, RangeSensorCfg, StereoCfg
+from aerial_gym.config.sensor import CameraCfg, LidarCfg, LightCfg, NoiseCfg, StereoCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
-from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
-from aerial_gym.sensors import RayCaster, SensorManager, make_images
+from aerial_gym.sensors import SensorManager
+from tests.physics.sensor_rig import LEVEL, WALL, place_shapes, shoot
 
 CAMERA = CameraCfg(
     summary="test camera",
@@ -27,33 +27,10 @@ CAMERA = CameraCfg(
     kind="range",
     source="chosen for the test",
 )
-LEVEL = torch.tensor([0.0, 0.0, 0.0, 1.0])
 
 pytestmark = pytest.mark.usefixtures("few_rays")
 
 
-def make_scene(shapes: list[ShapeCfg], poses: list[tuple[list[float], list[float]]], device, *, num_envs=1) -> Scene:
-    """Return a scene with each shape at a position and Euler angles, the same in every environment."""
-    state = torch.zeros(num_envs, len(shapes), 13)
-    for a, (position, euler) in enumerate(poses):
-        state[:, a, :3], state[:, a, 3:7] = torch.tensor(position), quat_from_euler(torch.tensor(euler))
-    rows = torch.arange(len(shapes))
-    return Scene(shapes, shape_index=rows, semantic_id=rows, asset_state=state.to(device))
-
-
-def shoot(cfg: RangeSensorCfg, scene: Scene, *, position=None, attitude=None, seed: int = 0) -> RayCaster:
-    """Return a caster that has taken one image; bodies are at the origin and level unless given."""
-    envs, device = scene.num_envs, scene.device
-    position = torch.zeros(envs, 3) if position is None else position
-    attitude = LEVEL.repeat(envs, 1) if attitude is None else attitude
-    images = make_images(cfg, envs, device=device, poisoned=True)
-    random = Randomness(scene.num_envs, device=device, seed=seed)
-    caster = RayCaster(cfg, scene, images, position=position.to(device), attitude=attitude.to(device), random=random)
-    caster.cast()
-    return caster
-
-
-WALL = ShapeCfg(kind="box", size=(0.2, 60.0, 60.0))
 SOLIDS = {
     "box": (ShapeCfg(kind="box", size=(1.0, 1.4, 0.8)), [3.0, 0.2, 0.1], [0.3, -0.4, 0.7]),
     "sphere": (ShapeCfg(kind="sphere", radius=0.8), [3.0, 0.2, 0.1], [0.0, 0.0, 0.0]),
@@ -66,7 +43,7 @@ SOLIDS = {
 def test_points_lie_at_the_measured_range_along_their_rays(frame: str, device: torch.device) -> None:
     """In the sensor's frame a point is range times ray; in the world's it is that, turned and moved with the sensor."""
     shape, place, turn = SOLIDS["box"]
-    scene = make_scene([shape, WALL], [(place, turn), ([6.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
+    scene = place_shapes([shape, WALL], [(place, turn), ([6.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
     position, attitude = torch.tensor([[0.3, -0.2, 0.1]]), quat_from_euler(torch.tensor([[0.1, -0.05, 0.2]]))
     for kind in ("range", "depth"):
         cfg = replace(CAMERA, points=frame, kind=kind, position=(0.1, 0.0, 0.05), euler=(0.02, 0.1, -0.1))
@@ -83,7 +60,7 @@ def test_points_lie_at_the_measured_range_along_their_rays(frame: str, device: t
 
 
 def test_a_pixel_without_a_distance_has_its_point_at_the_sensor(device: torch.device) -> None:
-    scene = make_scene([WALL], [([30.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
+    scene = place_shapes([WALL], [([30.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
     caster = shoot(replace(CAMERA, points="world"), scene, position=torch.tensor([[1.0, 2.0, 3.0]]))
     expected = torch.tensor([1.0, 2.0, 3.0], device=device).expand_as(caster.images.points)
     assert torch.equal(caster.images.points, expected)
@@ -93,7 +70,7 @@ def test_a_pixel_without_a_distance_has_its_point_at_the_sensor(device: torch.de
 def test_normals_are_those_of_the_surface(name: str, device: torch.device) -> None:
     """The point of a pixel, in the shape's own frame, gives the normal in closed form; it is unit and faces the sensor."""
     shape, place, turn = SOLIDS[name]
-    scene = make_scene([shape], [(place, turn)], device)
+    scene = place_shapes([shape], [(place, turn)], device)
     cfg = replace(CAMERA, points="world", normals="world", face_ids=True)
     caster = shoot(cfg, scene)
     images = caster.images
@@ -141,7 +118,7 @@ def test_a_plane_has_the_distance_of_its_equation_at_every_pixel(
     """n . (o + t d) = n . p gives t; rays that do not fall see nothing, up to grazing ones. Its normal is n from
     above and -n from below, where the camera is within the solid."""
     place = [0.5, 0.2, height]
-    scene = make_scene(
+    scene = place_shapes(
         [ShapeCfg(kind="plane"), SOLIDS["sphere"][0]], [(place, turn), ([3.0, 0.2, 0.4], [0, 0, 0])], device
     )
     attitude = quat_from_euler(torch.tensor([[0.1, -0.2 * height, -0.3]]))
@@ -166,7 +143,7 @@ def test_a_plane_has_the_distance_of_its_equation_at_every_pixel(
 def test_faces_of_a_box_are_numbered_by_axis_and_side(device: torch.device) -> None:
     """A camera before each face of a cube sees the number 2 axis + (1 on the upper side)."""
     cube = ShapeCfg(kind="box", size=(1.0, 1.0, 1.0))
-    scene = make_scene([cube], [([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device, num_envs=6)
+    scene = place_shapes([cube], [([0.0, 0.0, 0.0], [0.0, 0.0, 0.0])], device, num_envs=6)
     position, attitude = torch.zeros(6, 3), LEVEL.repeat(6, 1)
     looks = {0: (0.0, 0.0, 0.0), 1: (0.0, 0.0, np.pi), 2: (0.0, 0.0, np.pi / 2), 3: (0.0, 0.0, -np.pi / 2),
              4: (0.0, -np.pi / 2, 0.0), 5: (0.0, np.pi / 2, 0.0)}  # fmt: skip
@@ -185,7 +162,7 @@ def test_normals_and_faces_of_a_mesh_match_trimesh(device: torch.device, tmp_pat
     mesh.export(tmp_path / "egg.stl")
     shape = ShapeCfg(kind="mesh", path=str(tmp_path / "egg.stl"))
     place, turn = [3.0, 0.1, -0.1], [0.4, 0.2, -0.9]
-    caster = shoot(replace(CAMERA, normals="world", face_ids=True), make_scene([shape], [(place, turn)], device))
+    caster = shoot(replace(CAMERA, normals="world", face_ids=True), place_shapes([shape], [(place, turn)], device))
     images = caster.images
     loaded = trimesh.load_mesh(tmp_path / "egg.stl", process=False)
     turned = loaded.copy()
@@ -207,7 +184,7 @@ def test_normals_in_the_sensor_frame_are_those_of_the_world_turned(device: torch
     attitude = quat_from_euler(torch.tensor([[0.2, -0.1, 0.3]]))
     result = {}
     for frame in ("world", "sensor"):
-        scene = make_scene([shape], [(place, turn)], device)
+        scene = place_shapes([shape], [(place, turn)], device)
         result[frame] = shoot(replace(CAMERA, normals=frame), scene, attitude=attitude).images.normals
     sensor = result["sensor"][0, 0].cpu()
     torch.testing.assert_close(
@@ -227,7 +204,7 @@ def test_a_matt_ground_has_the_brightness_of_lambert_and_the_shadow_of_a_roof(de
     ground = ShapeCfg(kind="plane", color=albedo)
     roof = ShapeCfg(kind="box", size=(2 * half, 2 * half, 1e-3), color=(0.1, 0.2, 0.9))
     place = [4.0, 0.3, -1.0]
-    scene = make_scene([ground, roof], [([0, 0, -2.0], [0, 0, 0]), (place, [0.0, 0.0, 0.0])], device)
+    scene = place_shapes([ground, roof], [([0, 0, -2.0], [0, 0, 0]), (place, [0.0, 0.0, 0.0])], device)
     light = LightCfg(sun=tuple(sun.tolist()), ambient=0.3, sky=(0.5, 0.6, 0.7))
     attitude = quat_from_euler(torch.tensor([[0.1, 0.35, 0.2]]))
     cfg = replace(CAMERA, light=light, points="world", max_range=40.0)
@@ -268,7 +245,7 @@ def test_impossible_lights_and_colours_are_refused() -> None:
 
 def noisy_wall(noise: NoiseCfg, device, *, distance: float = 4.0, images: int = 40, kind: str = "depth") -> Tensor:
     """Return the distances of a wall straight ahead, images x pixels."""
-    scene = make_scene([WALL], [([distance + 0.1, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
+    scene = place_shapes([WALL], [([distance + 0.1, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
     caster = shoot(replace(CAMERA, kind=kind, noise=noise), scene)
     result = []
     for _ in range(images):
@@ -289,7 +266,7 @@ def test_noise_has_the_mean_and_deviation_of_its_polynomial(distance: float, dev
 
 def test_noise_differs_between_pixels_images_and_seeds_and_repeats_with_a_seed(device: torch.device) -> None:
     noise = NoiseCfg(std_c=0.01)
-    scene = make_scene([WALL], [([4.1, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
+    scene = place_shapes([WALL], [([4.1, 0.0, 0.0], [0.0, 0.0, 0.0])], device)
     cfg = replace(CAMERA, kind="depth", noise=noise)
     one, two = shoot(cfg, scene, seed=1), shoot(cfg, scene, seed=1)
     first = one.images.distance.clone()
@@ -323,7 +300,7 @@ def test_a_stereo_pixel_is_invalid_exactly_where_the_second_camera_is_blocked(de
     (at y = b) to the point of the wall is tested against the post's rectangle in plan, by hand."""
     baseline, post_x, half, wall_x = 0.3, 2.0, 0.1, 5.0
     post = ShapeCfg(kind="box", size=(0.02, 2 * half, 60.0))
-    scene = make_scene([WALL, post], [([wall_x + 0.1, 0, 0], [0, 0, 0]), ([post_x, 0.0, 0.0], [0, 0, 0])], device)
+    scene = place_shapes([WALL, post], [([wall_x + 0.1, 0, 0], [0, 0, 0]), ([post_x, 0.0, 0.0], [0, 0, 0])], device)
     cfg = StereoCfg(**{**vars(CAMERA), "model": "stereo", "kind": "depth", "width": 160, "baseline": baseline})
     caster = shoot(cfg, scene)
     depth = caster.images.distance[0, 0].cpu()
@@ -357,7 +334,7 @@ def test_a_compound_is_seen_as_its_parts_would_be(device: torch.device) -> None:
     crown = PartCfg(shape=SOLIDS["box"][0], position=(0.1, -0.2, 2.2), euler=(0.3, 0.2, 0.1))
     tree = ShapeCfg(kind="compound", parts=(trunk, crown))
     place, turn = [4.0, 0.3, -1.5], [0.2, -0.1, 0.8]
-    whole = shoot(CAMERA, make_scene([WALL, tree], [([8.0, 0, 0], [0, 0, 0]), (place, turn)], device)).images
+    whole = shoot(CAMERA, place_shapes([WALL, tree], [([8.0, 0, 0], [0, 0, 0]), (place, turn)], device)).images
     attitude = quat_from_euler(torch.tensor(turn))
     state = torch.zeros(1, 3, 13)
     state[0, 0, 0], state[0, 0, 6] = 8.0, 1.0
@@ -397,7 +374,7 @@ def test_placements_are_drawn_within_their_ranges_for_masked_environments(device
         euler_low=(0.0, -0.2, 0.0),
         euler_high=(0.0, 0.2, 0.0),
     )
-    caster = shoot(cfg, make_scene([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=50))
+    caster = shoot(cfg, place_shapes([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=50))
     mask = torch.arange(50, device=device) < 30
     caster.reset(mask)
     place = caster.mount_position.cpu()
@@ -412,7 +389,7 @@ def test_placements_are_drawn_within_their_ranges_for_masked_environments(device
 
 def test_a_sensor_with_a_rate_keeps_its_image_between_captures(device: torch.device) -> None:
     """30 Hz on 10 ms steps: images at 0, 4, 7, 10, 14 ... steps after the reset of each environment."""
-    scene = make_scene([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=2)
+    scene = place_shapes([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=2)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 2})
     position = torch.zeros(2, 3, device=device)
     pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
@@ -439,7 +416,7 @@ def test_a_sensor_with_a_rate_keeps_its_image_between_captures(device: torch.dev
 @pytest.mark.parametrize("steps", [1, 3])
 def test_images_of_a_sensor_with_latency_appear_so_many_steps_later(steps: int, device: torch.device) -> None:
     """A camera that moves 0.1 m a step towards a wall shows where it was ``steps`` ago; after a reset, where it is."""
-    scene = make_scene([WALL], [([9.1, 0, 0], [0, 0, 0])], device, num_envs=2)
+    scene = place_shapes([WALL], [([9.1, 0, 0], [0, 0, 0])], device, num_envs=2)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 2})
     position = torch.zeros(2, 3, device=device)
     pose = {"position": position, "attitude": LEVEL.repeat(2, 1).to(device)}
@@ -462,7 +439,7 @@ def test_images_of_a_sensor_with_latency_appear_so_many_steps_later(steps: int, 
 
 
 def test_every_image_stands_in_the_gtd_under_its_key(device: torch.device) -> None:
-    scene = make_scene([WALL], [([4.1, 0, 0], [0, 0, 0])], device)
+    scene = place_shapes([WALL], [([4.1, 0, 0], [0, 0, 0])], device)
     gtd = GlobalTensorDictionary(device=device, sizes={"E": 1})
     pose = {"position": torch.zeros(1, 3, device=device), "attitude": LEVEL.repeat(1, 1).to(device)}
     lidar = LidarCfg(

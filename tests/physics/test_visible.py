@@ -13,15 +13,13 @@ from aerial_gym.assets import ENVIRONMENTS, Scene
 from aerial_gym.config.environment import CheckerCfg, EnvironmentCfg, PartCfg, ShapeCfg
 from aerial_gym.config.loader import dump_yaml
 from aerial_gym.config.robot import CollisionCfg, RobotCfg, load_robot
-from aerial_gym.config.sensor import CameraCfg
 from aerial_gym.config.shape import GROUND_ID, ROBOT_ID
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sensors import RayCaster, SensorImages
 from tests.builders import simulation
-from tests.physics.test_ray_caster import CAMERA, exact_distance, pixel_rays, rotation
+from tests.physics.test_ray_caster import CAMERA, exact_distance, pixel_rays, rotation, take_image
 
 ARM = PartCfg(shape=ShapeCfg(kind="box", size=(0.5, 0.06, 0.04)), position=(0.1, 0.0, -0.02), euler=(0.0, 0.0, 0.7))
 POD = PartCfg(shape=ShapeCfg(kind="sphere", radius=0.09), position=(0.2, 0.2, 0.1), semantic_id=5)
@@ -34,15 +32,6 @@ def build(robot: RobotCfg, env: EnvironmentCfg, device: torch.device, *, num_env
     manager = simulation(robot, "lee_velocity_control", env=env, num_envs=num_envs, device=device, seed=3)
     manager.reset()
     return manager
-
-
-def shoot(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
-    image = (scene.num_envs, 1, cfg.height, cfg.width)
-    distance = torch.full(image, float("nan"), device=scene.device)
-    ids = torch.full(image, -12345, dtype=torch.int32, device=scene.device)
-    seen = SensorImages(distance=distance, segmentation=ids)
-    RayCaster(cfg, scene, seen, position=position, attitude=attitude).cast()
-    return distance[:, 0].cpu(), ids[:, 0].cpu()
 
 
 def exact_view(
@@ -79,7 +68,7 @@ def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device
         place = torch.tensor([0.9, 0.0, 0.0]) + 0.3 * torch.rand(2, 3, generator=generator)
         angles = 2.0 * torch.rand(2, 3, generator=generator) - 1.0
         state[:, :3], state[:, 3:7] = place.to(device), quat_from_euler(angles).to(device)
-        distance, ids = shoot(CAMERA, scene, *eye)
+        distance, ids = take_image(CAMERA, scene, *eye)
         result.append(distance)
         for env in range(2):
             body = state[env, :3].cpu(), state[env, 3:7].cpu()
@@ -105,7 +94,7 @@ def test_a_camera_on_board_sees_its_arm_at_the_same_pixels_wherever_it_flies(dev
         manager.step(actions)
     assert ((manager.gtd["robot_position"] - before).norm(dim=-1) > 0.05).all()
     pose = manager.gtd["robot_position"], manager.gtd["robot_orientation"]
-    distance, ids = shoot(cfg, manager.asset_manager.scene, *pose)
+    distance, ids = take_image(cfg, manager.asset_manager.scene, *pose)
     expected = torch.from_numpy(np.array([-2, ROBOT_ID, 5])[part + 1]).view(37, 48)
     for env in range(2):
         assert (ids[env] != expected).float().mean() < 0.003
@@ -123,7 +112,7 @@ def test_a_robot_without_shapes_of_its_own_is_seen_as_its_collision_spheres(devi
     turn = torch.tensor([[0.0, 0.0, 0.0, 1.0]] * 2, device=device)
     for above, expected in ((1.0, 1.0 - radius), (0.0, radius)):
         eye = torch.from_numpy(body + np.array([0.0, 0.0, above], dtype=np.float32)).to(device)
-        distance, ids = shoot(cfg, scene, eye, turn)
+        distance, ids = take_image(cfg, scene, eye, turn)
         assert (ids == ROBOT_ID).all()
         torch.testing.assert_close(distance, torch.full_like(distance, expected), rtol=0.0, atol=1e-5)
 
@@ -189,7 +178,9 @@ def test_every_pixel_below_the_horizon_of_dynamic_env_has_the_depth_of_its_groun
         assert manager.gtd["env_actions"].shape == (2, 40, 6)
         assert manager.gtd["vec_root_tensor"].shape == (2, 41, 13)
         pose = manager.gtd["robot_position"], manager.gtd["robot_orientation"]
-        depth, ids = shoot(replace(CAMERA, kind="depth", euler=(0.0, 0.2, 0.0)), manager.asset_manager.scene, *pose)
+        depth, ids = take_image(
+            replace(CAMERA, kind="depth", euler=(0.0, 0.2, 0.0)), manager.asset_manager.scene, *pose
+        )
         for e in range(2):
             tilt = rotation(quat_from_euler(torch.tensor([0.0, 0.2, 0.0])))
             rays = pixel_rays(CAMERA)
@@ -227,7 +218,7 @@ def test_ground_without_obstacles_is_seen_and_counted(device) -> None:
         torch.testing.assert_close(manager.gtd["robot_clearance"], height, rtol=0.0, atol=1e-6)
         manager.step(torch.zeros(2, 4, device=device))
     pose = manager.gtd["robot_position"], manager.gtd["robot_orientation"]
-    _, ids = shoot(replace(CAMERA, euler=(0.0, np.pi / 2, 0.0)), manager.asset_manager.scene, *pose)
+    _, ids = take_image(replace(CAMERA, euler=(0.0, np.pi / 2, 0.0)), manager.asset_manager.scene, *pose)
     assert (ids == 7).all()
     manager.gtd["robot_position"][0, 2] = -1.9
     manager.step(torch.zeros(2, 4, device=device))
