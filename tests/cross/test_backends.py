@@ -80,20 +80,9 @@ def start_state(model: Model, num_envs: int) -> BodyState:
 
 
 def fly(
-    backend,
-    robot,
-    controller,
-    integrator,
-    dtype,
-    *,
-    effects=(),
-    adjust=None,
-    num_envs=16,
-    follow=None,
-    size=1.0,
-    steps=STEPS,
-    nudges=(0,),
-) -> list[BodyState]:
+    backend, robot, controller, integrator, dtype, *, effects=(), adjust=None, num_envs=16, follow=None, size=1.0,
+    steps=STEPS, nudges=(0,),
+) -> list[BodyState]:  # fmt: skip
     """Return the state after every step; with ``follow`` each step starts from the state before it there. The batch flies
     once for each of ``nudges``, one below the other: a nudge above 0 moves the start, and what is followed, by a unit in the
     last place at most, each number another way."""
@@ -293,13 +282,8 @@ def test_rotors_that_all_thrust_along_body_z_fly_like_torch() -> None:
     upright = tuple(replace(mount, axis=(0.0, 0.0, 1.0)) for mount in robot.mounts.layout)
     robot = replace(robot, mounts=replace(robot.mounts, layout=upright))
     effects = (
-        "h_force_flapping",
-        "rotor_inertia",
-        "axial_inflow",
-        "translational_lift",
-        "ground_effect",
-        "ceiling_effect",
-    )
+        "h_force_flapping", "rotor_inertia", "axial_inflow", "translational_lift", "ground_effect", "ceiling_effect",
+    )  # fmt: skip
     assert vehicle_from_config(robot, num_envs=2).upright
     assert not vehicle_from_config(asymmetric_robot(), num_envs=2).upright
     assert_same_flight(robot, CONTROLLERS.get("rotor_speed_control"), "euler", effects=effects)

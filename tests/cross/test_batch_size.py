@@ -34,17 +34,9 @@ def threads(request: pytest.FixtureRequest) -> Iterator[int]:
 
 
 def assert_rows_alike(
-    robot: RobotCfg,
-    controller: str,
-    dtype: torch.dtype,
-    *,
-    effects=(),
-    network=None,
-    adjust=None,
-    integrator: str | None = None,
-    first: int = 0,
-    many: int = MANY,
-) -> None:
+    robot: RobotCfg, controller: str, dtype: torch.dtype, *, effects=(), network=None, adjust=None,
+    integrator: str | None = None, first: int = 0, many: int = MANY,
+) -> None:  # fmt: skip
     """Fly the rows from ``first`` on as batches of every size in ``COUNTS``, and as part of ``many``."""
     cfg, ends = CONTROLLERS.get(controller), {}
     whole, law = build(robot, cfg, many, dtype, effects, adjust)

@@ -74,17 +74,14 @@ def random_actuator(rng: np.random.Generator, name: str) -> str:
     both = f"{free} {clipped}"
     lagged = f'dyntype="{rng.choice(["filter", "filterexact"])}" dynprm="{rng.uniform(0.02, 0.1):.6g}"'
     kinds = (
-        f"<motor {both} {limits}/>",
-        f'<general {both} {limits} gainprm="{rng.uniform(0.3, 2.0):.6g}"/>',
+        f"<motor {both} {limits}/>", f'<general {both} {limits} gainprm="{rng.uniform(0.3, 2.0):.6g}"/>',
         f'<general {free} {limits} gainprm="-1.5" biastype="affine" biasprm="{rng.uniform(-2.0, 2.0):.6g} -3 -0.1"/>',
         f'<general {free} ctrlrange="{-high} {-1.0}" {lagged}/>',
         f'<position {both} {limits} kp="{rng.uniform(0.3, 2.0):.6g}" kv="0.1"/>',
-        f"<general {both} {limits} {lagged}/>",
-        f'<general {both} {limits} {lagged} actrange="0.2 3"/>',
+        f"<general {both} {limits} {lagged}/>", f'<general {both} {limits} {lagged} actrange="0.2 3"/>',
         f'<general {both} ctrlrange="-50 50" dyntype="integrator" actrange="0.1 {high}"/>',
-        f'<general {free} forcerange="-1 4"/>',
-        f'<general site="{name}" name="{name}" class="rotor"/>',
-    )
+        f'<general {free} forcerange="-1 4"/>', f'<general site="{name}" name="{name}" class="rotor"/>',
+    )  # fmt: skip
     return str(rng.choice(kinds))
 
 

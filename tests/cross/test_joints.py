@@ -98,15 +98,9 @@ def heavier(vehicle: Vehicle) -> Vehicle:
 
 
 def fly(
-    backend: TorchBackend | WarpBackend,
-    robot: RobotCfg,
-    controller: str,
-    dtype: torch.dtype,
-    effects: tuple[str, ...],
-    adjust: Callable[[Vehicle], Vehicle],
-    *,
-    nudges: tuple[int, ...] = (0,),
-) -> tuple[torch.Tensor, ...]:
+    backend: TorchBackend | WarpBackend, robot: RobotCfg, controller: str, dtype: torch.dtype,
+    effects: tuple[str, ...], adjust: Callable[[Vehicle], Vehicle], *, nudges: tuple[int, ...] = (0,),
+) -> tuple[torch.Tensor, ...]:  # fmt: skip
     """Return the state at the end; the batch flies once for each of ``nudges``, one below the other."""
     copies = len(nudges)
     vehicle = vehicle_from_config(robot, num_envs=copies * NUM_ENVS, dtype=dtype)
@@ -204,12 +198,9 @@ def test_a_differentiable_fused_rollout_moves_no_joints() -> None:
 
 def test_an_environment_of_bending_robots_among_obstacles_sees_the_ground_and_ends_there() -> None:
     env = simulation(
-        replace(ROBOTS.get("morphy"), sensors=("coarse_depth_camera", "base_imu")),
-        sim="base_sim_2ms",
-        env="forest_env",
-        num_envs=4,
-        seed=1,
-    )
+        replace(ROBOTS.get("morphy"), sensors=("coarse_depth_camera", "base_imu")), sim="base_sim_2ms",
+        env="forest_env", num_envs=4, seed=1,
+    )  # fmt: skip
     env.reset()
     touched = torch.zeros(4, dtype=torch.bool)
     for _ in range(400):

@@ -83,14 +83,11 @@ def make_start(
     body = random_state(NUM_ENVS, seed=5, rotor_speed=1.0)
     still = robot.joints is not None and not robot.joints.floating
     state = ArticulatedState(
-        position=body.position,
-        attitude=body.attitude,
-        lin_vel=(0.0 if still else moves) * body.lin_vel,
+        position=body.position, attitude=body.attitude, lin_vel=(0.0 if still else moves) * body.lin_vel,
         ang_vel=(0.0 if still else moves) * body.ang_vel,
         rotor_speed=state_for_thrust(vehicle, thrust.to(dtype)).double().clamp_min(0.0),
-        joint_pos=bends.reference.double() + draw(),
-        joint_vel=draw(),
-    )
+        joint_pos=bends.reference.double() + draw(), joint_vel=draw(),
+    )  # fmt: skip
     stay = [bends.reference[k] * (mode == "position") for k, mode in zip(bends.driven, bends.modes, strict=True)]
     held = torch.stack(stay).double().expand(NUM_ENVS, -1) if stay else thrust[:, :0]
     rows = {field: tensor.float().to(dtype) for field, tensor in vars(state).items()}

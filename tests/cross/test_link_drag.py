@@ -57,14 +57,9 @@ def effect_rows(robot: RobotCfg, rest: tuple[str, ...], dtype: torch.dtype) -> l
 
 
 def fly(
-    backend: PhysicsBackend,
-    robot: RobotCfg,
-    rest: tuple[str, ...],
-    dtype: torch.dtype,
-    *,
-    nudge: float = 0.0,
+    backend: PhysicsBackend, robot: RobotCfg, rest: tuple[str, ...], dtype: torch.dtype, *, nudge: float = 0.0,
     dt: float = DT,
-) -> tuple[Tensor, ...]:
+) -> tuple[Tensor, ...]:  # fmt: skip
     """Return the state at the end of a flight under random thrusts and drives, in float64; ``nudge`` moves its start."""
     vehicle = vehicle_from_config(robot, num_envs=NUM_ENVS, dtype=dtype)
     law, articulation = (

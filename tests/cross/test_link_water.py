@@ -68,12 +68,9 @@ def test_a_reset_draws_the_buoyancy_of_a_link() -> None:
     values = {"azimuth_1.force": 0.1, "azimuth_1.z": 0.0}
     drawn = RandomizeCfg(how="value", distribution="uniform", low=0.05, high=0.3)
     robot: RobotCfg = replace(
-        ROBOTS.get("morphy_fixed_base"),
-        effects={"link_buoyancy": values},
-        effects_source="test",
-        sensors=(),
+        ROBOTS.get("morphy_fixed_base"), effects={"link_buoyancy": values}, effects_source="test", sensors=(),
         randomize={"effects.link_buoyancy.azimuth_1.force": drawn},
-    )
+    )  # fmt: skip
     env = simulation(robot, sim="base_sim_2ms", num_envs=8, seed=1, backend="torch")
     env.reset()
     env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])

@@ -68,12 +68,9 @@ def test_a_hull_rests_on_the_ground(name: str) -> None:
     model = build_model(vehicle, [(effect, rows.to(dtype)) for effect, rows in make_effects(effects, 1)])
     corners = [[x, y, -0.19, 0.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
     ground = Ground(
-        height=0.0,
-        spheres=torch.tensor(corners),
-        contact=torch.zeros(1, dtype=torch.bool),
-        cfg=ContactCfg(friction=0.5),
-        impulse=torch.zeros(1, 3),
-    )
+        height=0.0, spheres=torch.tensor(corners), contact=torch.zeros(1, dtype=torch.bool),
+        cfg=ContactCfg(friction=0.5), impulse=torch.zeros(1, 3),
+    )  # fmt: skip
     law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
     backend.allocate(model, law, integrator="euler", ground=ground)
     state = as_type(tumble_state(8, seed=0, speed=0.0, rate=0.0, envs=1), dtype)

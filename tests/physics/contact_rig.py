@@ -43,16 +43,9 @@ def make_robot(*, com: tuple[float, float, float] = (0.0, 0.0, 0.0), inertia: Se
 
 class GroundRig:
     def __init__(
-        self,
-        backend: TorchBackend | WarpBackend,
-        cfg: ContactCfg | None,
-        state: BodyState,
-        *,
-        spheres=BALL,
-        robot=None,
-        integrator: str = "euler",
-        gravity: float = GRAVITY,
-    ) -> None:
+        self, backend: TorchBackend | WarpBackend, cfg: ContactCfg | None, state: BodyState, *, spheres=BALL,
+        robot=None, integrator: str = "euler", gravity: float = GRAVITY,
+    ) -> None:  # fmt: skip
         num_envs, dtype = state.num_envs, state.position.dtype
         vehicle = vehicle_from_config(robot or make_robot(), num_envs=num_envs, dtype=dtype)
         self.backend, self.state = backend, state
@@ -71,21 +64,10 @@ class GroundRig:
 
 class ObstacleRig:
     def __init__(
-        self,
-        shapes: Sequence[ShapeCfg],
-        asset_state: Tensor,
-        cfg: ContactCfg,
-        state: BodyState,
-        *,
-        spheres=BALL,
-        body: Sequence[CollisionShape] = (),
-        robot=None,
-        integrator: str = "euler",
-        dt: float = 0.01,
-        gravity: float = GRAVITY,
-        backend: TorchBackend | WarpBackend | None = None,
-        moves: bool = True,
-    ) -> None:
+        self, shapes: Sequence[ShapeCfg], asset_state: Tensor, cfg: ContactCfg, state: BodyState, *, spheres=BALL,
+        body: Sequence[CollisionShape] = (), robot=None, integrator: str = "euler", dt: float = 0.01,
+        gravity: float = GRAVITY, backend: TorchBackend | WarpBackend | None = None, moves: bool = True,
+    ) -> None:  # fmt: skip
         """Take poses and velocities of the obstacles, (E, A, 13), and the state that is advanced in place. The robot has
         spheres, or the shapes of ``body``. Obstacles keep their twists, unless nothing ``moves``."""
         num_envs, rows = state.num_envs, torch.arange(len(shapes))
@@ -95,23 +77,14 @@ class ObstacleRig:
         self.backend = backend or WarpBackend()
         law = make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, GRAVITY)
         pushed = ContactBody(
-            mass=vehicle.mass.clone(),
-            inertia=vehicle.inertia.clone(),
-            com=vehicle.com.clone(),
-            spheres=contact_points(body, device=CPU) if body else torch.tensor(spheres),
-            shapes=tuple(body),
-        )
+            mass=vehicle.mass.clone(), inertia=vehicle.inertia.clone(), com=vehicle.com.clone(),
+            spheres=contact_points(body, device=CPU) if body else torch.tensor(spheres), shapes=tuple(body),
+        )  # fmt: skip
         contact = SceneContact(
-            Scene(list(shapes), shape_index=rows, semantic_id=rows, asset_state=asset_state),
-            cfg,
-            pushed,
-            state,
-            integrator=integrator,
-            dt=dt,
-            crashes_out=self.crashes,
-            impulse_out=self.impulse,
+            Scene(list(shapes), shape_index=rows, semantic_id=rows, asset_state=asset_state), cfg, pushed, state,
+            integrator=integrator, dt=dt, crashes_out=self.crashes, impulse_out=self.impulse,
             moving=_keep_twists(shapes, asset_state) if moves else None,
-        )
+        )  # fmt: skip
         self.backend.allocate(build_model(vehicle, gravity=gravity), law, integrator=integrator, hook=contact)
         self._still = torch.zeros(num_envs, 4)
 
@@ -128,13 +101,10 @@ def _keep_twists(shapes: Sequence[ShapeCfg], asset_state: Tensor) -> Obstacles:
     )  # fmt: skip
     num_envs = len(asset_state)
     return view_obstacles(
-        asset_state,
-        torch.zeros(0, 0, 2, 3),
-        table=asset_table([asset], device=CPU),
+        asset_state, torch.zeros(0, 0, 2, 3), table=asset_table([asset], device=CPU),
         asset=torch.zeros(asset_state.shape[:2], dtype=torch.int32),
-        bounds=(torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)),
-        random=Randomness(num_envs),
-    )
+        bounds=(torch.zeros(num_envs, 3), torch.zeros(num_envs, 3)), random=Randomness(num_envs),
+    )  # fmt: skip
 
 
 def start(num_envs: int = 1, *, height: float = 0.0, dtype: torch.dtype = torch.float64, **values) -> BodyState:

@@ -14,27 +14,15 @@ from aerial_gym.sensors.imu import Imu
 G = 9.81
 ZERO = (0.0, 0.0, 0.0)
 IDEAL = ImuCfg(
-    summary="without errors",
-    accel_noise_density=ZERO,
-    gyro_noise_density=ZERO,
-    accel_bias_walk=ZERO,
-    gyro_bias_walk=ZERO,
-    accel_initial_bias=ZERO,
-    gyro_initial_bias=ZERO,
-    accel_range=1e6,
-    gyro_range=1e6,
+    summary="without errors", accel_noise_density=ZERO, gyro_noise_density=ZERO, accel_bias_walk=ZERO,
+    gyro_bias_walk=ZERO, accel_initial_bias=ZERO, gyro_initial_bias=ZERO, accel_range=1e6, gyro_range=1e6,
     source="test",
-)
+)  # fmt: skip
 NOISY = replace(
-    IDEAL,
-    misalignment_deg=(1.0, 2.0, 3.0),
-    accel_noise_density=(0.01, 0.02, 0.03),
-    gyro_noise_density=(0.001, 0.002, 0.003),
-    accel_bias_walk=(0.1, 0.2, 0.3),
-    gyro_bias_walk=(0.01, 0.02, 0.03),
-    accel_initial_bias=(0.5, 0.6, 0.7),
-    gyro_initial_bias=(0.1, 0.2, 0.3),
-)
+    IDEAL, misalignment_deg=(1.0, 2.0, 3.0), accel_noise_density=(0.01, 0.02, 0.03),
+    gyro_noise_density=(0.001, 0.002, 0.003), accel_bias_walk=(0.1, 0.2, 0.3), gyro_bias_walk=(0.01, 0.02, 0.03),
+    accel_initial_bias=(0.5, 0.6, 0.7), gyro_initial_bias=(0.1, 0.2, 0.3),
+)  # fmt: skip
 
 
 class ImuRig:
@@ -50,17 +38,9 @@ class ImuRig:
         self.all = torch.ones(num_envs, dtype=torch.bool)
         self.random = Randomness(num_envs, seed=seed)
         self.imu = Imu(
-            cfg,
-            attitude=self.attitude,
-            lin_vel=self.lin_vel,
-            ang_vel=self.ang_vel,
-            measurement_out=self.measurement,
-            dt=dt,
-            gravity=G,
-            random=self.random,
-            errors=errors,
-            pose=pose,
-        )
+            cfg, attitude=self.attitude, lin_vel=self.lin_vel, ang_vel=self.ang_vel, measurement_out=self.measurement,
+            dt=dt, gravity=G, random=self.random, errors=errors, pose=pose,
+        )  # fmt: skip
         poisoned = (self.imu._clock, self.imu._force_sum, self.imu._fresh, self.imu._line)
         for tensor in (self.imu.bias, self.imu.mount_attitude, self.imu.mount_position, self.imu._point_vel, *poisoned):
             tensor.fill_(nan)

@@ -53,14 +53,9 @@ def one_rotor(*, spin: int = 1, reversible: bool = False, thrust: float = THRUST
 
 
 def loads(
-    velocity: list[float],
-    *,
-    speed: float = SPEED,
-    spin: int = 1,
-    reversible: bool = False,
-    thrust: float = THRUST,
+    velocity: list[float], *, speed: float = SPEED, spin: int = 1, reversible: bool = False, thrust: float = THRUST,
     **changes: float,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """Return force and torque on the body, (6,), in units of the rotor, its own among them; ``velocity`` per tip speed."""
     robot = one_rotor(spin=spin, reversible=reversible, thrust=thrust, torque=TORQUE * (thrust / THRUST) ** 1.5)
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=F64)
@@ -202,13 +197,9 @@ def integrate_blade(inflow: float, mu: float, *, lock: float, stiffness: float, 
     lift = pitch * across**2 - through * across
     drag = (pitch * across - through) * through + 8.0 * PROFILE / LIFT * across**2
     loads = (
-        lift,
-        drag * sine - lift * flap[:, None] * cosine,
-        -drag * cosine - lift * flap[:, None] * sine,
-        drag * r,
-        2.0 * stiffness / lock * flap[:, None] * cosine,
-        2.0 * stiffness / lock * flap[:, None] * sine,
-    )
+        lift, drag * sine - lift * flap[:, None] * cosine, -drag * cosine - lift * flap[:, None] * sine, drag * r,
+        2.0 * stiffness / lock * flap[:, None] * cosine, 2.0 * stiffness / lock * flap[:, None] * sine,
+    )  # fmt: skip
     return 0.5 * LIFT * np.array([float(((load + 0.0 * r) @ weights).mean()) for load in loads])
 
 

@@ -43,12 +43,9 @@ def measure(
     upright = torch.tensor([0.0, 0.0, 0.0, 1.0]).repeat(num_envs, 1)
     distance = torch.full((num_envs,), float("nan"), device=device)
     test = CollisionTest(
-        scene,
-        spheres,
-        position=position.float().to(device),
-        attitude=(upright if attitude is None else attitude).float().to(device),
-        distance_out=distance,
-    )
+        scene, spheres, position=position.float().to(device),
+        attitude=(upright if attitude is None else attitude).float().to(device), distance_out=distance,
+    )  # fmt: skip
     test.measure()
     return distance.cpu(), distance.cpu() < 0.0
 

@@ -250,13 +250,10 @@ def test_fields_of_a_checkerboard_lie_where_its_cubes_are(kind: str, device, tmp
     size, first, second = 0.25, (0.9, 0.8, 0.7), (0.1, 0.2, 0.3)
     trimesh.creation.box((1.0, 1.5, 1.0)).export(tmp_path / "box.stl")
     numbers = {
-        "plane": {},
-        "box": {"size": (1.0, 1.5, 1.0)},
-        "cylinder": {"radius": 0.6, "height": 1.0},
-        "sphere": {"radius": 0.8},
-        "capsule": {"radius": 0.5, "height": 1.0},
+        "plane": {}, "box": {"size": (1.0, 1.5, 1.0)}, "cylinder": {"radius": 0.6, "height": 1.0},
+        "sphere": {"radius": 0.8}, "capsule": {"radius": 0.5, "height": 1.0},
         "mesh": {"path": str(tmp_path / "box.stl")},
-    }
+    }  # fmt: skip
     shape = ShapeCfg(kind=kind, color=first, checker=CheckerCfg(size=size, color=second), **numbers[kind])
     place, turn = [0.1, 0.2, 0.0], [0.3, 0.2, 0.5]
     cfg = replace(CAMERA, normals="world")

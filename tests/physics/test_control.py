@@ -60,16 +60,9 @@ def draw_gains(num_envs: int) -> LeeGains:
 
     skew = uniform(3, 3)
     return LeeGains(
-        position=uniform(3),
-        velocity=uniform(3),
-        attitude=uniform(3),
-        rate=uniform(3),
-        mass=uniform(),
-        inertia=skew @ skew.transpose(1, 2),
-        gravity=9.81,
-        max_yaw_rate=1.0,
-        max_inclination=0.9,
-    )
+        position=uniform(3), velocity=uniform(3), attitude=uniform(3), rate=uniform(3), mass=uniform(),
+        inertia=skew @ skew.transpose(1, 2), gravity=9.81, max_yaw_rate=1.0, max_inclination=0.9,
+    )  # fmt: skip
 
 
 def wrench_with_scipy(law: str, state: BodyState, action: np.ndarray, gains: LeeGains, env: int) -> np.ndarray:

@@ -37,27 +37,15 @@ def in_flight(
     attitude = tensor(robot.attitude.as_quat())
     turn = tensor(robot.turns[0] / DT)
     state = start(
-        len(attitude),
-        dtype=F32,
-        position=tensor(robot.start),
-        attitude=attitude,
-        lin_vel=tensor(robot.shifts[0] / DT),
-        ang_vel=quat_rotate_inverse(attitude, turn),
-    )
+        len(attitude), dtype=F32, position=tensor(robot.start), attitude=attitude,
+        lin_vel=tensor(robot.shifts[0] / DT), ang_vel=quat_rotate_inverse(attitude, turn),
+    )  # fmt: skip
     columns = (other.start, other.attitude.as_quat(), other.shifts[0] / DT, other.turns[0] / DT)
     parts = tensor(np.concatenate(columns, axis=1)).unsqueeze(1)
     return ObstacleRig(
-        [shape],
-        parts,
-        FIRM,
-        state,
-        body=(HULLS[hull],),
-        robot=ROUND,
-        dt=DT,
-        gravity=0.0,
-        backend=backend(),
+        [shape], parts, FIRM, state, body=(HULLS[hull],), robot=ROUND, dt=DT, gravity=0.0, backend=backend(),
         moves=moves,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("moves", rare_values([True, False], [False]))
@@ -87,12 +75,9 @@ def test_nothing_passes_through_a_thin_wall(hull: str, backend, flights: int) ->
     coming = np.zeros(size)
     coming[::2, 0] = -rng.uniform(0.0, 20.0, size=len(coming[::2]))
     state = start(
-        flights,
-        dtype=F32,
-        position=tensor(position),
-        lin_vel=tensor(lin_vel),
+        flights, dtype=F32, position=tensor(position), lin_vel=tensor(lin_vel),
         ang_vel=tensor(rng.uniform(-17.0, 17.0, size=size)),
-    )
+    )  # fmt: skip
     parts = obstacle(flights, lin_vel=tensor(coming))
     before = state.lin_vel.norm(dim=1)
     points = contact_points([HULLS[hull]], device=CPU)[:, :3]
@@ -117,16 +102,9 @@ def test_a_pole_met_at_its_middle_stops_a_ball(backend) -> None:
     state.lin_vel[:, 0] = speed
     pole = ShapeCfg(kind="cylinder", radius=0.01, height=2.0)
     rig = ObstacleRig(
-        [pole],
-        obstacle(8),
-        FIRM,
-        state,
-        spheres=((0.0, 0.0, 0.0, 0.05),),
-        robot=ROUND,
-        dt=DT,
-        gravity=0.0,
+        [pole], obstacle(8), FIRM, state, spheres=((0.0, 0.0, 0.0, 0.05),), robot=ROUND, dt=DT, gravity=0.0,
         backend=backend(),
-    )
+    )  # fmt: skip
     rig.run(0.5)
     assert state.position[:, 0].max() < -0.03
     assert state.lin_vel.norm(dim=1).max() < 0.5

@@ -50,13 +50,9 @@ def lean_angle(name: str, attitude: torch.Tensor) -> torch.Tensor:
     buoyancy = cfg.effects.get("buoyancy", dict.fromkeys(("force", "x", "y", "z"), 0.0))
     vehicle = vehicle_from_config(cfg, num_envs=1, dtype=torch.float32)
     gains = make_gains(
-        CONTROLLERS.get("fully_actuated_control"),
-        cfg.control,
-        vehicle,
-        Allocation(vehicle, 9.81),
-        gravity=9.81,
+        CONTROLLERS.get("fully_actuated_control"), cfg.control, vehicle, Allocation(vehicle, 9.81), gravity=9.81,
         dt=0.01,
-    )
+    )  # fmt: skip
     up = quat_rotate_inverse(attitude, torch.tensor([[0.0, 0.0, buoyancy["force"]]]).expand(len(attitude), -1))
     lever = torch.tensor([[buoyancy[axis] for axis in "xyz"]]).expand_as(up)
     return (torch.linalg.cross(lever, up) / gains.attitude).norm(dim=-1)

@@ -42,12 +42,9 @@ def start(speed: Tensor, first: int) -> BodyState:
     share = torch.arange(first, first + len(speed), dtype=F64).unsqueeze(-1)
     direction = torch.tensor([[0.3, -0.2, 0.1]], dtype=F64)
     return BodyState(
-        position=share * direction,
-        attitude=quat_exp(0.3 * share * direction.roll(1)),
-        lin_vel=share * direction.roll(2),
-        ang_vel=-share * direction,
-        rotor_speed=speed.clone(),
-    )
+        position=share * direction, attitude=quat_exp(0.3 * share * direction.roll(1)),
+        lin_vel=share * direction.roll(2), ang_vel=-share * direction, rotor_speed=speed.clone(),
+    )  # fmt: skip
 
 
 def fly(controller: str, num_envs: int, first: int) -> BodyState:

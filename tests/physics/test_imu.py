@@ -204,15 +204,10 @@ def initial_states(seed: int, count: int) -> Tensor:
     derived = {name: torch.zeros(count, width) for name, width in (*widths.items(), ("root_state", 13))}
     random = Randomness(count, seed=seed)
     initial = InitialState(
-        InitialStateCfg(**ranges),
-        state,
-        SecondaryStates(state, **derived),
-        bounds=(torch.zeros(count, 3), torch.ones(count, 3)),
-        rest_speed=torch.zeros(4),
-        actions=torch.zeros(count, 4),
-        prev_actions=torch.zeros(count, 4),
-        random=random,
-    )
+        InitialStateCfg(**ranges), state, SecondaryStates(state, **derived),
+        bounds=(torch.zeros(count, 3), torch.ones(count, 3)), rest_speed=torch.zeros(4),
+        actions=torch.zeros(count, 4), prev_actions=torch.zeros(count, 4), random=random,
+    )  # fmt: skip
     random.begin(torch.ones(count, dtype=torch.bool))
     initial.reset(torch.ones(count, dtype=torch.bool))
     return torch.cat((state.position, derived["euler"], state.lin_vel, state.ang_vel), dim=-1)

@@ -107,20 +107,13 @@ PLACES = {
 
 
 def fly(
-    num_envs: int,
-    backend: str = "warp",
-    *,
-    randomize: dict[str, RandomizeCfg] = PLACES,
+    num_envs: int, backend: str = "warp", *, randomize: dict[str, RandomizeCfg] = PLACES,
     first: str | SensorMountCfg = "base_imu",
-) -> EnvManager:
+) -> EnvManager:  # fmt: skip
     env = simulation(
-        replace(ROBOTS.get("base_quadrotor"), sensors=(first, TAIL)),
-        "lee_velocity_control",
-        num_envs=num_envs,
-        seed=2,
-        randomize=randomize,
-        backend=backend,
-    )
+        replace(ROBOTS.get("base_quadrotor"), sensors=(first, TAIL)), "lee_velocity_control", num_envs=num_envs,
+        seed=2, randomize=randomize, backend=backend,
+    )  # fmt: skip
     env.reset()
     number = torch.arange(num_envs)
     for k in range(4):

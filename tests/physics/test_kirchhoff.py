@@ -43,12 +43,9 @@ def tumble_state(rotors: int, *, seed: int, speed: float = 1.0, rate: float = 2.
         return torch.randn(envs, columns, dtype=F64, generator=draw)
 
     return BodyState(
-        position=normal(3),
-        attitude=torch.nn.functional.normalize(normal(4), dim=-1),
-        lin_vel=speed * normal(3),
-        ang_vel=rate * normal(3),
-        rotor_speed=torch.zeros(envs, rotors, dtype=F64),
-    )
+        position=normal(3), attitude=torch.nn.functional.normalize(normal(4), dim=-1), lin_vel=speed * normal(3),
+        ang_vel=rate * normal(3), rotor_speed=torch.zeros(envs, rotors, dtype=F64),
+    )  # fmt: skip
 
 
 def fly(model: Model, state: BodyState, span: float, dt: float, integrator: str = "euler") -> BodyState:

@@ -25,15 +25,9 @@ def test_a_longer_arm_tilts_only_an_autopilot_that_does_not_know_it(
     ends = {"how": "offset", "low": (-0.015, 0.0, 0.0), "high": (0.015, 0.0, 0.0)}
     robot = replace(ROBOTS.get("base_quadrotor_doubled_inertia"), control=ControlCfg(effectiveness=effectiveness))
     env = simulation(
-        robot,
-        "lee_attitude_control",
-        num_envs=5,
-        seed=1,
-        randomize={"mounts.1.position": RandomizeCfg(**ends)},
-        differentiable=backend == "torch",
-        dtype=F64 if backend == "torch" else torch.float32,
-        backend=backend,
-    )
+        robot, "lee_attitude_control", num_envs=5, seed=1, randomize={"mounts.1.position": RandomizeCfg(**ends)},
+        differentiable=backend == "torch", dtype=F64 if backend == "torch" else torch.float32, backend=backend,
+    )  # fmt: skip
     env.reset()
     with torch.no_grad():
         for _ in range(700):

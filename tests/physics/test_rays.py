@@ -118,11 +118,8 @@ def test_tables_are_symmetric_about_the_axis(cfg: RangeSensorCfg) -> None:
 def test_a_narrow_lidar_holds_both_ends_and_equal_steps() -> None:
     """Columns fall from +60 to -20 deg by 80 / (W - 1), rows from 15 to -25 deg by 40 / (H - 1)."""
     limits = {
-        "azimuth_low_deg": -20.0,
-        "azimuth_high_deg": 60.0,
-        "elevation_low_deg": -25.0,
-        "elevation_high_deg": 15.0,
-    }
+        "azimuth_low_deg": -20.0, "azimuth_high_deg": 60.0, "elevation_low_deg": -25.0, "elevation_high_deg": 15.0,
+    }  # fmt: skip
     azimuth, elevation = angles_deg(table(lidar(9, 17, **limits)))
     np.testing.assert_allclose(azimuth, np.tile(60.0 - 5.0 * np.arange(17), (9, 1)), rtol=0.0, atol=1e-4)
     np.testing.assert_allclose(elevation, np.tile(15.0 - 5.0 * np.arange(9)[:, None], (1, 17)), rtol=0.0, atol=1e-4)
@@ -167,11 +164,8 @@ def test_a_dome_keeps_half_a_step_from_its_pole(low: float, high: float, top: fl
 
 def test_one_row_or_column_looks_at_the_middle() -> None:
     limits = {
-        "azimuth_low_deg": -20.0,
-        "azimuth_high_deg": 60.0,
-        "elevation_low_deg": -10.0,
-        "elevation_high_deg": 30.0,
-    }
+        "azimuth_low_deg": -20.0, "azimuth_high_deg": 60.0, "elevation_low_deg": -10.0, "elevation_high_deg": 30.0,
+    }  # fmt: skip
     azimuth, elevation = angles_deg(table(lidar(1, 5, **limits)))
     np.testing.assert_allclose(elevation, 10.0, rtol=0.0, atol=1e-4)
     np.testing.assert_allclose(azimuth[0], [60.0, 40.0, 20.0, 0.0, -20.0], rtol=0.0, atol=1e-4)

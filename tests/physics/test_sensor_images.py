@@ -367,13 +367,9 @@ def test_environments_may_have_compounds_of_different_numbers_of_parts(device: t
 
 def test_placements_are_drawn_within_their_ranges_for_masked_environments(device: torch.device) -> None:
     cfg = replace(
-        CAMERA,
-        count=2,
-        position_low=(-0.1, -0.1, 0.0),
-        position_high=(0.1, 0.1, 0.0),
-        euler_low=(0.0, -0.2, 0.0),
+        CAMERA, count=2, position_low=(-0.1, -0.1, 0.0), position_high=(0.1, 0.1, 0.0), euler_low=(0.0, -0.2, 0.0),
         euler_high=(0.0, 0.2, 0.0),
-    )
+    )  # fmt: skip
     caster = shoot(cfg, place_shapes([WALL], [([4.1, 0, 0], [0, 0, 0])], device, num_envs=50))
     mask = torch.arange(50, device=device) < 30
     caster.reset(mask)

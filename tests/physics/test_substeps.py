@@ -42,13 +42,9 @@ ROBOT = replace(
     ),
 )
 SPIN = MotionCfg(
-    kind="twist",
-    at_bounds="bounce",
-    lin_vel_low=(-15.0, -15.0, -15.0),
-    lin_vel_high=(15.0, 15.0, 15.0),
-    ang_vel_low=(-4.0, -4.0, -4.0),
-    ang_vel_high=(4.0, 4.0, 4.0),
-)
+    kind="twist", at_bounds="bounce", lin_vel_low=(-15.0, -15.0, -15.0), lin_vel_high=(15.0, 15.0, 15.0),
+    ang_vel_low=(-4.0, -4.0, -4.0), ang_vel_high=(4.0, 4.0, 4.0),
+)  # fmt: skip
 MOTIONS = {"still": MotionCfg(), "twist": SPIN, "waypoints": MotionCfg(kind="waypoints", speed=(1.0, 20.0))}
 
 

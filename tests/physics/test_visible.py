@@ -54,13 +54,9 @@ def exact_view(
 
 def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device) -> None:
     scene = Scene(
-        [],
-        shape_index=torch.zeros(0),
-        semantic_id=torch.zeros(0),
-        asset_state=torch.zeros(2, 0, 13, device=device),
-        robot=SEEN.visible_parts,
-        robot_state=(state := torch.zeros(2, 13, device=device)),
-    )
+        [], shape_index=torch.zeros(0), semantic_id=torch.zeros(0), asset_state=torch.zeros(2, 0, 13, device=device),
+        robot=SEEN.visible_parts, robot_state=(state := torch.zeros(2, 13, device=device)),
+    )  # fmt: skip
     eye = torch.zeros(2, 3, device=device), quat_from_euler(torch.tensor([[0.1, 0.05, -0.1]] * 2)).to(device)
     generator = torch.Generator().manual_seed(4)
     result = []

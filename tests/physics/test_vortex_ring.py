@@ -105,12 +105,9 @@ def _axial(climb: wp.array[float], inverse_out: wp.array[float], slope_out: wp.a
 
 @wp.kernel(enable_backward=False)
 def _induced(
-    hover: wp.array[float],
-    climb: wp.array[float],
-    edgewise: wp.array[float],
-    value_out: wp.array[float],
+    hover: wp.array[float], climb: wp.array[float], edgewise: wp.array[float], value_out: wp.array[float],
     slope_out: wp.array[float],
-):
+):  # fmt: skip
     i = wp.tid()
     value, slope = induced_warp(hover[i], climb[i], edgewise[i])
     value_out[i] = value

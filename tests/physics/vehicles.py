@@ -15,14 +15,9 @@ from aerial_gym.physics.fused.law import FusedLaw
 F64 = torch.float64
 
 BATTERY = BatteryCfg(
-    nominal_voltage=11.1,
-    full_voltage=12.6,
-    empty_voltage=10.5,
-    internal_resistance=0.05,
-    capacity=3600.0,
-    efficiency=0.6,
-    source="test",
-)
+    nominal_voltage=11.1, full_voltage=12.6, empty_voltage=10.5, internal_resistance=0.05, capacity=3600.0,
+    efficiency=0.6, source="test",
+)  # fmt: skip
 
 ON_RIGID = tuple(name for name in EFFECTS.names() if EFFECTS.get(name).on_rigid)
 """Every effect but those on links, which only a vehicle with joints has."""
@@ -71,12 +66,9 @@ def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) ->
         return torch.randn(num_envs, width, dtype=F64, generator=g)
 
     return BodyState(
-        position=normal(3),
-        attitude=quat_normalize(normal(4)),
-        lin_vel=2.0 * normal(3),
-        ang_vel=2.0 * normal(3),
+        position=normal(3), attitude=quat_normalize(normal(4)), lin_vel=2.0 * normal(3), ang_vel=2.0 * normal(3),
         rotor_speed=rotor_speed * (1.0 + 0.1 * normal(4)),
-    )
+    )  # fmt: skip
 
 
 class SpeedControl:
@@ -126,13 +118,8 @@ def random_network(*widths: int, seed: int = 0) -> LearnedResidualCfg:
     size = np.array([0.3] * 3 + [0.02] * 3)
     output = size[:, None] * rng.normal(size=(6, sizes[-1])) / (0.4 * sizes[-1]) ** 0.5
     return LearnedResidualCfg(
-        low=(-3.3, -3.4, -3.2, -3.1, -3.5, -3.0, 5.0e5),
-        high=(3.1, 3.2, 3.5, 3.4, 3.3, 3.6, 8.0e5),
-        centre=(0.1, -0.2, 0.3, 0.05, -0.1, 0.15, 6.5e5),
-        scale=(2.1, 1.9, 2.0, 2.2, 1.8, 2.0, 1.0e5),
-        whitening=rows((np.eye(7) + 0.05 * rng.normal(size=(7, 7))) / 3.0),
-        hidden=hidden,
-        output=LayerCfg(weights=rows(output), bias=rows(0.1 * size)),
-        limit=rows(1.5 * size),
-        source="test",
-    )
+        low=(-3.3, -3.4, -3.2, -3.1, -3.5, -3.0, 5.0e5), high=(3.1, 3.2, 3.5, 3.4, 3.3, 3.6, 8.0e5),
+        centre=(0.1, -0.2, 0.3, 0.05, -0.1, 0.15, 6.5e5), scale=(2.1, 1.9, 2.0, 2.2, 1.8, 2.0, 1.0e5),
+        whitening=rows((np.eye(7) + 0.05 * rng.normal(size=(7, 7))) / 3.0), hidden=hidden,
+        output=LayerCfg(weights=rows(output), bias=rows(0.1 * size)), limit=rows(1.5 * size), source="test",
+    )  # fmt: skip

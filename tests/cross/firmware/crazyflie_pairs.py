@@ -64,12 +64,9 @@ def _split(rows: np.ndarray, *widths: int) -> list[Tensor]:
 def _state(attitude: Tensor, position: Tensor, velocity: Tensor, gyro: Tensor) -> BodyState:
     rates = torch.deg2rad(gyro)
     return BodyState(
-        position=position,
-        attitude=attitude,
-        lin_vel=velocity,
-        ang_vel=rates,
+        position=position, attitude=attitude, lin_vel=velocity, ang_vel=rates,
         rotor_speed=position.new_zeros(len(position), 4),
-    )
+    )  # fmt: skip
 
 
 def lee_pair(vectors: dict[str, Tensor]) -> Pair:

@@ -156,13 +156,9 @@ def lee_states() -> tuple[Array, Array]:
     """Return gains (LEE_ROWS, 16), mass, inertia, position, velocity, attitude, rate, and states (LEE_ROWS, 20)."""
     draw, rows = Draws(SEED), LEE_ROWS
     ends = (
-        (0.02, 0.05),
-        *[(1e-5, 4e-5)] * 3,
-        *[(3.0, 9.0)] * 3,
-        *[(2.0, 5.0)] * 3,
-        *[(3e-3, 1e-2)] * 3,
+        (0.02, 0.05), *[(1e-5, 4e-5)] * 3, *[(3.0, 9.0)] * 3, *[(2.0, 5.0)] * 3, *[(3e-3, 1e-2)] * 3,
         *[(5e-4, 3e-3)] * 3,
-    )
+    )  # fmt: skip
     gains = np.concatenate([draw(rows, 1, low=low, high=high) for low, high in ends], axis=-1)
     return gains, _states(draw, rows, upright=1.4, rate=300.0)
 
@@ -229,13 +225,9 @@ def power_states() -> Array:
 
 def states_checksum() -> int:
     states = (
-        *lee_states(),
-        *mellinger_states(),
-        pid_states(),
-        power_states(),
-        *brescianini_states(),
+        *lee_states(), *mellinger_states(), pid_states(), power_states(), *brescianini_states(),
         *lee_integral_states(),
-    )
+    )  # fmt: skip
     return checksum(*states)
 
 
@@ -268,14 +260,11 @@ def _counts(control: Control) -> tuple[float, int, int, int]:
 def answers(library: ctypes.CDLL) -> dict[str, Array]:
     """Return the outputs of the controllers by name: Lee and Brescianini in SI units, the others in counts."""
     return {
-        "lee": _ask_lee(library),
-        "lee_integrals": _ask_lee_integrals(library),
-        "mellinger": _ask_mellinger(library),
-        "pid": _ask_pid(library),
-        "brescianini": _ask_brescianini(library, steps=STEPS, mixing_factor=1.0),
+        "lee": _ask_lee(library), "lee_integrals": _ask_lee_integrals(library), "mellinger": _ask_mellinger(library),
+        "pid": _ask_pid(library), "brescianini": _ask_brescianini(library, steps=STEPS, mixing_factor=1.0),
         "brescianini_reduced": _ask_brescianini(library, steps=1, mixing_factor=0.0)[:, 0],
         "power": _ask_power(library),
-    }
+    }  # fmt: skip
 
 
 def _ask_lee(library: ctypes.CDLL) -> Array:

@@ -83,15 +83,8 @@ def signals(px4: Path) -> Array:
         (folder / "host.cpp").write_text(HOST)
         (folder / "mixer.cpp").write_text((px4 / SOURCE).read_text(encoding="utf-8"))
         command = [
-            "g++",
-            "-std=c++14",
-            "-O2",
-            "-ffp-contract=off",
-            "-fPIC",
-            "-shared",
-            f"-I{folder}",
-            f"-I{VECTORS.parent}",
-        ]
+            "g++", "-std=c++14", "-O2", "-ffp-contract=off", "-fPIC", "-shared", f"-I{folder}", f"-I{VECTORS.parent}",
+        ]  # fmt: skip
         subprocess.run(
             [*command, str(folder / "host.cpp"), str(folder / "mixer.cpp"), "-o", str(folder / "mixer.so")], check=True
         )

@@ -22,13 +22,9 @@ BODY = {"body.mass": RandomizeCfg(low=0.8, high=1.2), "body.inertia": RandomizeC
 
 def build(backend: str, env="empty_env", **changes) -> EnvManager:
     options = {
-        "sim_name": "base_sim",
-        "robot_name": "base_quadrotor",
-        "controller_name": "lee_position_control",
-        "num_envs": 4,
-        "device": "cpu",
-        "seed": 3,
-    }
+        "sim_name": "base_sim", "robot_name": "base_quadrotor", "controller_name": "lee_position_control",
+        "num_envs": 4, "device": "cpu", "seed": 3,
+    }  # fmt: skip
     manager = SimBuilder().build_env(env_name=env, backend=backend, **options | changes)
     manager.reset()
     return manager

@@ -72,13 +72,9 @@ def random_bent(seed: int, *, num_envs: int = 4, largest: int = 10) -> TreeCase:
 
     driven, rubs = (torch.from_numpy(rng.random((1, num_joints)) < share).double() for share in (0.7, 0.6))
     drive = Drive(
-        stiffness=driven * draw(0.1, 100.0),
-        damping=driven * draw(0.01, 10.0),
-        position=normal(1.0),
-        rate=normal(3.0),
-        effort=driven * normal(0.1),
-        limit=torch.where(driven > 0.0, draw(0.01, 1.0), 1e9),
-    )
+        stiffness=driven * draw(0.1, 100.0), damping=driven * draw(0.01, 10.0), position=normal(1.0),
+        rate=normal(3.0), effort=driven * normal(0.1), limit=torch.where(driven > 0.0, draw(0.01, 1.0), 1e9),
+    )  # fmt: skip
     wrench = torch.from_numpy(0.3 * rng.normal(size=(num_envs, tree.num_links, 6)))
     links, state = random_links(tree, num_envs, seed), random_motion(tree, num_envs, seed)
     return TreeCase(tree, links, (), drive, dry_friction(rubs * draw(0.003, 0.3)), wrench, state)

@@ -62,12 +62,9 @@ class SnakeHover:
         turning = still.ang_vel + thrust.new_tensor((0.0, 0.0, spin))
         state, at_rest = replace(still, joint_pos=joint_pos[None], ang_vel=turning), torch.zeros_like(thrust)[None]
         result = equations(
-            self.articulation.tree,
-            self.articulation.links(self.model.vehicle),
-            state,
-            gravity=G,
+            self.articulation.tree, self.articulation.links(self.model.vehicle), state, gravity=G,
             wrench=link_wrenches(self.model, self.articulation, state, thrust[None], at_rest),
-        )
+        )  # fmt: skip
         mass, force = result.mass[0], result.force[0]
         if not floating:
             return force[6:], mass[6:, 6:], force[:6]

@@ -59,16 +59,10 @@ def make_rod(articulation: Articulation) -> Articulation:
         for n, law in (("spring", articulation.spring), ("ends", articulation.ends))
     }
     return replace(
-        articulation,
-        tree=Tree(joints=()),
-        origins=articulation.origins[:1],
-        link_com=articulation.link_com[:0],
-        link_inertia=articulation.link_inertia[:0],
-        rotor_links=(0,) * len(articulation.rotor_links),
-        names=(),
-        **some,
-        **laws,
-    )
+        articulation, tree=Tree(joints=()), origins=articulation.origins[:1], link_com=articulation.link_com[:0],
+        link_inertia=articulation.link_inertia[:0], rotor_links=(0,) * len(articulation.rotor_links), names=(),
+        **some, **laws,
+    )  # fmt: skip
 
 
 def with_drag(robot: RobotCfg) -> RobotCfg:

@@ -115,14 +115,9 @@ def test_they_see_the_shape_that_it_has(name: str) -> None:
         hubs, axes = (rows.expand(ROWS, -1, -1) for rows in rotor_geometry(robot, pose))
         vehicle = replace(plain.vehicle, com=torch.zeros(ROWS, 3, dtype=F64), rotor_position=hubs, rotor_axis=axes)
         wrench = body_wrench(
-            replace(plain, vehicle=vehicle),
-            state.position,
-            state.attitude,
-            state.lin_vel,
-            state.ang_vel,
-            state.rotor_speed,
-            spin_up,
-        )
+            replace(plain, vehicle=vehicle), state.position, state.attitude, state.lin_vel, state.ang_vel,
+            state.rotor_speed, spin_up,
+        )  # fmt: skip
         return torch.cat(wrench, dim=1)
 
     reference = rigid(effects)

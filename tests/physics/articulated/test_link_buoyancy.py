@@ -60,14 +60,10 @@ def draw_state(state: ArticulatedState, seed: int = 4) -> ArticulatedState:
         return scale * torch.randn(like.shape, generator=gen, dtype=F64)
 
     return replace(
-        state,
-        position=draw(state.position, 1.0),
-        attitude=torch.nn.functional.normalize(draw(state.attitude, 1.0), dim=-1),
-        lin_vel=draw(state.lin_vel, 1.0),
-        ang_vel=draw(state.ang_vel, 2.0),
-        joint_pos=draw(state.joint_pos, 0.7),
-        joint_vel=draw(state.joint_vel, 2.0),
-    )
+        state, position=draw(state.position, 1.0),
+        attitude=torch.nn.functional.normalize(draw(state.attitude, 1.0), dim=-1), lin_vel=draw(state.lin_vel, 1.0),
+        ang_vel=draw(state.ang_vel, 2.0), joint_pos=draw(state.joint_pos, 0.7), joint_vel=draw(state.joint_vel, 2.0),
+    )  # fmt: skip
 
 
 FORCES = {"force": 2.0, "x": 0.01, "left.force": 3.5, "left.y": -0.03, "left.z": 0.05, "base.z": 0.1, "base.force": 8.0}

@@ -38,14 +38,9 @@ def make_damping(
     params = row.expand(len(state.position), -1)
     wind = torch.zeros_like(state.lin_vel) if wind is None else wind
     velocity, turned_wind = motion_in_air(
-        tree,
-        links,
-        state.joint_pos,
-        state.joint_vel,
-        quat_rotate_inverse(state.attitude, state.lin_vel),
-        state.ang_vel,
-        quat_rotate_inverse(state.attitude, wind),
-    )
+        tree, links, state.joint_pos, state.joint_vel, quat_rotate_inverse(state.attitude, state.lin_vel),
+        state.ang_vel, quat_rotate_inverse(state.attitude, wind),
+    )  # fmt: skip
     damping = LinkDrag().damping(velocity, params)
     return LinkDamping(velocity=velocity, damping=damping, turned_wind=turned_wind), params
 
@@ -90,12 +85,9 @@ def make_drag_robot(
     )
     effects = {"link_drag": drag, **rest}
     return replace(
-        robot,
-        body=body,
-        joints=JointsCfg(layout=joints, floating=True, source="test"),
-        effects=effects,
+        robot, body=body, joints=JointsCfg(layout=joints, floating=True, source="test"), effects=effects,
         effects_source="test",
-    )
+    )  # fmt: skip
 
 
 def arm(name: str, com: tuple[float, float, float], position: tuple[float, float, float], **rest: object) -> JointCfg:

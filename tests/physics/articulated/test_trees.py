@@ -86,12 +86,9 @@ def test_a_stiff_damper_is_stable_at_any_step_and_exact_at_rest(dt: float) -> No
     tree, links = pendulum(length, mass)
     inertia = mass * length**2
     spring = Spring(
-        stiffness=row(4000.0 * inertia),
-        quadratic=row(5834.0 * inertia),
-        damping=row(230.0 * inertia),
-        rest=row(0.1),
+        stiffness=row(4000.0 * inertia), quadratic=row(5834.0 * inertia), damping=row(230.0 * inertia), rest=row(0.1),
         preload=row(0.0),
-    )
+    )  # fmt: skip
     state, before = pendulum_state(0.35), 0.35
     for _ in range(round(1.0 / dt)):
         state = implicit_euler(tree, links, (spring,), state, dt, gravity=G)
@@ -119,12 +116,9 @@ def test_implicit_steps_are_of_order_one() -> None:
     natural, share = 6.0, 0.3
     damped = natural * sqrt(1.0 - share**2)
     spring = Spring(
-        stiffness=row(natural**2),
-        quadratic=row(0.0),
-        damping=row(2.0 * share * natural),
-        rest=row(0.0),
+        stiffness=row(natural**2), quadratic=row(0.0), damping=row(2.0 * share * natural), rest=row(0.0),
         preload=row(0.0),
-    )
+    )  # fmt: skip
     exact = 0.2 * exp(-share * natural * 0.5) * (cos(damped * 0.5) + share * natural / damped * sin(damped * 0.5))
     errors = []
     for dt in (4e-3, 2e-3, 1e-3):

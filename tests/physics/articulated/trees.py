@@ -46,13 +46,9 @@ def random_motion(tree: Tree, num_envs: int, seed: int) -> TreeState:
     attitude = torch.nn.functional.normalize(draw(4, 1.0), dim=-1)
     moves = float(tree.floating)
     return TreeState(
-        position=draw(3, 1.0),
-        attitude=attitude,
-        lin_vel=moves * draw(3, 1.0),
-        ang_vel=moves * draw(3, 2.0),
-        joint_pos=draw(tree.num_joints, 0.7),
-        joint_vel=draw(tree.num_joints, 2.0),
-    )
+        position=draw(3, 1.0), attitude=attitude, lin_vel=moves * draw(3, 1.0), ang_vel=moves * draw(3, 2.0),
+        joint_pos=draw(tree.num_joints, 0.7), joint_vel=draw(tree.num_joints, 2.0),
+    )  # fmt: skip
 
 
 def pendulum(length: float, mass: float) -> tuple[Tree, Links]:

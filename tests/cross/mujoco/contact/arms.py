@@ -22,12 +22,9 @@ MIDDLE = (0.0, 0.0, 0.0)
 def springs(stiffness: float, damping: float, rest: tuple[float, float] = (0.0, 0.0)) -> Spring:
     zero = torch.zeros(1, 2, dtype=F64)
     return Spring(
-        stiffness=zero + stiffness,
-        damping=zero + damping,
-        quadratic=zero,
-        preload=zero,
+        stiffness=zero + stiffness, damping=zero + damping, quadratic=zero, preload=zero,
         rest=torch.tensor([rest], dtype=F64),
-    )
+    )  # fmt: skip
 
 
 def two_arms(kind: str, axes: tuple[tuple[float, float, float], tuple[float, float, float]], aside: float) -> Tree:
@@ -59,18 +56,9 @@ class ContactRig:
     """Two arms on a base, in steps; sums up what the ground gave."""
 
     def __init__(
-        self,
-        tree: Tree,
-        links: Links,
-        law: Spring,
-        on_links: LinkContacts,
-        spheres,
-        *,
-        dt: float,
-        gravity=G,
-        friction=0.5,
-        height=0.0,
-    ) -> None:
+        self, tree: Tree, links: Links, law: Spring, on_links: LinkContacts, spheres, *, dt: float, gravity=G,
+        friction=0.5, height=0.0,
+    ) -> None:  # fmt: skip
         floor = Floor(height=height, spheres=spheres, friction=friction, on_links=on_links)
         self.bodies = RolloutTrees(tree, 1, dt, floor=floor, cfg=CFG)
         self.tree, self.links, self.law, self.gravity = tree, links, law, gravity
@@ -82,15 +70,9 @@ class ContactRig:
         empty = {name: torch.zeros_like(self.law.rest) for name in ("rate", "effort")}
         drive = Drive(**own, **empty, limit=torch.full_like(self.law.rest, 1e3)) if driven else None
         state = self.bodies.move(
-            self.tree,
-            self.links,
-            [] if driven else [self.law],
-            state,
-            self.bodies.dt,
-            gravity=self.gravity,
-            wrench=torch.zeros(1, 3, 6, dtype=F64),
-            drive=drive,
-        )
+            self.tree, self.links, [] if driven else [self.law], state, self.bodies.dt, gravity=self.gravity,
+            wrench=torch.zeros(1, 3, 6, dtype=F64), drive=drive,
+        )  # fmt: skip
         self.impulse += self.bodies.impulse
         return state
 
