@@ -40,9 +40,6 @@ def at_origin(robot: RobotCfg, force: np.ndarray, torque: np.ndarray) -> np.ndar
     return np.concatenate([linear, turning])
 
 
-# ------------------------------------------------------------------------------------------------ MJCF
-
-
 def random_inertial(rng: np.random.Generator, scale: float) -> str:
     """Return an <inertial> that a body can have: moments of three squares, two at a time."""
     squares = scale * rng.uniform(1e-3, 4e-3, 3)
@@ -189,9 +186,6 @@ def test_rotors_of_an_mjcf_accelerate_it_as_in_mujoco(seed: int, tmp_path: Path)
     total[:3] -= G * up
     reference = np.concatenate([turn.apply(low[:3], inverse=True), low[3:]])
     np.testing.assert_allclose(total, reference, atol=1e-9 * np.abs(reference).max())
-
-
-# ------------------------------------------------------------------------------------------------ SDF and URDF
 
 
 @dataclass

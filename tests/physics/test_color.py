@@ -52,8 +52,6 @@ def own_points(points: Tensor, position: list[float], euler: list[float]) -> Ten
     return quat_rotate(turn.expand(*offset.shape[:-1], 4), offset)
 
 
-# ------------------------------------------------------------------------------------------------ meshes
-
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns rows (x, y, z) to (x, z, -y), as glTF has them."""
 
@@ -195,9 +193,6 @@ def test_materials_of_one_file_and_a_shared_file_are_kept_apart_and_stored_once(
     torch.testing.assert_close(color[sure], expected[sure], rtol=0.0, atol=1e-5)
 
 
-# ------------------------------------------------------------------------------------------------ plain colours
-
-
 def test_colors_come_from_the_shape_its_compound_or_its_kind(device) -> None:
     box = ShapeCfg(kind="box", size=(0.4, 0.4, 0.4))
     own, without = replace(box, color=(0.1, 0.9, 0.3)), ShapeCfg(kind="sphere", radius=0.2)
@@ -270,8 +265,6 @@ def test_fields_of_a_checkerboard_lie_where_its_cubes_are(kind: str, device, tmp
     torch.testing.assert_close(result.color[0, 0].cpu()[sure], expected[sure], rtol=0.0, atol=1e-6)
 
 
-# ------------------------------------------------------------------------------------------------ lamps
-
 GROUND = ShapeCfg(kind="plane", color=(0.8, 0.5, 0.3))
 HIGH = [0.4, -0.3, 3.0]
 
@@ -341,9 +334,6 @@ def test_the_sun_of_the_sensor_and_the_lamps_of_the_environment_add(device) -> N
     color, points, _ = look(replace(CAMERA, light=sun), scene, HIGH, DOWN)
     expected = (0.2 + 0.8 * 0.8 + lamp_brightness(points, lamp)) * torch.tensor(GROUND.color)
     torch.testing.assert_close(color.double(), expected.clamp(max=1.0), rtol=0.0, atol=1e-5)
-
-
-# ------------------------------------------------------------------------------------------------ bad input
 
 
 def test_impossible_paints_and_lamps_are_refused() -> None:

@@ -55,9 +55,6 @@ def make_model(values: dict[str, dict[str, float]], num_envs: int = 1, robot: Ro
     return build_model(vehicle, make_effects(values, num_envs), **{"ceiling_height": CEILING, **scene})
 
 
-# actuation delay
-
-
 def speed_after_delay(time: float, delay: float, speed: float, commands: list[tuple[float, float]]) -> float:
     """Return the speed under commands (from when, what), each of which acts ``delay`` later; none acts before."""
     arrivals = [(start + delay, command) for start, command in commands] + [(time, 0.0)]
@@ -106,9 +103,6 @@ def test_rotors_without_lag_follow_the_delayed_command() -> None:
     levels = [torch.full((1, 4), level, dtype=F64) for level in (700.0, 800.0, 900.0, 950.0)]
     end, _ = fly_remembering(model, make_memory(model, 0.004), rest_state(rotor_speed=[500.0] * 4), levels, 0.004)
     torch.testing.assert_close(end.rotor_speed, torch.full((1, 4), 900.0, dtype=F64))
-
-
-# battery
 
 
 def test_the_voltage_under_load_obeys_kirchhoff() -> None:
@@ -172,9 +166,6 @@ def test_battery_files_are_checked() -> None:
             replace(BATTERY, **{name: value})
 
 
-# gusts
-
-
 @pytest.mark.parametrize("dt", [0.02, 0.2])
 def test_gusts_have_their_variance_and_correlation_at_every_step(dt: float) -> None:
     """Variance std² at once and later, exp(-t / T) after 0.4 s, axes independent; bounds: five standard deviations."""
@@ -215,9 +206,6 @@ def test_both_backends_draw_the_same_gusts() -> None:
     torch.testing.assert_close(gust_flight(WarpBackend(), 7), gust_flight(TorchBackend(), 7), atol=2e-6, rtol=2e-5)
 
 
-# random force
-
-
 @pytest.mark.parametrize(("dt", "hold"), [(0.002, 0.002), (0.001, 0.002), (0.0005, 0.003), (0.01, 0.002)])
 def test_a_random_force_is_uniform_and_held_for_its_interval(dt: float, hold: float) -> None:
     """Variance f² / 3 on each axis, independent of the interval before; bounds: five standard deviations of 20,000 draws."""
@@ -256,9 +244,6 @@ def test_a_random_force_pushes_along_the_world_alike_on_both_backends(backend) -
     assert abs(state.lin_vel[:, 2].std().item() / deviation - 1.0) < 5.0 / sqrt(2.0 * num)
 
 
-# ceiling
-
-
 def test_a_ceiling_is_needed_by_name() -> None:
     with pytest.raises(ConfigError, match="effect ceiling_effect: there is no ceiling. Give ceiling_height"):
         make_model({"ceiling_effect": {"k": 1.0}}, ceiling_height=None)
@@ -276,9 +261,6 @@ def test_a_ceiling_is_needed_by_name() -> None:
         EnvironmentCfg(
             summary="", physics_steps_per_env_step=1, ground_height=2.0, ceiling_height=1.0, source="test", **corner
         )
-
-
-# what is remembered and forgotten
 
 
 def run_all_effects(

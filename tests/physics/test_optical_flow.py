@@ -51,9 +51,6 @@ def close(result: Tensor, right: Tensor, down: Tensor) -> None:
     torch.testing.assert_close(result, expected, rtol=0.0, atol=4e-6 * float(expected.abs().max() + 1.0))
 
 
-# ------------------------------------------------------------------------------------------------ closed forms
-
-
 @pytest.mark.parametrize("cfg", [PINHOLE, STEREO])
 @pytest.mark.parametrize("rates", [(0.7, 0.0, 0.0), (0.0, 0.7, 0.0), (0.0, 0.0, 0.7), (0.3, -0.5, 0.9)])
 def test_a_turning_pinhole_camera_has_the_flow_of_its_rates_whatever_it_sees(
@@ -84,8 +81,6 @@ def test_noise_and_limits_of_the_distance_leave_the_flow_alone(device: torch.dev
     noisy = replace(PINHOLE, noise=NoiseCfg(std_c=0.3, dropout=0.3), min_range=4.5)
     assert torch.equal(sense_flow(noisy, scene, velocity=velocity), sense_flow(PINHOLE, scene, velocity=velocity))
 
-
-# ------------------------------------------------------------------------------------------------ finite differences
 
 TREE = ShapeCfg(
     kind="compound",
@@ -189,9 +184,6 @@ def test_flow_is_the_limit_of_the_differences_of_projected_points(cfg: RangeSens
     error = (extrapolated - results[near]).norm(dim=-1) / (1.0 + results[near].norm(dim=-1))
     assert error.max() < 1e-3
     assert error.mean() < 1e-5
-
-
-# ------------------------------------------------------------------------------------------------ wiring
 
 
 def test_flow_stands_in_the_gtd_for_every_sensor_and_environment(device: torch.device) -> None:

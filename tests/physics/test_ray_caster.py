@@ -42,9 +42,6 @@ CYLINDER = ShapeCfg(kind="cylinder", radius=0.4, height=1.5)
 CAPSULE = ShapeCfg(kind="capsule", radius=0.35, height=1.1)
 
 
-# ---------------------------------------------------------------------------------------------- helpers
-
-
 def take_image(cfg: CameraCfg, scene: Scene, position: Tensor, attitude: Tensor) -> tuple[Tensor, Tensor]:
     """Return distances and ids, (E, H, W), on the CPU."""
     images = shoot(cfg, scene, position=position, attitude=attitude).images
@@ -143,9 +140,6 @@ def exact_image(cfg: CameraCfg, scene: Scene, body: tuple[Tensor, Tensor], env: 
     return stack.min(axis=0).reshape(size), instance.reshape(size)
 
 
-# ---------------------------------------------------------------------------------------------- shapes
-
-
 @pytest.mark.parametrize("shape", [BOX, SPHERE, CYLINDER, CAPSULE], ids=lambda s: s.kind)
 def test_every_pixel_of_a_turned_shape_matches_the_closed_form(shape: ShapeCfg, device: torch.device) -> None:
     """Random poses of shape and body, in front of the camera: range of each pixel, hits and misses, in 24 environments."""
@@ -233,9 +227,6 @@ def test_a_random_mesh_matches_the_ray_caster_of_trimesh(device: torch.device, t
         np.testing.assert_allclose(measured[env].numpy().ravel()[hit], expected[hit], rtol=0.0, atol=TOLERANCE)
 
 
-# ---------------------------------------------------------------------------------------------- pinhole
-
-
 def test_depth_is_range_times_the_cosine_to_the_axis(device: torch.device) -> None:
     """The same scene read as depth and as range: depth / range is the x component of the unit ray."""
     generator = torch.Generator().manual_seed(7)
@@ -247,9 +238,6 @@ def test_depth_is_range_times_the_cosine_to_the_axis(device: torch.device) -> No
     hit = ranges[0] > 0.0
     assert 100 < hit.sum() < hit.numel()
     torch.testing.assert_close(depth[0][hit], (ranges[0] * cosine)[hit], rtol=1e-6, atol=0.0)
-
-
-# ---------------------------------------------------------------------------------------------- limits and ids
 
 
 def make_clutter(num_envs: int, device: torch.device) -> Scene:
@@ -321,9 +309,6 @@ def test_a_scene_without_instances_is_all_misses(device: torch.device) -> None:
     assert without_ids.segmentation is None
 
 
-# ---------------------------------------------------------------------------------------------- instances
-
-
 def test_a_moved_obstacle_is_seen_in_the_next_image(device: torch.device) -> None:
     wall = ShapeCfg(kind="box", size=(0.2, 40.0, 40.0))
     root = torch.zeros(3, 2, 13, device=device)  # row 0 is the robot: the scene has a strided view of row 1
@@ -361,9 +346,6 @@ def test_reset_puts_only_the_mounts_of_masked_environments_back(device: torch.de
     caster.cast()
     for env, expected in enumerate((shifted, nominal, shifted)):
         assert torch.equal(depth[env], expected[env])
-
-
-# ---------------------------------------------------------------------------------------------- sensor manager
 
 
 def test_sensor_manager_declares_an_image_per_camera_and_writes_all(device: torch.device) -> None:

@@ -48,9 +48,6 @@ def lidar(height: int, width: int, **fields: object) -> LidarCfg:
     return LidarCfg(**COMMON, height=height, width=width, **fields)
 
 
-# ---------------------------------------------------------------------------------------------- lenses
-
-
 def test_pinhole_rows_and_columns_have_equal_steps_of_the_tangent() -> None:
     """On the plane x = 1 pixel centres are a grid of W x H squares between +-tan(hfov / 2) to the left and right."""
     cfg = CameraCfg(**COMMON, width=31, height=18, hfov_deg=100.0)
@@ -110,9 +107,6 @@ def test_tables_are_symmetric_about_the_axis(cfg: RangeSensorCfg) -> None:
     np.testing.assert_allclose(rays[::-1] * [1, 1, -1], rays, rtol=0.0, atol=TOLERANCE)
     assert (rays[: cfg.height // 2, :, 2] > 0.0).all()
     assert (rays[:, : cfg.width // 2, 1] > 0.0).all()
-
-
-# ---------------------------------------------------------------------------------------------- lidars
 
 
 def test_a_narrow_lidar_holds_both_ends_and_equal_steps() -> None:
@@ -185,8 +179,6 @@ def test_listed_beams_are_the_elevations_of_the_rows() -> None:
     np.testing.assert_allclose(elevation, np.tile(np.array(beams)[:, None], (1, 8)), rtol=0.0, atol=1e-4)
     np.testing.assert_allclose(azimuth[0], 157.5 - 45.0 * np.arange(8), rtol=0.0, atol=1e-4)
 
-
-# ---------------------------------------------------------------------------------------------- lists of rays
 
 SIX = ((2.0, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, 1.0), (-3.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 3e-200, -4e-200))
 SIX_UNIT = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0.5**0.5, 0.5**0.5, 0], [0, 0.6, -0.8]])
@@ -269,9 +261,6 @@ def test_depth_is_refused_for_rays_that_do_not_look_ahead(cfg: RangeSensorCfg) -
 def test_depth_is_allowed_for_a_narrow_fisheye() -> None:
     rays = table(FisheyeCfg(**COMMON, kind="depth", width=9, height=9, hfov_deg=100.0))
     assert rays[..., 0].min() > 0.1
-
-
-# ---------------------------------------------------------------------------------------------- the catalogue
 
 
 @pytest.mark.parametrize("name", SENSORS.names())

@@ -48,9 +48,6 @@ def off_axis(rays: Tensor) -> Tensor:
     return torch.atan2(rays[..., 1:].double().norm(dim=-1), rays[..., 0].double())
 
 
-# ------------------------------------------------------------------------------------------------ one prism, two prisms
-
-
 @pytest.mark.parametrize("face", ["entry", "exit"])
 def test_one_prism_deflects_by_snells_law(face: str) -> None:
     """A beam along the axis: refracted at the inclined entry by a, then at the flat exit; or at the inclined exit alone.
@@ -100,9 +97,6 @@ def test_a_beam_that_stays_inside_a_prism_is_refused() -> None:
     steep = PrismCfg(wedge_deg=44.0, turns_hz=1.0, refractive_index=1.51, inclined_face="exit")
     with pytest.raises(ConfigError):
         rosette_rays(replace(ROSETTE, prisms=(steep,)), device=CPU)
-
-
-# ------------------------------------------------------------------------------------------------ makers' lidars
 
 
 @pytest.mark.parametrize(("name", "cone_deg"), [("livox_mid40", 38.4), ("livox_mid70", 70.4)])
@@ -216,9 +210,6 @@ def test_every_lidar_that_is_round_is_in_the_table_of_turning_ones() -> None:
     names = [name for name in SENSORS.names() if isinstance(SENSORS.get(name), LidarCfg)]
     round_ones = {name for name in names if SENSORS.get(name).full_turn}
     assert round_ones == {*TURNING, "base_lidar", "coarse_dome_lidar"}
-
-
-# ------------------------------------------------------------------------------------------------ in flight
 
 
 def test_each_image_has_the_next_rays_of_the_table(device: torch.device) -> None:
@@ -341,9 +332,6 @@ def test_a_captured_image_moves_on_at_every_replay() -> None:
         graph.replay()
         expected = 6.0 / frames[image % 5, ..., 0]
         torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=1e-6, atol=0.0)
-
-
-# ------------------------------------------------------------------------------------------------ files and refusals
 
 
 def test_a_scan_from_a_file_is_read_in_order_of_time(tmp_path: Path) -> None:

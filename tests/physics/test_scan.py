@@ -80,9 +80,6 @@ def middle_ages(cfg: LidarCfg) -> Tensor:
     return torch.cat([group.mean().expand(len(group)) for group in groups])
 
 
-# ------------------------------------------------------------------------------------------------ closed forms
-
-
 @pytest.mark.parametrize("columns", [1, 6, 40])
 def test_at_rest_a_scan_is_the_image_of_an_instant_bit_for_bit(columns: int, device: torch.device) -> None:
     """Every image, with two lidars in each of two environments, also with columns that do not fit into tiles."""
@@ -137,9 +134,6 @@ def test_the_column_of_the_capture_has_no_distortion_and_lever_arms_count(device
     turned = rate * ages(cfg)
     expected = (6.0 - lever * torch.cos(turned)) / (level * torch.cos(azimuths(cfg) - turned))
     torch.testing.assert_close(caster.images.distance[0, 0].cpu().double(), expected, rtol=3e-6, atol=0.0)
-
-
-# ------------------------------------------------------------------------------------------------ any twist
 
 
 def meet(shape: ShapeCfg, start: Tensor, ray: Tensor) -> Tensor:
@@ -236,9 +230,6 @@ def test_points_in_the_sensor_frame_lie_along_the_rays_of_the_table(device: torc
     expected = caster.images.distance.unsqueeze(-1) * caster.direction
     torch.testing.assert_close(caster.images.points, expected, rtol=1e-6, atol=0.0)
     assert (caster.images.distance > 0.0).all()
-
-
-# ------------------------------------------------------------------------------------------------ timing, refusals
 
 
 def test_a_scan_with_rate_and_latency_is_that_of_its_own_capture(device: torch.device) -> None:

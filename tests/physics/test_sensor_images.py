@@ -192,9 +192,6 @@ def test_normals_in_the_sensor_frame_are_those_of_the_world_turned(device: torch
     )
 
 
-# ------------------------------------------------------------------------------------------------ colour
-
-
 def test_a_matt_ground_has_the_brightness_of_lambert_and_the_shadow_of_a_roof(device: torch.device) -> None:
     """Ground: albedo (ambient + (1 - ambient) cos) with the angle of the sun. A roof at height h throws a shadow that is
     its own outline, shifted by -h s_xy / s_z; the sky has its own colour."""
@@ -238,9 +235,6 @@ def test_impossible_lights_and_colours_are_refused() -> None:
         LightCfg(ambient=1.5)
     with pytest.raises(ConfigError, match=r"ShapeCfg.color = \(0.1, 1.2, 0.0\)"):
         ShapeCfg(kind="plane", color=(0.1, 1.2, 0.0))
-
-
-# ------------------------------------------------------------------------------------------------ noise
 
 
 def noisy_wall(noise: NoiseCfg, device, *, distance: float = 4.0, images: int = 40, kind: str = "depth") -> Tensor:
@@ -292,9 +286,6 @@ def test_dropped_pixels_hold_the_near_value_at_the_given_rate(device: torch.devi
     assert abs(rate - 0.07) < 5.0 * (0.07 * 0.93 / n) ** 0.5
 
 
-# ------------------------------------------------------------------------------------------------ stereo
-
-
 def test_a_stereo_pixel_is_invalid_exactly_where_the_second_camera_is_blocked(device: torch.device) -> None:
     """A post between the cameras' lines of sight: for every pixel on the wall behind, the line from the second camera
     (at y = b) to the point of the wall is tested against the post's rectangle in plan, by hand."""
@@ -323,9 +314,6 @@ def test_a_stereo_pixel_is_invalid_exactly_where_the_second_camera_is_blocked(de
     focal = 80.0 / np.tan(np.radians(40.0))
     torch.testing.assert_close(disparity[~invalid], focal * baseline / plain[~invalid], rtol=1e-5, atol=0.0)
     assert (disparity[invalid] == 0.0).all()
-
-
-# ------------------------------------------------------------------------------------------------ parts, placement, rate
 
 
 def test_a_compound_is_seen_as_its_parts_would_be(device: torch.device) -> None:

@@ -49,9 +49,6 @@ def exact_view(
     return stack.min(axis=0), np.where(np.isfinite(stack.min(axis=0)), stack.argmin(axis=0), -1)
 
 
-# ------------------------------------------------------------------------------------------------ the robot
-
-
 def test_an_observer_sees_the_robot_where_it_is_before_and_after_it_moves(device) -> None:
     scene = Scene(
         [], shape_index=torch.zeros(0), semantic_id=torch.zeros(0), asset_state=torch.zeros(2, 0, 13, device=device),
@@ -159,9 +156,6 @@ def test_what_cannot_be_seen_is_refused(device) -> None:
         replace(OPEN_AIR, ground_color=(2.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match=r"EnvironmentCfg.ground_semantic_id = 100: must be 0 to 99"):
         replace(OPEN_AIR, ground_height=0.0, ground_semantic_id=100)
-
-
-# ------------------------------------------------------------------------------------------------ the ground
 
 
 def test_every_pixel_below_the_horizon_of_dynamic_env_has_the_depth_of_its_ground(device) -> None:
