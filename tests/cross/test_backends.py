@@ -22,7 +22,7 @@ from aerial_gym.physics.effects import EffectsByKind, WrenchEffect
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_state
+from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_state, strong_effects
 from tests.repetitions import rare_values, thin_values
 
 FACTOR = 4.0
@@ -49,11 +49,7 @@ def build(robot, controller: ControllerCfg, num_envs: int, dtype: torch.dtype, e
         vehicle = replace(declared, **{name: tensor.repeat(copies, *[1] * (tensor.dim() - 1)) for name, tensor in rows})
     else:
         vehicle = declared
-    rows = []
-    for name in effects:
-        effect = EFFECTS.get(name)
-        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows.append((effect, torch.tensor(row, dtype=dtype).expand(copies * num_envs, -1).clone()))
+    rows = strong_effects(effects, robot, copies * num_envs, dtype=dtype)
     ceiling = {"ceiling_height": CEILING} if "ceiling_effect" in effects else {}  # a number in the kernel's source
     return build_model(vehicle, rows, **ceiling), make_controller(controller, declared, 9.81, dt=DT)
 

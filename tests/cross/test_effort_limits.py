@@ -55,12 +55,10 @@ def random_robot(seed: int) -> RobotCfg:
         inertias.append(np.diag(rng.uniform(1e-5, 1.9e-5, 3)))
         mode, has = rng.choice(("position", "velocity", "effort")), rng.integers(0, 3)
         drive = DriveCfg(
-            mode=str(mode),
-            stiffness=float(rng.uniform(0.1, 20.0)) * float(mode == "position"),
-            damping=float(rng.uniform(0.01, 2.0)) * float(mode != "effort"),
-            limit=float(rng.uniform(0.005, 0.1)),
+            mode=str(mode), stiffness=float(rng.uniform(0.1, 20.0)) * float(mode == "position"),
+            damping=float(rng.uniform(0.01, 2.0)) * float(mode != "effort"), limit=float(rng.uniform(0.005, 0.1)),
             command_range=(-3.0, 3.0) if mode != "effort" else (-0.2, 0.2),
-        )
+        )  # fmt: skip
         layout.append(
             JointCfg(
                 name=f"j{k}", parent=names[parent], axis=tuple((axis / np.linalg.norm(axis)).tolist()),

@@ -11,7 +11,7 @@ from aerial_gym.errors import CapabilityError
 from aerial_gym.physics import EFFECTS, BodyState, Ground, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.robots import ROBOTS
-from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_network, random_state
+from tests.physics.vehicles import CEILING, ON_RIGID, asymmetric_robot, random_network, random_state, strong_effects
 
 NUM_ENVS, DT, SUBSTEPS = 3, 0.01, 5
 RELATIVE = 2e-5
@@ -30,14 +30,10 @@ def gradients(backend, dtype: torch.dtype, controller: str, integrator: str) -> 
     mass = vehicle.mass.clone().requires_grad_()
     inertia = vehicle.inertia.clone().requires_grad_()
     leaves = {"mass": mass, "inertia": inertia}
-    effects = []
-    for name in ON_RIGID:
-        effect = EFFECTS.get(name)
-        if effect.acts_on == "sensor" or effect.remembers or name == OVERRULED:
-            continue
-        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        leaves[name] = torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone().requires_grad_()
-        effects.append((effect, leaves[name]))
+    known = {name: EFFECTS.get(name) for name in ON_RIGID if name != OVERRULED}
+    names = [name for name, effect in known.items() if effect.acts_on != "sensor" and not effect.remembers]
+    effects = [(effect, rows.requires_grad_()) for effect, rows in strong_effects(names, robot, NUM_ENVS, dtype=dtype)]
+    leaves |= {effect.name: rows for effect, rows in effects}
     leaves["learned_residual"] = torch.full((NUM_ENVS, 1), 0.8, dtype=dtype).requires_grad_()
     effects.append((LearnedResidual(random_network(16), dtype=dtype), leaves["learned_residual"]))
     start = {k: v.to(dtype).requires_grad_() for k, v in vars(random_state(NUM_ENVS, seed=2)).items()}

@@ -21,7 +21,7 @@ from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
-from tests.physics.vehicles import CEILING, random_state
+from tests.physics.vehicles import CEILING, random_state, strong_effects
 from tests.repetitions import frequent_values
 
 FACTOR, ROUND_OFF = 4.0, 4e-6
@@ -106,11 +106,7 @@ def fly(
     vehicle = vehicle_from_config(robot, num_envs=copies * NUM_ENVS, dtype=dtype)
     law = make_controller(CONTROLLERS.get(controller), vehicle, 9.81, dt=DT)
     articulation = build_articulation(robot, like=vehicle.mass)
-    rows = []
-    for name in effects:
-        effect = EFFECTS.get(name).bind_robot(robot)
-        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows.append((effect, torch.tensor(row, dtype=dtype).expand(copies * NUM_ENVS, -1).clone()))
+    rows = strong_effects(effects, robot, copies * NUM_ENVS, dtype=dtype)
     model = build_model(adjust(vehicle), rows, ceiling_height=CEILING, articulation=articulation)
     hover = vehicle.speed_high[0, 0].item() * 0.5
     start = random_state(NUM_ENVS, seed=5, rotor_speed=hover)

@@ -199,11 +199,9 @@ def perturb(start: Start, bound: Bound) -> Start:
     aside = torch.nn.functional.pad(aside, (6 + start.state.joint_vel.shape[1] - aside.shape[1], 0))
     state = start.state
     moved = replace(
-        state,
-        lin_vel=state.lin_vel + quat_rotate(state.attitude, aside[:, :3]),
-        ang_vel=state.ang_vel + aside[:, 3:6],
-        joint_vel=state.joint_vel + aside[:, 6:],
-    )
+        state, lin_vel=state.lin_vel + quat_rotate(state.attitude, aside[:, :3]),
+        ang_vel=state.ang_vel + aside[:, 3:6], joint_vel=state.joint_vel + aside[:, 6:],
+    )  # fmt: skip
     return replace(start, state=moved)
 
 

@@ -1,5 +1,7 @@
-"""Drag of links on the fused backend, which eliminates link by link, against the torch reference, which factors a
-matrix. The bound is that of ``test_joints``: so many times as far from float64 as float32 torch is."""
+"""Drag and water of links on the fused backend, which eliminates link by link, against torch, which factors a matrix.
+
+The bound is that of ``test_joints``: so many times as far from float64 as float32 torch is.
+"""
 
 from dataclasses import replace
 
@@ -7,40 +9,64 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import EFFECTS, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
+from aerial_gym.physics import BACKENDS, EFFECTS, PhysicsBackend, TorchBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.effects import EffectParams
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
+from tests.builders import simulation
 from tests.cross.test_joints import FACTOR, ROUND_OFF, odd_tree
-from tests.physics.vehicles import random_state
+from tests.physics.articulated.test_link_buoyancy import make_joints, under_water
+from tests.physics.vehicles import random_state, strong_effects
 from tests.repetitions import frequent_values
 
 NUM_ENVS, DT, SUBSTEPS, STEPS = 16, 0.002, 3, 3
 
 OF_ALL = {"lx": 0.02, "ly": 0.03, "lz": 0.01, "qx": 0.02, "qy": 0.01, "qz": 0.03, "ax": 1e-4, "az": 2e-4, "bx": 1e-4}
 
-CASES = {
-    "morphy": ("morphy", {**OF_ALL, "azimuth_2.qx": 0.3, "azimuth_3.lz": 0.4, "base.qx": 0.0}, ("constant_wind",)),
-    "on a stand": ("morphy_fixed_base", OF_ALL, ("gusts",)),
-    "one arm alone": ("morphy", {"azimuth_1.qz": 0.5, "azimuth_1.by": 1e-3}, ("constant_wind", "quadratic_drag")),
-    "the base alone": ("morphy", {"base.lx": 0.2, "base.qy": 0.1, "base.az": 1e-3}, ("wind_shear",)),
-    "snake": ("snakey", OF_ALL, ("constant_wind",)),
-    "everything": ("odd", {**OF_ALL, "slide.qx": 0.3, "left.ay": 2e-3}, ("constant_wind", "gusts", "rotor_drag")),
-}
-
 
 def with_drag(name: str, drag: dict[str, float]) -> RobotCfg:
     robot = odd_tree() if name == "odd" else ROBOTS.get(name)
     return replace(robot, effects={"link_drag": drag}, effects_source="test")
+
+
+DRAWN = RandomizeCfg(how="value", distribution="uniform", low=0.001, high=0.02)
+
+BUOYANCY = {"force": 0.5, "x": 0.01, "slide.force": 2.0, "slide.z": 0.05, "base.y": -0.03}
+
+ADDED = {"mx": 0.05, "my": 0.1, "mz": 0.2, "slide.mx": 0.3, "jx": 1e-3, "jz": 2e-3, "base.my": 0.6}
+
+ALL = {"link_buoyancy": BUOYANCY, "link_added_mass": ADDED, "link_drag": OF_ALL}
+
+ON_A_STAND = {"link_buoyancy": {"left.force": 2.0, "left.z": 0.1}}
+
+EVERYTHING, ONE_ARM = {**OF_ALL, "slide.qx": 0.3, "left.ay": 2e-3}, {"azimuth_1.qz": 0.5, "azimuth_1.by": 1e-3}
+
+CASES = {
+    "drag": (
+        with_drag("morphy", {**OF_ALL, "azimuth_2.qx": 0.3, "azimuth_3.lz": 0.4, "base.qx": 0.0}),
+        ("constant_wind",),
+    ),
+    "drag on a stand": (with_drag("morphy_fixed_base", OF_ALL), ("gusts",)),
+    "drag of one arm": (with_drag("morphy", ONE_ARM), ("constant_wind", "quadratic_drag")),
+    "drag of the base": (with_drag("morphy", {"base.lx": 0.2, "base.qy": 0.1, "base.az": 1e-3}), ("wind_shear",)),
+    "drag of a snake": (with_drag("snakey", OF_ALL), ("constant_wind",)),
+    "drag with drives": (with_drag("odd", EVERYTHING), ("constant_wind", "gusts", "rotor_drag")),
+    "buoyancy": (under_water(make_joints(), {"link_buoyancy": BUOYANCY}), ()),
+    "added mass": (under_water(make_joints(), {"link_added_mass": ADDED}), ()),
+    "all in a current": (under_water(make_joints(), ALL), ("constant_wind",)),
+    "buoyancy on a stand": (under_water(make_joints(), ON_A_STAND, floating=False), ()),
+    "all on a stand": (under_water(make_joints(), ALL, floating=False), ("constant_wind",)),
+    "all with drives": (replace(odd_tree(), effects=ALL, effects_source="test"), ("gusts", "rotor_drag", "buoyancy")),
+}
+"""Robots, and effects on them beside those of links."""
 
 
 def effect_rows(robot: RobotCfg, rest: tuple[str, ...], dtype: torch.dtype) -> list[EffectParams]:
@@ -49,10 +75,7 @@ def effect_rows(robot: RobotCfg, rest: tuple[str, ...], dtype: torch.dtype) -> l
     for name, values in robot.effects.items():
         law = EFFECTS.get(name).bind_robot(robot)
         rows.append((law, each * torch.tensor(law.parse_params(values), dtype=dtype)))
-    for name in rest:
-        effect = EFFECTS.get(name)
-        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows.append((effect, torch.tensor(row, dtype=dtype) * each.flip(0)))
+    rows += [(law, each.flip(0) * row) for law, row in strong_effects(rest, robot, NUM_ENVS, dtype=dtype)]
     return rows
 
 
@@ -88,28 +111,26 @@ def fly(
     return tuple(tensor.double() for tensor in state.tensors())
 
 
-@pytest.mark.parametrize("case", frequent_values(CASES, ("on a stand",)))
-def test_the_fused_step_with_drag_is_that_of_the_reference(case: str) -> None:
-    """A star of universal joints, a chain, a stand, and a tree that has everything; drag is seen in all that moves. A tree
-    flies with it always among the effects at hubs of ``test_joints``."""
-    name, drag, remaining = CASES[case]
-    robot = with_drag(name, drag)
+@pytest.mark.parametrize("case", frequent_values(CASES, ("drag on a stand", "all in a current")))
+def test_the_fused_step_is_that_of_the_reference(case: str) -> None:
+    """A star of universal joints, a chain, a stand, and a tree that has everything; the effects are seen in all that moves. A
+    tree flies with drag always among the effects at hubs of ``test_joints``."""
+    robot, remaining = CASES[case]
     exact = fly(TorchBackend(), robot, remaining, torch.float64)
     singles = [fly(TorchBackend(), robot, remaining, torch.float32, nudge=nudge * 2.0**-24) for nudge in (0, 1)]
     fused = fly(WarpBackend(), robot, remaining, torch.float32)
-    without = fly(TorchBackend(), with_drag(name, dict.fromkeys(drag, 0.0)), remaining, torch.float64)
+    without = fly(TorchBackend(), replace(robot, effects={}), remaining, torch.float64)
     for place, (right, own, *roughs) in enumerate(zip(exact, fused, *singles, strict=True)):
         away = max(float((rough - right).abs().max()) for rough in roughs)
         allowed = FACTOR * away + ROUND_OFF * float(right.abs().max().clamp_min(1.0))
         assert bool(right.isfinite().all())
         assert float((own - right).abs().max()) <= allowed
-        if place in (3, 6) and not (place == 3 and name == "morphy_fixed_base"):  # angular velocity, rates of joints
+        if place in (3, 6) and (place == 6 or "stand" not in case):  # angular velocity, rates of joints
             assert float((without[place] - right).abs().max()) > 100.0 * allowed
 
 
 def test_each_environment_flies_as_it_does_alone() -> None:
-    name, drag, remaining = CASES["on a stand"]
-    robot, ends = with_drag(name, drag), []
+    (robot, remaining), ends = CASES["drag on a stand"], []
     for count in (8, 2):
         vehicle = vehicle_from_config(robot, num_envs=count)
         law, articulation = (
@@ -130,43 +151,60 @@ def test_each_environment_flies_as_it_does_alone() -> None:
         assert torch.equal(one[:2], other)
 
 
-def make_env(robot: RobotCfg, randomize: dict[str, RandomizeCfg], **rest: object) -> EnvManager:
-    defaults = {"sim_name": "base_sim_2ms", "env_name": "empty_env", "controller_name": "no_control", "num_envs": 32}
-    robot = replace(robot, randomize=randomize)
-    return SimBuilder().build_env(**(defaults | rest), robot_name=robot, device="cpu", seed=1)
+def test_mujoco_carries_links_as_torch_does() -> None:
+    """On a free base and on a stand; both hold the force through a step, and round."""
+    pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'aerial-gym[mujoco]'")
+    for case in ("buoyancy", "buoyancy on a stand"):
+        robot, rest = CASES[case]
+        ends = [fly(backend, robot, rest, torch.float64) for backend in (TorchBackend(), BACKENDS.get("mujoco")())]
+        for one, other in zip(*ends, strict=True):
+            torch.testing.assert_close(one, other, rtol=1e-9, atol=1e-9)
+    with pytest.raises(CapabilityError, match="backend mujoco: bodies of MuJoCo have one mass along all axes"):
+        fly(BACKENDS.get("mujoco")(), CASES["added mass"][0], (), torch.float64)
 
 
-def test_a_reset_draws_the_drag_of_a_link_and_the_arms_feel_it() -> None:
-    """Morphy on a stand in wind from the front, the arms let go at rest: the more drag, the further back they are blown."""
-    robot = replace(
-        ROBOTS.get("morphy_fixed_base"),
-        effects={"link_drag": {"azimuth_1.lx": 0.01}, "constant_wind": {"x": -8.0, "y": 0.0, "z": 0.0}},
-        effects_source="test",
-        sensors=(),
-    )
-    drawn = RandomizeCfg(how="value", distribution="uniform", low=0.001, high=0.02)
-    env = make_env(robot, {"effects.link_drag.azimuth_1.lx": drawn})
+def make_env(robot: RobotCfg, randomize: dict[str, RandomizeCfg]) -> EnvManager:
+    return simulation(replace(robot, randomize=randomize), sim="base_sim_2ms", num_envs=32, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("effects", "drawn", "most", "joint", "steps"),
+    [
+        (
+            {"link_drag": {"azimuth_1.lx": 0.01}, "constant_wind": {"x": -8.0, "y": 0.0, "z": 0.0}},
+            "link_drag.azimuth_1.lx", 0.02, "azimuth_1", 20,
+        ),
+        (
+            {"link_buoyancy": {"azimuth_1.force": 0.1, "azimuth_1.z": 0.0}},
+            "link_buoyancy.azimuth_1.force", 0.3, "elevation_1", 1,
+        ),
+    ],
+)  # fmt: skip
+def test_a_reset_draws_a_number_of_a_link_and_its_arm_feels_it(
+    effects: dict[str, dict[str, float]], drawn: str, most: float, joint: str, steps: int
+) -> None:
+    """Morphy on a stand, its arms let go at rest: the more drag in wind from the front, the further back one is blown, and the
+    more water it displaces, the higher it is."""
+    robot = replace(ROBOTS.get("morphy_fixed_base"), effects=effects, effects_source="test", sensors=())
+    env = make_env(robot, {f"effects.{drawn}": replace(DRAWN, high=most)})
     env.reset()
     env.gtd["robot_orientation"][:] = torch.tensor([0.0, 0.0, 0.0, 1.0])
     env.gtd["dof_position"].zero_()
     env.gtd["dof_velocity"].zero_()
-    drag = env.gtd["effect_link_drag"]
-    assert drag.shape == (32, 1)
-    for _ in range(20):
+    for _ in range(steps):
         env.step(torch.zeros(32, 4))
-    draws = env.robot_manager.draws()["effects.link_drag.azimuth_1.lx"]
+    draws = env.robot_manager.draws()[f"effects.{drawn}"]
+    torch.testing.assert_close(env.gtd[f"effect_{drawn.split('.')[0]}"][:, 0], draws)
     assert len(set(draws.tolist())) == 32
-    moved = env.gtd["dof_position"][:, robot.joints.names.index("azimuth_1")]
-    order = draws.argsort()
-    assert bool((moved[order].diff() < 0.0).all())
+    moved = env.gtd["dof_position"][:, robot.joints.names.index(joint)]
+    assert bool((moved[draws.argsort()].diff() < 0.0).all())
 
 
 def test_a_differentiable_rollout_and_names_that_are_not_there_are_refused() -> None:
     robot = with_drag("morphy", OF_ALL)
     with pytest.raises(CapabilityError, match="a differentiable rollout moves no joints"):
         fly(WarpBackend(differentiable=True), robot, (), torch.float32)
-    drawn = RandomizeCfg(how="value", distribution="uniform", low=0.001, high=0.02)
     with pytest.raises(ConfigError, match="no quantity 'effects.link_drag.azimuth_9.lx'. Did you mean"):
-        make_env(robot, {"effects.link_drag.azimuth_9.lx": drawn})
+        make_env(robot, {"effects.link_drag.azimuth_9.lx": DRAWN})
     with pytest.raises(ConfigError, match="effect link_drag: is of the links"):
-        make_env(ROBOTS.get("tinyprop"), {"effects.link_drag.lx": drawn})
+        make_env(ROBOTS.get("tinyprop"), {"effects.link_drag.lx": DRAWN})

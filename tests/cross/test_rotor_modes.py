@@ -11,7 +11,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import EFFECTS, BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
 from tests.cross.test_backends import as_type, assert_agreement
 from tests.physics.rotor_types import three_type_robot
-from tests.physics.vehicles import ON_RIGID, random_state
+from tests.physics.vehicles import ON_RIGID, random_state, strong_effects
 
 NUM_ENVS, DT, SUBSTEPS, STEPS = 12, 0.004, 5, 8
 
@@ -34,11 +34,7 @@ def make_model(robot: RobotCfg, dtype: torch.dtype, *, vary: bool, effects: tupl
     if vary:
         kept = {name: rows for name, rows in vehicle.rows().items() if name in ("rotor_axis", "rotor_spin")}
         vehicle = replace(vehicle.map_rows(by_env), **kept)
-    rows = []
-    for name in effects:
-        effect = EFFECTS.get(name)
-        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows.append((effect, torch.tensor(row, dtype=dtype).expand(NUM_ENVS, -1).clone()))
+    rows = strong_effects(effects, robot, NUM_ENVS, dtype=dtype)
     return build_model(vehicle, rows, ceiling_height=1.0), declared
 
 

@@ -12,7 +12,7 @@ from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.cross.test_backends import as_type, assert_same_flight
-from tests.physics.test_kirchhoff import energy_of_bluerov, tumble_state, without_drag
+from tests.physics.test_water import energy_of_bluerov, tumble_state, without_drag
 from tests.physics.vehicles import asymmetric_robot, make_effects
 from tests.repetitions import frequent_values
 

@@ -39,17 +39,13 @@ def one_rotor(*, spin: int = 1, reversible: bool = False, thrust: float = THRUST
         summary="one rotor",
         body=BodyCfg(mass=0.3, inertia=((1e-3, 0.0, 0.0), (0.0, 1e-3, 0.0), (0.0, 0.0, 1e-3)), source="test"),
         rotor=RotorCfg(
-            thrust_map=(0.0, 0.0, thrust * square),
-            torque_map=(0.0, 0.0, torque * square * RADIUS),
-            time_constant_up=0.03,
-            time_constant_down=0.03,
-            thrust_range=(-20.0 if reversible else 0.0, 20.0),
-            radius=RADIUS,
-            source="test",
+            thrust_map=(0.0, 0.0, thrust * square), torque_map=(0.0, 0.0, torque * square * RADIUS),
+            time_constant_up=0.03, time_constant_down=0.03, thrust_range=(-20.0 if reversible else 0.0, 20.0),
+            radius=RADIUS, source="test",
         ),
         mounts=MountsCfg(layout=(MountCfg(position=(0.0, 0.0, 0.0), spin=spin),), source="test"),
         collision=ROBOTS.get("tinyprop").collision,
-    )
+    )  # fmt: skip
 
 
 def loads(

@@ -25,16 +25,9 @@ from tests.physics.sensor_rig import place_shapes, shoot
 PAINT = LightCfg(sun=None, ambient=1.0, shadows=False, sky=(0.0, 0.0, 0.0))
 DARK = LightCfg(sun=None, ambient=0.0, sky=(0.0, 0.0, 0.0))
 CAMERA = CameraCfg(
-    summary="test camera",
-    width=48,
-    height=36,
-    hfov_deg=80.0,
-    min_range=0.0,
-    max_range=30.0,
-    points="world",
-    light=PAINT,
-    source="chosen for the test",
-)
+    summary="test camera", width=48, height=36, hfov_deg=80.0, min_range=0.0, max_range=30.0, points="world",
+    light=PAINT, source="chosen for the test",
+)  # fmt: skip
 DOWN = [0.0, np.pi / 2, 0.0]
 
 pytestmark = pytest.mark.usefixtures("few_rays")

@@ -19,11 +19,9 @@ from tests.physics.test_rigid_body import F64, asymmetric_robot, random_state
 
 ROWS = 6
 VALUES = {
-    "axial_inflow": {"ka": 1e-4},
-    "h_force_flapping": {"kh": 1e-5, "kf": 1e-6},
-    "translational_lift": {"kt": 1e-3},
+    "axial_inflow": {"ka": 1e-4}, "h_force_flapping": {"kh": 1e-5, "kf": 1e-6}, "translational_lift": {"kt": 1e-3},
     "rotor_drag": {"dx": 0.1, "dy": 0.2, "dz": 0.05},
-}
+}  # fmt: skip
 
 
 def make_model(values: dict[str, dict[str, float]]) -> Model:

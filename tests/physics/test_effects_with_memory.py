@@ -41,6 +41,7 @@ from tests.physics.vehicles import (
     random_state,
     rest_state,
     single,
+    strong_effects,
 )
 from tests.repetitions import rare_values
 
@@ -191,11 +192,9 @@ def gust_flight(backend, seed: int, num_envs: int = 4, steps: int = 5) -> Tensor
     rows = [(EFFECTS.get("gusts"), torch.tensor([3.0, 0.1]).expand(num_envs, -1))]
     rows.append((EFFECTS.get("rotor_drag"), torch.ones(num_envs, 3)))
     backend.allocate(
-        build_model(vehicle, rows, gravity=0.0),
-        DirectSpeed(),
-        integrator="euler",
+        build_model(vehicle, rows, gravity=0.0), DirectSpeed(), integrator="euler",
         random=Randomness(num_envs, seed=seed),
-    )
+    )  # fmt: skip
     state = single(rest_state(num_envs))
     for _ in range(steps):
         backend.step(state, torch.zeros(num_envs, 4), 0.01, 3)
@@ -252,11 +251,9 @@ def test_a_ceiling_is_needed_by_name() -> None:
             replace(ROBOTS.get("tinyprop"), rotor=replace(ROBOTS.get("tinyprop").rotor, radius=None))
         )
     corner = {
-        "bounds_lower_low": (0, 0, 0),
-        "bounds_lower_high": (0, 0, 0),
-        "bounds_upper_low": (1, 1, 1),
+        "bounds_lower_low": (0, 0, 0), "bounds_lower_high": (0, 0, 0), "bounds_upper_low": (1, 1, 1),
         "bounds_upper_high": (1, 1, 1),
-    }
+    }  # fmt: skip
     with pytest.raises(ConfigError, match=r"ceiling_height = 1.0: must be above ground_height = 2.0"):
         EnvironmentCfg(
             summary="", physics_steps_per_env_step=1, ground_height=2.0, ceiling_height=1.0, source="test", **corner
@@ -266,11 +263,8 @@ def test_a_ceiling_is_needed_by_name() -> None:
 def run_all_effects(
     backend, num_envs: int = 4, dtype: torch.dtype = torch.float32, random: Randomness | None = None
 ) -> BodyState:
-    robot, rows = asymmetric_robot(), []
-    for name in (*REMEMBERING, "rotor_drag"):
-        effect = EFFECTS.get(name)
-        row = [a + 0.7 * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows.append((effect, torch.tensor(row, dtype=dtype).expand(num_envs, -1).clone()))
+    robot = asymmetric_robot()
+    rows = strong_effects((*REMEMBERING, "rotor_drag"), robot, num_envs, dtype=dtype, share=0.7)
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
     backend.allocate(build_model(vehicle, rows), DirectSpeed(), integrator="euler", random=random)
     return BodyState(**{name: tensor.to(dtype) for name, tensor in vars(random_state(num_envs)).items()})
@@ -410,10 +404,8 @@ def simulator(
     return simulation(
         replace(asymmetric_robot(), effects=effects),
         replace(CONTROLLERS.get("lee_velocity_control"), if_unstable="warn"),
-        env=replace(ENVIRONMENTS.get("empty_env"), ceiling_height=ceiling),
-        seed=seed,
-        backend=backend,
-    )
+        env=replace(ENVIRONMENTS.get("empty_env"), ceiling_height=ceiling), seed=seed, backend=backend,
+    )  # fmt: skip
 
 
 def test_a_robot_that_needs_a_ceiling_is_refused_where_there_is_none() -> None:

@@ -276,10 +276,8 @@ def test_effects_of_the_robot_act_in_body_axes_before_the_mount() -> None:
             "imu_misalignment": {"roll": 0.1, "pitch": 0.0, "yaw": 0.0},
             "imu_bias": {"ax": 0.0, "ay": 0.2, "az": 0.0, "gx": 0.03, "gy": 0.0, "gz": 0.0},
         },
-        num_envs=2,
-        device=torch.device("cpu"),
-        dtype=torch.float32,
-    )
+        num_envs=2, device=torch.device("cpu"), dtype=torch.float32,
+    )  # fmt: skip
     rig = ImuRig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), 2, errors=imu_errors(errors))
     sample = rig.reset()[1]
     in_body = (0.0, G * sin(0.1) + 0.2, G * cos(0.1))

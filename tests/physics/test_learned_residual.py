@@ -46,16 +46,11 @@ def one_unit() -> LearnedResidualCfg:
     """Return a network in which force x is ``2 tanh(0.5 vx / 4)`` N, up to 0.4 N, for |vx| up to 2 m/s."""
     zeros = (0.0,) * 6
     return LearnedResidualCfg(
-        low=(-2.0,) * 7,
-        high=(2.0,) * 7,
-        centre=(0.0,) * 7,
-        scale=(4.0,) * 7,
+        low=(-2.0,) * 7, high=(2.0,) * 7, centre=(0.0,) * 7, scale=(4.0,) * 7,
         whitening=tuple(tuple(1.0 if i == j else 0.0 for j in range(7)) for i in range(7)),
         hidden=(LayerCfg(weights=((0.5, *zeros),), bias=(0.0,)),),
-        output=LayerCfg(weights=((2.0,), *((0.0,),) * 5), bias=zeros),
-        limit=(0.4, *(0.0,) * 5),
-        source="test",
-    )
+        output=LayerCfg(weights=((2.0,), *((0.0,),) * 5), bias=zeros), limit=(0.4, *(0.0,) * 5), source="test",
+    )  # fmt: skip
 
 
 def make_model(robot: RobotCfg, dtype: torch.dtype, *, num_envs: int = NUM_ENVS) -> Model:

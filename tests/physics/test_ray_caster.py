@@ -27,15 +27,9 @@ TOLERANCE = 1e-4
 UNWRITTEN = -12345
 
 CAMERA = CameraCfg(
-    summary="test camera",
-    width=48,
-    height=37,
-    hfov_deg=80.0,
-    min_range=0.0,
-    max_range=20.0,
-    kind="range",
+    summary="test camera", width=48, height=37, hfov_deg=80.0, min_range=0.0, max_range=20.0, kind="range",
     source="chosen for the test",
-)
+)  # fmt: skip
 BOX = ShapeCfg(kind="box", size=(0.6, 1.0, 1.6))
 SPHERE = ShapeCfg(kind="sphere", radius=0.7)
 CYLINDER = ShapeCfg(kind="cylinder", radius=0.4, height=1.5)

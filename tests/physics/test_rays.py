@@ -239,18 +239,13 @@ def test_a_missing_csv_is_named() -> None:
         FisheyeCfg(**COMMON, kind="depth", width=9, height=9, hfov_deg=200.0),
         lidar(8, 16, kind="depth", elevation_low_deg=-20.0, elevation_high_deg=20.0),
         lidar(
-            2,
-            2,
-            kind="depth",
-            azimuth_low_deg=-90.0,
-            azimuth_high_deg=90.0,
-            elevation_low_deg=-1.0,
+            2, 2, kind="depth", azimuth_low_deg=-90.0, azimuth_high_deg=90.0, elevation_low_deg=-1.0,
             elevation_high_deg=1.0,
         ),
         table_cfg(rays=SIX, kind="depth"),
     ],
     ids=["fisheye", "around", "sideways", "ray_table"],
-)
+)  # fmt: skip
 def test_depth_is_refused_for_rays_that_do_not_look_ahead(cfg: RangeSensorCfg) -> None:
     """Depth over cosine is the range: at 90 deg off the axis and beyond there is none."""
     with pytest.raises(ConfigError, match=rf"{type(cfg).__name__}.kind = 'depth': some rays do not look ahead"):

@@ -21,20 +21,13 @@ CPU = torch.device("cpu")
 AHEAD = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 THIN = PrismCfg(wedge_deg=0.01, turns_hz=7.0, refractive_index=1.5)
 ROSETTE = RosetteCfg(
-    summary="test rosette",
-    width=60,
-    height=1,
+    summary="test rosette", width=60, height=1,
     prisms=(
         PrismCfg(wedge_deg=18.0, turns_hz=-121.0, refractive_index=1.51),
         PrismCfg(wedge_deg=17.0, turns_hz=78.0, refractive_index=1.51),
     ),
-    frames=5,
-    rate_hz=10.0,
-    scan_columns=1,
-    min_range=0.0,
-    max_range=60.0,
-    source="chosen for the test",
-)
+    frames=5, rate_hz=10.0, scan_columns=1, min_range=0.0, max_range=60.0, source="chosen for the test",
+)  # fmt: skip
 
 pytestmark = pytest.mark.usefixtures("few_rays")
 
@@ -356,16 +349,10 @@ def test_a_scan_from_a_file_is_read_in_order_of_time(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"rate_hz": None},
-        {"prisms": ()},
-        {"path": "scan.csv"},
-        {"height": 2},
-        {"frames": 0},
-        {"scan_columns": 61},
-        {"kind": "depth"},
-        {"lasers_deg": ((0.0, 50.0),)},
+        {"rate_hz": None}, {"prisms": ()}, {"path": "scan.csv"}, {"height": 2}, {"frames": 0}, {"scan_columns": 61},
+        {"kind": "depth"}, {"lasers_deg": ((0.0, 50.0),)},
     ],
-)
+)  # fmt: skip
 def test_impossible_rosettes_are_refused(changes: dict) -> None:
     with pytest.raises(ConfigError):
         replace(ROSETTE, **changes)
@@ -374,13 +361,10 @@ def test_impossible_rosettes_are_refused(changes: dict) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"wedge_deg": 0.0},
-        {"wedge_deg": 45.0},
-        {"refractive_index": 1.0},
-        {"turns_hz": float("nan")},
+        {"wedge_deg": 0.0}, {"wedge_deg": 45.0}, {"refractive_index": 1.0}, {"turns_hz": float("nan")},
         {"inclined_face": "left"},
     ],
-)
+)  # fmt: skip
 def test_impossible_prisms_are_refused(changes: dict) -> None:
     with pytest.raises(ConfigError):
         replace(THIN, **changes)

@@ -16,7 +16,6 @@ from aerial_gym.control.controllers import ThrustController
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import EFFECTS, INTEGRATORS, BodyState, accelerations, advance, build_model, vehicle_from_config
-from aerial_gym.physics.effects import EffectParams
 from aerial_gym.physics.model import check_effects
 from aerial_gym.physics.rotor_lag import slew_limited_lag, stop_in_dead_band
 from aerial_gym.physics.rotors import (
@@ -31,7 +30,7 @@ from aerial_gym.physics.rotors import (
 )
 from aerial_gym.robots import ROBOTS
 from tests.physics.rotor_types import FORCE, REVERSIBLE, three_type_robot, with_rotor
-from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state
+from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, random_state, strong_effects
 
 UP, DOWN, SLEW = 0.03, 0.05, 2e3
 
@@ -126,11 +125,7 @@ def test_a_reversed_rotor_is_one_whose_axis_points_the_other_way() -> None:
     spin_up = torch.full_like(state.rotor_speed, 30.0)
     wrenches = ("axial_inflow", "h_force_flapping", "rotor_inertia", "rotor_drag", "motor_tilt", "torque_ratio")
     for name in (*wrenches, "ground_effect", "ceiling_effect"):
-        effect = EFFECTS.get(name)
-        row = [a + p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
-        rows: list[EffectParams] = [(effect, torch.tensor(row, dtype=F64).expand(8, -1))]
-        if name == "motor_tilt":  # a tilt turns with the axis
-            rows = []
+        rows = [] if name == "motor_tilt" else strong_effects([name], robot, 8)  # a tilt turns with the axis
         here, there = (
             build_model(vehicle_from_config(r, num_envs=8, dtype=F64), rows, ceiling_height=1.0)
             for r in (robot, turned)

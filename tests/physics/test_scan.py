@@ -18,16 +18,9 @@ from tests.physics.sensor_rig import LEVEL, make_wall, shoot
 
 SCAN_S = 0.1
 LIDAR = LidarCfg(
-    summary="test lidar",
-    width=40,
-    height=12,
-    elevation_low_deg=-25.0,
-    elevation_high_deg=35.0,
-    min_range=0.0,
-    max_range=30.0,
-    scan_s=SCAN_S,
-    source="chosen for the test",
-)
+    summary="test lidar", width=40, height=12, elevation_low_deg=-25.0, elevation_high_deg=35.0, min_range=0.0,
+    max_range=30.0, scan_s=SCAN_S, source="chosen for the test",
+)  # fmt: skip
 SECTOR = replace(LIDAR, azimuth_low_deg=-50.0, azimuth_high_deg=50.0)
 TREE = ShapeCfg(
     kind="compound",
@@ -37,10 +30,8 @@ TREE = ShapeCfg(
     ),
 )
 BALL, BRICK, GROUND = (
-    ShapeCfg(kind="sphere", radius=1.0),
-    ShapeCfg(kind="box", size=(1.0, 1.6, 2.2)),
-    ShapeCfg(kind="plane"),
-)
+    ShapeCfg(kind="sphere", radius=1.0), ShapeCfg(kind="box", size=(1.0, 1.6, 2.2)), ShapeCfg(kind="plane"),
+)  # fmt: skip
 SHAPES = [TREE, BALL, BRICK, GROUND]
 
 pytestmark = pytest.mark.usefixtures("few_rays")

@@ -18,15 +18,9 @@ from aerial_gym.sensors import SensorManager
 from tests.physics.sensor_rig import LEVEL, WALL, place_shapes, shoot
 
 CAMERA = CameraCfg(
-    summary="test camera",
-    width=40,
-    height=30,
-    hfov_deg=80.0,
-    min_range=0.0,
-    max_range=20.0,
-    kind="range",
+    summary="test camera", width=40, height=30, hfov_deg=80.0, min_range=0.0, max_range=20.0, kind="range",
     source="chosen for the test",
-)
+)  # fmt: skip
 
 pytestmark = pytest.mark.usefixtures("few_rays")
 
@@ -330,11 +324,9 @@ def test_a_compound_is_seen_as_its_parts_would_be(device: torch.device) -> None:
         state[0, row, :3] = torch.tensor(place) + quat_rotate(attitude, torch.tensor(part.position))
         state[0, row, 3:7] = quat_multiply(attitude, quat_from_euler(torch.tensor(part.euler)))
     apart = Scene(
-        [WALL, trunk.shape, crown.shape],
-        shape_index=torch.arange(3),
-        semantic_id=torch.tensor([0, 7, 1]),
+        [WALL, trunk.shape, crown.shape], shape_index=torch.arange(3), semantic_id=torch.tensor([0, 7, 1]),
         asset_state=state.to(device),
-    )
+    )  # fmt: skip
     pieces = shoot(CAMERA, apart).images
     torch.testing.assert_close(whole.distance, pieces.distance, rtol=0.0, atol=1e-5)
     assert (whole.segmentation == pieces.segmentation).float().mean() > 0.999

@@ -191,11 +191,9 @@ class SphereFlight:
         self.crashes, self.distance = torch.zeros(num_envs, dtype=torch.bool), torch.full((num_envs,), float("nan"))
         self.test = CollisionTest(
             Scene([shape], shape_index=rows, semantic_id=rows, asset_state=state),
-            (SphereCfg(center=(0.0, 0.0, 0.0), radius=0.1),),
-            position=position[-1],
-            attitude=upright.repeat(num_envs, 1),
-            distance_out=self.distance,
-        )
+            (SphereCfg(center=(0.0, 0.0, 0.0), radius=0.1),), position=position[-1],
+            attitude=upright.repeat(num_envs, 1), distance_out=self.distance,
+        )  # fmt: skip
         self.test.follow(position, upright.repeat(len(position), num_envs, 1), dt=DT, crashes_out=self.crashes)
         self.test.step()
 

@@ -1,5 +1,6 @@
 """Vehicles and states for tests: all parameters generic, nothing symmetric, float64."""
 
+from collections.abc import Iterable
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,7 @@ from aerial_gym.config.learned_residual import LayerCfg, LearnedResidualCfg
 from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import EFFECTS, BodyState, effects_from_config, state_at_rest
-from aerial_gym.physics.effects import Effect
+from aerial_gym.physics.effects import Effect, EffectParams
 from aerial_gym.physics.fused.law import FusedLaw
 
 F64 = torch.float64
@@ -30,19 +31,12 @@ def asymmetric_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -
     return RobotCfg(
         summary="test vehicle",
         body=BodyCfg(
-            mass=0.8,
-            inertia=((4.0e-3, 2.0e-4, -1.0e-4), (2.0e-4, 5.0e-3, 3.0e-4), (-1.0e-4, 3.0e-4, 7.0e-3)),
-            com=com,
-            source="test",
+            mass=0.8, inertia=((4.0e-3, 2.0e-4, -1.0e-4), (2.0e-4, 5.0e-3, 3.0e-4), (-1.0e-4, 3.0e-4, 7.0e-3)),
+            com=com, source="test",
         ),
         rotor=RotorCfg(
-            thrust_map=(0.0, 1e-4, 3e-6),
-            torque_map=(0.0, 2e-6, 5e-8),
-            time_constant_up=0.03,
-            time_constant_down=0.05,
-            thrust_range=(0.0, 8.0),
-            radius=0.1,
-            source="test",
+            thrust_map=(0.0, 1e-4, 3e-6), torque_map=(0.0, 2e-6, 5e-8), time_constant_up=0.03,
+            time_constant_down=0.05, thrust_range=(0.0, 8.0), radius=0.1, source="test",
         ),
         mounts=MountsCfg(
             layout=(
@@ -53,9 +47,8 @@ def asymmetric_robot(*, com: tuple[float, float, float] = (0.01, -0.02, 0.03)) -
             ),
             source="test",
         ),
-        collision=CollisionCfg(source="test"),
-        battery=BATTERY,
-    )
+        collision=CollisionCfg(source="test"), battery=BATTERY,
+    )  # fmt: skip
 
 
 def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) -> BodyState:
@@ -88,6 +81,18 @@ class DirectSpeed(SpeedControl):
 
 def make_effects(values: dict[str, dict[str, float]], num_envs: int) -> list[tuple[Effect, torch.Tensor]]:
     return effects_from_config(values, num_envs=num_envs, device=torch.device("cpu"), dtype=F64)
+
+
+def strong_effects(
+    names: Iterable[str], robot: RobotCfg, num_envs: int, *, dtype: torch.dtype = F64, share: float = 1.0
+) -> list[EffectParams]:
+    """Return effects whose parameters are a share of their scales from neutral, each environment with rows of its own."""
+    result = []
+    for name in names:
+        effect = EFFECTS.get(name).bind_robot(robot)
+        row = [a + share * p.scale for a, p in zip(effect.neutral(robot), effect.parameters, strict=True)]
+        result.append((effect, torch.tensor(row, dtype=dtype).repeat(num_envs, 1)))
+    return result
 
 
 def rest_state(num_envs: int = 1, **changes: list[float]) -> BodyState:

@@ -19,11 +19,9 @@ def pairs() -> dict[str, tuple[Tensor, Tensor]]:
     position = {f"PX4: {name}": pair[:2] for name, pair in px4_pairs.position_pairs(vectors).items()}
     return {
         "PX4: normalised torque": px4_pairs.rate_pair(vectors)[:2],
-        "PX4: body-rate setpoint of attitude control [rad/s]": px4_pairs.attitude_pair(vectors),
-        **position,
-        "PX4: motor signals of the mixer": px4_pairs.mixer_pair(),
-        **_crazyflie(),
-    }
+        "PX4: body-rate setpoint of attitude control [rad/s]": px4_pairs.attitude_pair(vectors), **position,
+        "PX4: motor signals of the mixer": px4_pairs.mixer_pair(), **_crazyflie(),
+    }  # fmt: skip
 
 
 def _crazyflie() -> dict[str, tuple[Tensor, Tensor]]:

@@ -234,15 +234,11 @@ def states_checksum() -> int:
 def _fill(row: Array) -> tuple[State, SensorData, Setpoint]:
     state, sensors, wanted = State(), SensorData(), Setpoint()
     state.quaternion, state.position.v, state.velocity.v = (
-        _float_array(row[:4]),
-        _float_array(row[4:7]),
-        _float_array(row[7:10]),
-    )
+        _float_array(row[:4]), _float_array(row[4:7]), _float_array(row[7:10]),
+    )  # fmt: skip
     sensors.gyro, wanted.position.v, wanted.velocity.v = (
-        _float_array(row[10:13]),
-        _float_array(row[13:16]),
-        _float_array(row[16:19]),
-    )
+        _float_array(row[10:13]), _float_array(row[13:16]), _float_array(row[16:19]),
+    )  # fmt: skip
     wanted.attitude.v = _float_array((0.0, 0.0, row[19]))
     wanted.mode = (c_int * 7)(1, 1, 1, 0, 0, 1, 0)  # position and yaw
     return state, sensors, wanted
@@ -277,10 +273,8 @@ def _ask_lee(library: ctypes.CDLL) -> Array:
             *(_float_array(gains[i : i + 3]) for i in (1, 4, 7)),
         )
         own.attitude, own.rate, own.turned = (
-            _float_array(gains[10:13]),
-            _float_array(gains[13:16]),
-            _float_array((0.0, 0.0, 0.0)),
-        )
+            _float_array(gains[10:13]), _float_array(gains[13:16]), _float_array((0.0, 0.0, 0.0)),
+        )  # fmt: skip
         state, sensors, wanted = _fill(row)
         library.controllerLee(byref(own), byref(control), byref(wanted), byref(sensors), byref(state), c_uint32(0))
         result.append(list(control.answer.wrench))
@@ -331,15 +325,11 @@ def _ask_pid(library: ctypes.CDLL) -> Array:
         for k, row in enumerate(rows):
             control, state, sensors, wanted = Control(), State(), SensorData(), Setpoint()
             state.attitude.v, state.position.v, state.velocity.v = (
-                _float_array(_nose_up(row[:3])),
-                _float_array(row[3:6]),
-                _float_array(row[6:9]),
-            )
+                _float_array(_nose_up(row[:3])), _float_array(row[3:6]), _float_array(row[6:9]),
+            )  # fmt: skip
             sensors.gyro, wanted.position.v, wanted.attitude.v = (
-                _float_array(row[9:12]),
-                _float_array(row[12:15]),
-                _float_array((0.0, 0.0, row[15])),
-            )
+                _float_array(row[9:12]), _float_array(row[12:15]), _float_array((0.0, 0.0, row[15])),
+            )  # fmt: skip
             wanted.mode = (c_int * 7)(1, 1, 1, 0, 0, 1, 0)
             library.controllerPid(*map(byref, (control, wanted, sensors, state)), c_uint32(2 * k))
             result.append(_counts(control))

@@ -158,11 +158,9 @@ def by_env(vehicle: Vehicle) -> Vehicle:
     inertia = vehicle.inertia.clone()
     inertia[:, 0, 1] = inertia[:, 1, 0] = 2e-4 * grow
     return replace(
-        vehicle,
-        mass=vehicle.mass * grow,
-        inertia=inertia * grow.flip(0)[:, None, None],
+        vehicle, mass=vehicle.mass * grow, inertia=inertia * grow.flip(0)[:, None, None],
         com=vehicle.com * grow[:, None],
-    )
+    )  # fmt: skip
 
 
 def test_environments_with_bodies_of_their_own_fly_as_in_torch_and_as_alone() -> None:

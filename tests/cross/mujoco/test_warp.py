@@ -5,17 +5,26 @@ import torch
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS
+from aerial_gym.errors import CapabilityError
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import BACKENDS, TorchBackend
+from aerial_gym.physics.articulated.steppers import implicit_euler
+from aerial_gym.physics.articulated.tree import Links, TreeState
+from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
+from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
 from tests.cross.mujoco.test_environments import WEIGHT, put_down
 from tests.cross.mujoco.test_flight import by_env
 from tests.cross.test_backends import NUDGES, as_type, assert_agreement, build, perturb, random_actions, start_state
+from tests.cross.test_joints_in_single_precision import WITH_JOINTS, coordinates, make_start, step_bound
+from tests.physics.articulated.trees import random_links, random_motion, random_tree
 from tests.physics.contact_rig import BALL, FEET, GRAVITY, MASS, GroundRig, start
 from tests.physics.vehicles import F64, asymmetric_robot
+from tests.repetitions import frequent_values
 
 pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed: pip install 'aerial-gym[mujoco-warp]'")
 
-DT, STEPS = 0.004, 50
+FLIGHT_DT, STEPS = 0.004, 50
 
 
 def fly(backend, dtype: torch.dtype, *, adjust=None, nudges=(0,)):
@@ -25,7 +34,7 @@ def fly(backend, dtype: torch.dtype, *, adjust=None, nudges=(0,)):
     )
     backend.allocate(model, law, integrator="euler", random=Randomness(6 * len(nudges)))
     state = perturb(as_type(start_state(model, 6), dtype), nudges)
-    backend.step(state, random_actions(law, model, 6).to(dtype).repeat(len(nudges), 1), DT, STEPS)
+    backend.step(state, random_actions(law, model, 6).to(dtype).repeat(len(nudges), 1), FLIGHT_DT, STEPS)
     return state
 
 
@@ -55,7 +64,7 @@ def test_a_row_that_is_not_finite_stays_so_and_alone() -> None:
         backend.allocate(model, law, integrator="euler")
         if ill:
             state.ang_vel[1, 0] = torch.nan
-        backend.step(state, random_actions(law, model, 2).float(), DT, 5)
+        backend.step(state, random_actions(law, model, 2).float(), FLIGHT_DT, 5)
         ends.append(state)
     assert torch.equal(ends[0].position[0], ends[1].position[0])
     assert ends[1].position[1].isnan().all()
@@ -65,3 +74,64 @@ def test_a_robot_at_rest_shows_its_weight_and_no_crash() -> None:
     sim = put_down("mujoco_warp")
     torch.testing.assert_close(sim.gtd["robot_contact_force"], WEIGHT, rtol=1e-2, atol=1e-2)
     assert not sim.gtd["crashes"].any()
+
+
+@pytest.mark.parametrize("name", frequent_values(WITH_JOINTS, ("morphy", "snakey")))
+def test_one_step_is_off_by_no_more_than_the_condition_of_the_mass_matrix_allows(name: str) -> None:
+    """Beside torch in float64, by the bound of ``test_joints_in_single_precision``: drives, springs, rotors on links."""
+    exact = make_start(name, F64, spread=0.3, moves=1.0)
+    single = make_start(name, torch.float32, spread=0.3, moves=1.0, backend=BACKENDS.get("mujoco_warp")())
+    bound = step_bound(exact, 0 if exact.model.articulation.tree.floating else 6)
+    for flight in (exact, single):
+        flight.backend.step(flight.state, flight.action, DT, 1)
+    width = bound.scale.shape[1]
+    apart = (coordinates(exact.state) - coordinates(single.state).double())[:, -width:]
+    away = (bound.scale * apart).norm(dim=1)
+    units = (bound.scale * coordinates(exact.state)[:, -width:]).norm(dim=1) * 2.0**-24
+    print(
+        f"\n| `{name}` | {(away / units).median():.1f} | {(away / units).max():.1f} | {(bound.largest / units).median():.1e} |"
+    )
+    assert bool((away <= bound.largest).all())
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_trees_with_branches_and_weights_of_their_own_move_as_by_implicit_euler(floating: bool) -> None:
+    """Forces on links; 50 steps, each off by some units of float32 times the condition of the mass matrix, 1e2: 1e-4."""
+    tree = random_tree(6, 5, floating=floating)
+    links, first = random_links(tree, 3, 5), random_motion(tree, 3, 5)
+    first = first if floating else on_a_stand(first)
+    wrench = torch.randn(3, tree.num_links, 6, generator=torch.Generator().manual_seed(1), dtype=F64)
+    law = spring(6, stiffness=0.4, quadratic=0.7, damping=0.05, rest=0.1)
+    bodies, actual, reference = WarpTrees(tree, 3, DT), first, first
+    for _ in range(50):
+        actual = implicit_euler(tree, links, (law,), actual, DT, gravity=G, wrench=wrench)
+        reference = bodies.move(tree, links, (law,), reference, DT, gravity=G, wrench=wrench)
+    assert_same(actual, reference, bound=1e-4)
+    heavier = Links(mass=2.0 * links.mass, com=links.com, inertia=links.inertia)
+    again = implicit_euler(tree, heavier, (law,), actual, DT, gravity=G, wrench=wrench)
+    assert_same(again, bodies.move(tree, heavier, (law,), actual, DT, gravity=G, wrench=wrench), bound=1e-5)
+
+
+def test_environments_bend_alone_as_in_a_batch_and_what_is_not_finite_stays_so() -> None:
+    tree, law = random_tree(4, 8), spring(4, stiffness=0.4, quadratic=0.7, damping=0.05)
+    links, batch = random_links(tree, 3, 8), random_motion(tree, 3, 8)
+    batch.joint_vel[1, 2] = torch.nan
+    bodies, one = WarpTrees(tree, 3, DT), WarpTrees(tree, 1, DT)
+    alone = TreeState(**{name: rows[2:] for name, rows in vars(batch).items()})
+    weights = Links(**{name: rows[2:] for name, rows in vars(links).items()})
+    for _ in range(20):
+        batch = bodies.move(tree, links, (law,), batch, DT, gravity=G, wrench=no_wrench(tree, 3))
+        alone = one.move(tree, weights, (law,), alone, DT, gravity=G, wrench=no_wrench(tree, 1))
+    assert batch.position[1].isnan().all()
+    for name, rows in vars(alone).items():
+        assert torch.equal(rows[0], getattr(batch, name)[2]), name
+
+
+@pytest.mark.parametrize("robot", frequent_values(WITH_JOINTS, ("morphy_fixed_base", "tilt_tricopter")))
+def test_every_robot_with_joints_flies_as_on_torch(robot: str) -> None:
+    flies_as_on_torch(robot, "mujoco_warp")
+
+
+def test_a_floor_is_refused_by_name() -> None:
+    with pytest.raises(CapabilityError, match="mujoco_warp: no contact of a vehicle with joints. Use backend 'mujoco'"):
+        WarpTrees(random_tree(1, 0), 1, DT, floor=Floor(height=0.0, spheres=(), friction=0.5))

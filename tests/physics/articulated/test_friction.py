@@ -23,11 +23,9 @@ WEIGHT = 1e-3 * 9.81 * 0.05
 def course(axis: tuple[float, float, float], friction: float, rate: float, *, backend: str, dt: float, time: float):
     spring = SpringCfg(friction=friction)
     manager = simulation(
-        bending(arm(axis, 0.0, rate=rate, spring=spring)),
-        sim=replace(SIMS.get("base_sim"), backend=backend, dt=dt),
-        num_envs=1,
-        seed=1,
-    )
+        bending(arm(axis, 0.0, rate=rate, spring=spring)), sim=replace(SIMS.get("base_sim"), backend=backend, dt=dt),
+        num_envs=1, seed=1,
+    )  # fmt: skip
     manager.reset()
     result = []
     for _ in range(round(time / dt)):

@@ -136,14 +136,11 @@ def arm(*axes: tuple[float, float, float], first: float = 0.0) -> RobotCfg:
     names = [f"joint_{k}" for k in range(len(axes))]
     joints = tuple(
         JointCfg(
-            name=names[k],
-            parent="base" if k == 0 else names[k - 1],
-            axis=axis,
-            position=(0.0, 0.0, 0.0),
+            name=names[k], parent="base" if k == 0 else names[k - 1], axis=axis, position=(0.0, 0.0, 0.0),
             link=tip if k == len(axes) - 1 else None,
         )
         for k, axis in enumerate(axes)
-    )
+    )  # fmt: skip
     remaining = robot.mounts.layout[1:]
     mounts = replace(robot.mounts, layout=(MountCfg(position=(LENGTH, 0.0, 0.0), spin=1, link=names[-1]), *remaining))
     return replace(robot, mounts=mounts, joints=JointsCfg(layout=joints, floating=False, source="test"))

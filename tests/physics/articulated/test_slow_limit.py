@@ -39,11 +39,9 @@ def rigid() -> RobotCfg:
     places = ((HUB, 0.0, 0.0), (0.0, HUB, 0.0), (-HUB, 0.0, 0.0), (0.0, -HUB, 0.0))
     layout = tuple(MountCfg(position=place, spin=1 - 2 * (k % 2)) for k, place in enumerate(places))
     return replace(
-        robot,
-        rotor=replace(robot.rotor, torque_ratio=0.0),
-        mounts=MountsCfg(layout=layout, source="test"),
+        robot, rotor=replace(robot.rotor, torque_ratio=0.0), mounts=MountsCfg(layout=layout, source="test"),
         collision=replace(robot.collision, spheres=(), boxes=(), capsules=()),
-    )
+    )  # fmt: skip
 
 
 def add_joints(tau: float, inertia: float) -> RobotCfg:
@@ -54,24 +52,19 @@ def add_joints(tau: float, inertia: float) -> RobotCfg:
         hinge = (HINGE * x, HINGE * y, 0.0)
         joints.append(
             JointCfg(
-                name=f"arm_{k}",
-                axis=(y, -x, 0.0),
-                position=hinge,
-                link=LinkCfg(mass=1e-3, com=hinge, inertia=own),
+                name=f"arm_{k}", axis=(y, -x, 0.0), position=hinge, link=LinkCfg(mass=1e-3, com=hinge, inertia=own),
                 spring=SpringCfg(stiffness=1.0 / COMPLIANCE, damping=tau / COMPLIANCE),
             )
-        )
+        )  # fmt: skip
         mounts.append(replace(mount, link=f"arm_{k}"))
     whole = tuple(
         tuple(value + (4.0 * inertia if i == j else 0.0) for j, value in enumerate(row))
         for i, row in enumerate(robot.body.inertia)
     )
     return replace(
-        robot,
-        body=replace(robot.body, inertia=whole),
-        mounts=MountsCfg(layout=tuple(mounts), source="test"),
+        robot, body=replace(robot.body, inertia=whole), mounts=MountsCfg(layout=tuple(mounts), source="test"),
         joints=JointsCfg(layout=tuple(joints), source="test"),
-    )
+    )  # fmt: skip
 
 
 def make_model(robot: RobotCfg, effects: list) -> Model:

@@ -90,14 +90,12 @@ def test_a_fall_onto_a_box_is_that_onto_ground_at_its_top(moves: bool) -> None:
 @pytest.mark.parametrize(
     "solid",
     [
-        Solid(kind="box", size=(0.5, 0.5, 0.5)),
-        Solid(kind="sphere", size=(0.5, 0.0, 0.0)),
-        Solid(kind="capsule", size=(0.5, 0.3, 0.0)),
-        Solid(kind="cylinder", size=(0.5, 0.5, 0.0)),
+        Solid(kind="box", size=(0.5, 0.5, 0.5)), Solid(kind="sphere", size=(0.5, 0.0, 0.0)),
+        Solid(kind="capsule", size=(0.5, 0.3, 0.0)), Solid(kind="cylinder", size=(0.5, 0.5, 0.0)),
         Solid(kind="mesh", vertices=CUBE),
     ],
     ids=lambda solid: solid.kind,
-)
+)  # fmt: skip
 def test_arms_press_on_obstacles_as_springs_say(solid: Solid) -> None:
     """Prismatic arms between two obstacles: ``k (rest - q) = K m overlap`` of each, and the base stays where it is."""
     stiffness, rest, radius, gap = 30.0, 0.05, 0.02, 0.01
@@ -213,11 +211,9 @@ def test_it_moves_as_a_model_of_mujoco_that_was_written_by_hand() -> None:
     data.qvel[:6] = (0.3, 0.1, -1.0, 0.5, 1.0, 2.0)
     tilt = np.array([0.0998, 0.0, 0.0, 0.995]) / np.hypot(0.995, 0.0998)
     solids = place_solids(
-        BLOCK,
-        Solid(kind="cylinder", size=(0.05, 0.3, 0.0)),
-        places=[(0.1, 0.2, -0.55), (0.25, 0.0, 0.0)],
+        BLOCK, Solid(kind="cylinder", size=(0.05, 0.3, 0.0)), places=[(0.1, 0.2, -0.55), (0.25, 0.0, 0.0)],
         attitudes=[tuple(tilt), (0.0, 0.0, 0.0, 1.0)],
-    )
+    )  # fmt: skip
     tree, links = two_arms("revolute", HINGES, 0.05), weights(0.1)
     rig = ContactRig(tree, links, springs(0.0, 0.002), foot_shapes(solids), FEET, dt=0.002, height=-inf)
     state, touches = TUMBLING, 0
