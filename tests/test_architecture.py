@@ -115,11 +115,10 @@ def test_rooms_of_sim2real_import_left() -> None:
 
 
 def test_effects_import_nothing_from_the_fused_kernel() -> None:
-    """The kernel is composed of effects, so what both need lies below them: ``math`` and ``physics.rotor_maps``."""
+    """Effects are pure torch functions, from which the kernel is traced."""
     files = sorted((ROOT / "physics" / "effects").rglob("*.py"))
-    assert [
-        path.name for path in files if any(name.startswith("aerial_gym.physics.fused") for name in module_imports(path))
-    ] == []
+    kernels = ("warp", "aerial_gym.physics.fused", "aerial_gym.math.warp_functions")
+    assert [path.name for path in files if any(name.startswith(kernels) for name in module_imports(path))] == []
 
 
 def test_unit_tests_mirror_the_package() -> None:

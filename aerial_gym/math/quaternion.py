@@ -51,6 +51,12 @@ def quat_rotate_inverse(q: Tensor, v: Tensor) -> Tensor:
     return v - w * t + torch.linalg.cross(u, t)
 
 
+def world_up(q: Tensor) -> Tensor:
+    """Return world z in body coordinates, (..., 3): the last row of ``quat_to_matrix``."""
+    x, y, z, w = q.unbind(-1)
+    return torch.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)), dim=-1)
+
+
 def quat_to_matrix(q: Tensor) -> Tensor:
     """Return the rotation matrix R, body to world, (..., 3, 3). Source: Diebel (2006), eq. 125, for xyzw."""
     x, y, z, w = q.unbind(-1)

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import _get_current_dispatch_mode
 
 WHOLE_ROWS = 64
 """Number of rows that fill whole vectors at any row width: a vector has 16 float32 with AVX-512, and loops take 4."""
@@ -46,6 +47,26 @@ def times(rows: Tensor, matrix: Tensor) -> Tensor:
     if watched or rows.shape[1] <= MOST_TERMS:
         return reduce(torch.add, (rows[:, k : k + 1] * matrix[k] for k in range(rows.shape[1])))
     return rows @ matrix
+
+
+def by_element(function: Callable[..., Tensor], *values: Tensor) -> Tensor:
+    """Return ``function(*values)``, whose elements depend on the same element of the values only.
+
+    A kernel calls it for each element, in place of a copy of its code.
+    """
+    trace = getattr(_get_current_dispatch_mode(), "call", None)
+    return function(*values) if trace is None else trace(function, values)
+
+
+def choose(condition: Tensor, function: Callable[..., Tensor], other: Tensor, *values: Tensor) -> Tensor:
+    """Return ``torch.where(condition, function(*values), other)`` for a function as in ``by_element``.
+
+    A kernel calls it only where the condition is true.
+    """
+    trace = getattr(_get_current_dispatch_mode(), "call", None)
+    if trace is None:
+        return torch.where(condition, function(*values), other)
+    return trace(function, values, (condition, other))
 
 
 def make_batch_invariant(function: Callable[..., Result], num_rows: int, device: torch.device) -> Callable[..., Result]:

@@ -72,7 +72,7 @@ def body_wrench(
         thrust, drag = rotor_thrust(vehicle, rotor_speed), rotor_torque(vehicle, rotor_speed)
         return rotor_wrench(vehicle, thrust, drag)
     return _condition_wrench(
-        model, _build_condition(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc)
+        model, condition_of_motion(model, position, attitude, com_vel, ang_vel, rotor_speed, rotor_acc)
     )
 
 
@@ -92,7 +92,7 @@ def condition_in(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition
     com, turn = model.vehicle.com, state.attitude
     position = state.position + quat_rotate(turn, com)
     com_vel = state.lin_vel + quat_rotate(turn, torch.linalg.cross(state.ang_vel, com))
-    return _build_condition(model, position, turn, com_vel, state.ang_vel, state.rotor_speed, rotor_acc)
+    return condition_of_motion(model, position, turn, com_vel, state.ang_vel, state.rotor_speed, rotor_acc)
 
 
 def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Condition:
@@ -102,7 +102,7 @@ def condition_at_origin(model: Model, state: BodyState, rotor_acc: Tensor) -> Co
     mass share it, except for a wind that depends on position.
     """
     com, turn = model.vehicle.com, state.attitude
-    result = _build_condition(
+    result = condition_of_motion(
         model,
         state.position + quat_rotate(turn, com),
         turn,
@@ -122,7 +122,7 @@ def adapt_condition(vehicle: Vehicle, known: Condition) -> Condition:
     return known.of_vehicle(vehicle, known.rotor_thrust if same else rotor_thrust(vehicle, known.rotor_speed))
 
 
-def _build_condition(
+def condition_of_motion(
     model: Model,
     position: Tensor,
     attitude: Tensor,

@@ -171,29 +171,23 @@ def rotor_wrench(vehicle: Vehicle, thrust: Tensor, torque: Tensor) -> tuple[Tens
     if all(is_shared(rows) for rows in geometry):
         wrench = times(torch.cat((thrust, torque), dim=-1), rotor_matrix(vehicle))
         return wrench[:, :3], wrench[:, 3:]
-    axis, moment, reaction = _lines_of_action(*geometry)
     force, turn, twist = (
         sum_slices(weight.unsqueeze(-1) * rows, 1)
-        for weight, rows in ((thrust, axis), (thrust, moment), (torque, reaction))
+        for weight, rows in (
+            (thrust, vehicle.rotor_axis),
+            (thrust, vehicle.rotor_moment),
+            (torque, vehicle.rotor_reaction),
+        )
     )
     return force, turn + twist
 
 
 def rotor_matrix(vehicle: Vehicle) -> Tensor:
     """Return the matrix of ``rotor_wrench`` of the first environment, (2 R, 6): its rows are thrusts, then drag torques."""
-    axis, moment, reaction = (
-        rows[0]
-        for rows in _lines_of_action(
-            vehicle.rotor_position[:1], vehicle.com[:1], vehicle.rotor_axis[:1], vehicle.rotor_spin[:1]
-        )
-    )
+    names = ("rotor_position", "com", "rotor_axis", "rotor_spin")
+    first = replace(vehicle, **{name: getattr(vehicle, name)[:1] for name in names})
+    axis, moment, reaction = first.rotor_axis[0], first.rotor_moment[0], first.rotor_reaction[0]
     return torch.cat((torch.cat((axis, moment), dim=-1), torch.cat((0.0 * axis, reaction), dim=-1)))
-
-
-def _lines_of_action(position: Tensor, com: Tensor, axis: Tensor, spin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return force and torque per thrust, and torque per drag torque, of each rotor, (E, R, 3) each."""
-    moment = torch.linalg.cross(position - com.unsqueeze(1), axis, dim=-1)
-    return axis, moment, -spin.unsqueeze(-1) * axis
 
 
 def hover_speed(vehicle: Vehicle, gravity: float) -> Tensor:

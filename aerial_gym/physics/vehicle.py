@@ -126,6 +126,23 @@ class Vehicle:
         axis = self.rotor_axis
         return is_shared(axis) and bool((axis[0] == axis.new_tensor((0.0, 0.0, 1.0))).all())
 
+    @property
+    def rotor_lever(self) -> Tensor:
+        """Hubs from the centre of mass [m], body, (E, R, 3); (1, R, 3) where all environments have the same."""
+        if is_shared(self.rotor_position) and is_shared(self.com):
+            return share_row(self.rotor_position[0] - self.com[0], 1)
+        return self.rotor_position - self.com.unsqueeze(1)
+
+    @property
+    def rotor_moment(self) -> Tensor:
+        """Torque per thrust about the centre of mass [m], (E, R, 3)."""
+        return torch.linalg.cross(self.rotor_lever, self.rotor_axis, dim=-1)
+
+    @property
+    def rotor_reaction(self) -> Tensor:
+        """Torque on the body per drag torque, (E, R, 3): against the spin."""
+        return -self.rotor_spin.unsqueeze(-1) * self.rotor_axis
+
     def rows(self) -> dict[str, Tensor]:
         """Return all tensors by name, each (E, ...)."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}

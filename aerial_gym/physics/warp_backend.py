@@ -99,7 +99,7 @@ class WarpBackend:
 
     @property
     def capabilities(self) -> Capabilities:
-        """Capabilities; effects are those with Warp code."""
+        """Capabilities; an effect whose code cannot be traced is refused by ``allocate``."""
         return Capabilities(
             devices=("cpu", "cuda"),
             dtypes=(torch.float32,),
@@ -112,7 +112,7 @@ class WarpBackend:
         )
 
     def _can_run(self, effect: Effect) -> bool:
-        return effect.has_twin and not (self._differentiable and effect.remembers)
+        return not (self._differentiable and effect.remembers)
 
     def allocate(
         self,
@@ -131,9 +131,6 @@ class WarpBackend:
         """
         if integrator not in STAGES:
             raise CapabilityError(f"backend warp: no integrator {integrator!r}. Known: {', '.join(STAGES)}")
-        for effect, _ in model.effects.forces:
-            if not effect.has_twin:
-                raise CapabilityError(f"backend warp: cannot run effect {effect.name!r}. Use backend 'torch'.")
         if self._differentiable and model.effects.names_with_memory:
             raise CapabilityError(
                 f"backend warp: a differentiable rollout cannot run effect {model.effects.names_with_memory[0]!r}, "

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.control import CONTROLLERS
@@ -34,36 +33,12 @@ class DuctEffect(RotorEffect, WrenchEffect):
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         return params[:, :1] * condition.rotor_thrust
 
-    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        @wp.func
-        def duct_thrust(at: condition, rotor: hub, values: wp.vec3) -> float:
-            return values[0] * rotor.thrust
-
-        return duct_thrust
-
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         return torch.nn.functional.pad((params[:, 1] * params[:, 2]).unsqueeze(1), (0, 5))
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        @wp.func
-        def duct_push(at: condition, values: wp.vec3) -> wp.spatial_vector:
-            return wp.spatial_vector(wp.vec3(values[1] * values[2], 0.0, 0.0), wp.vec3())
-
-        return duct_push
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         mean = moment.rotor_speed.mean(dim=1, keepdim=True)
         return mean + (values[:, 2:] - mean) * float(np.exp(-moment.dt / TAU))
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        @wp.func
-        def duct_lag(plant: vehicle, now: moment, values: wp.vec3) -> wp.vec3:
-            mean = wp.float32(0.0)
-            for i in range(len(now.rotor_speed)):
-                mean += now.rotor_speed[i] / float(len(now.rotor_speed))
-            return wp.vec3(values[0], values[1], mean + (values[2] - mean) * wp.exp(-now.dt / wp.static(TAU)))
-
-        return duct_lag
 
     def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
         rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()

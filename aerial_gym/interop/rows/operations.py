@@ -26,6 +26,7 @@ MOVES = frozenset(
         "diagonal",
         "expand",
         "flip",
+        "index_select",
         "lift_fresh",
         "movedim",
         "permute",
@@ -84,6 +85,9 @@ CODE = {
     **{name: f"wp.where(wp.abs({{0}}) <= 1.0, wp.{name}({{0}}), wp.nan)" for name in ("asin", "acos")},
     "round": "wp.rint({0})",
     "atan2": "wp.atan2({0}, {1})",
+    "bit_and": "{0} & {1}",
+    "bit_xor": "{0} ^ {1}",
+    "shift_right": "{0} >> {1}",
     "remainder": "wp.where(wp.mod({0}, {1}) * {1} < 0.0, wp.mod({0}, {1}) + {1}, wp.mod({0}, {1}))",
 }
 """Warp code of each scalar operation."""
@@ -112,8 +116,15 @@ def _finite(a: Tensor, nan: float | None = None, high: float | None = None, low:
     )
 
 
+def _exponential_less_one(a: Tensor) -> Tensor:
+    """Return ``exp(a) - 1``, accurate for small a."""
+    half = torch.tanh(0.5 * a.clamp_max(1.0))
+    return torch.where(a > 1.0, a.exp() - 1.0, 2.0 * half / (1.0 - half))
+
+
 COMPOSED: dict[str, Callable[..., Tensor]] = {
     "linalg_cross": _cross,
+    "expm1": _exponential_less_one,
     "mm": _product,
     "bmm": _product,
     "diag_embed": _diagonal_matrix,
@@ -177,6 +188,13 @@ def _alpha_operation(kind: str) -> Pointwise:
         return _plain(kind)(into, (a, b), dtype)
 
     return Pointwise(make=make, arguments=arguments, known=frozenset({"alpha"}))
+
+
+def _bits(kind: str) -> Pointwise:
+    """Return a logical operation on truths, or on the bits of integers."""
+    return Pointwise(
+        make=lambda into, row, dtype: into.number(kind if dtype == torch.bool else f"bit_{kind}", row, dtype)
+    )
 
 
 def _right_subtraction() -> Pointwise:
@@ -246,9 +264,16 @@ POINTWISE: dict[str, Pointwise] = {
     **{name: Pointwise(make=_plain(name), floats=True) for name in ("div", "atan2", "remainder")},
     **{name: Pointwise(make=_plain(name), compares=True) for name in ("lt", "le", "gt", "ge", "eq", "ne")},
     **{f"logical_{name}": Pointwise(make=_plain(name), inside=_BOOL) for name in ("and", "or", "not")},
-    **{f"bitwise_{name}": Pointwise(make=_plain(name), inside=_BOOL) for name in ("and", "or", "not")},
+    **{f"bitwise_{name}": Pointwise(make=_plain(name), inside=_BOOL) for name in ("or", "not")},
+    "bitwise_and": _bits("and"),
+    **dict.fromkeys(
+        ("__rshift__", "bitwise_right_shift"),
+        Pointwise(make=lambda into, row, dtype: into.number("shift_right", row, dtype)),
+    ),
     "logical_xor": Pointwise(make=_plain("ne"), inside=_BOOL),
-    "bitwise_xor": Pointwise(make=_plain("ne"), inside=_BOOL),
+    "bitwise_xor": Pointwise(
+        make=lambda into, row, dtype: into.number("ne" if dtype == torch.bool else "bit_xor", row, dtype)
+    ),
     "isnan": Pointwise(make=_plain("isnan"), types=(None,)),
     "isfinite": Pointwise(make=_plain("isfinite"), types=(None,)),
     "add": _alpha_operation("add"),

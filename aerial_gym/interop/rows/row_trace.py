@@ -61,6 +61,9 @@ class Trace:
 
     widths: dict[int, int] = field(default_factory=dict)  # Number of entries in a row of each input, by position
 
+    bodies: list["Trace"] = field(default_factory=list)
+    """Functions of scalars that operations ``call K`` and ``choose K`` call, by K."""
+
     lifted: list[Tensor] = field(default_factory=list)
     """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""
 
@@ -88,6 +91,7 @@ def trace(
     inputs: Sequence[Tensor],
     *,
     lifts: bool = False,
+    fixes: bool = False,
     constants: Mapping[tuple[int, int], float] | None = None,
 ) -> Trace:
     """Trace a function on one row.
@@ -97,6 +101,7 @@ def trace(
         inputs: Tensors (E, ...), with E from the first that has a dimension; others are shared by all rows. A row of more
             than ``LARGEST_ROW`` entries, such as an image, may be passed but not read.
         lifts: Whether tensors (E, ...) from elsewhere become inputs; else they are refused.
+        fixes: Whether tensors from elsewhere become constants.
         constants: Known values of entries of inputs, by position and entry. With it, arithmetic on constants is simplified
             as if all numbers were finite.
 
@@ -110,7 +115,7 @@ def trace(
         watch.input(position, tensor, rows=tensor.shape[:1] == (num_rows,)) for position, tensor in enumerate(inputs)
     ]
     try:
-        with torch.no_grad(), watch, _ExternalTensors(watch, len(inputs), num_rows if lifts else None):
+        with torch.no_grad(), watch, _ExternalTensors(watch, len(inputs), num_rows if lifts else None, fixes):
             results = function(*rows)
     except UntraceableError:
         raise
@@ -204,6 +209,7 @@ class _Recorder(TorchDispatchMode):
         self.into, self._constants = into, constants
         # by id of a kept tensor; None: a constant whose numbers may still change
         self._scalars: dict[int, tuple[Tensor, _Scalars | None]] = {}
+        self._owners: dict[int, Trace] = {}  # of tensors that depend on an input
         self._literals: dict[tuple[str, torch.dtype | None], tuple[_Scalars, torch.dtype]] = {}
         self._large: dict[int, tuple[Tensor, str]] = {}
 
@@ -237,10 +243,38 @@ class _Recorder(TorchDispatchMode):
         """Return whether the tensor depends on an input."""
         return self._scalars.get(id(tensor), (None, None))[1] is not None
 
+    def call(self, function: Callable[..., Tensor], values: Sequence[Tensor], choice: Sequence[Tensor] = ()) -> Tensor:
+        """Trace a function of elements as a body of its own, and call it for each element.
+
+        Args:
+            choice: Condition for the call, and the value elsewhere.
+        """
+        outer = self.into, self._constants, self._literals
+        self.into, self._constants, self._literals = Trace(simplifies=self.into.simplifies), {}, {}
+        try:
+            result = function(
+                *(self.input(i, torch.zeros(2, dtype=value.dtype), rows=True) for i, value in enumerate(values))
+            )
+            body = self.into
+            body.outputs.append((self.find_scalars(result).one.ravel().tolist(), (), result.dtype))
+        finally:
+            self.into, self._constants, self._literals = outer
+        kind, given = f"{'choose' if choice else 'call'} {len(self.into.bodies)}", (*choice, *values)
+        self.into.bodies.append(body)
+        rows = torch.zeros(torch.broadcast_shapes(*(tensor.shape for tensor in given)), dtype=result.dtype)
+        scalars = [self.find_scalars(tensor) for tensor in given]
+        return self._note(rows, _broadcast(lambda *row: self.into.number(kind, row, result.dtype), scalars, rows.shape))
+
+    def constant(self, tensor: Tensor) -> Tensor:
+        """Return a copy of a tensor as a constant of the trace."""
+        return self._note(tensor.detach().cpu().clone(), None)
+
     def find_scalars(self, value: Any, dtype: torch.dtype | None = None) -> _Scalars:
         """Return the scalars of a traced tensor, a shared tensor or a number, converted to a type."""
         known = self._scalars.get(id(value), (None, None))[1] if isinstance(value, Tensor) else None
         if known is not None:
+            if self._owners[id(value)] is not self.into:
+                raise UntraceableError("a function of elements reads a tensor that is not among its arguments")
             scalars, given = known, value.dtype
         elif isinstance(value, Tensor):
             scalars, given = self._constant(value.detach()), value.dtype
@@ -287,7 +321,7 @@ class _Recorder(TorchDispatchMode):
                 result = func.decompose(*args, **kwargs)
             if result is not NotImplemented:
                 return result
-            raise UntraceableError(f"torch.{name} is not a supported operation of row kernels")
+            raise UntraceableError(_refusal(name))
         if torch.Tag.nondeterministic_seeded in func.tags:
             raise UntraceableError(f"torch.{name} draws random numbers")
         if "empty" in name:
@@ -306,12 +340,14 @@ class _Recorder(TorchDispatchMode):
         return self._note(result, make(name, args, kwargs, result))
 
     def _note(self, tensor: Tensor, scalars: _Scalars | None) -> Tensor:
-        self._scalars[id(tensor)] = (tensor, scalars)
+        self._scalars[id(tensor)], self._owners[id(tensor)] = (tensor, scalars), self.into
         return tensor
 
     def _move_elements(self, func: Any, args: Any, kwargs: Any, result: Any) -> Any:
         """Apply an operation that only moves elements to the numbers; ``constant_pad_nd`` adds a constant."""
         dtype = result[0].dtype if isinstance(result, (list, tuple)) else result.dtype
+        if func.overloadpacket.__name__ == "index_select":
+            return func(self.find_scalars(args[0], dtype).all, *args[1:])
         if func.overloadpacket.__name__ == "constant_pad_nd":
             value = args[2] if len(args) > 2 else kwargs.get("value", 0.0)
             args = (*args[:2], self.into.number("constant", (torch.tensor(value, dtype=dtype).item(),), dtype))
@@ -333,7 +369,7 @@ class _Recorder(TorchDispatchMode):
         operation = POINTWISE[name]
         if (unknown := set(kwargs) - operation.known) or (operation.floats and not result.dtype.is_floating_point):
             raise UntraceableError(f"torch.{name} of {result.dtype}{' with ' if unknown else ''}{', '.join(unknown)}")
-        if name.startswith("bitwise") and result.dtype != torch.bool:
+        if name in ("bitwise_or", "bitwise_not") and result.dtype != torch.bool:
             raise UntraceableError(f"torch.{name} of integers")
         values = operation.arguments(args, kwargs)
         inside = torch.result_type(*values) if operation.compares else operation.inside or result.dtype
@@ -360,10 +396,10 @@ class _Recorder(TorchDispatchMode):
 class _ExternalTensors(TorchFunctionMode):
     """Function mode that refuses tensors from elsewhere, which may change between calls, or lifts them to inputs."""
 
-    def __init__(self, watch: _Recorder, num_inputs: int, num_rows: int | None) -> None:
+    def __init__(self, watch: _Recorder, num_inputs: int, num_rows: int | None, fixes: bool) -> None:
         """Store the number of inputs, and of rows if tensors are lifted."""
         super().__init__()
-        self._watch, self._next, self._num_rows = watch, num_inputs, num_rows
+        self._watch, self._next, self._num_rows, self._fixes = watch, num_inputs, num_rows, fixes
         self._lifted: dict[int, tuple[Tensor, Tensor]] = {}  # placeholders by id of a kept tensor
 
     def __torch_function__(
@@ -382,6 +418,8 @@ class _ExternalTensors(TorchFunctionMode):
         return self._lifted[id(leaf)][1]
 
     def _lift(self, tensor: Tensor) -> Tensor:
+        if self._fixes:
+            return self._watch.constant(tensor)
         if self._num_rows is None or tensor.shape[:1] != (self._num_rows,) or tensor.requires_grad:
             raise UntraceableError("it reads a tensor that is not among its arguments")
         own = tensor.stride(0) != 0 or self._num_rows == 1
@@ -413,6 +451,15 @@ def _remove_marks(numbers: Tensor) -> Array:
     ):
         raise UntraceableError("an operation mixes rows")
     return np.asarray(first - own * _MARK)
+
+
+def _refusal(name: str) -> str:
+    """Return the reason why an operation cannot be traced."""
+    if name == "_local_scalar_dense":
+        return "a branch on a value, or a number taken out of a tensor"
+    if name.endswith("_"):
+        return f"torch.{name} writes in place"
+    return f"torch.{name} is not a supported operation of row kernels"
 
 
 def _leaves(value: Any) -> list[Any]:

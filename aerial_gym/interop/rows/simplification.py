@@ -41,7 +41,11 @@ def simplify(trace: "Trace", kind: str, args: tuple[Any, ...], dtype: torch.dtyp
         return trace.number("constant", (result,), dtype)
     if kind == "where" and values[0] is not None:
         return args[1] if values[0] else args[2]
-    if kind == "neg" and scalars[0].kind == "neg":
+    if kind == "div" and dtype == torch.float32 and values[1] is None:
+        return trace.number("mul", (args[0], trace.number("reciprocal", args[1:], dtype)), dtype)
+    if kind == "reciprocal" and dtype == torch.float32 and scalars[0].kind == "sqrt":
+        return trace.number("rsqrt", scalars[0].args, dtype)
+    if kind in ("neg", "reciprocal") and scalars[0].kind == kind:
         return int(scalars[0].args[0])
     if kind == "sub" and args[0] == args[1]:
         return trace.number("constant", (torch.zeros((), dtype=dtype).item(),), dtype)

@@ -30,7 +30,19 @@ def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], s
     Args:
         read: Function from position and entry of an input to its code.
     """
-    return [f"    v{n} = {_code(trace, trace.scalars[n], read)}" for n in needed]
+    return [line for n in needed for line in _lines(trace, n, read)]
+
+
+def _lines(trace: Trace, n: int, read: Callable[[int, int], str]) -> list[str]:
+    scalar = trace.scalars[n]
+    kind, _, body = scalar.kind.partition(" ")
+    names = [f"v{a}" for a in scalar.args]
+    if kind == "call":
+        return [f"    v{n} = body_{body}({', '.join(names)})"]
+    if kind == "choose":
+        condition, other, *values = names
+        return [f"    v{n} = {other}", f"    if {condition}:", f"        v{n} = body_{body}({', '.join(values)})"]
+    return [f"    v{n} = {_code(trace, scalar, read)}"]
 
 
 def function_lines(trace: Trace, read: Callable[[int, int], str], returns: Sequence[str]) -> list[str]:

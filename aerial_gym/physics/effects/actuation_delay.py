@@ -8,7 +8,6 @@ Source: Derived: transport delay of a piecewise constant signal; in multirotors 
 the Crazyflie 2.0, section 3.2.
 """
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR
@@ -33,13 +32,3 @@ class ActuationDelay(DelayEffect):
     def delay(self, params: Tensor) -> Tensor:
         """Return the delay [s], (E,)."""
         return params[:, 0]
-
-    def warp_delay(self) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def actuation_delay(delay: params) -> float:
-            return delay[0]
-
-        return actuation_delay

@@ -11,10 +11,8 @@ Source: Lamb (1932), Hydrodynamics, articles 121-124 (Kirchhoff's equations); Fo
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import rotate_inverse
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.fluid import FluidEffect
 from aerial_gym.physics.effects.parameter import Parameter
@@ -38,15 +36,6 @@ class AddedMass(FluidEffect):
         """Return the parameters."""
         return params
 
-    def warp_added_mass(self) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def identity(params: wp.vec3) -> wp.vec3:
-            return params
-
-        return identity
-
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
         """Return ``S (F + N) + (1 - S) m g up`` with ``S = m / (m + M_A)``, and ``tau - v x (M_A v)``."""
         mass, v, w = condition.vehicle.mass.unsqueeze(-1), condition.air_velocity, condition.ang_vel
@@ -54,20 +43,3 @@ class AddedMass(FluidEffect):
         turning = params * torch.linalg.cross(w, v) - torch.linalg.cross(w, momentum)
         force = share * (wrench[:, :3] + turning) + (1.0 - share) * mass * gravity * condition.up
         return torch.cat((force, wrench[:, 3:] - torch.linalg.cross(v, momentum)), dim=-1)
-
-    def warp_entrain(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def added_mass(
-            wrench: wp.spatial_vector, at: condition, mass: float, gravity: float, added: wp.vec3
-        ) -> wp.spatial_vector:
-            v = at.air_velocity
-            momentum = wp.cw_mul(added, v)
-            turning = wp.cw_mul(added, wp.cross(at.ang_vel, v)) - wp.cross(at.ang_vel, momentum)
-            weight = rotate_inverse(at.attitude, wp.vec3(0.0, 0.0, mass * gravity))
-            share = wp.vec3(mass / (mass + added[0]), mass / (mass + added[1]), mass / (mass + added[2]))
-            force = wp.cw_mul(share, wp.spatial_top(wrench) + turning - weight) + weight
-            return wp.spatial_vector(force, wp.spatial_bottom(wrench) - wp.cross(v, momentum))
-
-        return added_mass

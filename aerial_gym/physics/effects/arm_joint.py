@@ -24,7 +24,6 @@ with two creep elements, of 0.2 and 2.4 s (``aerial-gym identify joint``).
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -35,14 +34,13 @@ from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
 from aerial_gym.physics.effects.track import FlightTrack, relax
-from aerial_gym.physics.rotor_maps import make_maps
-from aerial_gym.physics.rotors import rotor_thrust, rotor_torque
+from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared
 
-LARGEST_ANGLE = wp.constant(1.0)
+LARGEST_ANGLE = 1.0
 """Largest angle of one element [rad]: four times the range of Morphy's arms."""
 
-SHORTEST_ARM = wp.constant(1e-9)
+SHORTEST_ARM = 1e-9
 """Shortest arm [m]; a hub nearer to the vertical axis of the body has none."""
 
 HINGE = 0.4
@@ -102,7 +100,7 @@ class ArmJoint(WrenchEffect):
         """Return the steady angles [rad] of arms under the thrust of rotor speeds [rad/s], both (E, R)."""
         length = (1.0 - params[:, PLACE, None]) * arm_directions(vehicle)[1]
         moment = rotor_thrust(vehicle, rotor_speed) * length * vehicle.rotor_axis[..., 2]
-        limit = float(LARGEST_ANGLE)
+        limit = LARGEST_ANGLE
         return (params[:, COMPLIANCE, None] * moment).clamp(-limit, limit)
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
@@ -132,8 +130,8 @@ class ArmJoint(WrenchEffect):
         vehicle, angle = condition.vehicle, params[:, ANGLES:].unsqueeze(-1)
         out, distance = arm_directions(vehicle)
         sine, fall = angle.sin(), 2.0 * (0.5 * angle).sin().square()  # fall: 1 - cos
-        up = torch.zeros_like(out)
-        up[..., 2] = 1.0
+        zero = torch.zeros_like(distance)
+        up = torch.stack((zero, zero, torch.ones_like(distance)), dim=-1)
         across = torch.linalg.cross(out, up)
         axis = condition.axis
         leaning = sine * torch.linalg.cross(across, axis, dim=-1)
@@ -143,61 +141,5 @@ class ArmJoint(WrenchEffect):
         force = thrust * leaning
         torque = torch.linalg.cross(condition.lever.expand_as(force), force)
         torque = torque + torch.linalg.cross(moved, thrust * axis + force)
-        drag = vehicle.rotor_spin * rotor_torque(vehicle, condition.rotor_speed)
+        drag = vehicle.rotor_spin * condition.rotor_drag
         return torch.cat((force, torque - drag.unsqueeze(-1) * leaning), dim=-1).sum(1)
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-        thrust_of, _ = make_maps(vehicle)
-        num_rotors = len(moment.vars["rotor_speed"].type())
-        numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
-
-        @wp.func
-        def bend(plant: vehicle, now: moment, values: numbers) -> numbers:
-            after = values
-            decay = wp.exp(-now.dt / values[wp.static(TAU)])
-            for i in range(wp.static(num_rotors)):
-                x = plant.rotor_lever[i, 0] + plant.com[0]
-                y = plant.rotor_lever[i, 1] + plant.com[1]
-                length = (1.0 - values[wp.static(PLACE)]) * wp.sqrt(x * x + y * y + SHORTEST_ARM * SHORTEST_ARM)
-                n = now.rotor_speed[i]
-                thrust = thrust_of(plant, i, n)
-                rest = values[wp.static(COMPLIANCE)] * thrust * length * plant.rotor_axis[i, 2]
-                rest = wp.clamp(rest, -LARGEST_ANGLE, LARGEST_ANGLE)
-                after[wp.static(ANGLES) + i] = rest + (values[wp.static(ANGLES) + i] - rest) * decay
-            return after
-
-        return bend
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-        num_rotors = len(condition.vars["rotor_speed"].type())
-        numbers = wp.types.vector(length=ANGLES + num_rotors, dtype=wp.float32)
-
-        @wp.func
-        def arm_wrench(at: condition, values: numbers) -> wp.spatial_vector:
-            force = wp.vec3()
-            torque = wp.vec3()
-            up = wp.vec3(0.0, 0.0, 1.0)
-            for i in range(wp.static(num_rotors)):
-                axis = wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
-                lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
-                x = lever[0] + at.com[0]
-                y = lever[1] + at.com[1]
-                distance = wp.sqrt(x * x + y * y + SHORTEST_ARM * SHORTEST_ARM)
-                out = wp.vec3(x / distance, y / distance, 0.0)
-                across = wp.cross(out, up)
-                angle = values[wp.static(ANGLES) + i]
-                sine = wp.sin(angle)
-                half = wp.sin(0.5 * angle)
-                fall = 2.0 * half * half
-                leaning = sine * wp.cross(across, axis) - fall * (axis - wp.dot(across, axis) * across)
-                moved = (1.0 - values[wp.static(PLACE)]) * distance * (sine * up - fall * out)
-                push = at.rotor_thrust[i] * leaning
-                reaction = wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
-                force += push
-                torque += wp.cross(lever, push) + wp.cross(moved, at.rotor_thrust[i] * axis + push)
-                torque += at.rotor_drag[i] * wp.dot(reaction, axis) * leaning
-            return wp.spatial_vector(force, torque)
-
-        return arm_wrench

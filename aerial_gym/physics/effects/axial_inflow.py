@@ -8,7 +8,6 @@ attack falls by v_a / (w r), the lift by that times w²; Svacha, Mohta, Kumar (2
 tracking by compensating for aerodynamic effects, eq. 6.
 """
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.condition import Condition
@@ -34,13 +33,3 @@ class AxialInflow(RotorEffect):
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``-ka |w| v_a``."""
         return -params[:, :1] * condition.rotor_speed.abs() * condition.axial_velocity
-
-    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def axial_inflow(at: condition, rotor: hub, ka: params) -> float:
-            return -ka[0] * wp.abs(rotor.speed) * rotor.axial
-
-        return axial_inflow

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -43,20 +42,17 @@ class Moment:
 class Effect(ABC):
     """A named physical effect.
 
-    A direct subclass is a *hook*: one place in the step that calls effects, with its torch method and its Warp twin. A kind of
-    effect implements one hook or several. The class variables below describe it to the rest of the code, so no other module
+    A direct subclass is a *hook*: one place in the step that calls a method of effects. A kind of effect implements one hook or
+    several. The methods of a step are pure torch functions of rows; the fused kernel is traced from them, so they have no
+    branches on values and no in-place writes. The class variables below describe it to the rest of the code, so no other module
     lists kinds. An effect of a step may keep M numbers of memory per environment. The backend stores them and passes them
     after the parameters, (E, P + M).
     """
 
     # Set by the kind of effect.
     acts_on: ClassVar[ActsOn]
-    twin: ClassVar[str | None] = None
-    """Method of the hook that returns its Warp function; None for a hook that costs nothing in a step."""
     order: ClassVar[int | None] = None
     """Rank of its parameters and memory among the effects of a step; None for an effect outside the step."""
-    warp_fields: ClassVar[tuple[str, ...]] = ()
-    """Fields of the vehicle that the Warp twin reads, of those that the kernel packs on request (``fused.packing``)."""
     single: ClassVar[str] = ""
     """Name of the thing that a vehicle has at most one of; empty if a vehicle may have several such effects."""
     additive: ClassVar[bool] = False  # Whether it adds thrust, force or wind, which are zero at neutral parameters
@@ -115,15 +111,6 @@ class Effect(ABC):
         return self.on_rigid and not self.random
 
     @property
-    def has_twin(self) -> bool:
-        """Whether the fused kernel can run it: each hook that it implements, and its memory, have Warp code."""
-        own_type = type(self)
-        if own_type.remember is not Effect.remember and own_type.warp_remember is Effect.warp_remember:
-            return False
-        hooks = [(hook, vars(hook)["twin"]) for hook in own_type.__mro__ if vars(hook).get("twin")]
-        return all(getattr(own_type, twin) is not getattr(hook, twin) for hook, twin in hooks)
-
-    @property
     def remembers(self) -> bool:
         """Whether it has memory of its own."""
         return bool(self.memory or self.rotor_memory)
@@ -150,19 +137,6 @@ class Effect(ABC):
         """
         del track, params
         raise CapabilityError(f"effect {self.name}: remembers, but cannot be followed along a flight: it has no replay")
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function | None:
-        """Return the Warp twin of ``remember``, or None if the memory never changes.
-
-        Args:
-            vehicle: The ``wp.struct`` of the vehicle.
-            moment: The ``wp.struct`` with the fields of ``Moment`` for this number of rotors.
-
-        Returns:
-            A ``wp.func`` (vehicle, moment, values: vector of P + M) -> parameters and new memory.
-        """
-        del vehicle, moment
-        return None
 
     def neutral(self, robot: RobotCfg) -> tuple[float, ...]:
         """Return the parameters with which the robot behaves as declared; zeros by default."""

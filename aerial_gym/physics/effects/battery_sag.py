@@ -10,7 +10,6 @@ for EV applications, section 2, without polarisation; speed of a DC motor: Drela
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -18,11 +17,10 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects.base import Moment
 from aerial_gym.physics.effects.kinds.command import CommandEffect
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.rotor_maps import make_maps
 from aerial_gym.physics.rotors import rotor_torque
 from aerial_gym.physics.vehicle import Vehicle
 
-LEAST_SQUARE = wp.constant(1e-6)
+LEAST_SQUARE = 1e-6
 """Least discriminant over E², for loads beyond the largest power; keeps the slope of the root finite."""
 
 
@@ -78,32 +76,3 @@ class BatterySag(CommandEffect):
     def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no charge and the voltage, (T, 2)."""
         return torch.stack((torch.zeros_like(voltage), voltage), dim=-1)
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-        _, torque_of = make_maps(vehicle)
-
-        @wp.func
-        def battery_state(plant: vehicle, now: moment, values: wp.vec3) -> wp.vec3:
-            power = wp.float32(0.0)
-            for i in range(len(now.rotor_speed)):
-                n = now.rotor_speed[i]
-                power += n * torque_of(plant, i, n)
-            power = power / plant.battery[5]
-            used = wp.min(values[1] / plant.battery[4], 1.0)
-            open_voltage = plant.battery[1] - (plant.battery[1] - plant.battery[2]) * used
-            square = open_voltage * open_voltage
-            root = wp.sqrt(wp.max(square - 4.0 * plant.battery[3] * power, LEAST_SQUARE * square))
-            voltage = 0.5 * (open_voltage + root)
-            return wp.vec3(values[0], values[1] + now.dt * power / voltage, voltage)
-
-        return battery_state
-
-    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def battery_sag(command: vector, plant: vehicle, values: wp.vec3) -> vector:
-            return command * wp.max(1.0 - values[0] * (1.0 - values[2] / plant.battery[0]), 0.0)
-
-        return battery_sag

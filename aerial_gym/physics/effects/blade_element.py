@@ -41,32 +41,29 @@ Ananda, Selig).
 from math import pi
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.rows import dot, sum_slices
-from aerial_gym.math.warp_functions import reciprocal, root
+from aerial_gym.math.rows import by_element, choose, dot, sum_slices
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced, induced_warp
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, induced
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
-from aerial_gym.physics.rotors import rotor_torque
 
 HALVINGS, NEWTON = 6, 3
 """Iterations of the search for the inflow. Its equation has one root, as the induced velocity grows with the thrust. Newton's
 method starts at the solution without sideways speed (of hover, if the rotor sinks). In a fast descent, where it may diverge,
 bisection brackets the root first. The final error is below 1e-4 of the inflow of hover."""
 
-FAST = wp.constant(0.8)
+FAST = 0.8
 """Descent rate, as a share of the induced velocity of hover, above which bisection comes first."""
 
-SLOWEST = wp.constant(1.0)
+SLOWEST = 1.0
 """Least rotor speed in the formulas [rad/s]."""
 
-LEAST = wp.constant(1e-6)
+LEAST = 1e-6
 """Least coefficient of thrust in hover and of induced velocity, and square of the least velocity in units of the tip speed."""
 
 SHARE, SOLIDITY, SLOPE, TWIST, LOCK, FLAP = range(6)
@@ -159,23 +156,22 @@ class BladeElement(WrenchEffect):
         speed, radius, vehicle = condition.rotor_speed, condition.vehicle.rotor_radius, condition.vehicle
         turns_back = speed < 0.0
         sign = torch.where(turns_back, -torch.ones_like(speed), torch.ones_like(speed))
-        rate = speed.abs().clamp_min(float(SLOWEST))
+        rate = speed.abs().clamp_min(SLOWEST)
         tip = rate * radius
         unit = AIR_DENSITY * pi * (radius * tip).square()
         flow = condition.edgewise_velocity / tip.unsqueeze(-1)
-        least = float(LEAST)
-        size = (dot(flow, flow) + least * least).sqrt()
+        size = (dot(flow, flow) + LEAST * LEAST).sqrt()
         flow = flow / size.clamp_min(1.0).unsqueeze(-1)
         mu = size.clamp_max(1.0)
         climb = (sign * condition.axial_velocity / tip).clamp(-1.0, 1.0)
         lift = solidity * slope
-        hover_thrust = (sign * condition.rotor_thrust / unit).clamp_min(least)
-        hover_torque = sign * rotor_torque(vehicle, speed) / (unit * radius)
+        hover_thrust = (sign * condition.rotor_thrust / unit).clamp_min(LEAST)
+        hover_torque = sign * condition.rotor_drag / (unit * radius)
         hover_inflow = (0.5 * hover_thrust).sqrt()
         theta = 2.0 * hover_thrust / lift + 0.5 * hover_inflow
         root = 3.0 * (theta - 0.25 * twist)
         lifted = theta + mu.square() * (0.5 * root + 0.25 * twist)
-        inflow = climb + _inflow(lift, lifted, climb, mu)
+        inflow = climb + by_element(_inflow, lift, lifted, climb, mu)
         thrust = 0.5 * lift * (lifted - 0.5 * inflow)
         profile = hover_torque - hover_inflow * hover_thrust
         square, g, k = mu.square(), 0.125 * lock, (flap / rate).square()
@@ -197,68 +193,6 @@ class BladeElement(WrenchEffect):
         moment = moment + torch.linalg.cross(condition.lever.expand_as(force), force, dim=-1)
         return share * torch.cat((sum_slices(force, 1), sum_slices(moment, 1)), dim=-1)
 
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-        num_rotors = len(condition.vars["rotor_speed"].type())
-        numbers = wp.types.vector(length=FLAP + 1, dtype=wp.float32)
-
-        @wp.func
-        def blade_element(at: condition, values: numbers) -> wp.spatial_vector:
-            lift = values[wp.static(SOLIDITY)] * values[wp.static(SLOPE)]
-            twist = values[wp.static(TWIST)]
-            g = 0.125 * values[wp.static(LOCK)]
-            all_force = wp.vec3()
-            all_torque = wp.vec3()
-            for i in range(wp.static(num_rotors)):
-                sign = wp.where(at.rotor_speed[i] < 0.0, -1.0, 1.0)
-                rate = wp.max(wp.abs(at.rotor_speed[i]), SLOWEST)
-                radius = at.rotor_radius[i]
-                tip = rate * radius
-                unit = wp.static(AIR_DENSITY * pi) * radius * radius * tip * tip
-                way = sign * wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
-                lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
-                reaction = wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
-                spin = -sign * wp.dot(reaction, way)
-                hub = reciprocal(tip) * (at.air_velocity + wp.cross(at.ang_vel, lever))
-                along = wp.dot(hub, way)
-                flow = hub - along * way
-                size = root(wp.length_sq(flow) + LEAST * LEAST)
-                flow = reciprocal(wp.max(size, 1.0)) * flow
-                mu = wp.min(size, 1.0)
-                climb = wp.clamp(along, -1.0, 1.0)
-                hover_thrust = wp.max(sign * at.rotor_thrust[i] * reciprocal(unit), LEAST)
-                hover_torque = sign * at.rotor_drag[i] * reciprocal(unit * radius)
-                hover_inflow = root(0.5 * hover_thrust)
-                theta = 2.0 * hover_thrust * reciprocal(lift) + 0.5 * hover_inflow
-                pitch = 3.0 * (theta - 0.25 * twist)
-                lifted = theta + mu * mu * (0.5 * pitch + 0.25 * twist)
-                inflow = climb + _inflow_warp(lift, lifted, climb, mu)
-                thrust = 0.5 * lift * (lifted - 0.5 * inflow)
-                profile = hover_torque - hover_inflow * hover_thrust
-                square = mu * mu
-                k = values[wp.static(FLAP)] * reciprocal(rate)
-                k = k * k
-                whole = pitch + 0.5 * twist
-                uneven = theta - 0.25 * inflow
-                tilted = theta - 0.75 * inflow
-                resists = uneven * reciprocal(k * k + g * g * (1.0 - 0.25 * square * square))
-                back = -resists * g * (1.0 + 0.5 * square)
-                aside = resists * k
-                b_c = 8.0 * g * back
-                b_s = 8.0 * g * aside
-                drag = 0.5 * lift * (0.5 * inflow * whole - b_c * tilted + 0.25 * square * b_c * b_c) + 2.0 * profile
-                side = 0.5 * lift * b_s * (square * (0.25 * b_c - 0.5 * whole) - tilted)
-                torque = inflow * thrust + profile * (1.0 + 3.0 * square) - square * drag
-                stiff = 0.5 * lift * k * unit * radius
-                across = wp.cross(flow, way)
-                force = unit * (thrust - hover_thrust) * way - unit * drag * flow + unit * spin * side * across
-                all_force += force
-                all_torque += wp.cross(lever, force) - stiff * back * across - stiff * spin * aside * flow
-                all_torque -= spin * unit * radius * (torque - hover_torque) * way
-            return values[wp.static(SHARE)] * wp.spatial_vector(all_force, all_torque)
-
-        return blade_element
-
 
 def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
     """Return the induced velocity from the balance of momentum and blades: ``2 v² = lift / 2 (lifted - (climb + f(v)) / 2)``.
@@ -272,30 +206,36 @@ def _inflow(lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
     Returns:
         f(v), per tip speed, (E, R); v is the induced velocity of the same thrust in hover.
     """
-    least = float(LEAST)
     with torch.no_grad():
         low = torch.zeros_like(mu)
-        high = (0.25 * lift * (lifted + 0.5 * climb.abs())).clamp_min(least).sqrt()
+        high = (0.25 * lift * (lifted + 0.5 * climb.abs())).clamp_min(LEAST).sqrt()
         rising = climb.clamp_min(0.0)
         linear = 0.125 * lift - rising
         whole = 0.5 * ((linear.square() + lift * lifted).clamp_min(0.0).sqrt() - linear)
-        start = (whole * (whole - rising)).clamp_min(least * least).sqrt().minimum(high)
-        falls, bottom, top = climb < -float(FAST) * start, low, high
-        for _ in range(HALVINGS):
-            middle = 0.5 * (bottom + top)
-            above = _inflow_residual(middle, lift, lifted, climb, mu)[0] >= 0.0
-            bottom, top = torch.where(above, bottom, middle), torch.where(above, middle, top)
-        hover_induced = torch.where(falls, 0.5 * (bottom + top), start)
-        low, high = torch.where(falls, bottom, low), torch.where(falls, top, high)
+        start = (whole * (whole - rising)).clamp_min(LEAST * LEAST).sqrt().minimum(high)
+        falls = climb < -FAST * start
+        hover_induced = choose(falls, _bisect_inflow, start, high, lift, lifted, climb, mu)
+        half = 0.5 ** (HALVINGS + 1) * high
+        low, high = torch.where(falls, hover_induced - half, low), torch.where(falls, hover_induced + half, high)
     value = hover_induced
     for _ in range(NEWTON):
         missing, slope, value, growth = _inflow_residual(hover_induced, lift, lifted, climb, mu)
         with torch.no_grad():
             above = missing >= 0.0
             low, high = torch.where(above, low, hover_induced), torch.where(above, hover_induced, high)
-        after = (hover_induced - missing / slope).maximum(low).minimum(high).clamp_min(least)
+        after = (hover_induced - missing / slope).maximum(low).minimum(high).clamp_min(LEAST)
         value, hover_induced = value + growth * (after - hover_induced), after
     return value
+
+
+def _bisect_inflow(high: Tensor, lift: Tensor, lifted: Tensor, climb: Tensor, mu: Tensor) -> Tensor:
+    """Return the middle of an interval with the root, which is ``2^-HALVINGS`` of the one from 0 to ``high``."""
+    bottom, top = torch.zeros_like(high), high
+    for _ in range(HALVINGS):
+        middle = 0.5 * (bottom + top)
+        above = _inflow_residual(middle, lift, lifted, climb, mu)[0] >= 0.0
+        bottom, top = torch.where(above, bottom, middle), torch.where(above, middle, top)
+    return 0.5 * (bottom + top)
 
 
 def _inflow_residual(
@@ -305,32 +245,3 @@ def _inflow_residual(
     value, slope = induced(hover_induced, climb, mu)
     missing = 2.0 * hover_induced.square() - 0.5 * lift * (lifted - 0.5 * (climb + value))
     return missing, 4.0 * hover_induced + 0.25 * lift * slope, value, slope
-
-
-@wp.func
-def _inflow_warp(lift: float, lifted: float, climb: float, mu: float) -> float:
-    low = wp.float32(0.0)
-    high = root(wp.max(0.25 * lift * (lifted + 0.5 * wp.abs(climb)), LEAST))
-    rising = wp.max(climb, 0.0)
-    linear = 0.125 * lift - rising
-    whole = 0.5 * (root(wp.max(linear * linear + lift * lifted, 0.0)) - linear)
-    hover_induced = wp.min(root(wp.max(whole * (whole - rising), LEAST * LEAST)), high)
-    if climb < -FAST * hover_induced:
-        for _i in range(wp.static(HALVINGS)):
-            middle = 0.5 * (low + high)
-            value, _slope = induced_warp(middle, climb, mu)
-            above = 2.0 * middle * middle - 0.5 * lift * (lifted - 0.5 * (climb + value)) >= 0.0
-            low = wp.where(above, low, middle)
-            high = wp.where(above, middle, high)
-        hover_induced = 0.5 * (low + high)
-    induced_velocity = wp.float32(0.0)
-    for _j in range(wp.static(NEWTON)):
-        value, slope = induced_warp(hover_induced, climb, mu)
-        missing = 2.0 * hover_induced * hover_induced - 0.5 * lift * (lifted - 0.5 * (climb + value))
-        low = wp.where(missing >= 0.0, low, hover_induced)
-        high = wp.where(missing >= 0.0, hover_induced, high)
-        newton = hover_induced - missing * reciprocal(4.0 * hover_induced + 0.25 * lift * slope)
-        after = wp.max(wp.clamp(newton, low, high), LEAST)
-        induced_velocity = value + slope * (after - hover_induced)
-        hover_induced = after
-    return induced_velocity

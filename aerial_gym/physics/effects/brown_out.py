@@ -7,7 +7,6 @@ Source: motor speed proportional to voltage, as in ``battery_sag``: Drela (2007)
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -67,23 +66,3 @@ class BrownOut(CommandEffect):
     def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""
         return torch.ones_like(voltage).unsqueeze(-1)
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def supply(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
-            since = (float(now.since) + 0.5) * now.dt - values[1]
-            factor = wp.where(since >= 0.0 and since < values[2], values[0], 1.0)
-            return wp.vec4(values[0], values[1], values[2], factor)
-
-        return supply
-
-    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def brown_out(command: vector, plant: vehicle, values: wp.vec4) -> vector:
-            return command * values[3]
-
-        return brown_out

@@ -7,7 +7,6 @@ Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR
@@ -44,15 +43,6 @@ class Buoyancy(WrenchEffect):
         """Return ``F up`` and ``(b - c) x F up``."""
         return buoyancy_wrench(params[:, :1], params[:, 1:] - condition.vehicle.com, condition.up)
 
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def buoyancy(at: condition, p: wp.vec4) -> wp.spatial_vector:
-            return warp_buoyancy_wrench(p[0], wp.vec3(p[1], p[2], p[3]) - at.com, at.up)
-
-        return buoyancy
-
 
 def buoyancy_wrench(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
     """Return force [N] and torque [N m], (..., 6), of an upward force [N], (..., 1).
@@ -61,10 +51,3 @@ def buoyancy_wrench(force: Tensor, lever: Tensor, up: Tensor) -> Tensor:
     """
     push = force * up
     return torch.cat((push, torch.linalg.cross(lever, push)), dim=-1)
-
-
-@wp.func
-def warp_buoyancy_wrench(force: float, lever: wp.vec3, up: wp.vec3) -> wp.spatial_vector:
-    """Return the Warp version."""
-    push = force * up
-    return wp.spatial_vector(push, wp.cross(lever, push))

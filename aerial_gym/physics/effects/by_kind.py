@@ -67,12 +67,6 @@ class EffectsByKind:
         """Names of the effects with memory of their own."""
         return tuple(effect.name for effect, _ in self.forces if effect.remembers)
 
-    @property
-    def warp_fields(self) -> set[str]:
-        """Fields of the vehicle that the Warp twins of a step read on request."""
-        hooks = (hook for effect, _ in self.forces for hook in type(effect).__mro__)
-        return {name for hook in hooks for name in vars(hook).get("warp_fields", ())}
-
     def plus(self, effect: Effect, params: Tensor) -> "EffectsByKind":
         """Return these effects and one more."""
         return EffectsByKind((*self._all, (effect, params)))

@@ -9,18 +9,16 @@ flight: ``T / T' = 1 - (1 / a_1) (R / (h + a_2))²`` near a ceiling; here a_2 = 
 ``ground_effect``, so that their strengths compare. For thrust that points down derived, as there.
 """
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.warp_functions import reciprocal
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
-CLOSEST = wp.constant(0.5)
+CLOSEST = 0.5
 """Least effective distance of a hub, in radii."""
 
 
@@ -47,16 +45,3 @@ class CeilingEffect(RotorEffect):
         room = condition.inlet_room.maximum(CLOSEST * radius)
         strength = params[:, :1] * (0.25 * radius).square()
         return condition.rotor_thrust * strength / (room.square() - strength)
-
-    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def ceiling_effect(at: condition, rotor: hub, k: params) -> float:
-            room = wp.max(rotor.inlet_room, CLOSEST * rotor.radius)
-            quarter = 0.25 * rotor.radius
-            strength = k[0] * quarter * quarter
-            return rotor.thrust * strength * reciprocal(room * room - strength)
-
-        return ceiling_effect

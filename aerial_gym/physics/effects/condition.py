@@ -5,14 +5,15 @@ Frames: body is x forward, y left, z up; world is z up. Letters: E environments,
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf
+from math import inf, isnan
 
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.math.quaternion import world_up
 from aerial_gym.math.rows import dot, sum_slices, times
-from aerial_gym.physics.vehicle import Vehicle, is_shared, share_row
+from aerial_gym.physics.rotors import rotor_torque
+from aerial_gym.physics.vehicle import Vehicle, is_shared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +38,7 @@ class Condition:
     @cached_property
     def lever(self) -> Tensor:
         """Hubs from the centre of mass [m], body, (E, R, 3); (1, R, 3) where all environments have the same."""
-        hubs, com = self.vehicle.rotor_position, self.vehicle.com
-        if is_shared(hubs) and is_shared(com):
-            return share_row(hubs[0] - com[0], 1)
-        return hubs - com.unsqueeze(1)
+        return self.vehicle.rotor_lever
 
     @cached_property
     def axis(self) -> Tensor:
@@ -56,9 +54,7 @@ class Condition:
     @cached_property
     def up(self) -> Tensor:
         """World z in body axes, (E, 3)."""
-        up = torch.zeros_like(self.position)
-        up[:, 2] = 1.0
-        return quat_rotate_inverse(self.attitude, up)
+        return world_up(self.attitude)
 
     @cached_property
     def hub_altitude(self) -> Tensor:
@@ -90,7 +86,17 @@ class Condition:
 
     @cached_property
     def _ceiling_clearance(self) -> Tensor:
-        return (self.ceiling_height - self.hub_altitude).nan_to_num(nan=inf)
+        ceiling = self.ceiling_height
+        if isinstance(ceiling, Tensor):
+            ceiling = torch.where(ceiling.isnan(), inf, ceiling)
+        elif isnan(ceiling):
+            ceiling = inf
+        return ceiling - self.hub_altitude
+
+    @cached_property
+    def rotor_drag(self) -> Tensor:
+        """Drag torques against the spin of the rotors [N m], (E, R); those of reversed rotors are negative."""
+        return rotor_torque(self.vehicle, self.rotor_speed)
 
     @cached_property
     def axial_velocity(self) -> Tensor:
@@ -119,7 +125,7 @@ class Condition:
         return other
 
 
-_FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)}
+_FROM_MOTION = {name for name, value in vars(Condition).items() if isinstance(value, cached_property)} - {"rotor_drag"}
 
 
 def velocity_of_turning(ang_vel: Tensor, lever: Tensor) -> Tensor:

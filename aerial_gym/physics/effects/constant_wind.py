@@ -4,7 +4,6 @@ Forces see the velocity through the air, ``v_air = v - wind``. Without any drag 
 Source: Derived: Galilean change of frame.
 """
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.kinds.wind import WindEffect
@@ -31,12 +30,3 @@ class ConstantWind(WindEffect):
         """Return the parameters: the same wind at every position."""
         del position
         return params
-
-    def warp_wind(self) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def constant_wind(position: wp.vec3, params: wp.vec3) -> wp.vec3:
-            return params
-
-        return constant_wind

@@ -8,11 +8,9 @@ measured by Shi, Honig, Shi, Yue, Chung (2022), Neural-Swarm2, IEEE T-RO. The de
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.warp_functions import rotate_inverse
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
@@ -46,17 +44,3 @@ class Downwash(WrenchEffect):
         below = condition.position[:, 2] < condition.other_position[:, 2]
         force = -(params[:, 0] * torch.where(below, share, 0.0)).unsqueeze(-1) * condition.up
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def downwash(at: condition, params: wp.vec2) -> wp.spatial_vector:
-            x = at.position[0] - at.other_position[0]
-            y = at.position[1] - at.other_position[1]
-            push = params[0] * wp.exp(-0.5 * (x * x + y * y) / (params[1] * params[1]))
-            if at.position[2] >= at.other_position[2]:
-                push = 0.0
-            return wp.spatial_vector(rotate_inverse(at.attitude, wp.vec3(0.0, 0.0, -push)), wp.vec3())
-
-        return downwash

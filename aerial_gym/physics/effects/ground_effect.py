@@ -11,21 +11,19 @@ for multirotors: Sanchez-Cuevas, Heredia, Ollero (2017), Characterization of the
 points down derived: such a rotor is the mirror image of one over the ground.
 """
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.warp_functions import reciprocal
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
-LOWEST = wp.constant(0.5)
+LOWEST = 0.5
 """Least effective height of a hub, in radii."""
 
-LARGEST_SHARE = wp.constant(0.5)
+LARGEST_SHARE = 0.5
 """Largest share of the thrust due to the ground, which doubles the thrust."""
 
 
@@ -57,17 +55,3 @@ class GroundEffect(RotorEffect):
         strength = params[:, :1] * (0.25 * radius).square()
         square = height.square().maximum(strength / LARGEST_SHARE)
         return condition.rotor_thrust * strength / (square - strength)
-
-    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def ground_effect(at: condition, rotor: hub, k: params) -> float:
-            height = wp.max(rotor.wake_room, LOWEST * rotor.radius)
-            quarter = 0.25 * rotor.radius
-            strength = k[0] * quarter * quarter
-            square = wp.max(height * height, strength / LARGEST_SHARE)
-            return rotor.thrust * strength * reciprocal(square - strength)
-
-        return ground_effect

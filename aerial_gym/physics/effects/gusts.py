@@ -8,7 +8,6 @@ turbulence it is the longitudinal Dryden spectrum, MIL-F-8785C, section 3.7.
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -17,7 +16,7 @@ from aerial_gym.physics.effects.base import Moment
 from aerial_gym.physics.effects.kinds.wind import WindEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
-SMALL = wp.constant(0.01)
+SMALL = 0.01
 """Argument below which ``1 - exp(-x)`` comes from its series, exact in float32 (next term 4e-10 of it)."""
 
 
@@ -52,40 +51,3 @@ class Gusts(WindEffect):
         """Return the wind in memory, (E, 3)."""
         del position
         return params[:, 2:]
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-        numbers = wp.types.vector(length=5, dtype=wp.float32)
-
-        @wp.func
-        def next_gust(plant: vehicle, now: moment, values: numbers) -> numbers:
-            share = now.dt / values[1]
-            decay = wp.exp(-share)
-            twice = 2.0 * share
-            square = 1.0 - decay * decay
-            if twice < SMALL:
-                square = twice * (1.0 - 0.5 * twice * (1.0 - twice / 3.0 * (1.0 - 0.25 * twice)))
-            if now.since == 0:
-                decay = 0.0
-                square = 1.0
-            spread = values[0] * wp.sqrt(square)
-            stream = wp.rand_init(int(now.random), 0)
-            after = numbers()
-            after[0] = values[0]
-            after[1] = values[1]
-            after[2] = decay * values[2] + spread * wp.randn(stream)
-            after[3] = decay * values[3] + spread * wp.randn(stream)
-            after[4] = decay * values[4] + spread * wp.randn(stream)
-            return after
-
-        return next_gust
-
-    def warp_wind(self) -> wp.Function:
-        """Return the Warp version."""
-        numbers = wp.types.vector(length=5, dtype=wp.float32)
-
-        @wp.func
-        def gusts(position: wp.vec3, values: numbers) -> wp.vec3:
-            return wp.vec3(values[2], values[3], values[4])
-
-        return gusts

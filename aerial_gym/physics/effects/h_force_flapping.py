@@ -9,7 +9,6 @@ moment changes sign with w, as its disc tilts back about the opposite thrust.
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.rows import sum_slices
@@ -44,31 +43,3 @@ class HForceFlapping(LinearWrenchEffect):
         in_plane = torch.cat((-sum_slices(against, 1), sum_of_crosses(against, condition.lever)), dim=1)
         moment = sum_of_crosses(flow, condition.axis)
         return torch.stack((in_plane, torch.cat((torch.zeros_like(moment), moment), dim=1)), dim=2)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def h_force_flapping(at: condition, k: wp.vec2) -> wp.spatial_vector:
-            force = wp.vec3()
-            twist = wp.vec3()
-            lean = wp.vec3()
-            for i in range(len(at.rotor_speed)):
-                lever = wp.vec3(at.lever[i, 0], at.lever[i, 1], at.lever[i, 2])
-                hub = at.air_velocity + wp.cross(at.ang_vel, lever)
-                speed = at.rotor_speed[i]
-                if at.upright:
-                    x = wp.abs(speed) * hub[0]
-                    y = wp.abs(speed) * hub[1]
-                    force += wp.vec3(x, y, 0.0)
-                    twist += wp.vec3(-lever[2] * y, lever[2] * x, lever[0] * y - lever[1] * x)
-                    lean += wp.vec3(speed * hub[1], -speed * hub[0], 0.0)
-                else:
-                    axis = wp.vec3(at.rotor_axis[i, 0], at.rotor_axis[i, 1], at.rotor_axis[i, 2])
-                    against = wp.abs(speed) * (hub - wp.dot(hub, axis) * axis)
-                    force += against
-                    twist += wp.cross(lever, against)
-                    lean += speed * wp.cross(hub, axis)
-            return wp.spatial_vector(-k[0] * force, k[1] * lean - k[0] * twist)
-
-        return h_force_flapping

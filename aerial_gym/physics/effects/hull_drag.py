@@ -6,10 +6,8 @@ Source: Fossen (2021), Handbook of Marine Craft Hydrodynamics and Motion Control
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import LinearWrenchEffect
@@ -45,20 +43,3 @@ class HullDrag(LinearWrenchEffect):
         along, about = (torch.cat([torch.diag_embed(u), torch.diag_embed(u.abs() * u)], dim=-1) for u in (v, w))
         none = torch.zeros_like(along)
         return -torch.cat((torch.cat((along, none), dim=-1), torch.cat((none, about), dim=-1)), dim=1)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-        twelve = vector_type(12)
-
-        @wp.func
-        def hull_drag(at: condition, p: twelve) -> wp.spatial_vector:
-            force = wp.vec3()
-            torque = wp.vec3()
-            for i in range(3):
-                v = at.air_velocity[i]
-                w = at.ang_vel[i]
-                force[i] = -(p[i] + p[3 + i] * wp.abs(v)) * v
-                torque[i] = -(p[6 + i] + p[9 + i] * wp.abs(w)) * w
-            return wp.spatial_vector(force, torque)
-
-        return hull_drag

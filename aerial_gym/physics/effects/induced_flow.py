@@ -18,10 +18,7 @@ induced velocity of hover as unit) and 2.14 (Glauert). The joint formula for x a
 """
 
 import torch
-import warp as wp
 from torch import Tensor
-
-from aerial_gym.math.warp_functions import inverse_root, reciprocal, root
 
 AIR_DENSITY = 1.225
 """Of the standard atmosphere at sea level [kg/m³] (ISO 2533)."""
@@ -36,17 +33,13 @@ WINDMILL = -2.042327301921998
 def axial_induced(climb: Tensor) -> tuple[Tensor, Tensor]:
     """Return the induced velocity p(x) and its slope in x, in units of that of hover, for climb rates x likewise."""
     k1, k2, k3, k4 = DESCENT_FIT
-    rising, inside, falling = climb.clamp_min(0.0), climb.clamp(WINDMILL, 0.0), climb.clamp_max(WINDMILL)
-    root = (0.25 * rising.square() + 1.0).sqrt()
-    up = 1.0 / (0.5 * rising + root)
-    fit = 1.0 + inside * (k1 + inside * (k2 + inside * (k3 + inside * k4)))
-    fit_slope = k1 + inside * (2.0 * k2 + inside * (3.0 * k3 + inside * 4.0 * k4))
-    brake_root = (0.25 * falling.square() - 1.0).sqrt()
-    brake = 1.0 / (-0.5 * falling + brake_root)
-    climbs, brakes = climb >= 0.0, climb <= WINDMILL
-    value = torch.where(climbs, up, torch.where(brakes, brake, fit))
-    slope = torch.where(climbs, -0.5 * up / root, torch.where(brakes, 0.5 * brake / brake_root, fit_slope))
-    return value, slope
+    fit = 1.0 + climb * (k1 + climb * (k2 + climb * (k3 + climb * k4)))
+    fit_slope = k1 + climb * (2.0 * k2 + climb * (3.0 * k3 + climb * 4.0 * k4))
+    measured, sign = (climb < 0.0) & (climb > WINDMILL), torch.where(climb <= WINDMILL, -1.0, 1.0)
+    half = 0.5 * torch.where(measured, 0.0, climb).abs()
+    root = (half.square() + sign).sqrt()  # climb and windmill brake state in one formula
+    theory = 1.0 / (half + root)
+    return torch.where(measured, fit, theory), torch.where(measured, fit_slope, -0.5 * sign * theory / root)
 
 
 def induced(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Tensor]:
@@ -65,39 +58,3 @@ def induced(hover: Tensor, climb: Tensor, edgewise: Tensor) -> tuple[Tensor, Ten
     value = hover.square() * (2.0 / (square + root)).sqrt()
     growth = 2.0 - fourth / (root * (square + root)) * (1.0 + ratio * slope / axial)  # d ln value / d ln hover
     return value, value / hover * growth
-
-
-@wp.func
-def axial_induced_warp(climb: float):
-    """Return the reciprocal of ``axial_induced`` and its relative slope, for one rotor.
-
-    In climb and in the windmill brake state ``1 / v = |x| / 2 + sqrt(x² / 4 +- 1)``; the slope is ``-+ 1 / 2`` over that root.
-    """
-    k1 = wp.static(DESCENT_FIT[0])
-    k2 = wp.static(DESCENT_FIT[1])
-    k3 = wp.static(DESCENT_FIT[2])
-    k4 = wp.static(DESCENT_FIT[3])
-    inverse = reciprocal(1.0 + climb * (k1 + climb * (k2 + climb * (k3 + climb * k4))))
-    slope = inverse * (k1 + climb * (2.0 * k2 + climb * (3.0 * k3 + climb * 4.0 * k4)))
-    if climb >= 0.0 or climb <= wp.static(WINDMILL):
-        half = 0.5 * wp.abs(climb)
-        way = wp.where(climb >= 0.0, 1.0, -1.0)
-        flow = root(wp.abs(half * half + way))
-        inverse = half + flow
-        slope = -0.5 * way * reciprocal(flow)
-    return inverse, slope
-
-
-@wp.func
-def induced_warp(hover: float, climb: float, edgewise: float):
-    """Return ``induced`` for one rotor."""
-    ratio = climb * reciprocal(hover)
-    inverse, slope = axial_induced_warp(ratio)
-    square = edgewise * edgewise
-    part = hover * inverse
-    part = part * part
-    fourth = 4.0 * part * part
-    flow = root(square * square + fourth)
-    value = inverse_root(0.5 * (square + flow))
-    growth = 2.0 - 0.5 * fourth * value * value * reciprocal(flow) * (1.0 + ratio * slope)
-    return hover * hover * value, hover * value * growth

@@ -8,13 +8,11 @@ Source: Goodfellow, Bengio, Courville (2016), Deep Learning, section 6 (the netw
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.config.learned_residual import NUM_INPUTS, NUM_OUTPUTS, LayerCfg, LearnedResidualCfg
+from aerial_gym.config.learned_residual import LearnedResidualCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.math.rows import times
 from aerial_gym.physics.effects.condition import Condition
@@ -60,7 +58,7 @@ class LearnedResidual(WrenchEffect):
     def __init__(
         self, cfg: LearnedResidualCfg, *, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu"
     ) -> None:
-        """Store the numbers as tensors for the torch formula; the Warp version has them as constants."""
+        """Store the numbers as tensors; a kernel has them as constants."""
 
         def put(values: object) -> Tensor:
             return torch.tensor(values, dtype=dtype, device=device)
@@ -94,66 +92,3 @@ class LearnedResidual(WrenchEffect):
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force and torque, (E, 6)."""
         return params * self.evaluate(network_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed))
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-        cfg = self.cfg
-        inputs, numbers, one = _vector(NUM_INPUTS), _vector(NUM_OUTPUTS), _vector(1)
-        low, high, centre, scale = inputs(*cfg.low), inputs(*cfg.high), inputs(*cfg.centre), inputs(*cfg.scale)
-        whitening, limit = _matrix(cfg.whitening), numbers(*cfg.limit)
-        output, bias = _matrix(cfg.output.weights), numbers(*cfg.output.bias)
-        hidden = _hidden_layers(cfg.hidden)
-
-        @wp.func
-        def learned_residual(at: condition, share: one) -> wp.spatial_vector:
-            felt = inputs()
-            for i in range(3):
-                felt[i] = at.air_velocity[i]
-                felt[3 + i] = at.ang_vel[i]
-            felt[6] = wp.dot(at.rotor_speed, at.rotor_speed) / float(len(at.rotor_speed))
-            beyond = whitening * wp.cw_div(felt - centre, scale)
-            near = wp.clamp((4.0 - wp.dot(beyond, beyond)) / 3.0, 0.0, 1.0)
-            held = wp.cw_div(wp.min(wp.max(felt, low), high) - centre, scale)
-            residual = wp.max(wp.min(output * hidden(held) + bias, limit), -limit)
-            residual = share[0] * near * near * (3.0 - 2.0 * near) * residual
-            return wp.spatial_vector(residual[0], residual[1], residual[2], residual[3], residual[4], residual[5])
-
-        return learned_residual
-
-
-def _vector(length: int) -> Any:
-    return wp.types.vector(length=length, dtype=wp.float32)
-
-
-def _matrix(rows: tuple[tuple[float, ...], ...]) -> Any:
-    """Return a constant matrix."""
-    kind = wp.types.matrix(shape=(len(rows), len(rows[0])), dtype=wp.float32)
-    return kind(*(number for row in rows for number in row))
-
-
-def _hidden_layers(layers: tuple[LayerCfg, ...]) -> wp.Function:
-    """Return the hidden layers as one function, from standardised inputs to the outputs of the last layer."""
-    *before, last = layers
-    inputs, outputs, width = _vector(layers[0].num_inputs), _vector(len(last.bias)), len(last.bias)
-    weights, bias = _matrix(last.weights), outputs(*last.bias)
-
-    @wp.func
-    def squash(values: outputs) -> outputs:
-        squashed = outputs()
-        for i in range(wp.static(width)):
-            squashed[i] = wp.tanh(values[i])
-        return squashed
-
-    @wp.func
-    def first(values: inputs) -> outputs:
-        return squash(weights * values + bias)
-
-    if not before:
-        return first
-    rest = _hidden_layers(tuple(before))
-
-    @wp.func
-    def deep_layers(values: inputs) -> outputs:
-        return squash(weights * rest(values) + bias)
-
-    return deep_layers

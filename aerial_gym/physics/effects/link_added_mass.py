@@ -20,10 +20,8 @@ Letters: E environments, L links, P parameters.
 
 from typing import ClassVar
 
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.kinds.link import LinkFluidEffect
 from aerial_gym.physics.effects.link_parameters import LinkParameters
 from aerial_gym.physics.effects.parameter import Parameter
@@ -72,16 +70,3 @@ class LinkAddedMass(LinkParameters, LinkFluidEffect):
     def added_mass(self, num_links: int, params: Tensor) -> Tensor:
         """Return the diagonals of A and B of every link, (E, L, 6)."""
         return self.numbers(num_links, params)
-
-    def warp_added_mass(self, link: int) -> wp.Function | None:
-        """Return the Warp version; a link without any costs nothing."""
-        if not self.has(link, *_MASSES, *_INERTIAS):
-            return None
-        masses, inertias = self.warp_numbers(link, *_MASSES), self.warp_numbers(link, *_INERTIAS)
-        params_type = vector_type(len(self.parameters))
-
-        @wp.func
-        def link_added_mass(params: params_type) -> wp.spatial_vector:
-            return wp.spatial_vector(masses(params), inertias(params))
-
-        return link_added_mass

@@ -11,11 +11,9 @@ Letters: E environments, L links, P parameters.
 
 from typing import ClassVar
 
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.effects.buoyancy import buoyancy_wrench, warp_buoyancy_wrench
+from aerial_gym.physics.effects.buoyancy import buoyancy_wrench
 from aerial_gym.physics.effects.kinds.link import LinkWrenchEffect
 from aerial_gym.physics.effects.link_parameters import LinkParameters
 from aerial_gym.physics.effects.parameter import Parameter
@@ -53,16 +51,3 @@ class LinkBuoyancy(LinkParameters, LinkWrenchEffect):
         """Return ``F up`` and ``b x F up``."""
         own = self.numbers(up.shape[1], params)
         return buoyancy_wrench(own[..., :1], own[..., 1:], up)
-
-    def warp_wrench(self, link: int) -> wp.Function | None:
-        """Return the Warp version; a link without a force costs nothing."""
-        if not self.has(link, "force"):
-            return None
-        force, lever = self.warp_numbers(link, "force"), self.warp_numbers(link, *"xyz")
-        params_type = vector_type(len(self.parameters))
-
-        @wp.func
-        def link_buoyancy(up: wp.vec3, params: params_type) -> wp.spatial_vector:
-            return warp_buoyancy_wrench(force(params)[0], lever(params), up)
-
-        return link_buoyancy

@@ -11,10 +11,8 @@ Letters: E environments, L links, P parameters.
 from typing import ClassVar
 
 import torch
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.kinds.link import LinkEffect
 from aerial_gym.physics.effects.link_parameters import LinkParameters
 from aerial_gym.physics.effects.parameter import Parameter
@@ -53,27 +51,6 @@ class LinkDrag(LinkParameters, LinkEffect):
         linear, quadratic, turning, whirling = self.numbers(velocity.shape[1], params).split(3, dim=-1)
         along, about = (_length(part) for part in velocity.split(3, dim=-1))
         return torch.cat((linear + quadratic * along, turning + whirling * about), dim=-1)
-
-    def warp_damping(self, link: int) -> wp.Function | None:
-        """Return the Warp version; parameters that a link does not have cost nothing."""
-        each = (_LINEAR, _QUADRATIC, _TURNING, _WHIRLING)
-        if not any(self.has(link, *names) for names in each):
-            return None
-        params_type = vector_type(len(self.parameters))
-        linear, quadratic, turning, whirling = (self.warp_numbers(link, *names) for names in each)
-        any_quadratic, any_whirling = self.has(link, *_QUADRATIC), self.has(link, *_WHIRLING)
-
-        @wp.func
-        def link_drag(velocity: wp.spatial_vector, params: params_type) -> wp.spatial_vector:
-            along = linear(params)
-            about = turning(params)
-            if wp.static(any_quadratic):
-                along += wp.length(wp.spatial_top(velocity)) * quadratic(params)
-            if wp.static(any_whirling):
-                about += wp.length(wp.spatial_bottom(velocity)) * whirling(params)
-            return wp.spatial_vector(along, about)
-
-        return link_drag
 
 
 def _length(vector: Tensor) -> Tensor:

@@ -5,15 +5,13 @@ Letters: E environments, L links (the base first), P parameters.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, Self, cast
+from typing import ClassVar, Self
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics.effects.parameter import Parameter
 
 
@@ -76,25 +74,7 @@ class LinkParameters:
     def numbers(self, num_links: int, params: Tensor) -> Tensor:
         """Return the numbers of every link, (E, L, C), from parameters (E, P)."""
         zero, each = params.shape[1], [self._places(link) for link in range(num_links)]
-        places = [[own.get(column.name, zero) for column in self.columns] for own in each]
-        return torch.nn.functional.pad(params, (0, 1))[:, torch.tensor(places, device=params.device)]
-
-    def warp_numbers(self, link: int, *columns: str) -> wp.Function:
-        """Return a function from the parameters to up to three numbers of a link, ``wp.vec3``; missing ones are zero."""
-        places, params_type = self._places(link), vector_type(len(self.parameters))
-        places_found = [places.get(column) for column in columns] + [None] * (3 - len(columns))
-        has_x, has_y, has_z = (place is not None for place in places_found)
-        x, y, z = (cast(int, place) if place is not None else 0 for place in places_found)
-
-        @wp.func
-        def numbers(params: params_type) -> wp.vec3:
-            three = wp.vec3()
-            if wp.static(has_x):
-                three[0] = params[wp.static(x)]
-            if wp.static(has_y):
-                three[1] = params[wp.static(y)]
-            if wp.static(has_z):
-                three[2] = params[wp.static(z)]
-            return three
-
-        return numbers
+        places = [own.get(column.name, zero) for own in each for column in self.columns]
+        chosen = torch.tensor(places, device=params.device)
+        rows = torch.nn.functional.pad(params, (0, 1)).index_select(1, chosen)
+        return rows.unflatten(1, (num_links, len(self.columns)))

@@ -8,7 +8,6 @@ control systems, section 2; with the lag it models a motor that runs down, not a
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -60,25 +59,3 @@ class MotorFailure(CommandEffect):
     def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 1)."""
         return torch.ones_like(voltage).unsqueeze(-1)
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def failure(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
-            factor = wp.where((float(now.since) + 0.5) * now.dt < values[2], 1.0, values[1])
-            return wp.vec4(values[0], values[1], values[2], factor)
-
-        return failure
-
-    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def motor_failure(command: vector, plant: vehicle, values: wp.vec4) -> vector:
-            followed = vector()
-            for i in range(len(command)):
-                followed[i] = command[i] * wp.where(i + 1 == int(wp.round(values[0])), values[3], 1.0)
-            return followed
-
-        return motor_failure

@@ -6,7 +6,6 @@ Source: Hoerner (1965), Fluid-Dynamic Drag, chapter 1, with one area per body ax
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR
@@ -37,13 +36,3 @@ class QuadraticDrag(LinearWrenchEffect):
         speed = torch.where(moving, square, torch.ones_like(square)).sqrt() * moving  # gradient finite at rest
         force = -torch.diag_embed(speed * v)
         return torch.cat((force, torch.zeros_like(force)), dim=1)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def quadratic_drag(at: condition, d: wp.vec3) -> wp.spatial_vector:
-            v = at.air_velocity
-            return wp.spatial_vector(-wp.length(v) * wp.cw_mul(d, v), wp.vec3())
-
-        return quadratic_drag

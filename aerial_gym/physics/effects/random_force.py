@@ -8,11 +8,9 @@ disturbance it is that of github learnsyslab/lsy_drone_racing (envs/race_core.py
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.math.draws import draw_vec3
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.math.random import uniform_draws
 from aerial_gym.physics.effects.base import ANY_ROTOR, Moment
@@ -20,7 +18,7 @@ from aerial_gym.physics.effects.condition import Condition
 from aerial_gym.physics.effects.kinds.wrench import WrenchEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
-QUANTITY = wp.constant(1)
+QUANTITY = 1
 """Index that separates its draws from those of ``gusts`` in the same substep."""
 
 
@@ -55,36 +53,7 @@ class RandomForce(WrenchEffect):
         drawn = values[:, :3] * (2.0 * uniform_draws(moment.random, 1, 3, dtype=values.dtype) - 1.0)
         return torch.where(begins.unsqueeze(-1), drawn, values[:, 4:])
 
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-        numbers = wp.types.vector(length=7, dtype=wp.float32)
-
-        @wp.func
-        def next_force(plant: vehicle, now: moment, values: numbers) -> numbers:
-            share = now.dt / values[3]
-            since = float(now.since)
-            after = values
-            if now.since == 0 or wp.floor((since + 0.5) * share) > wp.floor((since - 0.5) * share):
-                largest = wp.vec3(values[0], values[1], values[2])
-                force = draw_vec3(now.random, QUANTITY, -largest, largest)
-                for i in range(3):
-                    after[4 + i] = force[i]
-            return after
-
-        return next_force
-
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return the force in memory in body axes, without torque, (E, 6)."""
         force = quat_rotate_inverse(condition.attitude, params[:, 4:])
         return torch.cat((force, torch.zeros_like(force)), dim=-1)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-        numbers = wp.types.vector(length=7, dtype=wp.float32)
-
-        @wp.func
-        def random_force(at: condition, values: numbers) -> wp.spatial_vector:
-            force = wp.quat_rotate_inv(at.attitude, wp.vec3(values[4], values[5], values[6]))
-            return wp.spatial_vector(force, wp.vec3())
-
-        return random_force

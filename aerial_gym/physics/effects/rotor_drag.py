@@ -6,7 +6,6 @@ Nonlinear feedback control of quadrotors exploiting first-order drag effects, eq
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR
@@ -33,12 +32,3 @@ class RotorDrag(LinearWrenchEffect):
         """Return ``-diag(v)`` for the force and zero for the torque, (E, 6, 3)."""
         force = -torch.diag_embed(condition.air_velocity)
         return torch.cat((force, torch.zeros_like(force)), dim=1)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def rotor_drag(at: condition, d: wp.vec3) -> wp.spatial_vector:
-            return wp.spatial_vector(-wp.cw_mul(d, at.air_velocity), wp.vec3())
-
-        return rotor_drag

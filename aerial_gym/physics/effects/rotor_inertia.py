@@ -6,7 +6,6 @@ with application to autonomous flying, section 2.3.
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.rows import sum_slices
@@ -37,23 +36,3 @@ class RotorInertia(LinearWrenchEffect):
         )
         torque = -change - torch.linalg.cross(condition.ang_vel, momentum)
         return torch.cat((torch.zeros_like(torque), torque), dim=1).unsqueeze(-1)
-
-    def warp_wrench(self, condition: type) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def rotor_inertia(at: condition, jr: params) -> wp.spatial_vector:
-            momentum = wp.vec3()
-            change = wp.vec3()
-            for i in range(len(at.rotor_speed)):
-                if at.upright:
-                    momentum -= wp.vec3(0.0, 0.0, at.rotor_speed[i] * at.rotor_reaction[i, 2])
-                    change -= wp.vec3(0.0, 0.0, at.rotor_acc[i] * at.rotor_reaction[i, 2])
-                else:
-                    axis = -wp.vec3(at.rotor_reaction[i, 0], at.rotor_reaction[i, 1], at.rotor_reaction[i, 2])
-                    momentum += at.rotor_speed[i] * axis
-                    change += at.rotor_acc[i] * axis
-            return wp.spatial_vector(wp.vec3(), -jr[0] * (change + wp.cross(at.ang_vel, momentum)))
-
-        return rotor_inertia

@@ -16,10 +16,7 @@ Source: Lee, Sreenath, Kumar (2013), Geometric control of cooperating multiple q
 for one vehicle, with a damping and a suspension beside the centre of mass added; derived from Newton's law for both bodies.
 """
 
-from typing import Any
-
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -95,27 +92,3 @@ class SlungPayload(LoadEffect):
         across = push - dot(push, direction).unsqueeze(-1) * direction
         swing = across / length - damping / mass.clamp_min(LEAST_MASS) * rate - square * direction
         return tension * direction + reaction, swing
-
-    def warp_pull(self, suspension: type) -> wp.Function:
-        """Return the Warp version."""
-        scalar = suspension.vars["gravity"].type
-
-        @wp.func
-        def slung_payload(at: suspension, load: Any, params: Any):
-            mass = params[0]
-            length = params[1]
-            direction = wp.spatial_top(load)
-            rate = wp.spatial_bottom(load)
-            square = wp.dot(rate, rate)
-            reaction = params[2] * length * rate
-            yielding = at.mobility * direction
-            down = wp.vector(scalar(0.0), scalar(0.0), at.gravity)
-            hanging = -at.acceleration - down - at.mobility * reaction
-            tension = mass * (wp.dot(hanging, direction) + length * square)
-            tension = tension / (scalar(1.0) + mass * wp.dot(yielding, direction))
-            push = hanging - yielding * tension
-            across = push - wp.dot(push, direction) * direction
-            swing = across / length - params[2] / wp.max(mass, scalar(LEAST_MASS)) * rate - square * direction
-            return tension * direction + reaction, swing
-
-        return slung_payload

@@ -7,7 +7,6 @@ control for accommodation of a large class of control effector failures, America
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -53,33 +52,3 @@ class StuckRotor(CommandEffect):
     def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return no failure, (T, 2)."""
         return torch.zeros_like(voltage).unsqueeze(-1).expand(-1, 2)
-
-    def warp_remember(self, vehicle: type, moment: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def hold_state(plant: vehicle, now: moment, values: wp.vec4) -> wp.vec4:
-            after = wp.vec4(values[0], values[1], 0.0, 0.0)
-            if (float(now.since) + 0.5) * now.dt >= values[1]:
-                after[2] = 1.0
-                after[3] = values[3]
-                if values[2] == 0.0:
-                    for i in range(len(now.rotor_speed)):
-                        if i + 1 == int(wp.round(values[0])):
-                            after[3] = now.rotor_speed[i]
-            return after
-
-        return hold_state
-
-    def warp_command(self, vehicle: type, vector: type) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def hold_speed(command: vector, plant: vehicle, values: wp.vec4) -> vector:
-            followed = vector()
-            for i in range(len(command)):
-                stuck = values[2] > 0.0 and i + 1 == int(wp.round(values[0]))
-                followed[i] = wp.where(stuck, values[3], command[i])
-            return followed
-
-        return hold_speed

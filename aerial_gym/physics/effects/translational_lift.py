@@ -5,7 +5,6 @@ Source: Svacha, Mohta, Kumar (2017), Improving quadrotor trajectory tracking by 
 Leishman (2006), Principles of Helicopter Aerodynamics, section 2.14.2 (Glauert's formula, expanded at low speed).
 """
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.rows import dot
@@ -30,13 +29,3 @@ class TranslationalLift(RotorEffect):
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``kt |v_e|²``."""
         return params[:, :1] * dot(condition.edgewise_velocity, condition.edgewise_velocity)
-
-    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def translational_lift(at: condition, rotor: hub, kt: params) -> float:
-            return kt[0] * wp.length_sq(rotor.edgewise)
-
-        return translational_lift

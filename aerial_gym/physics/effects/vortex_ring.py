@@ -17,23 +17,21 @@ Small-scale propellers operating in the vortex ring state, AIAA 2011-1254 (loss 
 from math import pi
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.rows import dot
-from aerial_gym.math.warp_functions import inverse_root, reciprocal
 from aerial_gym.physics.effects.base import ANY_ROTOR
 from aerial_gym.physics.effects.condition import Condition
-from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced, axial_induced_warp
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY, axial_induced
 from aerial_gym.physics.effects.kinds.rotor import RotorEffect
 from aerial_gym.physics.effects.parameter import Parameter
 
-LEAST_SQUARE = wp.constant(1e-6)
+LEAST_SQUARE = 1e-6
 """Term added to the square of the induced velocity [m²/s²], which keeps the slope finite without thrust."""
 
-LEAST = wp.constant(-8.0)
+LEAST = -8.0
 """Fastest descent in the formula, in induced velocities."""
 
 
@@ -63,24 +61,8 @@ class VortexRing(RotorEffect):
     def thrust(self, condition: Condition, params: Tensor) -> Tensor:
         """Return ``-k T (p(x) - 1) s(y)``."""
         thrust, radius = condition.rotor_thrust, condition.vehicle.rotor_radius
-        square = thrust.abs() / (2.0 * AIR_DENSITY * pi * radius.square()) + float(LEAST_SQUARE)
+        square = thrust.abs() / (2.0 * AIR_DENSITY * pi * radius.square()) + LEAST_SQUARE
         climb = torch.where(thrust < 0.0, -condition.axial_velocity, condition.axial_velocity) / square.sqrt()
-        excess = (axial_induced(climb.clamp(float(LEAST), 0.0))[0] - 1.0).clamp_min(0.0)
+        excess = (axial_induced(climb.clamp(LEAST, 0.0))[0] - 1.0).clamp_min(0.0)
         across = dot(condition.edgewise_velocity, condition.edgewise_velocity) / square
         return -params[:, :1] * thrust * excess * (1.0 - across).clamp_min(0.0).square()
-
-    def warp_thrust(self, condition: type, hub: type) -> wp.Function:
-        """Return the Warp version."""
-        params = wp.types.vector(length=1, dtype=wp.float32)
-
-        @wp.func
-        def vortex_ring(at: condition, rotor: hub, k: params) -> float:
-            area = wp.static(2.0 * AIR_DENSITY * pi) * rotor.radius * rotor.radius
-            square = wp.abs(rotor.thrust) * reciprocal(area) + LEAST_SQUARE
-            climb = wp.where(rotor.thrust < 0.0, -rotor.axial, rotor.axial) * inverse_root(square)
-            inverse, _slope = axial_induced_warp(wp.clamp(climb, LEAST, 0.0))
-            across = wp.length_sq(rotor.edgewise) * reciprocal(square)
-            stays = wp.max(1.0 - across, 0.0)
-            return -k[0] * rotor.thrust * wp.max(reciprocal(inverse) - 1.0, 0.0) * stays * stays
-
-        return vortex_ring

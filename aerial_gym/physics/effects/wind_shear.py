@@ -5,7 +5,6 @@ Source: Stull (1988), An Introduction to Boundary Layer Meteorology, section 9.7
 """
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.robot import RobotCfg
@@ -44,15 +43,3 @@ class WindShear(WindEffect):
         relative = torch.where(above, height, z_ref) / z_ref
         gain = torch.where(above, torch.exp(exponent * torch.log(relative)), 0.0)
         return torch.stack((gain * x, gain * y, torch.zeros_like(gain)), dim=-1)
-
-    def warp_wind(self) -> wp.Function:
-        """Return the Warp version."""
-
-        @wp.func
-        def wind_shear(position: wp.vec3, p: wp.vec4) -> wp.vec3:
-            gain = wp.float32(0.0)
-            if position[2] > 0.0:
-                gain = wp.pow(position[2] / p[2], p[3])
-            return wp.vec3(gain * p[0], gain * p[1], 0.0)
-
-        return wind_shear

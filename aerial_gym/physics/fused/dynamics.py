@@ -7,135 +7,16 @@ from typing import Any
 
 import warp as wp
 
-from aerial_gym.math.warp_functions import attitude_rate, rotate, rotate_inverse, rotation_matrix, small_turn, unit_quat
-from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect, WrenchEffect
-from aerial_gym.physics.fused.kirchhoff import make_coast, make_inverse_mass
-from aerial_gym.physics.fused.loads import make_loads
-from aerial_gym.physics.fused.packing import value_access, values_type
+from aerial_gym.math.warp_functions import attitude_rate, small_turn, unit_quat
+from aerial_gym.physics.effects import DelayEffect, FluidEffect, LoadEffect
+from aerial_gym.physics.fused.formulas import Constants, make_accelerations, make_coast
+from aerial_gym.physics.fused.packing import values_type
 from aerial_gym.physics.fused.rotors import make_follow, make_stage_rates
-from aerial_gym.physics.fused.types import KernelSuspension, rotor_types
+from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.model import Model
 
 STAGES = {"euler": 1.0, "rk4": 0.5}
 """Share of a step between two evaluations of the rotor lag."""
-
-
-def make_accelerations(model: Model, *, upright: bool) -> wp.Function:
-    """Return the function of linear [m/s², world] and angular acceleration [rad/s², body].
-
-    ``upright`` as for ``make_loads``.
-    """
-    num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
-    types, effects, params_type = rotor_types(num_rotors, general), model.effects, values_type(model)
-    vehicle_type, vector = types.vehicle, types.vector
-    loads, hang = make_loads(model, upright=upright), _make_hang(model)
-    any_wrench, any_load, any_fluid = bool(effects[WrenchEffect]), bool(effects[LoadEffect]), bool(effects[FluidEffect])
-    fluid, pick = value_access(model, FluidEffect)[0] if any_fluid else (None, None)
-    entrain = None if fluid is None else fluid.warp_entrain(types.condition)
-    entrain_params = None if pick is None else pick.get
-
-    @wp.func
-    def accelerations(
-        vehicle: vehicle_type,
-        params: params_type,
-        gravity: float,
-        position: wp.vec3,
-        attitude: wp.quat,
-        lin_vel: wp.vec3,
-        ang_vel: wp.vec3,
-        rotor_speed: vector,
-        rotor_acc: vector,
-        load: wp.spatial_vector,
-    ):
-        force = wp.vec3()
-        torque = wp.vec3()
-        thrusts, drags, more, at = loads(vehicle, params, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
-        for i in range(wp.static(num_rotors)):
-            thrust = thrusts[i]
-            if wp.static(upright):
-                force += wp.vec3(0.0, 0.0, thrust)
-                torque += wp.vec3(
-                    thrust * vehicle.rotor_moment[i, 0],
-                    thrust * vehicle.rotor_moment[i, 1],
-                    drags[i] * vehicle.rotor_reaction[i, 2],
-                )
-            else:
-                force += thrust * wp.vec3(vehicle.rotor_axis[i, 0], vehicle.rotor_axis[i, 1], vehicle.rotor_axis[i, 2])
-                torque += thrust * wp.vec3(
-                    vehicle.rotor_moment[i, 0], vehicle.rotor_moment[i, 1], vehicle.rotor_moment[i, 2]
-                )
-                torque += drags[i] * wp.vec3(
-                    vehicle.rotor_reaction[i, 0], vehicle.rotor_reaction[i, 1], vehicle.rotor_reaction[i, 2]
-                )
-        if wp.static(any_wrench):
-            force += wp.spatial_top(more)
-            torque += wp.spatial_bottom(more)
-        if wp.static(any_fluid):
-            whole = entrain(
-                wp.spatial_vector(force, torque), at, 1.0 / vehicle.mass_inverse, gravity, entrain_params(params)
-            )
-            force = wp.spatial_top(whole)
-            torque = wp.spatial_bottom(whole)
-        acc = rotate(attitude, vehicle.mass_inverse * force) - wp.vec3(0.0, 0.0, gravity)
-        ang_acc = angular_acceleration(vehicle.inertia, vehicle.inertia_inverse, ang_vel, torque)
-        swing = wp.spatial_vector()
-        if wp.static(any_load):
-            acc, ang_acc, swing = hang(vehicle, params, gravity, attitude, ang_vel, load, acc, ang_acc)
-        return acc, ang_acc, swing
-
-    return accelerations
-
-
-def _make_hang(model: Model) -> wp.Function | None:
-    """Return the Warp version of ``rigid_body.with_load``; the last result is the rate of change of the load."""
-    if not model.effects[LoadEffect]:
-        return None
-    ((effect, access),) = value_access(model, LoadEffect)
-    pull, pick = effect.warp_pull(KernelSuspension), access.get
-    types, params_type = rotor_types(model.vehicle.num_rotors, not model.vehicle.plain), values_type(model)
-    vehicle_type, any_fluid = types.vehicle, bool(model.effects[FluidEffect])
-    inverse_mass = make_inverse_mass(model) if any_fluid else None
-
-    @wp.func
-    def hang(
-        vehicle: vehicle_type,
-        params: params_type,
-        gravity: float,
-        attitude: wp.quat,
-        ang_vel: wp.vec3,
-        load: wp.spatial_vector,
-        acc: wp.vec3,
-        ang_acc: wp.vec3,
-    ):
-        lever = -vehicle.com
-        cross = wp.skew(lever)
-        rotation = rotation_matrix(attitude)
-        mobility = vehicle.mass_inverse * wp.identity(n=3, dtype=float) - cross * vehicle.inertia_inverse * cross
-        if wp.static(any_fluid):
-            mobility = wp.diag(inverse_mass(vehicle, params)) - cross * vehicle.inertia_inverse * cross
-        at = KernelSuspension()
-        at.acceleration = acc + rotate(attitude, wp.cross(ang_acc, lever) + wp.cross(ang_vel, wp.cross(ang_vel, lever)))
-        at.mobility = rotation * mobility * wp.transpose(rotation)
-        at.gravity = gravity
-        force, swing = pull(at, load, pick(params))
-        own = rotate_inverse(attitude, force)
-        torque = wp.cross(lever, own)
-        more = vehicle.mass_inverse * force
-        if wp.static(any_fluid):
-            more = rotate(attitude, wp.cw_mul(inverse_mass(vehicle, params), own))
-        return (
-            acc + more,
-            ang_acc + vehicle.inertia_inverse * torque,
-            wp.spatial_vector(wp.spatial_bottom(load), swing),
-        )
-
-    return hang
-
-
-@wp.func
-def angular_acceleration(inertia: wp.mat33, inertia_inverse: wp.mat33, ang_vel: wp.vec3, torque: wp.vec3) -> wp.vec3:
-    """Return ``J^-1 (tau - w x J w)`` [rad/s²], body."""
-    return inertia_inverse * (torque - wp.cross(ang_vel, inertia * ang_vel))
 
 
 @wp.func
@@ -146,8 +27,8 @@ def settle(load: wp.spatial_vector) -> wp.spatial_vector:
     return wp.spatial_vector(direction, rate - wp.dot(rate, direction) * direction)
 
 
-def make_stepper(model: Model, integrator: str, *, upright: bool) -> wp.Function:
-    """Return the function of one step of the centre of mass and the rotors; ``upright`` as for ``make_loads``."""
+def make_stepper(model: Model, integrator: str, constants: Constants) -> wp.Function:
+    """Return the function of one step of the centre of mass and the rotors."""
     num_rotors, general = model.vehicle.num_rotors, not model.vehicle.plain
     types, late = rotor_types(num_rotors, general), bool(model.effects[DelayEffect])
     parts = (
@@ -155,12 +36,12 @@ def make_stepper(model: Model, integrator: str, *, upright: bool) -> wp.Function
         types.vector,
         types.succession if late else types.vector,
         values_type(model),
-        make_accelerations(model, upright=upright),
+        make_accelerations(model, constants),
         bool(model.effects[LoadEffect]),
     )
     follow = make_follow(num_rotors, general, late)
     if integrator == "euler" and model.effects[FluidEffect]:
-        return _make_euler_in_fluid(*parts, follow, *make_coast(model))
+        return _make_euler_in_fluid(*parts, follow, *make_coast(model, constants))
     if integrator == "euler":
         return _make_euler(*parts, follow)
     return _make_rk4(

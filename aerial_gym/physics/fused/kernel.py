@@ -16,9 +16,10 @@ from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import Packing, model_types, num_values, values_type
+from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band
+from aerial_gym.physics.fused.row_model import structure_constants
 from aerial_gym.physics.model import Model
 
 
@@ -62,6 +63,7 @@ def make_kernel(
     num_rotors, (num_params, num_memory) = model.vehicle.num_rotors, num_values(model)
     general, types = not model.vehicle.plain, model_types(model)
     stop = make_dead_band(num_rotors) if general else None
+    constants = {} if differentiable else structure_constants(collect_numbers(model, law, 1.0).vehicle)
     vector, action_type, params_type = types.vector, vector_type(law.num_actions), values_type(model)
     prepare, prepared_type = preparation(law.prepare, law.num_actions), vector_type(law.num_prepared)
     remembers, num_loads = bool(model.effects.names_with_memory), 6 * len(model.effects[LoadEffect])
@@ -74,7 +76,7 @@ def make_kernel(
     )
     vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
     step, command_of = (
-        make_stepper(model, integrator, upright=model.vehicle.upright and not differentiable),
+        make_stepper(model, integrator, constants),
         make_command(law, num_rotors, general, differentiable=differentiable),
     )
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)

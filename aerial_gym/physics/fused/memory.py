@@ -9,8 +9,9 @@ import warp as wp
 
 from aerial_gym.math.draws import RandomArrays, episode_stream, substream
 from aerial_gym.math.random import Purpose
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect
-from aerial_gym.physics.fused.packing import model_types, value_access, values_type
+from aerial_gym.physics.effects import DelayEffect
+from aerial_gym.physics.fused.formulas import make_delay, make_lead, make_remember
+from aerial_gym.physics.fused.packing import model_types, values_type
 from aerial_gym.physics.fused.types import RotorTypes
 from aerial_gym.physics.model import Model
 
@@ -68,7 +69,7 @@ def make_begin(model: Model) -> wp.Function:
     """Return the function from values and command to those of a substep; with a delay, to two commands."""
     types, values, num_rotors = model_types(model), values_type(model), model.vehicle.num_rotors
     moment, vehicle_type, vector = types.moment, types.vehicle, types.vector
-    remember, lead, any_delay = _make_remember(model), _make_lead(model), bool(model.effects[DelayEffect])
+    remember, lead, any_delay = make_remember(model), make_lead(model), bool(model.effects[DelayEffect])
     delayed = _make_delayed(model, lead) if any_delay else None
 
     @wp.func
@@ -99,65 +100,17 @@ def make_begin(model: Model) -> wp.Function:
     return begin
 
 
-def _make_remember(model: Model) -> wp.Function:
-    """Return all ``Effect.remember`` as one function, chained like ``dynamics._sum_effects``."""
-    types, values = model_types(model), values_type(model)
-    moment, vehicle_type = types.moment, types.vehicle
-
-    @wp.func
-    def identity(vehicle: vehicle_type, now: moment, all_values: values) -> values:
-        return all_values
-
-    def chain(rest: wp.Function, effect: wp.Function, get: wp.Function, put: wp.Function) -> wp.Function:
-        @wp.func
-        def remember(vehicle: vehicle_type, now: moment, all_values: values) -> values:
-            before = rest(vehicle, now, all_values)
-            return put(before, effect(vehicle, now, get(before)))
-
-        return remember
-
-    total = identity
-    for effect, pick in value_access(model, Effect):
-        twin = effect.warp_remember(vehicle_type, moment)
-        if twin is not None:
-            total = chain(total, twin, pick.get, pick.put)
-    return total
-
-
-def _make_lead(model: Model) -> wp.Function:
-    """Return all ``CommandEffect.command`` as one function."""
-    types, values = model_types(model), values_type(model)
-    vehicle_type, vector = types.vehicle, types.vector
-
-    @wp.func
-    def straight(vehicle: vehicle_type, all_values: values, command: vector) -> vector:
-        return command
-
-    def chain(rest: wp.Function, effect: wp.Function, get: wp.Function) -> wp.Function:
-        @wp.func
-        def lead(vehicle: vehicle_type, all_values: values, command: vector) -> vector:
-            return effect(rest(vehicle, all_values, command), vehicle, get(all_values))
-
-        return lead
-
-    total = straight
-    for effect, pick in value_access(model, CommandEffect):
-        total = chain(total, effect.warp_command(vehicle_type, vector), pick.get)
-    return total
-
-
 def _make_delayed(model: Model, lead: wp.Function) -> wp.Function:
     """Return the function to the delayed commands of the substep."""
     types, values, num_rotors = model_types(model), values_type(model), model.vehicle.num_rotors
-    ((effect, access),) = value_access(model, DelayEffect)
-    delay_of, pick, arrive = effect.warp_delay(), access.get, _make_arrive(types, num_rotors, lead, values)
+    delay_of, arrive = make_delay(model), _make_arrive(types, num_rotors, lead, values)
     moment, vehicle_type, succession = types.moment, types.vehicle, types.succession
 
     @wp.func
     def delay_command(
         vehicle: vehicle_type, now: moment, all_values: values, arrays: MemoryArrays, env: int
     ) -> succession:
-        substeps = wp.clamp(delay_of(pick(all_values)) / now.dt, 0.0, float(arrays.slots - 2))
+        substeps = wp.clamp(delay_of(all_values) / now.dt, 0.0, float(arrays.slots - 2))
         whole = wp.floor(substeps)
         both = succession()
         both.earlier = arrive(vehicle, now, all_values, arrays, env, int(whole) + 1)

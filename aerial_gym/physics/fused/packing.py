@@ -10,21 +10,17 @@ Letters: E environments, R rotors, N packed numbers, P parameters and M remember
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.effects import Effect
 from aerial_gym.physics.fused.law import FusedLaw, NoGains
 from aerial_gym.physics.fused.types import RotorTypes, rotor_types
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 from aerial_gym.physics.vehicle import is_shared
-
-AnyKind = TypeVar("AnyKind", bound=Effect)
 
 
 @dataclass(frozen=True)
@@ -93,19 +89,15 @@ def _vehicle_fields(model: Model, stage: float) -> list[StructField]:
             StructField("slew_down", (v.slew_rate_down,), lambda rate: rate.clamp_max(FASTEST)),
             StructField("dead_band", (v.dead_band,), _same),
         ]
-    read = model.effects.warp_fields
-    if "battery" in read:
-        fields.append(StructField("battery", (v.battery,), _same))
     if isinstance(model.ground_height, Tensor):
         fields.append(StructField("ground_height", (model.ground_height,), _same))
-    if "other_position" in read:
-        fields.append(StructField("other_position", (model.other_position,), _same))
-    if "rotor_lever" in read or model.articulation is not None:
-        fields.append(
-            StructField("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1))
-        )
-    if "rotor_radius" in read:
-        fields.append(StructField("rotor_radius", (v.rotor_radius,), _same))
+    if model.effects.forces or model.articulation is not None:
+        fields += [
+            StructField("rotor_lever", (v.rotor_position, v.com), lambda position, com: position - com.unsqueeze(1)),
+            StructField("rotor_radius", (v.rotor_radius,), _same),
+            StructField("battery", (v.battery,), _same),
+            StructField("other_position", (model.other_position,), _same),
+        ]
     return fields
 
 
@@ -315,14 +307,6 @@ def model_types(model: Model) -> RotorTypes:
     return rotor_types(model.vehicle.num_rotors, not model.vehicle.plain)
 
 
-@dataclass(frozen=True)
-class Pick:
-    """Access to the values of one effect."""
-
-    get: wp.Function  # `wp.func` (values of all effects) -> parameters and memory of this effect: vector of P + M
-    put: wp.Function  # `wp.func` (values of all, vector of P + M) -> values of all with this memory
-
-
 def num_values(model: Model) -> tuple[int, int]:
     """Return the numbers of parameters and of remembered numbers of all effects."""
     places = model.effects.places(model.vehicle.num_rotors)
@@ -332,38 +316,3 @@ def num_values(model: Model) -> tuple[int, int]:
 def values_type(model: Model) -> Any:
     """Return the type of the vector of values of all effects."""
     return vector_type(max(sum(num_values(model)), 1))
-
-
-def value_access(model: Model, kind: type[AnyKind]) -> list[tuple[AnyKind, Pick]]:
-    """Return the effects of a kind, each with access to its values; without memory that ``moves_with_body``."""
-    values, (num_params, _) = values_type(model), num_values(model)
-    result = []
-    for place in model.effects.places(model.vehicle.num_rotors):
-        effect, params, memory = place.effect, place.params, place.memory
-        if isinstance(effect, kind):
-            shown = 0 if effect.moves_with_body else memory.stop - memory.start
-            pick = _pick(values, params.start, params.stop - params.start, num_params + memory.start, shown)
-            result.append((effect, pick))
-    return result
-
-
-def _pick(values: Any, first: int, width: int, first_memory: int, memory: int) -> Pick:
-    own = vector_type(width + memory)
-
-    @wp.func
-    def get(all_values: values) -> own:
-        picked = own()
-        for i in range(wp.static(width)):
-            picked[i] = all_values[wp.static(first) + i]
-        for i in range(wp.static(memory)):
-            picked[wp.static(width) + i] = all_values[wp.static(first_memory) + i]
-        return picked
-
-    @wp.func
-    def put(all_values: values, own_values: own) -> values:
-        after = all_values
-        for i in range(wp.static(memory)):
-            after[wp.static(first_memory) + i] = own_values[wp.static(width) + i]
-        return after
-
-    return Pick(get, put)

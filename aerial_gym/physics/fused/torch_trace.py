@@ -5,7 +5,8 @@ attributes for a ``wp.struct``. It is traced once; the result is straight-line c
 """
 
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from math import prod
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError, row_trace, trace
+from aerial_gym.interop.rows.row_trace import Trace
 from aerial_gym.interop.rows.warp_function import function_lines
 from aerial_gym.math.warp_functions import inverse_root, reciprocal, root
 from aerial_gym.physics.fused.readers import compile_source
@@ -24,12 +26,23 @@ from aerial_gym.physics.fused.readers import compile_source
 QUICK_FUNCTIONS = {"inverse_root": inverse_root, "reciprocal": reciprocal, "root": root}
 """Functions that traced code may call."""
 
+Input = tuple[str, tuple[int, ...], torch.dtype]
+"""Path, row shape and type of an input of a trace."""
+
 WAY_OUT = (
     "A Warp function needs the same arithmetic in every environment: replace branches on values by torch.where, and "
     "operations without a rule by arithmetic. The torch backend runs any function"
 )
 
-DTYPES = {float: torch.float32, int: torch.int32, bool: torch.bool, wp.float32: torch.float32, wp.int32: torch.int32}
+DTYPES = {
+    float: torch.float32,
+    int: torch.int32,
+    bool: torch.bool,
+    wp.float32: torch.float32,
+    wp.int32: torch.int32,
+    wp.uint32: torch.int64,
+    wp.float64: torch.float64,
+}
 """Torch types of Warp's scalars; vectors and matrices have float32."""
 
 
@@ -40,6 +53,7 @@ def trace_to_warp(
     returns: Sequence[Any],
     *,
     constants: Mapping[str, Tensor] | None = None,
+    shared: Collection[str] = (),
 ) -> wp.Function:
     """Return a ``wp.func`` that computes a torch function for one environment.
 
@@ -50,56 +64,91 @@ def trace_to_warp(
         returns: Warp type of each result.
         constants: Known numbers of fields, by path such as ``at.rotor_axis``, in the shape of one row; NaN where unknown.
             Arithmetic with them is simplified as if all other numbers were finite.
+        shared: Paths of numbers that the torch function takes without rows, as tensors of no dimension.
 
     Raises:
         CapabilityError: If it cannot be traced; the text states the cause and its place in the source.
     """
     inputs = [entry for argument, kind in arguments.items() for entry in _flatten(argument, kind)]
-    tensors = {path: torch.zeros(2, *shape, dtype=dtype) for path, shape, dtype in inputs}
+    tensors = {path: torch.zeros(() if path in shared else (2, *shape), dtype=dtype) for path, shape, dtype in inputs}
 
     def from_rows(*rows: Tensor) -> Tensor | tuple[Tensor, ...]:
         by_path = dict(zip(tensors, rows, strict=True))
         return function(**{argument: _assemble(argument, kind, by_path) for argument, kind in arguments.items()})
 
     try:
-        traced = trace(from_rows, list(tensors.values()), constants=_constants_by_entry(list(tensors), constants or {}))
+        traced = trace(
+            from_rows,
+            list(tensors.values()),
+            fixes=True,
+            constants=_constants_by_entry(list(tensors), constants or {}),
+        )
     except UntraceableError as error:
-        raise CapabilityError(f"{name}: {error}, at {_place(error)}. {WAY_OUT}") from error
-    shapes, paths = [shape for _, shape, _ in inputs], list(tensors)
-    lines = function_lines(
-        traced, lambda position, entry: paths[position] + _index(shapes[position], entry), _constructors(returns)
-    )
-    return _compile(name, arguments, returns, lines)
+        raise CapabilityError(f"{_owner(error) or name}: {error}, at {_place(error)}. {WAY_OUT}") from error
+    lines = function_lines(traced, partial(_entry_code, inputs), _constructors(returns))
+    return _compile(name, arguments, returns, lines, _bodies(name, traced))
+
+
+def _bodies(name: str, traced: Trace) -> dict[str, wp.Function]:
+    """Return the functions that traced code calls for single elements."""
+    result = {}
+    for k, body in enumerate(traced.bodies):
+        count = len(body.widths)
+        lines = function_lines(body, lambda position, _: f"x{position}", [""])
+        arguments = {f"x{i}": float for i in range(count)}
+        result[f"body_{k}"] = _compile(f"{name}_{k}", arguments, (float,), lines, _bodies(f"{name}_{k}", body))
+    return result
+
+
+def _entry_code(inputs: Sequence[Input], position: int, entry: int) -> str:
+    """Return the code of an entry of an input; bits of random states are computed in 64 bits, as in torch."""
+    path, shape, dtype = inputs[position]
+    code = path + _index(shape, entry)
+    return f"wp.int64({code})" if dtype == torch.int64 else code
 
 
 def _place(error: BaseException) -> str:
     """Return file and line of the innermost code outside torch and the tracer that raised an error."""
-    frames = traceback.extract_tb(error.__traceback__)
+    frames = traceback.extract_tb((error.__cause__ or error).__traceback__)
     outside = [frame for frame in frames if not any(part in frame.filename for part in _TRACER)]
     return f"{outside[-1].filename}:{outside[-1].lineno} ({outside[-1].line})"
+
+
+def _owner(error: BaseException) -> str:
+    """Return the name of the innermost object with a name, such as an effect, whose method raised an error; else nothing."""
+    frames = traceback.walk_tb((error.__cause__ or error).__traceback__)
+    owners = [frame.f_locals.get("self") for frame, _ in frames]
+    names = [owner.name for owner in owners if isinstance(getattr(owner, "name", None), str)]
+    return names[-1] if names else ""
 
 
 _TRACER = (str(Path(torch.__file__).parent), str(Path(row_trace.__file__).parent), __file__)
 
 
-def _compile(name: str, arguments: Mapping[str, Any], returns: Sequence[Any], lines: Sequence[str]) -> wp.Function:
+def _compile(
+    name: str,
+    arguments: Mapping[str, Any],
+    returns: Sequence[Any],
+    lines: Sequence[str],
+    names: Mapping[str, Any] | None = None,
+) -> wp.Function:
     kinds = {f"{argument}_type": kind for argument, kind in arguments.items()}
     made = {f"result_{i}": kind for i, kind in enumerate(returns)}
     head = f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in arguments)}):\n"
-    return compile_source(name, head + "\n".join(lines) + "\n", {**kinds, **made, **QUICK_FUNCTIONS})
+    return compile_source(name, head + "\n".join(lines) + "\n", {**kinds, **made, **(names or {}), **QUICK_FUNCTIONS})
 
 
 def _constructors(returns: Sequence[Any]) -> list[str]:
     return ["" if kind in DTYPES else f"result_{i}" for i, kind in enumerate(returns)]
 
 
-def _flatten(path: str, kind: Any) -> Iterator[tuple[str, tuple[int, ...], torch.dtype]]:
+def _flatten(path: str, kind: Any) -> Iterator[Input]:
     """Yield path, row shape and type of the tensors of an argument."""
     if hasattr(kind, "cls"):
         for name, inner in kind.cls.__annotations__.items():
             yield from _flatten(f"{path}.{name}", inner)
     else:
-        yield path, () if kind in DTYPES else tuple(kind._shape_), DTYPES.get(kind, torch.float32)
+        yield path, () if kind in DTYPES else tuple(kind._shape_), DTYPES[getattr(kind, "_wp_scalar_type_", kind)]
 
 
 def _assemble(path: str, kind: Any, by_path: Mapping[str, Tensor]) -> Any:

@@ -21,33 +21,8 @@ class RotorTypes:
     allocation: Any  # (R, 6)
     vehicle: Any  # `wp.struct` of the vehicle in the equations of motion
     command: Any  # `wp.struct` of allocation and thrust maps, from a control law to commanded rotor speeds
-    condition: Any  # `wp.struct` of `effects.Condition` for one environment
     succession: Any  # `wp.struct` of two commands in one step: `rotor_lag.Succession` for one environment
     moment: Any  # `wp.struct` of the start of a substep: `effects.Moment` for one environment
-
-
-@wp.struct
-class Hub:
-    """Air and surroundings of one rotor."""
-
-    speed: float  # [rad/s]
-    thrust: float  # without effects [N]
-    radius: float  # [m]
-    wake_room: float  # distance to the surface in the wake, ground or ceiling [m]
-    inlet_room: float  # distance to the surface at the inlet [m]
-    axis: wp.vec3  # body
-    velocity: wp.vec3  # through the air [m/s], body
-    axial: float  # component along the axis [m/s]
-    edgewise: wp.vec3  # component in the plane of the rotor [m/s], body
-
-
-@wp.struct
-class KernelSuspension:
-    """Motion of the body origin, the suspension of a load, without the load."""
-
-    acceleration: wp.vec3  # gravity included [m/s²], world
-    mobility: wp.mat33  # acceleration per force [1/kg], world
-    gravity: float  # [m/s²]
 
 
 def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:
@@ -106,25 +81,6 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         command |= {"speed_map": rows}  # a, b, c of the speed sqrt(a + b T) - c [rad/s] of a thrust T [N]
 
     @wp.struct
-    class KernelCondition:
-        position: wp.vec3  # centre of mass [m], world
-        attitude: wp.quat  # body to world
-        up: wp.vec3  # world z, body
-        air_velocity: wp.vec3  # of the centre of mass through the air [m/s], body
-        ang_vel: wp.vec3  # [rad/s], body
-        rotor_speed: vector  # [rad/s]
-        rotor_thrust: vector  # [N]
-        rotor_acc: vector  # [rad/s²]
-        rotor_drag: vector  # magnitudes of the drag torques [N m]
-        upright: bool  # whether all rotors thrust along body z, a constant for the compiler
-        rotor_axis: rows  # direction of thrust, body
-        rotor_reaction: rows  # minus spin times axis
-        lever: rows  # hub from the centre of mass [m], body
-        rotor_radius: vector  # [m]
-        com: wp.vec3  # from the body origin [m], body
-        other_position: wp.vec3  # another vehicle [m], world
-
-    @wp.struct
     class KernelCommandSwitch:
         earlier: vector  # [rad/s] or [N]
         later: vector
@@ -138,9 +94,7 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         dt: float  # [s]
 
     vehicle_type, command_type = _struct("VehicleParameters", vehicle), _struct("CommandParameters", command)
-    return RotorTypes(
-        vector, rows, matrix, vehicle_type, command_type, KernelCondition, KernelCommandSwitch, KernelMoment
-    )
+    return RotorTypes(vector, rows, matrix, vehicle_type, command_type, KernelCommandSwitch, KernelMoment)
 
 
 def _struct(name: str, fields: dict[str, Any]) -> Any:

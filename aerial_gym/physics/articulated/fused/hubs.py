@@ -6,11 +6,12 @@ function at each link.
 Letters: R rotors, S rotors of a link.
 """
 
+import torch
 import warp as wp
 
 from aerial_gym.math.warp_functions import rotate
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
-from aerial_gym.physics.fused.loads import make_loads
+from aerial_gym.physics.fused.formulas import make_loads
 from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.model import Model
 
@@ -38,7 +39,8 @@ def _make_link_hubs(model: Model, joints: JointTypes, link: int) -> wp.Function:
     assert articulation is not None
     rotors = articulation.link_rotors(link)
     whole, part = rotor_types(model.vehicle.num_rotors, general), rotor_types(len(rotors), general)
-    loads = make_loads(model, upright=model.vehicle.upright, num_rotors=len(rotors), acts=lambda effect: effect.at_hubs)
+    axis = {"plant.rotor_axis": torch.tensor((0.0, 0.0, 1.0)).expand(len(rotors), 3)} if model.vehicle.upright else {}
+    loads = make_loads(model, axis, num_rotors=len(rotors), acts=lambda effect: effect.at_hubs)
     vehicle_type, part_type, vector, held_type = whole.vehicle, part.vehicle, whole.vector, joints.held
     part_vector, start = part.vector, wp.vec3(*articulation.origins[link].tolist())
 
@@ -104,7 +106,7 @@ def _make_link_hubs(model: Model, joints: JointTypes, link: int) -> wp.Function:
         some = rotors_of(vehicle, part_type())
         some.ground_height = vehicle.ground_height
         some.other_position = vehicle.other_position
-        own, _drags, more, _at = loads(
+        own, _drags, more = loads(
             some,
             held.params,
             held.position + rotate(held.attitude, place),

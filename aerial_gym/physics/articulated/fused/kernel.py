@@ -22,13 +22,14 @@ from aerial_gym.physics.articulated.fused.recursion import joint_types, make_rec
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
 from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
+from aerial_gym.physics.fused.formulas import make_loads, make_wind
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
 from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
-from aerial_gym.physics.fused.loads import make_loads, make_wind
 from aerial_gym.physics.fused.memory import make_begin, memory_type
-from aerial_gym.physics.fused.packing import Packing, model_types, num_values, values_type
+from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
 from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
+from aerial_gym.physics.fused.row_model import structure_constants
 from aerial_gym.physics.model import Model
 
 
@@ -116,7 +117,8 @@ def make_jointed_kernel(
     stop = make_dead_band(num_rotors) if general else None
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
-    loads = make_loads(model, upright=model.vehicle.upright, acts=lambda effect: not effect.at_hubs)
+    constants = structure_constants(collect_numbers(model, law, 1.0).vehicle)
+    loads = make_loads(model, constants, acts=lambda effect: not effect.at_hubs)
     any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
     air, hubs = make_on_links(model, joints), make_hubs(model, joints)
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
@@ -239,7 +241,7 @@ def make_jointed_kernel(
     ):  # fmt: skip
         com = rotate(q, vehicle.com)
         com_vel = v + rotate(q, wp.cross(w, vehicle.com))
-        thrusts, drags, more, _at = loads(vehicle, params, x + com, q, com_vel, w, n, (n - before) / dt)
+        thrusts, drags, more = loads(vehicle, params, x + com, q, com_vel, w, n, (n - before) / dt)
         move = rotate_inverse(q, v)
         held = rotate_inverse(q, wp.vec3(0.0, 0.0, gravity))
         given = held_type()

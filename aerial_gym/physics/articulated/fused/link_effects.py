@@ -11,8 +11,8 @@ import warp as wp
 from aerial_gym.math.warp_functions import world_up
 from aerial_gym.physics.articulated.fused.inertia import Inertia, add_resistance
 from aerial_gym.physics.articulated.fused.recursion import JointTypes
-from aerial_gym.physics.effects import LinkEffect, LinkFluidEffect, LinkWrenchEffect
-from aerial_gym.physics.fused.packing import value_access
+from aerial_gym.physics.effects import Effect, LinkEffect, LinkFluidEffect, LinkWrenchEffect
+from aerial_gym.physics.fused.formulas import LINK_KINDS, acts_on_link, make_link_formula
 from aerial_gym.physics.model import Model
 
 
@@ -21,10 +21,12 @@ def effect_links(model: Model) -> tuple[int, ...]:
     articulation = model.articulation
     assert articulation is not None
     able = [articulation.tree.floating, *(articulation.link_mass > 0.0).tolist()]
-    twins = [effect.warp_damping for effect, _ in model.effects[LinkEffect]]
-    twins += [effect.warp_wrench for effect, _ in model.effects[LinkWrenchEffect]]
-    twins += [effect.warp_added_mass for effect, _ in model.effects[LinkFluidEffect]]
-    return tuple(link for link, moves in enumerate(able) if moves and any(twin(link) is not None for twin in twins))
+    return tuple(link for link, moves in enumerate(able) if moves and any(_kinds_on_link(model, link)))
+
+
+def _kinds_on_link(model: Model, link: int) -> list[type[Effect]]:
+    """Return the kinds of effects that act on a link."""
+    return [kind for kind in LINK_KINDS if any(acts_on_link(effect, model, link) for effect, _ in model.effects[kind])]
 
 
 def make_on_links(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
@@ -38,8 +40,8 @@ def make_on_links(model: Model, joints: JointTypes) -> dict[int, wp.Function]:
 
 
 def _link_functions(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
-    functions = (make(model, joints, link) for make in (make_damping, make_fluid))
-    return [*(each for each in functions if each is not None), *make_wrenches(model, joints, link)]
+    functions = (make(model, joints, link) for make in (make_damping, make_fluid, make_wrench))
+    return [each for each in functions if each is not None]
 
 
 def _chain(first: wp.Function, second: wp.Function) -> wp.Function:
@@ -61,11 +63,9 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
     spatial acceleration of the centre of mass from the recursion, weight included. The term in ``a`` adds ``dt D`` to the
     mass; the rest is a force.
     """
-    twins = [(effect.warp_damping(link), pick.get) for effect, pick in value_access(model, LinkEffect)]
-    twin, get = twins[0] if twins else (None, None)
-    if twin is None:
+    if LinkEffect not in _kinds_on_link(model, link):
         return None
-    held_type = joints.held
+    damping_of, held_type = make_link_formula(model, LinkEffect, link), joints.held
 
     @wp.func
     def link_damping(
@@ -75,7 +75,7 @@ def make_damping(model: Model, joints: JointTypes, link: int) -> wp.Function | N
         back = wp.transpose(rotation)
         through = back * (lin_vel_0 + wp.cross(ang_vel_0, com) - held.wind)
         turn = back * ang_vel_0
-        damping = twin(wp.spatial_vector(through, turn), get(held.params))
+        damping = damping_of(wp.spatial_vector(through, turn), held.params)
         along = wp.spatial_top(damping)
         about = wp.spatial_bottom(damping)
         change = held.weight - wp.cross(ang_vel_0, held.wind) - swing - wp.cross(bend, com)
@@ -94,11 +94,9 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
     ``A (a - weight + w x wind) + w x (A u)``, with the spatial acceleration ``a`` of the centre of mass from the recursion,
     weight included. The terms without ``a`` are a force.
     """
-    twins = [(effect.warp_added_mass(link), pick.get) for effect, pick in value_access(model, LinkFluidEffect)]
-    twin, get = twins[0] if twins else (None, None)
-    if twin is None:
+    if LinkFluidEffect not in _kinds_on_link(model, link):
         return None
-    held_type = joints.held
+    added_of, held_type = make_link_formula(model, LinkFluidEffect, link), joints.held
 
     @wp.func
     def link_fluid(
@@ -106,7 +104,7 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
         lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
     ) -> Inertia:  # fmt: skip
         back = wp.transpose(rotation)
-        added = twin(get(held.params))
+        added = added_of(wp.spatial_vector(), held.params)
         along = wp.spatial_top(added)
         about = wp.spatial_bottom(added)
         through = back * (lin_vel + wp.cross(ang_vel, com) - held.wind)
@@ -123,21 +121,19 @@ def make_fluid(model: Model, joints: JointTypes, link: int) -> wp.Function | Non
     return link_fluid
 
 
-def make_wrenches(model: Model, joints: JointTypes, link: int) -> list[wp.Function]:
-    """Return the wrench of each effect on a link, functions as in ``make_on_links``."""
-    twins = [(effect.warp_wrench(link), pick.get) for effect, pick in value_access(model, LinkWrenchEffect)]
-    return [_make_wrench(joints, twin, get) for twin, get in twins if twin is not None]
-
-
-def _make_wrench(joints: JointTypes, twin: wp.Function, get: wp.Function) -> wp.Function:
-    held_type = joints.held
+def make_wrench(model: Model, joints: JointTypes, link: int) -> wp.Function | None:
+    """Return the wrench of the effects on a link, a function as in ``make_on_links``, or None without one."""
+    if LinkWrenchEffect not in _kinds_on_link(model, link):
+        return None
+    wrench_of, held_type = make_link_formula(model, LinkWrenchEffect, link), joints.held
 
     @wp.func
     def link_wrench(
         own: Inertia, rotation: wp.mat33, com: wp.vec3, ang_vel_0: wp.vec3, lin_vel_0: wp.vec3, ang_vel: wp.vec3,
         lin_vel: wp.vec3, bend: wp.vec3, swing: wp.vec3, held: held_type, dt: float,
     ) -> Inertia:  # fmt: skip
-        wrench = twin(wp.transpose(rotation) * world_up(held.attitude), get(held.params))
+        up = wp.transpose(rotation) * world_up(held.attitude)
+        wrench = wrench_of(wp.spatial_vector(up, wp.vec3()), held.params)
         force = rotation * wp.spatial_top(wrench)
         after = own
         after.force -= force

@@ -3,7 +3,6 @@
 from abc import abstractmethod
 from typing import ClassVar
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import Effect
@@ -14,7 +13,7 @@ class DelayEffect(Effect):
     """A delay of the commands. The backend keeps the commands of the longest delay."""
 
     acts_on = "actuation"
-    twin, order, single = "warp_delay", 8, "delay"
+    order, single = 8, "delay"
     longest: ClassVar[float]  # Upper bound of the delay [s]
 
     @property
@@ -26,17 +25,12 @@ class DelayEffect(Effect):
     def delay(self, params: Tensor) -> Tensor:
         """Return the delay [s], (E,), from parameters (E, P)."""
 
-    def warp_delay(self) -> wp.Function | None:
-        """Return the twin of ``delay``, a ``wp.func`` (params: vector of P) -> delay [s]; None: torch only."""
-        return None
-
 
 class CommandEffect(Effect):
     """A change of the rotor speed that a command requests, such as by battery voltage or a motor failure."""
 
     acts_on = "actuation"
-    twin, order = "warp_command", 7
-    warp_fields = ("battery",)
+    order = 7
 
     @abstractmethod
     def command(self, command: Tensor, vehicle: Vehicle, params: Tensor) -> Tensor:
@@ -45,16 +39,3 @@ class CommandEffect(Effect):
     @abstractmethod
     def replay_memory(self, voltage: Tensor) -> Tensor:
         """Return its memory along a flight, (T, M), from the logged battery voltage [V], (T,)."""
-
-    def warp_command(self, vehicle: type, vector: type) -> wp.Function | None:
-        """Return the twin of ``command``; None: torch only.
-
-        Args:
-            vehicle: The ``wp.struct`` of the vehicle.
-            vector: Type of a number for each rotor.
-
-        Returns:
-            A ``wp.func`` (command: vector, vehicle, params: vector of P + M) -> speeds [rad/s], vector.
-        """
-        del vehicle, vector
-        return None

@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
@@ -16,8 +15,7 @@ class FluidEffect(Effect):
     """
 
     acts_on = "inertia"
-    twin, order, single = "warp_entrain", 3, "fluid"
-    warp_fields = ("other_position", "rotor_lever", "rotor_radius")
+    order, single = 3, "fluid"
     accelerates, needs_com = True, True
     rotors = ANY_ROTOR
     on_joints = False
@@ -25,10 +23,6 @@ class FluidEffect(Effect):
     @abstractmethod
     def added_mass(self, params: Tensor) -> Tensor:
         """Return the mass of the fluid along each body axis [kg], (E, 3), from parameters (E, P)."""
-
-    def warp_added_mass(self) -> wp.Function | None:
-        """Return the twin of ``added_mass``, a ``wp.func`` (params: vector of P) -> wp.vec3; None: torch only."""
-        return None
 
     @abstractmethod
     def entrain(self, wrench: Tensor, condition: Condition, gravity: float, params: Tensor) -> Tensor:
@@ -40,15 +34,3 @@ class FluidEffect(Effect):
             gravity: Downward acceleration of free fall [m/s²].
             params: (E, P).
         """
-
-    def warp_entrain(self, condition: type) -> wp.Function | None:
-        """Return the twin of ``entrain``; None: torch only.
-
-        Args:
-            condition: The ``wp.struct`` with the fields of ``Condition`` for this number of rotors.
-
-        Returns:
-            A ``wp.func`` (wrench: wp.spatial_vector, condition, mass [kg], gravity, params: vector of P) -> wp.spatial_vector.
-        """
-        del condition
-        return None

@@ -6,7 +6,6 @@ Letters: E environments, L links (the base first), P parameters.
 
 from abc import abstractmethod
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
@@ -20,7 +19,7 @@ class LinkEffect(Effect):
     """
 
     acts_on = "wrench"
-    twin, order, single = "warp_damping", 6, "damping of links"
+    order, single = 6, "damping of links"
     rotors = ANY_ROTOR
     on_rigid = False
 
@@ -33,24 +32,12 @@ class LinkEffect(Effect):
             params: (E, P).
         """
 
-    def warp_damping(self, link: int) -> wp.Function | None:
-        """Return the twin of ``damping`` for one link; None if the effect does not act on it.
-
-        Args:
-            link: Index of the link; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (velocity: wp.spatial_vector, params: vector of P) -> D, ``wp.spatial_vector``.
-        """
-        del link
-        return None
-
 
 class LinkWrenchEffect(Effect):
     """A force and torque on each link that depend on its attitude."""
 
     acts_on = "wrench"
-    twin, order = "warp_wrench", 4
+    order = 4
     rotors = ANY_ROTOR
     on_rigid = False
 
@@ -63,24 +50,12 @@ class LinkWrenchEffect(Effect):
             params: (E, P).
         """
 
-    def warp_wrench(self, link: int) -> wp.Function | None:
-        """Return the twin of ``wrench`` for one link; None if the effect does not act on it.
-
-        Args:
-            link: Index of the link; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (up: wp.vec3, params: vector of P) -> force and torque, ``wp.spatial_vector``.
-        """
-        del link
-        return None
-
 
 class LinkFluidEffect(Effect):
     """Fluid that moves with each link: an added mass along each axis, without weight."""
 
     acts_on = "inertia"
-    twin, order, single = "warp_added_mass", 5, "fluid of links"
+    order, single = 5, "fluid of links"
     rotors = ANY_ROTOR
     on_rigid = False
 
@@ -92,15 +67,3 @@ class LinkFluidEffect(Effect):
             num_links: L.
             params: (E, P).
         """
-
-    def warp_added_mass(self, link: int) -> wp.Function | None:
-        """Return the twin of ``added_mass`` for one link; None if the effect does not act on it.
-
-        Args:
-            link: Index of the link; 0 is the base.
-
-        Returns:
-            A ``wp.func`` (params: vector of P) -> masses and inertias, ``wp.spatial_vector``.
-        """
-        del link
-        return None

@@ -3,7 +3,6 @@
 from abc import abstractmethod
 from dataclasses import dataclass
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.physics.effects.base import ANY_ROTOR, Effect
@@ -25,7 +24,7 @@ class LoadEffect(Effect):
     """
 
     acts_on = "wrench"
-    twin, order, single = "warp_pull", 9, "load"
+    order, single = 9, "load"
     accelerates, needs_com, moves_with_body = True, True, True
     needs = ("lin_vel",)
     rotors = ANY_ROTOR
@@ -35,16 +34,3 @@ class LoadEffect(Effect):
     @abstractmethod
     def pull(self, suspension: Suspension, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
         """Return the load's force on the origin [N], world, (E, 3), and n'' [1/s²], (E, 3); ``load`` is (n, n'), (E, 6)."""
-
-    def warp_pull(self, suspension: type) -> wp.Function | None:
-        """Return the twin of ``pull``; None: torch only.
-
-        Args:
-            suspension: The ``wp.struct`` with the fields of ``Suspension``, of single or of double precision.
-
-        Returns:
-            A ``wp.func`` (suspension, load: vector of 6, params: vector of P) -> (force, n''), vectors of 3, all of the
-            precision of ``suspension``.
-        """
-        del suspension
-        return None

@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.math.rows import dot
@@ -14,25 +13,12 @@ class WrenchEffect(Effect):
     """A force and torque on the body."""
 
     acts_on = "wrench"
-    twin, order = "warp_wrench", 2
-    warp_fields = ("other_position", "rotor_lever", "rotor_radius")
+    order = 2
     additive, accelerates, replayed = True, True, True
 
     @abstractmethod
     def wrench(self, condition: Condition, params: Tensor) -> Tensor:
         """Return force [N] and torque about the centre of mass [N m], body axes, (E, 6)."""
-
-    def warp_wrench(self, condition: type) -> wp.Function | None:
-        """Return the twin of ``wrench`` for one environment; None: torch only.
-
-        Args:
-            condition: The ``wp.struct`` with the fields of ``Condition`` for this number of rotors.
-
-        Returns:
-            A ``wp.func`` (condition, params: vector of P) -> force and torque, body, ``wp.spatial_vector``.
-        """
-        del condition
-        return None
 
 
 class LinearWrenchEffect(WrenchEffect):

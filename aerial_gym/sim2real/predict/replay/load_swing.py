@@ -13,9 +13,10 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.errors import ShapeError
 from aerial_gym.interop import start_warp
 from aerial_gym.physics.effects import LoadEffect
+from aerial_gym.physics.fused.formulas import make_pull
 
 
 @wp.struct
@@ -49,7 +50,7 @@ def swing(
         Direction and rate of the links, (N + 1, F, 6), and forces, (N + 1, F, 3), world.
 
     Raises:
-        CapabilityError: If the effect has no Warp function.
+        CapabilityError: If its law cannot be traced.
         ShapeError: If the shapes do not match.
     """
     rows, count = acceleration.shape[:2]
@@ -78,12 +79,8 @@ def swing(
 @cache
 def _make_kernel(effect: LoadEffect) -> wp.Kernel:
     """Return the kernel for an effect."""
-    pull = effect.warp_pull(_Suspension)
-    if pull is None:
-        raise CapabilityError(
-            f"effect {effect.name}: without a Warp function (warp_pull) its load cannot be followed along a flight"
-        )
     params_type = wp.types.vector(length=len(effect.parameters), dtype=wp.float64)
+    pull = make_pull(effect, _Suspension, wp.spatial_vectord, wp.vec3d, params_type)
 
     @wp.func
     def slope(acceleration: wp.vec3d, load: wp.spatial_vectord, params: params_type, gravity: wp.float64):

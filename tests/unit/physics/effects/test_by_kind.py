@@ -1,10 +1,9 @@
-"""Effects sorted by kind, and which of them can run in the fused kernel."""
+"""Effects sorted by kind."""
 
 import torch
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects import EffectsByKind, LoadEffect, WindEffect, WrenchEffect
-from aerial_gym.physics.effects.rotor_drag import RotorDrag
 
 
 def some() -> EffectsByKind:
@@ -39,21 +38,6 @@ def test_changes_make_others() -> None:
     doubled = effects.with_params(lambda effect, params: params * (2.0 if isinstance(effect, WindEffect) else 1.0))
     assert [float(params[0, 0]) for _, params in doubled] == [0.0, 1.0, 4.0, 3.0]
     assert effect_names(effects) == effect_names(doubled)
-
-
-def test_an_effect_has_a_twin_where_its_kind_needs_one() -> None:
-    class TorchEffect(RotorDrag):
-        warp_wrench = WrenchEffect.warp_wrench
-
-    class Learning(RotorDrag):
-        def remember(self, moment, values):
-            del moment
-            return values[:, 3:]
-
-    assert RotorDrag().has_twin
-    assert EFFECTS.get("com_offset").has_twin  # costs nothing in a step
-    assert not TorchEffect().has_twin
-    assert not Learning().has_twin  # what it remembers has no twin
 
 
 def test_places_follow_one_another_without_a_gap() -> None:

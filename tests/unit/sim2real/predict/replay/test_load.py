@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from aerial_gym.errors import CapabilityError, ShapeError
+from aerial_gym.errors import ShapeError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics import (
     EFFECTS,
@@ -122,14 +122,6 @@ def test_swings_of_wrong_shape_and_effects_without_a_kernel_are_refused() -> Non
     for rows, origins in ((4, 2), (5, 3)):
         with pytest.raises(ShapeError, match="expected"):
             swing(payload_effect(), params, start, torch.zeros(rows, origins, 3, dtype=F64), step=STEP_S, gravity=G)
-    still = torch.zeros(5, 2, 3, dtype=F64)
-    with pytest.raises(CapabilityError, match="warp_pull"):
-        swing(_TorchOnly(), params, start, still, step=STEP_S, gravity=G)
-
-
-class _TorchOnly(type(payload_effect())):
-    def warp_pull(self, suspension: type) -> None:
-        del suspension
 
 
 def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:

@@ -1,0 +1,234 @@
+"""Warp functions of the equations of motion and of the effects, traced from the torch functions of ``physics``.
+
+All functions are for one environment. ``plant`` is the kernel's struct of the vehicle, ``values`` the vector of parameters and
+memory of all effects.
+Letters: R rotors.
+"""
+
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from aerial_gym.math.quaternion import quat_rotate
+from aerial_gym.physics import rigid_body
+from aerial_gym.physics.effects import (
+    CommandEffect,
+    DelayEffect,
+    Effect,
+    LinkEffect,
+    LinkFluidEffect,
+    LinkWrenchEffect,
+    LoadEffect,
+    Moment,
+    Suspension,
+    WindEffect,
+)
+from aerial_gym.physics.fused.packing import model_types, values_type
+from aerial_gym.physics.fused.row_model import Acts, own_values, row_effects, row_model, vehicle_rows
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
+from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.integrators import MassState, coast, free_wrench
+from aerial_gym.physics.model import Model
+
+Constants = Mapping[str, Tensor]
+"""Known numbers of the vehicle (``row_model.structure_constants``)."""
+
+_MOTION = {"position": wp.vec3, "attitude": wp.quat, "lin_vel": wp.vec3, "ang_vel": wp.vec3}
+"""Motion of the centre of mass, and its types."""
+
+
+def make_accelerations(model: Model, constants: Constants) -> wp.Function:
+    """Return the function of linear [m/s², world] and angular acceleration [rad/s², body], and the load's rate of change.
+
+    Arguments: plant, values, gravity, motion, rotor speeds and accelerations, load.
+    """
+    types = model_types(model)
+
+    def accelerations(
+        plant: SimpleNamespace, values: Tensor, gravity: Tensor, position: Tensor, attitude: Tensor, lin_vel: Tensor,
+        ang_vel: Tensor, rotor_speed: Tensor, rotor_acc: Tensor, load: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        own = row_model(model, plant, values, gravity)
+        motion = position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc
+        force, torque = rigid_body.body_wrench(own, *motion)
+        acc = rigid_body.com_acceleration(own, attitude, force)
+        ang_acc = rigid_body.angular_acceleration(own, ang_vel, torque)
+        acc, ang_acc, swing = rigid_body.with_load(own, attitude, ang_vel, load, acc, ang_acc)
+        rate = torch.cat((load[:, 3:], swing), dim=1) if swing.shape[1] else torch.zeros_like(load)
+        return acc, ang_acc, rate
+
+    arguments = {"plant": types.vehicle, "values": values_type(model), "gravity": float, **_MOTION}
+    arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector, "load": wp.spatial_vector}
+    returns = wp.vec3, wp.vec3, wp.spatial_vector
+    return trace_to_warp("accelerations", arguments, accelerations, returns, constants=constants, shared=["gravity"])
+
+
+def make_loads(model: Model, constants: Constants, *, num_rotors: int | None = None, acts: Acts = None) -> wp.Function:
+    """Return the function of thrusts [N] and drag torques [N m] of the rotors, and of the wrench of the effects, body.
+
+    Arguments: plant, values, motion, rotor speeds and accelerations.
+
+    Args:
+        num_rotors: Number of rotors of the vehicle that the function takes; that of the model if not given.
+        acts: Condition for an effect to act; all act if not given.
+    """
+    types = model_types(model) if num_rotors is None else rotor_types(num_rotors, not model.vehicle.plain)
+
+    def loads(
+        plant: SimpleNamespace, values: Tensor, position: Tensor, attitude: Tensor, lin_vel: Tensor, ang_vel: Tensor,
+        rotor_speed: Tensor, rotor_acc: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        own = row_model(model, plant, values, acts=acts)
+        condition = rigid_body.condition_of_motion(own, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
+        acting = rigid_body.force_breakdown(own, condition)
+        wrench = sum((more for _, more in acting.wrenches), torch.zeros_like(values[:, :1]).expand(-1, 6))
+        return acting.whole_thrust, condition.rotor_drag, wrench
+
+    arguments = {"plant": types.vehicle, "values": values_type(model), **_MOTION}
+    arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector}
+    returns = types.vector, types.vector, wp.spatial_vector
+    return trace_to_warp("loads", arguments, loads, returns, constants=constants)
+
+
+def make_wind(model: Model, acts: Acts = None) -> wp.Function:
+    """Return the function (position [m], world, values) -> velocity of the air [m/s], world."""
+
+    def wind(position: Tensor, values: Tensor) -> Tensor:
+        velocity = torch.zeros_like(position)
+        for effect, own in row_effects(model, values, acts)[WindEffect]:
+            velocity = velocity + effect.wind(position, own)
+        return velocity
+
+    return trace_to_warp("wind", {"position": wp.vec3, "values": values_type(model)}, wind, [wp.vec3], constants={})
+
+
+def make_coast(model: Model, constants: Constants) -> tuple[wp.Function, wp.Function]:
+    """Return ``integrators.coast`` without a load, and the accelerations [m/s², world, rad/s², body] of that motion.
+
+    Arguments: plant, values, motion; of the first also the time [s].
+    """
+    arguments = {"plant": model_types(model).vehicle, "values": values_type(model), **_MOTION}
+
+    def state(own: Model, motion: tuple[Tensor, ...]) -> MassState:
+        position, attitude, lin_vel, ang_vel = motion
+        none = position[:, :0]
+        return MassState(
+            position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=none, load=none
+        )
+
+    def coast_freely(plant: SimpleNamespace, values: Tensor, dt: Any, **motion: Tensor) -> tuple[Tensor, ...]:
+        own = row_model(model, plant, values)
+        after = coast(own, state(own, tuple(motion.values())), dt)
+        return after.position, after.attitude, after.lin_vel, after.ang_vel
+
+    def free(plant: SimpleNamespace, values: Tensor, **motion: Tensor) -> tuple[Tensor, Tensor]:
+        own = row_model(model, plant, values)
+        force, torque = free_wrench(own, state(own, tuple(motion.values())))
+        acc = quat_rotate(motion["attitude"], force / own.vehicle.mass.unsqueeze(-1))
+        return acc, rigid_body.multiply_rows(own.inertia_inverse, torque)
+
+    moved = trace_to_warp(
+        "coast", {**arguments, "dt": float}, coast_freely, list(_MOTION.values()), constants=constants, shared=["dt"]
+    )
+    return moved, trace_to_warp("free_accelerations", arguments, free, [wp.vec3, wp.vec3], constants=constants)
+
+
+def make_remember(model: Model) -> wp.Function:
+    """Return all ``Effect.remember`` as one function (plant, moment, values) -> values with the new memory."""
+    types, kind = model_types(model), values_type(model)
+
+    def remember(plant: SimpleNamespace, now: SimpleNamespace, values: Tensor) -> Tensor:
+        moment = Moment(**vars(now), vehicle=vehicle_rows(model, plant))
+        places = own_values(model)
+        memory = [own.effect.remember(moment, own.rows(values)) for own in places]
+        return torch.cat((values[:, : places[-1].params.stop], *memory), dim=1)
+
+    arguments = {"plant": types.vehicle, "now": types.moment, "values": kind}
+    return trace_to_warp("remember", arguments, remember, [kind], constants={}, shared=["now.dt"])
+
+
+def make_lead(model: Model) -> wp.Function:
+    """Return all ``CommandEffect.command`` as one function (plant, values, command) -> command."""
+    types = model_types(model)
+
+    def lead(plant: SimpleNamespace, values: Tensor, command: Tensor) -> Tensor:
+        vehicle = vehicle_rows(model, plant)
+        for effect, own in row_effects(model, values)[CommandEffect]:
+            command = effect.command(command, vehicle, own)
+        return command
+
+    arguments = {"plant": types.vehicle, "values": values_type(model), "command": types.vector}
+    return trace_to_warp("lead", arguments, lead, [types.vector], constants={})
+
+
+def make_delay(model: Model) -> wp.Function:
+    """Return the function from values to the delay of commands [s]."""
+
+    def delay(values: Tensor) -> Tensor:
+        ((effect, own),) = row_effects(model, values)[DelayEffect]
+        return effect.delay(own)
+
+    return trace_to_warp("delay", {"values": values_type(model)}, delay, [float], constants={})
+
+
+def make_pull(effect: LoadEffect, suspension: Any, load: Any, vector: Any, params: Any) -> wp.Function:
+    """Return ``effect.pull`` as a function (suspension, load, parameters) -> force and n''.
+
+    Args:
+        effect: The load.
+        suspension: The ``wp.struct`` with the fields of ``Suspension``.
+        load: Type of direction and rate of the link.
+        vector: Type of the results.
+        params: Type of the parameters.
+    """
+
+    def pull(at: SimpleNamespace, load: Tensor, params: Tensor) -> tuple[Tensor, Tensor]:
+        return effect.pull(Suspension(**vars(at)), load, params)
+
+    arguments = {"at": suspension, "load": load, "params": params}
+    return trace_to_warp("pull", arguments, pull, [vector, vector], constants={}, shared=["at.gravity"])
+
+
+LINK_KINDS = LinkEffect, LinkWrenchEffect, LinkFluidEffect
+"""Kinds of effects on links."""
+
+
+def _link_formula(effect: Effect, num_links: int, link: int, motion: Tensor, params: Tensor) -> Tensor:
+    """Return the six numbers of an effect on a link, (E, 6), with the motion (E, 6) that its kind takes."""
+    each = motion.unsqueeze(1).expand(-1, num_links, -1)
+    if isinstance(effect, LinkEffect):
+        return effect.damping(each, params)[:, link]
+    if isinstance(effect, LinkWrenchEffect):
+        return effect.wrench(each[..., :3], params)[:, link]
+    assert isinstance(effect, LinkFluidEffect)
+    return effect.added_mass(num_links, params)[:, link]
+
+
+def _num_links(model: Model) -> int:
+    assert model.articulation is not None
+    return len(model.articulation.link_mass)
+
+
+def acts_on_link(effect: Effect, model: Model, link: int) -> bool:
+    """Return whether an effect with positive parameters acts on a link."""
+    motion, params = torch.tensor([[0.3, -0.5, 0.8, 0.7, -0.2, 0.4]]), torch.ones(1, len(effect.parameters))
+    return bool(_link_formula(effect, _num_links(model), link, motion, params).any())
+
+
+def make_link_formula(model: Model, kind: type[Effect], link: int) -> wp.Function:
+    """Return the sum of the effects of a kind on a link, a function (motion or attitude of the link, values) -> six numbers.
+
+    The first argument is velocity through the air and angular velocity, or world z, axes of the link.
+    """
+
+    def formula(motion: Tensor, values: Tensor) -> Tensor:
+        acting = row_effects(model, values)[kind]
+        parts = [_link_formula(effect, _num_links(model), link, motion, own) for effect, own in acting]
+        return sum(parts[1:], parts[0])
+
+    arguments = {"motion": wp.spatial_vector, "values": values_type(model)}
+    return trace_to_warp("link_formula", arguments, formula, [wp.spatial_vector], constants={})
