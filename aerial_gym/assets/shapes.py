@@ -47,7 +47,7 @@ class ShapeTable:
             cfg = part.shape
             looks.add(cfg, inherited=color, mesh=self._mesh(cfg).look if cfg.kind == "mesh" else None)
             row["kind"], row["size"] = _KINDS[cfg.kind], half_size(cfg)
-            row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _bounding_half_edges(cfg)
+            row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_edges_of_box(cfg)
             row["position"] = part.position
             row["attitude"] = quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)).numpy()
             if cfg.kind == "mesh":
@@ -98,7 +98,7 @@ def half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
     return cfg.radius or 0.0, 0.5 * (cfg.height or 0.0), 0.0
 
 
-def _bounding_half_edges(cfg: ShapeCfg) -> tuple[float, float, float]:
+def _half_edges_of_box(cfg: ShapeCfg) -> tuple[float, float, float]:
     a, b, c = half_size(cfg)
     if cfg.kind == "box":
         return a, b, c

@@ -236,7 +236,7 @@ class RobotManager:
         model, followed = self._make_model(*self._parameter_sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
-        for target, rows in self._drawn_rows(model, followed):
+        for target, rows in self._rows_of_draws(model, followed):
             target.copy_(rows)
         if self.imu_errors is not None:
             exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
@@ -263,7 +263,7 @@ class RobotManager:
         drawn = [] if self._randomized is None else self._randomized.random_effects
         return any(isinstance(self._effects[i][0], ImuEffect) for i in drawn)
 
-    def _drawn_rows(self, model: Model, followed: DrawResult) -> list[tuple[Tensor, Tensor]]:
+    def _rows_of_draws(self, model: Model, followed: DrawResult) -> list[tuple[Tensor, Tensor]]:
         """Return tensors and the rows that follow from draws: of allocation, effects, gains, errors of inertial sensors."""
         pairs = []
         if self._allocation is not None:
@@ -285,12 +285,12 @@ class RobotManager:
         def rows(*sources: Tensor, declared: Vehicle | None = None) -> tuple[Tensor, ...]:
             model, followed = self._make_model(*sources, declared=declared)
             shown = (getattr(model.vehicle, name) for name in own)
-            follows = (rows.to(target.dtype) for target, rows in self._drawn_rows(model, followed))
+            follows = (rows.to(target.dtype) for target, rows in self._rows_of_draws(model, followed))
             return (*shown, *follows, *self.backend.parameter_rows(model))
 
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
-        drawn = self._drawn_rows(*self._make_model(*self._parameter_sources(), declared=self.declared))
+        drawn = self._rows_of_draws(*self._make_model(*self._parameter_sources(), declared=self.declared))
         targets = (*(shown[name] for name in own), *(t for t, _ in drawn), *self.backend.parameter_targets())
         return RowUpdate(
             rows,

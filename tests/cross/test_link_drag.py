@@ -47,7 +47,7 @@ ALL = {"link_buoyancy": BUOYANCY, "link_added_mass": ADDED, "link_drag": OF_ALL}
 
 ON_A_STAND = {"link_buoyancy": {"left.force": 2.0, "left.z": 0.1}}
 
-EVERYTHING, ONE_ARM = {**OF_ALL, "slide.qx": 0.3, "left.ay": 2e-3}, {"azimuth_1.qz": 0.5, "azimuth_1.by": 1e-3}
+ALL_LINK_EFFECTS, ONE_ARM = {**OF_ALL, "slide.qx": 0.3, "left.ay": 2e-3}, {"azimuth_1.qz": 0.5, "azimuth_1.by": 1e-3}
 
 CASES = {
     "drag": (
@@ -58,7 +58,7 @@ CASES = {
     "drag of one arm": (with_drag("morphy", ONE_ARM), ("constant_wind", "quadratic_drag")),
     "drag of the base": (with_drag("morphy", {"base.lx": 0.2, "base.qy": 0.1, "base.az": 1e-3}), ("wind_shear",)),
     "drag of a snake": (with_drag("snakey", OF_ALL), ("constant_wind",)),
-    "drag with drives": (with_drag("odd", EVERYTHING), ("constant_wind", "gusts", "rotor_drag")),
+    "drag with drives": (with_drag("odd", ALL_LINK_EFFECTS), ("constant_wind", "gusts", "rotor_drag")),
     "buoyancy": (under_water(make_joints(), {"link_buoyancy": BUOYANCY}), ()),
     "added mass": (under_water(make_joints(), {"link_added_mass": ADDED}), ()),
     "all in a current": (under_water(make_joints(), ALL), ("constant_wind",)),

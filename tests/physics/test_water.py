@@ -227,7 +227,9 @@ def test_base_rov_drifts_with_a_current() -> None:
 ENVS = 24
 
 
-def tumbling_hull(effects: dict[str, dict[str, float]], *, seed: int, gravity: float = 0.0, envs: int = ENVS) -> Model:
+def hull_in_rotation(
+    effects: dict[str, dict[str, float]], *, seed: int, gravity: float = 0.0, envs: int = ENVS
+) -> Model:
     """Return a hull of 4 kg with a skew inertia, and its centre of mass beside the origin."""
     draw = torch.Generator().manual_seed(seed)
     axes = torch.linalg.qr(torch.randn(3, 3, dtype=F64, generator=draw))[0]
@@ -310,7 +312,7 @@ def test_a_free_hull_in_a_current_keeps_energy_impulse_and_moment(
 ) -> None:
     """To rounding, at 10 rad/s and 20 ms too: explicit steps ended in NaN here."""
     current = (0.4, -0.3, 0.2)
-    model = tumbling_hull({"added_mass": added, "constant_wind": dict(zip("xyz", current, strict=True))}, seed=1)
+    model = hull_in_rotation({"added_mass": added, "constant_wind": dict(zip("xyz", current, strict=True))}, seed=1)
     start, flow = tumble_state(4, seed=2, speed=hurry, rate=2.0 * hurry), torch.tensor(current, dtype=F64)
     end = fly(model, start, 1.0, dt)
     before, after = invariants(model, start, added, flow), invariants(model, end, added, flow, 1.0)
@@ -321,7 +323,7 @@ def test_a_free_hull_in_a_current_keeps_energy_impulse_and_moment(
 
 def test_it_converges_to_the_motion_of_rk4_with_order_2() -> None:
     added = {"x": 0.3, "y": 6.0, "z": 9.0}
-    model = tumbling_hull(
+    model = hull_in_rotation(
         {"added_mass": added, "buoyancy": {"force": 30.0, "x": 0.0, "y": 0.02, "z": 0.1}}, seed=3, gravity=G
     )
     start = tumble_state(4, seed=4)
@@ -334,7 +336,7 @@ def test_it_converges_to_the_motion_of_rk4_with_order_2() -> None:
 def test_a_weight_gives_its_impulse() -> None:
     """A weight on a tumbling hull changes the impulse of hull and water by ``m g t``, exactly in each step."""
     added = {"x": 0.3, "y": 6.0, "z": 9.0}
-    model, start = tumbling_hull({"added_mass": added}, seed=5, gravity=G), tumble_state(4, seed=6)
+    model, start = hull_in_rotation({"added_mass": added}, seed=5, gravity=G), tumble_state(4, seed=6)
     zero = torch.zeros(3, dtype=F64)
     gained = invariants(model, fly(model, start, 1.0, 0.01), added, zero)[1] - invariants(model, start, added, zero)[1]
     torch.testing.assert_close(gained, torch.tensor([0.0, 0.0, -4.0 * G], dtype=F64).expand(ENVS, 3), rtol=0, atol=1e-9)
@@ -345,7 +347,7 @@ def test_a_slung_payload_and_a_hull_exchange_impulse() -> None:
     loses it with order 1, as forces of the payload depend on velocities."""
     added, mass, length = {"x": 0.3, "y": 6.0, "z": 9.0}, 1.5, 0.7
     payload = {"mass": mass, "length": length, "damping": 0.0}
-    model, start = tumbling_hull({"added_mass": added, "slung_payload": payload}, seed=7), tumble_state(4, seed=8)
+    model, start = hull_in_rotation({"added_mass": added, "slung_payload": payload}, seed=7), tumble_state(4, seed=8)
     load, still = random_load(ENVS), torch.zeros(3, dtype=F64)
 
     def invariant_loss(integrator: str, steps: int) -> Tensor:
