@@ -113,7 +113,7 @@ def _alarms_of_lines(
     for number, line in lines:
         if header.is_remark(line):
             continue
-        row, rows = _row_numbers(header.row(line.rstrip("\r\n"))), rows + 1
+        row, rows = _row_numbers(header.comma_separated_line(line.rstrip("\r\n"))), rows + 1
         if row is None:
             unreadable += 1
             named += _report_bad_row(

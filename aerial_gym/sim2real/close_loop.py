@@ -13,7 +13,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.inputs import Inputs, read_inputs
+from aerial_gym.sim2real.logs.inputs import FlightInputs, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -78,7 +78,7 @@ def close_loop(
     with one_thread():
         progress("reading flights", 0.0)
         layout = None if mapping is None else find_mapping(mapping)
-        inputs = read_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
+        inputs = read_flight_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
         for note in inputs.left_out:
             progress(text(note), 0.0)
         joints_result = _identify_joints(declared, inputs, progress) if joints else None
@@ -125,7 +125,7 @@ def close_loop(
     return verdict
 
 
-def _identify_joints(robot: RobotCfg, inputs: Inputs, progress: Progress) -> "FlightJointStudy":
+def _identify_joints(robot: RobotCfg, inputs: FlightInputs, progress: Progress) -> "FlightJointStudy":
     """Return the joint parameters fitted to the training flights."""
     from aerial_gym.sim2real.teststand.joints.flights import BANDWIDTH_HZ, OF_RATE, find_joints
 

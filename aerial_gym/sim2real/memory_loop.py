@@ -6,9 +6,9 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
-from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, until_failure
+from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.stages import declare, select
+from aerial_gym.sim2real.identify.stages import prepare_comparison, select_from_setup
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge
 from aerial_gym.sim2real.judge.failure_verdict import with_failures, with_suspicions
 from aerial_gym.sim2real.logs.flights import Flight
@@ -43,11 +43,11 @@ def judge_flights(
         check_rotors(LearnedResidual, robot.rotor_traits)
     flights, off = [*train, *test], tolerances or Tolerances()
     finder = FailureFinder(robot, tolerances=off)
-    seen = [failure for flight in flights if (failure := finder.find_first(flight)) is not None]
+    seen = [failure for flight in flights if (failure := finder.find_first_failure(flight)) is not None]
     told = seen if failures else []
     learnt, judging = (_intact_parts(role, part, told) for role, part in (("train", train), ("test", test)))
-    declared = declare(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
-    selection = select(declared, criteria or Criteria(), progress, candidates=effects)
+    declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
+    selection = select_from_setup(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
     judged = judge(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
@@ -56,7 +56,7 @@ def judge_flights(
 
 def _intact_parts(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
     """Return the flights up to their failures; raise ``DataError`` if none is left."""
-    left = until_failure(flights, failures)
+    left = cut_at_failures(flights, failures)
     if flights and not left:
         first = next(failure for failure in failures if failure.flight in {flight.name for flight in flights})
         raise DataError(

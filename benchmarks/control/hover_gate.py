@@ -157,7 +157,7 @@ def judge(group: Group) -> list[Case] | None:
     return [
         Case(
             robot=group.robot, controller=group.controller, dt=group.dt, effects=effects,
-            accepted=hover.holds, refused=hover.is_lost, hover=hover, flown=distance,
+            accepted=hover.is_supported, refused=hover.is_lost, hover=hover, flown=distance,
         )
         for effects, hover, distance in zip(group.effects, hovers, flown, strict=True)
     ]  # fmt: skip

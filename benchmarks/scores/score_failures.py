@@ -111,7 +111,7 @@ def watch_logs(files: CaseFiles) -> Iterator[tuple[str, list[Alarm], Found | Non
             told += watch.add(row)
         alarms = [*told, *watch.finish()]
         (flight,) = load_flights([path], robot, mapping=None, bandwidth=10.0)
-        yield path.stem, alarms, finder.find_first(flight), watch.watched_s
+        yield path.stem, alarms, finder.find_first_failure(flight), watch.watched_s
 
 
 def false_alarms(seed: int, folder: Path, effect: str | None, flights: int, duration_s: float) -> dict[str, object]:

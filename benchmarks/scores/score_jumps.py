@@ -19,7 +19,13 @@ from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS
 from aerial_gym.sim2real.logs.flights import resample_log
-from aerial_gym.sim2real.logs.position_jumps import LEAST, LIMIT, integral, jump_statistics, mend_position_jumps
+from aerial_gym.sim2real.logs.position_jumps import (
+    LEAST,
+    LIMIT,
+    displacement_from_velocity,
+    jump_sizes_and_scale,
+    mend_position_jumps,
+)
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
@@ -62,7 +68,7 @@ def largest_share(log: FlightLog) -> float:
     assert log.position is not None
     assert log.lin_vel is not None
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    sizes, scale = jump_statistics(log.position - integral(log.lin_vel, step), step)
+    sizes, scale = jump_sizes_and_scale(log.position - displacement_from_velocity(log.lin_vel, step), step)
     return float(np.where(np.abs(sizes) > LEAST, np.abs(sizes) / scale, 0.0).max()) / LIMIT
 
 
@@ -72,7 +78,7 @@ def stream_faults(log: FlightLog) -> list[tuple[SensorFault, float]]:
     for end in np.arange(start + LOOK_S, log.time[-1] + LOOK_S, LOOK_S):
         rows = (log.time <= end) & (log.time > end - WINDOW_S)
         seen = {name: values[rows] for name, values in vars(log).items() if isinstance(values, np.ndarray)}
-        result += [(fault, float(end)) for fault in watch.look(replace(log, **seen))]
+        result += [(fault, float(end)) for fault in watch.find_new_faults(replace(log, **seen))]
     return result
 
 

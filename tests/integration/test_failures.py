@@ -37,7 +37,7 @@ def flight_failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Failu
     robot = robot_by_name(files.robot)
     finder = FailureFinder(robot)
     flights = load_flights([*files.train, *files.test], robot, mapping=None, bandwidth=10.0)
-    return {flight.name: finder.find_first(flight) for flight in flights}
+    return {flight.name: finder.find_first_failure(flight) for flight in flights}
 
 
 @pytest.mark.parametrize("flight", HIDDEN)

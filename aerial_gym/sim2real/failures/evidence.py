@@ -23,25 +23,21 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.failures.rotor_work import RotorWork
+from aerial_gym.sim2real.failures.rotor_work import RotorOutput
 
-FEWEST_BEFORE = 5
-"""Least number of blocks before an onset."""
+FEWEST_BEFORE = 5  # Least number of blocks before an onset
 
 FEWEST_AFTER = {"speed": 2, "thrust": 10}
 """Least number of blocks after an onset, by quantity; a collision looks like a brief loss of thrust."""
 
-LONGEST = 100
-"""Longest duration in blocks of a brown-out that ends."""
-
-CONTINUOUS = 0.1
-"""Prior standard deviation of a stuck rotor's speed around that of the block before, relative to hover."""
+LONGEST = 100  # Longest duration in blocks of a brown-out that ends
+CONTINUOUS = 0.1  # Prior standard deviation of a stuck rotor's speed around that of the block before, relative to hover
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prior:
+class ParameterPrior:
     """Prior of one parameter: distance from its most probable value, and width."""
 
     away: Array
@@ -62,14 +58,13 @@ class Prior:
         return self.scale**-2 if self.normal else 2.0 / (self.scale**2 + self.away**2)
 
 
-def log_evidence(before: Array | float, after: Array, count: float, prior: Prior, inner: Array) -> Array:
+def log_evidence(before: Array | float, after: Array, count: float, prior: ParameterPrior, inner: Array) -> Array:
     """Return the log evidence of one more parameter: likelihood ratio, prior density and posterior volume.
 
     Args:
         before: Mean squared residual without the parameter.
         after: Mean squared residual with it.
         count: Number of independent residuals.
-        prior: Prior of the parameter.
         inner: Sum of squares of its column, orthogonal to the jointly fitted columns, over independent residuals.
     """
     volume = 0.5 * (LOG_2PI - np.log(inner / after + prior.precision))
@@ -77,7 +72,7 @@ def log_evidence(before: Array | float, after: Array, count: float, prior: Prior
 
 
 @dataclass(frozen=True, kw_only=True)
-class Onsets:
+class OnsetOdds:
     """Log odds of one kind of failure for every onset."""
 
     kind: str
@@ -92,10 +87,10 @@ def _cumulative_sums(values: Array) -> Array:
     return np.concatenate((np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)))
 
 
-class Evidence:
+class FailureEvidence:
     """Sums over the blocks of one quantity of all rotors."""
 
-    def __init__(self, work: RotorWork, least: float) -> None:
+    def __init__(self, work: RotorOutput, least: float) -> None:
         """Store the blocks and the tolerance of the declaration relative to hover, ``least``."""
         self.work, self.least = work, least
         self.residual, columns = work.done - work.expected, work.beside
@@ -114,39 +109,39 @@ class Evidence:
         self._zn = np.einsum("krq,rqp->krp", _cumulative_sums(work.own[..., None] * columns), root)
 
     @property
-    def total(self) -> float:
+    def num_values(self) -> float:
         """Return the number of values, K R."""
         return float(self.residual.size)
 
-    def mean_square(self, rss: Array) -> Array:
+    def mean_square_with_tolerance(self, rss: Array) -> Array:
         """Return ``RSS / n + s²``."""
-        return rss / self.total + self.least**2
+        return rss / self.num_values + self.least**2
 
-    def project(self, begin: Indices, end: Indices) -> tuple[Array, Array]:
+    def sums_of_change(self, begin: Indices, end: Indices) -> tuple[Array, Array]:
         """Return M_zz and M_zr for changes from block ``begin`` to before block ``end``, (..., R) each."""
         across = self._zn[end] - self._zn[begin]
         inner = self._zz[end] - self._zz[begin] - (across**2).sum(axis=-1)
         return np.maximum(inner, 0.0), self._zr[end] - self._zr[begin] - (across * self._along).sum(axis=-1)
 
-    def changes(self, kind: str, share: float = 1.0) -> Onsets:
+    def odds_of_changes(self, kind: str, share: float = 1.0) -> OnsetOdds:
         """Return the evidence of a lasting change per rotor for every onset; ``share``: independent share of the values."""
         onset = np.arange(self.count)
-        inner, along = self.project(onset, np.full(self.count, self.count))
+        inner, along = self.sums_of_change(onset, np.full(self.count, self.count))
         log_odds, change, _ = self.change_odds(kind, inner, along, share)
-        return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds), change=change)
+        return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds), change=change)
 
-    def brown_outs(self, kind: str, share: float = 1.0) -> Onsets:
+    def odds_of_brown_outs(self, kind: str, share: float = 1.0) -> OnsetOdds:
         """Return the evidence of a common change of all rotors for every onset and duration."""
         onset, lasting = np.arange(self.count)[:, None], np.arange(1, LONGEST + 1)
         end = np.minimum(onset + lasting, self.count)
         end = np.concatenate((end, np.full((self.count, 1), self.count)), axis=1)
-        inner, along = (part.sum(axis=-1) for part in self.project(np.broadcast_to(onset, end.shape), end))
+        inner, along = (part.sum(axis=-1) for part in self.sums_of_change(np.broadcast_to(onset, end.shape), end))
         log_odds, change, _ = self.change_odds(kind, inner, along, share)
         ends = np.concatenate((onset + lasting < self.count, np.ones((self.count, 1), dtype=bool)), axis=1)
         log_odds = np.where(ends, log_odds - np.log(LONGEST + 1), -np.inf)
-        return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds), change=change)
+        return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds), change=change)
 
-    def freeze_odds(self, kind: str, share: float = 1.0) -> Onsets:
+    def odds_of_stuck_rotors(self, kind: str, share: float = 1.0) -> OnsetOdds:
         """Return the evidence of a constant output per rotor for every onset, whatever is expected."""
         lean = self._lean[:-1]
         fitted = np.linalg.solve(self._gram[:-1] + self.ridge, lean[..., None])[..., 0]
@@ -157,10 +152,10 @@ class Evidence:
         scatter = np.cumsum(done[::-1] ** 2, axis=0)[::-1] - left * kept**2
         rss = self.rss.sum() - self.rss + np.maximum(squares, 0.0) + np.maximum(scatter, 0.0)
         away = kept - np.concatenate((done[:1], done[:-1]))
-        before, after = self.mean_square(self.rss.sum()), self.mean_square(rss)
-        prior = Prior(away=away, scale=CONTINUOUS, normal=True)
-        log_odds = log_evidence(before, after, share * self.total, prior, share * left)
-        return Onsets(kind=kind, log_odds=self._far_from_ends(log_odds - np.log(self.rotors)), change=kept)
+        before, after = self.mean_square_with_tolerance(self.rss.sum()), self.mean_square_with_tolerance(rss)
+        prior = ParameterPrior(away=away, scale=CONTINUOUS, normal=True)
+        log_odds = log_evidence(before, after, share * self.num_values, prior, share * left)
+        return OnsetOdds(kind=kind, log_odds=self._mask_end_onsets(log_odds - np.log(self.rotors)), change=kept)
 
     def change_odds(self, kind: str, inner: Array, along: Array, share: float) -> tuple[Array, Array, Array]:
         """Return log odds for ``inner`` M_zz and ``along`` M_zr, the relative change, and its standard deviation."""
@@ -168,13 +163,13 @@ class Evidence:
         change = along / (inner + (self.least / parameter.scale) ** 2)
         change = np.clip(change, parameter.low - 1.0, parameter.high - 1.0)
         rss = np.maximum(self.rss.sum() - 2.0 * change * along + change**2 * inner, 0.0)
-        before, after = self.mean_square(self.rss.sum()), self.mean_square(rss)
-        prior = Prior(away=change, scale=parameter.scale)
-        log_odds = log_evidence(before, after, share * self.total, prior, share * inner)
+        before, after = self.mean_square_with_tolerance(self.rss.sum()), self.mean_square_with_tolerance(rss)
+        prior = ParameterPrior(away=change, scale=parameter.scale)
+        log_odds = log_evidence(before, after, share * self.num_values, prior, share * inner)
         alike = 0.0 if kind == "brown_out" else float(np.log(self.rotors))
         return log_odds - alike, change, np.sqrt(after / np.maximum(share * inner, 1e-300))
 
-    def _far_from_ends(self, log_odds: Array) -> Array:
+    def _mask_end_onsets(self, log_odds: Array) -> Array:
         """Return the log odds, minus infinity for onsets with too few blocks before or after."""
         onset = np.arange(self.count)
         few = (onset < FEWEST_BEFORE) | (onset > self.count - FEWEST_AFTER[self.work.quantity])

@@ -16,7 +16,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
-from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork, RotorWorks
+from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput, RotorOutputModel
 from aerial_gym.sim2real.failures.scan import FailureCause, FailureTiming, rank_causes, sum_of_odds, time_failure
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
@@ -26,11 +26,8 @@ from aerial_gym.sim2real.logs.rotor_model import place_of_rotor
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
-WINDOW_BLOCKS = 600
-"""Number of blocks analysed together: one minute."""
-
-SHORTEST_S = 2.0
-"""Least time before a failure that leaves a usable flight [s]."""
+WINDOW_BLOCKS = 600  # Number of blocks analysed together: one minute
+SHORTEST_S = 2.0  # Least time before a failure that leaves a usable flight [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +87,7 @@ def least_log_odds(false_alarm_hours: float) -> float:
 
     Without a failure each likelihood ratio has mean 1, so their sum over onsets grows by 1 per block on average. The mean
     number of blocks between false alarms is thus at least the limit.
-
-    Source:
-        Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13 (Shiryaev-Roberts).
+    Source: Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13 (Shiryaev-Roberts).
     """
     return float(np.log(false_alarm_hours * 3600.0 / BLOCK_S))
 
@@ -105,24 +100,24 @@ class FailureFinder:
     ) -> None:
         if not 0.0 < false_alarm_hours < np.inf:
             raise ConfigError(f"false_alarm_hours = {false_alarm_hours!r}: must be > 0 and finite")
-        self.works, self.limit = RotorWorks(robot), least_log_odds(false_alarm_hours)
+        self.works, self.limit = RotorOutputModel(robot), least_log_odds(false_alarm_hours)
         self._robot, self._tolerances = robot, tolerances or Tolerances()
         self._vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._hover = hover_speed(self._vehicle, STANDARD_GRAVITY)
 
-    def find_first(self, flight: Flight) -> Failure | None:
+    def find_first_failure(self, flight: Flight) -> Failure | None:
         """Return the first failure of a flight, or None; windows of a minute overlap by half."""
-        works = self.works.from_flight(flight)
+        works = self.works.outputs_of_flight(flight)
         count = max((work.time.size for work in works), default=0)
         for begin in range(0, max(count - WINDOW_BLOCKS // 2, 1), WINDOW_BLOCKS // 2):
             failure = self.find_in_blocks(
-                [work.rows(slice(begin, begin + WINDOW_BLOCKS)) for work in works], flight.name
+                [work.select_blocks(slice(begin, begin + WINDOW_BLOCKS)) for work in works], flight.name
             )
             if failure is not None:
                 return failure
         return None
 
-    def find_in_blocks(self, works: Sequence[RotorWork], flight: str) -> Failure | None:
+    def find_in_blocks(self, works: Sequence[RotorOutput], flight: str) -> Failure | None:
         """Return the failure that the blocks show; None if the sum of odds is below the limit."""
         causes = rank_causes(works, self._tolerances)
         if not sum_of_odds(causes) > self.limit:
@@ -130,22 +125,24 @@ class FailureFinder:
         ranked = sorted((time_failure(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
         odds = np.array([one.log_odds for one in ranked])
         probability = float(1.0 / np.exp(odds - odds[0]).sum())
-        return self._failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
+        return self._make_failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)
 
-    def _failure(self, event: FailureTiming, flight: str, probability: float, rival: FailureCause | None) -> Failure:
+    def _make_failure(
+        self, event: FailureTiming, flight: str, probability: float, rival: FailureCause | None
+    ) -> Failure:
         """Return the failure with the parameters of its effect."""
         cause, work = event.cause, event.cause.work
         params, std, interval = dict[str, float](), dict[str, float](), dict[str, tuple[float, float]]()
         if cause.rotor is not None:
             params["motor"] = float(cause.rotor + 1)
         if cause.kind == "stuck_rotor":
-            values = [self._state(cause, event.change + step * event.std) for step in (0.0, -1.96, 1.96)]
+            values = [self._state_of_rotor(cause, event.change + step * event.std) for step in (0.0, -1.96, 1.96)]
             name = "speed"
         else:
             off = event.std
             if work.quantity == "thrust":  # the change is relative to declared thrust
                 off = hypot(off, event.change * self._tolerances.thrust, event.change * self._tolerances.mass)
-            values = [self._share(cause, 1.0 + event.change + step * off) for step in (0.0, -1.96, 1.96)]
+            values = [self._share_of_command(cause, 1.0 + event.change + step * off) for step in (0.0, -1.96, 1.96)]
             name = "scale"
         params[name], interval[name], std[name] = values[0], (values[1], values[2]), (values[2] - values[1]) / 3.92
         late = 1.96 * work.lag * self._tolerances.time_constant
@@ -166,7 +163,7 @@ class FailureFinder:
             unit="n" if "force" in self._robot.rotor_traits else "rad_s",
         )
 
-    def _share(self, cause: FailureCause, done: float) -> float:
+    def _share_of_command(self, cause: FailureCause, done: float) -> float:
         """Return the remaining share of the command; a share of thrust is converted by the thrust map."""
         if cause.kind == "weak_motor" or cause.work.quantity == "speed":
             return max(done, 0.0)
@@ -174,7 +171,7 @@ class FailureFinder:
         state = state_for_thrust(self._vehicle, max(done, 0.0) * rotor_thrust(self._vehicle, hover))
         return float((state / hover).mean())
 
-    def _state(self, cause: FailureCause, done: float) -> float:
+    def _state_of_rotor(self, cause: FailureCause, done: float) -> float:
         """Return the state of a rotor with a given output relative to hover."""
         assert cause.rotor is not None
         hover = self._hover[None]
@@ -184,7 +181,7 @@ class FailureFinder:
         return float(state[0, cause.rotor])
 
 
-def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
+def cut_at_failures(flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:
     """Return the flights up to their failures, without those that are too short before them."""
     onset = {failure.flight: failure.interval["time"][0] for failure in failures}
     parts = []
@@ -196,7 +193,7 @@ def until_failure(flights: Sequence[Flight], failures: Sequence[Failure]) -> lis
     return parts
 
 
-def same_in_all(failures: Sequence[Failure], flights: int) -> Failure | None:
+def failure_of_all_flights(failures: Sequence[Failure], flights: int) -> Failure | None:
     """Return the failure common to all of so many flights: same rotor, and size and time within intervals; else None.
 
     Its numbers are the means over the flights.

@@ -9,8 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.failures.evidence import CONTINUOUS, LONGEST, Evidence, Onsets, Prior, log_evidence
-from aerial_gym.sim2real.failures.rotor_work import RotorWork
+from aerial_gym.sim2real.failures.evidence import (
+    CONTINUOUS,
+    LONGEST,
+    FailureEvidence,
+    OnsetOdds,
+    ParameterPrior,
+    log_evidence,
+)
+from aerial_gym.sim2real.failures.rotor_work import RotorOutput
 from aerial_gym.sim2real.identify.least_squares.moments import effective_share
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
@@ -21,19 +28,16 @@ KINDS = {
 }
 """Kinds of failure by quantity and source of its expectation."""
 
-FINE_S = 0.005
-"""Step of the final onset grid [s]."""
-
-AROUND = 3
-"""Number of blocks on each side of the most probable one that the grid covers."""
+FINE_S = 0.005  # Step of the final onset grid [s]
+AROUND = 3  # Number of blocks on each side of the most probable one that the grid covers
 
 
 @dataclass(frozen=True, kw_only=True)
 class FailureCause:
     """One kind of failure on one rotor, with its most probable onset block."""
 
-    work: RotorWork
-    evidence: Evidence
+    work: RotorOutput
+    evidence: FailureEvidence
     kind: str
     rotor: int | None  # Rotor from 0; None: all
     log_odds: float  # Log odds of all its onsets against no failure
@@ -47,13 +51,13 @@ class FailureCause:
         """Return the kind and rotor in words."""
         return self.kind if self.rotor is None else f"{self.kind} of rotor {self.rotor + 1}"
 
-    def share(self) -> float:
+    def share_of_independent_residuals(self) -> float:
         """Return the share of independent residuals with this failure, weighted by the rotors' squared residuals."""
-        left = self.residual()
+        left = self.residual_with_failure()
         squares = (left**2).sum(axis=0)
         return float((effective_share(left) * squares).sum() / max(squares.sum(), 1e-300))
 
-    def residual(self) -> Array:
+    def residual_with_failure(self) -> Array:
         """Return the residuals of every rotor with this failure fitted, (K, R)."""
         work, left = self.work, self.evidence.residual.copy()
         own = range(left.shape[1]) if self.rotor is None else [self.rotor]
@@ -71,12 +75,12 @@ class FailureCause:
         return left
 
 
-def tolerance_share(quantity: str, tolerances: Tolerances) -> float:
+def relative_tolerance(quantity: str, tolerances: Tolerances) -> float:
     """Return the tolerance of the declared thrust, or half of it for speed, since thrust is quadratic in speed."""
     return tolerances.thrust if quantity == "thrust" else 0.5 * tolerances.thrust
 
 
-def rank_causes(works: Sequence[RotorWork], tolerances: Tolerances) -> list[FailureCause]:
+def rank_causes(works: Sequence[RotorOutput], tolerances: Tolerances) -> list[FailureCause]:
     """Return all failures that the quantities of a flight can show, the most probable first; their sum of odds decides.
 
     Autocorrelated residuals count less (``effective_share``), by those of the most probable failure.
@@ -85,10 +89,14 @@ def rank_causes(works: Sequence[RotorWork], tolerances: Tolerances) -> list[Fail
     ranked: list[FailureCause] = []
     for work in works:
         if len(work.time) > 1:
-            evidence = Evidence(work, tolerance_share(work.quantity, tolerances))
-            causes = _causes(evidence, 1.0, kinds)
+            evidence = FailureEvidence(work, relative_tolerance(work.quantity, tolerances))
+            causes = _causes_of_quantity(evidence, 1.0, kinds)
             best = max(causes, key=lambda cause: cause.log_odds)
-            ranked += _causes(evidence, best.share(), kinds) if best.log_odds > 0.0 else causes
+            ranked += (
+                _causes_of_quantity(evidence, best.share_of_independent_residuals(), kinds)
+                if best.log_odds > 0.0
+                else causes
+            )
     return sorted(ranked, key=lambda cause: -cause.log_odds)
 
 
@@ -97,11 +105,11 @@ def sum_of_odds(causes: Sequence[FailureCause]) -> float:
     return float(np.logaddexp.reduce([cause.log_odds for cause in causes])) if causes else -np.inf
 
 
-def _causes(evidence: Evidence, share: float, kinds: int) -> list[FailureCause]:
+def _causes_of_quantity(evidence: FailureEvidence, share: float, kinds: int) -> list[FailureCause]:
     """Return each failure of one quantity per rotor; ``kinds``: number of kinds with equal prior probability."""
     ranked = []
     for kind in KINDS[evidence.work.quantity, evidence.work.driven_by]:
-        onsets = _onsets(evidence, kind, share)
+        onsets = _onset_odds(evidence, kind, share)
         for rotor in (None,) if kind == "brown_out" else range(evidence.rotors):
             own = slice(None) if rotor is None else [rotor]
             odds, change = onsets.log_odds[:, own], onsets.change[:, own]
@@ -121,10 +129,12 @@ def _causes(evidence: Evidence, share: float, kinds: int) -> list[FailureCause]:
     return ranked
 
 
-def _onsets(evidence: Evidence, kind: str, share: float) -> Onsets:
+def _onset_odds(evidence: FailureEvidence, kind: str, share: float) -> OnsetOdds:
     if kind == "brown_out":
-        return evidence.brown_outs(kind, share)
-    return evidence.freeze_odds(kind, share) if kind == "stuck_rotor" else evidence.changes(kind, share)
+        return evidence.odds_of_brown_outs(kind, share)
+    return (
+        evidence.odds_of_stuck_rotors(kind, share) if kind == "stuck_rotor" else evidence.odds_of_changes(kind, share)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,19 +153,19 @@ class FailureTiming:
 
 def time_failure(cause: FailureCause) -> FailureTiming:
     """Return a failure with onset and end on a grid of ``FINE_S`` around its blocks."""
-    share, work = cause.share(), cause.work
-    times = _grid(work, cause.begin)
+    share, work = cause.share_of_independent_residuals(), cause.work
+    times = _onset_grid(work, cause.begin)
     end = None if cause.end is None else float(work.time[min(cause.end, len(work.time) - 1)])
     if cause.kind == "stuck_rotor":
-        log_odds, change, std = _freeze_odds(cause, times, share)
+        log_odds, change, std = _odds_of_stuck_rotor(cause, times, share)
     else:
-        log_odds, change, std = _change_odds(cause, _profile(work, times, end), share)
+        log_odds, change, std = _change_odds(cause, _change_profile(work, times, end), share)
     if end is not None and cause.end is not None:
-        ends = _grid(work, cause.end)
+        ends = _onset_grid(work, cause.end)
         best = np.full(ends.size, times[int(np.argmax(log_odds))])
-        of_ends, _, _ = _change_odds(cause, _profile(work, best, ends), share)
+        of_ends, _, _ = _change_odds(cause, _change_profile(work, best, ends), share)
         end = float(ends[int(np.argmax(of_ends))])
-        log_odds, change, std = _change_odds(cause, _profile(work, times, end), share)
+        log_odds, change, std = _change_odds(cause, _change_profile(work, times, end), share)
     weight = np.exp(log_odds - log_odds.max())
     weight, best = weight / weight.sum(), int(np.argmax(log_odds))
     places = np.searchsorted(np.cumsum(weight), (0.025, 0.975))
@@ -172,20 +182,20 @@ def time_failure(cause: FailureCause) -> FailureTiming:
     )
 
 
-def _grid(work: RotorWork, block: int) -> Array:
+def _onset_grid(work: RotorOutput, block: int) -> Array:
     """Return grid times [s] around the start of a block, (G,)."""
     middle = work.time[min(block, len(work.time) - 1)]
     times = middle + np.arange(-AROUND * work.length, (AROUND + 1) * work.length, FINE_S)
     return times[(times >= work.time[0]) & (times <= work.time[-1] + work.length)]
 
 
-def _profile(work: RotorWork, begin: Array, end: Array | float | None) -> Array:
+def _change_profile(work: RotorOutput, begin: Array, end: Array | float | None) -> Array:
     """Return the share of a change in each block, (G, K), for onsets (G,) and an optional end, with the lag."""
     share = _lag_response(work, begin)
     return share if end is None else share - _lag_response(work, np.broadcast_to(end, begin.shape))
 
 
-def _lag_response(work: RotorWork, begin: Array) -> Array:
+def _lag_response(work: RotorOutput, begin: Array) -> Array:
     """Return the mean over each block of ``1 - exp(-(t - begin) / lag)`` after the onset, (G, K)."""
     since = np.clip(work.time + work.length - begin[:, None], 0.0, None)  # at the block's end
     before = np.clip(work.time - begin[:, None], 0.0, None)
@@ -209,7 +219,7 @@ def _change_odds(cause: FailureCause, profile: Array, share: float) -> tuple[Arr
     return evidence.change_odds(cause.kind, np.maximum(inner, 0.0), along, share)
 
 
-def _freeze_odds(cause: FailureCause, times: Array, share: float) -> tuple[Array, Array, Array]:
+def _odds_of_stuck_rotor(cause: FailureCause, times: Array, share: float) -> tuple[Array, Array, Array]:
     """Return log odds, constant output and its standard deviation, (G,) each, for a rotor stuck from ``times`` (G,) on."""
     evidence, work, rotor = cause.evidence, cause.work, cause.rotor
     assert rotor is not None
@@ -222,10 +232,10 @@ def _freeze_odds(cause: FailureCause, times: Array, share: float) -> tuple[Array
     gram[:, range(width - 1), range(width - 1)] += evidence.least**2
     fitted = np.linalg.solve(gram + 1e-12 * np.eye(width), lean[..., None])[..., 0]
     own = np.maximum((target**2).sum(axis=1) - (lean * fitted).sum(axis=1), 0.0)
-    mean_before = evidence.mean_square(evidence.rss.sum())
-    mean_after = evidence.mean_square(evidence.rss.sum() - evidence.rss[rotor] + own)
+    mean_before = evidence.mean_square_with_tolerance(evidence.rss.sum())
+    mean_after = evidence.mean_square_with_tolerance(evidence.rss.sum() - evidence.rss[rotor] + own)
     block = np.clip(np.searchsorted(work.time, times) - 1, 0, None)
     kept, inner = fitted[:, -1], share * np.maximum(after.sum(axis=1), 1e-9)
-    prior = Prior(away=kept - work.done[np.maximum(block - 1, 0), rotor], scale=CONTINUOUS, normal=True)
-    log_odds = log_evidence(mean_before, mean_after, share * evidence.total, prior, inner)
+    prior = ParameterPrior(away=kept - work.done[np.maximum(block - 1, 0), rotor], scale=CONTINUOUS, normal=True)
+    log_odds = log_evidence(mean_before, mean_after, share * evidence.num_values, prior, inner)
     return log_odds - np.log(evidence.rotors), kept, np.sqrt(mean_after / inner)

@@ -13,18 +13,23 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.flight_event import FlightEvent
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
-from aerial_gym.sim2real.logs.position_jumps import HALF_S, Offset, PositionJump, integral, largest_jump
+from aerial_gym.sim2real.logs.position_jumps import (
+    HALF_S,
+    PositionJump,
+    PositionOffset,
+    displacement_from_velocity,
+    largest_jump,
+)
 from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
 from aerial_gym.sim2real.logs.sample_repeats import (
     LONGEST_FROZEN_S,
     find_frozen_sensors,
-    last_change_rows,
     mend_repeated_samples,
+    rows_of_last_change,
 )
 from aerial_gym.sim2real.logs.signals import uniform_log
 
-WINDOW_S = 20.0
-"""Analysed time span [s], long enough to estimate the scatter of position differences."""
+WINDOW_S = 20.0  # Analysed time span [s], long enough to estimate the scatter of position differences
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,24 +63,24 @@ class SensorWatch:
         self._stopped: dict[str, float] = {}
         """Stopped sensors, with the time of their last change [s]."""
         self._jumps: list[tuple[float, PositionJump]] = []
-        self._offset = Offset()
+        self._offset = PositionOffset()
         """Sum of all jumps, earlier ones included."""
 
     @property
-    def blind(self) -> bool:
+    def has_stopped_sensor(self) -> bool:
         """Return whether any sensor has stopped."""
         return bool(self._stopped)
 
-    def look(self, log: FlightLog) -> list[SensorFault]:
+    def find_new_faults(self, log: FlightLog) -> list[SensorFault]:
         """Return the new faults in the last rows of a flight; ``log.time`` is from its first row [s]."""
-        return [*self._dropouts(log), *self._find_jumps(log)]
+        return [*self._find_dropouts(log), *self._find_jumps(log)]
 
-    def _dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
+    def _find_dropouts(self, log: FlightLog) -> Iterator[SensorFault]:
         """Yield newly stopped sensors; those with new values are monitored again."""
         last = take_rows(log, log.time >= float(log.time[-1]) - 4.0 * LONGEST_FROZEN_S)
         frozen = {one.name for one in find_frozen_sensors(last) if last.time[one.row] + one.seconds >= last.time[-1]}
         stopped = dict[str, float]()
-        for name, row in last_change_rows(log).items():
+        for name, row in rows_of_last_change(log).items():
             at = float(log.time[row])
             # A stopped sensor stays so until its value changes, even if the vehicle stands for a moment.
             if name in frozen or (name in self._stopped and (row == 0 or at <= self._stopped[name])):
@@ -100,12 +105,12 @@ class SensorWatch:
         step, position = float(log.time[1] - log.time[0]), log.position.copy()
         for time, jump in self._jumps:
             position[log.time >= time] -= jump.size
-        largest = largest_jump(position - integral(log.lin_vel, step), step, self._offset)
+        largest = largest_jump(position - displacement_from_velocity(log.lin_vel, step), step, self._offset)
         if largest is None or largest.first > len(position) - 2 * round(HALF_S / step):
             return
         time = float(log.time[largest.first])
         self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, largest)]
-        self._offset = self._offset.and_then(largest)
+        self._offset = self._offset.add_jump(largest)
         size, std = (dict(zip("xyz", values.tolist(), strict=True)) for values in (largest.size, largest.std))
         yield SensorFault(
             flight=self._flight,

@@ -16,38 +16,28 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder
-from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorWork
+from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput
 from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight
 from aerial_gym.sim2real.logs.on_ground import IDLE
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, NORM_OFF, FlightLog
-from aerial_gym.sim2real.logs.rotor_model import lift
+from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
-WINDOW_BLOCKS = 300
-"""Number of stored blocks: half a minute."""
-
-LOOK_BLOCKS = 5
-"""Number of blocks between two searches."""
-
-LEAD_BLOCKS = 10
-"""Number of earlier blocks from which the rotor lag is simulated: many time constants."""
-
-FIRST_ROWS = 20
-"""Number of rows that determine the sample rate."""
+WINDOW_BLOCKS = 300  # Number of stored blocks: half a minute
+LOOK_BLOCKS = 5  # Number of blocks between two searches
+LEAD_BLOCKS = 10  # Number of earlier blocks from which the rotor lag is simulated: many time constants
+FIRST_ROWS = 20  # Number of rows that determine the sample rate
 
 SETTLED_S = 2.0
 """Time after onset and first suspicion before a failure is named [s]. A stuck rotor first resembles a failed one, and an
 onset with too few later blocks is displaced."""
 
-SURE = 0.99
-"""Least probability among all failures for its naming."""
-
-AT_LATEST_S = 8.0
-"""Longest time after onset and first suspicion until a failure is named [s]."""
+SURE = 0.99  # Least probability among all failures for its naming
+AT_LATEST_S = 8.0  # Longest time after onset and first suspicion until a failure is named [s]
 
 SUSPECTED, NAMED = "suspected", "named"
 
@@ -61,8 +51,7 @@ COLUMNS = {
 }
 """Columns in this package's layout, besides t, rotor_n and cmd_n."""
 
-STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])
-"""Required columns."""
+STATE = (*COLUMNS["attitude"], *COLUMNS["ang_vel"])  # Required columns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +89,7 @@ class FlightWatch:
     ) -> None:
         """Store the declared robot and the column names.
 
-        Raises:
-            DataError: If a required column is missing, or a used one appears twice.
+        Raise ``DataError`` if a required column is missing, or a used one appears twice.
         """
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
@@ -126,7 +114,7 @@ class FlightWatch:
         self._recent: deque[Array] = deque()
         self._sensors = SensorWatch(name)
         self._last = np.full(len(header), np.nan)
-        self._works: list[RotorWork] = []
+        self._works: list[RotorOutput] = []
         self._size = 0
         self._start: float | None = None
         self._volts: float | None = None
@@ -143,9 +131,7 @@ class FlightWatch:
         """Take one row in the header's order, with NaN for empty fields; return the new alarms.
 
         Rows without a state or with a bad time stamp are dropped. After a clock was set back, time continues by one step.
-
-        Raises:
-            DataError: If the number of fields differs from the header's.
+        Raise ``DataError`` if the number of fields differs from the header's.
         """
         values = np.asarray(row, dtype=float)
         if values.size != len(self._last):
@@ -157,18 +143,18 @@ class FlightWatch:
             self._stateless += 1
             self.last_bad = Finding("row_without_state")
             return []
-        good, bad = self._stamps.add(values, self._place["t"]), self._stamps.bad
+        good, bad = self._stamps.add_row(values, self._place["t"]), self._stamps.bad
         if bad:
             self.last_bad = Finding("row_with_bad_stamp", "", {"stamp_s": bad[-1]})
-        return [alarm for row in good for alarm in self._take(row)]
+        return [alarm for row in good for alarm in self._process_row(row)]
 
-    def _take(self, values: Array) -> list[Alarm]:
+    def _process_row(self, values: Array) -> list[Alarm]:
         """Take a valid row; return the new alarms."""
         time = self._place["t"]
         values = np.where(np.isnan(values), self._last, values)  # an empty field keeps its last value
         self._start = values[time] if self._start is None else self._start
         if self._rows and values[time] - self._rows[-1][time] > LONGEST_GAP_S:
-            self._begin_anew()
+            self._clear_blocks()
             self._recent.clear()  # positions across the gap are not compared
         self._last = values
         self.watched_s = float(values[time] - self._start)
@@ -180,14 +166,15 @@ class FlightWatch:
         if self.over or not self._size or len(self._rows) <= whole:
             return []
         told = [
-            Alarm(stage=NAMED, failure=fault, told_s=self.watched_s) for fault in self._faults(self._rows[: whole + 1])
+            Alarm(stage=NAMED, failure=fault, told_s=self.watched_s)
+            for fault in self._find_sensor_faults(self._rows[: whole + 1])
         ]
-        if self._sensors.blind:
+        if self._sensors.has_stopped_sensor:
             self._rows, self._works, self._suspected = self._rows[LOOK_BLOCKS * self._size :], [], None
             return told
-        self._follow(np.array(self._rows[: whole + 1]))
+        self._append_new_blocks(np.array(self._rows[: whole + 1]))
         del self._rows[: LOOK_BLOCKS * self._size]
-        return [*told, *self._look()]
+        return [*told, *self._search_for_failure()]
 
     @property
     def bad_rows(self) -> int:
@@ -199,37 +186,37 @@ class FlightWatch:
         """Return the number of backward clock steps."""
         return self._stamps.steps
 
-    def _begin_anew(self) -> None:
+    def _clear_blocks(self) -> None:
         self._rows, self._works, self._suspected = [], [], None
 
-    def _faults(self, rows: Sequence[Array]) -> list[SensorFault]:
+    def _find_sensor_faults(self, rows: Sequence[Array]) -> list[SensorFault]:
         """Return the sensor faults in the given rows, which may overlap earlier ones."""
         time = self._place["t"]
         last = self._recent[-1][time] if self._recent else -np.inf
         self._recent.extend(row for row in rows if row[time] > last)
         while self._recent[-1][time] - self._recent[0][time] > WINDOW_S:
             self._recent.popleft()
-        log = self._log(np.array(self._recent))
+        log = self._rows_as_log(np.array(self._recent))
         assert self._start is not None
-        return self._sensors.look(replace(log, time=log.time - self._start))
+        return self._sensors.find_new_faults(replace(log, time=log.time - self._start))
 
-    def _follow(self, rows: Array) -> None:
+    def _append_new_blocks(self, rows: Array) -> None:
         """Append the blocks of these rows."""
-        flight = self._flight(rows)
+        flight = self._rows_as_flight(rows)
         assert self._start is not None
         offset = float(rows[0, self._place["t"]]) - self._start
         if self._volts is None and flight.battery is not None:
             self._volts = float(flight.battery.mean())
         new = [
-            replace(part, time=part.time + offset).rows(part.time >= (LEAD_BLOCKS - 0.5) * part.length)
-            for part in self._finder.works.from_flight(flight, volts=self._volts)
+            replace(part, time=part.time + offset).select_blocks(part.time >= (LEAD_BLOCKS - 0.5) * part.length)
+            for part in self._finder.works.outputs_of_flight(flight, volts=self._volts)
         ]
         kept = self._works or new
         if self._works:
-            kept = [old.append(part) for old, part in zip(self._works, new, strict=True)]
-        self._works = [part.rows(slice(-WINDOW_BLOCKS, None)) for part in kept]
+            kept = [old.append_blocks(part) for old, part in zip(self._works, new, strict=True)]
+        self._works = [part.select_blocks(slice(-WINDOW_BLOCKS, None)) for part in kept]
 
-    def _log(self, rows: Array) -> FlightLog:
+    def _rows_as_log(self, rows: Array) -> FlightLog:
         """Return rows as a log, without quantities with gaps."""
         values = {quantity: rows[:, places] for quantity, places in self._columns.items()}
         whole = {quantity: value for quantity, value in values.items() if not np.isnan(value).any()}
@@ -240,15 +227,15 @@ class FlightWatch:
         log = FlightLog(path=self._name, time=rows[:, self._place["t"]], attitude=whole["attitude"])
         return replace(log, **whole)
 
-    def _flight(self, rows: Array) -> Flight:
+    def _rows_as_flight(self, rows: Array) -> Flight:
         """Return rows as a flight; low rotor commands (less than half the weight) count as on the ground."""
-        log = uniform_log(replace(self._log(rows), position=None))
+        log = uniform_log(replace(self._rows_as_log(rows), position=None))
         told = log.rotor_speed if log.rotor_command is None else log.rotor_command
         assert told is not None
-        idle = lift(self._robot, told) < IDLE * self._robot.body.mass * STANDARD_GRAVITY
+        idle = total_rotor_force(self._robot, told) < IDLE * self._robot.body.mass * STANDARD_GRAVITY
         return complete_flight(log, on_ground=idle if idle.any() else None)
 
-    def _look(self) -> list[Alarm]:
+    def _search_for_failure(self) -> list[Alarm]:
         failure = self._finder.find_in_blocks(self._works, self._name) if self._works else None
         if failure is None:
             self._suspected = None
@@ -258,7 +245,7 @@ class FlightWatch:
         seen = self.watched_s - max(failure.time, self._since)
         if (seen >= SETTLED_S and failure.probability >= SURE) or seen >= AT_LATEST_S:
             self.over = "duration" not in failure.params
-            self._begin_anew()
+            self._clear_blocks()
             return [Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)]
         told = [] if self._suspected else [Alarm(stage=SUSPECTED, failure=failure, told_s=self.watched_s)]
         self._suspected = failure
@@ -266,6 +253,6 @@ class FlightWatch:
 
     def finish(self) -> list[Alarm]:
         """Return the failure suspected at the end of the rows, since a fallen vehicle leaves little data."""
-        self._stamps.end(self._place["t"])
+        self._stamps.reject_pending_rows(self._place["t"])
         failure, self._suspected = self._suspected, None
         return [Alarm(stage=NAMED, failure=failure, told_s=self.watched_s)] if failure else []

@@ -14,27 +14,21 @@ from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.rotor_model import drag_torques
-from aerial_gym.sim2real.predict.replay.rotor_commands import absent_quantity, low_voltage_variation
+from aerial_gym.sim2real.logs.rotor_model import rotor_drag_torques
+from aerial_gym.sim2real.predict.replay.rotor_commands import finding_on_absent_quantity, finding_on_steady_voltage
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.statistics import fit_line
 
-BLOCK_S = 0.5
-"""Averaging time [s]."""
-
-SURE = 1e-3
-"""Largest p-value of a significant slope of speed over voltage."""
+BLOCK_S = 0.5  # Averaging time [s]
+SURE = 1e-3  # Largest p-value of a significant slope of speed over voltage
 
 SIGNIFICANT_DIGITS = 6
 
-PASSES = 3
-"""Number of replays with the last sag estimate, so that speed and voltage means include the same lag."""
-
-FARTHEST = 1.2
-"""Largest ratio of the nominal voltage to the range of measured voltages."""
+PASSES = 3  # Number of replays with the last sag estimate, so that speed and voltage means include the same lag
+FARTHEST = 1.2  # Largest ratio of the nominal voltage to the range of measured voltages
 
 
-def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
+def add_battery_estimate(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     """Return the robot with a battery estimated from flights; unchanged if its file has one or the flights show none.
 
     Charge and load are fitted by ``V = E_f - k q - r I``. E is the initial voltage of each flight. ``I = P / V`` is the current
@@ -43,18 +37,18 @@ def with_battery(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     Without a significant slope, or measured speeds, it is the highest measured voltage.
     """
     sag = EFFECTS.get("battery_sag")
-    if robot.battery is not None or absent_quantity(sag, flights) or low_voltage_variation(sag, flights):
+    if robot.battery is not None or finding_on_absent_quantity(sag, flights) or finding_on_steady_voltage(sag, flights):
         return robot
     if any(flight.rotor_command is None for flight in flights):
         return robot
     nominal, how = _nominal_voltage(robot, flights)
-    numbers = {"nominal_voltage": nominal, **_discharge(robot, flights)}
+    numbers = {"nominal_voltage": nominal, **_fit_discharge(robot, flights)}
     source = f"estimated by aerial-gym close-loop from the flights {', '.join(flight.name for flight in flights)}"
     rounded = {name: float(f"{value:.{SIGNIFICANT_DIGITS}g}") for name, value in numbers.items()}
     return replace(robot, battery=BatteryCfg(**rounded, source=f"{source}; nominal voltage: {how}"))
 
 
-def _flight_blocks(flight: Flight) -> Flags:
+def _airborne_blocks(flight: Flight) -> Flags:
     """Return the blocks without rows on the ground, (blocks,)."""
     stood = np.zeros(flight.num_rows) if flight.on_ground is None else flight.on_ground.astype(np.float64)
     return _block_means(stood, flight.rate)[:, 0] == 0.0
@@ -72,11 +66,11 @@ def _voltage(flight: Flight) -> Array:
     return flight.battery
 
 
-def _discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
+def _fit_discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
     """Return full and empty voltage, internal resistance and capacity, fitted to charge and load."""
     tables = []
     for number, flight in enumerate(flights):
-        current = _power(robot, flight) / _voltage(flight)
+        current = _rotor_power(robot, flight) / _voltage(flight)
         charge = np.cumsum(current) / flight.rate
         mean = _block_means(np.stack((_voltage(flight), charge, current), axis=1), flight.rate)
         tables.append((mean, np.full(len(mean), number)))
@@ -95,11 +89,11 @@ def _discharge(robot: RobotCfg, flights: Sequence[Flight]) -> dict[str, float]:
     }
 
 
-def _power(robot: RobotCfg, flight: Flight) -> Array:
+def _rotor_power(robot: RobotCfg, flight: Flight) -> Array:
     """Return the mechanical rotor power [W], (T,), at measured or else commanded speeds."""
     rotor = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
     assert rotor is not None
-    return (drag_torques(robot, rotor) * rotor).sum(axis=1)
+    return (rotor_drag_torques(robot, rotor) * rotor).sum(axis=1)
 
 
 def _nominal_voltage(robot: RobotCfg, flights: Sequence[Flight]) -> tuple[float, str]:
@@ -132,7 +126,7 @@ def _speed_ratios(robot: RobotCfg, flights: Sequence[Flight], gain: float, nomin
         assert speed is not None
         sums = np.stack((_voltage(flight), flight.rotor_speed.sum(axis=1), speed.sum(axis=1)), axis=1)
         means.append(
-            _block_means(sums, flight.rate)[_flight_blocks(flight)][1:]
+            _block_means(sums, flight.rate)[_airborne_blocks(flight)][1:]
         )  # the first block starts at a noisy measured speed
     voltage, measured, replayed = np.concatenate(means).T
     return voltage, measured / replayed

@@ -20,33 +20,23 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.effects.learned_residual import network
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding, refusal
-from aerial_gym.sim2real.identify.selection.scoring import Gain, LeftOut
+from aerial_gym.sim2real.identify.selection.scoring import CrossValidation, Gain
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 OUTPUTS = tuple(f"{kind}.{axis}" for kind in ("specific_force", "angular_acceleration") for axis in "xyz")
 """Channels in the order of the network's outputs."""
 
-HIDDEN = 16
-"""Units H of the one hidden layer."""
+HIDDEN = 16  # Units H of the one hidden layer
 
 DECAYS = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
 """Tested weight decays, per squared weight relative to a mean square of order one."""
 
-STEPS = 200
-"""Largest number of L-BFGS iterations."""
-
-LEAST_SHARE = 0.1
-"""Least explained share of an output's mean square on left-out flights; otherwise the output is zero."""
-
-TAIL = 0.01
-"""Share of training rows outside each input limit, and outside the distance of full trust."""
-
-RIDGE = 1e-2
-"""Added to the covariance of standardised inputs, so that nearly constant ones may vary by a tenth."""
-
-DIGITS = 6
-"""Significant digits in the robot file; float32 has seven."""
+STEPS = 200  # Largest number of L-BFGS iterations
+LEAST_SHARE = 0.1  # Least explained share of an output's mean square on left-out flights; otherwise the output is zero
+TAIL = 0.01  # Share of training rows outside each input limit, and outside the distance of full trust
+RIDGE = 1e-2  # Added to the covariance of standardised inputs, so that nearly constant ones may vary by a tenth
+DIGITS = 6  # Significant digits in the robot file; float32 has seven
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,17 +85,13 @@ class ResidualFit:
         }
 
 
-def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut, *, seed: int = 0) -> ResidualFit:
+def train_residual(
+    predictor: Predictor, params: ModelParams, left_out: CrossValidation, *, seed: int = 0
+) -> ResidualFit:
     """Return a network for the residual of the training flights, or its rejection if left-out flights do not improve.
 
-    Args:
-        predictor: Predictor of the training flights.
-        params: Model with its named effects.
-        left_out: Cross-validation of the same flights, with its folds and acceptance rule.
-        seed: Seed of the initial weights.
-
-    Raises:
-        ConfigError: If the robot file already has a learned residual.
+    ``left_out``: cross-validation of the same flights, with its folds and acceptance rule. Raise ``ConfigError`` if the
+    robot file already has a learned residual.
     """
     if params.learned is not None:
         raise ConfigError(
@@ -118,7 +104,7 @@ def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut,
     trainer = _Trainer(predictor, params, left_out, seed)
     decay, errors = trainer.best_decay()
     if not (errors < 1.0 - LEAST_SHARE).all():
-        trainer.keep(errors < 1.0 - LEAST_SHARE)
+        trainer.keep_outputs(errors < 1.0 - LEAST_SHARE)
         if not trainer.outputs:
             most = max(0.0, 1.0 - float(errors.min()))
             return ResidualFit(cfg=None, objections=(Finding("share_small", "", {"share": most}),))
@@ -129,7 +115,9 @@ def train_residual(predictor: Predictor, params: ModelParams, left_out: LeftOut,
     return ResidualFit(cfg=trainer.network_config(trainer.train(decay)), objections=(), gain=gain, decay=decay)
 
 
-def judge_on_test(learned: ResidualFit, predictor: Predictor, params: ModelParams, floor: Array | None) -> ResidualFit:
+def add_test_shares(
+    learned: ResidualFit, predictor: Predictor, params: ModelParams, floor: Array | None
+) -> ResidualFit:
     """Return the result with the share of the test flights' excess error that the learned residual removes."""
     if learned.effect is None:
         return learned
@@ -161,11 +149,11 @@ class _Layers:
         """Return the outputs (T, O) for inputs (T, D)."""
         return network(inputs, [(self.weights, self.bias)], (self.output, self.offset))
 
-    def flat(self) -> Tensor:
+    def as_vector(self) -> Tensor:
         """Return all numbers as a vector."""
         return torch.cat([part.flatten() for part in vars(self).values()])
 
-    def from_flat(self, numbers: Tensor) -> "_Layers":
+    def from_vector(self, numbers: Tensor) -> "_Layers":
         """Return layers of the same shapes from a vector."""
         shapes = [part.shape for part in vars(self).values()]
         parts = numbers.split([shape.numel() for shape in shapes])
@@ -175,7 +163,7 @@ class _Layers:
 class _Trainer:
     """Standardised rows of the training flights, and fits on them."""
 
-    def __init__(self, predictor: Predictor, params: ModelParams, left_out: LeftOut, seed: int) -> None:
+    def __init__(self, predictor: Predictor, params: ModelParams, left_out: CrossValidation, seed: int) -> None:
         self._predictor, self._point, self._left_out, self._seed = predictor, params, left_out, seed
         self._felt = np.concatenate(predictor.residual_inputs(params))
         self._residual = np.concatenate(predictor.residuals(params))
@@ -190,7 +178,7 @@ class _Trainer:
         self._count = left_out.count.astype(int)
         self._fold = np.repeat(left_out.fold, self._count)
 
-    def keep(self, chosen: Flags) -> None:
+    def keep_outputs(self, chosen: Flags) -> None:
         """Restrict the network to the chosen outputs; others stay zero."""
         self.outputs = [k for k, kept in zip(self.outputs, chosen, strict=True) if kept]
         self._size, self._targets = self._size[chosen], self._targets[:, torch.from_numpy(chosen)]
@@ -210,14 +198,14 @@ class _Trainer:
 
         def loss(numbers: Array) -> tuple[float, Array]:
             at = torch.tensor(numbers, requires_grad=True)
-            layers = start.from_flat(at)
+            layers = start.from_vector(at)
             squares = layers.weights.square().sum() + layers.output.square().sum()
             value = (layers(inputs) - targets).square().mean() + decay / outputs * squares
             (gradient,) = torch.autograd.grad(value, at)
             return value.item(), gradient.numpy()
 
-        optimum = minimize(loss, start.flat().numpy(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
-        return start.from_flat(torch.from_numpy(optimum.x))
+        optimum = minimize(loss, start.as_vector().numpy(), jac=True, method="L-BFGS-B", options={"maxiter": STEPS})
+        return start.from_vector(torch.from_numpy(optimum.x))
 
     def best_decay(self) -> tuple[float, Array]:
         """Return the decay with the least error on left-out flights, and the relative mean squares there, (O,)."""
@@ -240,9 +228,9 @@ class _Trainer:
             effect = LearnedResidual(self.network_config(self.train(decay, int(leave))))
             with_it = np.concatenate(self._predictor.residuals(replace(self._point, learned=effect)))
             optimum[self._fold == leave] = with_it[self._fold == leave]
-        return self._left_out.gain(self._squares(self._residual), self._squares(optimum))
+        return self._left_out.gain(self._block_squares(self._residual), self._block_squares(optimum))
 
-    def _squares(self, residual: Array) -> Array:
+    def _block_squares(self, residual: Array) -> Array:
         """Return the sums of squares of each block, (B, C)."""
         return np.add.reduceat(residual**2, np.concatenate(([0], np.cumsum(self._count)[:-1])), axis=0)
 
@@ -257,14 +245,14 @@ class _Trainer:
         to_wrench = torch.from_numpy(to_wrench[:, self.outputs] * self._size)
         physical = replace(layers, output=to_wrench @ layers.output, offset=to_wrench @ layers.offset)
         return LearnedResidualCfg(
-            low=_round(self._low),
-            high=_round(self._high),
-            centre=_round(self._centre),
-            scale=_round(self._scale),
+            low=_round_numbers(self._low),
+            high=_round_numbers(self._high),
+            centre=_round_numbers(self._centre),
+            scale=_round_numbers(self._scale),
             whitening=_round_rows(self._whitening()),
-            hidden=(LayerCfg(weights=_round_rows(layers.weights), bias=_round(layers.bias)),),
-            output=LayerCfg(weights=_round_rows(physical.output), bias=_round(physical.offset)),
-            limit=_round(physical(self._inputs).abs().amax(dim=0)),
+            hidden=(LayerCfg(weights=_round_rows(layers.weights), bias=_round_numbers(layers.bias)),),
+            output=LayerCfg(weights=_round_rows(physical.output), bias=_round_numbers(physical.offset)),
+            limit=_round_numbers(physical(self._inputs).abs().amax(dim=0)),
             source=f"aerial-gym close-loop on the flights {', '.join(flight.name for flight in self._predictor.flights)}",
         )
 
@@ -276,9 +264,9 @@ class _Trainer:
         return white / np.quantile(np.linalg.norm(standard @ white.T, axis=1), 1.0 - TAIL)
 
 
-def _round(values: Array | Tensor | Sequence[float]) -> tuple[float, ...]:
+def _round_numbers(values: Array | Tensor | Sequence[float]) -> tuple[float, ...]:
     return tuple(float(f"{value:.{DIGITS}g}") for value in values)
 
 
 def _round_rows(rows: Array | Tensor) -> tuple[tuple[float, ...], ...]:
-    return tuple(_round(row) for row in rows)
+    return tuple(_round_numbers(row) for row in rows)

@@ -7,8 +7,8 @@ import numpy as np
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real.identify.battery import with_battery
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, with_params
+from aerial_gym.sim2real.identify.battery import add_battery_estimate
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, replace_params
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, select_effects
 from aerial_gym.sim2real.logs.flights import Flight
@@ -19,8 +19,7 @@ from aerial_gym.sim2real.predict.scene import check_scene
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from aerial_gym.sim2real.progress import Progress
 
-SIGNIFICANT_DIGITS = 6
-"""Significant digits of parameters in the corrected robot file."""
+SIGNIFICANT_DIGITS = 6  # Significant digits of parameters in the corrected robot file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,17 +56,16 @@ class LoopSetup:
         return self.train.tolerances
 
 
-def declare(
+def prepare_comparison(
     robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float, tolerances: Tolerances
 ) -> LoopSetup:
     """Return a robot with its training and test flights, ready for comparison.
 
-    Raises:
-        ConfigError: If the robot cannot be compared with flights.
-        DataError: If the flights lack a quantity for a declared effect, or share no channel.
+    Raise ``ConfigError`` if the robot cannot be compared with flights. Raise ``DataError`` if the flights lack a quantity
+    for a declared effect, or share no channel.
     """
     check_effects(robot)
-    flights, powered = [*train, *test], with_battery(robot, train)
+    flights, powered = [*train, *test], add_battery_estimate(robot, train)
     band, channels = comparison_band(flights, bandwidth), find_channels(flights)
     on_train, on_test = (
         Predictor(powered, part, bandwidth=band, channels=channels, tolerances=tolerances) for part in (train, test)
@@ -79,7 +77,7 @@ def declare(
     )
 
 
-def select(
+def select_from_setup(
     declared: LoopSetup, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
 ) -> SelectionResult:
     """Return the selection of effects from the training flights, among ``candidates`` if given."""
@@ -92,7 +90,7 @@ def select(
     )
 
 
-def model_with_effects(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
+def final_model(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
     """Return the final model as in the robot file."""
     return round_params(declared.robot, selection.final.fit.params, selection.effect_names)
 
@@ -100,4 +98,4 @@ def model_with_effects(declared: LoopSetup, selection: SelectionResult) -> Model
 def round_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
     """Return the model with parameters rounded as in the robot file."""
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in parameter_row(params, effects)])
-    return with_params(robot, params, effects, values)
+    return replace_params(robot, params, effects, values)

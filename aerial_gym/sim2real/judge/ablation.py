@@ -13,7 +13,7 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, set_label
-from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
+from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
@@ -109,11 +109,11 @@ def ablations(
     flown: list[RolloutErrors] = []
     if "free" in evaluations[0].rollouts:
         if len(without) > 1:
-            models, links = list(without.values()), [tested.links(less) for less in without.values()]
+            models, links = list(without.values()), [tested.load_links(less) for less in without.values()]
             flown = [one["free"] for one in rollout_errors_of_models(robot, test, models, {"free": False}, links=links)]
         else:  # the only effect removed leaves the declared model
             flown = [evaluations[0].rollouts["free"]]
-    residuals, group, flight = tested.residuals(final), time_groups(tested.times), flight_of_rows(tested.times)
+    residuals, group, flight = tested.residuals(final), time_block_of_rows(tested.times), flight_of_rows(tested.times)
     residual = np.concatenate(residuals)
     by_horizon = {}
     for place, (name, less) in enumerate(without.items()):
@@ -171,7 +171,7 @@ def rank_rivals(name: str, selection: SelectionResult, train: Predictor) -> tupl
     """
 
     def squares(fitted: EffectSetFit) -> Array:
-        return np.mean(np.square(np.concatenate(train.residuals(fitted.model_in_tolerances))), axis=0)
+        return np.mean(np.square(np.concatenate(train.residuals(fitted.model_with_deviations))), axis=0)
 
     left, own = squares(selection.chosen.without[name]), squares(selection.chosen.named)
     place = int(np.argmin(own / left))

@@ -9,10 +9,10 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding, unit_key
-from aerial_gym.sim2real.identify.learned import judge_on_test, train_residual
+from aerial_gym.sim2real.identify.learned import add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.identify.stages import LoopSetup, model_with_effects
+from aerial_gym.sim2real.identify.stages import LoopSetup, final_model
 from aerial_gym.sim2real.judge.ablation import ablations
 from aerial_gym.sim2real.judge.breakdown import active_regime, by_flight
 from aerial_gym.sim2real.judge.decision import Decision, decide
@@ -24,10 +24,10 @@ from aerial_gym.sim2real.judge.random_wind.gusts import NAME, wind_declaration, 
 from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, channel_rms, find_unexplained, judges_forces
 from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, effect_entries, find_ties, immaterial
 from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.flights import Flight, merge_notes, rigid_notes
+from aerial_gym.sim2real.logs.flights import Flight, findings_on_rigid_joints, merge_findings_of_flights
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.noise_floor import floor_of_flight, of_all_flights
+from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
 from aerial_gym.sim2real.progress import Progress
 
 
@@ -48,11 +48,11 @@ def judge(
     declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
 ) -> LoopResult:
     """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot."""
-    tested, model = declared.test, model_with_effects(declared, selection)
+    tested, model = declared.test, final_model(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
     floors = floors_in_declared_wind(declared, model)
-    still = of_all_flights(floors)
+    still = rms_of_noise_floors(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
     pair = (declared.params, model) if selection.effect_names else (declared.params,)
     evaluations = evaluate(declared.robot, tested, pair, floor=still, seed=seed)
@@ -66,7 +66,7 @@ def judge(
     if learn_residual:
         progress("fit of the learned residual", 0.9)
         trained = train_residual(declared.train, model, result.left_out, seed=seed)
-        learned = judge_on_test(trained, tested, model, unexplained.floor)
+        learned = add_test_shares(trained, tested, model, unexplained.floor)
     if learned is None or learned.effect is None:
         params, after = model, unexplained.with_wind_floor(named)
     else:
@@ -118,7 +118,7 @@ def floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Ar
     """Return each test flight's noise floors (C,), with the declared random wind; None where the log shows none."""
     test = declared.test
     wind = wind_declaration(declared.robot).adds(test, params)
-    floors = [floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
+    floors = [noise_floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
     return beside_wind(floors, wind)
 
 
@@ -129,7 +129,7 @@ def beside_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | Non
 
 def floors_with_gusts(floors: Sequence[Array | None], unexplained: ResidualExcess) -> list[Array | None]:
     """Return the noise floors of flights, (C,) each, with the identified random wind added."""
-    still = of_all_flights(floors)
+    still = rms_of_noise_floors(floors)
     if still is None or unexplained.floor is None:
         return list(floors)
     return beside_wind(floors, np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0)))
@@ -186,7 +186,7 @@ def notes(
     ``named`` is the evaluation of the named effects on the test flights.
     """
     return (
-        *rigid_notes(declared.stated),
+        *findings_on_rigid_joints(declared.stated),
         *doubt_notes(selection),
         *open_notes(unexplained),
         *unexplained.wind.notes,
@@ -244,7 +244,7 @@ def own_notes(selection: SelectionResult) -> list[Finding]:
     """Return a note on the offsets that differ between flights, hence are no property of the vehicle."""
     offsets = [
         {"channel": one.channel, f"rms_{unit_key(UNITS[one.channel.split('.')[0]])}": one.size}
-        for one in selection.chosen.best.own
+        for one in selection.chosen.best.flight_offsets
     ]
     return [Finding("offsets_sizes", "", {"offsets": offsets})] if offsets else []
 
@@ -252,7 +252,7 @@ def own_notes(selection: SelectionResult) -> list[Finding]:
 def about_logs(declared: LoopSetup) -> list[Finding]:
     """Return the notes on the logs, their rate and their number."""
     flights, band = declared.flights, declared.bandwidth
-    results = merge_notes(flights)
+    results = merge_findings_of_flights(flights)
     if band < declared.asked_bandwidth:
         slowest = min(flight.rate for flight in flights)
         results.append(Finding("band_limited", "", {"band_hz": band, "slowest_hz": slowest}))

@@ -10,12 +10,12 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
-from aerial_gym.sim2real.identify.candidates.structure import flight_rows
-from aerial_gym.sim2real.identify.least_squares.moments import time_groups
+from aerial_gym.sim2real.identify.candidates.structure import rows_at_times
+from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, gap_closed
 from aerial_gym.sim2real.judge.outcome import Outcome, channel_outcome, rollout_outcome
-from aerial_gym.sim2real.logs.flights import Flight, common_values
+from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -78,7 +78,7 @@ def by_flight(
     for index, flight in enumerate(predictor.flights):
         floor = floors[index]
         level = [None] * len(predictor.channels) if floor is None else floor.tolist()
-        changes = _changes(before[index], after[index], time_groups([predictor.times[index]]), seed)
+        changes = _changes(before[index], after[index], time_block_of_rows([predictor.times[index]]), seed)
         results[flight.name] = [
             Part(
                 unit=channel.unit,
@@ -137,7 +137,7 @@ def active_regime(
     size = np.sqrt((weight * change**2).sum(axis=1))
     acts = size >= np.quantile(size, ACTS_FROM)
     place = int(np.argmax(weight * (change[acts] ** 2).mean(axis=0)))
-    group = time_groups(predictor.times)[acts]
+    group = time_block_of_rows(predictor.times)[acts]
     rms = [
         rms_with_interval(np.concatenate(predictor.residuals(params))[acts][:, place : place + 1], group, seed=seed)[0]
         for params in (declared, final)
@@ -157,13 +157,13 @@ def _looks(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> di
     """Return mean speed, height and turn rate over the rows in which an effect acts, and over the others."""
     parts = []
     for flight, time in zip(flights, times, strict=True):
-        rows, results = flight_rows(flight, time), dict[str, Array]()
+        rows, results = rows_at_times(flight, time), dict[str, Array]()
         if flight.lin_vel is not None:
             results["speed [m/s]"] = np.linalg.norm(flight.lin_vel[rows], axis=1)
         if flight.position is not None:
             results["height [m]"] = flight.position[rows, 2]
         parts.append(results | {"turn rate [rad/s]": np.linalg.norm(flight.ang_vel[rows], axis=1)})
-    together = {title: np.concatenate(values) for title, values in common_values(parts).items()}
+    together = {title: np.concatenate(values) for title, values in values_in_all_mappings(parts).items()}
     return {
         title: (float(v[acts].mean()), float(v[~acts].mean()) if not acts.all() else np.nan)
         for title, v in together.items()

@@ -86,7 +86,7 @@ def log_densities(test: Predictor, fits: Sequence[EffectSetFit], selection: Sele
 
 def test_residual(test: Predictor, fitted: EffectSetFit, selection: SelectionResult) -> Left:
     """Return the residual sums of a set on the test flights at its most probable model, without offsets of flights."""
-    at, offsets = fitted.model_in_tolerances, selection.own_offsets
+    at, offsets = fitted.model_with_deviations, selection.own_offsets
     predicted = test.predict(at)
     tolerance = tolerance_jacobian(test, at)
     columns = effect_jacobian(test, at, fitted.effects, predicted, beside=tolerance)

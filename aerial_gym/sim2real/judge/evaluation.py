@@ -8,7 +8,7 @@ import numpy as np
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.least_squares.moments import time_groups
+from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
 from aerial_gym.sim2real.logs.flights import Flight, flight_names
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -65,11 +65,11 @@ def evaluate(
     robot: RobotCfg, predictor: Predictor, models: Sequence[ModelParams], *, floor: Array | None, seed: int
 ) -> list[ModelEvaluation]:
     """Return residuals and rollouts of each model on flights that were not used for its fit."""
-    flights, group = predictor.flights, time_groups(predictor.times)
+    flights, group = predictor.flights, time_block_of_rows(predictor.times)
     residuals = [np.concatenate(predictor.residuals(one)) for one in models]
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not rollout_gap(flights):
-        links, variants = [predictor.links(one) for one in models], {"free": False, "given_attitude": True}
+        links, variants = [predictor.load_links(one) for one in models], {"free": False, "given_attitude": True}
         rollouts = rollout_errors_of_models(
             robot, flights, models, variants, links=links, tolerances=predictor.tolerances
         )

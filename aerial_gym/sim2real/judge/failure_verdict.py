@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
-from aerial_gym.sim2real.failures.flight_event import Failure, same_in_all
+from aerial_gym.sim2real.failures.flight_event import Failure, failure_of_all_flights
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.judge.analysis import LoopResult, with_effects
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
@@ -20,7 +20,7 @@ def with_failures(judged: LoopResult, failures: Sequence[Failure], flights: int)
     """
     if not failures:
         return judged
-    every = same_in_all(failures, flights)
+    every = failure_of_all_flights(failures, flights)
     effect = None if every is None else _effect(every, judged.declared.stated)
     verdict = _add_failures(judged.verdict, failures, effect)
     if effect is None:

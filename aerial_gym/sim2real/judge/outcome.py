@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_groups
+from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -70,7 +70,7 @@ def outcomes(
 
 def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], least: float) -> Iterator[Outcome]:
     before, after = (np.concatenate(predictor.residuals(model)) for model in models)
-    rises = rise_with_interval(after, before, time_groups(predictor.times), flight_of_rows(predictor.times))
+    rises = rise_with_interval(after, before, time_block_of_rows(predictor.times), flight_of_rows(predictor.times))
     for channel, rise in zip(predictor.channels, rises, strict=True):
         yield channel_outcome(channel, rise, least)
 

@@ -15,7 +15,7 @@ from scipy import special
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library, build_library
-from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR, normal_equations, prior_precision
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
@@ -53,11 +53,15 @@ def left_open(
     tolerance = tolerance_jacobian(test, params)
     jacobian = np.concatenate(effect_jacobian(test, params, fit.effects, predicted, beside=tolerance))
     precision = prior_precision(fit)
-    for place, owner in enumerate(fit.owners):
+    for place, owner in enumerate(fit.parameter_owners):
         if owner in fit.frozen:
             precision[place] = 1.0
     chosen = np.array(
-        [place for place in range(precision.size) if place >= len(fit.owners) or is_number(*fit.owners[place])]
+        [
+            place
+            for place in range(precision.size)
+            if place >= len(fit.parameter_owners) or is_number(*fit.parameter_owners[place])
+        ]
     )
     product, _ = normal_equations(fit, selection.weights.weight)
     covariance = np.linalg.inv((product + np.diag(precision))[np.ix_(chosen, chosen)])
@@ -143,7 +147,7 @@ def open_effects(
     """
     declared, final = models
     names = [name for name in EFFECTS if EFFECTS.get(name).is_selectable]
-    skipped = [name for name in names if lacks(name, train.robot, train.flights, test.flights)]
+    skipped = [name for name in names if finding_on_untestable_effect(name, train.robot, train.flights, test.flights)]
     skipped += [*selection.surrogates, *set(names).difference(selection.looked_for)]
     frozen = selection.final.fit.frozen
     libraries = [

@@ -15,8 +15,8 @@ from aerial_gym.sim2real.failures.flight_event import Failure
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.candidates.structure import Structure
 from aerial_gym.sim2real.identify.learned import ResidualFit
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_row, scales
-from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_row, parameter_scales
+from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.ablation import Ablation
@@ -52,7 +52,7 @@ class NamedEffect:
     regime: Regime | None = None  # Errors of both models in the rows in which it acts most; None for gusts and failures
     ties: tuple[str, ...] = ()  # Effects that explain the flights equally well in its place
 
-    in_part: tuple[RivalInPart, ...] = ()
+    in_part: tuple[ParameterRival, ...] = ()
     """Effects that explain the flights equally well in place of one of its parameters."""
 
     correlation: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -208,10 +208,10 @@ def effect_entries(
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
     fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
-    values, scale = parameter_row(fit.params, fit.effects), scales(fit.effects)
+    values, scale = parameter_row(fit.params, fit.effects), parameter_scales(fit.effects)
     std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
     noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
-    owners = (fit.owners[k] for k in fit.free_effects.tolist())
+    owners = (fit.parameter_owners[k] for k in fit.free_effects.tolist())
     numbers = [f"{name}.{EFFECTS.get(name).parameters[place].name}" for name, place in owners]
     correlation = spread.correlation
     results = []
@@ -223,7 +223,7 @@ def effect_entries(
                 params={key: float(values[k]) for key, k in own.items()},
                 std={key: float(std[k] * scale[k]) for key, k in own.items() if k in std},
                 noise_std={key: float(noise[k] * scale[k]) for key, k in own.items() if k in noise},
-                frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.owners[k])),
+                frozen=tuple(key for key, k in own.items() if k not in std and is_number(*fit.parameter_owners[k])),
                 confidence=min(inclusion[name], MOST_CONFIDENT),
                 ablation=ablations[name],
                 regime=regimes[name],

@@ -13,7 +13,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.json_values import select_fields
-from aerial_gym.sim2real.logs.signals import lowpass_gain, without_line
+from aerial_gym.sim2real.logs.signals import lowpass_gain, remove_line
 from aerial_gym.sim2real.predict.channels import Channel
 
 EDGES = (0.0, 0.125, 0.25, 0.5, 1.0)
@@ -76,7 +76,7 @@ def integrate(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
     results = []
     for time, rows in zip(times, values, strict=True):
         step = float(np.median(np.diff(time)))
-        total = without_line(cumulative_trapezoid(rows.T, dx=step, initial=0.0)).T
+        total = remove_line(cumulative_trapezoid(rows.T, dx=step, initial=0.0)).T
         angle = np.pi * np.fft.rfftfreq(len(rows), 1.0)  # w h / 2
         gain = np.ones_like(angle)
         gain[1:] = np.maximum(angle[1:] / np.tan(np.maximum(angle[1:], 1e-12)), 0.1)  # limited above the band

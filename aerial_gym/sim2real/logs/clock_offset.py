@@ -11,29 +11,21 @@ import numpy as np
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
-from aerial_gym.sim2real.logs.signals import apply_lag, edge_rows, interpolate, lowpass
+from aerial_gym.sim2real.logs.signals import apply_lag, edge_rows, interpolate_columns, lowpass
 
 LATE_S = 0.003
 """Standard deviation of each sensor's unknown delay [s]: filters and telemetry take milliseconds that no log states."""
 
-LARGEST_SHIFT_S = 0.05
-"""Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s."""
-
-SETTLED = 5.0
-"""Settling time of a lag in declared time constants."""
+LARGEST_SHIFT_S = 0.05  # Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s
+SETTLED = 5.0  # Settling time of a lag in declared time constants
 
 LEAST_SHIFT_GAIN = 0.3
 """Least relative reduction of the residual variance for an accepted offset. One row of a 100 Hz log or vertical drag
 gives less; an offset of two rows gives half (measured on the IDSIA flights)."""
 
-AGREEING = 4.0
-"""Offsets of several logs within this many standard deviations of their mean count as equal."""
-
-CLEAR_ODDS = 20.0
-"""Least odds of a clock offset against delayed sensors if the flights disagree on the offset."""
-
-PASSED = 0.85
-"""Noise bandwidth between both low-passes over the upper one: ``7/8 (pi/8) / sin(pi/8)``, less 0.05."""
+AGREEING = 4.0  # Offsets of several logs within this many standard deviations of their mean count as equal
+CLEAR_ODDS = 20.0  # Least odds of a clock offset against delayed sensors if the flights disagree on the offset
+PASSED = 0.85  # Noise bandwidth between both low-passes over the upper one: ``7/8 (pi/8) / sin(pi/8)``, less 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +35,7 @@ class ClockOffset:
     rows: float = 0.0
     std: float = 0.0  # Standard deviation [rows]
 
-    def is_a_clock(self, rate: float, odds: float = 1.0) -> bool:
+    def is_likelier_than_sensor_delays(self, rate: float, odds: float = 1.0) -> bool:
         """Return whether a clock offset is more probable, by ``odds``, than two delayed sensors; ``rate`` in Hz.
 
         A clock offset is uniform within ``LARGEST_SHIFT_S``. Delays of rotor speeds and accelerometer are independent and
@@ -86,7 +78,7 @@ class OffsetCurve:
             std=float(np.sqrt(2.0 * least / (self.samples * curvature))),
         )
 
-    def rules_out(self, rows: float) -> bool:
+    def is_zero_clearly_better(self, rows: float) -> bool:
         """Return whether zero offset fits clearly better than ``rows``."""
         if not self.left.size:
             return False
@@ -113,7 +105,6 @@ def offset_curve(
         measured: Specific force along body z [m/s²], (T,).
         predicted: The same, predicted from the logged rotor speeds, (T,).
         others: Further regressors on the accelerometer's clock, (T, any): velocity, angular acceleration.
-        rate: Rows per second [Hz].
         bandwidth: Upper limit of the pass band [Hz]; the lower one is a twentieth of it.
         largest: Largest offset [s].
     """
@@ -144,7 +135,8 @@ def common_offsets(curves: Sequence[OffsetCurve], learning: int) -> list[ClockOf
     told, agreed = _decide_offsets(curves, learning)
     odds = 1.0 if agreed else CLEAR_ODDS
     return [
-        offset if offset.is_a_clock(one.rate, odds) else ClockOffset() for offset, one in zip(told, curves, strict=True)
+        offset if offset.is_likelier_than_sensor_delays(one.rate, odds) else ClockOffset()
+        for offset, one in zip(told, curves, strict=True)
     ]
 
 
@@ -161,7 +153,9 @@ def _decide_offsets(curves: Sequence[OffsetCurve], learning: int) -> tuple[list[
         return own, False
     same = [ClockOffset(rows=mean * one.rate, std=spread * one.rate) for one in curves]
     each = [
-        offset if one.rules_out(moved.rows) or abs(offset.rows - moved.rows) > AGREEING * offset.std > 0.0 else moved
+        offset
+        if one.is_zero_clearly_better(moved.rows) or abs(offset.rows - moved.rows) > AGREEING * offset.std > 0.0
+        else moved
         for offset, moved, one in zip(own, same, curves, strict=True)
     ]
     return each, all(offset is moved for offset, moved in zip(each[:learning], same, strict=False))
@@ -178,12 +172,14 @@ def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffse
         offsets: Offsets of the rotor speeds.
         time_constant: Declared [s]; 0.2 to 5 times it is searched.
     """
-    curve_values = [_left_by_lags(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)]
+    curve_values = [
+        _lag_residuals_by_clock(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)
+    ]
     told = [np.log(moved / stayed) for moved, stayed in filter(None, curve_values)]
     return not told or bool(np.mean(told) > np.log(1.0 - LEAST_SHIFT_GAIN))
 
 
-def _left_by_lags(log: FlightLog, offset: ClockOffset, time_constant: float) -> tuple[float, float] | None:
+def _lag_residuals_by_clock(log: FlightLog, offset: ClockOffset, time_constant: float) -> tuple[float, float] | None:
     """Return the least mean squared lag residuals with the commands on the other clock and on the rotor clock, or None."""
     speed, command = log.rotor_speed, log.rotor_command
     if round(offset.rows) == 0 or speed is None or command is None:
@@ -215,7 +211,7 @@ def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = Tru
     for name in ("rotor_speed", "rotor_command")[: 1 + commands]:
         values = getattr(log, name)
         if values is not None:
-            moved[name] = interpolate(rows[kept] - offset.rows, rows, values)
+            moved[name] = interpolate_columns(rows[kept] - offset.rows, rows, values)
     step = 1e3 * float(np.median(np.diff(log.time)))
     lead = {"lead_ms": offset.rows * step, "half_width_ms": 1.96 * offset.std * step, "with_commands": commands}
     note = Finding("rotor_log_moved", "", lead)

@@ -17,25 +17,29 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.conventions import body_rate, check_log, check_time, without_bad_quaternions
+from aerial_gym.sim2real.logs.checks.conventions import (
+    body_rate_from_attitude,
+    check_duration_and_rate,
+    check_log,
+    without_bad_quaternions,
+)
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
-from aerial_gym.sim2real.logs.checks.rotor_order import check_order
+from aerial_gym.sim2real.logs.checks.rotor_order import check_rotor_order
 from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
-from aerial_gym.sim2real.logs.checks.time_courses import check_one_course
+from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_flights
 from aerial_gym.sim2real.logs.clock_offset import commands_share_clock, shift_rotor_log
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
-from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, clock_offsets
-from aerial_gym.sim2real.logs.rotor_model import mean_lag
+from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, rotor_clock_offsets
+from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass, uniform_log, without_gaps
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, lowpass, uniform_log
 
-FEWEST_HIGH = 10
-"""At least one row in so many must lie above the height at which commands are scaled."""
+FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,12 +77,12 @@ def flight_names(some: Sequence[Flight], flights: Sequence[Flight]) -> str:
 Had = TypeVar("Had")
 
 
-def common_values(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
+def values_in_all_mappings(parts: Sequence[Mapping[str, Had]]) -> dict[str, list[Had]]:
     """Return the entries that all mappings share, by key, each as a list with one value per mapping."""
     return {name: [part[name] for part in parts] for name in parts[0] if all(name in part for part in parts)}
 
 
-def merge_notes(flights: Sequence[Flight]) -> list[Finding]:
+def merge_findings_of_flights(flights: Sequence[Flight]) -> list[Finding]:
     """Return the distinct findings on the logs; each subject names the affected flights."""
     notes = dict.fromkeys(note for flight in flights for note in flight.notes)
     return [
@@ -87,7 +91,7 @@ def merge_notes(flights: Sequence[Flight]) -> list[Finding]:
     ]
 
 
-def rigid_notes(robot: RobotCfg) -> list[Finding]:
+def findings_on_rigid_joints(robot: RobotCfg) -> list[Finding]:
     """Return a finding if a vehicle with joints is compared as a rigid body."""
     return [] if robot.joints is None else [Finding("joints_held", "", {"joints": list(robot.joints.names)})]
 
@@ -103,30 +107,28 @@ def load_flights(
 ) -> list[Flight]:
     """Return the flights in the files, with unique names.
 
-    The first ``learning`` files (None: all) decide the common clock offset of the rotor logs. Nothing else depends on
-    other files. Errors of unusable files go to ``refused`` if it is given.
-
-    Raises:
-        DataError: If a file is given twice, or is unusable or a copy and ``refused`` is None.
+    The first ``learning`` files (None: all) decide the common clock offset of the rotor logs. Nothing else depends on other
+    files. Errors of unusable files go to ``refused`` if it is given. Raise ``DataError`` if a file is given twice, or is
+    unusable or a copy and ``refused`` is None.
     """
     read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
     seen = LogRegister()
     for real, path in distinct_files(paths).items():
-        with _left_out(refused):
+        with _collect_refusals(refused):
             raw = read_flight_log(path, mapping=mapping)
             seen.add(raw)
             log = repair_log(raw)
-            read[real] = (with_velocity(log), check_log(log, robot))
+            read[real] = (derive_velocity(log), check_log(log, robot))
     first = {Path(os.path.realpath(path)) for path in paths[:learning]}
     logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
-    offsets = clock_offsets(logs, robot, bandwidth, learned)
-    together = commands_share_clock(logs[:learned], offsets[:learned], mean_lag(robot))
+    offsets = rotor_clock_offsets(logs, robot, bandwidth, learned)
+    together = commands_share_clock(logs[:learned], offsets[:learned], mean_time_constant(robot))
     flights: list[Flight] = []
     for (real, (log, notes)), offset in zip(read.items(), offsets, strict=True):
-        with _left_out(refused):
+        with _collect_refusals(refused):
             check_rotor_clock(log, robot, bandwidth)
-            log = match_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
-            check_order(log, robot)
+            log = scale_commands_to_hover_thrust(shift_rotor_log(log, offset, commands=together), robot)
+            check_rotor_order(log, robot)
             stands = rows_on_ground(log, robot)
             check_airborne(log, stands, bandwidth)
             check_rotor_law(log, robot, stands)
@@ -138,7 +140,7 @@ def load_flights(
 
 
 @contextmanager
-def _left_out(refused: list[DataError] | None) -> Iterator[None]:
+def _collect_refusals(refused: list[DataError] | None) -> Iterator[None]:
     """Append a ``DataError`` to ``refused``, or raise it if there is no list."""
     try:
         yield
@@ -167,13 +169,13 @@ def repair_log(log: FlightLog) -> FlightLog:
 def resample_log(log: FlightLog) -> FlightLog:
     """Return the log at equal time steps with repeated values repaired."""
     log = without_bad_quaternions(log)
-    check_time(log)
-    mended = mend_repeated_samples(without_gaps(without_copied_commands(log)))
-    check_one_course(mended)
+    check_duration_and_rate(log)
+    mended = mend_repeated_samples(drop_ends_beyond_gaps(without_copied_commands(log)))
+    check_for_alternating_flights(mended)
     return uniform_log(mended)
 
 
-def with_velocity(log: FlightLog) -> FlightLog:
+def derive_velocity(log: FlightLog) -> FlightLog:
     """Return the log with velocity derived from position if it was not logged."""
     if log.lin_vel is not None or log.position is None:
         return log
@@ -182,13 +184,11 @@ def with_velocity(log: FlightLog) -> FlightLog:
     return replace(log, lin_vel=velocity, notes=(*log.notes, Finding("velocity_derived")))
 
 
-def match_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
+def scale_commands_to_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
     """Return the log with commanded speeds scaled to the mean measured thrust above ``hover_above``, if the mapping asks.
 
-    The scale s solves ``mean sum_r T(s w_r) = m mean f_z``, for rotors along body z.
-
-    Raises:
-        DataError: If position, accelerometer or enough high rows are missing.
+    The scale s solves ``mean sum_r T(s w_r) = m mean f_z``, for rotors along body z. Raise ``DataError`` if position,
+    accelerometer or enough high rows are missing.
     """
     if log.hover_above is None or log.rotor_command is None:
         return log
@@ -223,7 +223,7 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         specific_force = Rotation.from_quat(log.attitude).apply(acceleration, inverse=True)
         said.append(Finding("force_derived"))
     if ang_vel is None:
-        ang_vel = body_rate(log.attitude, rate, band)
+        ang_vel = body_rate_from_attitude(log.attitude, rate, band)
         said.append(Finding("rates_derived"))
     if log.collective:
         said.append(Finding("one_command"))

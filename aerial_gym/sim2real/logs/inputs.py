@@ -13,7 +13,7 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inputs:
+class FlightInputs:
     """Usable flights, and a finding for each rejected log."""
 
     train: list[Flight]
@@ -23,19 +23,18 @@ class Inputs:
     digests: dict[str, str]  # SHA-256 of every file by its path, rejected ones included
 
 
-def read_inputs(
+def read_flight_inputs(
     robot: RobotCfg,
     train: Sequence[str | Path],
     test: Sequence[str | Path],
     *,
     mapping: LogMapping | None,
     bandwidth: float,
-) -> Inputs:
+) -> FlightInputs:
     """Return the flights of the logs; unusable logs become findings as long as each role keeps a flight.
 
-    Raises:
-        DataError: If a file is missing or given twice, or no training or no test flight is usable.
-        ConfigError: If the bandwidth is out of range.
+    Raise ``DataError`` if a file is missing or given twice, or no training or no test flight is usable. Raise
+    ``ConfigError`` if the bandwidth is out of range.
     """
     if not train or not test:
         raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
@@ -51,7 +50,7 @@ def read_inputs(
             refusals = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
             raise DataError(f"{refused[0]}{refusals if len(refused) > 1 else ''}") from None
     notes = tuple(Finding("flight_left_out", "", {"error": str(error)}) for error in refused)
-    return Inputs(train=groups[0], test=groups[1], left_out=notes, digests=digests)
+    return FlightInputs(train=groups[0], test=groups[1], left_out=notes, digests=digests)
 
 
 def check_bandwidth(bandwidth: float) -> None:
@@ -69,7 +68,7 @@ def load_train_and_test(
 ) -> tuple[list[Flight], list[Flight]]:
     """Return training and test flights; raise ``DataError`` if any log is unusable."""
     layout = None if mapping is None else find_mapping(mapping)
-    inputs = read_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
+    inputs = read_flight_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
     if inputs.left_out:
         raise DataError(f"left out: {inputs.left_out[0].values['error']}")
     return inputs.train, inputs.test

@@ -11,51 +11,38 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, sample_rate
-from aerial_gym.sim2real.logs.rotor_model import lift, simulate_lag
+from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
 from aerial_gym.sim2real.logs.signals import edge_rows
 
-SMOOTH_S = 0.05
-"""Width of the Gaussian smoothing [s], which does not ring at a touchdown and removes noise."""
-
-IDLE = 0.5
-"""Below this share of the flight's thrust the rotors do not carry the vehicle."""
-
-LIFTING = 0.9
-"""A vehicle on the ground remains there until the thrust reaches this share."""
-
-CARRIED = 0.8
-"""Least specific force [g] of a supported vehicle; in free fall it is less."""
-
-STILL = {"lin_vel": 0.15, "ang_vel": 0.15}
-"""Largest speeds [m/s], [rad/s] at rest."""
-
-MOST = 0.8
-"""Largest share of rows on the ground in a usable log."""
+SMOOTH_S = 0.05  # Width of the Gaussian smoothing [s], which does not ring at a touchdown and removes noise
+IDLE = 0.5  # Below this share of the flight's thrust the rotors do not carry the vehicle
+LIFTING = 0.9  # A vehicle on the ground remains there until the thrust reaches this share
+CARRIED = 0.8  # Least specific force [g] of a supported vehicle; in free fall it is less
+STILL = {"lin_vel": 0.15, "ang_vel": 0.15}  # Largest speeds [m/s], [rad/s] at rest
+MOST = 0.8  # Largest share of rows on the ground in a usable log
 
 
 def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     """Return the rows on the ground, (T,); None if there are none or the data do not show it.
 
-    A row is on the ground if the vehicle is at rest, supported, and below half its flight thrust. Neighbouring rows at
-    rest below nine tenths of the thrust belong to it. Then all rows within the mapping's ``lift_off_m`` of that height do.
-    A height alone is no evidence, as it may be that of a hover.
-
-    Raises:
-        DataError: If more than ``MOST`` of the rows are on the ground.
+    A row is on the ground if the vehicle is at rest, supported, and below half its flight thrust. Neighbouring rows at rest
+    below nine tenths of the thrust belong to it. Then all rows within the mapping's ``lift_off_m`` of that height do. A
+    height alone is no evidence, as it may be that of a hover. Raise ``DataError`` if more than ``MOST`` of the rows are on
+    the ground.
     """
     rotors, width = log.rotor_speed, SMOOTH_S * sample_rate(log)
     if rotors is None and log.rotor_command is not None:
         rotors = simulate_lag(robot, log.rotor_command, sample_rate(log))
-    felt = _force_size(log, width)
+    felt = _specific_force_norm(log, width)
     if felt is None or rotors is None:
         return None
-    thrust = ndimage.gaussian_filter1d(lift(robot, rotors), width)
+    thrust = ndimage.gaussian_filter1d(total_rotor_force(robot, rotors), width)
     thrust = thrust / min(float(np.percentile(thrust, 90.0)), robot.body.mass * STANDARD_GRAVITY)
     rest = felt > CARRIED * STANDARD_GRAVITY
     for name, limit in STILL.items():
         values = getattr(log, name)
         if values is not None:
-            rest &= _size(values, width) < limit
+            rest &= _norm_of_smoothed_vectors(values, width) < limit
     certain = rest & (thrust < IDLE)
     if not certain.any():
         return None
@@ -63,7 +50,7 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     piece = np.cumsum(np.diff(likely, prepend=False))
     on_ground = likely & np.isin(piece, piece[certain])
     if log.lift_off > 0.0 and log.position is not None:
-        on_ground |= _rows_near_lowest(on_ground, log.position[:, 2], log.lift_off)
+        on_ground |= _rows_near_ground_heights(on_ground, log.position[:, 2], log.lift_off)
     if on_ground.mean() > MOST:
         raise DataError(
             f"{log.path}: the vehicle stands on the ground in {on_ground.mean():.0%} of the rows: at rest, while its rotors "
@@ -87,23 +74,23 @@ def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) ->
         )
 
 
-def _force_size(log: FlightLog, width: float) -> Array | None:
+def _specific_force_norm(log: FlightLog, width: float) -> Array | None:
     """Return the smoothed specific force [m/s²], (T,), from the accelerometer or else the velocity; None without both."""
     if log.specific_force is not None:
-        return _size(log.specific_force, width)
+        return _norm_of_smoothed_vectors(log.specific_force, width)
     if log.lin_vel is None:
         return None
     change = sample_rate(log) * ndimage.gaussian_filter1d(log.lin_vel, width, axis=0, order=1)
     return np.linalg.norm(change + AT_REST, axis=1)
 
 
-def _rows_near_lowest(stands: Flags, height: Array, reach: float) -> Flags:
+def _rows_near_ground_heights(stands: Flags, height: Array, reach: float) -> Flags:
     """Return the rows (T,) within ``reach`` [m] of the lowest height of any span on the ground."""
     pieces, count = ndimage.label(stands)  # pyright: ignore[reportGeneralTypeIssues]
     levels = ndimage.minimum(height, pieces, np.arange(1, count + 1))
     return np.any([np.abs(height - level) <= reach for level in np.atleast_1d(levels)], axis=0)
 
 
-def _size(values: Array, width: float) -> Array:
+def _norm_of_smoothed_vectors(values: Array, width: float) -> Array:
     """Return the norm of the smoothed vectors, (T,)."""
     return np.linalg.norm(ndimage.gaussian_filter1d(values, width, axis=0), axis=1)

@@ -21,44 +21,32 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS, student_quantile
 
-HALF_S = 0.5
-"""Length of the compared spans [s], longer than the gaps of the slowest receivers."""
-
-LEAP_S = 0.2
-"""Width of the velocity's median filter [s]."""
-
-LEAST = 0.1
-"""Smallest corrected jump [m]; velocity errors over 0.3 s caused 0.06 m in a measured flight."""
-
-AROUND_S = 3.0
-"""Time before and after each row from which the local scale is estimated [s]."""
-
-FREEDOM = 4
-"""Degrees of freedom of Student's t, chosen rather than estimated."""
-
-MOST = 20
-"""Largest number of corrected jumps; with more the position is left unchanged, with a finding."""
+HALF_S = 0.5  # Length of the compared spans [s], longer than the gaps of the slowest receivers
+LEAP_S = 0.2  # Width of the velocity's median filter [s]
+LEAST = 0.1  # Smallest corrected jump [m]; velocity errors over 0.3 s caused 0.06 m in a measured flight
+AROUND_S = 3.0  # Time before and after each row from which the local scale is estimated [s]
+FREEDOM = 4  # Degrees of freedom of Student's t, chosen rather than estimated
+MOST = 20  # Largest number of corrected jumps; with more the position is left unchanged, with a finding
 
 LIMIT = -float(student_quantile(0.5 * HALF_S / (3.0 * 3600.0 * FALSE_ALARM_HOURS), FREEDOM))
 """Threshold of the scaled difference, exceeded without a jump once per ``FALSE_ALARM_HOURS``."""
 
-MAD = 1.4826
-"""Ratio of standard deviation to median absolute deviation of a normal distribution."""
+MAD = 1.4826  # Ratio of standard deviation to median absolute deviation of a normal distribution
 
 
 @dataclass(frozen=True, kw_only=True)
-class Offset:
+class PositionOffset:
     """Total displacement of a position by the jumps so far."""
 
     size: Array = field(default_factory=lambda: np.zeros(3))  # [m], world, (3,)
     variance: Array = field(default_factory=lambda: np.zeros(3))  # [m²], (3,)
 
-    def and_then(self, jump: "PositionJump") -> "Offset":
+    def add_jump(self, jump: "PositionJump") -> "PositionOffset":
         """Return the offset after one more jump."""
-        return Offset(size=self.size + jump.size, variance=self.variance + jump.std**2)
+        return PositionOffset(size=self.size + jump.size, variance=self.variance + jump.std**2)
 
     @property
-    def sure(self) -> bool:
+    def is_significant(self) -> bool:
         """Return whether the offset exceeds the uncertainty of jumps that cancel."""
         return bool((np.abs(self.size) > np.maximum(LEAST, LIMIT * np.sqrt(self.variance))).any())
 
@@ -72,7 +60,7 @@ class PositionJump:
     size: Array  # [m], world, (3,)
     std: Array  # [m], (3,)
 
-    def and_then(self, other: "PositionJump") -> "PositionJump":
+    def add_jump(self, other: "PositionJump") -> "PositionJump":
         """Return the sum of both jumps as one."""
         first, last = min(self.first, other.first), max(self.last, other.last)
         return PositionJump(first=first, last=last, size=self.size + other.size, std=np.maximum(self.std, other.std))
@@ -89,10 +77,15 @@ def mend_position_jumps(log: FlightLog) -> FlightLog:
     if log.position is None or log.lin_vel is None:
         return log
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    position, accepted, way, offset = log.position, list[PositionJump](), integral(log.lin_vel, step), Offset()
+    position, accepted, way, offset = (
+        log.position,
+        list[PositionJump](),
+        displacement_from_velocity(log.lin_vel, step),
+        PositionOffset(),
+    )
     while (jump := largest_jump(position - way, step, offset)) is not None:
         accepted.append(jump)
-        offset = offset.and_then(jump)
+        offset = offset.add_jump(jump)
         if len(accepted) > MOST:
             return replace(log, notes=(*log.notes, Finding("position_jumps_left", "", {"most": MOST})))
         position = np.concatenate((position[: jump.first], position[jump.first :] - jump.size))
@@ -105,12 +98,12 @@ def merge_jumps(jumps: Iterable[PositionJump], rows: int) -> list[PositionJump]:
     accepted: list[PositionJump] = []
     for jump in sorted(jumps, key=lambda one: one.first):
         if accepted and jump.first - accepted[-1].last < rows:
-            jump = accepted.pop().and_then(jump)
+            jump = accepted.pop().add_jump(jump)
         accepted.append(jump)
     return accepted
 
 
-def integral(velocity: Array, step: float) -> Array:
+def displacement_from_velocity(velocity: Array, step: float) -> Array:
     """Return the displacement (T, 3) [m] by trapezoidal integration of the median-filtered velocity [m/s]."""
     size = 2 * round(0.5 * LEAP_S / step) + 1  # scipy's median of single columns is much faster
     columns = [ndimage.median_filter(column, size=size, mode="nearest") for column in velocity.T.copy()]
@@ -118,7 +111,7 @@ def integral(velocity: Array, step: float) -> Array:
     return np.concatenate((np.zeros((1, 3)), np.cumsum(0.5 * step * (velocity[1:] + velocity[:-1]), axis=0)))
 
 
-def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | None:
+def largest_jump(left: Array, step: float, offset: PositionOffset) -> PositionJump | None:
     """Return the most significant jump in ``p - ∫ v dt`` (T, 3); None without one.
 
     If no single jump is significant, a return by ``offset``, the sum of the jumps so far, is searched.
@@ -126,12 +119,12 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
     half = max(3, round(HALF_S / step))
     if len(left) < 8 * half:
         return None
-    sizes, scale = jump_statistics(left, step)
+    sizes, scale = jump_sizes_and_scale(left, step)
     rows = np.abs(sizes)
     odd = np.where(rows > LEAST, rows / scale, 0.0)
     place, axis = np.unravel_index(int(np.argmax(odd)), odd.shape)
     if odd[place, axis] <= LIMIT:
-        if not offset.sure:
+        if not offset.is_significant:
             return None
         back = log_odds_of_return(sizes, scale, offset)
         place = int(np.argmax(back))
@@ -141,16 +134,16 @@ def largest_jump(left: Array, step: float, offset: Offset) -> PositionJump | Non
     return PositionJump(first=row, last=row, size=sizes[place], std=scale[place])
 
 
-def jump_statistics(left: Array, step: float) -> tuple[Array, Array]:
+def jump_sizes_and_scale(left: Array, step: float) -> tuple[Array, Array]:
     """Return the step estimates at rows half to T - half, and their scale without jumps, each (T - 2 half + 1, 3) [m]."""
-    sizes = differences(left, max(3, round(HALF_S / step)))
+    sizes = step_estimates(left, max(3, round(HALF_S / step)))
     rows = np.abs(sizes)
     overall = MAD * np.median(rows, axis=0)
     near = ndimage.uniform_filter1d(np.minimum(rows, 3.0 * overall), 2 * round(AROUND_S / step) + 1, axis=0)
     return sizes, np.maximum(np.maximum(overall, 1.2533 * near), 1e-9)  # 1.2533: deviation over mean size, normal
 
 
-def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:
+def log_odds_of_return(sizes: Array, scale: Array, offset: PositionOffset) -> Array:
     """Return the log odds (T,) of a return by ``-offset`` against no jump, from differences (T, 3).
 
     Both densities are trivariate Student's t, since a hard manoeuvre disturbs all axes. Without a jump the odds have mean
@@ -161,7 +154,7 @@ def log_odds_of_return(sizes: Array, scale: Array, offset: Offset) -> Array:
     return 0.5 * (FREEDOM + 3) * (no_jump - back) + np.log(scale / wide).sum(axis=1)
 
 
-def differences(left: Array, half: int) -> Array:
+def step_estimates(left: Array, half: int) -> Array:
     """Return the least-squares step between the rows before and after, with a common slope, (T - 2 half + 1, any)."""
     at = np.arange(2 * half) - half + 0.5
     columns = np.column_stack((np.ones(2 * half), at, at > 0.0))

@@ -14,14 +14,9 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 
-AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))
-"""Reading of an accelerometer at rest in world axes [m/s²], (3,)."""
-
-LONGEST_GAP_ROWS = 5
-"""A gap of more rows than this and of more than LONGEST_GAP_S ends a flight."""
-
-LONGEST_GAP_S = 0.1
-"""[s]."""
+AT_REST = np.array((0.0, 0.0, STANDARD_GRAVITY))  # Reading of an accelerometer at rest in world axes [m/s²], (3,)
+LONGEST_GAP_ROWS = 5  # A gap of more rows than this and of more than LONGEST_GAP_S ends a flight
+LONGEST_GAP_S = 0.1  # [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +82,8 @@ class FlightLog(Recording):
         return f"{self.path}{line} (t = {self.time[row]:.6g} s)"
 
 
-HIGHEST_BAND = 0.2
-"""Largest comparison bandwidth as a share of the slowest log's rate."""
-
-NORM_OFF = 0.05
-"""Largest deviation of a quaternion's norm from 1."""
+HIGHEST_BAND = 0.2  # Largest comparison bandwidth as a share of the slowest log's rate
+NORM_OFF = 0.05  # Largest deviation of a quaternion's norm from 1
 
 Some = TypeVar("Some", bound=Recording)
 
@@ -106,7 +98,7 @@ def row_arrays(log: Recording) -> dict[str, Array]:
     return {f.name: value for f in fields(log) if isinstance(value := getattr(log, f.name), np.ndarray)}
 
 
-def gap_limit(step: float) -> float:
+def longest_bridgeable_gap(step: float) -> float:
     """Return the longest bridgeable time gap [s] for a usual step [s]."""
     return max(LONGEST_GAP_ROWS * step, LONGEST_GAP_S)
 

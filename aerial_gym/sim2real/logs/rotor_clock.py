@@ -24,28 +24,28 @@ from aerial_gym.sim2real.logs.clock_offset import (
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
-FAR_S = 0.25
-"""Largest delay of the rotor log that is searched [s]."""
+FAR_S = 0.25  # Largest delay of the rotor log that is searched [s]
 
 FAR_GAIN = 0.5
 """A delay beyond clock offsets is accepted if its residual is less than this share of the best clock offset's."""
 
-ROWS_PER_BAND = 10.0
-"""Sample rate of the delay search in units of the bandwidth."""
+ROWS_PER_BAND = 10.0  # Sample rate of the delay search in units of the bandwidth
 
 
-def clock_offsets(logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int) -> list[ClockOffset]:
+def rotor_clock_offsets(
+    logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int
+) -> list[ClockOffset]:
     """Return the clock offset of each rotor log relative to the accelerometer; the first ``learning`` logs decide.
 
     Without velocity the offset is 0, because drag along z would imitate one.
     """
     able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
-    curves = [correlate_clock(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
+    curves = [force_offset_curve(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
     offsets = iter(common_offsets(curves, sum(able[:learning])))
     return [next(offsets) if one else ClockOffset() for one in able]
 
 
-def correlate_clock(
+def force_offset_curve(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float = LARGEST_SHIFT_S, stride: int = 1
 ) -> OffsetCurve:
     """Return the residual curve of vertical force against rotor speeds, for clock offsets up to ``largest`` [s].
@@ -57,21 +57,21 @@ def correlate_clock(
     thrust, _ = _rotor_wrench(log, robot)
     body_velocity = [Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)[:, 2:]]
     if log.ang_vel is not None:
-        body_velocity.append(_ang_acc(log)[:, :2])
+        body_velocity.append(_angular_acceleration(log)[:, :2])
     waves = np.column_stack((log.specific_force[:, 2], thrust, *body_velocity))
-    return _correlation_curve(waves, sample_rate(log), bandwidth, largest, stride)
+    return _offset_curve_of_waves(waves, sample_rate(log), bandwidth, largest, stride)
 
 
-def rotation_curves(
+def rotation_offset_curves(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float, stride: int
 ) -> list[OffsetCurve]:
     """Return the residual curves of roll and pitch acceleration, free of other vertical forces; empty without a gyro."""
     if log.ang_vel is None:
         return []
     _, torque = _rotor_wrench(log, robot)
-    turning, rate = _ang_acc(log), sample_rate(log)
+    turning, rate = _angular_acceleration(log), sample_rate(log)
     pairs = (np.column_stack((turning[:, axis], torque[:, axis])) for axis in (0, 1))
-    return [_correlation_curve(waves, rate, bandwidth, largest, stride) for waves in pairs]
+    return [_offset_curve_of_waves(waves, rate, bandwidth, largest, stride) for waves in pairs]
 
 
 def _rotor_wrench(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
@@ -83,14 +83,14 @@ def _rotor_wrench(log: FlightLog, robot: RobotCfg) -> tuple[Array, Array]:
     return (force[:, 2] / rows.mass).numpy(), torque.numpy()
 
 
-def _ang_acc(log: FlightLog) -> Array:
+def _angular_acceleration(log: FlightLog) -> Array:
     """Return the angular acceleration [rad/s²], body, (T, 3)."""
     assert log.ang_vel is not None
     rate = sample_rate(log)
     return lowpass(log.ang_vel, rate, DERIVED_BAND * rate, derivative=True)
 
 
-def _correlation_curve(waves: Array, rate: float, bandwidth: float, largest: float, stride: int) -> OffsetCurve:
+def _offset_curve_of_waves(waves: Array, rate: float, bandwidth: float, largest: float, stride: int) -> OffsetCurve:
     """Return the residual curve of columns (T, any): measurement, rotor prediction, other regressors; thinned by ``stride``."""
     band = min(bandwidth, DERIVED_BAND * rate)
     if stride > 1:
@@ -106,7 +106,7 @@ def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None
     if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
         return
     stride = max(1, int(sample_rate(log) / (ROWS_PER_BAND * bandwidth)))
-    curve = correlate_clock(log, robot, bandwidth, largest=FAR_S, stride=stride)
+    curve = force_offset_curve(log, robot, bandwidth, largest=FAR_S, stride=stride)
     if not curve.left.size:
         return
     rows = np.arange(curve.left.size) - curve.left.size // 2
@@ -114,7 +114,7 @@ def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None
     best = int(np.argmin(curve.left))
     if near[best] or best in (0, rows.size - 1) or curve.left[best] > FAR_GAIN * min(curve.left[near].min(), 1.0):
         return
-    for turning in rotation_curves(log, robot, bandwidth, largest=FAR_S, stride=stride):
+    for turning in rotation_offset_curves(log, robot, bandwidth, largest=FAR_S, stride=stride):
         if turning.left.size and turning.left[near].min() < FAR_GAIN * turning.left[best]:
             return
     time, most = 1e3 * float(rows[best]) / curve.rate, 1e3 * LARGEST_SHIFT_S

@@ -14,29 +14,29 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import apply_lag
 
 
-def thrusts(robot: RobotCfg, speed: Array) -> Array:
+def rotor_thrusts(robot: RobotCfg, speed: Array) -> Array:
     """Return the thrusts [N], (T, R), at states (T, R)."""
     rows = vehicle_from_config(robot, num_envs=len(speed), dtype=torch.float64)
     return rotor_thrust(rows, torch.from_numpy(np.ascontiguousarray(speed, dtype=float))).numpy()
 
 
-def drag_torques(robot: RobotCfg, speed: Array) -> Array:
+def rotor_drag_torques(robot: RobotCfg, speed: Array) -> Array:
     """Return the drag torques [N m], (T, R), at states (T, R)."""
     rows = vehicle_from_config(robot, num_envs=len(speed), dtype=torch.float64)
     return rotor_torque(rows, torch.from_numpy(np.ascontiguousarray(speed, dtype=float))).numpy()
 
 
-def lift(robot: RobotCfg, speed: Array) -> Array:
+def total_rotor_force(robot: RobotCfg, speed: Array) -> Array:
     """Return the norm of the total rotor force [N], (T,), at states (T, R), for any rotor axes."""
     axes = np.array([mount.axis for mount in robot.mounts.layout])
-    return np.linalg.norm(thrusts(robot, speed) @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)), axis=1)
+    return np.linalg.norm(rotor_thrusts(robot, speed) @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)), axis=1)
 
 
 def place_of_rotor(robot: RobotCfg, number: int) -> str:
     """Return a pilot's name for the place of a rotor (from 1), such as ``front left``; empty if not unique."""
     hubs = np.array([mount.position for mount in robot.mounts.layout])[:, :2]
     arms = hubs - hubs.mean(axis=0)
-    places = [_side(arm, float(np.linalg.norm(arms, axis=1).max())) for arm in arms]
+    places = [_sector_name(arm, float(np.linalg.norm(arms, axis=1).max())) for arm in arms]
     if not 0 < number <= len(places) or places.count(places[number - 1]) > 1:
         return ""
     return places[number - 1]
@@ -46,18 +46,18 @@ SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "righ
 """Eight sectors about body z, counter-clockwise from the front."""
 
 
-def _side(arm: Array, longest: float) -> str:
+def _sector_name(arm: Array, longest: float) -> str:
     if np.linalg.norm(arm) < 0.1 * longest:
         return "centre"
     return SIDES[round(float(np.arctan2(arm[1], arm[0])) / (0.25 * np.pi)) % len(SIDES)]
 
 
-def mean_lag(robot: RobotCfg) -> float:
+def mean_time_constant(robot: RobotCfg) -> float:
     """Return the mean of the declared time constants up and down [s]."""
     return 0.5 * sum(nominal_lag(robot))
 
 
 def simulate_lag(robot: RobotCfg, command: Array, rate: float) -> Array:
     """Return the commands (T, R) after the declared first-order lag, at a rate [Hz]."""
-    kept = float(np.exp(-1.0 / (rate * mean_lag(robot))))
+    kept = float(np.exp(-1.0 / (rate * mean_time_constant(robot))))
     return apply_lag(command, kept, command[0])

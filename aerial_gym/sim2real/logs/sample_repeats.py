@@ -12,25 +12,19 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
-from aerial_gym.sim2real.logs.signals import interpolate, quaternion_signs
+from aerial_gym.sim2real.logs.signals import interpolate_columns, quaternion_signs
 
 SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
 """Sensors whose values always vary in flight; rotor speeds and voltages have coarse steps and may not."""
 
-LONGEST_FROZEN_S = 0.25
-"""Longest time of one value in motion; beyond it the sensor is frozen."""
+LONGEST_FROZEN_S = 0.25  # Longest time of one value in motion; beyond it the sensor is frozen
 
 LEAST_WAY = 0.05
 """Least motion [m], [rad] during one value of a frozen position or attitude, as these may have coarse steps."""
 
-LEAST_MOTION = 0.1
-"""Least speed [m/s] or angular velocity [rad/s] of a moving vehicle."""
-
-LEAST_SHARE = 0.005
-"""Smallest reported share of repeated values; smaller ones are repaired silently."""
-
-MOST_ROWS = 0.5
-"""Largest share of rows that repeat entirely; beyond it the log rate exceeds all sensor rates."""
+LEAST_MOTION = 0.1  # Least speed [m/s] or angular velocity [rad/s] of a moving vehicle
+LEAST_SHARE = 0.005  # Smallest reported share of repeated values; smaller ones are repaired silently
+MOST_ROWS = 0.5  # Largest share of rows that repeat entirely; beyond it the log rate exceeds all sensor rates
 
 REGULAR = 0.8
 """A sensor is slower than the log if this share of its values lasts the median number of rows, plus or minus one."""
@@ -44,12 +38,12 @@ class SampleRepeats:
     num_rows: int  # Number of rows T
 
     @property
-    def share(self) -> float:
+    def share_of_repeats(self) -> float:
         """Return the share of repeated rows."""
         return 1.0 - self.fresh.size / self.num_rows
 
     @property
-    def usual(self) -> float:
+    def rows_per_value(self) -> float:
         """Return the mean number of rows per value; 1 unless the sensor is regularly slower than the log."""
         spans = np.diff(self.fresh)
         middle = float(np.median(spans)) if spans.size else 1.0
@@ -74,30 +68,29 @@ def find_repeated_samples(values: Array, moving: Flags) -> SampleRepeats:
 def mend_repeated_samples(log: FlightLog) -> FlightLog:
     """Return the log with repeated values interpolated, and a finding for each sensor with many.
 
-    Raises:
-        DataError: If a sensor was frozen, or most rows repeat the one before.
+    Raise ``DataError`` if a sensor was frozen, or most rows repeat the one before.
     """
     moving = _is_moving(log)
-    sensors = _sensors(log)
+    sensors = _sensor_rows(log)
     whole = find_repeated_samples(np.concatenate(list(sensors.values()), axis=1), moving)
-    if whole.share > MOST_ROWS:
+    if whole.share_of_repeats > MOST_ROWS:
         raise DataError(
-            f"{log.path}: {whole.share:.0%} of the rows repeat the one before; write each sample once, at its own t"
+            f"{log.path}: {whole.share_of_repeats:.0%} of the rows repeat the one before; write each sample once, at its own t"
         )
     changes: dict[str, object] = {}
     notes = []
     for name, values in sensors.items():
         repeats = find_repeated_samples(values, moving)
-        frozen = _longest_frozen(log, name, repeats)
+        frozen = _longest_freeze(log, name, repeats)
         if frozen.seconds > LONGEST_FROZEN_S:
             raise DataError(
                 f"{log.row_name(frozen.row + 1)}: {name} repeats one value for {frozen.seconds:.3g} s while the vehicle moves; "
                 "the sensor was frozen, cut the log there, or leave that sensor out"
             )
-        if repeats.share > 0.0:
-            changes[name] = interpolate(log.time, log.time[repeats.fresh], values[repeats.fresh])
-        if repeats.share > LEAST_SHARE:
-            notes.append(_note(log, name, repeats))
+        if repeats.share_of_repeats > 0.0:
+            changes[name] = interpolate_columns(log.time, log.time[repeats.fresh], values[repeats.fresh])
+        if repeats.share_of_repeats > LEAST_SHARE:
+            notes.append(_repeat_finding(log, name, repeats))
     return replace(log, **changes, notes=(*log.notes, *notes))
 
 
@@ -110,7 +103,7 @@ def _is_moving(log: FlightLog) -> Flags:
     return moving
 
 
-def _sensors(log: FlightLog) -> dict[str, Array]:
+def _sensor_rows(log: FlightLog) -> dict[str, Array]:
     """Return the rows of each logged sensor by name, (T, any); quaternions have continuous signs."""
     freezes = {name: getattr(log, name) for name in SENSORS if getattr(log, name) is not None}
     return freezes | {"attitude": log.attitude * quaternion_signs(log.attitude)[:, None]}
@@ -119,21 +112,21 @@ def _sensors(log: FlightLog) -> dict[str, Array]:
 def find_frozen_sensors(log: FlightLog) -> list[SensorFreeze]:
     """Return the sensors that repeat one value in motion for longer than ``LONGEST_FROZEN_S``."""
     moving = _is_moving(log)
-    sensors = _sensors(log).items()
-    freezes = [_longest_frozen(log, name, find_repeated_samples(values, moving)) for name, values in sensors]
+    sensors = _sensor_rows(log).items()
+    freezes = [_longest_freeze(log, name, find_repeated_samples(values, moving)) for name, values in sensors]
     return [frozen for frozen in freezes if frozen.seconds > LONGEST_FROZEN_S]
 
 
-def last_change_rows(log: FlightLog) -> dict[str, int]:
+def rows_of_last_change(log: FlightLog) -> dict[str, int]:
     """Return the row of each sensor's last change, in motion or not, by sensor name."""
     freezes = dict[str, int]()
-    for name, values in _sensors(log).items():
+    for name, values in _sensor_rows(log).items():
         changes = np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
         freezes[name] = int(changes[-1]) + 1 if changes.size else 0
     return freezes
 
 
-def _longest_frozen(log: FlightLog, name: str, repeats: SampleRepeats) -> SensorFreeze:
+def _longest_freeze(log: FlightLog, name: str, repeats: SampleRepeats) -> SensorFreeze:
     """Return the longest time of one value of a sensor; for poses only while the vehicle moves enough."""
     ends = np.append(repeats.fresh[1:], repeats.num_rows - 1)
     frozen = log.time[ends] - log.time[repeats.fresh]
@@ -145,9 +138,11 @@ def _longest_frozen(log: FlightLog, name: str, repeats: SampleRepeats) -> Sensor
     return SensorFreeze(name=name, row=int(repeats.fresh[worst]), seconds=float(frozen[worst]))
 
 
-def _note(log: FlightLog, name: str, repeats: SampleRepeats) -> Finding:
-    if repeats.usual > 1.0:
+def _repeat_finding(log: FlightLog, name: str, repeats: SampleRepeats) -> Finding:
+    if repeats.rows_per_value > 1.0:
         rate = sample_rate(log)
-        return Finding("samples_slow", "", {"sensor": name, "rate_hz": rate / repeats.usual, "log_rate_hz": rate})
+        return Finding(
+            "samples_slow", "", {"sensor": name, "rate_hz": rate / repeats.rows_per_value, "log_rate_hz": rate}
+        )
     longest = int(np.diff(repeats.fresh, append=repeats.num_rows).max()) - 1
-    return Finding("samples_repeated", "", {"sensor": name, "share": repeats.share, "longest_rows": longest})
+    return Finding("samples_repeated", "", {"sensor": name, "share": repeats.share_of_repeats, "longest_rows": longest})

@@ -14,16 +14,11 @@ from aerial_gym.errors import DataError
 from aerial_gym.math.decay import exponential_sum
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.recording import FlightLog, gap_limit, row_arrays, take_rows
+from aerial_gym.sim2real.logs.recording import FlightLog, longest_bridgeable_gap, row_arrays, take_rows
 
-FILTER_ORDER = 4
-"""Order of the Butterworth low-pass, which runs forwards and backwards."""
-
-DERIVED_BAND = 0.2
-"""Bandwidth of derivatives that replace a sensor, as a share of the rate."""
-
-LOOSE_END = 0.05
-"""Largest share of rows beyond a gap at either end that is cut off."""
+FILTER_ORDER = 4  # Order of the Butterworth low-pass, which runs forwards and backwards
+DERIVED_BAND = 0.2  # Bandwidth of derivatives that replace a sensor, as a share of the rate
+LOOSE_END = 0.05  # Largest share of rows beyond a gap at either end that is cut off
 
 
 def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
@@ -38,12 +33,11 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     """Return ``values`` after a zero-phase low-pass, or their time derivative in the same band.
 
     Both ends continue by point reflection about a line fitted to the last half period. This prevents ringing of a level or
-    slope, and bending by noise in the last row. Rows within ``edge_rows`` should still be excluded. Each column's result
-    is independent of the other columns, bit for bit.
+    slope, and bending by noise in the last row. Rows within ``edge_rows`` should still be excluded. Each column's result is
+    independent of the other columns, bit for bit.
 
     Args:
         values: Samples at equal steps, (T, ...).
-        rate: Samples per second [Hz].
         bandwidth: Frequency of half gain [Hz].
         derivative: Whether to multiply by ``2 pi i f``.
         late: Delay of the result [s], at most ``edge_rows``. The factor ``exp(-2 pi i f late)`` is exact in the band;
@@ -60,7 +54,7 @@ def lowpass_columns(
     """Return ``lowpass`` for columns (K, T), in the same layout."""
     rows = columns.shape[1]
     pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
-    end = _of_line(min(rows, max(2, round(0.5 * rate / bandwidth))))
+    end = _weights_of_line_start(min(rows, max(2, round(0.5 * rate / bandwidth))))
     size = int(fft.next_fast_len(rows + 3 * pad, real=True) or 0)
     first = 2.0 * (columns[:, : end.size] * end).sum(axis=1, keepdims=True)
     last = 2.0 * (columns[:, : -end.size - 1 : -1] * end).sum(axis=1, keepdims=True)
@@ -69,17 +63,17 @@ def lowpass_columns(
     circle[:, pad : pad + rows] = columns
     np.subtract(last, columns[:, -2 : -pad - 2 : -1], out=circle[:, pad + rows : whole])
     # A straight line closes the circle without a jump.
-    blend = _blend(size - whole)
+    blend = _ramp_weights(size - whole)
     circle[:, whole:] = circle[:, whole - 1 : whole] * (1.0 - blend) + circle[:, :1] * blend
     lines = np.asarray(fft.rfft(circle, axis=1, overwrite_x=True))
-    lines *= _gain(size, rate, bandwidth, derivative)
+    lines *= _lowpass_line_gains(size, rate, bandwidth, derivative)
     if late:
         lines *= np.exp(-2j * np.pi * late * fft.rfftfreq(size, 1.0 / rate))
     return np.asarray(fft.irfft(lines, n=size, axis=1, overwrite_x=True))[:, pad : pad + rows]
 
 
 @lru_cache(maxsize=32)
-def _gain(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray[np.complex128]:
+def _lowpass_line_gains(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray[np.complex128]:
     """Return the filter's factors of the spectral lines of ``size`` rows; read-only."""
     frequency = fft.rfftfreq(size, 1.0 / rate)
     gain = lowpass_gain(frequency, bandwidth).astype(complex)
@@ -87,26 +81,26 @@ def _gain(size: int, rate: float, bandwidth: float, derivative: bool) -> NDArray
 
 
 @lru_cache(maxsize=32)
-def _blend(rows: int) -> Array:
+def _ramp_weights(rows: int) -> Array:
     """Return a line from 0 to 1 without its ends, (rows,); read-only."""
     return np.linspace(0.0, 1.0, rows + 2)[1:-1]
 
 
 @lru_cache(maxsize=32)
-def _of_line(rows: int) -> Array:
+def _weights_of_line_start(rows: int) -> Array:
     """Return the weights (rows,) of the fitted line's first value, ``1/n + x_0 x / (x . x)``; read-only."""
     place = np.arange(rows) - 0.5 * (rows - 1)
     return 1.0 / rows + place[0] * place / (place @ place)
 
 
-def without_line(values: Array) -> Array:
+def remove_line(values: Array) -> Array:
     """Return values (..., T) minus the straight line fitted along the last axis."""
     place = np.arange(values.shape[-1]) - 0.5 * (values.shape[-1] - 1)
     slope = values @ place / (place @ place)
     return values - values.mean(axis=-1, keepdims=True) - slope[..., None] * place
 
 
-def hann(rows: int) -> Array:
+def hann_window(rows: int) -> Array:
     """Return the periodic Hann window, (rows,)."""
     return 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, rows + 1)[:-1])
 
@@ -117,9 +111,9 @@ def welch(values: Array, rate: float, rows: int) -> tuple[Array, Array]:
     Segments of ``rows`` rows overlap by half and have a Hann window, after removal of a straight line.
     Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Trans. AU-15.
     """
-    window = hann(rows)
+    window = hann_window(rows)
     segments = np.lib.stride_tricks.sliding_window_view(values.T, rows, axis=-1)[:, :: rows - rows // 2]
-    lines = np.asarray(fft.rfft(without_line(segments) * window, axis=-1))
+    lines = np.asarray(fft.rfft(remove_line(segments) * window, axis=-1))
     power = (lines.real**2 + lines.imag**2).mean(axis=1) / (rate * (window @ window))
     power[:, 1 : (rows + 1) // 2] *= 2.0
     return fft.rfftfreq(rows, 1.0 / rate), power.T
@@ -147,22 +141,18 @@ def quaternion_signs(attitude: Array) -> Array:
     return np.concatenate(([1.0], np.cumprod(flips)))
 
 
-def interpolate(at: Array, time: Array, values: Array) -> Array:
+def interpolate_columns(at: Array, time: Array, values: Array) -> Array:
     """Return columns (T, K) interpolated linearly at other times."""
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
-def without_gaps(log: FlightLog) -> FlightLog:
-    """Return the log without short pieces at either end beyond a time gap.
-
-    Raises:
-        DataError: If a longer gap remains.
-    """
+def drop_ends_beyond_gaps(log: FlightLog) -> FlightLog:
+    """Return the log without short pieces at either end beyond a time gap. Raise ``DataError`` if a longer gap remains."""
     log = _without_loose_ends(log)
     steps = np.diff(log.time)
     step = float(np.median(steps))
     gap = int(np.argmax(steps))
-    if steps[gap] > gap_limit(step):
+    if steps[gap] > longest_bridgeable_gap(step):
         raise DataError(
             f"{log.row_name(gap + 1)}: {steps[gap]:.3g} s after the row before, where {step:.3g} s are usual; "
             "cut the log there and give both parts as flights"
@@ -173,10 +163,9 @@ def without_gaps(log: FlightLog) -> FlightLog:
 def uniform_log(log: FlightLog) -> FlightLog:
     """Return the log at equal time steps with unit quaternions of continuous sign; commands stay held.
 
-    Raises:
-        DataError: If a gap cannot be bridged.
+    Raise ``DataError`` if a gap cannot be bridged.
     """
-    log = without_gaps(log)
+    log = drop_ends_beyond_gaps(log)
     steps = np.diff(log.time)
     step = float(np.median(steps))
     attitude = continuous_quaternion(log.attitude)
@@ -185,7 +174,7 @@ def uniform_log(log: FlightLog) -> FlightLog:
     count = int((log.time[-1] - log.time[0]) / step) + 1
     time = log.time[0] + step * np.arange(count)
     columns = {name: values for name, values in row_arrays(log).items() if values.ndim == 2} | {"attitude": attitude}
-    moved = {name: interpolate(time, log.time, values) for name, values in columns.items()}
+    moved = {name: interpolate_columns(time, log.time, values) for name, values in columns.items()}
     moved["attitude"] = continuous_quaternion(moved["attitude"])
     if log.rotor_command is not None:
         moved["rotor_command"] = log.rotor_command[np.clip(np.searchsorted(log.time, time, "right") - 1, 0, None)]
@@ -199,7 +188,7 @@ def uniform_log(log: FlightLog) -> FlightLog:
 def _without_loose_ends(log: FlightLog) -> FlightLog:
     """Return the log without short pieces at either end beyond a gap, with a finding."""
     steps = np.diff(log.time)
-    limit = gap_limit(float(np.median(steps)))
+    limit = longest_bridgeable_gap(float(np.median(steps)))
     edges = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), log.time.size]
     sizes = np.diff(edges)
     longest = int(np.argmax(sizes))

@@ -16,8 +16,7 @@ UNITS = {
 }
 """SI unit of each kind of channel, in the order of the channels."""
 
-KINEMATIC = ("kinematic_force", "kinematic_rate")
-"""Kinds that need no dynamics."""
+KINEMATIC = ("kinematic_force", "kinematic_rate")  # Kinds that need no dynamics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,11 +43,7 @@ def comparison_band(flights: Sequence[Flight], bandwidth: float) -> float:
 
 
 def find_channels(flights: Sequence[Flight]) -> tuple[Channel, ...]:
-    """Return the channels that every flight has.
-
-    Raises:
-        DataError: If there are none.
-    """
+    """Return the channels that every flight has. Raise ``DataError`` if there are none."""
     channels: list[Channel] = []
     if all(flight.specific_force is not None for flight in flights):
         channels += [Channel(kind="specific_force", axis=axis) for axis in "xyz"]

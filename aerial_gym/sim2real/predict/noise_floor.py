@@ -24,60 +24,45 @@ from aerial_gym.sim2real.logs.signals import lowpass, lowpass_gain, welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, as_measured, estimate_rotors
+from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_as_measured, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
-WIDE_BAND = 0.4
-"""Bandwidth of the residual's spectrum as a share of the rate."""
-
-FIT_FROM = 1.5
-"""Lower end of the fit in comparison bandwidths."""
-
-FIT_TO = 0.32
-"""Upper end of the fit as a share of the rate."""
+WIDE_BAND = 0.4  # Bandwidth of the residual's spectrum as a share of the rate
+FIT_FROM = 1.5  # Lower end of the fit in comparison bandwidths
+FIT_TO = 0.32  # Upper end of the fit as a share of the rate
 
 FIT_FROM_AT_LATEST = 0.7
 """Largest lower end of the fit as a share of its upper end, for logs that are slow for their band."""
 
-CLEAR_OF_BAND = 1.1
-"""Least lower end of the fit in comparison bandwidths, whatever the rate."""
+CLEAR_OF_BAND = 1.1  # Least lower end of the fit in comparison bandwidths, whatever the rate
 
 NARROW = 2.0
 """Least frequency ratio of the fitted lines that separates both terms; below it only the constant is fitted."""
 
-NARROW_READING = 3.0
-"""The same ratio for direct sensor readings, whose noise does not grow with frequency."""
-
-FALLEN = 0.25
-"""Share of the first band's density below which a band counts as low-passed."""
-
-BAND_RATIO = 1.6
-"""Frequency ratio of the bands over which the spectrum is averaged for this."""
-
-SEGMENT_S = 2.0
-"""Length of a segment of Welch's spectrum [s]."""
-
-LOGS = 4
-"""Number of simulated roundings of a log."""
-
-FEWEST_LINES = 4
-"""Least number of spectral lines of a fit."""
+NARROW_READING = 3.0  # The same ratio for direct sensor readings, whose noise does not grow with frequency
+FALLEN = 0.25  # Share of the first band's density below which a band counts as low-passed
+BAND_RATIO = 1.6  # Frequency ratio of the bands over which the spectrum is averaged for this
+SEGMENT_S = 2.0  # Length of a segment of Welch's spectrum [s]
+LOGS = 4  # Number of simulated roundings of a log
+FEWEST_LINES = 4  # Least number of spectral lines of a fit
 
 
 def noise_floor(
     robot: RobotCfg, flights: Sequence[Flight], params: ModelParams, channels: Sequence[Channel], *, bandwidth: float
 ) -> Array | None:
     """Return the noise floor (RMS) of each channel below ``bandwidth`` [Hz], (C,); None if every log is too slow."""
-    return of_all_flights([floor_of_flight(robot, flight, params, channels, bandwidth) for flight in flights])
+    return rms_of_noise_floors(
+        [noise_floor_of_flight(robot, flight, params, channels, bandwidth) for flight in flights]
+    )
 
 
-def of_all_flights(floors: Sequence[Array | None]) -> Array | None:
+def rms_of_noise_floors(floors: Sequence[Array | None]) -> Array | None:
     """Return the RMS of the known floors of several flights, (C,); None if there are none."""
     known = [floor for floor in floors if floor is not None]
     return np.sqrt(np.mean(np.square(known), axis=0)) if known else None
 
 
-def floor_of_flight(
+def noise_floor_of_flight(
     robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array | None:
     """Return the noise floor (RMS) of each channel of one flight, (C,); None if the log is too slow.
@@ -86,25 +71,25 @@ def floor_of_flight(
     share s of their noise N and differs from it by ``(1 - s)² (N + S) = (1 - s) N``. This is subtracted, down to the noise
     of the measured channel itself. Rounding noise within the band is added.
     """
-    readings, rate = [is_reading(channel, flight) for channel in channels], flight.rate
-    as_logged = wide_predictor(robot, [flight], channels, [as_measured(flight)])
-    rows = longest_flight(flight, as_logged.times[0], bandwidth)
-    floor = floor_of_columns(as_logged.residuals(params)[0][rows], rate, bandwidth, readings)
+    readings, rate = [is_sensor_reading(channel, flight) for channel in channels], flight.rate
+    as_logged = wide_band_predictor(robot, [flight], channels, [estimate_as_measured(flight)])
+    rows = longest_airborne_rows(flight, as_logged.times[0], bandwidth)
+    floor = noise_floor_of_columns(as_logged.residuals(params)[0][rows], rate, bandwidth, readings)
     expected = estimate_rotors(robot, [flight], bandwidth)
     if floor is None:
         return None
-    slow = square_of_slow_rounding(robot, flight, params, channels, bandwidth)
+    slow = mean_square_of_rounding(robot, flight, params, channels, bandwidth)
     if expected[0] is None:
         return np.sqrt(floor**2 + slow)
-    quiet = wide_predictor(robot, [flight], channels, expected)
+    quiet = wide_band_predictor(robot, [flight], channels, expected)
     apart = (as_logged.predict(params)[0] - quiet.predict(params)[0])[rows]
-    least = floor_of_columns(as_logged.measured[0][rows], rate, bandwidth, readings)
+    least = noise_floor_of_columns(as_logged.measured[0][rows], rate, bandwidth, readings)
     assert least is not None
     left = floor**2 - (lowpass(apart, rate, bandwidth) ** 2).mean(axis=0)
     return np.sqrt(np.maximum(left, np.minimum(floor, least) ** 2) + slow)
 
 
-def square_of_slow_rounding(
+def mean_square_of_rounding(
     robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array:
     """Return the mean square of rounding errors in the band, beyond the level seen above it, (C,).
@@ -113,21 +98,21 @@ def square_of_slow_rounding(
     """
     given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
     flown = slice(None) if flight.on_ground is None else ~flight.on_ground
-    logs = {name: requantise(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
+    logs = {name: simulate_rounding(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
     flights = [replace(flight, **dict(zip(logs, log, strict=True))) for log in zip(*logs.values(), strict=True)]
-    predictor = wide_predictor(robot, flights, channels, [as_measured(log) for log in flights])
-    rows = longest_flight(flight, predictor.times[0], bandwidth)
-    readings, squares = [is_reading(channel, flight) for channel in channels], []
+    predictor = wide_band_predictor(robot, flights, channels, [estimate_as_measured(log) for log in flights])
+    rows = longest_airborne_rows(flight, predictor.times[0], bandwidth)
+    readings, squares = [is_sensor_reading(channel, flight) for channel in channels], []
     plain, *noisy = predictor.residuals(params)
     for residual in noisy:
         apart = (residual - plain)[rows]
-        told = floor_of_columns(apart, flight.rate, bandwidth, readings)
+        told = noise_floor_of_columns(apart, flight.rate, bandwidth, readings)
         assert told is not None
         squares.append((lowpass(apart, flight.rate, bandwidth) ** 2).mean(axis=0) - told**2)
     return np.maximum(np.mean(squares, axis=0), 0.0)
 
 
-def requantise(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
+def simulate_rounding(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
     """Return a simulated signal, and ``LOGS`` roundings of it with the step sizes of the log, (T, K) each.
 
     In the band the signal follows the logged values (T, K). Above it, white noise has their variance there minus that of
@@ -148,7 +133,7 @@ def requantise(values: Array, rate: float, bandwidth: float, rows: slice | Flags
     return list(logs)
 
 
-def wide_predictor(
+def wide_band_predictor(
     robot: RobotCfg, flights: Sequence[Flight], channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
 ) -> Predictor:
     """Return a predictor of every row of flights with one rate, with a bandwidth above the comparison band.
@@ -166,13 +151,11 @@ def wide_predictor(
     )
 
 
-def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Sequence[bool]) -> Array | None:
+def noise_floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Sequence[bool]) -> Array | None:
     """Return the RMS noise of columns below a bandwidth [Hz], (K,); None if the log is too slow.
 
     Args:
         values: Values in every row, low-passed at ``WIDE_BAND`` of the rate, (T, K).
-        rate: Rows per second.
-        bandwidth: Bandwidth of the comparison [Hz].
         readings: Whether each column is a direct sensor reading, whose noise does not grow with frequency.
     """
     wide, length = WIDE_BAND * rate, min(values.shape[0], round(SEGMENT_S * rate))
@@ -192,20 +175,20 @@ def floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Seq
         if not line.any():
             floors.append(0.0)
             continue
-        own = slice(_count_unfiltered(frequency[chosen], line))
+        own = slice(_num_unfiltered_lines(frequency[chosen], line))
         lines = frequency[chosen][own]
         narrow = lines[-1] < (NARROW_READING if reading else NARROW) * lines[0]
-        level, growth = (line[own].mean(), 0.0) if narrow else _level_and_growth(line[own], square[chosen][own])
+        level, growth = (line[own].mean(), 0.0) if narrow else _noise_level_and_growth(line[own], square[chosen][own])
         floors.append(np.sqrt((below * (level + growth * square)).sum() * spacing))
     return np.array(floors)
 
 
-def is_reading(channel: Channel, flight: Flight) -> bool:
+def is_sensor_reading(channel: Channel, flight: Flight) -> bool:
     """Return whether a channel is a direct sensor reading rather than a derivative."""
     return channel.kind == "rotor_speed" or (channel.kind == "specific_force" and flight.accelerometer)
 
 
-def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
+def longest_airborne_rows(flight: Flight, time: Array, bandwidth: float) -> slice:
     """Return the rows at these times [s] of the longest airborne span; all rows if there is no ground contact."""
     if flight.on_ground is None:
         return slice(None)
@@ -218,7 +201,7 @@ def longest_flight(flight: Flight, time: Array, bandwidth: float) -> slice:
     return slice(int(edges[2 * longest]), int(edges[2 * longest + 1]))
 
 
-def _count_unfiltered(frequency: Array, density: Array) -> int:
+def _num_unfiltered_lines(frequency: Array, density: Array) -> int:
     """Return the number of spectral lines below the sensor's low-pass, at least ``FEWEST_LINES``."""
     band = np.floor(np.log(frequency / frequency[0]) / np.log(BAND_RATIO)).astype(int)
     mean = np.bincount(band, weights=density) / np.maximum(np.bincount(band), 1)
@@ -226,7 +209,7 @@ def _count_unfiltered(frequency: Array, density: Array) -> int:
     return max(int(np.sum(band < fallen[0])), FEWEST_LINES) if fallen.size else frequency.size
 
 
-def _level_and_growth(density: Array, square: Array) -> tuple[float, float]:
+def _noise_level_and_growth(density: Array, square: Array) -> tuple[float, float]:
     """Return a, b >= 0 of ``a + b (2 pi f)²``, by least squares with errors proportional to the density."""
     weight = 1.0 / np.maximum(density, 1e-300)
     for _ in range(5):

@@ -25,18 +25,17 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_key
-from aerial_gym.sim2real.predict.replay.load import Link
+from aerial_gym.sim2real.predict.replay.load import LoadLink
 from aerial_gym.sim2real.predict.rows.batches import group_flights
-from aerial_gym.sim2real.predict.rows.dataset import Dataset, thin_rows
+from aerial_gym.sim2real.predict.rows.dataset import Dataset, row_stride
 from aerial_gym.sim2real.predict.rows.flight_batch import Columns, FlightBatch
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
-from aerial_gym.sim2real.predict.tolerances import Tolerances, apply_deviation, sensor_deviation
+from aerial_gym.sim2real.predict.tolerances import Tolerances, sensor_deviation, vehicle_deviation
 
 KEPT_BYTES = 6e7
 """Memory for stored predictions [bytes], counted as if they shared nothing; fits often return to the same model."""
 
-MOST_TOLD = 512
-"""Number of models whose prediction keys are stored."""
+MOST_TOLD = 512  # Number of models whose prediction keys are stored
 
 
 class Predictor:
@@ -56,11 +55,6 @@ class Predictor:
         """Load the flights.
 
         Args:
-            robot: Declared robot.
-            flights: Measured flights.
-            bandwidth: Bandwidth of the comparison [Hz].
-            channels: Compared channels.
-            tolerances: Standard deviations of the declared values.
             every_row: Whether to keep all rows of the log instead of thinning them to the band.
             rotors: Rotor speeds that the prediction uses; None: their expectation.
         """
@@ -70,7 +64,7 @@ class Predictor:
         if any(simulated) and not all(simulated):
             raise DataError("some flights have measured rotor speeds and some have not; give flights of one kind")
         turning = estimate_rotors(robot, flights, bandwidth) if rotors is None else rotors
-        rows = [flight.num_rows // (1 if every_row else thin_rows(flight, bandwidth)) for flight in flights]
+        rows = [flight.num_rows // (1 if every_row else row_stride(flight, bandwidth)) for flight in flights]
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
         self._parts = [
             FlightBatch(
@@ -122,11 +116,11 @@ class Predictor:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         return [felt for part in self._parts for felt in part.residual_inputs(params)]
 
-    def links(self, params: ModelParams) -> list[Link] | None:
+    def load_links(self, params: ModelParams) -> list[LoadLink] | None:
         """Return the load's link along each flight from its initial state; None for a model without a load."""
         if not any(isinstance(EFFECTS.get(name), LoadEffect) for name in params.effects):
             return None
-        return [link for part in self._parts for link in part.links(params)]
+        return [link for part in self._parts for link in part.load_links(params)]
 
     def _prediction_key(self, params: ModelParams) -> tuple[object, ...]:
         """Return a hashable key of a model's predictions: the resulting vehicle and all other parameters in order.
@@ -137,7 +131,7 @@ class Predictor:
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
         }
         remaining = {name: values for name, values in params.effects.items() if name not in on_vehicle}
-        off = apply_deviation(self._declared, self.tolerances, params.deviation)
+        off = vehicle_deviation(self._declared, self.tolerances, params.deviation)
         vehicle = build_model(off.vehicle, expand_effects(ModelParams(effects=on_vehicle), 1)).vehicle
         logged = (
             b""

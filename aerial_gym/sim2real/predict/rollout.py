@@ -31,27 +31,27 @@ from aerial_gym.physics.rotor_lag import Ramp
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
-from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
-from aerial_gym.sim2real.predict.replay.memory import effects_with_memory, make_track
-from aerial_gym.sim2real.predict.replay.rotor_commands import acts_on_commands, is_commanded, with_arriving_commands
+from aerial_gym.sim2real.predict.replay.load import LoadLink, LoadReplay
+from aerial_gym.sim2real.predict.replay.memory import effects_with_memory, make_flight_track
+from aerial_gym.sim2real.predict.replay.rotor_commands import (
+    acts_on_commands,
+    has_commands,
+    replace_by_arriving_commands,
+)
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.batches import expand_rows, one_row, with_known_wind
-from aerial_gym.sim2real.predict.scene import heights, other_vehicle_track
-from aerial_gym.sim2real.predict.tolerances import Tolerances, apply_deviation
-from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, longest_windows, same_rate
+from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
+from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
+from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_deviation
+from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, group_windows_by_rate, longest_windows
 
-HORIZONS_S = (0.1, 0.5, 1.0, 2.0)
-"""Times after the start at which rollout and flight are compared [s]."""
-
-MEMORY_STEP_S = 0.005
-"""Longest substep with effects that have memory [s]; its final memory value acts throughout."""
+HORIZONS_S = (0.1, 0.5, 1.0, 2.0)  # Times after the start at which rollout and flight are compared [s]
+MEMORY_STEP_S = 0.005  # Longest substep with effects that have memory [s]; its final memory value acts throughout
 
 QUANTITIES: dict[str, str] = {"position": "m", "velocity": "m/s", "attitude": "rad"}
 """Compared quantities and their units."""
 
 
-FARTHEST = 1e6
-"""Largest counted error [m], [m/s], also for a divergent rollout."""
+FARTHEST = 1e6  # Largest counted error [m], [m/s], also for a divergent rollout
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,22 +76,20 @@ def rollout_errors_of_models(
     models: Sequence[ModelParams],
     variants: Mapping[str, bool],
     *,
-    links: Sequence[Sequence[Link] | None],
+    links: Sequence[Sequence[LoadLink] | None],
     horizons: Sequence[float] = HORIZONS_S,
     tolerances: Tolerances | None = None,
 ) -> list[dict[str, RolloutErrors]]:
     """Return the rollout errors of models in several variants, simulated as one batch where possible.
 
     Args:
-        robot: Declared robot.
-        flights: Flights with velocity.
         models: Effects and deviations of each model.
         variants: Whether each variant prescribes the measured attitude and angular velocity after every step.
         links: State of each model's load along each flight; None: the load starts at rest with the log.
         horizons: Times of comparison [s]; those longer than every flight are omitted.
         tolerances: Standard deviations of the declared values; None: the default ones.
     """
-    if len(models) > 1 and not _fit_together(models, flights):
+    if len(models) > 1 and not _can_share_batch(models, flights):
         return [
             results
             for one, own in zip(models, links, strict=True)
@@ -100,29 +98,29 @@ def rollout_errors_of_models(
             )
         ]
     kept, windows = longest_windows(flights, horizons)
-    commanded = is_commanded(flights)
+    commanded = has_commands(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-    off = apply_deviation(declared, tolerances or Tolerances(), models[0].deviation)
-    flown = [with_arriving_commands(off, flights, one) if commanded else flights for one in models]
+    off = vehicle_deviation(declared, tolerances or Tolerances(), models[0].deviation)
+    flown = [replace_by_arriving_commands(off, flights, one) if commanded else flights for one in models]
     shape = (len(models), len(variants))
     errors = {name: np.full((*shape, windows.row.size, len(kept)), np.nan) for name in QUANTITIES}
-    load = None if links[0] is None else initial_links(links[0], flights, windows)
-    for members in same_rate(flights, windows):
+    load = None if links[0] is None else initial_link_states(links[0], flights, windows)
+    for members in group_windows_by_rate(flights, windows):
         model, variant, window = (np.ravel(i) for i in np.indices((*shape, members.size)))
         every = members[window]
         run = WindowBatch(
             off.vehicle,
-            _window_effects(robot, models, model),
+            _effects_per_window(robot, models, model),
             [flight for of_model in flown for flight in of_model],
             windows.flight[every] + len(flights) * model,
             windows.row[every],
             load=None if load is None else load[every],
             settled=off.joint_start,
         )
-        at = {run.steps(horizon): place for place, horizon in enumerate(kept)}
+        at = {run.num_steps(horizon): place for place, horizon in enumerate(kept)}
         given = np.array(list(variants.values()))[variant]
-        for step, state, truth in run.fly(run.reference_state(0), at, given_attitude=given):
-            for name, values in _distances(state, truth).items():
+        for step, state, truth in run.simulate_steps(run.state_of_flight(0), at, given_attitude=given):
+            for name, values in _state_errors(state, truth).items():
                 errors[name][:, :, members, at[step]] = values.reshape(*shape, -1)
     placed, moving = (all(getattr(f, name) is not None for f in flights) for name in ("position", "lin_vel"))
     driven_by = "commands" if commanded else "measured rotor speeds"
@@ -142,7 +140,7 @@ def rollout_errors_of_models(
     ]
 
 
-def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> bool:
+def _can_share_batch(models: Sequence[ModelParams], flights: Sequence[Flight]) -> bool:
     """Return whether models can share one batch: no deviations, learned residuals, memory or loads, and measured rotors.
 
     In such a batch an effect that a model lacks has its neutral value.
@@ -155,7 +153,7 @@ def _fit_together(models: Sequence[ModelParams], flights: Sequence[Flight]) -> b
     )
 
 
-def _window_effects(robot: RobotCfg, models: Sequence[ModelParams], model: Indices) -> list[EffectParams]:
+def _effects_per_window(robot: RobotCfg, models: Sequence[ModelParams], model: Indices) -> list[EffectParams]:
     """Return the models' effects with parameters per window, (W, P); neutral where its ``model`` (W,) has none."""
     if len(models) == 1:
         return expand_effects(models[0], model.size)
@@ -167,12 +165,12 @@ def _window_effects(robot: RobotCfg, models: Sequence[ModelParams], model: Indic
     return results
 
 
-def initial_links(links: Sequence[Link], flights: Sequence[Flight], windows: RolloutWindows) -> Array:
+def initial_link_states(links: Sequence[LoadLink], flights: Sequence[Flight], windows: RolloutWindows) -> Array:
     """Return direction and rate of the link at the start of each window, (W, 6)."""
     load = np.empty((windows.row.size, 6))
     for index, (link, flight) in enumerate(zip(links, flights, strict=True)):
         own = windows.flight == index
-        load[own] = link.interpolate(windows.row[own] / flight.rate)
+        load[own] = link.interpolate_state(windows.row[own] / flight.rate)
     return load
 
 
@@ -193,7 +191,6 @@ class WindowBatch:
         """Prepare the windows.
 
         Args:
-            vehicle: Vehicle of the model, one environment.
             effects: Effects with parameters per window, (W, P).
             flights: Flights with commands as they arrive at the rotors.
             flight: Flight index of each window, (W,).
@@ -202,25 +199,25 @@ class WindowBatch:
             settled: Initial angle of soft arms as a share of their rest angle, if a log begins in the air.
         """
         self._flights, self._flight, self._row, self._load, self._settled = flights, flight, row, load, settled
-        self._tables: dict[str, _Table] = {}
+        self._tables: dict[str, _FlightTable] = {}
         self._along_flights: dict[tuple[str, int], Array] = {}
         self._led_along: list[Array | None] | None = None  # rotor speeds from commands along all flights
-        self._rate, self._commanded = flights[flight[0]].rate, is_commanded(flights)
+        self._rate, self._commanded = flights[flight[0]].rate, has_commands(flights)
         self._stride = max(1, int(STEP_S * self._rate + 1e-9))
         self._rotors = vehicle.num_rotors
         effects = [one for one in effects if self._commanded or one[0].acts_on != "actuation"]
-        scene = heights([flights[index] for index in flight], [1] * row.size)
-        model = build_model(expand_rows(vehicle, row.size), effects, **scene)
+        scene = surface_heights([flights[index] for index in flight], [1] * row.size)
+        model = build_model(expand_vehicle(vehicle, row.size), effects, **scene)
         flown = replace(model, effects=model.effects.exclude(DelayEffect, CommandEffect))  # in the commands already
-        self._model = with_known_wind(flown, flights, flight)
+        self._model = add_known_wind(flown, flights, flight)
         longest = MEMORY_STEP_S if flown.effects.names_with_memory else STEP_S
         self._substeps = max(1, round(self._stride / (longest * self._rate)))
 
-    def steps(self, seconds: float) -> int:
+    def num_steps(self, seconds: float) -> int:
         """Return the number of steps in a time span [s]."""
         return round(seconds * self._rate / self._stride)
 
-    def fly(
+    def simulate_steps(
         self, state: BodyState, at: Collection[int], *, given_attitude: Flags | None = None
     ) -> Iterator[tuple[int, BodyState, BodyState]]:
         """Yield step number, simulated state and measured state after the step numbers ``at``.
@@ -231,36 +228,36 @@ class WindowBatch:
             torch.from_numpy(given_attitude)[:, None] if given_attitude is not None and given_attitude.any() else None
         )
         span = self._stride / self._rate
-        memory, stepper = self._memory(span / self._substeps), INTEGRATORS["rk4"]
+        memory, stepper = self._initial_effect_memory(span / self._substeps), INTEGRATORS["rk4"]
         for step in range(max(at)):
-            there = self._gather("other_position", self._row + step * self._stride + self._stride // 2)
-            model, led = replace(self._model, other_position=there), self._led(step, state)
+            there = self._rows_of_quantity("other_position", self._row + step * self._stride + self._stride // 2)
+            model, led = replace(self._model, other_position=there), self._rotor_input(step, state)
             state, memory = advance_remembering(
                 model, stepper, None, state, led, span / self._substeps, self._substeps, memory
             )
             if given is not None or step + 1 in at:
-                truth = self.reference_state(step + 1)
+                truth = self.state_of_flight(step + 1)
                 if step + 1 in at:
                     yield step + 1, state, truth
                 if given is not None:
                     attitude = torch.where(given, truth.attitude, state.attitude)
                     state = replace(state, attitude=attitude, ang_vel=torch.where(given, truth.ang_vel, state.ang_vel))
 
-    def reference_state(self, step: int) -> BodyState:
+    def state_of_flight(self, step: int) -> BodyState:
         """Return the measured state ``step`` steps after each start."""
         rows = self._row + step * self._stride
         return BodyState(
-            position=self._gather("position", rows),
-            attitude=self._gather("attitude", rows),
-            lin_vel=self._gather("lin_vel", rows),
-            ang_vel=self._gather("ang_vel", rows),
+            position=self._rows_of_quantity("position", rows),
+            attitude=self._rows_of_quantity("attitude", rows),
+            lin_vel=self._rows_of_quantity("lin_vel", rows),
+            ang_vel=self._rows_of_quantity("ang_vel", rows),
             rotor_speed=self._rotor_speed_rows(rows),
         )
 
     def _rotor_speed_rows(self, rows: Indices) -> Tensor:
         """Return the true rotor speeds at a row of each window's flight [rad/s], (W, R): measured, else from commands."""
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
-            return self._true_speed(self._gather("rotor_speed", rows))
+            return self._true_rotor_speed(self._rows_of_quantity("rotor_speed", rows))
         speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
         for index in np.unique(self._flight):
             chosen = np.flatnonzero(self._flight == index)
@@ -268,11 +265,11 @@ class WindowBatch:
             speed[chosen] = along[np.minimum(rows[chosen], len(along) - 1)]
         return speed
 
-    def _memory(self, dt: float) -> Memory | None:
+    def _initial_effect_memory(self, dt: float) -> Memory | None:
         """Return the initial memory of effects; None if no effect has any."""
         if not self._model.effects.names_with_memory:
             return None
-        memory = place_memory(self._model, make_memory(self._model, dt), self._initial_memory())
+        memory = place_memory(self._model, make_memory(self._model, dt), self._memory_from_replay())
         if not self._model.effects[LoadEffect]:
             return memory
         name = self._model.effects[LoadEffect][0][0].name
@@ -282,19 +279,19 @@ class WindowBatch:
         times = [self._row[self._flight == index] / self._rate for index in flown]
         load = torch.empty(self._row.size, 6, dtype=torch.float64)
         order = torch.from_numpy(np.argsort(self._flight, kind="stable"))
-        load[order] = LoadReplay([self._flights[index] for index in flown], times).loads(self._model)
+        load[order] = LoadReplay([self._flights[index] for index in flown], times).link_states(self._model)
         return place_memory(self._model, memory, {name: load})
 
-    def _initial_memory(self) -> dict[str, Tensor]:
+    def _memory_from_replay(self) -> dict[str, Tensor]:
         """Return the initial memory of effects on rotors and body, (W, M), by effect, replayed from the log's start."""
         results: dict[str, Tensor] = {}
         for effect, params in effects_with_memory(self._model.effects):
             numbers = torch.empty(self._row.size, len(effect.fresh_memory(self._rotors)), dtype=torch.float64)
-            vehicle, one, step = one_row(self._model.vehicle, 0), params[:1], 1.0 / self._rate
+            vehicle, one, step = vehicle_of_row(self._model.vehicle, 0), params[:1], 1.0 / self._rate
             for index in np.unique(self._flight):
                 chosen, speed = np.flatnonzero(self._flight == index), self._rotor_speed_track(int(index))
                 along = effect.replay(
-                    make_track(self._flights[index], vehicle, speed, step, settled=self._settled), one
+                    make_flight_track(self._flights[index], vehicle, speed, step, settled=self._settled), one
                 )
                 numbers[chosen] = along[self._row[chosen]]
             results[effect.name] = numbers
@@ -305,7 +302,7 @@ class WindowBatch:
         speed = self._flights[index].rotor_speed
         if speed is None:
             if self._led_along is None:
-                lagging = replace(self._model, vehicle=one_row(self._model.vehicle, 0))
+                lagging = replace(self._model, vehicle=vehicle_of_row(self._model.vehicle, 0))
                 self._led_along = RotorReplay(self._flights).speeds(lagging, 0.0)
             led = self._led_along[index]
             assert led is not None
@@ -315,27 +312,29 @@ class WindowBatch:
             true = effect.true_speed(true, params[:1])
         return true
 
-    def _led(self, step: int, state: BodyState) -> Tensor | Ramp:
+    def _rotor_input(self, step: int, state: BodyState) -> Tensor | Ramp:
         """Return the rotor input of a step: the mean command, or a linear ramp to the measured speed at its end."""
         first = self._row + step * self._stride
         if self._commanded:
-            return self._gather("rotor_command", first[:, None] + np.arange(self._stride)).mean(dim=1)
-        end = self._true_speed(self._gather("rotor_speed", first + self._stride))
+            return self._rows_of_quantity("rotor_command", first[:, None] + np.arange(self._stride)).mean(dim=1)
+        end = self._true_rotor_speed(self._rows_of_quantity("rotor_speed", first + self._stride))
         return Ramp(rate=(end - state.rotor_speed) * (self._rate / self._stride))
 
-    def _true_speed(self, measured: Tensor) -> Tensor:
+    def _true_rotor_speed(self, measured: Tensor) -> Tensor:
         """Return measured rotor speeds corrected for sensor errors."""
         for effect, params in reversed(self._model.effects[RotorSensorEffect]):
             measured = effect.true_speed(measured, params)
         return measured
 
-    def _gather(self, name: str, rows: Indices) -> Tensor:
+    def _rows_of_quantity(self, name: str, rows: Indices) -> Tensor:
         """Return a quantity at rows (W,) or (W, any) of each window's flight, with its own last dimension."""
         if name not in self._tables:
-            self._tables[name] = _Table([self._along_flight(name, flight) for flight in self._flights], self._flight)
-        return self._tables[name].rows_after_start(rows)
+            self._tables[name] = _FlightTable(
+                [self._quantity_along_flight(name, flight) for flight in self._flights], self._flight
+            )
+        return self._tables[name].values_at_rows(rows)
 
-    def _along_flight(self, name: str, flight: Flight) -> Array:
+    def _quantity_along_flight(self, name: str, flight: Flight) -> Array:
         """Return a quantity along a flight, (T, any), or one row of zeros; cached by its array."""
         values = getattr(flight, name)
         key = name, id(values)
@@ -345,12 +344,12 @@ class WindowBatch:
             if name == "other_position":
                 results = other_vehicle_track(flight)
             if name == "rotor_speed":
-                results = window_mean(results, self._stride)
+                results = mean_over_rows(results, self._stride)
             self._along_flights[key] = results
         return self._along_flights[key]
 
 
-class _Table:
+class _FlightTable:
     """Lookup table of a quantity along flights."""
 
     def __init__(self, along: Sequence[Array], flight: Indices) -> None:
@@ -365,20 +364,20 @@ class _Table:
         self._last = self._first + np.array([len(one) for one in along])[flight] - 1
         self._rows = torch.from_numpy(np.concatenate(parts))
 
-    def rows_after_start(self, rows: Indices) -> Tensor:
+    def values_at_rows(self, rows: Indices) -> Tensor:
         """Return the quantity at rows of each window's flight, (W,) or (W, any); beyond its end the last value."""
         shape = (-1, *[1] * (rows.ndim - 1))
         return self._rows[torch.from_numpy(np.minimum(self._first.reshape(shape) + rows, self._last.reshape(shape)))]
 
 
-def window_mean(values: Array, rows: int) -> Array:
+def mean_over_rows(values: Array, rows: int) -> Array:
     """Return the centred moving mean over ``rows`` rows, (T, any); for an even number the end weights are halved."""
     weights = np.ones(rows + 1 - rows % 2)
     weights[[0, -1]] = 1.0 if rows % 2 else 0.5
     return convolve1d(values, weights / rows, axis=0, mode="nearest")
 
 
-def _distances(state: BodyState, truth: BodyState) -> dict[str, Array]:
+def _state_errors(state: BodyState, truth: BodyState) -> dict[str, Array]:
     turn = quat_log(quat_multiply(quat_conjugate(truth.attitude), state.attitude))
     far = {"position": state.position - truth.position, "velocity": state.lin_vel - truth.lin_vel, "attitude": turn}
     most = {"position": FARTHEST, "velocity": FARTHEST, "attitude": np.pi}

@@ -28,19 +28,19 @@ NEEDED = {
 """Quantities that an effect may need, with the columns that provide them."""
 
 
-class Heights(TypedDict):
+class SurfaceHeights(TypedDict):
     """Heights for ``build_model`` [m], world, (E, 1)."""
 
     ground_height: Tensor
     ceiling_height: Tensor | None
 
 
-def lacks_of_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
+def finding_on_absent_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding on surroundings that an effect needs and flights lack; None if all are there."""
-    return _absent_data(name, EFFECTS.get(name).needs, flights)
+    return _finding_on_absent_data(name, EFFECTS.get(name).needs, flights)
 
 
-def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
+def finding_on_absent_velocity(name: str, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding if an aerodynamic effect needs a velocity that the logs do not have; None otherwise.
 
     A declared effect still acts, through the hub velocities of a rotating vehicle. Identification from these alone would
@@ -48,10 +48,10 @@ def lacks_of_air(name: str, flights: Sequence[Flight]) -> Finding | None:
     """
     effect = EFFECTS.get(name)
     airborne = isinstance(effect, WindEffect) or "velocity" in effect.follows
-    return _absent_data(name, ("lin_vel",) if airborne else (), flights)
+    return _finding_on_absent_data(name, ("lin_vel",) if airborne else (), flights)
 
 
-def _absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
+def _finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
     for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
         if without:
@@ -62,12 +62,12 @@ def _absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> 
 def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
     """Raise ``DataError`` if the flights lack a quantity that a declared effect needs."""
     for name in names:
-        if reason := lacks_of_scene(name, flights):
+        if reason := finding_on_absent_scene(name, flights):
             where, need = reason.values["flights"], NEEDED[str(reason.values["need"])]
             raise DataError(f"the robot file declares {name}, which these flights cannot show: {where}: without {need}")
 
 
-def heights(flights: Sequence[Flight], rows: Sequence[int]) -> Heights:
+def surface_heights(flights: Sequence[Flight], rows: Sequence[int]) -> SurfaceHeights:
     """Return the heights of ground and ceiling [m], (E, 1), for the numbers of rows per flight; None: no ceiling known."""
 
     def column(values: list[float]) -> Tensor:

@@ -35,8 +35,7 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
 OF_LOGS = ("sensor_delay", "acc_scale", "imu_place")
 """Tolerances of the logger, not the vehicle; kinematics determine most of them, so they hide no effect."""
 
-STRAINED = 3.0
-"""Standard deviations beyond which a declaration is implausible, or its tolerance too small."""
+STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,10 +87,8 @@ class Tolerances:
     ) -> list[Finding]:
         """Return findings on the implausible deviations among (N,), in standard deviations.
 
-        Args:
-            deviation: Fitted deviations in standard deviations.
-            absent: Tolerances of parts that the vehicle or its logs lack.
-            farthest: Limit of the fit; a deviation there was cut off, not measured.
+        ``absent``: tolerances of parts that the vehicle or its logs lack. ``farthest``: limit of the fit; a deviation there
+        was cut off, not measured.
         """
         names = self.names((deviation.size - len(self.names(0))) // 2)
         pairs = [
@@ -105,17 +102,13 @@ class Tolerances:
         return notes
 
 
-def deviate(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
+def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
     """Return the vehicle with ``deviation`` standard deviations in each tolerance.
 
-    The inertia becomes ``S J S`` with the diagonal ``S = sqrt(1 + d)``, and stays positive definite.
-
-    Args:
-        vehicle: Declared vehicle, one environment.
-        tolerances: Standard deviations.
-        deviation: In standard deviations, (N,), in the order of ``Tolerances.names``.
+    The inertia becomes ``S J S`` with the diagonal ``S = sqrt(1 + d)``, and stays positive definite. ``deviation``: in
+    standard deviations, (N,), in the order of ``Tolerances.names``.
     """
-    off = split(deviation)
+    off = split_deviations(deviation)
     factor = (1.0 + tolerances.thrust * off["thrust"]).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * off["inertia"]).clamp_min(0.01).sqrt()
     slower = 1.0 + tolerances.time_constant * off["time_constant"]
@@ -141,13 +134,13 @@ class VehicleDeviation:
     joint_start: float  # Initial angle of soft arms as a share of their rest angle
 
 
-def apply_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleDeviation:
+def vehicle_deviation(declared: Vehicle, tolerances: Tolerances, deviation: Array | None) -> VehicleDeviation:
     """Return vehicle and replay settings for deviations (N,) in standard deviations; None: exactly as declared."""
     if deviation is None:
         return VehicleDeviation(vehicle=declared, command_shift=0.0, joint_start=1.0)
     off = torch.from_numpy(deviation)
     return VehicleDeviation(
-        vehicle=deviate(declared, tolerances, off),
+        vehicle=vehicle_with_deviations(declared, tolerances, off),
         command_shift=command_shift(tolerances, off),
         joint_start=joint_start(tolerances, off),
     )
@@ -170,7 +163,7 @@ class SensorDeviation:
     delays: Tensor  # Delays of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)
 
     @property
-    def turn(self) -> Tensor:
+    def attitude_turn(self) -> Tensor:
         """Quaternion from the axes of the logged attitude to those of the body, (4,)."""
         return quat_from_euler(self.attitude)
 
@@ -183,7 +176,7 @@ class SensorDeviation:
 
 def sensor_deviation(tolerances: Tolerances, deviation: Tensor) -> SensorDeviation:
     """Return the sensor errors of deviations (N,) in standard deviations."""
-    off = split(deviation)
+    off = split_deviations(deviation)
     return SensorDeviation(
         acc_bias=tolerances.acc_bias * off["acc_bias"],
         gyro_bias=tolerances.gyro_bias * off["gyro_bias"],
@@ -198,28 +191,28 @@ def sensor_deviation(tolerances: Tolerances, deviation: Tensor) -> SensorDeviati
 
 def command_shift(tolerances: Tolerances, deviation: Tensor) -> float:
     """Return the shift of the effective command towards the next row, in rows; 0: held from its own row."""
-    return float(tolerances.command_hold * split(deviation)["command_hold"])
+    return float(tolerances.command_hold * split_deviations(deviation)["command_hold"])
 
 
 def joint_start(tolerances: Tolerances, deviation: Tensor) -> float:
     """Return the initial angle of soft arms as a share of their rest angle."""
-    return float(1.0 + tolerances.joint_rest * split(deviation)["joint_rest"])
+    return float(1.0 + tolerances.joint_rest * split_deviations(deviation)["joint_rest"])
 
 
-def split(deviation: Tensor) -> dict[str, Tensor]:
+def split_deviations(deviation: Tensor) -> dict[str, Tensor]:
     """Return the parts of deviations (N,) by the names of ``LAYOUT``."""
-    return dict(zip(LAYOUT, torch.split(deviation, _sizes(deviation.numel())), strict=True))
+    return dict(zip(LAYOUT, torch.split(deviation, _part_counts(deviation.numel())), strict=True))
 
 
 @cache
-def _sizes(number: int) -> list[int]:
+def _part_counts(number: int) -> list[int]:
     """Return the number of parts of each name of ``LAYOUT``, for N tolerances in total."""
     none = {name: len(_part_names(of, 0)) for name, of in LAYOUT.items()}
     rotors = (number - sum(none.values())) // sum(of == "rotors" for of in LAYOUT.values())
     return [len(_part_names(of, rotors)) for of in LAYOUT.values()]
 
 
-def of_logs(num_rotors: int) -> Flags:
+def is_tolerance_of_logs(num_rotors: int) -> Flags:
     """Return the flags of the N tolerances that belong to logs alone, (N,)."""
     return np.array([name in OF_LOGS for name, of in LAYOUT.items() for _ in _part_names(of, num_rotors)])
 

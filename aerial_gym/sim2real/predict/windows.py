@@ -18,17 +18,13 @@ STEP_S = 0.01
 """Longest rollout step [s], over which logged rotor speeds are averaged; at 10 rad/s, Runge-Kutta of order 4 errs by
 1e-7 rad per step."""
 
-WINDOW_EVERY_S = 0.5
-"""Time between the starts of consecutive windows [s]."""
+WINDOW_EVERY_S = 0.5  # Time between the starts of consecutive windows [s]
 
 FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))
 """Start of the first window [s], the longest dead time, so that all arriving commands are in the log."""
 
-MOST_WINDOWS = 600
-"""Most windows; with more the starts are spread over all flights."""
-
-CLUSTER_S = 4.0
-"""Span [s] whose windows count as one sample in confidence intervals."""
+MOST_WINDOWS = 600  # Most windows; with more the starts are spread over all flights
+CLUSTER_S = 4.0  # Span [s] whose windows count as one sample in confidence intervals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +64,7 @@ def find_windows(
 def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], RolloutWindows]:
     """Return the feasible horizons [s], for which some flight is airborne long enough, and the longest one's windows.
 
-    Raises:
-        DataError: If there is none.
+    Raise ``DataError`` if there is none.
     """
     for longest in sorted(horizons, reverse=True):
         windows = find_windows(flights, longest)
@@ -78,7 +73,7 @@ def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tup
     raise DataError(f"no flight is airborne for {FIRST_WINDOW_S + min(horizons):g} s at a time, which a rollout needs")
 
 
-def same_rate(flights: Sequence[Flight], windows: RolloutWindows) -> list[Indices]:
+def group_windows_by_rate(flights: Sequence[Flight], windows: RolloutWindows) -> list[Indices]:
     """Return the windows grouped by sample rate of their flights."""
     rate = np.array([flights[index].rate for index in windows.flight])
     return [np.flatnonzero(rate == one) for one in np.unique(rate)]

@@ -14,8 +14,8 @@ import pandas as pd
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
-from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.identify.least_squares.parameters import scales
+from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_scales
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -82,7 +82,7 @@ def parameter_evidence(
     predicted = predictor.predict(params)
     jacobian = np.concatenate(effect_jacobian(predictor, params, (effect,), predicted)) * np.sqrt(weight)[:, None]
     left = np.concatenate([m - p for m, p in zip(predictor.measured, predicted, strict=True)]) * np.sqrt(weight)
-    group, scale = time_groups(predictor.times), scales((effect,))
+    group, scale = time_block_of_rows(predictor.times), parameter_scales((effect,))
     clues_list = []
     for k, parameter in enumerate(EFFECTS.get(effect).parameters):
         if parameter.kind != "number" or parameter.name in untold:

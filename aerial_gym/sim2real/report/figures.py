@@ -7,7 +7,7 @@ import torch
 
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
-from aerial_gym.sim2real.identify.candidates.structure import flight_rows, world_forces
+from aerial_gym.sim2real.identify.candidates.structure import rotate_forces_to_world, rows_at_times
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.analysis import LoopResult
@@ -44,7 +44,7 @@ def report_clues(judged: LoopResult) -> dict[str, list[ParameterEvidence]]:
     declared, selection = judged.declared, judged.selection
     models = dict.fromkeys(selection.effect_names, judged.within)
     for fitted in () if models else closest(selection):
-        models.setdefault(fitted.effects[0], fitted.model_in_tolerances)
+        models.setdefault(fitted.effects[0], fitted.model_with_deviations)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
     weight, results = selection.weights.weight, {}
     for name, params in models.items():
@@ -113,11 +113,11 @@ def residual_rows(judged: LoopResult) -> list[tuple[Channel, list[plots.Residual
         parts = []
         for predictor, residuals in left:
             for flight, time, residual in zip(predictor.flights, predictor.times, residuals, strict=True):
-                turned = world_forces(flight, time, residual, channels)
+                turned = rotate_forces_to_world(flight, time, residual, channels)
                 against = {"time [s]": time, **quantities(flight, time, vehicle, judged.declared.bandwidth)}
                 if flight.position is not None:
-                    against |= {"x [m]": flight.position[flight_rows(flight, time), 0]}
-                    against |= {"y [m]": flight.position[flight_rows(flight, time), 1]}
+                    against |= {"x [m]": flight.position[rows_at_times(flight, time), 0]}
+                    against |= {"y [m]": flight.position[rows_at_times(flight, time), 1]}
                 parts.append(
                     plots.ResidualPart(
                         flight=flight,

@@ -7,7 +7,7 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
-from aerial_gym.sim2real.logs.flights import Flight, common_values
+from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -119,7 +119,7 @@ def residual_figures(parts: Sequence[ResidualPart], channel: Channel) -> str:
 
     Features common to all flights are structure; differences between flights are noise.
     """
-    against = common_values([part.quantities for part in parts])
+    against = values_in_all_mappings([part.quantities for part in parts])
     columns = min(4, 1 + len(against))
     rows = -(-(1 + len(against)) // columns)
     figure, grid = panels(rows, columns, width=2.35, height=1.5, title=channel.name, gap=(0.6, 0.5))

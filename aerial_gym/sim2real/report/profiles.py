@@ -14,9 +14,9 @@ import torch
 from aerial_gym.physics import Vehicle, vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.candidates.structure import flight_rows
-from aerial_gym.sim2real.identify.least_squares.moments import time_groups
-from aerial_gym.sim2real.logs.flights import Flight, common_values
+from aerial_gym.sim2real.identify.candidates.structure import rows_at_times
+from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
+from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -48,7 +48,7 @@ def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) 
 
     Thrust is the declared total at measured speeds, or at the commands if speeds were not measured.
     """
-    rows = flight_rows(flight, time)
+    rows = rows_at_times(flight, time)
     rotors = flight.rotor_command if flight.rotor_speed is None else flight.rotor_speed
     assert rotors is not None
     slow = torch.from_numpy(lowpass(rotors, flight.rate, bandwidth)[rows])
@@ -74,10 +74,10 @@ def bin_index(edges: Array, values: Array) -> Indices:
 
 def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
     """Return the profiles over all quantities that vary, for each model."""
-    group, by_name = time_groups(predictor.times), []
+    group, by_name = time_block_of_rows(predictor.times), []
     vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
     pairs = zip(predictor.flights, predictor.times, strict=True)
-    own = common_values([quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
+    own = values_in_all_mappings([quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
     residuals = {name: np.concatenate(predictor.residuals(params)) for name, params in models.items()}
     for name, parts in own.items():
         values = np.concatenate(parts)

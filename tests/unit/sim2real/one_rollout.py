@@ -6,7 +6,7 @@ from typing import Any
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.replay.load import Link
+from aerial_gym.sim2real.predict.replay.load import LoadLink
 from aerial_gym.sim2real.predict.rollout import RolloutErrors, rollout_errors_of_models
 
 
@@ -15,7 +15,7 @@ def roll_out(
     flights: Sequence[Flight],
     params: ModelParams,
     *,
-    links: Sequence[Link] | None = None,
+    links: Sequence[LoadLink] | None = None,
     given_attitude: bool = False,
     **options: Any,
 ) -> RolloutErrors:

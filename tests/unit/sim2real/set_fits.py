@@ -14,7 +14,7 @@ from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit
 from aerial_gym.sim2real.identify.least_squares.moments import Moments, Weighting
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, FitScore, LeftOut
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation, FitScore
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub
@@ -118,7 +118,7 @@ def make_selection(
     """Return the selection with a choice; by default no effect is named."""
     chosen = chosen or make_choice(make_fit())
     scored = final or make_score(chosen.named.params, chosen.effects)
-    left_out = LeftOut(
+    left_out = CrossValidation(
         count=np.ones(1),
         flight=np.zeros(1, dtype=np.int64),
         weights=chosen.weights,

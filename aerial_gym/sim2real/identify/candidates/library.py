@@ -29,7 +29,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
 )
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, WEAK_PRIOR, Frozen
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, parameter_scales
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -52,12 +52,12 @@ class Candidate:
     """All parameters at the linearisation, conventions and rotor number included."""
 
     structure: bool = False  # Whether it is a residual structure rather than an effect
-    of_flights: bool = False  # Whether it is a structure specific to each flight
+    is_flight_offset: bool = False  # Whether it is a structure specific to each flight
 
     @property
-    def in_common(self) -> bool:
+    def is_common_structure(self) -> bool:
         """Return whether it is a structure common to all flights, which no robot file can represent."""
-        return self.structure and not self.of_flights
+        return self.structure and not self.is_flight_offset
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +83,9 @@ class Tangent:
     start: Array  # All parameters at the linearisation, (P,)
     columns: list[SparseDerivatives]  # Derivatives by the parameters, per scale, (rows, C, P) of each flight
 
-    def whole(self, channels: int) -> Derivatives:
+    def derivatives_of_channels(self, channels: int) -> Derivatives:
         """Return the derivatives of all C channels, zeros included, (rows, C, P) of each flight."""
-        return [part.of_channels(range(channels)) for part in self.columns]
+        return [part.dense_columns(range(channels)) for part in self.columns]
 
 
 def linearise_candidates(
@@ -100,7 +100,7 @@ def linearise_candidates(
     Arguments as for ``build_library``.
     """
     candidates, base = list[Tangent](), predictor.predict(present)
-    for name, params in origins(declared, present, accepted, skipped, predictor.robot):
+    for name, params in linearisation_points(declared, present, accepted, skipped, predictor.robot):
         named = params is present
         columns = effect_jacobian(predictor, params, (name,), base if named else predictor.predict(params))
         if all(np.isfinite(part).all() for part in columns):  # otherwise the load swings over the top in this model
@@ -132,15 +132,13 @@ def build_library(
     are at neutral.
 
     Args:
-        predictor: Predictor of the training flights.
-        declared: The declared model.
         present: Model of the linearisation.
         accepted: Effects fitted in the present model.
         weight: Weight of one row of each channel, (C,).
         frozen: Fixed parameters of accepted effects, which the flights do not determine.
         skipped: Effects that these flights cannot show.
-        structures: Returns the competing structures for the present residuals and the derivatives by each effect,
-            (rows, C, any), at each of its starts.
+        structures: Returns the competing structures for the present residuals and the derivatives by each effect, (rows, C,
+            any), at each of its starts.
         tangents: Known linearisations of all candidates about the present model.
         tolerance: Derivatives by the deviations, (rows, C, N), about a nearby model; None: computed here.
         by_channel: Whether to return unweighted moments of each channel and flight; not with structures.
@@ -154,10 +152,10 @@ def build_library(
     derivatives, own = list[Sequence[Part]](), dict[str, list[list[SparseDerivatives]]]()
     for tangent in tangents:
         name, named, columns = tangent.name, tangent.named, tangent.columns
-        neutral, scale = neutral_params(name, declared, predictor.robot), scales((name,))
+        neutral, scale = neutral_params(name, declared, predictor.robot), parameter_scales((name,))
         if named:  # back to neutral
             step = (tangent.start - neutral) / scale
-            exact = [part.astype(np.float64) for part in tangent.whole(len(predictor.channels))]
+            exact = [part.astype(np.float64) for part in tangent.derivatives_of_channels(len(predictor.channels))]
             change = [b - n for b, n in zip(base, predictor.predict(present.with_effect(name, neutral)), strict=True)]
             correct_derivatives(exact, step, change)
             residuals = [r + directional_change(c, step) for r, c in zip(residuals, exact, strict=True)]
@@ -180,7 +178,7 @@ def build_library(
                 low=-open_end,
                 high=open_end,
                 structure=True,
-                of_flights=structure.of_flights,
+                is_flight_offset=structure.is_flight_offset,
             )
         )
         derivatives.append(structure.columns)
@@ -201,7 +199,7 @@ def build_library(
     )
 
 
-def origins(
+def linearisation_points(
     declared: ModelParams, present: ModelParams, accepted: Sequence[str], skipped: Collection[str], robot: RobotCfg
 ) -> list[tuple[str, ModelParams]]:
     """Return each candidate with the model of its linearisation, the present one for accepted effects."""
@@ -211,25 +209,25 @@ def origins(
             candidates.append((name, present))
         if name in skipped and name not in accepted:
             continue
-        for params in starts(name, present, declared, robot):
-            if name not in accepted or (has_rotor(name) and params.effects[name][0] != present.effects[name][0]):
+        for params in starts_of_effect(name, present, declared, robot):
+            if name not in accepted or (is_of_one_rotor(name) and params.effects[name][0] != present.effects[name][0]):
                 candidates.append((name, params))
     return candidates
 
 
-def starts(name: str, params: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
+def starts_of_effect(name: str, params: ModelParams, declared: ModelParams, robot: RobotCfg) -> list[ModelParams]:
     """Return the models in which fits of an effect start: at neutral, once for each start or rotor."""
     if name in declared.effects:
         return [params.with_effect(name, declared.effects[name])]
     return [params.with_effect(name, np.array(start)) for start in EFFECTS.get(name).starts(robot)]
 
 
-def has_starts(name: str, robot: RobotCfg) -> bool:
+def has_several_starts(name: str, robot: RobotCfg) -> bool:
     """Return whether fits of an effect have several starts."""
     return len(EFFECTS.get(name).starts(robot)) > 1
 
 
-def has_rotor(name: str) -> bool:
+def is_of_one_rotor(name: str) -> bool:
     """Return whether an effect acts on one rotor."""
     return any(parameter.kind == "rotor" for parameter in EFFECTS.get(name).parameters)
 

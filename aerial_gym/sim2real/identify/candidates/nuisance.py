@@ -18,25 +18,22 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.structure import (
     IN_WORLD,
     CommonLines,
-    flight_rows,
-    force_places,
+    force_channel_indices,
     motion_features,
     rotate_residuals,
+    rows_at_times,
     structure_features,
 )
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
-from aerial_gym.sim2real.identify.least_squares.derivatives import single
+from aerial_gym.sim2real.identify.least_squares.derivatives import to_single_precision
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-FORCES = ("specific_force", "kinematic_force")
-"""Kinds of channel with accelerometer readings."""
-
-OF_FLIGHTS = "flight"
-"""Kind of the offsets of single flights."""
+FORCES = ("specific_force", "kinematic_force")  # Kinds of channel with accelerometer readings
+OF_FLIGHTS = "flight"  # Kind of the offsets of single flights
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +48,7 @@ class NuisanceColumns:
     freq_hz: float | None = None  # Frequency of a tone [Hz]
 
     @property
-    def of_flights(self) -> bool:
+    def is_flight_offset(self) -> bool:
         """Return whether it is an offset of single flights, which is no evidence against a set of effects."""
         return self.kind == OF_FLIGHTS
 
@@ -62,7 +59,7 @@ class NuisanceColumns:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Shape:
+class _StructureUnit:
     """Unit of structure in a channel, before removal of effects."""
 
     kind: str
@@ -86,23 +83,19 @@ class Nuisances:
     ) -> None:
         """Store the flights and their structures.
 
-        Args:
-            flights: Training flights.
-            times: Row times of each flight [s], (T,).
-            channels: Compared channels.
-            declared: Residuals of the declared model, (T, C), which give the sizes.
-            most: Largest offsets of single flights in each channel, (C,).
+        ``declared``: residuals of the declared model, (T, C), which give the sizes. ``most``: largest offsets of single
+        flights in each channel, (C,).
         """
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
         self._lines = CommonLines(
             times, [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]
         )
-        self._shapes = list[_Shape]()
-        alone, force = [np.ones((time.size, 1)) for time in times], force_places(channels)
-        turns = [Rotation.from_quat(f.attitude[flight_rows(f, time)]) for f, time in zip(flights, times, strict=True)]
+        self._shapes = list[_StructureUnit]()
+        alone, force = [np.ones((time.size, 1)) for time in times], force_channel_indices(channels)
+        turns = [Rotation.from_quat(f.attitude[rows_at_times(f, time)]) for f, time in zip(flights, times, strict=True)]
         world = [[turn.apply(axis, inverse=True) for turn in turns] for axis in np.eye(3)]
         for kind, features in structure_features(flights, times).items():
-            functions = _standard(features)
+            functions = _orthonormal_functions(features)
             if kind in IN_WORLD:  # a force at a place has a mean; for others, effects explain the mean
                 functions = [np.column_stack((np.ones(len(part)), part)) for part in functions]
             if not functions[0].shape[1]:
@@ -112,12 +105,14 @@ class Nuisances:
                 moved, axes = (place,), alone
                 if kind in IN_WORLD and place in force:  # world axis in body coordinates
                     moved, axes = force, world[force.index(place)]
-                size = _rms([part[:, place] for part in seen])
+                size = _rms_of_flights([part[:, place] for part in seen])
                 self._shapes.append(
-                    _Shape(kind=kind, channel=channel.name, size=size, functions=functions, moved=moved, axes=axes)
+                    _StructureUnit(
+                        kind=kind, channel=channel.name, size=size, functions=functions, moved=moved, axes=axes
+                    )
                 )
 
-    def project_out(
+    def structures_beyond_effects(
         self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[SparseDerivatives]]]
     ) -> list[NuisanceColumns]:
         """Return the structures without the parts that effects can produce.
@@ -131,50 +126,52 @@ class Nuisances:
             rivals = [part for name in effects if shape.kind in EFFECTS.get(name).follows for part in effects[name]]
             along = [
                 [
-                    np.einsum("tck,tc->tk", part.of_channels(shape.moved), axis)
+                    np.einsum("tck,tc->tk", part.dense_columns(shape.moved), axis)
                     for part, axis in zip(own, shape.axes, strict=True)
                 ]
                 for own in rivals
             ]
-            beyond = zip(_orthogonal_part(shape.functions, along), shape.axes, strict=True)
-            columns = single([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
+            beyond = zip(_functions_beyond_effects(shape.functions, along), shape.axes, strict=True)
+            columns = to_single_precision([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
             parts = [
                 SparseDerivatives(values=values, channels=shape.moved, width=values.shape[2]) for values in columns
             ]
             matrices.append(NuisanceColumns(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
-        return [*matrices, *_offsets(self._channels, present, self._most), *self._tones(present)]
+        return [*matrices, *_flight_offset_columns(self._channels, present, self._most), *self._tone_columns(present)]
 
-    def _tones(self, present: Sequence[Array]) -> list[NuisanceColumns]:
+    def _tone_columns(self, present: Sequence[Array]) -> list[NuisanceColumns]:
         """Return the strongest common tone of each channel, with a separate phase in each flight."""
         matrices, times = [], self._times
         for place, channel in enumerate(self._channels):
-            line = self._lines.find([part[:, place] for part in present])
+            line = self._lines.strongest_line([part[:, place] for part in present])
             if line is None:
                 continue
-            size, columns = _rms([part[:, place] for part in self._declared]), []
+            size, columns = _rms_of_flights([part[:, place] for part in self._declared]), []
             for number, time in enumerate(times):
                 turn = 2.0 * np.pi * line[0] * time
                 waves = size * np.sqrt(2.0) * np.column_stack((np.cos(turn), np.sin(turn)))[:, None]
-                columns.append(_of_one(number, len(times), waves, place))
+                columns.append(_columns_of_one_flight(number, len(times), waves, place))
             matrices.append(
                 NuisanceColumns(kind="periodic", channel=channel.name, columns=columns, size=size, freq_hz=line[0])
             )
         return matrices
 
 
-def flight_offsets(structures: Sequence[NuisanceColumns], channels: Sequence[Channel], weight: Array) -> OwnOffsets:
+def flight_offsets(structures: Sequence[NuisanceColumns], channels: Sequence[Channel], weight: Array) -> FlightOffsets:
     """Return the flight offsets among some structures; ``weight``: weight of a row of each channel, (C,)."""
-    own = {structure.channel: (structure.size, structure.most) for structure in structures if structure.of_flights}
+    own = {
+        structure.channel: (structure.size, structure.most) for structure in structures if structure.is_flight_offset
+    }
     size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
-    return OwnOffsets(size=size, weight=weight, most=most)
+    return FlightOffsets(size=size, weight=weight, most=most)
 
 
 def structure_functions(kind: str, flights: Sequence[Flight], times: Sequence[Array]) -> list[Array]:
     """Return functions of place, heading, time or another variable, with mean 0 and RMS 1 over all flights, (T, F)."""
-    return _standard(structure_features(flights, times)[kind])
+    return _orthonormal_functions(structure_features(flights, times)[kind])
 
 
-def _standard(features: Sequence[Array]) -> list[Array]:
+def _orthonormal_functions(features: Sequence[Array]) -> list[Array]:
     """Return an orthogonal basis of the features' deviations from their means, with RMS 1 over all flights, (T, F)."""
     whole = np.concatenate(features)
     centred = (whole - whole.mean(axis=0)) / np.maximum(whole.std(axis=0), 1e-12)
@@ -183,7 +180,7 @@ def _standard(features: Sequence[Array]) -> list[Array]:
     return np.split(kept, np.cumsum([len(part) for part in features])[:-1])
 
 
-def _orthogonal_part(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> list[Array]:
+def _functions_beyond_effects(functions: Sequence[Array], effects: Sequence[Sequence[Array]]) -> list[Array]:
     """Return functions (T, F) minus their least-squares fit by effects (T, any)."""
     if not effects:
         return list(functions)
@@ -193,7 +190,7 @@ def _orthogonal_part(functions: Sequence[Array], effects: Sequence[Sequence[Arra
     return np.split(whole - made, ends)
 
 
-def most_of_flights(predictor: Predictor, tolerated: Array) -> Array:
+def largest_flight_offsets(predictor: Predictor, tolerated: Array) -> Array:
     """Return the largest offsets of single flights in each channel, (C,).
 
     They are the RMS residual within the tolerances, ``tolerated`` (C,), with ``acc_of_flight`` added in squares for
@@ -206,7 +203,7 @@ def most_of_flights(predictor: Predictor, tolerated: Array) -> Array:
     return np.hypot(tolerated, force * predictor.tolerances.acc_of_flight)
 
 
-def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[NuisanceColumns]:
+def _flight_offset_columns(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[NuisanceColumns]:
     """Return an offset per flight in each channel, for example after a battery change or a sensor's warm-up.
 
     The unit is the standard deviation of the flights' mean residuals, at most ``most`` (C,).
@@ -220,12 +217,12 @@ def _offsets(channels: Sequence[Channel], present: Sequence[Array], most: Array)
             continue
         columns = []
         for number, part in enumerate(present):
-            columns.append(_of_one(number, len(present), np.full((len(part), 1, 1), size), place))
+            columns.append(_columns_of_one_flight(number, len(present), np.full((len(part), 1, 1), size), place))
         matrices.append(NuisanceColumns(kind=OF_FLIGHTS, channel=channel.name, columns=columns, size=size, most=limit))
     return matrices
 
 
-def _of_one(flight: int, flights: int, values: Array, channel: int) -> SparseDerivatives:
+def _columns_of_one_flight(flight: int, flights: int, values: Array, channel: int) -> SparseDerivatives:
     """Return the columns of one flight, (T, 1, p), among equal numbers of columns for every flight."""
     own = values.shape[2]
     return SparseDerivatives(
@@ -233,11 +230,11 @@ def _of_one(flight: int, flights: int, values: Array, channel: int) -> SparseDer
     )
 
 
-def _rms(parts: Sequence[Array]) -> float:
+def _rms_of_flights(parts: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 
-def beyond_structures(
+def residuals_beyond_structures(
     structures: Sequence[NuisanceColumns], residuals: Sequence[Array], weights: Weighting
 ) -> list[Array]:
     """Return residuals (T, C) minus the structures, fitted channel by channel with unit normal priors."""
@@ -247,7 +244,7 @@ def beyond_structures(
         if not own:
             continue
         columns = [
-            np.concatenate([part.of_channels((place,))[:, 0] for part in parts], axis=1, dtype=np.float64)
+            np.concatenate([part.dense_columns((place,))[:, 0] for part in parts], axis=1, dtype=np.float64)
             for parts in zip(*own, strict=True)
         ]
         product = sum(part.T @ part for part in columns)

@@ -16,15 +16,13 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 
-LEAST_SHARE = 0.3
-"""Least explained share of the variance on left-out flights."""
+LEAST_SHARE = 0.3  # Least explained share of the variance on left-out flights
 
 SEGMENT_S = 8.0
 OWN_MOTION = 0.5
 """Largest share of the flight motion at a line, relative to the residual's; above it, motion causes the line."""
 
-LINE_WIDTH = 2
-"""Half width of a spectral line in bins."""
+LINE_WIDTH = 2  # Half width of a spectral line in bins
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +39,7 @@ class Structure:
         return {"kind": self.kind, "freq_hz": self.freq_hz, "channel": self.channel, "share": round(self.share, 3)}
 
 
-IN_WORLD = ("position", "heading")
-"""Kinds whose forces are evaluated in world axes."""
+IN_WORLD = ("position", "heading")  # Kinds whose forces are evaluated in world axes
 
 
 def find_structure(
@@ -63,7 +60,7 @@ def find_structure(
         results.append(Structure(kind=kind, channel=channels[best].name, share=float(shares[best])))
     lines = CommonLines(times, [motion_features(f, t) for f, t in zip(flights, times, strict=True)])
     for index in chosen:
-        line = lines.find([r[:, index] for r in residuals])
+        line = lines.strongest_line([r[:, index] for r in residuals])
         if line is not None:
             results.append(Structure(kind="periodic", channel=channels[index].name, freq_hz=line[0], share=line[1]))
     best = max(results, key=lambda structure: structure.share)
@@ -80,36 +77,38 @@ def rotate_residuals(
     """Return the residuals in the axes that suit a kind of structure, (T, C) each."""
     if kind not in IN_WORLD:
         return list(residuals)
-    return [world_forces(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
+    return [rotate_forces_to_world(f, t, r, channels) for f, t, r in zip(flights, times, residuals, strict=True)]
 
 
-def force_places(channels: Sequence[Channel]) -> tuple[int, ...]:
+def force_channel_indices(channels: Sequence[Channel]) -> tuple[int, ...]:
     """Return the indices of the specific forces x, y and z; empty if one is missing."""
     results = tuple(place for place, channel in enumerate(channels) if channel.kind == "specific_force")
     return results if len(results) == 3 else ()
 
 
-def world_forces(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
+def rotate_forces_to_world(flight: Flight, time: Array, residual: Array, channels: Sequence[Channel]) -> Array:
     """Return the residual with specific forces rotated to world axes, (T, C)."""
-    force = list(force_places(channels))
+    force = list(force_channel_indices(channels))
     if not force:
         return residual
     turned = residual.copy()
-    turned[:, force] = Rotation.from_quat(flight.attitude[flight_rows(flight, time)]).apply(residual[:, force])
+    turned[:, force] = Rotation.from_quat(flight.attitude[rows_at_times(flight, time)]).apply(residual[:, force])
     return turned
 
 
-def flight_rows(flight: Flight, time: Array) -> Indices:
+def rows_at_times(flight: Flight, time: Array) -> Indices:
     """Return the row indices of a flight at times [s], (T,)."""
     return np.round(time * flight.rate).astype(int)
 
 
 def structure_features(flights: Sequence[Flight], times: Sequence[Array]) -> dict[str, list[Array]]:
     """Return candidate regressors by kind, (T, any) of each flight, for the kinds that all flights have."""
-    pairs = [(flight, flight_rows(flight, time)) for flight, time in zip(flights, times, strict=True)]
+    pairs = [(flight, rows_at_times(flight, time)) for flight, time in zip(flights, times, strict=True)]
     results = {"time": [np.stack((time, time**2), axis=1) for time in times]}
     if all(flight.position is not None for flight in flights):
-        results["position"] = _spread([flight.position[rows] for flight, rows in pairs if flight.position is not None])
+        results["position"] = _place_features(
+            [flight.position[rows] for flight, rows in pairs if flight.position is not None]
+        )
     turns = [Rotation.from_quat(flight.attitude[rows]) for flight, rows in pairs]
     if not any(flight.attitude_integrated for flight in flights):  # an integrated gyro has no heading reference
         ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
@@ -127,7 +126,7 @@ def structure_features(flights: Sequence[Flight], times: Sequence[Array]) -> dic
     return results
 
 
-def _spread(places: Sequence[Array]) -> list[Array]:
+def _place_features(places: Sequence[Array]) -> list[Array]:
     """Return regressors of place: a spline of height and quadratic polynomials of x and y."""
     height = np.concatenate([p[:, 2] for p in places])
     knots = np.unique(np.quantile(height, np.linspace(0.0, 1.0, 5)))
@@ -160,7 +159,7 @@ def _left_out_squares(features: Sequence[Array], values: Sequence[Array]) -> tup
 
 def motion_features(flight: Flight, time: Array) -> Array:
     """Return angular and linear velocity, (T, 3 or 6), to reject lines that the motion causes."""
-    rows = flight_rows(flight, time)
+    rows = rows_at_times(flight, time)
     parts = [part[rows] for part in (flight.ang_vel, flight.lin_vel) if part is not None]
     return np.concatenate(parts, axis=1)
 
@@ -173,11 +172,11 @@ class CommonLines:
         self._rate = 1.0 / float(np.median(np.diff(times[0])))
         self._length = min(round(SEGMENT_S * self._rate), min(time.size for time in times))
         self._frequency = np.fft.rfftfreq(self._length, 1.0 / self._rate)
-        self._flown = [self._spectrum(m) for m in motion]
+        self._flown = [self._power_shares(m) for m in motion]
 
-    def find(self, values: Sequence[Array]) -> tuple[float, float] | None:
+    def strongest_line(self, values: Sequence[Array]) -> tuple[float, float] | None:
         """Return frequency [Hz] and variance share of the strongest line in values (T,); None without one."""
-        spectra = [self._spectrum(v[:, None]) for v in values]
+        spectra = [self._power_shares(v[:, None]) for v in values]
         inner = slice(2 * LINE_WIDTH, self._frequency.size - LINE_WIDTH)
         peak = int(np.argmax(np.mean(spectra, axis=0)[inner])) + 2 * LINE_WIDTH
         share = min(float(_line_share(spectrum, peak)[0]) for spectrum in spectra)
@@ -186,7 +185,7 @@ class CommonLines:
         own = float(np.mean([_line_share(flown, peak) for flown in self._flown], axis=0).max())
         return (float(self._frequency[peak]), share) if own < OWN_MOTION * share else None
 
-    def _spectrum(self, values: Array) -> Array:
+    def _power_shares(self, values: Array) -> Array:
         """Return the normalised power spectrum, (lines, columns)."""
         _, density = welch(values, self._rate, self._length)
         return density / np.maximum(density.sum(axis=0), 1e-300)

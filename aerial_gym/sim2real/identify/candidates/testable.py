@@ -12,23 +12,29 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.rotor_commands import (
-    absent_quantity,
-    low_voltage_variation,
-    slow_command_period,
+    finding_on_absent_quantity,
+    finding_on_slow_commands,
+    finding_on_steady_voltage,
 )
-from aerial_gym.sim2real.predict.scene import lacks_of_air, lacks_of_scene
+from aerial_gym.sim2real.predict.scene import finding_on_absent_scene, finding_on_absent_velocity
 
 
-def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()) -> Finding | None:
+def finding_on_untestable_effect(
+    name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight] = ()
+) -> Finding | None:
     """Return a finding on the reason why robot file or logs cannot show an effect; None if they can."""
     effect, flights = EFFECTS.get(name), [*train, *test]
     if isinstance(effect, ImuEffect) and not any(flight.accelerometer or flight.gyro for flight in train):
         return Finding("no_inertial_sensor", name)
     if effect.told_by_torques and not all(flight.gyro for flight in flights):
         return Finding("torques_not_compared", name)
-    if reason := absent_quantity(effect, flights) or lacks_of_scene(name, flights) or lacks_of_air(name, flights):
+    if (
+        reason := finding_on_absent_quantity(effect, flights)
+        or finding_on_absent_scene(name, flights)
+        or finding_on_absent_velocity(name, flights)
+    ):
         return reason
-    if reason := low_voltage_variation(effect, train) or slow_command_period(effect, robot, train):
+    if reason := finding_on_steady_voltage(effect, train) or finding_on_slow_commands(effect, robot, train):
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)
@@ -39,7 +45,7 @@ def lacks(name: str, robot: RobotCfg, train: Sequence[Flight], test: Sequence[Fl
     return None
 
 
-def at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:
+def parameters_at_bounds(name: str, params: ModelParams, neutral: Array, robot: RobotCfg) -> list[str]:
     """Return the parameters of an effect at a bound other than neutral, a sign of another cause."""
     effect, reasons = EFFECTS.get(name), []
     rows = zip(effect.parameters, effect.bounds(robot), params.effects[name], neutral, strict=True)

@@ -10,41 +10,38 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.candidates.library import Library, has_rotor, has_starts, neutral_params
+from aerial_gym.sim2real.identify.candidates.library import Library, has_several_starts, is_of_one_rotor, neutral_params
 from aerial_gym.sim2real.identify.candidates.nuisance import NuisanceColumns, flight_offsets
-from aerial_gym.sim2real.identify.candidates.testable import at_bounds
-from aerial_gym.sim2real.identify.evidence.guard import Support, parts_of_a_flight, supports_of_fit
+from aerial_gym.sim2real.identify.candidates.testable import parameters_at_bounds
+from aerial_gym.sim2real.identify.evidence.guard import Support, num_parts_per_flight, supports_of_fit
 from aerial_gym.sim2real.identify.evidence.laplace import EMPTY_POSTERIOR, Model, Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import linearise
-from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.evidence.linear import linearise_about_fit
+from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums, Part
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
     effect_jacobian,
-    single,
+    to_single_precision,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import NOTHING_LEFT, Frozen, Goal, ModelFit, fit_effects
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    NOTHING_LEFT,
+    FitGoal,
+    Frozen,
+    ModelFit,
+    fit_effects,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, parameter_scales
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-Label = tuple[str, ...]
-"""Sorted names of a set's effects, with rotor number, and structures."""
-
-BROAD = 3
-"""Number of sets of equal size from which effects are removed."""
-
-KEPT = 4
-"""Number of fitted sets whose derivatives are cached."""
-
-KEPT_BESIDE = 2
-"""Number of cached sums of nuisance columns."""
-
-ENOUGH = 2.0
-"""Log likelihood, times the best set's overdispersion, that a comparison fit may leave to its linear model."""
+Label = tuple[str, ...]  # Sorted names of a set's effects, with rotor number, and structures
+BROAD = 3  # Number of sets of equal size from which effects are removed
+KEPT = 4  # Number of fitted sets whose derivatives are cached
+KEPT_BESIDE = 2  # Number of cached sums of nuisance columns
+ENOUGH = 2.0  # Log likelihood, times the best set's overdispersion, that a comparison fit may leave to its linear model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +74,9 @@ class EffectSetFit:
     """Most probable deviations in standard deviations, (N,)."""
 
     @property
-    def holds(self) -> bool:
+    def is_supported(self) -> bool:
         """Return whether every effect of this fit is more probable than not (guard.py)."""
-        return np.isfinite(self.log_posterior) and all(one.holds for one in self.support.values())
+        return np.isfinite(self.log_posterior) and all(one.is_supported for one in self.support.values())
 
     @property
     def parameter_overdispersion(self) -> float:
@@ -88,17 +85,17 @@ class EffectSetFit:
         return max(1.0, sum(results) / max(1, sum(one.size for one in self.support.values())))
 
     @property
-    def own(self) -> tuple[NuisanceColumns, ...]:
+    def flight_offsets(self) -> tuple[NuisanceColumns, ...]:
         """Return the structures that are flight offsets."""
-        return tuple(structure for structure in self.structures if structure.of_flights)
+        return tuple(structure for structure in self.structures if structure.is_flight_offset)
 
     @property
-    def bare(self) -> bool:
+    def has_only_flight_offsets(self) -> bool:
         """Return whether there are no structures but flight offsets, as required for a robot file."""
-        return self.own == self.structures
+        return self.flight_offsets == self.structures
 
     @property
-    def model_in_tolerances(self) -> ModelParams:
+    def model_with_deviations(self) -> ModelParams:
         """Return the model with its most probable deviations."""
         return replace(self.params, deviation=self.deviation)
 
@@ -119,18 +116,18 @@ class Fitter:
     ) -> None:
         """Store flights, declared model, number of available effects, weights and present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
-        self.log_names, self._present = float(np.log(max(1, num_names))), present
+        self.log_prior_cost, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: Derivatives | None = None
         self._beside: dict[tuple[NuisanceColumns, ...], NuisanceSums] = {}
         self._derivatives: dict[Label, tuple[EffectSetFit, Derivatives]] = {}
 
-    def forget(self) -> None:
+    def clear_caches(self) -> None:
         """Clear all caches; they are recomputed on demand."""
-        self.forget_nuisance_sums()
+        self.clear_nuisance_sums()
         self.tolerance = None
         self._derivatives.clear()
 
-    def forget_nuisance_sums(self) -> None:
+    def clear_nuisance_sums(self) -> None:
         """Clear the cached sums of nuisance columns."""
         self._beside.clear()
 
@@ -145,9 +142,7 @@ class Fitter:
     def tolerance(self, known: Derivatives | None) -> None:
         self._tolerance = known
 
-    def nuisance_columns(
-        self, structures: Sequence[NuisanceColumns], more: Sequence[Array] | None = None
-    ) -> NuisanceSums:
+    def nuisance_sums(self, structures: Sequence[NuisanceColumns], more: Sequence[Array] | None = None) -> NuisanceSums:
         """Return the nuisance columns: tolerances, structures and ``more`` columns (rows, C, any), in this order.
 
         Flight offsets are integrated out.
@@ -157,16 +152,16 @@ class Fitter:
             return self._beside[key]
         if more is None and len(self._beside) == KEPT_BESIDE:  # free memory before the next one
             del self._beside[next(iter(self._beside))]
-        parts: list[Sequence[Part]] = [self.tolerance, *(one.columns for one in structures if not one.of_flights)]
+        parts: list[Sequence[Part]] = [self.tolerance, *(one.columns for one in structures if not one.is_flight_offset)]
         flights = list(zip(*parts, *([] if more is None else [more]), strict=True))
         times, weight = self.predictor.times, self.weights.weight
         offsets = flight_offsets(structures, self.predictor.channels, weight)
-        results = NuisanceSums(times, flights, weight, parts=parts_of_a_flight(len(times)), offsets=offsets)
+        results = NuisanceSums(times, flights, weight, parts=num_parts_per_flight(len(times)), offsets=offsets)
         if more is None:
             self._beside[key] = results
         return results
 
-    def neutral(self, name: str) -> Array:
+    def neutral_of_effect(self, name: str) -> Array:
         """Return the parameters at which an effect changes nothing."""
         return neutral_params(name, self.declared, self.predictor.robot)
 
@@ -185,32 +180,32 @@ class Fitter:
 
         ``frozen`` parameters are fixed. ``compared``: stopping rule of a comparison fit; None: full convergence.
         """
-        beside, effects = self.nuisance_columns(structures), tuple(effects)
+        beside, effects = self.nuisance_sums(structures), tuple(effects)
         asked = compared or ComparisonDepth(least=-np.inf, enough=NOTHING_LEFT)
-        goal = Goal(worth=lambda fit: self._linear_fit(fit, effects, structures).most, **vars(asked))
+        goal = FitGoal(worth=lambda fit: self._fit_from_linear_model(fit, effects, structures).most, **vars(asked))
         results, last, more = fit_effects(
             self.predictor, effects, start, beside, frozen=frozen, derivatives=derivatives, fresh=fresh, goal=goal
         )
-        fitted = self._linear_fit(results, effects, structures, more)
+        fitted = self._fit_from_linear_model(results, effects, structures, more)
         give_back_memory()
         if not frozen:
-            self._derivatives[fitted.label] = fitted, single(last)
+            self._derivatives[fitted.label] = fitted, to_single_precision(last)
             if len(self._derivatives) > KEPT:
                 del self._derivatives[next(iter(self._derivatives))]
         return fitted
 
-    def _linear_fit(
+    def _fit_from_linear_model(
         self, fit: ModelFit, effects: tuple[str, ...], structures: Sequence[NuisanceColumns], more: float = 0.0
     ) -> EffectSetFit:
         """Return a set from the linear model about its fit, which may have missed ``more`` log likelihood."""
         parameters, support = EMPTY_POSTERIOR, {}
-        if fit.finite:
-            linear = linearise(fit, [self.neutral(name) for name in effects])
-            parameters = posterior(linear.candidates, linear.whole, linear.model)
-            support = supports_of_fit(linear, parameters.step, self.log_names)
+        if fit.is_finite:
+            linear = linearise_about_fit(fit, [self.neutral_of_effect(name) for name in effects])
+            parameters = posterior(linear.candidates, linear.whole, linear.set_of_all)
+            support = supports_of_fit(linear, parameters.step, self.log_prior_cost)
         free = fit.free_effects.size
-        beyond = self.nuisance_columns(structures).log_likelihood
-        value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_names
+        beyond = self.nuisance_sums(structures).log_likelihood
+        value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_prior_cost
         against = sum(max(0.0, -one.log_odds) for one in support.values())
         return EffectSetFit(
             effects=effects,
@@ -226,7 +221,7 @@ class Fitter:
     def fit_set(
         self,
         library: Library,
-        sets: Sets,
+        sets: SetPosterior,
         model: Model,
         structures: Sequence[NuisanceColumns],
         compared: ComparisonDepth | None = None,
@@ -241,15 +236,15 @@ class Fitter:
             base = self.predictor.predict(start)
             parts = [
                 effect_jacobian(self.predictor, start, (tangent.name,), base)
-                if has_starts(tangent.name, self.predictor.robot) and not tangent.named
-                else tangent.whole(len(self.predictor.channels))
+                if has_several_starts(tangent.name, self.predictor.robot) and not tangent.named
+                else tangent.derivatives_of_channels(len(self.predictor.channels))
                 for tangent in (library.tangents[k] for k in effects)
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
             results.append(self.fit(names, kept, start, derivatives, compared=compared))
         return max(results, key=lambda one: one.log_posterior)
 
-    def fit_starts(self, library: Library, sets: Sets, model: Model) -> list[ModelParams]:
+    def fit_starts(self, library: Library, sets: SetPosterior, model: Model) -> list[ModelParams]:
         """Return the starts of a set's fit: present values of old effects, the most probable linear step of new ones.
 
         A strongly nonlinear effect with several starts, such as a pendulum of unknown length, also starts at its linearisation.
@@ -260,11 +255,11 @@ class Fitter:
             values, name = candidate.start.copy(), candidate.name
             numbers = [k for k in range(values.size) if is_number(name, k)]
             if not candidate.named:
-                values[numbers] += scales((name,))[numbers] * results.step[step : step + len(numbers)]
+                values[numbers] += parameter_scales((name,))[numbers] * results.step[step : step + len(numbers)]
                 values = np.clip(values, *parameter_bounds(robot, (name,)))
             step += len(numbers)
             best = best.with_effect(name, values)
-            far = has_starts(name, robot) and not has_rotor(name) and not candidate.named
+            far = has_several_starts(name, robot) and not is_of_one_rotor(name) and not candidate.named
             plain = plain.with_effect(name, candidate.start if far else values)
         same = all(np.array_equal(values, plain.effects[name]) for name, values in best.effects.items())
         return [best] if same else [best, plain]
@@ -287,12 +282,12 @@ class Fitter:
         known = self._derivatives.get(fitted.label)
         derivatives = None
         if known is not None:
-            owners = [name for name in fitted.effects for _ in scales((name,))]
+            owners = [name for name in fitted.effects for _ in parameter_scales((name,))]
             rest = np.array([name not in names for name in owners], dtype=bool)
             derivatives = [part[:, :, rest] for part in known[1]]
         return self.fit(effects, fitted.structures, start, derivatives, compared=compared)
 
-    def without_weakest(self, fitted: EffectSetFit, compared: ComparisonDepth | None = None) -> EffectSetFit:
+    def refit_without_weakest(self, fitted: EffectSetFit, compared: ComparisonDepth | None = None) -> EffectSetFit:
         """Return a set refitted without its least supported effect; effects without support count as the least."""
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
         return self.refit_without_effects(
@@ -300,7 +295,7 @@ class Fitter:
         )
 
     def drop_unsupported(
-        self, fitted: EffectSetFit, holds: Callable[[EffectSetFit], bool] = lambda one: one.holds
+        self, fitted: EffectSetFit, holds: Callable[[EffectSetFit], bool] = lambda one: one.is_supported
     ) -> EffectSetFit:
         """Return the most probable among a set and its subsets whose effects all hold.
 
@@ -310,29 +305,31 @@ class Fitter:
         """
         level, best = [fitted], None
         while level:
-            best = max([one for one in level if holds(one)] + ([best] if best else []), key=_probable, default=None)
+            best = max(
+                [one for one in level if holds(one)] + ([best] if best else []), key=_log_posterior, default=None
+            )
             rest = [one for one in level if not holds(one) and (best is None or one.log_posterior > best.log_posterior)]
             less: dict[Label, EffectSetFit] = {}
-            for one in sorted(rest, key=_probable, reverse=True)[:BROAD]:
+            for one in sorted(rest, key=_log_posterior, reverse=True)[:BROAD]:
                 for name in one.effects:
                     kept = set_label([(other, one.params.effects[other]) for other in one.effects if other != name], ())
                     if kept not in less:
                         less[kept] = self.refit_without_effects(one, (name,))
             if not less and best is None:
-                return max(level, key=_probable)
+                return max(level, key=_log_posterior)
             level = list(less.values())
         assert best is not None
         return best
 
-    def in_file(self, fitted: EffectSetFit) -> tuple[EffectSetFit, dict[str, list[str]]]:
+    def set_for_robot_file(self, fitted: EffectSetFit) -> tuple[EffectSetFit, dict[str, list[str]]]:
         """Return a set without unsupported effects or parameters at bounds, and the removed effects with those parameters."""
         ends: dict[str, list[str]] = {}
         while True:
             fitted = self.drop_unsupported(fitted)
-            again = self.fit(fitted.effects, fitted.structures, self.most_probable(fitted))
-            fitted = max([fitted, *([again] if again.holds else [])], key=_probable)
+            again = self.fit(fitted.effects, fitted.structures, self.params_at_mode(fitted))
+            fitted = max([fitted, *([again] if again.is_supported else [])], key=_log_posterior)
             results = {
-                name: at_bounds(name, fitted.params, self.neutral(name), self.predictor.robot)
+                name: parameters_at_bounds(name, fitted.params, self.neutral_of_effect(name), self.predictor.robot)
                 for name in fitted.effects
             }
             results = {name: parameters for name, parameters in results.items() if parameters}
@@ -341,19 +338,19 @@ class Fitter:
             ends |= results
             fitted = self.refit_without_effects(fitted, tuple(results))
 
-    def most_probable(self, fitted: EffectSetFit) -> ModelParams:
+    def params_at_mode(self, fitted: EffectSetFit) -> ModelParams:
         """Return a set's model at its posterior mode, where unobservable parameters follow their prior."""
         params, start = fitted.params, 0
         for name in fitted.effects:
-            numbers = [k for k in range(scales((name,)).size) if is_number(name, k)]
+            numbers = [k for k in range(parameter_scales((name,)).size) if is_number(name, k)]
             step = fitted.parameters.step[start : start + len(numbers)]
             start += len(numbers)
             values = params.effects[name].copy()
-            values[numbers] = self.neutral(name)[numbers] + scales((name,))[numbers] * step
+            values[numbers] = self.neutral_of_effect(name)[numbers] + parameter_scales((name,))[numbers] * step
             params = params.with_effect(name, np.clip(values, *parameter_bounds(self.predictor.robot, (name,))))
         return params
 
-    def narrower(
+    def fit_special_cases(
         self, fitted: EffectSetFit, names: Sequence[str], compared: ComparisonDepth | None = None
     ) -> list[EffectSetFit]:
         """Return the fitted sets in which a narrower effect replaces a general one.
@@ -366,13 +363,13 @@ class Fitter:
                 if name in names and name not in fitted.effects:
                     kept = {other: values for other, values in fitted.params.effects.items() if other != wide}
                     start = ModelParams(effects=kept, learned=self.declared.learned)
-                    start = start.with_effect(name, self.neutral(name))
+                    start = start.with_effect(name, self.neutral_of_effect(name))
                     effects = [name if other == wide else other for other in fitted.effects]
                     results.append(self.fit(effects, fitted.structures, start, compared=compared))
         return results
 
 
-def _probable(fitted: EffectSetFit) -> float:
+def _log_posterior(fitted: EffectSetFit) -> float:
     return fitted.log_posterior
 
 

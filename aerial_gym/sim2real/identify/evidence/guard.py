@@ -19,14 +19,13 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.candidates.library import Library
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences, posterior
-from aerial_gym.sim2real.identify.evidence.linear import LinearFit, make_candidates, make_normal
-from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, NormalEquations, log_evidences, posterior
+from aerial_gym.sim2real.identify.evidence.linear import LinearFit, make_candidates, make_normal_equations
+from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.covariance import is_identifiable
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
 
-FEWEST_PARTS = 4
-"""Least number of independent parts for the scatter."""
+FEWEST_PARTS = 4  # Least number of independent parts for the scatter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +51,7 @@ class Support:
         return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / max(self.overdispersion, 1.0))
 
     @property
-    def holds(self) -> bool:
+    def is_supported(self) -> bool:
         """Return whether the effect is more probable than not."""
         return self.robust_log_odds > 0.0
 
@@ -60,11 +59,11 @@ class Support:
 class Guard:
     """Removes effects that are less probable than not under the scatter between flights."""
 
-    def __init__(self, library: Library, sets: Sets) -> None:
+    def __init__(self, library: Library, sets: SetPosterior) -> None:
         """Store the posterior over sets of a candidate library."""
         self._sets, self._candidates = sets, make_candidates(library)
-        self._parts = [make_normal(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
-        self._whole = make_normal(library)
+        self._parts = [make_normal_equations(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
+        self._whole = make_normal_equations(library)
         self._support: dict[Model, dict[int, Support]] = {}
 
     def drop_unsupported(self, model: Model) -> Model:
@@ -72,7 +71,7 @@ class Guard:
 
         Structures are included: a residual that does not repeat in other flights has none.
         """
-        while (by_name := self.support(model)) and not all(one.holds for one in by_name.values()):
+        while (by_name := self.support(model)) and not all(one.is_supported for one in by_name.values()):
             weakest = min(by_name, key=lambda k: by_name[k].robust_log_odds)
             model = tuple(k for k in model if k != weakest)
         return model
@@ -83,7 +82,7 @@ class Guard:
             values = self._sets.log_posteriors([model, *(tuple(k for k in model if k != gone) for gone in model)])
             odds = dict(zip(model, (values[0] - values[1:]).tolist(), strict=True))
             step = posterior(self._candidates, self._whole, model).step
-            self._support[model] = supports(self._candidates, self._whole, self._parts, step, odds)
+            self._support[model] = supports_of_candidates(self._candidates, self._whole, self._parts, step, odds)
         return self._support[model]
 
 
@@ -91,26 +90,30 @@ def supports_of_fit(fit: LinearFit, step: Array, log_names: float) -> dict[str, 
     """Return the support of each effect of a fitted set at its most probable ``step`` (k,)."""
     reduced, once = fit.candidates.without_tolerances(), fit.whole.marginal(fit.candidates.tolerances)
     values = log_evidences(
-        reduced, once, [fit.model, *(tuple(k for k in fit.model if k != gone) for gone in fit.model)]
+        reduced, once, [fit.set_of_all, *(tuple(k for k in fit.set_of_all if k != gone) for gone in fit.set_of_all)]
     )
-    odds = dict(zip(fit.model, (values[0] - values[1:] - log_names).tolist(), strict=True))
-    by_name = supports(fit.candidates, fit.whole, fit.parts, step, odds)
+    odds = dict(zip(fit.set_of_all, (values[0] - values[1:] - log_names).tolist(), strict=True))
+    by_name = supports_of_candidates(fit.candidates, fit.whole, fit.parts, step, odds)
     return {fit.candidates.exclusive[k]: one for k, one in by_name.items()}
 
 
-def supports(
-    candidates: Candidates, whole: Normal, parts: Sequence[Normal], step: Array, log_odds: Mapping[int, float]
+def supports_of_candidates(
+    candidates: Candidates,
+    whole: NormalEquations,
+    parts: Sequence[NormalEquations],
+    step: Array,
+    log_odds: Mapping[int, float],
 ) -> dict[int, Support]:
     """Return the support of each candidate of a set, given its most probable ``step`` and log odds."""
     model = tuple(log_odds)
-    columns, count = candidates.set_columns(model)
+    columns, count = candidates.columns_of_set(model)
     precision = np.ones(columns.size)
     precision[:count] = 2.0 / (1.0 + step[:count] ** 2)  # of the Cauchy prior
     covariance = np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(precision))
     weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
     told = is_identifiable(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
     scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
-    robust = covariance @ (scatter(scores) + np.diag(precision)) @ covariance
+    robust = covariance @ (scatter_covariance(scores) + np.diag(precision)) @ covariance
     by_name = {}
     for k, odds in log_odds.items():
         own = np.flatnonzero(np.isin(columns, candidates.columns[k]))
@@ -125,12 +128,12 @@ def supports(
     return by_name
 
 
-def scatter(scores: Array) -> Array:
+def scatter_covariance(scores: Array) -> Array:
     """Return the covariance (k, k) of a sum of scores (F, k), from the scatter between independent parts."""
     away = scores - scores.mean(axis=0)
     return away.T @ away * (len(scores) / (len(scores) - 1))
 
 
-def parts_of_a_flight(num_flights: int) -> int:
+def num_parts_per_flight(num_flights: int) -> int:
     """Return the number of parts per flight that count as independent: one, or several for few flights."""
     return -(-FEWEST_PARTS // num_flights)

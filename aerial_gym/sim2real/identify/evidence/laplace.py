@@ -23,17 +23,10 @@ from scipy.special import log_ndtr
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 
-Model = tuple[int, ...]
-"""Ascending indices of the candidates in a set."""
-
-MOST_STEPS = 30
-"""Most iterations for the posterior mode under the Cauchy priors."""
-
-CONVERGED = 1e-4
-"""Convergence limit of a step in units of scale."""
-
-AT_ONCE = 512
-"""Number of sets evaluated in one batch."""
+Model = tuple[int, ...]  # Ascending indices of the candidates in a set
+MOST_STEPS = 30  # Most iterations for the posterior mode under the Cauchy priors
+CONVERGED = 1e-4  # Convergence limit of a step in units of scale
+AT_ONCE = 512  # Number of sets evaluated in one batch
 
 LOG_2PI = float(np.log(2.0 * np.pi))
 
@@ -41,26 +34,26 @@ LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Normal:
+class NormalEquations:
     """Normal equations: the log likelihood is ``gradient x - x product x / 2`` plus a constant."""
 
     product: Array  # ``sum w J J^T``, (K, K)
     gradient: Array  # ``sum w J r``, (K,)
     constant: float = 0.0  # Constant of the log likelihood
 
-    def __sub__(self, other: "Normal") -> "Normal":
+    def __sub__(self, other: "NormalEquations") -> "NormalEquations":
         """Return the sums without those of other flights."""
-        return Normal(
+        return NormalEquations(
             product=self.product - other.product,
             gradient=self.gradient - other.gradient,
             constant=self.constant - other.constant,
         )
 
-    def integrate_out(self, columns: Indices, kept: Indices) -> "Normal":
+    def integrate_out(self, columns: Indices, kept: Indices) -> "NormalEquations":
         """Return the sums of the ``kept`` columns, with others integrated out exactly over their normal priors."""
-        return MarginalSums(self, columns, kept).sums(kept)
+        return MarginalSums(self, columns, kept).sums_of_columns(kept)
 
-    def marginal(self, columns: Indices) -> "Normal":
+    def marginal(self, columns: Indices) -> "NormalEquations":
         """Return all sums with some columns integrated out and set to zero.
 
         Columns common to all sets are thus treated once.
@@ -72,13 +65,13 @@ class Normal:
             np.zeros_like(self.gradient),
         )
         product[kept[:, None], kept], gradient[kept] = reduced.product, reduced.gradient
-        return Normal(product=product, gradient=gradient, constant=reduced.constant)
+        return NormalEquations(product=product, gradient=gradient, constant=reduced.constant)
 
 
 class MarginalSums:
     """Sums with some columns integrated out exactly over their normal priors."""
 
-    def __init__(self, normal: Normal, columns: Indices, kept: Indices) -> None:
+    def __init__(self, normal: NormalEquations, columns: Indices, kept: Indices) -> None:
         """Store the sums, the columns to integrate out, and those available afterwards."""
         there = columns[:, None]
         root = np.linalg.cholesky(normal.product[there, columns] + np.eye(columns.size))
@@ -88,15 +81,15 @@ class MarginalSums:
         self._normal, self._columns, self._root, self._across, self._right = normal, columns, root, across, right
         self._constant = normal.constant + 0.5 * float(right @ right) - _half_log_det(root)
 
-    def sums(self, kept: Indices) -> Normal:
+    def sums_of_columns(self, kept: Indices) -> NormalEquations:
         """Return the sums of some columns."""
         across = self._across[:, kept]
         product, gradient = self._normal.product[kept[:, None], kept], self._normal.gradient[kept]
-        return Normal(
+        return NormalEquations(
             product=product - across.T @ across, gradient=gradient - across.T @ self._right, constant=self._constant
         )
 
-    def restore_columns(self, gone: Indices, kept: Indices) -> Normal:
+    def restore_columns(self, gone: Indices, kept: Indices) -> NormalEquations:
         """Return the sums of ``kept`` columns if the integrated columns ``gone`` are removed from the model after all.
 
         Conditioning them on zero is exact: it lowers the likelihood by their steps over their covariance.
@@ -104,9 +97,9 @@ class MarginalSums:
         inverse = _solve_lower(self._root, (self._columns[:, None] == gone).astype(np.float64))
         steps = inverse.T @ np.column_stack((self._across[:, kept], self._right))
         root = np.linalg.cholesky(inverse.T @ inverse)
-        solved, sums = _solve_lower(root, steps), self.sums(kept)
+        solved, sums = _solve_lower(root, steps), self.sums_of_columns(kept)
         across, right = solved[:, :-1], solved[:, -1]
-        return Normal(
+        return NormalEquations(
             product=sums.product + across.T @ across,
             gradient=sums.gradient + across.T @ right,
             constant=sums.constant - 0.5 * float(right @ right) - _half_log_det(root),
@@ -165,7 +158,7 @@ class Candidates:
     structures: frozenset[int] = frozenset()
     """Candidates that are structures; their columns have normal priors like tolerances."""
 
-    def set_columns(self, model: Model) -> tuple[Indices, int]:
+    def columns_of_set(self, model: Model) -> tuple[Indices, int]:
         """Return the columns of a set, effects first and tolerances last, and the number that belongs to effects."""
         own = [self.columns[k] for k in model if k not in self.structures]
         rest = [self.columns[k] for k in model if k in self.structures]
@@ -177,18 +170,18 @@ class Candidates:
         return replace(self, tolerances=self.tolerances[:0])
 
 
-def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior:
+def posterior(candidates: Candidates, normal: NormalEquations, model: Model) -> Posterior:
     """Return the posterior of one set's parameters, and its evidence by Laplace's approximation.
 
     The Cauchy prior is a normal prior whose precision depends on the parameter, so the mode follows by iteration. Bounds
     multiply the evidence by the posterior's share within them over the prior's. This is exact for a single parameter with a
     normal prior. For an unobservable parameter it gives 0.56 instead of 1, the coverage of a Cauchy density by the normal.
     """
-    columns, count = candidates.set_columns(model)
+    columns, count = candidates.columns_of_set(model)
     effects, start = np.arange(columns.size)[None] < count, np.zeros((1, columns.size))
     alone = normal.integrate_out(columns[count:], columns[:count])  # normal priors have a constant precision
-    start[:, :count] = _most_probable(alone.product[None], alone.gradient[None], effects[:, :count])
-    step, covariance, log_evidence = _laplace(
+    start[:, :count] = _posterior_modes(alone.product[None], alone.gradient[None], effects[:, :count])
+    step, covariance, log_evidence = _laplace_approximation(
         candidates,
         normal.product[columns[:, None], columns][None],
         normal.gradient[columns][None],
@@ -207,7 +200,7 @@ def posterior(candidates: Candidates, normal: Normal, model: Model) -> Posterior
     )
 
 
-def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model]) -> Array:
+def log_evidences(candidates: Candidates, normal: NormalEquations, models: Sequence[Model]) -> Array:
     """Return the log evidence of each set, (M,), as in ``posterior``.
 
     Structures and tolerances have normal priors and are integrated out once for all sets that share them. For a set of
@@ -215,7 +208,7 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
     """
     alone = np.array([bool(model) and candidates.structures.issuperset(model) for model in models])
     places = [
-        candidates.set_columns(model if own else tuple(k for k in model if k not in candidates.structures))[0]
+        candidates.columns_of_set(model if own else tuple(k for k in model if k not in candidates.structures))[0]
         for model, own in zip(models, alone, strict=True)
     ]
     places = [columns[: columns.size - candidates.tolerances.size] for columns in places]
@@ -241,11 +234,13 @@ def log_evidences(candidates: Candidates, normal: Normal, models: Sequence[Model
             product[place, :size, :size], gradient[place, :size] = products[row], gradients[row]
             indices[place, :size] = places[row]
         effects = (indices < normal.gradient.size) & ~alone[chunk, None]
-        results[chunk] += _laplace(free, product, gradient, indices, effects)[2]
+        results[chunk] += _laplace_approximation(free, product, gradient, indices, effects)[2]
     return results
 
 
-def _marginal_sums(candidates: Candidates, normal: Normal, wanted: Mapping[Model, Indices]) -> dict[Model, Normal]:
+def _marginal_sums(
+    candidates: Candidates, normal: NormalEquations, wanted: Mapping[Model, Indices]
+) -> dict[Model, NormalEquations]:
     """Return the sums of the ``wanted`` columns with each set of structures, and the tolerances, integrated out.
 
     Many sets differ by one structure. So the set nearest to most is integrated out, then single structures are added or
@@ -253,46 +248,46 @@ def _marginal_sums(candidates: Candidates, normal: Normal, wanted: Mapping[Model
     """
     larger: dict[Model, list[Model]] = {}
     for one in wanted:
-        for less in _one_less(one):
+        for less in _subsets_with_one_less(one):
             larger.setdefault(less, []).append(one)
-    beside = {one: [one, *larger.get(one, []), *_one_less(one)] for one in wanted}
+    beside = {one: [one, *larger.get(one, []), *_subsets_with_one_less(one)] for one in wanted}
     count = Counter(other for rivals in beside.values() for other in rivals)
     alike: dict[Model, list[Model]] = {}
     for one, rivals in beside.items():
         alike.setdefault(max(rivals, key=count.__getitem__), []).append(one)
-    results: dict[Model, Normal] = {}
+    results: dict[Model, NormalEquations] = {}
     for centre, sets in alike.items():
-        own = {one: _columns(candidates, set(one).symmetric_difference(centre)) for one in sets}
+        own = {one: _columns_of_candidates(candidates, set(one).symmetric_difference(centre)) for one in sets}
         kept = np.unique(np.concatenate([*own.values(), *(wanted[one] for one in sets)]))
         shared = MarginalSums(normal, _structure_columns(candidates, centre), kept)
         for one, columns in own.items():
             if len(one) > len(centre):
                 both = np.arange(columns.size + wanted[one].size)
-                sums = shared.sums(np.concatenate((columns, wanted[one])))
+                sums = shared.sums_of_columns(np.concatenate((columns, wanted[one])))
                 results[one] = sums.integrate_out(both[: columns.size], both[columns.size :])
             elif len(one) < len(centre):
                 results[one] = shared.restore_columns(columns, wanted[one])
             else:
-                results[one] = shared.sums(wanted[one])
+                results[one] = shared.sums_of_columns(wanted[one])
     return results
 
 
-def _columns(candidates: Candidates, model: Iterable[int]) -> Indices:
+def _columns_of_candidates(candidates: Candidates, model: Iterable[int]) -> Indices:
     """Return the columns of some candidates."""
     return np.concatenate([*(candidates.columns[k] for k in model), np.zeros(0)]).astype(np.int64)
 
 
 def _structure_columns(candidates: Candidates, structures: Model) -> Indices:
     """Return the columns of some structures and of the tolerances."""
-    return np.concatenate((_columns(candidates, structures), candidates.tolerances))
+    return np.concatenate((_columns_of_candidates(candidates, structures), candidates.tolerances))
 
 
-def _one_less(model: Model) -> list[Model]:
+def _subsets_with_one_less(model: Model) -> list[Model]:
     """Return the subsets with one member less."""
     return [model[:place] + model[place + 1 :] for place in range(len(model))]
 
 
-def _most_probable(product: Array, gradient: Array, effects: Flags, start: Array | None = None) -> Array:
+def _posterior_modes(product: Array, gradient: Array, effects: Flags, start: Array | None = None) -> Array:
     """Return the most probable steps (M, k) by iteration of the prior's precision until convergence."""
     step, unit = np.zeros(gradient.shape) if start is None else start.copy(), np.eye(gradient.shape[1])
     moving = np.arange(len(gradient))
@@ -309,7 +304,7 @@ def _prior_precision(step: Array, effects: Flags) -> Array:
     return np.where(effects, 2.0 / (1.0 + step**2), 1.0)
 
 
-def _laplace(
+def _laplace_approximation(
     candidates: Candidates,
     product: Array,
     gradient: Array,
@@ -323,7 +318,7 @@ def _laplace(
     The inputs are normal equations (M, k, k) and (M, k) of columns (M, k). ``effects`` (M, k): columns with Cauchy priors and
     bounds; others have normal priors. ``start``: initial steps (M, k).
     """
-    step = _most_probable(product, gradient, effects, start)
+    step = _posterior_modes(product, gradient, effects, start)
     precision, unit = _prior_precision(step, effects), np.eye(columns.shape[1])
     inner = product + precision[..., None] * unit
     covariance = np.linalg.inv(inner)

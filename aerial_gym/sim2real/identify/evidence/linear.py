@@ -8,9 +8,9 @@ import numpy as np
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.candidates.library import Library
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, NormalEquations
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, ModelFit, normal_equations
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, parameter_scales
 
 
 def make_candidates(library: Library) -> Candidates:
@@ -35,11 +35,11 @@ def make_candidates(library: Library) -> Candidates:
     )
 
 
-def make_normal(library: Library, blocks: slice = slice(None)) -> Normal:
+def make_normal_equations(library: Library, blocks: slice = slice(None)) -> NormalEquations:
     """Return the weighted normal equations over some blocks."""
     product = library.moments.product[blocks]
     alone = product.shape[:2] == (1, 1) and library.weight[0] == 1.0  # avoids a copy
-    return Normal(
+    return NormalEquations(
         product=product[0, 0] if alone else np.einsum("c,bckl->kl", library.weight, product),
         gradient=np.einsum("c,bck->k", library.weight, library.moments.gradient[blocks]),
         constant=-0.5 * float(library.moments.square[blocks].sum(axis=0) @ library.weight),
@@ -51,16 +51,16 @@ class LinearFit:
     """Linear model about a fitted set, in which each effect is one candidate."""
 
     candidates: Candidates
-    whole: Normal  # Normal equations with the constant that makes evidences of all sets comparable under equal weights
-    parts: tuple[Normal, ...]  # Normal equations of parts of the flights
+    whole: NormalEquations  # Normal equations with the constant that makes evidences of all sets comparable under equal weights
+    parts: tuple[NormalEquations, ...]  # Normal equations of parts of the flights
 
     @property
-    def model(self) -> Model:
+    def set_of_all(self) -> Model:
         """Return the set of all candidates."""
         return tuple(range(len(self.candidates.columns)))
 
 
-def linearise(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
+def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     """Return the linear model about a fit, with parameters relative to neutral.
 
     Args:
@@ -70,21 +70,21 @@ def linearise(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)
     if fit.effects:
-        away[: fit.num_effect_params] = (parameter_row(fit.params, fit.effects) - np.concatenate(neutral)) / scales(
-            fit.effects
-        )
+        away[: fit.num_effect_params] = (
+            parameter_row(fit.params, fit.effects) - np.concatenate(neutral)
+        ) / parameter_scales(fit.effects)
     here, every = away[free], np.arange(fit.moments.count.size)
 
-    def normal(own: Indices) -> Normal:
+    def normal(own: Indices) -> NormalEquations:
         product, gradient = normal_equations(fit, UNIT, own)
         product, gradient = product[np.ix_(free, free)], gradient[free]
         square = float(fit.moments.square[own].sum())
         constant = -0.5 * square - float(gradient @ here) - 0.5 * float(here @ product @ here)
-        return Normal(product=product, gradient=gradient + product @ here, constant=constant)
+        return NormalEquations(product=product, gradient=gradient + product @ here, constant=constant)
 
     low, high = (fit.low + away)[free], (fit.high + away)[free]
     low[count:], high[count:] = -np.inf, np.inf
-    owners = [fit.owners[k][0] for k in fit.free_effects]
+    owners = [fit.parameter_owners[k][0] for k in fit.free_effects]
     columns = tuple(np.flatnonzero([owner == name for owner in owners]) for name in fit.effects)
     return LinearFit(
         candidates=Candidates(

@@ -16,23 +16,23 @@ import numpy as np
 from scipy.special import logsumexp
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Normal, log_evidences
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, NormalEquations, log_evidences
 
 
 @dataclass
-class Sets:
+class SetPosterior:
     """Posterior over the sets evaluated by a search.
 
     A set of n effects has the prior ``1 / m**n`` for m names. The expected number of effects thus does not grow with the list.
     """
 
     candidates: Candidates
-    normal: Normal
+    normal: NormalEquations
     log_posterior: dict[Model, float] = field(default_factory=dict)
     """Log posterior of each evaluated set, up to a constant."""
 
     @cached_property
-    def log_names(self) -> float:
+    def log_prior_cost(self) -> float:
         """Return the prior cost of one more effect, ``log m``."""
         names = {name for k, name in enumerate(self.candidates.exclusive) if k not in self.candidates.structures}
         return float(np.log(max(1, len(names))))
@@ -40,19 +40,19 @@ class Sets:
     def log_posteriors(self, models: Iterable[Model]) -> Array:
         """Return the log posterior of sets up to a constant, (M,); minus infinity for exclusive candidates."""
         keys = [tuple(sorted(model)) for model in models]
-        new = [key for key in dict.fromkeys(keys) if key not in self.log_posterior and self._possible(key)]
+        new = [key for key in dict.fromkeys(keys) if key not in self.log_posterior and self._is_allowed(key)]
         if new:
             log_sums = log_evidences(self.candidates, self.normal, new)
             for key, value in zip(new, log_sums.tolist(), strict=True):
-                self.log_posterior[key] = value - self.log_names * len(key)
+                self.log_posterior[key] = value - self.log_prior_cost * len(key)
         return np.array([self.log_posterior.get(key, -np.inf) for key in keys])
 
-    def _possible(self, model: Model) -> bool:
+    def _is_allowed(self, model: Model) -> bool:
         names = {self.candidates.exclusive[k] for k in model}
         return len(names) == len(model) and not any(pair <= names for pair in self.candidates.apart)
 
     @property
-    def best(self) -> Model:
+    def most_probable_set(self) -> Model:
         """Return the most probable set."""
         return max(self.log_posterior, key=self.log_posterior.__getitem__)
 
@@ -71,27 +71,26 @@ class Sets:
         return log_sums
 
 
-MOST_STARTS = 3
-"""Number of sets from which the search starts, the best with none, one and two effects."""
+MOST_STARTS = 3  # Number of sets from which the search starts, the best with none, one and two effects
 
 
-def search(candidates: Candidates, normal: Normal, *, starts: Sequence[Model] = ()) -> Sets:
+def search_sets(candidates: Candidates, normal: NormalEquations, *, starts: Sequence[Model] = ()) -> SetPosterior:
     """Return the posterior over sets around the most probable ones.
 
     All singles and pairs are evaluated, which finds pairs of effects that fit only together. From the best of these and from
     ``starts``, effects are added and removed while that helps; from the best result, swaps are tried as well.
     """
     reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
-    sets, places = Sets(candidates=reduced, normal=once), range(len(candidates.columns))
+    sets, places = SetPosterior(candidates=reduced, normal=once), range(len(candidates.columns))
     sets.log_posteriors([(), *combinations(places, 1), *combinations(places, 2)])
     first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
     for start in (*starts, *first):
-        _climb(sets, tuple(sorted(start)), (single_changes,))
-    _climb(sets, sets.best, (single_changes, single_swaps))
+        _climb_to_best_set(sets, tuple(sorted(start)), (single_changes,))
+    _climb_to_best_set(sets, sets.most_probable_set, (single_changes, single_swaps))
     return sets
 
 
-def _climb(sets: Sets, model: Model, ways: Sequence[Callable[[Model, int], list[Model]]]) -> None:
+def _climb_to_best_set(sets: SetPosterior, model: Model, ways: Sequence[Callable[[Model, int], list[Model]]]) -> None:
     """Move to the best neighbour of a set while it is more probable; try the kinds of change in order."""
     count = len(sets.candidates.columns)
     here = float(sets.log_posteriors([model])[0])

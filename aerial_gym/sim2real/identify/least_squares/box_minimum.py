@@ -8,25 +8,22 @@ from scipy.optimize import lsq_linear
 
 from aerial_gym.sim2real.arrays import Array
 
-MOST_ROUNDS = 20
-"""Most iterations of the active set, which usually needs two or three."""
+MOST_ROUNDS = 20  # Most iterations of the active set, which usually needs two or three
 
 
 def minimise_in_bounds(a: Array, b: Array, low: Array, high: Array) -> Array:
     """Return the minimiser of ``x a x / 2 - b x`` within bounds; NaN for non-finite input.
 
-    A primal-dual active set gives the exact conditions of the minimum once it repeats. In the rare case of a cycle,
-    scipy solves the problem.
+    A primal-dual active set gives the exact conditions of the minimum once it repeats. In the rare case of a cycle, scipy
+    solves the problem.
 
     Args:
         a: Positive definite, (K, K).
         b: Linear coefficients, (K,).
-        low: Lower bounds, (K,), at most 0.
         high: Upper bounds, (K,), at least 0.
 
-    Source:
-        Hintermueller, Ito, Kunisch (2002), The primal-dual active set strategy as a semismooth Newton method, SIAM Journal on
-        Optimization 13.
+    Source: Hintermueller, Ito, Kunisch (2002), The primal-dual active set strategy as a semismooth Newton method, SIAM
+    Journal on Optimization 13.
     """
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return np.full(b.size, np.nan)

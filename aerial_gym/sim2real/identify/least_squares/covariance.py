@@ -69,14 +69,11 @@ def is_identifiable(covariance: Array) -> Flags:
 def uncertainty(fit: ModelFit, weight: Array) -> Uncertainty:
     """Return the uncertainty of the fitted effects, jointly with deviations within the tolerances.
 
-    ``A = sum w J J^T + P`` over effects and deviations, with the inverse prior variance P; ``s = sum w J r`` are scores of a
-    block or flight. The sandwich ``A^-1 (sum s s^T) A^-1`` is the covariance from noise, and ``A^-1 P A^-1`` that from the
-    unknown deviations.
-
-    Source:
-        Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
-        clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over
-        the prior.
+    ``A = sum w J J^T + P`` over effects and deviations, with the inverse prior variance P; ``s = sum w J r`` are scores of
+    a block or flight. The sandwich ``A^-1 (sum s s^T) A^-1`` is the covariance from noise, and ``A^-1 P A^-1`` that from
+    the unknown deviations.
+    Source: Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
+    clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over the prior.
     """
     free, own = fit.free_all, fit.free_effects.size
     product, _ = normal_equations(fit, weight)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, of_flights
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets, no_offsets
-from aerial_gym.sim2real.predict.nonzero import not_zero
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, concatenate_flights
+from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets, no_offsets
+from aerial_gym.sim2real.predict.nonzero import has_nonzero
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class SparseDerivatives:
     width: int  # Number of parameters P
     first: int = 0  # Index of the first of the p parameters
 
-    def of_channels(self, channels: Sequence[int]) -> NDArray[np.floating]:
+    def dense_columns(self, channels: Sequence[int]) -> NDArray[np.floating]:
         """Return the dense columns of some channels, (T, channels, P)."""
         sums = np.zeros((self.width, len(channels), len(self.values)), dtype=self.values.dtype).T
         own = slice(self.first, self.first + self.values.shape[2])
@@ -38,15 +38,14 @@ class SparseDerivatives:
 
 def drop_zero_channels(flights: Sequence[NDArray[np.floating]]) -> list[SparseDerivatives]:
     """Return derivatives (T, C, P) in single precision, without channels that are zero in all flights."""
-    moved = tuple(np.flatnonzero(np.any([not_zero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
+    moved = tuple(np.flatnonzero(np.any([has_nonzero(part, axis=(0, 2)) for part in flights], axis=0)).tolist())
     return [
         SparseDerivatives(values=part.T[:, list(moved)].astype(np.float32).T, channels=moved, width=part.shape[2])
         for part in flights
     ]
 
 
-Part = NDArray[np.floating] | SparseDerivatives
-"""Derivatives of a flight by some parameters, (T, C, P)."""
+Part = NDArray[np.floating] | SparseDerivatives  # Derivatives of a flight by some parameters, (T, C, P)
 
 
 def num_columns(parts: Sequence[Part]) -> int:
@@ -54,10 +53,10 @@ def num_columns(parts: Sequence[Part]) -> int:
     return sum(part.width if isinstance(part, SparseDerivatives) else part.shape[2] for part in parts)
 
 
-class DerivativeSums:
+class DerivativeColumns:
     """Derivatives of all flights by K parameters, times the square root of the channel weights."""
 
-    def __init__(self, flights: Sequence[Sequence[Part]], offsets: OwnOffsets) -> None:
+    def __init__(self, flights: Sequence[Sequence[Part]], offsets: FlightOffsets) -> None:
         """Store the parts of each flight, which are consecutive among the K columns.
 
         Random flight ``offsets``, with the weight of one row (C,), are integrated out.
@@ -66,11 +65,11 @@ class DerivativeSums:
         root = np.sqrt(offsets.weight)
         self.columns = [_nonzero_columns(parts, root) for parts in flights]
         """By flight and channel: indices among the K columns, and their values (T, k)."""
-        for own in self.columns if offsets.any else ():
+        for own in self.columns if offsets.has_offsets else ():
             for channel in np.flatnonzero(offsets.size):
                 columns = own[channel][1]
                 if columns.size:
-                    columns -= offsets.share(len(columns))[channel] * columns.mean(axis=0)
+                    columns -= offsets.share_of_mean(len(columns))[channel] * columns.mean(axis=0)
 
 
 def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, Array]]:
@@ -82,7 +81,7 @@ def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, 
             values, channels, first = part.values, part.channels, start + part.first
         else:
             values, channels, first = part, range(root.size), start
-        moving = not_zero(values, axis=0)  # (c, P)
+        moving = has_nonzero(values, axis=0)  # (c, P)
         for own, channel in enumerate(channels):
             if moving[own].any():
                 some, column = np.flatnonzero(moving[own]), values[:, own]
@@ -97,7 +96,7 @@ def _nonzero_columns(parts: Sequence[Part], root: Array) -> list[tuple[Indices, 
     ]
 
 
-def cross_product(one: DerivativeSums, other: DerivativeSums) -> Array:
+def sum_of_products(one: DerivativeColumns, other: DerivativeColumns) -> Array:
     """Return ``sum w J_one J_other^T`` over all rows, (K, K')."""
     sums = np.zeros((one.width, other.width))
     for left, right in zip(one.columns, other.columns, strict=True):
@@ -118,7 +117,7 @@ class TimeBlocks:
         self.flight = np.repeat(np.arange(len(times)), parts)
         self.count = np.array([float(own.size) for own in split])
 
-    def products(self, one: DerivativeSums, other: DerivativeSums) -> Array:
+    def block_products(self, one: DerivativeColumns, other: DerivativeColumns) -> Array:
         """Return ``sum w J_one J_other^T`` of each block, (B, K, K')."""
         sums = np.zeros((len(self.rows), one.width * other.width))
         for flight, blocks in enumerate(self.of_flight):
@@ -140,7 +139,7 @@ class NuisanceSums:
         weight: Array,
         *,
         parts: int = 1,
-        offsets: OwnOffsets | None = None,
+        offsets: FlightOffsets | None = None,
     ) -> None:
         """Store row times [s], derivatives, the weight of one row (C,) and the number of parts per flight.
 
@@ -151,8 +150,8 @@ class NuisanceSums:
         """Log likelihood term of the offsets, in addition to the squares."""
 
         self.blocks = TimeBlocks(times, parts)
-        self.columns = DerivativeSums(flights, self.offsets)
-        self.product = self.blocks.products(self.columns, self.columns)
+        self.columns = DerivativeColumns(flights, self.offsets)
+        self.product = self.blocks.block_products(self.columns, self.columns)
         """Sums of products of each block, (B, N, N)."""
 
         self.whole = self.product.sum(axis=0)
@@ -163,14 +162,14 @@ class NuisanceSums:
         """Return the number of nuisance columns N."""
         return self.columns.width
 
-    def moments(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
+    def moments_with_effects(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
         """Return the block sums over all channels, for residuals (T, C) and derivatives (T, C, P) by effects.
 
         The nuisance columns follow those of the effects.
         """
         width = own[0].shape[2]
-        front = DerivativeSums([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
-        inner, across = self.blocks.products(front, front), self.blocks.products(front, self.columns)
+        front = DerivativeColumns([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
+        inner, across = self.blocks.block_products(front, front), self.blocks.block_products(front, self.columns)
         product = np.block(
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
         )
@@ -196,9 +195,9 @@ def weighted_moments(
 
     Flights are treated one by one to save memory.
     """
-    return of_flights(
+    return concatenate_flights(
         [
-            NuisanceSums([time], [own], weight, parts=parts).moments([r], [np.zeros((*r.shape, 0))])
+            NuisanceSums([time], [own], weight, parts=parts).moments_with_effects([r], [np.zeros((*r.shape, 0))])
             for time, r, own in zip(times, residuals, flights, strict=True)
         ]
     )

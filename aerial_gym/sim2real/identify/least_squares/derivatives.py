@@ -16,22 +16,19 @@ from aerial_gym.sim2real.identify.least_squares.parameters import (
     is_number,
     parameter_bounds,
     parameter_row,
-    scales,
-    with_params,
+    parameter_scales,
+    replace_params,
 )
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
-from aerial_gym.sim2real.predict.tolerances import of_logs
+from aerial_gym.sim2real.predict.tolerances import is_tolerance_of_logs
 
-Derivatives = Sequence[NDArray[np.floating]]
-"""Derivatives by some parameters, per scale, of each flight, (rows, C, P)."""
-
-STEP = 1e-3
-"""Finite-difference step in units of a scale or tolerance."""
+Derivatives = Sequence[NDArray[np.floating]]  # Derivatives by some parameters, per scale, of each flight, (rows, C, P)
+STEP = 1e-3  # Finite-difference step in units of a scale or tolerance
 
 
-def column_by_column(like: Array, parameters: int, dtype: type[np.floating] = np.float64) -> NDArray[Any]:
+def zero_columns(like: Array, parameters: int, dtype: type[np.floating] = np.float64) -> NDArray[Any]:
     """Return zeros (rows, C, P) for a prediction (rows, C), contiguous along rows for fast columns."""
     return np.zeros((parameters, *like.T.shape), dtype=dtype).T
 
@@ -48,11 +45,11 @@ def effect_jacobian(
 
     Columns in ``beside`` (rows, C, N) are appended.
     """
-    here, scale = parameter_row(params, effects), scales(effects)
+    here, scale = parameter_row(params, effects), parameter_scales(effects)
     highest = parameter_bounds(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
     width, behind = len(owners), [np.empty((*b.shape, 0)) for b in base] if beside is None else beside
-    matrices = [column_by_column(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
+    matrices = [zero_columns(b, width + more.shape[2]) for b, more in zip(base, behind, strict=True)]
     for columns, more in zip(matrices, behind, strict=True):
         columns[:, :, width:] = more
     for k, owner in enumerate(owners):
@@ -61,7 +58,7 @@ def effect_jacobian(
         step = STEP * scale[k] if here[k] + STEP * scale[k] <= highest[k] else -STEP * scale[k]
         there = here.copy()
         there[k] += step
-        moved = predictor.predict(with_params(predictor.robot, params, effects, there))
+        moved = predictor.predict(replace_params(predictor.robot, params, effects, there))
         for column, m, b in zip(matrices, moved, base, strict=True):
             column[:, :, k] = (m - b) * (scale[k] / step)
     return matrices
@@ -77,7 +74,7 @@ def tolerance_jacobian(
     """
     half = np.zeros(predictor.num_tolerances) if params.deviation is None else 0.5 * params.deviation
     base = predictor.predict(replace(params, deviation=half if half.any() else None))
-    matrices = [column_by_column(b, predictor.num_tolerances, dtype) for b in base]
+    matrices = [zero_columns(b, predictor.num_tolerances, dtype) for b in base]
     for k in range(predictor.num_tolerances):
         deviation = half + STEP * np.eye(predictor.num_tolerances)[k]
         moved = predictor.predict(replace(params, deviation=deviation))
@@ -92,7 +89,7 @@ def tolerance_rms(tolerance: Derivatives, num_rotors: int) -> Array:
 
     ``tolerance``: derivatives by all tolerances, (rows, C, N) of each flight.
     """
-    vehicle = np.logical_not(of_logs(num_rotors))
+    vehicle = np.logical_not(is_tolerance_of_logs(num_rotors))
     return np.sqrt(np.concatenate([(part[:, :, vehicle] ** 2).sum(axis=2) for part in tolerance]).mean(axis=0))
 
 
@@ -105,9 +102,7 @@ def correct_derivatives(columns: Sequence[Array], step: Array, change: Sequence[
     """Apply Broyden's update: change derivatives (rows, C, k) least to give ``change`` (rows, C) over a ``step`` (k).
 
     For example, the effect of a lag from 0 to 0.06 s differs much from the derivative at 0.06 s.
-
-    Source:
-        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
+    Source: Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
     if not np.any(step):
         return
@@ -118,6 +113,6 @@ def correct_derivatives(columns: Sequence[Array], step: Array, change: Sequence[
             own[:, :, k] += along[k] * missed
 
 
-def single(columns: Derivatives) -> Derivatives:
+def to_single_precision(columns: Derivatives) -> Derivatives:
     """Return derivatives in single precision for storage; finite differences have no more valid digits."""
     return [part.astype(np.float32) for part in columns]

@@ -14,45 +14,37 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import DerivativeSums, NuisanceSums, cross_product
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import DerivativeColumns, NuisanceSums, sum_of_products
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, effect_jacobian
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, of_flights
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, concatenate_flights
+from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
 from aerial_gym.sim2real.identify.least_squares.parameters import (
     is_number,
     parameter_bounds,
     parameter_row,
-    scales,
-    with_params,
+    parameter_scales,
+    replace_params,
 )
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
-UNIT = np.ones(1)
-"""Weight for moments that already include the channel weights (``Beside.moments``)."""
-
-Frozen = frozenset[tuple[str, int]]
-"""Fixed parameters: effect, and index among its parameters."""
+UNIT = np.ones(1)  # Weight for moments that already include the channel weights (``Beside.moments``)
+Frozen = frozenset[tuple[str, int]]  # Fixed parameters: effect, and index among its parameters
 
 WEAK_PRIOR = 100.0
 """Prior standard deviation of the effects' parameters in units of scale, for solvable fits without data."""
 
-FARTHEST_DEVIATION = 5.0
-"""Largest deviation of a tolerance in standard deviations."""
+FARTHEST_DEVIATION = 5.0  # Largest deviation of a tolerance in standard deviations
 
 MOST_STEPS = 8
-SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Step lengths, tried in order until the fit is no worse."""
-
-ROUNDING = 1e-6
-"""Relative rise of the squares that counts as none."""
+SHARES = (1.0, 0.5, 0.25, 0.125)  # Step lengths, tried in order until the fit is no worse
+ROUNDING = 1e-6  # Relative rise of the squares that counts as none
 
 MOST_TO_PROMISE, MOST_TO_MENDED = 5.0, 25.0
 """Largest gain of a fit relative to the promise of its derivatives, if these are fresh, or updated (plus its past gain).
 Of 250 fits of a slung load and of ARPL and IDSIA flights, none gained more than 1.5 and 11.5 times."""
 
-NOTHING_LEFT = 0.05
-"""Least promised log likelihood of a step; smaller gains change no selection."""
+NOTHING_LEFT = 0.05  # Least promised log likelihood of a step; smaller gains change no selection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +60,13 @@ class ModelFit:
     frozen: Frozen = frozenset()  # Fixed parameters, which the flights do not determine
 
     @property
-    def finite(self) -> bool:
+    def is_finite(self) -> bool:
         """Return whether prediction and derivatives are finite; for a pendulum over the top they are not."""
         moments = self.moments
         return all(bool(np.isfinite(sums).all()) for sums in (moments.square, moments.gradient, moments.product))
 
     @property
-    def owners(self) -> list[tuple[str, int]]:
+    def parameter_owners(self) -> list[tuple[str, int]]:
         """Return the effect and index of each effect parameter."""
         return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
 
@@ -82,7 +74,8 @@ class ModelFit:
     def free_effects(self) -> Indices:
         """Return the indices of the fitted effect parameters."""
         return np.array(
-            [k for k, owner in enumerate(self.owners) if owner not in self.frozen and is_number(*owner)], dtype=int
+            [k for k, owner in enumerate(self.parameter_owners) if owner not in self.frozen and is_number(*owner)],
+            dtype=int,
         )
 
     @property
@@ -92,11 +85,11 @@ class ModelFit:
 
     def effect_columns(self, effect: str) -> Indices:
         """Return the indices of an effect's parameters."""
-        return np.array([k for k, (name, _) in enumerate(self.owners) if name == effect], dtype=int)
+        return np.array([k for k, (name, _) in enumerate(self.parameter_owners) if name == effect], dtype=int)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Goal:
+class FitGoal:
     """Stopping rule of a fit."""
 
     worth: Callable[[ModelFit], float] = lambda _: np.inf
@@ -140,13 +133,13 @@ def solve_bounded_step(fit: ModelFit, product: Array, gradient: Array, free: Ind
     return step
 
 
-def linearise(
+def linearise_at_params(
     predictor: Predictor,
     effects: tuple[str, ...],
     params: ModelParams,
     tolerance: Derivatives,
     *,
-    offsets: OwnOffsets | None = None,
+    offsets: FlightOffsets | None = None,
 ) -> ModelFit:
     """Return the linearised fit at a point, given the derivatives by the tolerances, (rows, C, N) of each flight.
 
@@ -160,7 +153,7 @@ def linearise(
         if offsets is not None:
             residuals, jacobians = offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians)
         steps.append(block_moments([time], residuals, jacobians, length=length))
-    return fit_of_moments(predictor.robot, effects, params, of_flights(steps))
+    return fit_of_moments(predictor.robot, effects, params, concatenate_flights(steps))
 
 
 def linearise_fit(
@@ -183,7 +176,7 @@ def fit_of_moments(
     frozen: Frozen = frozenset(),
 ) -> ModelFit:
     """Return the linearised fit at a point from its moments, with effect parameters first."""
-    here, scale = parameter_row(params, effects), scales(effects)
+    here, scale = parameter_row(params, effects), parameter_scales(effects)
     lowest, highest = parameter_bounds(robot, effects)
     farthest = np.full(moments.gradient.shape[2] - here.size, FARTHEST_DEVIATION)
     return ModelFit(
@@ -206,28 +199,23 @@ def fit_effects(
     frozen: Frozen = frozenset(),
     derivatives: Derivatives | None = None,
     fresh: bool = False,
-    goal: Goal = Goal(),
+    goal: FitGoal = FitGoal(),
 ) -> tuple[ModelFit, list[Array], float]:
     """Return a Gauss-Newton fit of effects, its derivatives, and the log likelihood that it may have missed beyond these.
 
-    Steps that overshoot are halved. Tolerances and structures are fitted jointly but are not part of the result. The moments
-    include the channel weights (``UNIT``).
-    A step costs one prediction instead of one per parameter, because Broyden's update corrects the derivatives. If these
-    promise no gain or give none, they are computed anew, and the fit ends if that does not help. It also ends without a new
-    computation if its steps gained what the derivatives promised, to within ``goal.enough``.
+    Steps that overshoot are halved. Tolerances and structures are fitted jointly but are not part of the result. The
+    moments include the channel weights (``UNIT``). A step costs one prediction instead of one per parameter, because
+    Broyden's update corrects the derivatives. If these promise no gain or give none, they are computed anew, and the fit
+    ends if that does not help. It also ends without a new computation if its steps gained what the derivatives promised, to
+    within ``goal.enough``.
 
     Args:
-        predictor: Predictor of the training flights.
         effects: Fitted effects; all must be in ``start``.
-        start: Initial model.
         beside: Nuisance columns, linear, with the channel weights.
-        frozen: Fixed parameters.
         derivatives: Derivatives by the effects' parameters, per scale, near the start, (rows, C, P).
         fresh: Whether these were computed at the start.
-        goal: Stopping rule.
 
-    Source:
-        Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
+    Source: Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
     params, predicted = start, predictor.predict(start)
     residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
@@ -235,24 +223,24 @@ def fit_effects(
         own, fresh = effect_jacobian(predictor, start, effects, predicted), True
     else:
         own = [part.astype(np.float64) for part in derivatives]
-    first, steps = (cost := misfit(beside, residuals)), 0
+    first, steps = (cost := least_weighted_squares(beside, residuals)), 0
     off = np.inf  # error of the gain promised by the last computed derivatives, over the steps since
     while True:
-        fit = fit_of_moments(predictor.robot, effects, params, beside.moments(residuals, own), frozen)
+        fit = fit_of_moments(predictor.robot, effects, params, beside.moments_with_effects(residuals, own), frozen)
         if not np.isfinite(cost):
             return fit, own, np.inf
         whole, moved = best_step(fit, UNIT, fit.free_all), None
         promised = 0.5 * cost - _linear_cost(fit, whole)
-        more = _more(promised, 0.5 * (first - cost), fresh=fresh)
+        more = _possible_gain(promised, 0.5 * (first - cost), fresh=fresh)
         if (fresh or steps > 1) and goal.is_out_of_reach(fit, more):
             return fit, own, more
         if promised >= (goal.enough if fresh else NOTHING_LEFT) and steps < MOST_STEPS:
             step, here = whole[: fit.num_effect_params], parameter_row(params, effects)
             for share in SHARES:
                 gone = share * step
-                there = with_params(predictor.robot, params, effects, here + scales(effects) * gone)
+                there = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * gone)
                 moved = [m - p for m, p in zip(predictor.measured, predictor.predict(there), strict=True)]
-                if (new_cost := misfit(beside, moved)) <= cost * (1.0 + ROUNDING):
+                if (new_cost := least_weighted_squares(beside, moved)) <= cost * (1.0 + ROUNDING):
                     wrong = abs(promised - 0.5 * (cost - new_cost)) if share == 1.0 else np.inf
                     off = wrong if fresh or steps == 0 else off + wrong
                     correct_derivatives(own, gone, [r - m for r, m in zip(residuals, moved, strict=True)])
@@ -268,7 +256,7 @@ def fit_effects(
             own, fresh = effect_jacobian(predictor, params, effects, predictor.predict(params)), True
 
 
-def _more(promised: float, gained: float, *, fresh: bool) -> float:
+def _possible_gain(promised: float, gained: float, *, fresh: bool) -> float:
     """Return the possible further log likelihood of a fit, from the promise of its derivatives and its past gain."""
     more = (MOST_TO_PROMISE - 1.0) * promised if fresh else (MOST_TO_MENDED - 1.0) * promised + gained
     return more if np.isfinite(more) else np.inf
@@ -282,12 +270,12 @@ def _linear_cost(fit: ModelFit, step: Array) -> float:
     return 0.5 * (square + prior)
 
 
-def misfit(beside: NuisanceSums, residuals: Sequence[Array]) -> float:
+def least_weighted_squares(beside: NuisanceSums, residuals: Sequence[Array]) -> float:
     """Return the weighted squares plus prior, minimised over the nuisance columns; infinite for non-finite residuals."""
     if not all(np.isfinite(part).all() for part in residuals):
         return np.inf
-    one = DerivativeSums([[part[:, :, None]] for part in residuals], beside.offsets)
-    square, gradient = float(cross_product(one, one)[0, 0]), cross_product(one, beside.columns)[0]
+    one = DerivativeColumns([[part[:, :, None]] for part in residuals], beside.offsets)
+    square, gradient = float(sum_of_products(one, one)[0, 0]), sum_of_products(one, beside.columns)[0]
     product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
     step = minimise_in_bounds(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)

@@ -10,17 +10,10 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Indices
 
-BLOCK_S = 2.0
-"""Block length [s], several times the correlation time of residuals."""
-
-SHORTEST_BLOCK_S = 0.5
-"""Block length of short flights [s]: five periods of the usual band."""
-
-ENOUGH_BLOCKS = 24
-"""Number of blocks that determines a scatter to 15 %."""
-
-QUARTERS = 4
-"""Number of folds of a single flight."""
+BLOCK_S = 2.0  # Block length [s], several times the correlation time of residuals
+SHORTEST_BLOCK_S = 0.5  # Block length of short flights [s]: five periods of the usual band
+ENOUGH_BLOCKS = 24  # Number of blocks that determines a scatter to 15 %
+QUARTERS = 4  # Number of folds of a single flight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +54,7 @@ def block_length(times: Sequence[Array]) -> float:
     return float(np.clip(total / ENOUGH_BLOCKS, SHORTEST_BLOCK_S, BLOCK_S))
 
 
-def folds(flight: Indices) -> Indices:
+def cross_validation_folds(flight: Indices) -> Indices:
     """Return the cross-validation fold of each block, (B,): its flight, or a quarter of a single flight."""
     if flight.max() > 0:
         return flight
@@ -75,7 +68,7 @@ def block_rows(time: Array, length: float) -> list[Indices]:
     return np.array_split(np.arange(time.size), blocks)
 
 
-def time_groups(times: Sequence[Array]) -> Indices:
+def time_block_of_rows(times: Sequence[Array]) -> Indices:
     """Return the block number of each row, unique over all flights in sequence."""
     parts, start, length = [], 0, block_length(times)
     for time in times:
@@ -101,7 +94,6 @@ def block_moments(
 
     Args:
         times: Row times of each flight [s], (rows,).
-        residuals: Residuals of each flight, (rows, C).
         jacobians: Derivatives of each flight, (rows, C, K).
         length: Block length [s]; infinite: whole flights; None: ``block_length``.
     """
@@ -123,7 +115,7 @@ def block_moments(
     return moments
 
 
-def of_flights(moments: Sequence[Moments]) -> Moments:
+def concatenate_flights(moments: Sequence[Moments]) -> Moments:
     """Return the sums of all flights, concatenated in order."""
     return Moments(
         count=np.concatenate([one.count for one in moments]),
@@ -149,8 +141,7 @@ class Weighting:
     def weight_limit(self, mean_square: Array) -> Array:
         """Return the weight of one row, (C,), limited by the mean square of other flights' residuals.
 
-        Args:
-            mean_square: Mean squared residual of each channel, (C,).
+        ``mean_square``: mean squared residual of each channel, (C,).
         """
         return self.effective / np.maximum(self.variance, mean_square)
 

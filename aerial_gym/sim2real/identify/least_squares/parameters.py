@@ -15,7 +15,7 @@ def is_number(effect: str, place: int) -> bool:
     return EFFECTS.get(effect).parameters[place].kind == "number"
 
 
-def scales(effects: Sequence[str]) -> Array:
+def parameter_scales(effects: Sequence[str]) -> Array:
     """Return the scales of the effects' parameters as a vector."""
     return np.array([parameter.scale for name in effects for parameter in EFFECTS.get(name).parameters])
 
@@ -31,7 +31,7 @@ def parameter_bounds(robot: RobotCfg, effects: Sequence[str]) -> tuple[Array, Ar
     return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
 
-def with_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
+def replace_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str], values: Array) -> ModelParams:
     """Return the model with new parameters, clipped to their bounds."""
     clipped, start = np.clip(values, *parameter_bounds(robot, effects)), 0
     for name in effects:

@@ -9,13 +9,13 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import weighted_
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, directional_change
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, inverse_variance_weights
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, scales, with_params
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, parameter_scales, replace_params
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 
-def weighting(
+def iterate_channel_weights(
     predictor: Predictor,
     start: ModelParams,
     effects: tuple[str, ...],
@@ -48,7 +48,7 @@ def weighting(
             break  # step beyond a pendulum's range: keep the previous weights
         weights = inverse_variance_weights(left if beyond is None else beyond(left, weights))
         here = parameter_row(params, effects)
-        params = with_params(predictor.robot, params, effects, here + scales(effects) * step)
+        params = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * step)
         before, predicted = predicted, predictor.predict(params)
         correct_derivatives(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
     return weights

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import (
 )
 from aerial_gym.sim2real.identify.evidence.guard import Guard
 from aerial_gym.sim2real.identify.evidence.laplace import Model
-from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.memory import give_back_memory
@@ -39,7 +39,7 @@ class CandidateView:
     fitter: Fitter
     library: Library
     structures: list[NuisanceColumns]
-    sets: Sets
+    sets: SetPosterior
     guard: Guard
 
     gone: list[Way] = field(default_factory=list)  # Strategies that found no more probable set than the present one
@@ -47,17 +47,17 @@ class CandidateView:
     @property
     def present_set(self) -> Model:
         """Return the indices of the candidates in the present set."""
-        return present_set(self.library, self.present)
+        return candidates_of_fit(self.library, self.present)
 
     @property
-    def best(self) -> EffectSetFit:
+    def best_fit(self) -> EffectSetFit:
         """Return the most probable fitted set whose effects are all supported."""
-        return max((fitted for fitted in self.fits.values() if fitted.holds), key=lambda one: one.log_posterior)
+        return max((fitted for fitted in self.fits.values() if fitted.is_supported), key=lambda one: one.log_posterior)
 
     @property
-    def best_bare(self) -> EffectSetFit:
+    def best_fit_without_structures(self) -> EffectSetFit:
         """Return the most probable of these sets without structures, except offsets of flights."""
-        bare = (fitted for fitted in self.fits.values() if fitted.holds and fitted.bare)
+        bare = (fitted for fitted in self.fits.values() if fitted.is_supported and fitted.has_only_flight_offsets)
         return max(bare, key=lambda one: one.log_posterior)
 
     def has_fit(self, label: Label) -> bool:
@@ -76,14 +76,14 @@ class CandidateView:
         behind, here = self.sets.log_posteriors([model, self.present_set])
         if self.has_fit(candidate_label(self.library, model)):
             return
-        beside = any(self.library.candidates[k].in_common for k in model)
+        beside = any(self.library.candidates[k].is_common_structure for k in model)
         compared = self.comparison_depth(beside=beside)
         if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
             self.add(self.fitter.fit_set(self.library, self.sets, model, self.structures, compared))
 
     def comparison_depth(self, *, beside: bool) -> ComparisonDepth:
         """Return the stopping rule of a fit, relative to the best set with structures (``beside``) or without."""
-        best = self.best if beside else self.best_bare
+        best = self.best_fit if beside else self.best_fit_without_structures
         least = best.log_posterior - FAR_BEHIND * occam_window(best)
         return ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
 
@@ -95,44 +95,43 @@ class CandidateView:
         while not self.has_fit(fitted.label):
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)
-            compared = self.comparison_depth(beside=not fitted.bare)
-            if not fitted.holds and fitted.most > compared.least:
-                fitted = self.fitter.without_weakest(fitted, compared)
+            compared = self.comparison_depth(beside=not fitted.has_only_flight_offsets)
+            if not fitted.is_supported and fitted.most > compared.least:
+                fitted = self.fitter.refit_without_weakest(fitted, compared)
 
-    def settle(self, fitted: EffectSetFit, fitter: Fitter) -> None:
+    def add_relinearised_fit(self, fitted: EffectSetFit, fitter: Fitter) -> None:
         """Add a set linearised about itself; if an effect lacks support, also add the set without its weakest effect."""
         self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
-        if not fitted.holds:
-            fitter.forget()  # a set without support is never the best, and its fitter takes memory
-            self.add(self.fitter.without_weakest(fitted))
+        if not fitted.is_supported:
+            fitter.clear_caches()  # a set without support is never the best, and its fitter takes memory
+            self.add(self.fitter.refit_without_weakest(fitted))
 
-    def let_go(self) -> None:
+    def free_memory(self) -> None:
         """Free the memory that is not needed after the search about this set has ended."""
         self.library.tangents.clear()
-        forget_but(self.own, self.present.label)
-        self.fitter.forget_nuisance_sums()
+        free_other_fitters(self.own, self.present.label)
+        self.fitter.clear_nuisance_sums()
         self.fitter.tolerance = None
         give_back_memory()
 
 
-def forget_but(own: Mapping[Label, Fitter], *kept: Label) -> None:
+def free_other_fitters(own: Mapping[Label, Fitter], *kept: Label) -> None:
     """Free the memory of all fitters except those of the labels ``kept``."""
     for label, fitter in own.items():
         if label not in kept:
-            fitter.forget()
+            fitter.clear_caches()
 
 
 def occam_window(fitted: EffectSetFit) -> float:
     """Return the difference in log posterior below which a set is not distinct: ``LEAST_SCORE`` times overdispersion.
 
-    Source:
-        Madigan, Raftery (1994), Model selection and accounting for model uncertainty in graphical models using Occam's
-        window, Journal of the American Statistical Association 89.
+    Source: Madigan, Raftery (1994), Model selection and accounting for model uncertainty in graphical models using Occam's
+    window, Journal of the American Statistical Association 89.
     """
     return LEAST_SCORE * fitted.parameter_overdispersion
 
 
-def present_set(library: Library, present: EffectSetFit) -> Model:
+def candidates_of_fit(library: Library, present: EffectSetFit) -> Model:
     """Return the indices of the candidates that a fitted set contains."""
     beside = {structure.name for structure in present.structures}
     return tuple(

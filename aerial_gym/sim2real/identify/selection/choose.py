@@ -15,13 +15,13 @@ from aerial_gym.sim2real.identify.candidates.library import neutral_params, obse
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns, structure_functions
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, set_label
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
-from aerial_gym.sim2real.identify.evidence.linear import linearise
+from aerial_gym.sim2real.identify.evidence.linear import linearise_about_fit
 from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_probabilities, set_probabilities
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_groups
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView, occam_window
-from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart, rivals_in_part
+from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival, rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -59,14 +59,14 @@ class MostProbableSet:
     weights: Weighting
 
     tolerated: Array  # Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)
-    in_part: tuple[RivalInPart, ...] = ()  # Rival effects in place of single parameters of the named effects
+    in_part: tuple[ParameterRival, ...] = ()  # Rival effects in place of single parameters of the named effects
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Return the named effects."""
         return self.named.effects
 
-    def without_blind(self, name: str, neutral: Array) -> "MostProbableSet":
+    def without_undetermined_effect(self, name: str, neutral: Array) -> "MostProbableSet":
         """Return the choice without a named effect of which the flights determine no parameter.
 
         It is also put at neutral in the sets without each other effect. These are not fitted again.
@@ -91,7 +91,7 @@ class MostProbableSet:
     @property
     def sets_with_support(self) -> list[EffectSetFit]:
         """Return the fitted sets whose effects are all supported, the most probable first."""
-        return [fitted for fitted in self.fits if fitted.holds]
+        return [fitted for fitted in self.fits if fitted.is_supported]
 
     @property
     def structures(self) -> tuple[str, ...]:
@@ -126,15 +126,10 @@ def choose_effects(
 ) -> MostProbableSet:
     """Return the set of effects that is most probable given the training flights.
 
-    Args:
-        predictor: Training flights.
-        declared: The declared model.
-        names: Effects that these flights can show.
-        material: Least relative rise of a residual (rms) without an effect that is named.
-        progress: Receives the name of each stage.
+    ``material``: least relative rise of a residual (rms) without an effect that is named.
     """
     climber = SetSearch(predictor, declared, names, progress)
-    return _Chooser(climber, material).result(climber.run())
+    return _Chooser(climber, material).make_result(climber.find_best_set())
 
 
 class _Chooser:
@@ -144,19 +139,23 @@ class _Chooser:
         self.predictor, self.declared, self.material = climber.predictor, climber.declared, material
         self.names, self.tolerated = climber.names, climber.tolerated
 
-    def result(self, view: CandidateView) -> MostProbableSet:
+    def make_result(self, view: CandidateView) -> MostProbableSet:
         """Return the named set, and the reasons against other effects, from the last candidate view."""
         known = (fitted for label, fitted in view.fits.items() if view.has_fit(label))
         fits = sorted(known, key=lambda one: -one.log_posterior)
-        present = narrowest(view.present, fits, occam_window(view.present))
-        surrogates = self.proxy_effects(present, view.fitter)
-        named, ends = view.fitter.in_file(self.bare(present, surrogates, fits, view.fitter))
+        present = best_special_case(view.present, fits, occam_window(view.present))
+        surrogates = self.surrogate_effects(present, view.fitter)
+        named, ends = view.fitter.set_for_robot_file(
+            self.best_set_without_structures(present, surrogates, fits, view.fitter)
+        )
         named, unsure = self.drop_unproven(named, present, view.fitter)
         named, blind = self.drop_unidentified(named, view.fitter)
-        named, immaterial, without = self.without_trifles(named, view.fitter)
+        named, immaterial, without = self.drop_immaterial(named, view.fitter)
         refused = {
             name: Finding("flights_disagree", name, {"log_odds": results.log_odds})
-            for name, results in (present.support if fits[0].holds else fits[0].support | present.support).items()
+            for name, results in (
+                present.support if fits[0].is_supported else fits[0].support | present.support
+            ).items()
         } | {name: Finding("at_bound", name, {"parameters": results}) for name, results in ends.items()}
         refused |= {
             name: Finding("not_told_from_nothing", name, {"log_odds": odds, "least_log_odds": LEAST_SCORE})
@@ -172,27 +171,29 @@ class _Chooser:
             best=present,
             fits=tuple(fits),
             without=without,
-            adds=self.adds(view),
+            adds=self.log_odds_of_additions(view),
             hidden=tuple(name for name in self.names if name not in shown),
             surrogates=surrogates,
             immaterial=immaterial,
             refused={name: reason for name, reason in refused.items() if name not in away},
             weights=view.fitter.weights,
             tolerated=self.tolerated,
-            in_part=rivals_in_part(view.fitter, present, named.effects, self.names),
+            in_part=rivals_of_parameters(view.fitter, present, named.effects, self.names),
         )
 
-    def bare(
+    def best_set_without_structures(
         self, present: EffectSetFit, gone: Collection[str], fits: Sequence[EffectSetFit], fitter: Fitter
     ) -> EffectSetFit:
         """Return the best supported set of present effects without ``gone``, and without structures except flight offsets."""
         kept = set(present.effects).difference(gone)
         whole = (
-            fitter.refit_without_effects(replace(present, structures=present.own), tuple(gone))
-            if gone or not present.bare
+            fitter.refit_without_effects(replace(present, structures=present.flight_offsets), tuple(gone))
+            if gone or not present.has_only_flight_offsets
             else present
         )
-        cases = [one for one in fits if one.holds and one.bare and kept.issuperset(one.effects)]
+        cases = [
+            one for one in fits if one.is_supported and one.has_only_flight_offsets and kept.issuperset(one.effects)
+        ]
         return max([fitter.drop_unsupported(whole), *cases], key=lambda one: one.log_posterior)
 
     def drop_unproven(
@@ -212,7 +213,7 @@ class _Chooser:
             return results
 
         left = fitter.drop_unsupported(
-            fitted, lambda one: one.holds and min(effect_odds(one).values(), default=np.inf) > LEAST_SCORE
+            fitted, lambda one: one.is_supported and min(effect_odds(one).values(), default=np.inf) > LEAST_SCORE
         )
         return left, {name: odds for name, odds in effect_odds(fitted).items() if name not in left.effects}
 
@@ -222,13 +223,13 @@ class _Chooser:
         Such an effect may be probable jointly with another one, but all its parameters would be neutral in a robot file.
         """
         left = fitter.drop_unsupported(
-            fitted, lambda one: one.holds and all(results.shown for results in one.support.values())
+            fitted, lambda one: one.is_supported and all(results.shown for results in one.support.values())
         )
         return left, [
             name for name, results in fitted.support.items() if not results.shown and name not in left.effects
         ]
 
-    def adds(self, view: CandidateView) -> dict[str, float]:
+    def log_odds_of_additions(self, view: CandidateView) -> dict[str, float]:
         """Return the robust log odds of each other effect added to the present set, from its best start."""
         results: dict[str, float] = {}
         for k, candidate in enumerate(view.library.candidates):
@@ -240,7 +241,7 @@ class _Chooser:
                 results[candidate.name] = max(odds, results.get(candidate.name, -np.inf))
         return results
 
-    def without_trifles(
+    def drop_immaterial(
         self, fitted: EffectSetFit, fitter: Fitter
     ) -> tuple[EffectSetFit, dict[str, dict[str, Rise]], dict[str, EffectSetFit]]:
         """Return the set after removal of its immaterial effects, one after the other, the least material first.
@@ -248,7 +249,7 @@ class _Chooser:
         Also return the rise of the residuals without each removed effect, and the set without each remaining one.
         """
         results: dict[str, dict[str, Rise]] = {}
-        group, flight = time_groups(self.predictor.times), flight_of_rows(self.predictor.times)
+        group, flight = time_block_of_rows(self.predictor.times), flight_of_rows(self.predictor.times)
         names = [channel.name for channel in self.predictor.channels]
         while True:
             residual = np.concatenate(self.predictor.residuals(fitted.params))
@@ -263,7 +264,7 @@ class _Chooser:
                 return fitted, results, without
             results[least], fitted = dict(zip(names, rises[least], strict=True)), without[least]
 
-    def proxy_effects(self, present: EffectSetFit, fitter: Fitter) -> dict[str, str]:
+    def surrogate_effects(self, present: EffectSetFit, fitter: Fitter) -> dict[str, str]:
         """Return the surrogate effects, each with the structure that its size follows.
 
         The model with a varying size must be more probable than that with a constant one by ``occam_window``. An effect whose
@@ -278,11 +279,11 @@ class _Chooser:
         def log_posterior(
             structures: Sequence[NuisanceColumns], more: list[Array] | None = None
         ) -> tuple[float, Posterior]:
-            moments = fitter.nuisance_columns(structures, more).moments(residuals, own)
+            moments = fitter.nuisance_sums(structures, more).moments_with_effects(residuals, own)
             fit = fit_of_moments(predictor.robot, present.effects, present.params, moments)
-            linear = linearise(fit, list(neutral.values()))
-            parameters = posterior(linear.candidates, linear.whole, linear.model)
-            return parameters.log_evidence - len(structures) * fitter.log_names, parameters
+            linear = linearise_about_fit(fit, list(neutral.values()))
+            parameters = posterior(linear.candidates, linear.whole, linear.set_of_all)
+            return parameters.log_evidence - len(structures) * fitter.log_prior_cost, parameters
 
         kinds = sorted({structure.kind for structure in present.structures} - {"periodic", OF_FLIGHTS})
         functions = {kind: structure_functions(kind, predictor.flights, predictor.times) for kind in kinds}
@@ -297,12 +298,12 @@ class _Chooser:
             for beside in (present.structures, rest):
                 varied, parameters = log_posterior(beside, columns)
                 share = float(np.sqrt((parameters.step[-columns[0].shape[2] :] ** 2).sum()))
-                if varied - fitter.log_names - steady > occam_window(present) and share > STEADY:
+                if varied - fitter.log_prior_cost - steady > occam_window(present) and share > STEADY:
                     results[name] = kind
         return results
 
 
-def narrowest(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float) -> EffectSetFit:
+def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float) -> EffectSetFit:
     """Return the best set with a special case (``Effect.contains``) of one effect; ``present`` if flights reject all.
 
     A special case is rejected if it is behind by more than ``window`` both in log posterior and in log likelihood. So the prior
@@ -312,12 +313,14 @@ def narrowest(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float
     cases = [
         one
         for one in fits
-        if one.holds and _narrower(one, present) and (one.log_posterior > likely or one.parameters.log_likelihood > fit)
+        if one.is_supported
+        and _is_special_case(one, present)
+        and (one.log_posterior > likely or one.parameters.log_likelihood > fit)
     ]
     return max(cases, key=lambda one: one.log_posterior, default=present)
 
 
-def _narrower(one: EffectSetFit, other: EffectSetFit) -> bool:
+def _is_special_case(one: EffectSetFit, other: EffectSetFit) -> bool:
     new, gone = set(one.effects) - set(other.effects), set(other.effects) - set(one.effects)
     same = [structure.name for structure in one.structures] == [structure.name for structure in other.structures]
     return same and len(new) == len(gone) == 1 and new <= {case for wide in gone for case in EFFECTS.get(wide).contains}

@@ -16,17 +16,17 @@ import numpy as np
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import has_starts
+from aerial_gym.sim2real.identify.candidates.library import has_several_starts
 from aerial_gym.sim2real.identify.evidence.fitting import ENOUGH, ComparisonDepth, EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import WEAK_PRIOR
-from aerial_gym.sim2real.identify.least_squares.parameters import is_number, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_scales
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, occam_window
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
 
 @dataclass(frozen=True, kw_only=True)
-class RivalInPart:
+class ParameterRival:
     """Another effect in place of one parameter of a named effect."""
 
     effect: str
@@ -52,23 +52,22 @@ class RivalInPart:
         }
 
 
-def rivals_in_part(
+def rivals_of_parameters(
     fitter: Fitter, best: EffectSetFit, effects: Collection[str], names: Sequence[str]
-) -> tuple[RivalInPart, ...]:
+) -> tuple[ParameterRival, ...]:
     """Return the rivals of single parameters of some effects of the most probable set, its structures included.
 
     Args:
         fitter: Fitter of sets, linearised about this set.
-        best: The most probable set.
         effects: Its effects whose parameters are compared.
         names: Effects that the flights can show; the confounders among them are tried.
     """
     window, matches = occam_window(best), []
     for effect, place, other in _rival_candidates(fitter, best, effects, names):
         values = best.params.effects[effect].copy()
-        values[place] = fitter.neutral(effect)[place]
-        start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral(other))
-        least = best.log_posterior - window - fitter.log_names
+        values[place] = fitter.neutral_of_effect(effect)[place]
+        start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral_of_effect(other))
+        least = best.log_posterior - window - fitter.log_prior_cost
         fitted = fitter.fit(
             (*best.effects, other),
             best.structures,
@@ -76,11 +75,11 @@ def rivals_in_part(
             frozen=frozenset({(effect, place)}),
             compared=ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion),
         )
-        odds = fitted.log_posterior + fitter.log_names - best.log_posterior
-        if odds > -window and fitted.support[other].holds:
+        odds = fitted.log_posterior + fitter.log_prior_cost - best.log_posterior
+        if odds > -window and fitted.support[other].is_supported:
             own = zip(EFFECTS.get(other).parameters, fitted.params.effects[other], strict=True)
             matches.append(
-                RivalInPart(
+                ParameterRival(
                     effect=effect,
                     parameter=EFFECTS.get(effect).parameters[place].name,
                     other=other,
@@ -104,37 +103,39 @@ def _rival_candidates(
     residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     parts = [effect_jacobian(predictor, params, best.effects, base)]
     for other in rivals:
-        parts.append(effect_jacobian(predictor, params.with_effect(other, fitter.neutral(other)), (other,), base))
-    owners = [(name, k) for name in best.effects for k in range(scales((name,)).size)]
+        parts.append(
+            effect_jacobian(predictor, params.with_effect(other, fitter.neutral_of_effect(other)), (other,), base)
+        )
+    owners = [(name, k) for name in best.effects for k in range(parameter_scales((name,)).size)]
     back = [owner for owner in owners if pairs[owner[0]] and is_number(*owner)]
-    parts.extend(_changes(fitter, params, base, *owner) for owner in back)
-    moments = fitter.nuisance_columns(best.structures).moments(
+    parts.extend(_changes_by_parameter(fitter, params, base, *owner) for owner in back)
+    moments = fitter.nuisance_sums(best.structures).moments_with_effects(
         residuals, [np.concatenate(own, axis=2) for own in zip(*parts, strict=True)]
     )
     ends = np.cumsum([part[0].shape[2] for part in parts])
     own, beside = np.arange(ends[0]), np.arange(ends[-1], moments.gradient.shape[2])
     columns = {other: np.arange(ends[k], ends[k + 1]) for k, other in enumerate(rivals)}
-    sums = _Sums(
+    sums = _TotalSums(
         float(moments.square.sum()),
         moments.gradient.sum(axis=(0, 1)),
         moments.product.sum(axis=(0, 1)),
         num_effects=int(ends[-1]),
     )
-    here, matches = sums.left(np.concatenate((own, beside))), []
+    here, matches = sums.negative_log_posterior(np.concatenate((own, beside))), []
     for number, (effect, place) in enumerate(back):
         shift = int(ends[len(rivals)]) + number
         rest = np.concatenate((own[[owner != (effect, place) for owner in owners]], beside))
-        if sums.left(rest, shift) - here < window:
+        if sums.negative_log_posterior(rest, shift) - here < window:
             continue  # the flights do not show this parameter
         for other in pairs[effect]:
-            if sums.left(np.concatenate((rest, columns[other])), shift) - here < FAR_BEHIND * window:
+            if sums.negative_log_posterior(np.concatenate((rest, columns[other])), shift) - here < FAR_BEHIND * window:
                 matches.append((effect, place, other))
     return matches
 
 
 def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: Sequence[str]) -> list[str]:
     """Return the confounders that can replace one parameter of an effect; none if it has only one parameter."""
-    if sum(is_number(effect, k) for k in range(scales((effect,)).size)) < 2:
+    if sum(is_number(effect, k) for k in range(parameter_scales((effect,)).size)) < 2:
         return []
     own = EFFECTS.get(effect).confused_with
     return [
@@ -142,20 +143,22 @@ def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: 
         for other in names
         if other not in best.effects
         and (other in own or effect in EFFECTS.get(other).confused_with)
-        and not has_starts(other, fitter.predictor.robot)
+        and not has_several_starts(other, fitter.predictor.robot)
     ]
 
 
-def _changes(fitter: Fitter, params: ModelParams, base: list[Array], effect: str, place: int) -> list[Array]:
+def _changes_by_parameter(
+    fitter: Fitter, params: ModelParams, base: list[Array], effect: str, place: int
+) -> list[Array]:
     """Return the prediction minus that with one parameter at neutral, (rows, C, 1) for each flight."""
     values = params.effects[effect].copy()
-    values[place] = fitter.neutral(effect)[place]
+    values[place] = fitter.neutral_of_effect(effect)[place]
     there = fitter.predictor.predict(params.with_effect(effect, values))
     return [(b - t)[..., None] for b, t in zip(base, there, strict=True)]
 
 
 @dataclass(frozen=True)
-class _Sums:
+class _TotalSums:
     """Normal equations over all flights, with the columns of effects first, then of tolerances and structures."""
 
     square: float
@@ -163,7 +166,7 @@ class _Sums:
     product: Array
     num_effects: int
 
-    def left(self, columns: Indices, shift: int | None = None) -> float:
+    def negative_log_posterior(self, columns: Indices, shift: int | None = None) -> float:
         """Return the negative log posterior of the best fit of some columns, with column ``shift`` added to the residual."""
         square, gradient = self.square, self.gradient
         if shift is not None:

@@ -14,7 +14,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit
 from aerial_gym.sim2real.identify.least_squares.leave_out import leave_out_steps
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting, folds
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, cross_validation_folds
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.statistics import student_tail
 
@@ -84,7 +84,7 @@ class Gain:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeftOut:
+class CrossValidation:
     """Cross-validation that leaves out one flight after the other."""
 
     count: Array  # Rows of each block of time, (B,)
@@ -98,7 +98,7 @@ class LeftOut:
     @property
     def fold(self) -> Indices:
         """Return the fold of each block: its flight, or a quarter of a single flight, (B,)."""
-        return folds(self.flight)
+        return cross_validation_folds(self.flight)
 
     def squares(self, fit: ModelFit) -> Array:
         """Return the squared residuals (B, C) of each fold after a fit of effects and tolerances to the other folds."""
@@ -114,7 +114,7 @@ class LeftOut:
         folds = [self.fold == part for part in np.unique(self.fold)]
         blocks = (0.5 * count[:, None] * effective * _log_ratio(less, more)).sum(axis=1)
         spread = blocks.std(ddof=1) / np.sqrt(blocks.size) if blocks.size > 1 else np.inf
-        concerned = [part for part in folds if self._changes(less[part], more[part])]
+        concerned = [part for part in folds if self._has_changed(less[part], more[part])]
         judged = concerned if len(concerned) > 1 else folds
         totals = [self._score(less[part], more[part], count[part]) for part in judged]
         rises = [self._rises(less[part], more[part], count[part]) for part in folds]
@@ -138,9 +138,9 @@ class LeftOut:
             gains.append(Finding("few_flights_better", "", {"share": gain.flights_better}))
         if max(fall * seen for fall, seen in zip(gain.falls, gain.visible, strict=True)) < rules.material:
             gains.append(Finding("gain_small", "", {"share": max(*gain.falls, 0.0)}))
-        return [*gains, *self.harms(gain)]
+        return [*gains, *self.findings_on_harm(gain)]
 
-    def harms(self, gain: Gain) -> list[Finding]:
+    def findings_on_harm(self, gain: Gain) -> list[Finding]:
         """Return the channel that is harmed most, over all flights or in too many of them; empty if none is."""
         if any(gain.worse):
             place = int(np.argmin(np.where(gain.worse, gain.falls, np.inf)))
@@ -154,25 +154,27 @@ class LeftOut:
         samples = count.sum() * self.weights.effective
         return float((0.5 * samples * _log_ratio(less.sum(axis=0), more.sum(axis=0))).sum())
 
-    def _changes(self, less: Array, more: Array) -> bool:
+    def _has_changed(self, less: Array, more: Array) -> bool:
         """Return whether squares (B, C) differ in any channel by more than ``harmless``; hover, for example, shows no drag."""
         return bool(
             np.any(np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0))) > 2.0 * np.log1p(self.criteria.harmless))
         )
 
     def _rises(self, less: Array, more: Array, count: Array) -> Flags:
-        """Return whether the squares (B, C) of each channel rise harmfully, (C,); see ``rises``."""
-        return rises(
+        """Return whether the squares (B, C) of each channel rise harmfully, (C,); see ``is_rise_harmful``."""
+        return is_rise_harmful(
             less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria
         )
 
 
-def rises(less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria) -> Flags:
+def is_rise_harmful(
+    less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated: Array, criteria: Criteria
+) -> Flags:
     """Return whether an effect makes the sum of squares of each channel harmfully larger, (..., C).
 
-    A rise is harmful if it exceeds a small share of the residual, the residual that the tolerances cause, and a small share of
-    the total gain. A real effect makes no channel worse in the long run. But the fit of a large one may harm a small channel
-    as long as the model lacks other effects.
+    A rise is harmful if it exceeds a small share of the residual, the residual that the tolerances cause, and a small share
+    of the total gain. A real effect makes no channel worse in the long run. But the fit of a large one may harm a small
+    channel as long as the model lacks other effects.
 
     Args:
         less: Sum of squares of the model without the effect, (..., C).
@@ -180,7 +182,6 @@ def rises(less: Array, more: Array, rows: ArrayLike, effective: Array, tolerated
         rows: Number of rows in each sum, (...).
         effective: Independent samples per row of each channel, (C,).
         tolerated: Residual (rms) that the tolerances cause in each channel, (C,).
-        criteria: The limits.
     """
     rows = np.asarray(rows)[..., None]
     gains = 0.5 * rows * effective * _log_ratio(less, more)

@@ -10,16 +10,16 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.library import neutral_params
 from aerial_gym.sim2real.identify.candidates.nuisance import flight_offsets
-from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Label
 from aerial_gym.sim2real.identify.least_squares.covariance import is_identifiable, uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
-from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, FitScore, LeftOut
+from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, CrossValidation, FitScore
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -62,7 +62,7 @@ class SelectionResult:
     chosen: MostProbableSet  # The sets that were compared
     not_testable: dict[str, Finding]  # Effects that these flights cannot show, with the reason
 
-    left_out: LeftOut
+    left_out: CrossValidation
     criteria: Criteria
 
     looked_for: tuple[str, ...] = field(default_factory=default_effects)  # Effects that the selection was to consider
@@ -81,7 +81,7 @@ class SelectionResult:
         return self.chosen.weights
 
     @property
-    def own_offsets(self) -> OwnOffsets:
+    def own_offsets(self) -> FlightOffsets:
         """Return the channel offsets that differ between training flights."""
         return flight_offsets(self.chosen.best.structures, self.left_out.channels, self.weights.weight)
 
@@ -134,16 +134,11 @@ def select_effects(
     """Return the most probable set of effects given the training flights, added to the declared model.
 
     Args:
-        predictor: Training flights.
-        declared: The declared model.
-        criteria: Limits for an accepted effect.
-        progress: Receives the name of each stage.
         test: Test flights; used only to skip effects whose required quantities their logs lack.
         candidates: Effects to consider; None: all but those with ``by_default = False``.
 
-    Raises:
-        ConfigError: If a candidate cannot predict rows of a flight of a rigid vehicle in air.
-        UnknownNameError: If no effect has one of these names.
+    Raise ``ConfigError`` if a candidate cannot predict rows of a flight of a rigid vehicle in air. Raise
+    ``UnknownNameError`` if no effect has one of these names.
     """
     named = default_effects() if candidates is None else tuple(candidates)
     sought = [name for name in named if EFFECTS.get(name).is_selectable]
@@ -159,7 +154,7 @@ def select_effects(
             if EFFECTS.get(wrong).random
             else f"{wrong} acts under water, but flights are in air: a robot file may hold it; remove it from the candidates"
         )
-    reasons = {name: lacks(name, predictor.robot, predictor.flights, test) for name in sought}
+    reasons = {name: finding_on_untestable_effect(name, predictor.robot, predictor.flights, test) for name in sought}
     able = [name for name in sought if not reasons[name]]
     chosen = choose_effects(predictor, declared, able, material=criteria.material, progress=progress)
     give_back_memory()
@@ -184,13 +179,13 @@ class _Scorer:
         self, predictor: Predictor, declared: ModelParams, criteria: Criteria, chosen: MostProbableSet
     ) -> None:
         self.predictor, self.declared, self.chosen, self.weights = predictor, declared, chosen, chosen.weights
-        self.tolerance = tolerance_jacobian(predictor, chosen.named.model_in_tolerances, np.float32)
+        self.tolerance = tolerance_jacobian(predictor, chosen.named.model_with_deviations, np.float32)
         weight = self.weights.weight
         self.offsets = flight_offsets(chosen.best.structures, predictor.channels, weight)
         parts = [[part] for part in self.tolerance]
         self.beside = NuisanceSums(predictor.times, parts, weight, offsets=self.offsets)
         empty_fit = self._fit((), declared, frozenset())
-        self.left_out = LeftOut(
+        self.left_out = CrossValidation(
             count=empty_fit.moments.count,
             flight=empty_fit.moments.flight,
             weights=self.weights,
@@ -203,7 +198,9 @@ class _Scorer:
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> ModelFit:
         rival_fits, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
-        by_channel = linearise(self.predictor, effects, rival_fits.params, self.tolerance, offsets=self.offsets)
+        by_channel = linearise_at_params(
+            self.predictor, effects, rival_fits.params, self.tolerance, offsets=self.offsets
+        )
         return replace(by_channel, frozen=frozen)
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
@@ -223,21 +220,23 @@ class _Scorer:
         unseen = weak_parameters(scored)
         if not unseen:
             return scored, self.chosen
-        seen = {scored.fit.owners[k] for k in scored.fit.free_effects} - unseen
+        seen = {scored.fit.parameter_owners[k] for k in scored.fit.free_effects} - unseen
         blind = set(self.chosen.effects).difference(name for name, _ in seen)
         if blind:  # the complete fit determines none of their parameters
             name = min(blind)
             neutral = neutral_params(name, self.declared, self.predictor.robot)
-            self.chosen = self.chosen.without_blind(name, neutral)
+            self.chosen = self.chosen.without_undetermined_effect(name, neutral)
             return self.score_without_undetermined()
-        scored = self.score(self.chosen.effects, self.at_neutral(self.chosen.named.params, unseen), frozenset(unseen))
+        scored = self.score(
+            self.chosen.effects, self.params_at_neutral(self.chosen.named.params, unseen), frozenset(unseen)
+        )
         without = {
-            name: replace(less, params=self.at_neutral(less.params, unseen))
+            name: replace(less, params=self.params_at_neutral(less.params, unseen))
             for name, less in self.chosen.without.items()
         }
         return scored, replace(self.chosen, without=without)
 
-    def at_neutral(self, params: ModelParams, places: Iterable[tuple[str, int]]) -> ModelParams:
+    def params_at_neutral(self, params: ModelParams, places: Iterable[tuple[str, int]]) -> ModelParams:
         """Return model parameters with some, by effect and index, at their neutral values."""
         for name, place in places:
             if name in params.effects:
@@ -249,5 +248,5 @@ class _Scorer:
 
 def weak_parameters(scored: FitScore) -> set[tuple[str, int]]:
     """Return the fitted parameters, by effect and index, that are uncertain by more than their scale."""
-    owners = scored.fit.owners
+    owners = scored.fit.parameter_owners
     return {owners[k] for k in scored.fit.free_effects[~is_identifiable(scored.spread.plain)]}

@@ -11,55 +11,54 @@ import numpy as np
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.identify.candidates.library import Tangent, build_library, has_starts, linearise_candidates
+from aerial_gym.sim2real.identify.candidates.library import (
+    Tangent,
+    build_library,
+    has_several_starts,
+    linearise_candidates,
+)
 from aerial_gym.sim2real.identify.candidates.nuisance import (
     NuisanceColumns,
     Nuisances,
-    beyond_structures,
-    most_of_flights,
+    largest_flight_offsets,
+    residuals_beyond_structures,
 )
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, Label, candidate_label
-from aerial_gym.sim2real.identify.evidence.guard import Guard, parts_of_a_flight
+from aerial_gym.sim2real.identify.evidence.guard import Guard, num_parts_per_flight
 from aerial_gym.sim2real.identify.evidence.laplace import Model
-from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal
-from aerial_gym.sim2real.identify.evidence.search import search
+from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal_equations
+from aerial_gym.sim2real.identify.evidence.search import search_sets
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
-    single,
+    to_single_precision,
     tolerance_jacobian,
     tolerance_rms,
 )
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.weighting import weighting
+from aerial_gym.sim2real.identify.least_squares.weighting import iterate_channel_weights
 from aerial_gym.sim2real.identify.selection.candidate_view import (
     CandidateView,
     Way,
-    forget_but,
+    candidates_of_fit,
+    free_other_fitters,
     occam_window,
-    present_set,
 )
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress
 
-MOST_IN_VAIN = 5
-"""Largest number of consecutive fits without improvement."""
-
-MOST_RIVALS = 3
-"""Largest number of rivals that are fitted in place of one effect."""
+MOST_IN_VAIN = 5  # Largest number of consecutive fits without improvement
+MOST_RIVALS = 3  # Largest number of rivals that are fitted in place of one effect
 
 MOST_ROUNDS = 8
 MOST_WEIGHINGS = 3
 SAME_DEVIATION = 0.5
 """Relinearisation stops when no deviation within the tolerances changes by more than this many standard deviations."""
 
-MOST_TURNS = 4
-"""Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three."""
-
-SETTLED = 0.3
-"""Channel weights are updated until no logarithm of a weight changes by more than this."""
+MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
+SETTLED = 0.3  # Channel weights are updated until no logarithm of a weight changes by more than this
 
 
 class SetSearch:
@@ -74,71 +73,83 @@ class SetSearch:
         """Take training flights, the declared model, and the effects that may be in a set."""
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         tolerance = tolerance_jacobian(predictor, declared)
-        self.tolerated, self._tolerance = tolerance_rms(tolerance, predictor.robot.num_rotors), single(tolerance)
-        self.missed, most = predictor.residuals(declared), most_of_flights(predictor, self.tolerated)
+        self.tolerated, self._tolerance = (
+            tolerance_rms(tolerance, predictor.robot.num_rotors),
+            to_single_precision(tolerance),
+        )
+        self.missed, most = predictor.residuals(declared), largest_flight_offsets(predictor, self.tolerated)
         self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
-    def run(self) -> CandidateView:
+    def find_best_set(self) -> CandidateView:
         """Alternate between the search and new channel weights from the best model, until the weights settle.
 
         Only then are rivals fitted as well: they are many and seldom more probable.
         """
-        likely = (self.fit_probable, self.fit_fewer)
-        self.view = self.start()
-        for ways in (likely, (*likely, self.fit_rivals, self.fit_nearest)):
+        likely = (self.fit_probable_sets, self.fit_smaller_sets)
+        self.view = self.view_of_declared_model()
+        for ways in (likely, (*likely, self.fit_rival_sets, self.fit_nearest_rivals)):
             for left in reversed(range(MOST_WEIGHINGS)):
-                self.climb(ways)
+                self.climb_to_best_set(ways)
                 weights = self.residual_weights(self.view)
                 change = np.log(weights.weight / self.view.fitter.weights.weight)
                 if not left or np.all(np.abs(change) < SETTLED):
                     break
-                self.view.let_go()
+                self.view.free_memory()
                 present = self.view.present
                 del self.view
-                self.view = self.start_view(present.model_in_tolerances, present.effects, present.structures, weights)
+                self.view = self.view_of_supported_set(
+                    present.model_with_deviations, present.effects, present.structures, weights
+                )
         last = self.view
-        last.let_go()
+        last.free_memory()
         del self.view  # its strategies are methods of this object: the cycle would keep both in memory
         return last
 
-    def start(self) -> CandidateView:
+    def view_of_declared_model(self) -> CandidateView:
         """Return the candidates about the declared model, with the channel weights from its residuals."""
         tangents = linearise_candidates(self.predictor, self.declared, self.declared, skipped=self.skipped)
         tolerance = self._tolerance
         del self._tolerance  # used only once, and large
-        self._weighed = self.declared, self.weigh(self.declared, tangents, tolerance)
-        return self.start_view(self.declared, (), (), self._weighed[1], tangents, tolerance)
+        self._weighed = self.declared, self.channel_weights(self.declared, tangents, tolerance)
+        return self.view_of_supported_set(self.declared, (), (), self._weighed[1], tangents, tolerance)
 
     def residual_weights(self, view: CandidateView) -> Weighting:
         """Return the channel weights from the residuals of the present model; those of the last model are cached."""
         params = view.present.params
         if params is not self._weighed[0]:
-            view.fitter.forget_nuisance_sums()
+            view.fitter.clear_nuisance_sums()
             give_back_memory()
-            self._weighed = params, self.weigh(params, view.library.tangents, view.fitter.tolerance)
+            self._weighed = params, self.channel_weights(params, view.library.tangents, view.fitter.tolerance)
         return self._weighed[1]
 
-    def weigh(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
+    def channel_weights(self, params: ModelParams, tangents: Sequence[Tangent], tolerance: Derivatives) -> Weighting:
         """Return the channel weights from the residual after a fit of all effects and structures together."""
-        several = [one for one in tangents if has_starts(one.name, self.predictor.robot)]
-        common = [one for one in tangents if not has_starts(one.name, self.predictor.robot)]
+        several = [one for one in tangents if has_several_starts(one.name, self.predictor.robot)]
+        common = [one for one in tangents if not has_several_starts(one.name, self.predictor.robot)]
         start = params
         for one in common:
             start = start.with_effect(one.name, one.start)
 
         def project_out(residuals: list[Array], weights: Weighting) -> list[Array]:
-            return beyond_structures(self.nuisances.project_out(residuals, {}), residuals, weights)
+            return residuals_beyond_structures(
+                self.nuisances.structures_beyond_effects(residuals, {}), residuals, weights
+            )
 
         channels = len(self.predictor.channels)
-        linear = [tolerance, *(one.whole(channels) for one in several if one.name not in params.effects)]
+        linear = [
+            tolerance,
+            *(one.derivatives_of_channels(channels) for one in several if one.name not in params.effects),
+        ]
         empty = [np.empty((*residual.shape, 0)) for residual in self.missed]
-        whole = [one.whole(channels) for one in common]
+        whole = [one.derivatives_of_channels(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
         del whole
-        return weighting(self.predictor, start, tuple(one.name for one in common), own, linear, beyond=project_out)
+        return iterate_channel_weights(
+            self.predictor, start, tuple(one.name for one in common), own, linear, beyond=project_out
+        )
 
-    def start_view(
+    def view_of_supported_set(
         self,
         params: ModelParams,
         effects: tuple[str, ...],
@@ -151,11 +162,11 @@ class SetSearch:
         fitter, start = self.fitter_at_model(params, weights), replace(params, deviation=None)
         fitter.tolerance = tolerance
         present, empty = fitter.fit(effects, structures, start), fitter.fit((), (), self.declared)
-        while not present.holds:
-            present = fitter.without_weakest(present)
-        return self.candidate_view(present, {present.label: fitter}, {empty.label: empty}, tangents)
+        while not present.is_supported:
+            present = fitter.refit_without_weakest(present)
+        return self.make_candidate_view(present, {present.label: fitter}, {empty.label: empty}, tangents)
 
-    def climb(self, ways: Sequence[Way]) -> None:
+    def climb_to_best_set(self, ways: Sequence[Way]) -> None:
         """Move to the best set that the strategies reach, round by round, until none improves on the present one."""
         for count in range(MOST_ROUNDS):
             self.progress(f"sets of effects, round {count + 1}", count / MOST_ROUNDS)
@@ -163,28 +174,28 @@ class SetSearch:
             for more in (way for way in ways if way not in self.view.gone):
                 settled = -1
                 while (
-                    settled != len(own) and self.leader(self.view) is present
+                    settled != len(own) and self.best_relinearised_fit(self.view) is present
                 ):  # repeat if relinearisation changed ranks
                     settled = len(own)
                     more(self.view)
-                    self.leader(self.view)
+                    self.best_relinearised_fit(self.view)
                 self.view.gone.append(more)
-            if (leader := self.leader(self.view)) is present:
+            if (leader := self.best_relinearised_fit(self.view)) is present:
                 return
             del self.view
             give_back_memory()
-            self.view = self.candidate_view(leader, own, fits)
+            self.view = self.make_candidate_view(leader, own, fits)
 
     def fitter_at_model(self, params: ModelParams, weights: Weighting) -> Fitter:
         """Return a fitter of sets whose tolerances are linearised about a model."""
         return Fitter(self.predictor, self.declared, len(self.names), weights, params)
 
-    def leader(self, view: CandidateView) -> EffectSetFit:
+    def best_relinearised_fit(self, view: CandidateView) -> EffectSetFit:
         """Return the most probable set after each leading set is refitted with the tolerances linearised about itself."""
-        while (best := view.best).label not in view.own:
-            forget_but(view.own, view.present.label)
-            view.settle(*self.relinearise(best, view.fitter))
-        forget_but(view.own, view.present.label, best.label)
+        while (best := view.best_fit).label not in view.own:
+            free_other_fitters(view.own, view.present.label)
+            view.add_relinearised_fit(*self.relinearise(best, view.fitter))
+        free_other_fitters(view.own, view.present.label, best.label)
         return best
 
     def relinearise(self, fitted: EffectSetFit, about: Fitter) -> tuple[EffectSetFit, Fitter]:
@@ -195,8 +206,8 @@ class SetSearch:
         """
         last = np.inf
         for _ in range(MOST_TURNS):
-            about.forget_nuisance_sums()
-            fitter = self.fitter_at_model(fitted.model_in_tolerances, about.weights)
+            about.clear_nuisance_sums()
+            fitter = self.fitter_at_model(fitted.model_with_deviations, about.weights)
             again = fitter.refit(fitted, about)
             if not again.deviation.size:  # the fit made no step
                 return again, fitter
@@ -208,7 +219,7 @@ class SetSearch:
                 break
         return fitted, about
 
-    def fit_probable(self, view: CandidateView) -> None:
+    def fit_probable_sets(self, view: CandidateView) -> None:
         """Fit the sets that are probable in the linear model, in the order of their log posterior.
 
         The linear model is mostly too optimistic. So fits go on until no set promises more than the best fit, or until several
@@ -216,10 +227,10 @@ class SetSearch:
         does. So sets without structures, except offsets of flights, are fitted in a second pass.
         """
         values = view.sets.log_posterior
-        structures = {k for k, one in enumerate(view.library.candidates) if one.in_common}
+        structures = {k for k, one in enumerate(view.library.candidates) if one.is_common_structure}
         order = sorted(values, key=values.__getitem__, reverse=True)
         bare, seen = [model for model in order if not structures.intersection(model)], set[Label]()
-        for turn, best_of_turn in ((order, lambda: view.best), (bare, lambda: view.best_bare)):
+        for turn, best_of_turn in ((order, lambda: view.best_fit), (bare, lambda: view.best_fit_without_structures)):
             vain, best = 0, best_of_turn()
             for model in turn:
                 if vain == MOST_IN_VAIN or values[model] <= best.log_posterior:
@@ -232,30 +243,30 @@ class SetSearch:
                 before, best = best, best_of_turn()
                 vain = vain + 1 if best is before else 0
 
-    def fit_fewer(self, view: CandidateView) -> None:
+    def fit_smaller_sets(self, view: CandidateView) -> None:
         """Fit the sets with one effect less than the present one, and those with a special case of an effect."""
         for gone in (k for k in view.present_set if not view.library.candidates[k].structure):
             view.fit(tuple(k for k in view.present_set if k != gone))
-        compared = view.comparison_depth(beside=not view.present.bare)
-        for fitted in view.fitter.narrower(view.present, self.names, compared):
+        compared = view.comparison_depth(beside=not view.present.has_only_flight_offsets)
+        for fitted in view.fitter.fit_special_cases(view.present, self.names, compared):
             view.add(fitted)
 
-    def fit_rivals(self, view: CandidateView) -> None:
+    def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""
         least = view.present.log_posterior - occam_window(view.present)
-        for values in swaps(view):
+        for values in rival_sets(view):
             for model in sorted(values, key=values.__getitem__, reverse=True)[:MOST_RIVALS]:
                 if values[model] > least:
                     view.fit(model)
 
-    def fit_nearest(self, view: CandidateView) -> None:
+    def fit_nearest_rivals(self, view: CandidateView) -> None:
         """Fit the best rival of each present effect even if it is improbable, so that reports can state its log odds."""
-        for values in swaps(view):
+        for values in rival_sets(view):
             best = max(values, key=values.__getitem__, default=())
             if np.isfinite(values.get(best, -np.inf)):
                 view.fit(best, however_far=True)
 
-    def candidate_view(
+    def make_candidate_view(
         self,
         present: EffectSetFit,
         own: dict[Label, Fitter],
@@ -264,12 +275,12 @@ class SetSearch:
     ) -> CandidateView:
         """Return the candidates about a set, with the posterior over their sets and the structures among them."""
         structures, fitter = list[NuisanceColumns](), own[present.label]
-        forget_but(own, present.label)
+        free_other_fitters(own, present.label)
 
         def of_residuals(
             residuals: list[Array], effects: dict[str, list[list[SparseDerivatives]]]
         ) -> list[NuisanceColumns]:
-            structures.extend(self.nuisances.project_out(residuals, effects))
+            structures.extend(self.nuisances.structures_beyond_effects(residuals, effects))
             return structures
 
         library = build_library(
@@ -282,9 +293,11 @@ class SetSearch:
             structures=of_residuals,
             tangents=tangents,
             tolerance=fitter.tolerance,
-            parts=parts_of_a_flight(len(self.predictor.times)),
+            parts=num_parts_per_flight(len(self.predictor.times)),
         )
-        sets = search(make_candidates(library), make_normal(library), starts=[present_set(library, present)])
+        sets = search_sets(
+            make_candidates(library), make_normal_equations(library), starts=[candidates_of_fit(library, present)]
+        )
         fits[present.label] = present
         return CandidateView(
             present=present,
@@ -299,7 +312,7 @@ class SetSearch:
         )
 
 
-def swaps(view: CandidateView) -> Iterator[dict[Model, float]]:
+def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
     """Yield, for each present effect, the sets with another one in its place and their log posterior in the linear model."""
     candidates = view.library.candidates
     excluded = [k for k, one in enumerate(candidates) if not one.structure and one.name not in view.present.effects]

@@ -17,8 +17,8 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import starts
-from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.candidates.library import starts_of_effect
+from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
     ModelFit,
@@ -100,9 +100,9 @@ class Catalogue:
 
         Its best-determined parameter has a change of one scale. Other effects and the tolerances are fitted too.
         """
-        params = starts(name, final, declared, self.predictor.robot)[0]
+        params = starts_of_effect(name, final, declared, self.predictor.robot)[0]
         fit = self._fit(self.predictor.predict(params), params, (*effects, name))
-        own = [k for k in fit.effect_columns(name) if is_number(*fit.owners[k])]
+        own = [k for k in fit.effect_columns(name) if is_number(*fit.parameter_owners[k])]
         scores = []
         for index in range(len(self.flights)):
             product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
@@ -147,7 +147,7 @@ def showable(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flig
         name
         for name in selection.not_testable
         if name not in selection.effect_names
-        and not lacks(name, robot, flights)
+        and not finding_on_untestable_effect(name, robot, flights)
         and fits_vehicle(name, selection, robot)
     ]
 

@@ -19,7 +19,7 @@ from aerial_gym.control.allocation import allocation_matrix
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import state_for_thrust
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.checks.conventions import body_rate
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.recording import AT_REST
 from aerial_gym.sim2real.logs.signals import continuous_quaternion, lowpass
@@ -116,7 +116,7 @@ def fly(name: str, robot: RobotCfg, like: Flight, *, rate: float) -> Flight | No
     velocity = _derivative(position, rate)
     force = _derivative(velocity, rate) + AT_REST
     attitude = continuous_quaternion(_attitude(force, heading).as_quat())
-    ang_vel = body_rate(attitude, rate, BAND_HZ)
+    ang_vel = body_rate_from_attitude(attitude, rate, BAND_HZ)
     thrust = _thrusts(robot, np.linalg.norm(force, axis=1), ang_vel, rate)
     kept = (time >= 0.0) & (time < SPAN_S - 0.5 / rate)
     low, high = np.array([rotor.thrust_range for rotor in robot.rotor_types]).T  # each (R,)

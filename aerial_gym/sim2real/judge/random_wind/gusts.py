@@ -27,7 +27,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     process_covariance,
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, declaration
-from aerial_gym.sim2real.logs.flights import Flight, common_values
+from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -188,7 +188,7 @@ def wind_series(
     parts = [force_features(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
     return WindSeries(
         wind=wind,
-        features=common_values(parts),
+        features=values_in_all_mappings(parts),
         step=float(np.median(np.diff(times[0]))),
         bandwidth=predictor.bandwidth,
     )

@@ -15,9 +15,12 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, kinematic_errors
-from aerial_gym.sim2real.logs.checks.rotors import check_rotors
-from aerial_gym.sim2real.logs.checks.units import check_growth, check_units
+from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, imu_errors_from_kinematics
+from aerial_gym.sim2real.logs.checks.rotors import check_rotor_columns
+from aerial_gym.sim2real.logs.checks.units import (
+    check_units_against_accelerometer,
+    check_units_of_velocity_and_position,
+)
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN
 from aerial_gym.sim2real.logs.recording import AT_REST, NORM_OFF, FlightLog, sample_rate, take_rows
@@ -25,37 +28,28 @@ from aerial_gym.sim2real.logs.signals import lowpass
 
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
-WORST_AGREEMENT = 0.7
-"""Largest relative difference between two measurements of the same quantity."""
-
-QUIET_RATE = 0.1
-"""Below this RMS angular velocity [rad/s] the comparison with the attitude is skipped."""
-
-QUIET_SPEED = 0.3
-"""Below this RMS velocity [m/s] the comparison with the position is skipped."""
-
-QUIET_FORCE = 0.5
-"""Least reference [m/s²] for the relative error of the acceleration."""
-
-LEAST_ACROSS = 1.0
-"""Least horizontal RMS specific force [m/s²] that reveals world axes; drag alone causes less."""
+WORST_AGREEMENT = 0.7  # Largest relative difference between two measurements of the same quantity
+QUIET_RATE = 0.1  # Below this RMS angular velocity [rad/s] the comparison with the attitude is skipped
+QUIET_SPEED = 0.3  # Below this RMS velocity [m/s] the comparison with the position is skipped
+QUIET_FORCE = 0.5  # Least reference [m/s²] for the relative error of the acceleration
+LEAST_ACROSS = 1.0  # Least horizontal RMS specific force [m/s²] that reveals world axes; drag alone causes less
 
 
 def check_log(log: FlightLog, robot: RobotCfg) -> list[Finding]:
     """Raise ``DataError`` for a log that contradicts itself; return findings on smaller defects."""
-    check_rotors(log, robot)
+    check_rotor_columns(log, robot)
     _check_constant_columns(log)
     attitude = Rotation.from_quat(log.attitude)
     _check_attitude_against_rate(log, attitude)
     _check_gravity(log, attitude)
-    notes = check_units(log)
-    _check_velocity(log, attitude)
+    notes = check_units_of_velocity_and_position(log)
+    _check_velocity_against_position(log, attitude)
     _check_force_frame(log, attitude)
-    check_growth(log)
-    return [*notes, *(note for errors in kinematic_errors(log) for note in errors.findings())]
+    check_units_against_accelerometer(log)
+    return [*notes, *(note for errors in imu_errors_from_kinematics(log) for note in errors.findings())]
 
 
-def check_time(log: FlightLog) -> None:
+def check_duration_and_rate(log: FlightLog) -> None:
     """Raise ``DataError`` for a log that is too short or too slow; run this first, as a wrong time unit spoils all checks."""
     span = float(log.time[-1] - log.time[0]) if log.time.size > 1 else 0.0
     if span < SHORTEST_S:
@@ -78,7 +72,11 @@ def _unit_of_time(log: FlightLog) -> str:
     pairs = [(turned, log.ang_vel)]
     if log.position is not None:
         pairs.append((np.diff(log.position, axis=0), log.lin_vel))
-    ratios = [_rms(moved) / _rms(rate[1:] * step) for moved, rate in pairs if rate is not None and np.any(rate)]
+    ratios = [
+        _rms_of_vectors(moved) / _rms_of_vectors(rate[1:] * step)
+        for moved, rate in pairs
+        if rate is not None and np.any(rate)
+    ]
     exponent = round(np.log10(ratios[-1]) / 3.0) if ratios and ratios[-1] > 0.0 else 0
     return {-1: "ms", -2: "us", -3: "ns"}.get(exponent, "")
 
@@ -86,8 +84,7 @@ def _unit_of_time(log: FlightLog) -> str:
 def without_bad_quaternions(log: FlightLog) -> FlightLog:
     """Return the log without rows whose attitude is not a unit quaternion; call before normalisation.
 
-    Raises:
-        DataError: If their share exceeds ``MOST_BAD``.
+    Raise ``DataError`` if their share exceeds ``MOST_BAD``.
     """
     norm = np.linalg.norm(log.attitude, axis=1)
     bad = np.abs(norm - 1.0) > NORM_OFF
@@ -118,22 +115,22 @@ def _check_constant_columns(log: FlightLog) -> None:
             )
 
 
-def _rms(values: Array) -> float:
+def _rms_of_vectors(values: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(np.square(values), axis=-1))))
 
 
-def _inner(log: FlightLog) -> slice:
+def _rows_of_comparison(log: FlightLog) -> slice:
     """Return the compared rows: all but half a second at either end."""
     edge = round(0.5 * sample_rate(log))
     return slice(edge, -edge)
 
 
-def _slow(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
+def _lowpass_compared_rows(values: Array, log: FlightLog, *, derivative: bool = False) -> Array:
     """Return the low-passed signal, or its derivative, at the compared rows."""
-    return lowpass(values, sample_rate(log), CHECK_BANDWIDTH_HZ, derivative=derivative)[_inner(log)]
+    return lowpass(values, sample_rate(log), CHECK_BANDWIDTH_HZ, derivative=derivative)[_rows_of_comparison(log)]
 
 
-def body_rate(attitude: Array, rate: float, bandwidth: float) -> Array:
+def body_rate_from_attitude(attitude: Array, rate: float, bandwidth: float) -> Array:
     """Return the angular velocity [rad/s], body, (T, 3), of quaternions (T, 4): ``2 q* q'`` (Sola 2017, eq. 198)."""
     smooth = lowpass(attitude, rate, bandwidth)
     x, y, z, w = smooth.T
@@ -160,14 +157,14 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     """Compare the derivative of the attitude with the gyro."""
     if log.ang_vel is None:
         return
-    measured = _slow(log.ang_vel, log)
-    size = _rms(measured)
+    measured = _lowpass_compared_rows(log.ang_vel, log)
+    size = _rms_of_vectors(measured)
     if size < QUIET_RATE:
         return
 
     def differs(quaternion: Array) -> tuple[float, Array]:
-        rate = body_rate(quaternion, sample_rate(log), CHECK_BANDWIDTH_HZ)[_inner(log)]
-        return _rms(rate - measured) / max(size, _rms(rate)), rate
+        rate = body_rate_from_attitude(quaternion, sample_rate(log), CHECK_BANDWIDTH_HZ)[_rows_of_comparison(log)]
+        return _rms_of_vectors(rate - measured) / max(size, _rms_of_vectors(rate)), rate
 
     miss, rate = differs(log.attitude)
     if miss < WORST_AGREEMENT:
@@ -175,10 +172,14 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     alternatives = {text: differs(read(log.attitude))[0] for text, read in READINGS.items()}
     slope = float((rate * measured).sum() / (measured * measured).sum())
     degrees = UNITS["deg/s"]
-    if _rms(rate - degrees * measured) < 0.5 * _rms(rate) and abs(slope / degrees - 1.0) < 0.5:
+    if _rms_of_vectors(rate - degrees * measured) < 0.5 * _rms_of_vectors(rate) and abs(slope / degrees - 1.0) < 0.5:
         alternatives["omega is in degrees per second"] = 0.0
-    alternatives["omega is in world axes"] = _rms(attitude[_inner(log)].apply(rate) - measured) / size
-    alternatives["omega is in axes x forward, y right, z down"] = _rms(rate * (1.0, -1.0, -1.0) - measured) / size
+    alternatives["omega is in world axes"] = (
+        _rms_of_vectors(attitude[_rows_of_comparison(log)].apply(rate) - measured) / size
+    )
+    alternatives["omega is in axes x forward, y right, z down"] = (
+        _rms_of_vectors(rate * (1.0, -1.0, -1.0) - measured) / size
+    )
     best = min(alternatives, key=lambda text: alternatives[text])
     guess = (
         f"it looks as if {best}"
@@ -219,35 +220,35 @@ def _check_gravity(log: FlightLog, attitude: Rotation) -> None:
         guess = "it looks as if world axes are north, east, down: give world_frame: ned in a mapping file"
     elif mean[2] < 0.0:
         rule_of_sign = "gravity has the wrong sign: an accelerometer reads +9.81 on z at hover with z up"
-        guess = f"{rule_of_sign}; {_upside_down(log, attitude)}"
+        guess = f"{rule_of_sign}; {_remedy_for_inverted_gravity(log, attitude)}"
     else:
         guess = "check unit and axes of acc and the order of the quaternion"
     raise DataError(f"{start}, {rule}; {guess}")
 
 
-def _upside_down(log: FlightLog, attitude: Rotation) -> str:
+def _remedy_for_inverted_gravity(log: FlightLog, attitude: Rotation) -> str:
     """Return the remedy for gravity that is negative in body and world axes: if both have z down, velocity rises with acc."""
     both = "give body_frame: frd and world_frame: ned in a mapping file"
     if log.lin_vel is None:
         return f"if only its signs are inverted, invert them; if body and world axes have z down, {both}"
     assert log.specific_force is not None
-    motion = _slow(log.lin_vel, log, derivative=True)
-    felt = _slow(attitude.apply(log.specific_force), log) + AT_REST
+    motion = _lowpass_compared_rows(log.lin_vel, log, derivative=True)
+    felt = _lowpass_compared_rows(attitude.apply(log.specific_force), log) + AT_REST
     return f"body and world axes have z down: {both}" if np.sum(felt * motion) > 0.0 else "invert the signs of acc"
 
 
-def _check_velocity(log: FlightLog, attitude: Rotation) -> None:
+def _check_velocity_against_position(log: FlightLog, attitude: Rotation) -> None:
     """Compare velocity with the derivative of position."""
     if log.lin_vel is None or log.position is None:
         return
-    velocity = _slow(log.lin_vel, log)
-    derived = _slow(log.position, log, derivative=True)
-    size = max(_rms(velocity), _rms(derived))
-    if size < QUIET_SPEED or (miss := _rms(velocity - derived) / size) < WORST_AGREEMENT:
+    velocity = _lowpass_compared_rows(log.lin_vel, log)
+    derived = _lowpass_compared_rows(log.position, log, derivative=True)
+    size = max(_rms_of_vectors(velocity), _rms_of_vectors(derived))
+    if size < QUIET_SPEED or (miss := _rms_of_vectors(velocity - derived) / size) < WORST_AGREEMENT:
         return
-    turned = _slow(attitude.apply(log.lin_vel), log)
+    turned = _lowpass_compared_rows(attitude.apply(log.lin_vel), log)
     guess = "check units and axes of both"
-    if _rms(turned - derived) < 0.5 * miss * size:
+    if _rms_of_vectors(turned - derived) < 0.5 * miss * size:
         guess = "it looks as if v is in body axes: turn it into world axes"
     raise DataError(
         f"{log.path}: velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z) differ by {miss:.0%} of "
@@ -262,15 +263,19 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
     """
     if log.specific_force is None:
         return
-    as_body = _slow(attitude.apply(log.specific_force), log)
-    as_world = _slow(log.specific_force, log)
+    as_body = _lowpass_compared_rows(attitude.apply(log.specific_force), log)
+    as_world = _lowpass_compared_rows(log.specific_force, log)
     if log.lin_vel is None and log.position is None:
-        across = _slow(attitude.inv().apply(log.specific_force), log)
-        turned = _rms(as_world[:, :2]) > LEAST_ACROSS and _rms(across[:, :2]) < 0.3 * _rms(as_world[:, :2])
+        across = _lowpass_compared_rows(attitude.inv().apply(log.specific_force), log)
+        turned = _rms_of_vectors(as_world[:, :2]) > LEAST_ACROSS and _rms_of_vectors(
+            across[:, :2]
+        ) < 0.3 * _rms_of_vectors(as_world[:, :2])
         motion = "thrust"
     else:
-        world = _motion(log) + AT_REST
-        turned = _rms(as_body - as_world) > 0.5 and _rms(as_world - world) < 0.4 * _rms(as_body - world)
+        world = _acceleration_from_motion(log) + AT_REST
+        turned = _rms_of_vectors(as_body - as_world) > 0.5 and _rms_of_vectors(
+            as_world - world
+        ) < 0.4 * _rms_of_vectors(as_body - world)
         motion = "the motion"
     if turned:
         raise DataError(
@@ -281,21 +286,21 @@ def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
         _check_motion_frame(log, attitude, as_body - AT_REST)
 
 
-def _motion(log: FlightLog, velocity: Array | None = None) -> Array:
+def _acceleration_from_motion(log: FlightLog, velocity: Array | None = None) -> Array:
     """Return the acceleration [m/s²], (T, 3), from ``velocity``, the logged velocity or else the position."""
     if velocity is None:
         velocity = log.lin_vel
     if velocity is None:
         assert log.position is not None
         velocity = lowpass(log.position, sample_rate(log), CHECK_BANDWIDTH_HZ, derivative=True)
-    return _slow(velocity, log, derivative=True)
+    return _lowpass_compared_rows(velocity, log, derivative=True)
 
 
 def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None:
     """Compare the accelerometer in world axes without gravity, (T, 3), with the derivative of velocity or position, (T, 3)."""
-    motion = _motion(log)
-    size = max(_rms(motion), _rms(felt))
-    miss = _rms(motion - felt) / max(size, QUIET_FORCE)
+    motion = _acceleration_from_motion(log)
+    size = max(_rms_of_vectors(motion), _rms_of_vectors(felt))
+    miss = _rms_of_vectors(motion - felt) / max(size, QUIET_FORCE)
     if miss < WORST_AGREEMENT:
         return
     alternatives = {
@@ -303,12 +308,12 @@ def _check_motion_frame(log: FlightLog, attitude: Rotation, felt: Array) -> None
         "z is down there": motion * (1.0, 1.0, -1.0),
     }
     if log.lin_vel is not None:
-        alternatives["v is in body axes"] = _motion(log, attitude.apply(log.lin_vel))
+        alternatives["v is in body axes"] = _acceleration_from_motion(log, attitude.apply(log.lin_vel))
     across = motion[:, 0] * felt[:, 1] - motion[:, 1] * felt[:, 0]
     angle = float(np.arctan2(across.sum(), (motion[:, :2] * felt[:, :2]).sum()))
     way = f"x and y there must be turned by {np.degrees(angle):.0f} deg about z to be those of the attitude"
     alternatives[way] = Rotation.from_euler("z", angle).apply(motion)
-    misses = {text: _rms(other - felt) / size for text, other in alternatives.items()}
+    misses = {text: _rms_of_vectors(other - felt) / size for text, other in alternatives.items()}
     best = min(misses, key=lambda text: misses[text])
     if misses[best] < 0.5 * miss:
         name = "position (p_x, p_y, p_z)" if log.lin_vel is None else "velocity (v_x, v_y, v_z)"

@@ -28,12 +28,11 @@ class LogRegister:
     def add(self, log: FlightLog) -> None:
         """Add a log as read from its file.
 
-        Raises:
-            DataError: If this log and an earlier one share more than ``MOST_SHARED`` of the shorter one's rows.
+        Raise ``DataError`` if this log and an earlier one share more than ``MOST_SHARED`` of the shorter one's rows.
         """
         for other in self._logs:
             names = [name for name in READINGS if getattr(log, name) is not None and getattr(other, name) is not None]
-            own_readings, other_readings = (self._readings(one, names or ["attitude"]) for one in (log, other))
+            own_readings, other_readings = (self._distinct_rows(one, names or ["attitude"]) for one in (log, other))
             share = len(own_readings & other_readings) / min(len(own_readings), len(other_readings))
             if share > MOST_SHARED:
                 raise DataError(
@@ -42,7 +41,7 @@ class LogRegister:
                 )
         self._logs.append(log)
 
-    def _readings(self, log: FlightLog, names: Sequence[str]) -> frozenset[bytes]:
+    def _distinct_rows(self, log: FlightLog, names: Sequence[str]) -> frozenset[bytes]:
         """Return the set of distinct rows of the named sensors."""
         key = (log.path, tuple(names))
         if key not in self._rows:

@@ -15,11 +15,8 @@ from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
 
-CHECK_BANDWIDTH_HZ = 4.0
-"""Low-pass frequency of the comparison [Hz], below the limits of all logs."""
-
-BLOCK_S = 0.5
-"""Length of blocks [s] whose residuals count as independent."""
+CHECK_BANDWIDTH_HZ = 4.0  # Low-pass frequency of the comparison [Hz], below the limits of all logs
+BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
 FEWEST_BLOCKS = 8
 
@@ -62,7 +59,7 @@ class ImuErrors:
         return notes
 
 
-def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
+def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
     """Return the errors of gyro against attitude and of accelerometer against velocity, for each sensor in the log.
 
     The log has equal time steps. The gyro is compared with the attitude's derivative. The accelerometer is compared with
@@ -71,22 +68,24 @@ def kinematic_errors(log: FlightLog) -> list[ImuErrors]:
     rate = sample_rate(log)
     notes = []
     if log.ang_vel is not None:
-        notes.append(_fit_errors("gyro", log.ang_vel, attitude_rate(log.attitude, rate), np.zeros(3), rate))
+        notes.append(
+            _fit_imu_errors("gyro", log.ang_vel, body_rate_by_differences(log.attitude, rate), np.zeros(3), rate)
+        )
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)
-        notes.append(_fit_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
+        notes.append(_fit_imu_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
     return [errors for errors in notes if errors is not None]
 
 
-def attitude_rate(attitude: Array, rate: float) -> Array:
+def body_rate_by_differences(attitude: Array, rate: float) -> Array:
     """Return the angular velocity [rad/s], body, (T, 3), by central differences of the attitude."""
     turn = Rotation.from_quat(attitude)
     inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)
     return np.concatenate((inner[:1], inner, inner[-1:]))
 
 
-def _fit_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
+def _fit_imu_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:
     """Return the fitted errors of a sensor; None if the log is too short. ``level``: the motion at hover."""
     band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)

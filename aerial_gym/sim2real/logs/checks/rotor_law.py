@@ -12,17 +12,12 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
-from aerial_gym.sim2real.logs.rotor_model import lift, simulate_lag
+from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
 from aerial_gym.sim2real.statistics import student_quantile
 
-WINDOW_S = 0.25
-"""Length of the averaging windows [s]."""
-
-FEWEST = 8
-"""Least surplus of windows over fitted coefficients."""
-
-WRONG = float(np.sqrt(2.0))
-"""Ratio beyond which a slope is nearer to 2 or 1/2, those of a mistaken column, than to 1."""
+WINDOW_S = 0.25  # Length of the averaging windows [s]
+FEWEST = 8  # Least surplus of windows over fitted coefficients
+WRONG = float(np.sqrt(2.0))  # Ratio beyond which a slope is nearer to 2 or 1/2, those of a mistaken column, than to 1
 
 
 def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) -> None:
@@ -31,7 +26,7 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
         if values is None or log.specific_force is None:
             continue
         states = values if name == "rotor" else simulate_lag(robot, values, sample_rate(log))
-        low, high = relative_slope(log, lift(robot, states), on_ground)
+        low, high = interval_of_thrust_slope(log, total_rotor_force(robot, states), on_ground)
         if high >= 1.0 / WRONG and low <= WRONG:
             continue
         unit = "N" if "force" in robot.rotor_traits else "rad/s"
@@ -42,7 +37,7 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
         )
 
 
-def relative_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
+def interval_of_thrust_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
     """Return the interval of ``d ln |f| / d ln T``, without the parts linear in climb rate and squared level speed.
 
     Both sides have errors, so the slope lies between the two regressions (see ``units``). 0 to infinity: not observable.

@@ -19,14 +19,11 @@ from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 
-MOST_ROTORS = 6
-"""More rotors have too many orders to try."""
-
-BETTER = 0.4
-"""Another order is accepted if its residual is less than this share of the declared order's."""
+MOST_ROTORS = 6  # More rotors have too many orders to try
+BETTER = 0.4  # Another order is accepted if its residual is less than this share of the declared order's
 
 
-def check_order(log: FlightLog, robot: RobotCfg) -> None:
+def check_rotor_order(log: FlightLog, robot: RobotCfg) -> None:
     """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better."""
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
         return
@@ -44,7 +41,7 @@ def check_order(log: FlightLog, robot: RobotCfg) -> None:
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        misses = _misses(robot, turning, slow, values, orders, inertia)
+        misses = _residuals_of_rotor_orders(robot, turning, slow, values, orders, inertia)
         best = int(np.argmin(misses))
         if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
@@ -54,7 +51,7 @@ def check_order(log: FlightLog, robot: RobotCfg) -> None:
             )
 
 
-def _misses(
+def _residuals_of_rotor_orders(
     robot: RobotCfg,
     turning: Array,
     slow: Callable[[Array], Array],

@@ -14,10 +14,10 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.rotor_model import lift
+from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 
 
-def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
+def check_rotor_columns(log: FlightLog, robot: RobotCfg) -> None:
     """Raise ``DataError`` for rotor columns with a wrong number, unit or sign."""
     if log.num_rotors != robot.num_rotors:
         raise DataError(
@@ -32,8 +32,8 @@ def check_rotors(log: FlightLog, robot: RobotCfg) -> None:
         )
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is not None:
-            _check_sign(log, name, values, robot)
-            _check_unit(log, name, values, robot)
+            _check_sign_of_rotor_column(log, name, values, robot)
+            _check_unit_of_rotor_column(log, name, values, robot)
 
 
 def without_copied_commands(log: FlightLog) -> FlightLog:
@@ -44,7 +44,7 @@ def without_copied_commands(log: FlightLog) -> FlightLog:
     return replace(log, rotor_command=None, notes=(*log.notes, Finding("commands_copied")))
 
 
-def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
+def _check_sign_of_rotor_column(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
     """Refuse a negative median speed of a rotor that is not reversible; noise at rest may be negative."""
     one_way = np.array([not rotor.reversible for rotor in robot.rotor_types])
     backwards = np.flatnonzero((np.median(values, axis=0) < 0.0) & one_way)
@@ -56,11 +56,11 @@ def _check_sign(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> No
         )
 
 
-def _check_unit(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
+def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
     """Check that the declared thrust at high logged speeds is the weight within a factor of three."""
 
     def high(states: Array) -> float:
-        return float(np.percentile(lift(robot, states), 90.0))
+        return float(np.percentile(total_rotor_force(robot, states), 90.0))
 
     thrust, unit = high(values), "N" if "force" in robot.rotor_traits else "rad/s"
     if thrust == 0.0:

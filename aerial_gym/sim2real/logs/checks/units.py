@@ -23,28 +23,18 @@ from aerial_gym.sim2real.statistics import normal_tail, student_quantile
 
 AXES = np.arange(3)
 
-WINDOW_S = 0.5
-"""Window length [s]; errors of different windows count as independent."""
-
-SURE = normal_tail(4.0)
-"""Error probability of a refusal per axis, small because each log has six axes."""
+WINDOW_S = 0.5  # Window length [s]; errors of different windows count as independent
+SURE = normal_tail(4.0)  # Error probability of a refusal per axis, small because each log has six axes
 
 CLEARLY = 10.0
 """Least log likelihood ratio of another order of axes; each moved axis must also be explained to ``SHARED``."""
 
 SHARED = 0.8
 
-FEWEST = 4
-"""Least number of windows."""
-
-DERIVED_HZ = 4.0
-"""Bandwidth of a velocity that is derived from the position [Hz]."""
-
-MATERIAL = 0.05
-"""Least deviation of a factor from 1 that is reported."""
-
-FITS = 0.1
-"""A unit is named if its factor fits within a tenth: velocity estimators err so much (IDSIA flights: 0.09)."""
+FEWEST = 4  # Least number of windows
+DERIVED_HZ = 4.0  # Bandwidth of a velocity that is derived from the position [Hz]
+MATERIAL = 0.05  # Least deviation of a factor from 1 that is reported
+FITS = 0.1  # A unit is named if its factor fits within a tenth: velocity estimators err so much (IDSIA flights: 0.09)
 
 VELOCITY_UNITS = ("km/h", "mph", "kn", "ft/s", "cm/s", "mm/s")
 POSITION_UNITS = ("ft", "cm", "mm")
@@ -54,7 +44,7 @@ WRONG = np.log([1.0, *(UNITS[u] for u in VELOCITY_UNITS), *(1.0 / UNITS[u] for u
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relation:
+class AxisRelation:
     """Axis-by-axis relation of two vectors: ``effect_i = factor_i cause_order(i) + constant``."""
 
     order: tuple[int, ...]  # Index of the cause's axis for each axis of the effect
@@ -66,7 +56,7 @@ class Relation:
     share: Array  # Squared correlation of each pair of axes, (3,)
 
     @property
-    def axis_significance(self) -> Flags:
+    def significant_axes(self) -> Flags:
         """Return the axes with a certain sign and size of the factor, (3,)."""
         return self.low > 0.0
 
@@ -78,27 +68,27 @@ class Relation:
     @property
     def sign_flips(self) -> Flags:
         """Return the axes with inverted sign, (3,)."""
-        return self.axis_significance & (self.factor < 0.0) & (self.share > SHARED)
+        return self.significant_axes & (self.factor < 0.0) & (self.share > SHARED)
 
     @property
     def unit_errors(self) -> Flags:
         """Return the axes whose factor differs from 1 and is nearest to that of a mistaken unit, (3,)."""
-        size = np.log(np.where(self.axis_significance, np.abs(self.factor), 1.0))
+        size = np.log(np.where(self.significant_axes, np.abs(self.factor), 1.0))
         unit = np.argmin(np.abs(size[:, None] - WRONG), axis=1) > 0
-        return self.sure & unit
+        return self.differs_from_one & unit
 
     @property
-    def sure(self) -> Flags:
+    def differs_from_one(self) -> Flags:
         """Return the axes whose ``|factor|`` differs significantly from 1, (3,)."""
-        return self.axis_significance & ((self.low > 1.0) | (self.high < 1.0))
+        return self.significant_axes & ((self.low > 1.0) | (self.high < 1.0))
 
     @property
-    def off(self) -> Flags:
+    def wrong_axes(self) -> Flags:
         """Return the axes with a wrong order, sign or unit, (3,)."""
         return self.axis_swaps | self.sign_flips | self.unit_errors
 
 
-def relate(effect: Array, cause: Array) -> Relation | None:
+def axis_relation(effect: Array, cause: Array) -> AxisRelation | None:
     """Return the relation of the increments (N, 3) of two vectors; None for too few windows or a constant axis."""
     count = len(effect)
     sizes = np.std(effect, axis=0), np.std(cause, axis=0)
@@ -106,14 +96,14 @@ def relate(effect: Array, cause: Array) -> Relation | None:
         return None
     scores = [(part - part.mean(axis=0)) / size for part, size in zip((effect, cause), sizes, strict=True)]
     shared = np.clip(scores[0].T @ scores[1] / count, -1.0 + 1e-12, 1.0 - 1e-12)
-    order = _likeliest(shared, count)
+    order = _most_likely_axis_order(shared, count)
     share, size = shared[AXES, order], sizes[0] / sizes[1][list(order)]
     error = (
         -student_quantile(SURE, count - 2) * np.sqrt((1.0 - share**2) / (count - 2)) / np.maximum(np.abs(share), 1e-12)
     )
     known = error < 1.0  # otherwise the correlation may be 0
     widening = np.exp(np.minimum(error, 1.0))
-    return Relation(
+    return AxisRelation(
         order=order,
         factor=np.sign(share) * size,
         low=np.where(known, np.abs(share) * size / widening, 0.0),
@@ -122,7 +112,7 @@ def relate(effect: Array, cause: Array) -> Relation | None:
     )
 
 
-def _likeliest(shared: Array, count: int) -> tuple[int, ...]:
+def _most_likely_axis_order(shared: Array, count: int) -> tuple[int, ...]:
     """Return the order of axes that fits correlations (3, 3) clearly best; (0, 1, 2) if none does."""
     plain = (0, 1, 2)
 
@@ -135,46 +125,53 @@ def _likeliest(shared: Array, count: int) -> tuple[int, ...]:
     return best if clear else plain
 
 
-def check_units(log: FlightLog) -> list[Finding]:
+def check_units_of_velocity_and_position(log: FlightLog) -> list[Finding]:
     """Raise ``DataError`` if velocity and position differ in unit, sign or axes; return a finding on smaller factors."""
     velocity, place = log.lin_vel, log.position
     if velocity is None or place is None:
         return []
-    way = _steps(log, place)
-    relation = relate(way, _sums(log, velocity))
-    if relation is None or not relation.off.any():
-        return _notes(relation)
+    way = _changes_over_windows(log, place)
+    relation = axis_relation(way, _integrals_over_windows(log, velocity))
+    if relation is None or not relation.wrong_axes.any():
+        return _factor_findings(relation)
     both = "velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z)"
     start = f"{log.path}: {both} contradict each other; it looks as if"
-    body = relate(way, _sums(log, Rotation.from_quat(log.attitude).apply(velocity)))
-    if body is not None and body.axis_significance.sum() >= relation.axis_significance.sum() and not body.off.any():
+    body = axis_relation(way, _integrals_over_windows(log, Rotation.from_quat(log.attitude).apply(velocity)))
+    if (
+        body is not None
+        and body.significant_axes.sum() >= relation.significant_axes.sum()
+        and not body.wrong_axes.any()
+    ):
         raise DataError(f"{start} v is in body axes: turn it into world axes")
-    raise DataError(f"{start} {_ways_out(relation, _culprits(relation, log))}")
+    raise DataError(f"{start} {_remedies(relation, _letters_of_wrong_quantities(relation, log))}")
 
 
-def check_growth(log: FlightLog) -> None:
+def check_units_against_accelerometer(log: FlightLog) -> None:
     """Raise ``DataError`` if velocity and position agree but contradict the accelerometer in sign or unit.
 
     An attitude estimate that relies on the accelerometer may hide slow motion, but not equally on all axes. A wrong unit
     must show equally on all certain axes, at least two.
     """
     letters = [letter for letter, values in (("v", log.lin_vel), ("p", log.position)) if values is not None]
-    by = _by_accelerometer(log, letters[0]) if letters else None
+    by = _relation_to_accelerometer(log, letters[0]) if letters else None
     if by is None:
         return
     names = " and ".join({"v": "velocity", "p": "position"}[letter] for letter in letters)
     if by.sign_flips.any():
-        columns = " and ".join(_columns([letter], by.sign_flips) for letter in letters)
+        columns = " and ".join(_column_names([letter], by.sign_flips) for letter in letters)
         raise DataError(
             f"{log.path}: {names} contradict acc and attitude; it looks as if {columns} have the wrong sign: multiply the "
             "columns by -1"
         )
-    if by.axis_significance.sum() >= 2 and np.array_equal(by.unit_errors, by.axis_significance):
-        ways = "; ".join(_unit(letter, by, _pool_factor(by), 1.0 / _pool_factor(by)) for letter in letters)
+    if by.significant_axes.sum() >= 2 and np.array_equal(by.unit_errors, by.significant_axes):
+        ways = "; ".join(
+            _unit_remedy(letter, by, _mean_factor_of_wrong_axes(by), 1.0 / _mean_factor_of_wrong_axes(by))
+            for letter in letters
+        )
         raise DataError(f"{log.path}: the change of {names} contradicts acc and attitude; it looks as if {ways}")
 
 
-def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
+def _relation_to_accelerometer(log: FlightLog, letter: str) -> AxisRelation | None:
     """Return the relation of velocity, or of the position's derivative, to the integrated acceleration; None without data."""
     values = log.lin_vel if letter == "v" else log.position
     if values is None or log.specific_force is None:
@@ -182,38 +179,38 @@ def _by_accelerometer(log: FlightLog, letter: str) -> Relation | None:
     if letter == "p":
         values = lowpass(values, sample_rate(log), min(DERIVED_HZ, DERIVED_BAND * sample_rate(log)), derivative=True)
     felt = Rotation.from_quat(log.attitude).apply(log.specific_force) - AT_REST
-    return relate(_steps(log, values), _sums(log, felt))
+    return axis_relation(_changes_over_windows(log, values), _integrals_over_windows(log, felt))
 
 
-def _steps(log: FlightLog, values: Array) -> Array:
+def _changes_over_windows(log: FlightLog, values: Array) -> Array:
     """Return the changes of values (T, 3) over each window, (N, 3)."""
     return np.diff(values[:: max(1, round(WINDOW_S * sample_rate(log)))], axis=0)
 
 
-def _sums(log: FlightLog, values: Array) -> Array:
+def _integrals_over_windows(log: FlightLog, values: Array) -> Array:
     """Return the integral of values (T, 3) over each window, (N, 3)."""
-    return _steps(log, cumulative_trapezoid(values, dx=1.0 / sample_rate(log), axis=0, initial=0.0))
+    return _changes_over_windows(log, cumulative_trapezoid(values, dx=1.0 / sample_rate(log), axis=0, initial=0.0))
 
 
-def _culprits(relation: Relation, log: FlightLog) -> list[str]:
+def _letters_of_wrong_quantities(relation: AxisRelation, log: FlightLog) -> list[str]:
     """Return the letters of the wrong quantities: v, p, or both if the accelerometer is inconclusive."""
 
     def agrees(letter: str) -> bool:
-        other = _by_accelerometer(log, letter)
+        other = _relation_to_accelerometer(log, letter)
         return other is not None and bool(
-            np.all(other.axis_significance[relation.off]) and not other.off[relation.off].any()
+            np.all(other.significant_axes[relation.wrong_axes]) and not other.wrong_axes[relation.wrong_axes].any()
         )
 
     wrong = [letter for letter in ("v", "p") if not agrees(letter)]
     return wrong or ["v", "p"]
 
 
-def _columns(letters: list[str], axes: Flags) -> str:
+def _column_names(letters: list[str], axes: Flags) -> str:
     """Return the names of columns: v_x, v_y or p_x, p_y."""
     return " or ".join(", ".join(f"{letter}_{'xyz'[axis]}" for axis in np.flatnonzero(axes)) for letter in letters)
 
 
-def _ways_out(relation: Relation, letters: list[str]) -> str:
+def _remedies(relation: AxisRelation, letters: list[str]) -> str:
     """Return the probable errors of position or velocity with the mapping entries that correct them."""
     said: list[str] = []
     if relation.axis_swaps.any():
@@ -223,21 +220,21 @@ def _ways_out(relation: Relation, letters: list[str]) -> str:
             "mapping file"
         )
     if relation.sign_flips.any():
-        said.append(f"{_columns(letters, relation.sign_flips)} have the wrong sign: multiply each column by -1")
+        said.append(f"{_column_names(letters, relation.sign_flips)} have the wrong sign: multiply each column by -1")
     if relation.unit_errors.any():
-        factor = _pool_factor(relation)
-        said.append(_unit("v" if factor < 1.0 else "p", relation, factor, min(factor, 1.0 / factor)))
+        factor = _mean_factor_of_wrong_axes(relation)
+        said.append(_unit_remedy("v" if factor < 1.0 else "p", relation, factor, min(factor, 1.0 / factor)))
     return "; and ".join(said)
 
 
-def _pool_factor(relation: Relation) -> float:
+def _mean_factor_of_wrong_axes(relation: AxisRelation) -> float:
     return float(np.exp(np.mean(np.log(np.abs(relation.factor[relation.unit_errors])))))
 
 
-def _unit(letter: str, relation: Relation, factor: float, mends: float) -> str:
+def _unit_remedy(letter: str, relation: AxisRelation, factor: float, mends: float) -> str:
     """Return the probable unit of a quantity's columns with a wrong factor, with the mapping entry that corrects it."""
     units, name = (VELOCITY_UNITS, "lin_vel") if letter == "v" else (POSITION_UNITS, "position")
-    columns = _columns([letter], (relation.low < factor * (1.0 + FITS)) & (relation.high > factor * (1.0 - FITS)))
+    columns = _column_names([letter], (relation.low < factor * (1.0 + FITS)) & (relation.high > factor * (1.0 - FITS)))
     best = min(units, key=lambda unit: abs(np.log(mends / UNITS[unit])))
     if abs(np.log(mends / UNITS[best])) < FITS:
         return f"{columns} were in {best} (factor {mends:.3g}): give {name} unit: {best} in a mapping file"
@@ -245,11 +242,11 @@ def _unit(letter: str, relation: Relation, factor: float, mends: float) -> str:
     return f"{columns} need a factor of {mends:.3g}, which is no known unit: {way}"
 
 
-def _notes(relation: Relation | None) -> list[Finding]:
+def _factor_findings(relation: AxisRelation | None) -> list[Finding]:
     if relation is None:
         return []
-    material = relation.sure & (
-        np.abs(np.log(np.where(relation.axis_significance, np.abs(relation.factor), 1.0))) > MATERIAL
+    material = relation.differs_from_one & (
+        np.abs(np.log(np.where(relation.significant_axes, np.abs(relation.factor), 1.0))) > MATERIAL
     )
     if not material.any():
         return []

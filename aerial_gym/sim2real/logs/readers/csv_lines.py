@@ -8,23 +8,18 @@ from pathlib import Path
 
 from aerial_gym.errors import DataError
 
-SEPARATORS = (";", "\t", ",")
-"""Field separators; a header with none of them is separated by spaces."""
-
-SPACES = " "
-"""Separator mark for any run of white space."""
+SEPARATORS = (";", "\t", ",")  # Field separators; a header with none of them is separated by spaces
+SPACES = " "  # Separator mark for any run of white space
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"
 """First bytes of a PX4 ULog. Source: PX4 User Guide, ULog File Format, section Header."""
 
-ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-"""Encodings by byte-order mark; other files are UTF-8."""
+ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # Encodings by byte-order mark; other files are UTF-8
 
 REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)
 """Start of a comment, a spreadsheet's separator hint or an empty line."""
 
-DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-"""A number with a decimal comma."""
+DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # A number with a decimal comma
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +29,11 @@ class CsvHeader:
     names: tuple[str, ...]
     separator: str
 
-    def row(self, line: str) -> str | None:
+    def comma_separated_line(self, line: str) -> str | None:
         """Return the line with commas between fields and decimal points; None if the number of fields differs."""
         commas = len(self.names) - 1
         if '"' in line or self.separator == SPACES:
-            line = ",".join(_plain(field) for field in split_fields(line, self.separator))
+            line = ",".join(_replace_decimal_comma(field) for field in split_fields(line, self.separator))
         elif self.separator != ",":
             line = line.replace(",", ".").replace(self.separator, ",")
         while line.count(",") > commas and line.rstrip().endswith(","):
@@ -52,11 +47,10 @@ class CsvHeader:
         return bool(REMARK.match(line)) or split_fields(line, self.separator)[: len(self.names)] == list(self.names)
 
 
-_STARTS = frozenset("0123456789+-.")
-"""Common first characters of data rows."""
+_STARTS = frozenset("0123456789+-.")  # Common first characters of data rows
 
 
-def _plain(field: str) -> str:
+def _replace_decimal_comma(field: str) -> str:
     """Return a field with its decimal comma as a point, and any other comma as a space."""
     return field.replace(",", "." if DECIMAL_COMMA.fullmatch(field) else " ")
 
@@ -80,13 +74,13 @@ def find_header(lines: Iterable[str], time: str) -> CsvHeader | None:
         time: Name of the time column; a comment that contains it is a header, as numpy writes it.
     """
     for line in lines:
-        header = _find_header(line.lstrip(" \t#") if REMARK.match(line) else line)
+        header = _parse_header(line.lstrip(" \t#") if REMARK.match(line) else line)
         if header.names and (time in header.names or not REMARK.match(line)):
             return header
     return None
 
 
-def _find_header(line: str) -> CsvHeader:
+def _parse_header(line: str) -> CsvHeader:
     separator = max(SEPARATORS, key=lambda mark: len(split_fields(line, mark)))
     if len(split_fields(line, separator)) < 2:
         separator = SPACES
@@ -97,11 +91,7 @@ def _find_header(line: str) -> CsvHeader:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Return the lines of a text file.
-
-    Raises:
-        DataError: If the file is unreadable or not text.
-    """
+    """Return the lines of a text file. Raise ``DataError`` if the file is unreadable or not text."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -110,12 +100,12 @@ def read_lines(path: Path) -> list[str]:
         raise DataError(
             f"{path}: cannot be read as text ({error.strerror}); give a CSV file with one header line"
         ) from None
-    check_text(data, str(path))
+    check_is_text(data, str(path))
     text = data.decode(ENCODINGS.get(data[:2], "utf-8-sig"), errors="replace")
     return re.split(r"\r\n|\n|\r", text)
 
 
-def check_text(data: bytes, path: str) -> None:
+def check_is_text(data: bytes, path: str) -> None:
     """Raise ``DataError`` if the first bytes of a file are not text."""
     if data.startswith(ULOG_MAGIC):
         raise DataError(

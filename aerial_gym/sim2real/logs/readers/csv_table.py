@@ -17,26 +17,23 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, check_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.readers.stamps import MOST_BAD, SHOWN, correct_stamps, stamp_seconds
 
-FEW_DIGITS = 20
-"""Time has too few digits if more than one row in so many repeats the time before."""
-
-EMPTY = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A", "-")
-"""Field values that mean 'no value'."""
-
-LARGEST = 1e9
-"""Largest plausible measurement in SI units."""
+FEW_DIGITS = 20  # Time has too few digits if more than one row in so many repeats the time before
+EMPTY = ("", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A", "-")  # Field values that mean 'no value'
+LARGEST = 1e9  # Largest plausible measurement in SI units
 
 
-def csv_rows(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
+def read_csv_rows(
+    path: Path, layout: LogMapping, notes: list[Finding]
+) -> tuple[pd.DataFrame, Array, tuple[float, ...]]:
     """Return the rows with valid time stamps, their time [s], (T,), and the corrected times of clock steps [s]."""
-    table = without_copies(read_table(path, layout, notes), notes)
-    stamps = check_stamps(read_stamps(table, layout, str(path)), str(path))
-    notes.extend(stamps.late_note(table.index[stamps.late].to_numpy(dtype=int).tolist()))
+    table = drop_copied_rows(read_table(path, layout, notes), notes)
+    stamps = correct_stamps(read_time_stamps(table, layout, str(path)), str(path))
+    notes.extend(stamps.late_block_findings(table.index[stamps.late].to_numpy(dtype=int).tolist()))
     table = table.iloc[stamps.order]
     bad = table.index[~stamps.kept]
-    _note_rows("rows_with_bad_stamps", bad.tolist(), len(table), notes)
+    _append_row_finding("rows_with_bad_stamps", bad.tolist(), len(table), notes)
     table = table.drop(index=bad)
     lines = table.index.to_numpy(dtype=int).tolist()
     notes.extend(step.finding("line", lines[step.row]) for step in stamps.steps)
@@ -46,15 +43,17 @@ def csv_rows(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[pd.D
 def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
     """Return the table of a file, indexed by line number, with NaN for empty fields.
 
-    Malformed lines and rows with non-numeric fields are dropped with a finding.
-
-    Raises:
-        DataError: If the file has no usable table with the mapped columns.
+    Malformed lines and rows with non-numeric fields are dropped with a finding. Raise ``DataError`` if the file has no
+    usable table with the mapped columns.
     """
     lines = read_lines(path)
     source = iter(enumerate(lines, start=1))
     header = find_header((line for _, line in source), layout.time.columns[0])
-    rows = [] if header is None else [(n, header.row(line)) for n, line in source if not header.is_remark(line)]
+    rows = (
+        []
+        if header is None
+        else [(n, header.comma_separated_line(line)) for n, line in source if not header.is_remark(line)]
+    )
     if header is None or not rows:
         raise DataError(f"{path}: holds no rows; a flight log has one header line and one line per sample")
     bad = [n for n, row in rows if row is None]
@@ -63,8 +62,8 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
             f"{path}, line {bad[0]}: its fields do not fit the {len(header.names)} names of the header, as in {len(bad)} of "
             f"{len(rows)} lines; correct the header"
         )
-    _note_rows("rows_not_of_header", bad, len(rows), notes, fields=len(header.names))
-    wanted = {name: q for q in layout.quantities().values() for name in _names(q, header.names)}
+    _append_row_finding("rows_not_of_header", bad, len(rows), notes, fields=len(header.names))
+    wanted = {name: q for q in layout.quantities().values() for name in _column_names(q, header.names)}
     if twice := sorted(name for name in wanted if header.names.count(name) > 1):
         raise DataError(f"{path}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
     table = pd.read_csv(
@@ -80,10 +79,10 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
     )
     table.columns = pd.Index(header.names)
     table.index = pd.Index([n for n, row in rows if row is not None])
-    return _numeric(table, wanted, layout.time.columns[0], str(path), notes)
+    return _drop_rows_without_numbers(table, wanted, layout.time.columns[0], str(path), notes)
 
 
-def _numeric(
+def _drop_rows_without_numbers(
     table: pd.DataFrame, wanted: Mapping[str, ColumnsCfg], time: str, path: str, notes: list[Finding]
 ) -> pd.DataFrame:
     """Return the table with numeric wanted columns, without the rows that hold something else there.
@@ -113,17 +112,17 @@ def _numeric(
             example = {"column": name, "field": str(text[int(np.argmax(wrong))])}
         bad |= wrong
     out = table.index[bad]
-    _note_rows("rows_without_numbers", out.tolist(), len(table), notes, **example)
+    _append_row_finding("rows_without_numbers", out.tolist(), len(table), notes, **example)
     return table.drop(index=out)
 
 
-def _note_rows(code: str, lines: Sequence[int], total: int, notes: list[Finding], **more: object) -> None:
+def _append_row_finding(code: str, lines: Sequence[int], total: int, notes: list[Finding], **more: object) -> None:
     """Append a finding with the number of dropped rows and the first of their lines."""
     if lines:
         notes.append(Finding(code, "", {"rows": len(lines), "total": total, "lines": list(lines[:SHOWN]), **more}))
 
 
-def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
+def _column_names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
     """Return the column names of a quantity, with ``{n}`` expanded to the numbers in the file."""
     pattern, matrix = "".join(quantity.columns[:1]), []
     if len(quantity.columns) > 1 or "{n}" not in pattern:
@@ -135,7 +134,7 @@ def _names(quantity: ColumnsCfg, known: Sequence[str]) -> list[str]:
 
 def quantity_columns(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path: str) -> list[str]:
     """Return the columns of a quantity in the file; empty if all of them are missing or empty."""
-    names = _names(quantity, list(table.columns))
+    names = _column_names(quantity, list(table.columns))
     present = [column for column in names if column in table.columns and not bool(table[column].isna().all())]
     missing = [column for column in names if column not in present]
     if present and missing:
@@ -146,7 +145,7 @@ def quantity_columns(table: pd.DataFrame, quantity: ColumnsCfg, name: str, path:
     return present
 
 
-def without_copies(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
+def drop_copied_rows(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
     """Return the table without rows that repeat an earlier one in every column, time included."""
     copies = np.asarray(table.duplicated())
     if not copies.any():
@@ -155,11 +154,11 @@ def without_copies(table: pd.DataFrame, notes: list[Finding]) -> pd.DataFrame:
     return table.drop(index=table.index[copies])
 
 
-def read_stamps(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
+def read_time_stamps(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
     """Return the logged time stamps [s], NaN where empty; refuse a missing column or too few digits."""
     column = layout.time.columns[0]
     if column not in table.columns or bool(table[column].isna().all()):
-        raise DataError(not_there(column, list(table.columns), path))
+        raise DataError(message_on_missing_column(column, list(table.columns), path))
     stamps = stamp_seconds(table[column].to_numpy(), UNITS[layout.time.unit])
     steps = np.diff(stamps[np.isfinite(stamps)])
     still = int(np.sum(steps == 0.0))
@@ -174,7 +173,7 @@ def read_stamps(table: pd.DataFrame, layout: LogMapping, path: str) -> Array:
 def require_column(table: pd.DataFrame, column: str, path: str) -> Array:
     """Return a required column (T,) without gaps."""
     if column not in table.columns:
-        raise DataError(not_there(column, list(table.columns), path))
+        raise DataError(message_on_missing_column(column, list(table.columns), path))
     return read_numbers(table, [column], ColumnsCfg(columns=(column,)), np.zeros(len(table)), path, [])[:, 0]
 
 
@@ -199,7 +198,7 @@ def read_numbers(
         if gaps:
             matrix[:, index] = numbers
             continue
-        matrix[:, index] = _fill(
+        matrix[:, index] = _fill_short_gaps(
             numbers, quantity, time, lambda row, name=column: f"{path}, line {table.index[row]}: {name}", held=held
         )
         filled += int(np.isnan(numbers).sum())
@@ -209,7 +208,9 @@ def read_numbers(
     return matrix
 
 
-def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[int], str], *, held: bool) -> Array:
+def _fill_short_gaps(
+    numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[int], str], *, held: bool
+) -> Array:
     """Return ``numbers`` with short runs of NaN filled linearly or held; refuse long runs."""
     empty = np.isnan(numbers)
     if not empty.any():
@@ -229,7 +230,7 @@ def _fill(numbers: Array, quantity: ColumnsCfg, time: Array, where: Callable[[in
     return np.interp(time, time[known], numbers[known])
 
 
-def not_there(column: str, known: list[str], path: str) -> str:
+def message_on_missing_column(column: str, known: list[str], path: str) -> str:
     """Return the message on a missing column, with the nearest existing name and the remedy."""
     near = get_close_matches(column, [name for name in known if name != column], n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""

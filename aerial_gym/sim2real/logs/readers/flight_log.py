@@ -16,49 +16,45 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.conventions import without_bad_quaternions
-from aerial_gym.sim2real.logs.checks.time_courses import check_clock_steps
+from aerial_gym.sim2real.logs.checks.time_courses import check_motion_at_clock_steps
 from aerial_gym.sim2real.logs.readers.csv_table import (
     LARGEST,
-    csv_rows,
     mapping_hint,
-    not_there,
+    message_on_missing_column,
     quantity_columns,
+    read_csv_rows,
     read_numbers,
     require_column,
 )
 from aerial_gym.sim2real.logs.readers.mapping import HEIGHTS, UNITS, ColumnsCfg, LogMapping, find_mapping
-from aerial_gym.sim2real.logs.readers.ulog import ulog_table
+from aerial_gym.sim2real.logs.readers.ulog import read_ulog_table
 from aerial_gym.sim2real.logs.recording import FlightLog
 
-COMPANION_GAP_S = 0.1
-"""Longest gap [s] in the other vehicle's log across which its position is interpolated."""
+COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
 
 EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))
 """Column names of Euler angles, for the advice on a missing quaternion."""
 
-FLIP = np.array([1.0, -1.0, -1.0])
-"""Signs from body FRD to body FLU."""
+FLIP = np.array([1.0, -1.0, -1.0])  # Signs from body FRD to body FLU
 
 
 def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hover: bool = False) -> FlightLog:
     """Return the flight in a CSV file with one header line, or in a PX4 ULog (.ulg).
 
     Args:
-        path: The file.
         mapping: Layout; None takes that of this package, or ``px4_ulog`` for a .ulg file.
         hover: Whether only hover rotor states are needed: a missing attitude counts as level, and neither gyro nor
             accelerometer is required.
 
-    Raises:
-        DataError: If file, columns or fields are unusable.
+    Raise ``DataError`` if file, columns or fields are unusable.
     """
     ulog = Path(path).suffix.lower() == ".ulg"
     layout, notes = mapping or find_mapping("px4_ulog" if ulog else "aerial_gym"), list[Finding]()
     if ulog:
-        table, clock_steps = ulog_table(Path(path), notes)
+        table, clock_steps = read_ulog_table(Path(path), notes)
         time = require_column(table, layout.time.columns[0], str(path)) * UNITS[layout.time.unit]
     else:
-        table, time, clock_steps = csv_rows(Path(path), layout, notes)
+        table, time, clock_steps = read_csv_rows(Path(path), layout, notes)
     values: dict[str, Array] = {}
     for name, quantity in layout.quantities().items():
         if name == "time":
@@ -73,7 +69,7 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
                     raise
                 notes.append(Finding("battery_left_out", "", {"error": str(error)}))
                 continue
-            values[name] = _convert(raw, table, quantity, str(path)) * UNITS[quantity.unit]
+            values[name] = _apply_column_conversion(raw, table, quantity, str(path)) * UNITS[quantity.unit]
             if np.nanmax(np.abs(values[name]), initial=0.0) > LARGEST:
                 raise DataError(
                     f"{path}: {columns[0]} to {columns[-1]} reach {np.nanmax(np.abs(values[name])):.3g} in SI units, at most "
@@ -87,11 +83,11 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         notes.append(Finding("attitude_level"))
     if integrated:
         _integrate_attitude(values, time, layout, str(path), notes)
-    _require(values, layout, list(table.columns), str(path), notes, hover=hover)
-    battery = _volts(values.pop("battery", None), time, notes)
-    heights = {name: _height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
-    wind = _layout_wind(Path(path), layout, notes)
-    command, companion = layout.rotor_command, _companion(Path(path), layout, time, notes)
+    _require_quantities(values, layout, list(table.columns), str(path), notes, hover=hover)
+    battery = _battery_voltage(values.pop("battery", None), time, notes)
+    heights = {name: _surface_height(values.pop(name), layout, name, str(path)) for name in HEIGHTS if name in values}
+    wind = _wind_of_mapping(Path(path), layout, notes)
+    command, companion = layout.rotor_command, _companion_position(Path(path), layout, time, notes)
     log = FlightLog(
         path=str(path),
         time=time,
@@ -107,11 +103,11 @@ def read_flight_log(path: str | Path, *, mapping: LogMapping | None = None, hove
         **{"other_position": companion, **heights, **_to_package_frames(values, layout)},
     )
     if clock_steps:
-        check_clock_steps(without_bad_quaternions(log), clock_steps)
+        check_motion_at_clock_steps(without_bad_quaternions(log), clock_steps)
     return log
 
 
-def _volts(values: Array | None, time: Array, notes: list[Finding]) -> Array | None:
+def _battery_voltage(values: Array | None, time: Array, notes: list[Finding]) -> Array | None:
     """Return the battery voltage [V], (T,), with values of 0 or less interpolated; None without any valid value."""
     if values is None or not (bad := values[:, 0] <= 0.0).any():
         return None if values is None else values[:, 0]
@@ -122,7 +118,7 @@ def _volts(values: Array | None, time: Array, notes: list[Finding]) -> Array | N
     return np.interp(time, time[~bad], values[~bad, 0])
 
 
-def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
+def _surface_height(values: Array, layout: LogMapping, name: str, path: str) -> float:
     """Return the height of a level surface [m], z up; refuse one that varies."""
     if np.ptp(values) > 0.0:
         raise DataError(
@@ -132,9 +128,9 @@ def _height(values: Array, layout: LogMapping, name: str, path: str) -> float:
     return float(values[0, 0]) * (-1.0 if layout.world_frame == "ned" else 1.0)
 
 
-def _convert(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
+def _apply_column_conversion(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
     """Return ``offset + gain (raw * times / over)^power``, and 0 where raw is 0, repeated per rotor, (T, columns)."""
-    if quantity.plain:
+    if quantity.needs_no_conversion:
         return raw
     values = raw
     for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
@@ -165,7 +161,7 @@ def _integrate_attitude(
     notes.append(Finding("attitude_integrated"))
 
 
-def _companion(path: Path, layout: LogMapping, time: Array, notes: list[Finding]) -> Array | None:
+def _companion_position(path: Path, layout: LogMapping, time: Array, notes: list[Finding]) -> Array | None:
     """Return the position of the other vehicle, (T, 3), from the log whose name the mapping derives; else None."""
     for text, other in layout.companion.items():
         partner = path.parent / path.name.replace(text, other)
@@ -181,7 +177,7 @@ def _companion(path: Path, layout: LogMapping, time: Array, notes: list[Finding]
     return None
 
 
-def _layout_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[float, float, float] | None:
+def _wind_of_mapping(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[float, float, float] | None:
     """Return the wind [m/s], world ENU, that the mapping declares for this file name; None without one."""
     matches = [text for text in layout.wind if text in path.stem]
     if len(matches) > 1:
@@ -196,7 +192,7 @@ def _layout_wind(path: Path, layout: LogMapping, notes: list[Finding]) -> tuple[
     return wind
 
 
-def _require(
+def _require_quantities(
     values: dict[str, Array], layout: LogMapping, known: list[str], path: str, notes: Sequence[Finding], *, hover: bool
 ) -> None:
     """Raise ``DataError`` if the log lacks a required quantity."""
@@ -207,7 +203,7 @@ def _require(
                 f"{path}: column {column!r} is missing or empty. Euler angles are no quaternion: write "
                 "q = qz(yaw) qy(pitch) qx(roll), body to world, into q_x, q_y, q_z, q_w"
             )
-        raise DataError(not_there(column, known, path))
+        raise DataError(message_on_missing_column(column, known, path))
     lost = "".join(f" Topic left out: {note.values['error']}." for note in notes if note.code == "topic_left_out")
     for one, other in (("ang_vel", "specific_force"), ("rotor_speed", "rotor_command")):
         if one in values or other in values or (hover and one == "ang_vel"):

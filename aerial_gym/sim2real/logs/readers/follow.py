@@ -9,42 +9,32 @@ from pathlib import Path
 from typing import BinaryIO
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.readers.csv_lines import check_text
+from aerial_gym.sim2real.logs.readers.csv_lines import check_is_text
 
-POLL_S = 0.05
-"""Polling interval [s]."""
+POLL_S = 0.05  # Polling interval [s]
 
 START_BYTES = 256
 """Number of first bytes compared to detect a file rewritten in place; a log begins with its header and first row."""
 
 
 def stdin_lines() -> Iterator[str]:
-    """Yield the lines of stdin; invalid bytes are replaced.
-
-    Raises:
-        DataError: If the input is not text.
-    """
+    """Yield the lines of stdin; invalid bytes are replaced. Raise ``DataError`` if the input is not text."""
     stream = getattr(sys.stdin, "buffer", None)
     if stream is None:  # a text stream in its place
         yield from sys.stdin
         return
     for number, line in enumerate(stream):
         if number == 0:
-            check_text(line, "stdin")
+            check_is_text(line, "stdin")
         yield line.decode("utf-8-sig", errors="replace")
 
 
 def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
     """Yield the complete lines of a file, and None when it starts anew; invalid bytes are replaced.
 
-    Args:
-        path: The file.
-        follow: Whether to wait for further lines without end.
-
-    Raises:
-        DataError: If the file is unreadable or not text.
+    ``follow``: whether to wait for further lines without end. Raise ``DataError`` if the file is unreadable or not text.
     """
-    file, part, start = _open(path), b"", b""
+    file, part, start = _open_text_file(path), b"", b""
     with ExitStack() as files:
         files.enter_context(file)
         while True:
@@ -56,10 +46,10 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
             elif not more and not follow:
                 break
             elif not more:
-                known, start = start, _file_start(file)
+                known, start = start, _first_bytes(file)
                 if _is_replaced(path, file) or not start.startswith(known):
                     files.close()
-                    file, part, start = files.enter_context(_open(path)), b"", b""
+                    file, part, start = files.enter_context(_open_text_file(path)), b"", b""
                     yield None
                 else:
                     time.sleep(POLL_S)
@@ -67,7 +57,7 @@ def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
         yield part.decode("utf-8-sig", errors="replace")
 
 
-def _open(path: Path) -> BinaryIO:
+def _open_text_file(path: Path) -> BinaryIO:
     """Return a text file opened for reading at its start."""
     if path.is_dir():
         raise DataError(f"{path}: is a folder. Give a flight log (CSV), or - for rows from stdin")
@@ -78,12 +68,12 @@ def _open(path: Path) -> BinaryIO:
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from None
     if file.seekable():
-        check_text(file.read(START_BYTES), str(path))
+        check_is_text(file.read(START_BYTES), str(path))
         file.seek(0)
     return file
 
 
-def _file_start(file: BinaryIO) -> bytes:
+def _first_bytes(file: BinaryIO) -> bytes:
     """Return the first bytes of the part already read; empty for a pipe."""
     if not file.seekable():
         return b""

@@ -12,23 +12,16 @@ from itertools import pairwise
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.logs.recording import gap_limit
+from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 
-JOINT_STEPS = 3.5
-"""Largest step between consecutive rows, in usual steps; two stamps may be missing."""
-
-MOST_RUNS = 50
-"""Largest number of runs searched around a step back; it bounds the run time of disordered logs."""
-
-SPLIT_STEPS = 2.0
-"""Step, in usual steps, from which a block may be missing; jitter stays below."""
-
-MIN_ROWS = 2
-"""Fewest rows of a block: a single disordered row may be late or have a bad stamp."""
+JOINT_STEPS = 3.5  # Largest step between consecutive rows, in usual steps; two stamps may be missing
+MOST_RUNS = 50  # Largest number of runs searched around a step back; it bounds the run time of disordered logs
+SPLIT_STEPS = 2.0  # Step, in usual steps, from which a block may be missing; jitter stays below
+MIN_ROWS = 2  # Fewest rows of a block: a single disordered row may be late or have a bad stamp
 
 
 @dataclass(frozen=True)
-class _Run:
+class _StampRun:
     """Consecutive rows with increasing stamps, and the rows without a usable stamp after them."""
 
     first: float
@@ -46,12 +39,11 @@ class RowBlocks:
     wrong: Indices  # Rows in blocks with wrong stamps
 
 
-def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:
+def find_disordered_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:
     """Return the late blocks and the blocks with wrong stamps.
 
-    Args:
-        stamps: Logged time [s], NaN where empty, (T,).
-        periods: Wrap periods of counters [s]; a step back by one of them is no late block.
+    ``stamps``: logged time [s], NaN where empty, (T,). ``periods``: wrap periods of counters [s]; a step back by one of
+    them is no late block.
     """
     order, late, wrong = np.arange(stamps.size), list[int](), [np.zeros(0, dtype=int)]
     finite = np.flatnonzero(np.isfinite(stamps))
@@ -59,18 +51,18 @@ def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:
     if not np.any(steps > 0.0) or np.all(steps > 0.0):
         return RowBlocks(order=order, late=order[:0], wrong=order[:0])
     step = float(np.median(steps[steps > 0.0]))
-    runs = _runs(stamps, finite, step)
+    runs = _runs_of_increasing_stamps(stamps, finite, step)
     number = 1
     while number < len(runs):
         back = runs[number - 1].last - runs[number].first
-        if back < 0.0 or any(0.0 < period - back <= gap_limit(step) for period in periods):
+        if back < 0.0 or any(0.0 < period - back <= longest_bridgeable_gap(step) for period in periods):
             number += 1
-        elif group := _find_exchange(runs, number, JOINT_STEPS * step):
+        elif group := _slice_of_exchanged_runs(runs, number, JOINT_STEPS * step):
             start, stop = group
             late.append(int(runs[number].rows[0]))
             runs[start:stop] = sorted(runs[start:stop], key=lambda run: run.first)
             number = stop
-        elif group := _find_wrong_stamps(runs, number, step):
+        elif group := _slice_of_wrong_runs(runs, number, step):
             start, stop = group
             wrong += [run.rows for run in runs[start:stop]]
             number = stop + 1
@@ -82,7 +74,7 @@ def find_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:
     return RowBlocks(order=order, late=np.asarray(late, dtype=int), wrong=np.concatenate(wrong))
 
 
-def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
+def _runs_of_increasing_stamps(stamps: Array, finite: Indices, step: float) -> list[_StampRun]:
     """Return the runs of at least ``MIN_ROWS`` rows in log order; earlier rows belong to no run."""
     time = stamps[finite]
     joined = (np.diff(time) > 0.0) & (np.diff(time) <= SPLIT_STEPS * step * np.diff(finite))
@@ -98,12 +90,12 @@ def _runs(stamps: Array, finite: Indices, step: float) -> list[_Run]:
     starts = [int(finite[first]) for first, _ in spans]
     stops = [*starts[1:], stamps.size]
     return [
-        _Run(float(time[first]), float(time[last]), int(finite[last]), np.arange(start, stop))
+        _StampRun(float(time[first]), float(time[last]), int(finite[last]), np.arange(start, stop))
         for (first, last), start, stop in zip(spans, starts, stops, strict=True)
     ]
 
 
-def _find_exchange(runs: list[_Run], number: int, joint: float) -> tuple[int, int] | None:
+def _slice_of_exchanged_runs(runs: list[_StampRun], number: int, joint: float) -> tuple[int, int] | None:
     """Return the slice of runs that sorting by stamps puts in order; None if uncertain.
 
     The step back is before run ``number``. Sorted, the runs must not overlap, and time must continue to the run after
@@ -128,7 +120,7 @@ def _find_exchange(runs: list[_Run], number: int, joint: float) -> tuple[int, in
     return start, stop
 
 
-def _find_wrong_stamps(runs: list[_Run], number: int, step: float) -> tuple[int, int] | None:
+def _slice_of_wrong_runs(runs: list[_StampRun], number: int, step: float) -> tuple[int, int] | None:
     """Return the slice of runs with wrong stamps: without them time advances one usual step per row.
 
     Candidates lie before the step back at run ``number`` or after it; the one with fewer rows is taken.

@@ -4,16 +4,11 @@ from statistics import median
 
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.readers.late_blocks import SPLIT_STEPS
-from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, gap_limit
+from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, longest_bridgeable_gap
 
-LATE_START_S = 2.0
-"""Time before the first accepted row in which a late block may lie [s]."""
-
-HOLES = 8
-"""Number of recent time gaps that are remembered."""
-
-CONFIRMED = 10
-"""Number of consecutive rows that confirm a start, a gap or a step of the clock."""
+LATE_START_S = 2.0  # Time before the first accepted row in which a late block may lie [s]
+HOLES = 8  # Number of recent time gaps that are remembered
+CONFIRMED = 10  # Number of consecutive rows that confirm a start, a gap or a step of the clock
 
 
 class LiveStamps:
@@ -34,48 +29,46 @@ class LiveStamps:
         self.steps = 0
         """Number of corrected backward steps of the clock."""
 
-    def add(self, row: Array, place: int) -> list[Array]:
+    def add_row(self, row: Array, place: int) -> list[Array]:
         """Return the rows that this row confirms as valid, with corrected time.
 
-        Args:
-            row: Its values.
-            place: Index of the time stamp [s] in the row.
+        ``row``: its values. ``place``: index of the time stamp [s] in the row.
         """
         stamp = float(row[place])
-        if self._last is not None and 0.0 < stamp - self._last <= self._limit:
-            self.end(place)
-            return [self._accept(row, place)]
-        if self._doubtful and not 0.0 < stamp - self._doubtful[-1][place] <= self._limit:
-            self.end(place)
+        if self._last is not None and 0.0 < stamp - self._last <= self._largest_step:
+            self.reject_pending_rows(place)
+            return [self._accept_row(row, place)]
+        if self._doubtful and not 0.0 < stamp - self._doubtful[-1][place] <= self._largest_step:
+            self.reject_pending_rows(place)
         if stamp != stamp:  # NaN
             self.bad.append(stamp)
             return []
         self._doubtful.append(row)
-        if len(self._doubtful) < CONFIRMED or self._may_be_late(place):
+        if len(self._doubtful) < CONFIRMED or self._may_be_late_block(place):
             return []
         good, self._doubtful = self._doubtful, []
         if self._last is not None and good[0][place] <= self._last:
             self._shift += self._last - float(good[0][place]) + (median(self._steps) if self._steps else 0.0)
             self.steps += 1
             self._holes = []
-        return [self._accept(one, place) for one in good]
+        return [self._accept_row(one, place) for one in good]
 
-    def end(self, place: int) -> None:
+    def reject_pending_rows(self, place: int) -> None:
         """Reject the held rows."""
         self.bad += [float(row[place]) for row in self._doubtful]
         self._doubtful = []
 
-    def _may_be_late(self, place: int) -> bool:
+    def _may_be_late_block(self, place: int) -> bool:
         """Return whether all held rows lie in one earlier time gap."""
         first, last = float(self._doubtful[0][place]), float(self._doubtful[-1][place])
         return any(start < first and last < stop for start, stop in self._holes)
 
     @property
-    def _limit(self) -> float:
+    def _largest_step(self) -> float:
         """Return the longest time step that needs no confirmation [s]."""
-        return gap_limit(median(self._steps)) if self._steps else LONGEST_GAP_S
+        return longest_bridgeable_gap(median(self._steps)) if self._steps else LONGEST_GAP_S
 
-    def _accept(self, row: Array, place: int) -> Array:
+    def _accept_row(self, row: Array, place: int) -> Array:
         """Return a valid row with corrected time, and store its stamp."""
         stamp = float(row[place])
         if self._last is None:  # the first rows may follow a gap for a late block

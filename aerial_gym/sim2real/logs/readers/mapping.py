@@ -11,11 +11,8 @@ from pathlib import Path
 from aerial_gym.config import load
 from aerial_gym.errors import ConfigError, UnknownNameError
 
-MAPPING_DIR = Path(__file__).parents[1] / "mappings"
-"""Folder of the built-in mappings."""
-
-UNIT_G = 9.80665
-"""Standard gravity as a unit [m/s²], independent of the place: BIPM (2019), The SI, table 8."""
+MAPPING_DIR = Path(__file__).parents[1] / "mappings"  # Folder of the built-in mappings
+UNIT_G = 9.80665  # Standard gravity as a unit [m/s²], independent of the place: BIPM (2019), The SI, table 8
 
 UNITS: dict[str, float] = {
     "si": 1.0,
@@ -80,7 +77,7 @@ class ColumnsCfg:
             raise ConfigError(f"ColumnsCfg.repeat = {self.repeat!r}: must be >= 1, and 1 for more than one column")
 
     @property
-    def plain(self) -> bool:
+    def needs_no_conversion(self) -> bool:
         """Whether the columns need no conversion except their unit."""
         untouched = self.times is None and self.over is None
         return untouched and (self.power, self.gain, self.offset, self.repeat) == (1.0, 1.0, 0.0, 1)
@@ -209,9 +206,7 @@ def mapping_names() -> tuple[str, ...]:
 def find_mapping(name: str | Path) -> LogMapping:
     """Return a built-in mapping by name, or the one in a file that ends in ``.yaml``.
 
-    Raises:
-        UnknownNameError: If the name is unknown.
-        ConfigError: If the file is unreadable or invalid.
+    Raise ``UnknownNameError`` if the name is unknown. Raise ``ConfigError`` if the file is unreadable or invalid.
     """
     if str(name).endswith((".yaml", ".yml")):
         return load(LogMapping, name)

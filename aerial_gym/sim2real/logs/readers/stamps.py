@@ -15,11 +15,10 @@ from scipy import ndimage
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.late_blocks import JOINT_STEPS, find_blocks
-from aerial_gym.sim2real.logs.recording import gap_limit
+from aerial_gym.sim2real.logs.readers.late_blocks import JOINT_STEPS, find_disordered_blocks
+from aerial_gym.sim2real.logs.recording import longest_bridgeable_gap
 
-MOST_BAD = 0.25
-"""Largest share of bad stamps; beyond it a moving median no longer follows the true time."""
+MOST_BAD = 0.25  # Largest share of bad stamps; beyond it a moving median no longer follows the true time
 
 COUNTERS_S = {
     "32 bits of 1 ns": 2**32 * 1e-9,
@@ -34,8 +33,7 @@ COUNTERS_S = {
 }
 """Periods [s] of common counters; after a wrap time must continue within a gap that can be bridged."""
 
-NEAR_ROWS = 5
-"""Rows on each side that are compared to find slightly disordered stamps."""
+NEAR_ROWS = 5  # Rows on each side that are compared to find slightly disordered stamps
 
 PERMANENT = 0.375
 """Least drop of lateness per disordered row, in steps, of a clock that was set back: m steps disorder 2 m rows."""
@@ -43,8 +41,7 @@ PERMANENT = 0.375
 FURTHEST = 0.7
 """Stamps off by at least this share of the worst in their group are bad: two exchanged stamps are off equally."""
 
-SHOWN = 3
-"""Number of places listed in a finding."""
+SHOWN = 3  # Number of places listed in a finding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +68,7 @@ class ClockStep:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StampCheck:
+class StampCorrection:
     """Corrected time of a log without its bad stamps."""
 
     time: Array  # Increasing [s], (K,)
@@ -80,7 +77,7 @@ class StampCheck:
     kept: Flags  # Rows with a valid stamp, in that order, (T,)
     steps: tuple[ClockStep, ...]  # Backward steps of the clock in order
 
-    def late_note(self, places: Sequence[int], topic: str = "") -> list[Finding]:
+    def late_block_findings(self, places: Sequence[int], topic: str = "") -> list[Finding]:
         """Return the finding on late blocks at these lines or samples; empty without any."""
         if not places:
             return []
@@ -95,17 +92,13 @@ def stamp_seconds(stamps: ArrayLike, unit: float) -> Array:
     return signed.astype(np.float64) * unit
 
 
-def check_stamps(stamps: Array, path: str) -> StampCheck:
+def correct_stamps(stamps: Array, path: str) -> StampCorrection:
     """Return the corrected time of the rows with a valid stamp.
 
-    Args:
-        stamps: Logged time [s], NaN where empty, in log order, (T,).
-        path: Name of the log or topic for messages.
-
-    Raises:
-        DataError: If most stamps do not increase, or more than ``MOST_BAD`` are bad.
+    ``stamps``: logged time [s], NaN where empty, in log order, (T,). ``path``: name of the log or topic for messages. Raise
+    ``DataError`` if most stamps do not increase, or more than ``MOST_BAD`` are bad.
     """
-    blocks = find_blocks(stamps, tuple(COUNTERS_S.values()))
+    blocks = find_disordered_blocks(stamps, tuple(COUNTERS_S.values()))
     kept = np.isfinite(stamps)
     kept[blocks.wrong] = False
     stamps, kept = stamps[blocks.order], kept[blocks.order]
@@ -118,31 +111,31 @@ def check_stamps(stamps: Array, path: str) -> StampCheck:
             "with its own time"
         )
     step = float(np.median(steps[steps > 0.0] / np.diff(rows)[steps > 0.0]))
-    kept[rows[_is_far(stamps[rows], rows, step)]] = False
+    kept[rows[_is_far_off(stamps[rows], rows, step)]] = False
     while (bad := _is_slightly_off(stamps[kept], np.flatnonzero(kept), step)).any():
         kept[np.flatnonzero(kept)[bad]] = False
-    time, clock_steps = _with_one_clock(stamps, kept, step)
+    time, clock_steps = _undo_clock_steps(stamps, kept, step)
     bad = int(np.sum(~kept)) + len(clock_steps)
     if bad > MOST_BAD * kept.size:
         raise DataError(
             f"{path}: {bad} of {kept.size} time stamps are missing, equal or out of order; write the rows in the order in "
             "which they were measured, each with its own time"
         )
-    return StampCheck(order=blocks.order, late=blocks.late, time=time, kept=kept, steps=tuple(clock_steps))
+    return StampCorrection(order=blocks.order, late=blocks.late, time=time, kept=kept, steps=tuple(clock_steps))
 
 
-def _is_far(stamps: Array, rows: Indices, step: float) -> Flags:
+def _is_far_off(stamps: Array, rows: Indices, step: float) -> Flags:
     """Return the stamps (K,) that are off by more than a bridgeable gap, and disordered or at an end.
 
     Hampel's filter on the lateness. Source: Davies, Gather (1993), The identification of multiple outliers, JASA 88, section 6.
     """
-    limit = gap_limit(step)
+    limit = longest_bridgeable_gap(step)
     width = min(ceil(limit / step), max(1, (rows.size - 1) // 2))
     late = stamps - step * rows
     off = np.abs(late - ndimage.median_filter(late, size=2 * width + 1, mode="mirror"))
     place = np.arange(rows.size)
     at_end = (place < width) | (place >= rows.size - width)
-    far = (off > limit) & (_out_of_order(stamps, width) | at_end)
+    far = (off > limit) & (_is_out_of_order(stamps, width) | at_end)
     good = np.flatnonzero(~far)
     if not good.size:
         return far
@@ -158,7 +151,7 @@ def _is_slightly_off(stamps: Array, rows: Indices, step: float) -> Flags:
     """
     results, late = np.zeros(rows.size, dtype=bool), stamps - step * rows
     off = np.abs(late - ndimage.median_filter(late, size=2 * NEAR_ROWS + 1, mode="mirror"))
-    labels, count = ndimage.label(_out_of_order(stamps, NEAR_ROWS))  # pyright: ignore[reportGeneralTypeIssues]
+    labels, count = ndimage.label(_is_out_of_order(stamps, NEAR_ROWS))  # pyright: ignore[reportGeneralTypeIssues]
     for (group,) in ndimage.find_objects(labels)[:count]:
         first, last = max(0, group.start - 1), min(group.stop, rows.size - 1)
         if late[first] - late[last] <= PERMANENT * step * (group.stop - group.start):
@@ -166,21 +159,23 @@ def _is_slightly_off(stamps: Array, rows: Indices, step: float) -> Flags:
     return results
 
 
-def _out_of_order(stamps: Array, width: int) -> Flags:
+def _is_out_of_order(stamps: Array, width: int) -> Flags:
     """Return the stamps (K,) not above all ``width`` stamps before, or not below all ``width`` after."""
     padded = np.concatenate((np.full(width, -np.inf), stamps, np.full(width, np.inf)))
     windows = np.lib.stride_tricks.sliding_window_view(padded, width)
     return (windows[: stamps.size].max(axis=1) >= stamps) | (windows[width + 1 :].min(axis=1) <= stamps)
 
 
-def _with_one_clock(stamps: Array, kept: Flags, step: float) -> tuple[Array, list[ClockStep]]:
+def _undo_clock_steps(stamps: Array, kept: Flags, step: float) -> tuple[Array, list[ClockStep]]:
     """Return the kept stamps without backward clock steps, and the steps; time continues by a usual step."""
     rows = np.flatnonzero(kept)
     time, results = stamps[rows], list[ClockStep]()
     for row in (np.flatnonzero(np.diff(time) <= 0.0) + 1).tolist():
         before, after = float(stamps[rows[row - 1]]), float(stamps[rows[row]])
         back, passed = before - after, step * float(rows[row] - rows[row - 1])
-        counter = next((n for n, period in COUNTERS_S.items() if 0.0 < period - back <= gap_limit(step)), "")
+        counter = next(
+            (n for n, period in COUNTERS_S.items() if 0.0 < period - back <= longest_bridgeable_gap(step)), ""
+        )
         shift = COUNTERS_S[counter] if counter else back + passed
         time[row:] += shift
         doubt = bool(counter) and shift - back > JOINT_STEPS * passed

@@ -19,7 +19,7 @@ import pandas as pd
 from aerial_gym.errors import DataError, MissingDependencyError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCheck, check_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.readers.stamps import SHOWN, ClockStep, StampCorrection, correct_stamps, stamp_seconds
 from aerial_gym.sim2real.logs.signals import quaternion_signs
 
 Topics = Mapping[str, Mapping[str, Array]]
@@ -42,20 +42,14 @@ GYRO = {f"gyro_rad[{i}]": f"omega_{axis}" for i, axis in enumerate("xyz")}
 CLOCKS = ("vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "esc_status", "actuator_motors")
 """Topics that every row needs; the slowest of them is the clock."""
 
-REACH = 2.5
-"""Largest distance of the two samples around a row, in usual steps of the topic."""
+REACH = 2.5  # Largest distance of the two samples around a row, in usual steps of the topic
 
 LONGEST_LATENCY_US = 1_000_000
 """Largest delay from sampling to publication [us]; with more, the sample stamp is on another clock."""
 
-WRAP_S = 2**32 * 1e-6
-"""Wrap period of a 32-bit counter of microseconds [s]."""
-
-MOST_UNCOVERED = 0.01
-"""A larger share of rows without samples of a topic is reported."""
-
-SLOWEST_CLOCK_HZ = 20.0
-"""Lowest rate of a clock topic; slower ones except the attitude are dropped."""
+WRAP_S = 2**32 * 1e-6  # Wrap period of a 32-bit counter of microseconds [s]
+MOST_UNCOVERED = 0.01  # A larger share of rows without samples of a topic is reported
+SLOWEST_CLOCK_HZ = 20.0  # Lowest rate of a clock topic; slower ones except the attitude are dropped
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,22 +61,21 @@ class TopicSamples:
     steps: tuple[ClockStep, ...]  # Backward clock steps, corrected in ``time``
 
     @property
-    def set_back(self) -> tuple[ClockStep, ...]:
+    def backward_steps(self) -> tuple[ClockStep, ...]:
         """Return the steps without a wrapped counter, which all topics share."""
         return tuple(step for step in self.steps if not step.counter)
 
     @property
-    def step(self) -> float:
+    def sample_step(self) -> float:
         """Return the median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
 
-def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
+def read_ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
     """Return the table of a ULog file and the corrected times of its clock steps [s].
 
-    Raises:
-        DataError: If the file is not a ULog or has no attitude.
-        MissingDependencyError: If pyulog is not installed.
+    Raise ``DataError`` if the file is not a ULog or has no attitude. Raise ``MissingDependencyError`` if pyulog is not
+    installed.
     """
     try:
         from pyulog import ULog  # pyright: ignore[reportMissingImports]
@@ -97,33 +90,33 @@ def ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[fl
         raise DataError(f"{path}: cannot be read as a PX4 ULog ({error!r})") from None
     if log.file_corruption:
         notes.append(Finding("file_damaged"))
-    return topics_table({part.name: part.data for part in log.data_list if part.multi_id == 0}, str(path), notes)
+    return merge_topics({part.name: part.data for part in log.data_list if part.multi_id == 0}, str(path), notes)
 
 
-def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
+def merge_topics(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
     """Merge topics (arrays by field) into one table on one clock; return it with the corrected times of clock steps [s].
 
     Faster topics are averaged over a step of the clock, slower ones interpolated, commands held. Rows without nearby
-    samples are dropped, so gaps remain. A topic without usable stamps is dropped with a finding.
-
-    Raises:
-        DataError: If the attitude or its time stamps are missing or unusable.
+    samples are dropped, so gaps remain. A topic without usable stamps is dropped with a finding. Raise ``DataError`` if the
+    attitude or its time stamps are missing or unusable.
     """
     if "vehicle_attitude" not in topics:
         raise DataError(f"{path}: has no topic vehicle_attitude; log it (SDLOG_PROFILE) and fly again")
     try:
-        reference = _series(topics, "vehicle_attitude", notes)
+        reference = _topic_samples(topics, "vehicle_attitude", notes)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
     tables = {"vehicle_attitude": reference}
     for name in TOPICS.keys() & topics.keys() - {"vehicle_attitude"}:
         try:
-            tables[name] = _align_clock(reference, _series(topics, name, notes), name)
+            tables[name] = _align_clock(reference, _topic_samples(topics, name, notes), name)
         except DataError as error:
             notes.append(Finding("topic_left_out", "", {"topic": name, "error": str(error)}))
-    series = _with_common_steps({name: tables[name] for name in TOPICS if name in tables and tables[name].columns})
-    clocks = [n for n in CLOCKS if n in series and (series[n].step < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")]
-    clock = max(clocks, key=lambda name: series[name].step)
+    series = _equalise_clock_steps({name: tables[name] for name in TOPICS if name in tables and tables[name].columns})
+    clocks = [
+        n for n in CLOCKS if n in series and (series[n].sample_step < 1.0 / SLOWEST_CLOCK_HZ or n == "vehicle_attitude")
+    ]
+    clock = max(clocks, key=lambda name: series[name].sample_step)
     rows, columns = series[clock].time, {}
     near = np.ones(rows.size, dtype=bool)
     for name, one in series.items():
@@ -132,10 +125,12 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
         held = name.startswith("actuator")
         for label, column in one.columns.items():
             columns[label] = (
-                column if name == clock else _on_clock(rows, one.time, column, series[clock].step, held=held)
+                column
+                if name == clock
+                else _resample_to_clock(rows, one.time, column, series[clock].sample_step, held=held)
             )
         if name != "battery_status":
-            covered = _is_covered(rows, one.time, one.step)
+            covered = _is_covered(rows, one.time, one.sample_step)
             if np.mean(~covered) > MOST_UNCOVERED:
                 left_out = {"rows": int(np.sum(~covered)), "total": rows.size, "topic": name}
                 notes.append(Finding("rows_without_topic", "", left_out))
@@ -145,11 +140,10 @@ def topics_table(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
     return table, tuple(float(attitude.time[step.row]) for step in attitude.steps)
 
 
-def _series(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
+def _topic_samples(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
     """Return the usable samples of a topic; no columns if it holds none.
 
-    Raises:
-        DataError: If its time stamps are unusable.
+    Raise ``DataError`` if its time stamps are unusable.
     """
     topic, wanted = topics[name], dict(TOPICS[name])
     if name == "sensor_combined" and "vehicle_angular_velocity" not in topics:
@@ -161,8 +155,8 @@ def _series(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
     if not values:
         return TopicSamples(time=np.zeros(0), columns={}, steps=())
     whole = np.all([np.isfinite(column) for column in values.values()], axis=0)
-    checked = _topic_time(topic, f"topic {name}")
-    notes.extend(checked.late_note(checked.late.tolist(), topic=name))
+    checked = _topic_stamps(topic, f"topic {name}")
+    notes.extend(checked.late_block_findings(checked.late.tolist(), topic=name))
     whole, values = whole[checked.order], {label: column[checked.order] for label, column in values.items()}
     good = whole[checked.kept]
     if good.sum() < 2:
@@ -179,7 +173,7 @@ def _series(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
     return TopicSamples(time=checked.time[good], columns=columns, steps=steps)
 
 
-def _topic_time(topic: Mapping[str, Array], name: str) -> StampCheck:
+def _topic_stamps(topic: Mapping[str, Array], name: str) -> StampCorrection:
     """Return the sampling time of a topic, or its publication time if the former is on another clock or unusable."""
     published, sampled = (topic.get(name) for name in ("timestamp", "timestamp_sample"))
     stamps = [stamp for stamp in (sampled, published) if stamp is not None]
@@ -188,18 +182,17 @@ def _topic_time(topic: Mapping[str, Array], name: str) -> StampCheck:
         if np.median((latency >= 0) & (latency < LONGEST_LATENCY_US)) == 0.0:
             stamps.reverse()
     try:
-        return check_stamps(stamp_seconds(stamps[0], 1e-6), name)
+        return correct_stamps(stamp_seconds(stamps[0], 1e-6), name)
     except DataError:
         if len(stamps) == 1:
             raise
-        return check_stamps(stamp_seconds(stamps[1], 1e-6), name)
+        return correct_stamps(stamp_seconds(stamps[1], 1e-6), name)
 
 
 def _align_clock(reference: TopicSamples, one: TopicSamples, name: str) -> TopicSamples:
     """Return a topic moved by multiples of ``WRAP_S`` onto the reference clock.
 
-    Raises:
-        DataError: If the times do not overlap, or the number of backward clock steps differs.
+    Raise ``DataError`` if the times do not overlap, or the number of backward clock steps differs.
     """
     if not one.columns:
         return one
@@ -210,27 +203,28 @@ def _align_clock(reference: TopicSamples, one: TopicSamples, name: str) -> Topic
             f"topic {name} runs from {one.time[0]:.6g} to {one.time[-1]:.6g} s, vehicle_attitude from "
             f"{reference.time[0]:.6g} to {reference.time[-1]:.6g} s"
         )
-    if len(one.set_back) != len(reference.set_back):
+    if len(one.backward_steps) != len(reference.backward_steps):
         raise DataError(
-            f"topic {name} shows {len(one.set_back)} steps back of the clock, vehicle_attitude {len(reference.set_back)}"
+            f"topic {name} shows {len(one.backward_steps)} steps back of the clock, vehicle_attitude "
+            f"{len(reference.backward_steps)}"
         )
     return shifted
 
 
-def _with_common_steps(series: dict[str, TopicSamples]) -> dict[str, TopicSamples]:
+def _equalise_clock_steps(series: dict[str, TopicSamples]) -> dict[str, TopicSamples]:
     """Return the topics with equal clock corrections: the least of each step, which the fastest topic resolves best."""
-    shifts = np.array([[step.shift for step in one.set_back] for one in series.values()])
+    shifts = np.array([[step.shift for step in one.backward_steps] for one in series.values()])
     least = shifts.min(axis=0)
     tables = dict[str, TopicSamples]()
     for (name, one), own in zip(series.items(), shifts, strict=True):
         time = one.time.copy()
-        for step, excess in zip(one.set_back, own - least, strict=True):
+        for step, excess in zip(one.backward_steps, own - least, strict=True):
             time[step.row :] -= excess
         tables[name] = replace(one, time=time)
     return tables
 
 
-def _on_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:
+def _resample_to_clock(rows: Array, time: Array, values: Array, step: float, *, held: bool) -> Array:
     """Return values (T,) at the rows: held, averaged over a step with several samples, else interpolated."""
     if held:
         return values[np.clip(np.searchsorted(time, rows, side="right") - 1, 0, None)]

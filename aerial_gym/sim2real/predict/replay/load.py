@@ -22,42 +22,35 @@ from aerial_gym.physics.model import Model
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import DERIVED_BAND, Flight
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.predict.replay.load_swing import swing
+from aerial_gym.sim2real.predict.replay.load_swing import integrate_swing
 
 STEP_S = 0.02
 """Integration step [s]; Runge-Kutta of order 4 follows 10 rad/s with an error of 3e-6 of the angle per step."""
 
-SETTLED_S = 0.5
-"""Span [s] whose mean apparent gravity gives the link's rest direction."""
-
-BAND = 5.0
-"""Bandwidth of the measured acceleration [Hz]; links longer than 0.1 m swing below 2 Hz."""
+SETTLED_S = 0.5  # Span [s] whose mean apparent gravity gives the link's rest direction
+BAND = 5.0  # Bandwidth of the measured acceleration [Hz]; links longer than 0.1 m swing below 2 Hz
 
 FOUND_S = (2.0, 4.0, 8.0, 16.0, 16.0)
 """Spans of the initial fit [s], one Gauss-Newton step each; long ones are precise but need a good start. The fixed number
 of steps keeps predictions smooth in the parameters."""
 
-FORCE_STD = 0.1
-"""Standard deviation of the specific force residual [m/s²] in the initial fit."""
+FORCE_STD = 0.1  # Standard deviation of the specific force residual [m/s²] in the initial fit
 
 START_STD = (0.3, 0.3, 1.0, 1.0)
 """Prior standard deviations of the initial angles [rad] and rates [rad/s], for a moderate swing of a link of a metre."""
 
-NUDGE = 1e-6
-"""Finite-difference step of the initial state [rad], [rad/s]."""
-
-REMEMBERED = 8
-"""Number of stored results."""
+NUDGE = 1e-6  # Finite-difference step of the initial state [rad], [rad/s]
+REMEMBERED = 8  # Number of stored results
 
 
 @dataclass(frozen=True, kw_only=True)
-class Link:
+class LoadLink:
     """State of a load's link along one flight."""
 
     time: Array  # [s], (T,)
     load: Array  # Direction n and rate n' [1/s], world, (T, 6)
 
-    def interpolate(self, times: Array) -> Array:
+    def interpolate_state(self, times: Array) -> Array:
         """Return direction and rate at other times, (W, 6), by linear interpolation with ``|n| = 1``."""
         load = np.stack([np.interp(times, self.time, column) for column in self.load.T], axis=1)
         direction = load[:, :3] / np.linalg.norm(load[:, :3], axis=1, keepdims=True)
@@ -79,7 +72,9 @@ class LoadReplay:
         if self._known:
             count = int(np.ceil(max(self._spans) / STEP_S)) + 1
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
-            self._acceleration = torch.from_numpy(np.stack([self._motion(flight) for flight in flights], axis=1))
+            self._acceleration = torch.from_numpy(
+                np.stack([self._origin_acceleration(flight) for flight in flights], axis=1)
+            )
             self._start = torch.stack([self._rest_link(place, flight) for place, flight in enumerate(flights)])
             hanging = self._start[:, :3]
             self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
@@ -88,7 +83,7 @@ class LoadReplay:
             grid = self._time[::2][: max(self._num_found) + 1, None]
             self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
-    def loads(self, model: Model, missed: Sequence[Array] | None = None) -> Tensor:
+    def link_states(self, model: Model, missed: Sequence[Array] | None = None) -> Tensor:
         """Return direction n and rate n' of the link, world, (E, 6), in the rows of all flights in sequence.
 
         Args:
@@ -97,20 +92,22 @@ class LoadReplay:
                 rest.
         """
         effect, params = model.effects[LoadEffect][0]
-        felt, numbers = (None, None) if missed is None else self._at_steps(missed)
+        felt, numbers = (None, None) if missed is None else self._interpolate_to_steps(missed)
         key = (effect.name, model.gravity, *params[0].tolist(), numbers)
         if key not in self._results:
-            start = self._start if felt is None else self._find_start(model, felt)
-            swings = swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[0].numpy()
+            start = self._start if felt is None else self._fit_initial_links(model, felt)
+            swings = integrate_swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[
+                0
+            ].numpy()
             if not np.isfinite(swings).all():  # invalid pendulum parameters, which a fit rejects
                 return torch.full((sum(map(len, self._times)), 6), torch.nan, dtype=torch.float64)
-            self._results[key] = self._in_rows(swings)
+            self._results[key] = self._link_states_in_rows(swings)
             if len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
         return self._results[key]
 
-    def _in_rows(self, swings: Array) -> Tensor:
+    def _link_states_in_rows(self, swings: Array) -> Tensor:
         """Return direction and rate in the rows of each flight, (E, 6), from those at every step, (N + 1, F, 6)."""
         curves = [CubicHermiteSpline(self._time[::2], s[:, :3], s[:, 3:]) for s in swings.swapaxes(0, 1)]
         parts = [np.concatenate((c(t), c(t, 1)), axis=1) for c, t in zip(curves, self._times, strict=True)]
@@ -119,7 +116,7 @@ class LoadReplay:
         rate = load[:, 3:] - (load[:, 3:] * direction).sum(-1, keepdim=True) * direction
         return torch.cat((direction, rate), dim=-1)
 
-    def _motion(self, flight: Flight) -> Array:
+    def _origin_acceleration(self, flight: Flight) -> Array:
         """Return the acceleration of the origin every half step [m/s²], world, (2 N + 1, 3)."""
         assert flight.lin_vel is not None
         slow = lowpass(flight.lin_vel, flight.rate, min(BAND, DERIVED_BAND * flight.rate), derivative=True)
@@ -132,7 +129,7 @@ class LoadReplay:
         apparent[2] -= STANDARD_GRAVITY
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
 
-    def _at_steps(self, values: Sequence[Array]) -> tuple[Tensor, bytes]:
+    def _interpolate_to_steps(self, values: Sequence[Array]) -> tuple[Tensor, bytes]:
         """Return values at the rows of each flight (rows, 3) interpolated to the first steps, (K + 1, F, 3), and their bytes.
 
         Values beyond the end of a flight are 0. The last result is reused for the same input object.
@@ -147,7 +144,7 @@ class LoadReplay:
             self._missed, self._felt = values, (torch.from_numpy(links), links.tobytes())
         return self._felt
 
-    def _find_start(self, model: Model, missed: Tensor) -> Tensor:
+    def _fit_initial_links(self, model: Model, missed: Tensor) -> Tensor:
         """Return the initial links, (F, 6), that best explain the residual ``missed`` (K + 1, F, 3) [m/s²]."""
         effect, params = model.effects[LoadEffect][0]
         num_flights, moved = len(self._spans), torch.zeros(5, len(self._spans), 4, dtype=torch.float64)
@@ -157,7 +154,7 @@ class LoadReplay:
         side_by_side = self._acceleration[: 2 * max(self._num_found) + 1].repeat(1, 5, 1)
         for count in self._num_found:
             start, acceleration = self._perturb_rest(moved).flatten(0, 1), side_by_side[: 2 * count + 1]
-            force = swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
+            force = integrate_swing(effect, params[0], start, acceleration, step=STEP_S, gravity=model.gravity)[1]
             pulled = force.unflatten(1, (5, num_flights)) / model.vehicle.mass[0]  # (K + 1, 5, F, 3)
             left = (missed[: count + 1] - pulled[:, 0]) * weight[: count + 1]
             slope = (pulled[:, 1:] - pulled[:, :1]) / NUDGE * weight[: count + 1].unsqueeze(1)

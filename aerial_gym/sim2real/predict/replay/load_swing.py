@@ -29,29 +29,25 @@ class _Suspension:
 
 
 @wp.func
-def _join(top: wp.vec3d, bottom: wp.vec3d) -> wp.spatial_vectord:
+def _spatial_vector(top: wp.vec3d, bottom: wp.vec3d) -> wp.spatial_vectord:
     return wp.spatial_vectord(top[0], top[1], top[2], bottom[0], bottom[1], bottom[2])
 
 
-def swing(
+def integrate_swing(
     effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, *, step: float, gravity: float
 ) -> tuple[Tensor, Tensor]:
     """Return the motion of links under moving origins and the forces on these [N], by Runge-Kutta steps of order 4.
+
+    Returns direction and rate of the links, (N + 1, F, 6), and forces, (N + 1, F, 3), world.
 
     Args:
         effect: Load effect that gives the equation of motion.
         params: Parameters of the effect, float64, (P,).
         start: Initial direction and rate of the links, world, float64, (F, 6).
         acceleration: Acceleration of the origins [m/s²], world, every half step, float64, (2 N + 1, F, 3).
-        step: Integration step [s].
         gravity: Downward acceleration of free fall [m/s²].
 
-    Returns:
-        Direction and rate of the links, (N + 1, F, 6), and forces, (N + 1, F, 3), world.
-
-    Raises:
-        CapabilityError: If its law cannot be traced.
-        ShapeError: If the shapes do not match.
+    Raise ``CapabilityError`` if its law cannot be traced. Raise ``ShapeError`` if the shapes do not match.
     """
     rows, count = acceleration.shape[:2]
     if rows % 2 == 0 or tuple(start.shape) != (count, 6):
@@ -61,7 +57,7 @@ def swing(
     start_warp()
     load, force = (torch.empty(rows // 2 + 1, count, width, dtype=torch.float64) for width in (6, 3))
     wp.launch(
-        _make_kernel(effect),
+        _make_swing_kernel(effect),
         dim=count,
         inputs=[
             wp.from_torch(acceleration.contiguous(), dtype=wp.vec3d),
@@ -77,7 +73,7 @@ def swing(
 
 
 @cache
-def _make_kernel(effect: LoadEffect) -> wp.Kernel:
+def _make_swing_kernel(effect: LoadEffect) -> wp.Kernel:
     """Return the kernel for an effect."""
     params_type = wp.types.vector(length=len(effect.parameters), dtype=wp.float64)
     pull = make_pull(effect, _Suspension, wp.spatial_vectord, wp.vec3d, params_type)
@@ -88,7 +84,7 @@ def _make_kernel(effect: LoadEffect) -> wp.Kernel:
         at.acceleration = acceleration
         at.gravity = gravity
         force, swing = pull(at, load, params)
-        return _join(wp.spatial_bottom(load), swing), force
+        return _spatial_vector(wp.spatial_bottom(load), swing), force
 
     @wp.kernel(module="unique", enable_backward=False)
     def follow(
@@ -116,7 +112,7 @@ def _make_kernel(effect: LoadEffect) -> wp.Kernel:
             load += step / wp.float64(6.0) * (k1 + wp.float64(2.0) * (k2 + k3) + k4)
             direction = wp.normalize(wp.spatial_top(load))
             rate = wp.spatial_bottom(load)
-            load = _join(direction, rate - wp.dot(rate, direction) * direction)
+            load = _spatial_vector(direction, rate - wp.dot(rate, direction) * direction)
             k1, force = slope(end, load, params, gravity)
             load_out[row, origin] = load
             force_out[row, origin] = force

@@ -16,7 +16,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.rows.batches import one_row
+from aerial_gym.sim2real.predict.rows.batches import vehicle_of_row
 
 
 def effects_with_memory(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
@@ -29,7 +29,7 @@ def effects_with_memory(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor
             yield effect, params
 
 
-def make_track(
+def make_flight_track(
     flight: Flight, vehicle: Vehicle, rotor_speed: Tensor, step: float, *, settled: float = 1.0
 ) -> FlightTrack:
     """Return the track that drives memory along a flight; arguments as the fields of ``Track``."""
@@ -57,9 +57,9 @@ def replay_memory(
     effects = list(effects_with_memory(model.effects))
     if not effects:
         return {}
-    vehicle, led = one_row(model.vehicle, 0), speeds or [None] * len(flights)
+    vehicle, led = vehicle_of_row(model.vehicle, 0), speeds or [None] * len(flights)
     tracks = [
-        make_track(flight, vehicle, true_speed(flight, model, own), 1.0 / flight.rate, settled=settled)
+        make_flight_track(flight, vehicle, true_rotor_speed(flight, model, own), 1.0 / flight.rate, settled=settled)
         for flight, own in zip(flights, led, strict=True)
     ]
     return {
@@ -68,7 +68,7 @@ def replay_memory(
     }
 
 
-def true_speed(flight: Flight, model: Model, led: Array | None) -> Tensor:
+def true_rotor_speed(flight: Flight, model: Model, led: Array | None) -> Tensor:
     """Return the true rotor speeds in every row of a log [rad/s], (T, R): measured, else the replayed ``led``."""
     speed = led if flight.rotor_speed is None else flight.rotor_speed
     assert speed is not None

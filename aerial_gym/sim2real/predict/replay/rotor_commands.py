@@ -25,11 +25,10 @@ from aerial_gym.sim2real.logs.flights import Flight, flight_names
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import VehicleDeviation
 
-LEAST_VARIATION = 0.01
-"""Least relative variation of the voltage that is distinguishable from a constant factor."""
+LEAST_VARIATION = 0.01  # Least relative variation of the voltage that is distinguishable from a constant factor
 
 
-def commands_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
+def target_speeds_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
     """Return the target speeds at the start and in the rest of each row [rad/s], (T, R) each, and the first part's share.
 
     A command holds until the next row. Before the first command arrives, its value is assumed.
@@ -39,8 +38,7 @@ def commands_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> 
         model: Model with delay and battery effects, one environment.
         shift: Interpolation of each command towards the next, as a share of a row.
 
-    Raises:
-        DataError: If the log lacks a quantity that an effect needs.
+    Raise ``DataError`` if the log lacks a quantity that an effect needs.
     """
     command = flight.rotor_command
     assert command is not None
@@ -52,23 +50,23 @@ def commands_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> 
     return earlier, later, late - whole
 
 
-def mean_commands(flight: Flight, model: Model, *, shift: float = 0.0) -> Array:
-    """Return the mean target speeds over each row [rad/s], (T, R); ``shift`` as in ``commands_with_delay``."""
-    earlier, later, share = commands_with_delay(flight, model, shift=shift)
+def mean_target_speeds(flight: Flight, model: Model, *, shift: float = 0.0) -> Array:
+    """Return the mean target speeds over each row [rad/s], (T, R); ``shift`` as in ``target_speeds_with_delay``."""
+    earlier, later, share = target_speeds_with_delay(flight, model, shift=shift)
     return (share * earlier + (1.0 - share) * later).numpy()
 
 
-def is_commanded(flights: Sequence[Flight]) -> bool:
+def has_commands(flights: Sequence[Flight]) -> bool:
     """Return whether all flights have commands; otherwise the measured rotor speeds drive the rotors."""
     return all(flight.rotor_command is not None for flight in flights)
 
 
-def with_arriving_commands(off: VehicleDeviation, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
+def replace_by_arriving_commands(off: VehicleDeviation, flights: Sequence[Flight], params: ModelParams) -> list[Flight]:
     """Return the flights with commands as they arrive at the rotors, so that windows include those in transit."""
     acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
     model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])
     shift = off.command_shift
-    return [replace(flight, rotor_command=mean_commands(flight, model, shift=shift)) for flight in flights]
+    return [replace(flight, rotor_command=mean_target_speeds(flight, model, shift=shift)) for flight in flights]
 
 
 def acts_on_commands(name: str) -> bool:
@@ -80,7 +78,7 @@ def _target_speed(flight: Flight, model: Model, command: Tensor) -> Tensor:
     """Return the target speeds of commands (T, R) at the voltage of their rows."""
     command = stop_in_dead_band(model.vehicle, command)
     for effect, params in model.effects[CommandEffect]:
-        if lacking := absent_quantity(effect, [flight]):
+        if lacking := finding_on_absent_quantity(effect, [flight]):
             where = lacking.values["flights"]
             raise DataError(
                 f"effect {effect.name}: {where}: without battery voltage; log it in volts (column vbat), or leave the effect "
@@ -92,7 +90,7 @@ def _target_speed(flight: Flight, model: Model, command: Tensor) -> Tensor:
     return command
 
 
-def absent_quantity(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+def finding_on_absent_quantity(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding on a logged quantity that an effect needs and flights lack; None if all are there."""
     without = [flight for flight in flights if flight.battery is None]
     if "battery" in effect.logged and without:
@@ -100,7 +98,7 @@ def absent_quantity(effect: Effect, flights: Sequence[Flight]) -> Finding | None
     return None
 
 
-def low_voltage_variation(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+def finding_on_steady_voltage(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding if the voltage of all flights varies too little to identify an effect; else None."""
     if "battery" not in effect.logged:
         return None
@@ -112,7 +110,7 @@ def low_voltage_variation(effect: Effect, flights: Sequence[Flight]) -> Finding 
     return Finding("voltage_too_steady", effect.name, {"share": float((high - low) / middle)})
 
 
-def slow_command_period(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
+def finding_on_slow_commands(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding if the time between commands exceeds the rotor lag, so an actuation effect is not identifiable.
 
     Rotors then also follow commands between the logged rows, and a fitted lag would compensate for these.

@@ -20,13 +20,13 @@ from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
 
 
 @wp.func
-def _approach(speed: wp.float64, command: wp.float64, kept: wp.vec2d) -> wp.float64:
+def _lag_step(speed: wp.float64, command: wp.float64, kept: wp.vec2d) -> wp.float64:
     """Return the speed after a first-order step; ``kept``: shares of a rising and a falling difference that remain."""
     return command + (speed - command) * wp.where(command > speed, kept[0], kept[1])
 
 
 @wp.kernel(enable_backward=False)
-def _follow(
+def _simulate_lag(
     ends: wp.array[wp.int32],  # (F + 1,) first row of each flight, and N
     first: wp.array2d[wp.float64],  # (F, R) [rad/s]
     earlier: wp.array2d[wp.float64],  # (N, R) [rad/s]
@@ -41,12 +41,12 @@ def _follow(
     speed = first[flight, rotor]
     for row in range(ends[flight], ends[flight + 1]):
         speed_out[row, rotor] = speed
-        speed = _approach(speed, earlier[row, rotor], kept_early[flight, rotor])
-        speed = _approach(speed, later[row, rotor], kept_late[flight, rotor])
+        speed = _lag_step(speed, earlier[row, rotor], kept_early[flight, rotor])
+        speed = _lag_step(speed, later[row, rotor], kept_late[flight, rotor])
 
 
 @cache
-def _make_follow_limited() -> Any:
+def _make_limited_lag_kernel() -> Any:
     limited_lag = make_limited_lag(wp.float64)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -72,7 +72,7 @@ def _make_follow_limited() -> Any:
     return follow
 
 
-def follow_commands(
+def simulate_rotor_lag(
     first: Tensor,
     earlier: Tensor,
     later: Tensor,
@@ -97,11 +97,10 @@ def follow_commands(
         step: Time between two rows of each flight [s], (F,).
         tau_up: Time constant of a rising speed [s], (R,); 0 follows at once.
         tau_down: Time constant of a falling speed [s], (R,).
-        slew_rates: Largest rates of rising and falling speeds [rad/s²], each (R,), infinite without a limit. None: no
-            rotor has a limit or is reversible.
+        slew_rates: Largest rates of rising and falling speeds [rad/s²], each (R,), infinite without a limit. None: no rotor
+            has a limit or is reversible.
 
-    Raises:
-        ShapeError: If the shapes of the commands do not match the flights.
+    Raise ``ShapeError`` if the shapes of the commands do not match the flights.
     """
     rows = (int(ends[-1]), first.shape[1])
     if tuple(earlier.shape) != rows or tuple(later.shape) != rows:
@@ -111,11 +110,11 @@ def follow_commands(
     if slew_rates is None:
         kept = torch.exp(-step[:, None, None] / torch.stack((tau_up, tau_down), dim=-1))  # (F, R, 2) over a whole row
         part = share[:, None, None]
-        kernel, numbers = _follow, [kept**part, kept ** (1.0 - part)]
+        kernel, numbers = _simulate_lag, [kept**part, kept ** (1.0 - part)]
     else:
         lags = [*(tau.clamp_min(SHORTEST) for tau in (tau_up, tau_down)), *(s.clamp_max(FASTEST) for s in slew_rates)]
         spans = torch.stack((share * step, (1.0 - share) * step), dim=-1)
-        kernel, numbers = _make_follow_limited(), [torch.stack(lags, dim=-1), spans]
+        kernel, numbers = _make_limited_lag_kernel(), [torch.stack(lags, dim=-1), spans]
     rows_of = [wp.from_torch(n.contiguous(), dtype=wp.vec4d if n.shape[-1] == 4 else wp.vec2d) for n in numbers]
     wp.launch(
         kernel,

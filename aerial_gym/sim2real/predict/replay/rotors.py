@@ -14,11 +14,10 @@ from aerial_gym.physics import Model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.predict.replay.rotor_commands import commands_with_delay
-from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
+from aerial_gym.sim2real.predict.replay.rotor_commands import target_speeds_with_delay
+from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
 
-REMEMBERED = 8
-"""Number of stored results; a fit repeats few different lags."""
+REMEMBERED = 8  # Number of stored results; a fit repeats few different lags
 
 
 class RotorReplay:
@@ -42,8 +41,7 @@ class RotorReplay:
             shift: Interpolation of each command towards the next, as a share of a row.
             sensors: Effects on the rotor speed sensors, with parameters (1, P).
 
-        Raises:
-            DataError: If a log lacks a quantity that an effect needs.
+        Raise ``DataError`` if a log lacks a quantity that an effect needs.
         """
         vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
         numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]
@@ -51,22 +49,22 @@ class RotorReplay:
         alike = torch.cat(numbers, dim=1)[0].numpy().tobytes()  # bytes, as an undeclared battery is NaN
         key = (tuple(effect.name for effect, _ in effects), shift, alike)
         if key not in self._results:
-            self._results[key] = self._run(model, shift, sensors)
+            self._results[key] = self._simulate_speeds(model, shift, sensors)
             while len(self._results) > REMEMBERED:
                 self._results.popitem(last=False)
         self._results.move_to_end(key)
         return self._results[key]
 
-    def _run(
+    def _simulate_speeds(
         self, model: Model, shift: float, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]
     ) -> list[Array | None]:
         result: list[Array | None] = [None] * len(self._flights)
         if not self._members:
             return result
-        arriving = [commands_with_delay(self._flights[index], model, shift=shift) for index in self._members]
+        arriving = [target_speeds_with_delay(self._flights[index], model, shift=shift) for index in self._members]
         earlier, later, shares = zip(*arriving, strict=True)
-        table = follow_commands(
-            torch.stack([self._first(index, sensors) for index in self._members]),
+        table = simulate_rotor_lag(
+            torch.stack([self._initial_speeds(index, sensors) for index in self._members]),
             torch.cat(earlier),
             torch.cat(later),
             torch.tensor(shares, dtype=torch.float64),
@@ -84,7 +82,7 @@ class RotorReplay:
             result[index] = table[self._ends[place] : self._ends[place + 1]].numpy()
         return result
 
-    def _first(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
+    def _initial_speeds(self, index: int, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
         """Return the true initial speeds, (R,): measured, corrected for sensor errors, else the first commands."""
         flight = self._flights[index]
         if flight.rotor_speed is None:

@@ -20,12 +20,11 @@ from aerial_gym.physics.rotors import map_terms, rotor_matrix
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 
-KEPT = 2
-"""Number of cached results per effect and sensor, as in ``physics.answers``."""
+KEPT = 2  # Number of cached results per effect and sensor, as in ``physics.answers``
 
 
 @dataclass(frozen=True, kw_only=True)
-class Late:
+class SensorDelays:
     """Delays of the sensors on the clock of the rows, by flight [s]."""
 
     force: tuple[float, ...]  # Delay of the accelerometer, or of the derived force
@@ -33,7 +32,7 @@ class Late:
     gyro: tuple[float, ...]
 
 
-class InBand:
+class BandResponse:
     """Low-passed forces on the vehicle along some flights."""
 
     def __init__(self, data: Dataset) -> None:
@@ -41,23 +40,23 @@ class InBand:
         self._data = data
         self._known: dict[str, list[tuple[Tensor, tuple[float, ...], Tensor]]] = {}
         on_time = (0.0,) * len(data.times)
-        self._on_time = Late(force=on_time, gyro=on_time)
+        self._on_time = SensorDelays(force=on_time, gyro=on_time)
         rates = data.state["ang_vel"]
         products = (rates.unsqueeze(2) * rates.unsqueeze(1)).flatten(1)
         self._motion_rows = torch.cat((data.ang_acc, products), dim=1)
-        self._motion = self._slow(self._motion_rows, on_time)
+        self._motion = self._lowpass_rows(self._motion_rows, on_time)
         """Measured angular acceleration and products of angular velocities, (3 + 9, T)."""
 
         self._lead, self._late_motion = on_time, self._motion
 
-    def body_response(
+    def accelerations_in_band(
         self,
         model: Model,
         rotor_speed: Tensor,
         acting: ForceBreakdown,
         *,
         about: Tensor | None = None,
-        late: Late | None = None,
+        late: SensorDelays | None = None,
     ) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
@@ -71,24 +70,24 @@ class InBand:
             late: Sensor delays; None: zero.
         """
         late = late or self._on_time
-        vehicle, wrench = model.vehicle, self._wrench(model, rotor_speed, acting, about, late.force)
+        vehicle, wrench = model.vehicle, self._wrench_in_band(model, rotor_speed, acting, about, late.force)
         if late.gyro != late.force:
-            wrench[3:] = self._wrench(model, rotor_speed, acting, about, late.gyro)[3:]
-        _, products = _of_motion()
+            wrench[3:] = self._wrench_in_band(model, rotor_speed, acting, about, late.gyro)[3:]
+        _, products = _motion_selectors()
         spin = products @ vehicle.inertia[0]  # w (J w)^T, J is symmetric
         gyroscopic = torch.stack([spin[:, i, j] - spin[:, j, i] for i, j in ((1, 2), (2, 0), (0, 1))])
-        force = wrench[:3] / vehicle.mass[0] - self.lever_response(vehicle.com[0], late)
+        force = wrench[:3] / vehicle.mass[0] - self.lever_arm_acceleration(vehicle.com[0], late)
         torque = model.inertia_inverse[0] @ (wrench[3:] - gyroscopic @ self._motion)
         return Accelerations(specific_force=force.T, ang_acc=torque.T)
 
-    def _wrench(
+    def _wrench_in_band(
         self, model: Model, rotor_speed: Tensor, acting: ForceBreakdown, about: Tensor | None, late: tuple[float, ...]
     ) -> Tensor:
         """Return the total forces and torques in the band, (6, T), with a delay [s] per flight."""
         vehicle = model.vehicle
 
         def law_rows(name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
-            return self._law_in_band(name, late, rows, law)
+            return self._rows_in_band(name, late, rows, law)
 
         terms = law_rows("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
         maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
@@ -106,26 +105,28 @@ class InBand:
                 wrench[3:] += torch.linalg.cross((about - vehicle.com[0])[:, None], part[:3], dim=0)
         return wrench
 
-    def lever_response(self, place: Tensor, late: Late) -> Tensor:
+    def lever_arm_acceleration(self, place: Tensor, late: SensorDelays) -> Tensor:
         """Return the extra acceleration of a point [m], body, (3,), against the origin, from measured rotation [m/s²], (3, T).
 
         The formula is ``alpha x r + w (w r) - w² r``, with the delay of the force.
         """
-        turning, products = _of_motion()
+        turning, products = _motion_selectors()
         square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
         lever = torch.linalg.cross(turning, place[None]) + products @ place - square[:, None] * place
-        return lever.T @ self._gyro_motion(late)
+        return lever.T @ self._rotation_in_band(late)
 
-    def _gyro_motion(self, late: Late) -> Tensor:
+    def _rotation_in_band(self, late: SensorDelays) -> Tensor:
         """Return the measured rotation, (12, T), with the delay of the force."""
         lead = tuple(force - gyro for force, gyro in zip(late.force, late.gyro, strict=True))
         if not any(lead):
             return self._motion
         if lead != self._lead:
-            self._lead, self._late_motion = lead, self._slow(self._motion_rows, lead)
+            self._lead, self._late_motion = lead, self._lowpass_rows(self._motion_rows, lead)
         return self._late_motion
 
-    def _law_in_band(self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]) -> Tensor:
+    def _rows_in_band(
+        self, name: str, late: tuple[float, ...], rows: Tensor, law: Callable[[Tensor], Tensor]
+    ) -> Tensor:
         """Return a function of rows (E, ...) in the band, (..., T), cached by tensor and delay."""
         kept = self._known.setdefault(name, [])
         for number, (before, delays, filtered) in enumerate(kept):
@@ -133,17 +134,17 @@ class InBand:
                 kept.insert(0, kept.pop(number))
                 return filtered
         values = law(rows)
-        filtered = self._slow(values.flatten(1), late).unflatten(0, values.shape[1:])
+        filtered = self._lowpass_rows(values.flatten(1), late).unflatten(0, values.shape[1:])
         kept.insert(1, (rows, late, filtered))
         del kept[2 * KEPT :]
         return filtered
 
-    def _slow(self, rows: Tensor, late: tuple[float, ...]) -> Tensor:
+    def _lowpass_rows(self, rows: Tensor, late: tuple[float, ...]) -> Tensor:
         """Return low-passed rows (E, K) as columns (K, T)."""
-        return torch.from_numpy(self._data.in_band(rows.T.contiguous().numpy(), late))
+        return torch.from_numpy(self._data.columns_in_band(rows.T.contiguous().numpy(), late))
 
 
-def _of_motion() -> tuple[Tensor, Tensor]:
+def _motion_selectors() -> tuple[Tensor, Tensor]:
     """Return selectors of the motion's columns: angular acceleration (12, 3), products of rates (12, 3, 3)."""
     unit = torch.eye(12, dtype=torch.float64)
     return unit[:, :3], unit[:, 3:].view(-1, 3, 3)

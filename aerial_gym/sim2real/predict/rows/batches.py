@@ -11,8 +11,7 @@ from aerial_gym.physics.model import Model, in_steady_wind
 from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
-MOST_ROWS = 16000
-"""Most rows per batch; larger ones exceed the processor's cache and are slower per row."""
+MOST_ROWS = 16000  # Most rows per batch; larger ones exceed the processor's cache and are slower per row
 
 
 def group_flights(rows: Sequence[int]) -> list[slice]:
@@ -24,12 +23,12 @@ def group_flights(rows: Sequence[int]) -> list[slice]:
     return [slice(a, b) for a, b in pairwise([*ends, len(rows)])]
 
 
-def expand_rows(vehicle: Vehicle, rows: int) -> Vehicle:
+def expand_vehicle(vehicle: Vehicle, rows: int) -> Vehicle:
     """Return a vehicle of one environment expanded to every row, without copies."""
     return vehicle.map_rows(lambda values: values.expand(rows, *values.shape[1:]))
 
 
-def one_row(vehicle: Vehicle, row: int) -> Vehicle:
+def vehicle_of_row(vehicle: Vehicle, row: int) -> Vehicle:
     """Return one environment of a vehicle."""
     return vehicle.map_rows(lambda values: values[row : row + 1])
 
@@ -38,13 +37,13 @@ def expand_model(model: Model, rows: int) -> Model:
     """Return a model of one environment expanded to every row, without copies."""
     return replace(
         model,
-        vehicle=expand_rows(model.vehicle, rows),
+        vehicle=expand_vehicle(model.vehicle, rows),
         inertia_inverse=model.inertia_inverse.expand(rows, 3, 3),
         effects=model.effects.with_params(lambda _, params: params.expand(rows, -1)),
     )
 
 
-def with_known_wind(model: Model, flights: Sequence[Flight], flight: Indices) -> Model:
+def add_known_wind(model: Model, flights: Sequence[Flight], flight: Indices) -> Model:
     """Return the model with the known steady wind of each row's flight added; ``flight``: flight index, (E,)."""
     if all(f.wind is None for f in flights):
         return model

@@ -14,16 +14,15 @@ from torch import Tensor
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.logs.checks.conventions import body_rate
+from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.nonzero import not_zero
+from aerial_gym.sim2real.predict.nonzero import has_nonzero
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
-from aerial_gym.sim2real.predict.scene import heights, other_vehicle_track
+from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 
-ROWS_PER_BAND = 5.0
-"""Rate of the evaluated rows in bandwidths."""
+ROWS_PER_BAND = 5.0  # Rate of the evaluated rows in bandwidths
 
 THINNED_HZ = 50.0
 """Least rate of the evaluated rows [Hz]: slow logs are not thinned, as their forces often are derived from velocity."""
@@ -32,17 +31,15 @@ PREFILTER = 0.4
 """Cut-off of the low-pass before thinning, as a share of the new rate. It removes 0.4 % of the amplitude at the bandwidth,
 and as much aliases to it."""
 
-SAMPLES_PER_BAND = 3.0
-"""Approximate rate of the residuals in bandwidths."""
+SAMPLES_PER_BAND = 3.0  # Approximate rate of the residuals in bandwidths
 
 FAR_ABOVE = np.array([0.0, 0.0, 1e3])
 """Assumed position of a vehicle whose log has none [m], world: far from the ground."""
 
-SETTLE_S = 0.5
-"""Time dropped at the start if rotor speeds are simulated from commands [s]."""
+SETTLE_S = 0.5  # Time dropped at the start if rotor speeds are simulated from commands [s]
 
 
-def thin_rows(flight: Flight, bandwidth: float) -> int:
+def row_stride(flight: Flight, bandwidth: float) -> int:
     """Return the thinning factor of a log: log rows per evaluated row."""
     return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
@@ -62,16 +59,13 @@ class Dataset:
         """Load the flights.
 
         Args:
-            flights: Measured flights.
             rotors: Rotor speeds of each flight for the prediction; None where none were measured.
-            bandwidth: Bandwidth of the comparison [Hz].
-            channels: Compared channels.
             every_row: Whether to keep all rows of the log instead of thinning them to the band.
         """
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
-        self.stride = [1 if every_row else thin_rows(f, bandwidth) for f in flights]
-        self.kept = [self._evaluation_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
-        self.measured = [self._measure(index) for index in range(len(flights))]
+        self.stride = [1 if every_row else row_stride(f, bandwidth) for f in flights]
+        self.kept = [self._residual_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
+        self.measured = [self._channels_in_band(index) for index in range(len(flights))]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
         states = [self._state_rows(index) for index in range(len(flights))]
         self.state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
@@ -85,28 +79,32 @@ class Dataset:
             torch.from_numpy(other_vehicle_track(f)[::s]) for f, s in zip(flights, self.stride, strict=True)
         ]
         rows = [state["attitude"].shape[0] for state in states]
-        self.heights, self.other = heights(flights, rows), torch.cat(other_positions)
+        self.heights, self.other = surface_heights(flights, rows), torch.cat(other_positions)
         self.simulated = all(flight.rotor_speed is None for flight in flights)
         turning = [(i, rotor) for i, rotor in enumerate(rotors) if rotor is not None]
         self.speed = torch.cat([self.thin_rows(i, rotor.speed) for i, rotor in turning]) if turning else None
         self.unsure_speed = (
-            torch.cat([self._of_modes(i, rotor, self.thin_rows) for i, rotor in turning], dim=1) if turning else None
+            torch.cat([self._modes_at_rows(i, rotor, self.thin_rows) for i, rotor in turning], dim=1)
+            if turning
+            else None
         )
 
         accelerometers = all(flight.specific_force is not None for flight in flights)
         self.force = (
-            torch.cat([self._thin(i, "specific_force") for i in range(len(flights))]) if accelerometers else None
+            torch.cat([self._quantity_at_rows(i, "specific_force") for i in range(len(flights))])
+            if accelerometers
+            else None
         )
         # Without an accelerometer the force is derived from the velocity, and has no accelerometer errors.
         felt = torch.tensor([flight.accelerometer for flight in flights])
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
         kept = [felt[index].expand(time.size, 1) for index, time in enumerate(self.times)]
         self.felt_force_kept = torch.cat(kept)
-        self.acceleration = torch.cat([self._derivative(i, "lin_vel") for i in range(len(flights))])
-        self.ang_acc = torch.cat([self._derivative(i, "ang_vel") for i in range(len(flights))])
-        self.spin_up = torch.cat([self.differentiate(i, rotor.speed) for i, rotor in turning]) if turning else None
+        self.acceleration = torch.cat([self._quantity_derivative(i, "lin_vel") for i in range(len(flights))])
+        self.ang_acc = torch.cat([self._quantity_derivative(i, "ang_vel") for i in range(len(flights))])
+        self.spin_up = torch.cat([self.derivative_at_rows(i, rotor.speed) for i, rotor in turning]) if turning else None
         self.unsure_spin_up = (
-            torch.cat([self._of_modes(i, rotor, self.differentiate) for i, rotor in turning], dim=1)
+            torch.cat([self._modes_at_rows(i, rotor, self.derivative_at_rows) for i, rotor in turning], dim=1)
             if turning
             else None
         )
@@ -116,32 +114,32 @@ class Dataset:
         )
 
     @staticmethod
-    def _of_modes(index: int, rotor: RotorEstimate, at_rows: Callable[[int, Array], Tensor]) -> Tensor:
+    def _modes_at_rows(index: int, rotor: RotorEstimate, at_rows: Callable[[int, Array], Tensor]) -> Tensor:
         """Return the uncertainty of a flight's rotor motion at its rows, by mode, (R, E, R)."""
         return torch.stack([at_rows(index, mode) for mode in rotor.unsure])
 
-    def slow(self, index: int, rows: Array) -> Array:
+    def lowpass_kept_rows(self, index: int, rows: Array) -> Array:
         """Return low-passed values of a flight's rows (E, any) at the kept rows, (rows kept, any)."""
         stride = self.stride[index]
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
-    def kinematics(self, *, force_late: float = 0.0, rate_late: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
+    def kinematic_readings(self, *, force_late: float = 0.0, rate_late: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
         """Return the sensor readings that attitude and velocity imply at the kept rows, (T, 3) each, with delays [s].
 
         These are specific force [m/s²], its derivative by the velocity's delay [m/s³] and angular velocity [rad/s].
         """
         flights = len(self.flights)
-        forces = self.in_band(self._implied[:6], [force_late] * flights)
-        rates = self.in_band(self._implied[6:], [rate_late] * flights)
+        forces = self.columns_in_band(self._implied[:6], [force_late] * flights)
+        rates = self.columns_in_band(self._implied[6:], [rate_late] * flights)
         force, jerk, rate = (torch.from_numpy(rows).T for rows in (forces[:3], forces[3:], rates))
         return force, jerk, rate
 
-    def in_band(self, columns: Array, late: Sequence[float] | None = None) -> Array:
+    def columns_in_band(self, columns: Array, late: Sequence[float] | None = None) -> Array:
         """Return low-passed columns of all flights (K, E) at the kept rows, (K, rows kept); zeros stay exactly 0.
 
         ``late``: delay of each flight [s]; None: no delay.
         """
-        moving = np.flatnonzero(not_zero(columns, axis=1))
+        moving = np.flatnonzero(has_nonzero(columns, axis=1))
         matrix = np.zeros((len(columns), self.kept_spans[-1].stop))
         for index, (span, to) in enumerate(zip(self.spans, self.kept_spans, strict=True)):
             stride = self.stride[index]
@@ -150,7 +148,7 @@ class Dataset:
             matrix[moving, to] = slow[:, self.kept[index] // stride]
         return matrix
 
-    def _measure(self, index: int) -> Array:
+    def _channels_in_band(self, index: int) -> Array:
         """Return the measured channels of a flight in the band, (rows kept, C)."""
         flight = self.flights[index]
         sources = {
@@ -167,7 +165,7 @@ class Dataset:
             parts.append(lowpass(values, flight.rate, self.bandwidth, derivative=derivative)[self.kept[index]])
         return np.concatenate(parts, axis=1)
 
-    def _evaluation_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
+    def _residual_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
         """Return the log rows of the residuals: multiples of the stride, without the ends and ground contacts."""
         edge = edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
@@ -180,32 +178,32 @@ class Dataset:
         return rows[np.logical_not(touched[rows])]
 
     def _state_rows(self, index: int) -> dict[str, Tensor]:
-        attitude = self._thin(index, "attitude")
+        attitude = self._quantity_at_rows(index, "attitude")
         return {
-            "position": self._thin(index, "position"),
+            "position": self._quantity_at_rows(index, "position"),
             "attitude": attitude / attitude.norm(dim=1, keepdim=True),
-            "lin_vel": self._thin(index, "lin_vel"),
-            "ang_vel": self._thin(index, "ang_vel"),
+            "lin_vel": self._quantity_at_rows(index, "lin_vel"),
+            "ang_vel": self._quantity_at_rows(index, "ang_vel"),
         }
 
-    def _thin(self, index: int, name: str) -> Tensor:
+    def _quantity_at_rows(self, index: int, name: str) -> Tensor:
         values = getattr(self.flights[index], name)
         if values is None:
             unknown = FAR_ABOVE if name == "position" else np.zeros(3)
             values = np.tile(unknown, (self.flights[index].num_rows, 1))
         return self.thin_rows(index, values)
 
-    def _derivative(self, index: int, name: str) -> Tensor:
+    def _quantity_derivative(self, index: int, name: str) -> Tensor:
         """Return the derivative of a quantity at the rows of a flight, (E, any); 0 if it was not logged."""
         values = getattr(self.flights[index], name)
-        return self.differentiate(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
+        return self.derivative_at_rows(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
 
-    def differentiate(self, index: int, values: Array) -> Tensor:
+    def derivative_at_rows(self, index: int, values: Array) -> Tensor:
         """Return the derivative of values in all log rows at the rows of a flight, (E, any)."""
-        slow = lowpass(values, self.flights[index].rate, self._wide(index), derivative=True)
+        slow = lowpass(values, self.flights[index].rate, self._derivative_bandwidth(index), derivative=True)
         return torch.from_numpy(np.ascontiguousarray(slow[:: self.stride[index]]))
 
-    def _wide(self, index: int) -> float:
+    def _derivative_bandwidth(self, index: int) -> float:
         """Return the bandwidth of derivatives [Hz], wider than the comparison's unless the angular velocity is derived."""
         flight = self.flights[index]
         return PREFILTER * flight.rate / self.stride[index] if flight.gyro else self.bandwidth
@@ -214,7 +212,7 @@ class Dataset:
         """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): the reading of an ideal accelerometer."""
         acceleration = self.acceleration[self.spans[index]].clone()
         acceleration[:, 2] += STANDARD_GRAVITY
-        attitude = self._thin(index, "attitude")
+        attitude = self._quantity_at_rows(index, "attitude")
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), acceleration)
 
     def _kinematic_jerk(self, index: int) -> Tensor:
@@ -222,13 +220,13 @@ class Dataset:
         acceleration = self.acceleration[self.spans[index]].numpy()
         rate = self.flights[index].rate / self.stride[index]
         jerk = torch.from_numpy(lowpass(acceleration, rate, self.bandwidth, derivative=True))
-        attitude = self._thin(index, "attitude")
+        attitude = self._quantity_at_rows(index, "attitude")
         return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), jerk)
 
     def _kinematic_rate(self, index: int) -> Tensor:
         """Return the angular velocity implied by the attitude [rad/s], body, (E, 3)."""
         flight = self.flights[index]
-        rate = body_rate(flight.attitude, flight.rate, self._wide(index))
+        rate = body_rate_from_attitude(flight.attitude, flight.rate, self._derivative_bandwidth(index))
         return torch.from_numpy(np.ascontiguousarray(rate[:: self.stride[index]]))
 
     def thin_rows(self, index: int, values: Array) -> Tensor:

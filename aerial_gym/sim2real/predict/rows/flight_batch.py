@@ -39,31 +39,26 @@ from aerial_gym.physics.rigid_body import (
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
-from aerial_gym.sim2real.predict.replay.load import Link, LoadReplay
+from aerial_gym.sim2real.predict.replay.load import LoadLink, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import replay_memory
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.band_response import InBand
-from aerial_gym.sim2real.predict.rows.batches import expand_model, with_known_wind
+from aerial_gym.sim2real.predict.rows.band_response import BandResponse
+from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_from_model
+from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_readings_of_model
 from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import (
     SensorDeviation,
     Tolerances,
     command_shift,
-    deviate,
     joint_start,
     sensor_deviation,
+    vehicle_with_deviations,
 )
 
-Columns = list[Array]
-"""Channel columns, each (rows kept,); different predictions may share some."""
-
-CONDITIONS = 4
-"""Number of cached conditions: of the present model, at body and hubs, and of a changed model."""
-
-REPLAYS = 3
-"""Number of cached rotor speeds in the band."""
+Columns = list[Array]  # Channel columns, each (rows kept,); different predictions may share some
+CONDITIONS = 4  # Number of cached conditions: of the present model, at body and hubs, and of a changed model
+REPLAYS = 3  # Number of cached rotor speeds in the band
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +91,7 @@ class FlightBatch:
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights, data.row_times)
         self._forces, self._memories = EffectCache[Condition](), EffectCache[FlightTrack]()
-        self._in_band = InBand(data)
+        self._in_band = BandResponse(data)
         self._nothing = torch.zeros(len(tolerances.names(self._declared.num_rotors)), dtype=torch.float64)
         self._imu = ImuReading(data, self._in_band)
         self._replayed: list[tuple[list[Array | None], float, Columns]] = []
@@ -109,10 +104,10 @@ class FlightBatch:
         """Return the predicted channels of each flight; read-only."""
         asked = self._make_query(params)
         kinds = dict.fromkeys(channel.kind for channel in self.data.channels)
-        rows = self._rows(asked) if kinds.keys() - {"rotor_speed"} else {}
+        rows = self._imu_readings(asked) if kinds.keys() - {"rotor_speed"} else {}
         if "rotor_speed" in kinds:
             assert asked.speeds is not None
-            rows["rotor_speed"] = self._slow_speeds(asked.speeds, float(asked.logged.delays[0]))
+            rows["rotor_speed"] = self._rotor_speeds_in_band(asked.speeds, float(asked.logged.delays[0]))
         columns = [column for kind in kinds for column in rows[kind]]
         return [[column[span] for column in columns] for span in self.data.kept_spans]
 
@@ -120,19 +115,22 @@ class FlightBatch:
     def residual_inputs(self, params: ModelParams) -> list[Array]:
         """Return the inputs of a learned residual at the rows of each flight, in the band, (rows kept, 7) each."""
         asked = self._make_query(params)
-        condition = self._condition(self._model_rows(asked), asked)
+        condition = self._effect_condition(self._model_rows(asked), asked)
         rows = network_inputs(condition.air_velocity, condition.ang_vel, condition.rotor_speed).numpy()
-        return [self.data.slow(index, rows[span]) for index, span in enumerate(self.data.spans)]
+        return [self.data.lowpass_kept_rows(index, rows[span]) for index, span in enumerate(self.data.spans)]
 
     @torch.inference_mode()
-    def links(self, params: ModelParams) -> list[Link]:
+    def load_links(self, params: ModelParams) -> list[LoadLink]:
         """Return the state of the load's link along each flight."""
         asked = self._make_query(params)
         model = self._model_rows(asked)
-        hanging = self._load_query(model, self._condition(model, asked), self._effect_memory(model, asked), asked)
-        load = self._load_replay.loads(model, hanging.missed).numpy()
+        hanging = self._load_query(
+            model, self._effect_condition(model, asked), self._effect_memory(model, asked), asked
+        )
+        load = self._load_replay.link_states(model, hanging.missed).numpy()
         return [
-            Link(time=time, load=load[span]) for time, span in zip(self.data.row_times, self.data.spans, strict=True)
+            LoadLink(time=time, load=load[span])
+            for time, span in zip(self.data.row_times, self.data.spans, strict=True)
         ]
 
     def _make_query(self, params: ModelParams) -> _ModelQuery:
@@ -140,7 +138,7 @@ class FlightBatch:
         vehicle, deviation = self._declared, self._nothing
         if params.deviation is not None:
             deviation = torch.from_numpy(params.deviation)
-            vehicle = deviate(vehicle, self.tolerances, deviation)
+            vehicle = vehicle_with_deviations(vehicle, self.tolerances, deviation)
         model = build_model(vehicle, expand_effects(params, 1), **self.data.heights, other_position=self.data.other)
         speeds = None
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
@@ -150,36 +148,38 @@ class FlightBatch:
             model=model, deviation=deviation, logged=sensor_deviation(self.tolerances, deviation), speeds=speeds
         )
 
-    def _rows(self, asked: _ModelQuery) -> dict[str, Columns]:
+    def _imu_readings(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""
         flown = self._model_rows(asked)
         remembered = self._effect_memory(flown, asked)
         model, hubs = with_memory(flown, remembered), None
         if any(effect.needs_com for effect, _ in model.effects):
-            condition = self._condition(flown, asked)
+            condition = self._effect_condition(flown, asked)
         else:
-            condition = hubs = self._condition(flown, asked, at_origin=True)
+            condition = hubs = self._effect_condition(flown, asked, at_origin=True)
             at_hubs = all(effect.at_hubs for effect, _ in model.effects[WrenchEffect])
             if not at_hubs and model.vehicle.com.any():
-                condition = self._condition(flown, asked)
+                condition = self._effect_condition(flown, asked)
         acting = force_breakdown(model, condition, self._forces, apart=True, hubs=hubs)
         acting = with_fluid(model, condition, acting)
         if model.effects[LoadEffect]:
             acting.wrenches.append(
-                ("load", self._pull(flown, asked, self._load_query(flown, condition, remembered, asked)))
+                ("load", self._load_wrench(flown, asked, self._load_query(flown, condition, remembered, asked)))
             )
         about = None if hubs is None else hubs.vehicle.com[0]
-        late = self._imu.late(asked.logged)
-        felt = self._in_band.body_response(model, condition.rotor_speed, acting, about=about, late=late)
+        late = self._imu.delays_by_flight(asked.logged)
+        felt = self._in_band.accelerations_in_band(model, condition.rotor_speed, acting, about=about, late=late)
         noise = asked.logged.answered_noise
-        return self._imu.read(model, felt, asked.logged, noise * self._torque_noise() if noise.any() else None)
+        return self._imu.read_channels(
+            model, felt, asked.logged, noise * self._torque_noise_std() if noise.any() else None
+        )
 
-    def _torque_noise(self) -> Tensor:
+    def _torque_noise_std(self) -> Tensor:
         """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 3)."""
         if self._in_step is None:
             data, turning = (
                 self.data,
-                np.stack(self._rows(self._make_query(self._params))["angular_acceleration"], axis=1),
+                np.stack(self._imu_readings(self._make_query(self._params))["angular_acceleration"], axis=1),
             )
             parts = []
             for flight, span in zip(data.flights, data.kept_spans, strict=True):
@@ -198,7 +198,7 @@ class FlightBatch:
         key = (*names, *(numbers.numpy().tobytes() for numbers in (*rows, *other_params)))
         if self._hung is not None and self._hung.key == key and self._hung.speeds is asked.speeds:
             return self._hung
-        state = BodyState(rotor_speed=condition.rotor_speed, **self._state(asked))
+        state = BodyState(rotor_speed=condition.rotor_speed, **self._motion_state(asked))
         attitude = state.attitude
         alone = replace(model, effects=model.effects.exclude(LoadEffect))
         results = accelerations(alone, state, remembered=remembered, condition=condition, answers=self._forces)
@@ -206,7 +206,7 @@ class FlightBatch:
         acceleration = quat_rotate(attitude, force) - model.gravity * force.new_tensor((0.0, 0.0, 1.0))
         if self.data.force is not None:
             if model.effects[ImuEffect]:
-                force = torch.where(self.data.felt_force, imu_from_model(model)[0].apply(force), force)
+                force = torch.where(self.data.felt_force, imu_readings_of_model(model)[0].apply(force), force)
             force = self.data.force - force - asked.logged.acc_bias * self.data.felt_force
             missed = [quat_rotate(attitude, force).numpy()[span] for span in self.data.spans]
         self._hung = _LoadQuery(
@@ -214,9 +214,9 @@ class FlightBatch:
         )
         return self._hung
 
-    def _pull(self, model: Model, asked: _ModelQuery, hanging: _LoadQuery) -> Tensor:
+    def _load_wrench(self, model: Model, asked: _ModelQuery, hanging: _LoadQuery) -> Tensor:
         """Return force and torque of the load in every row, body, (E, 6)."""
-        attitude, load = self._state(asked)["attitude"], self._load_replay.loads(model, hanging.missed)
+        attitude, load = self._motion_state(asked)["attitude"], self._load_replay.link_states(model, hanging.missed)
         force, torque, _ = suspension_pull(model, attitude, hanging.suspension, load)
         return torch.cat((quat_rotate_inverse(attitude, force), torque), dim=-1)
 
@@ -232,30 +232,30 @@ class FlightBatch:
     def _model_rows(self, asked: _ModelQuery) -> Model:
         """Return the model in every row."""
         model = expand_model(asked.model, self.data.state["attitude"].shape[0])
-        return with_known_wind(model, self.data.flights, self.data.flight)
+        return add_known_wind(model, self.data.flights, self.data.flight)
 
-    def _state(self, asked: _ModelQuery) -> dict[str, Tensor]:
+    def _motion_state(self, asked: _ModelQuery) -> dict[str, Tensor]:
         """Return the motion in every row on the rotor speeds' clock, with the true body attitude.
 
         Misalignment and delay of the logged attitude and the velocity's delay are corrected.
         """
         results, logged = dict(self.data.state), asked.logged
-        *_, attitude, velocity = self._imu.clock(logged)
+        *_, attitude, velocity = self._imu.delays_on_prediction_clock(logged)
         if velocity:
             results["lin_vel"] = results["lin_vel"] + velocity * self.data.acceleration
         if attitude:
             results["position"] = results["position"] + attitude * self.data.state["lin_vel"]
             results["attitude"] = quat_multiply(results["attitude"], quat_exp(attitude * results["ang_vel"]))
         if logged.attitude.any():
-            back = quat_conjugate(logged.turn)
+            back = quat_conjugate(logged.attitude_turn)
             results["attitude"] = quat_multiply(results["attitude"], back.expand_as(results["attitude"]))
         return results
 
-    def _condition(self, model: Model, asked: _ModelQuery, *, at_origin: bool = False) -> Condition:
+    def _effect_condition(self, model: Model, asked: _ModelQuery, *, at_origin: bool = False) -> Condition:
         """Return the motion seen by a model's effects in every row; ``at_origin``: at hubs (``condition_at_origin``)."""
         motion = asked.logged.rotor_motion
         speeds = asked.speeds if self.data.speed is None else None
-        pose_late = motion.new_tensor(self._imu.clock(asked.logged)[3:])
+        pose_late = motion.new_tensor(self._imu.delays_on_prediction_clock(asked.logged)[3:])
         numbers = torch.cat((motion, asked.logged.attitude, pose_late)).numpy().tobytes()
         key = (at_origin, *_condition_key(model, at_origin=at_origin), numbers)
         known = self._conditions.get(key)
@@ -263,15 +263,17 @@ class FlightBatch:
             self._conditions.move_to_end(key)
             vehicle = replace(model.vehicle, com=known[1].vehicle.com) if at_origin else model.vehicle
             return adapt_condition(vehicle, known[1])
-        speed, spin_up = self._rotor_motion(model, speeds, motion)
+        speed, spin_up = self._rotor_speeds_and_accelerations(model, speeds, motion)
         make = condition_at_origin if at_origin else condition_in
-        results = make(model, BodyState(rotor_speed=speed, **self._state(asked)), spin_up)
+        results = make(model, BodyState(rotor_speed=speed, **self._motion_state(asked)), spin_up)
         self._conditions[key] = speeds, results
         while len(self._conditions) > CONDITIONS:
             self._conditions.popitem(last=False)
         return results
 
-    def _rotor_motion(self, model: Model, speeds: list[Array | None] | None, motion: Tensor) -> tuple[Tensor, Tensor]:
+    def _rotor_speeds_and_accelerations(
+        self, model: Model, speeds: list[Array | None] | None, motion: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
 
         ``motion`` (R,): deviation of each mode's motion from its expectation, in standard deviations.
@@ -281,7 +283,7 @@ class FlightBatch:
             assert speeds is not None
             replayed = [(i, s) for i, s in enumerate(speeds) if s is not None]
             speed = torch.cat([self.data.thin_rows(i, s) for i, s in replayed])
-            spin_up = torch.cat([self.data.differentiate(i, s) for i, s in replayed])
+            spin_up = torch.cat([self.data.derivative_at_rows(i, s) for i, s in replayed])
         else:
             speed, spin_up = data.speed, data.spin_up
             if motion.any():
@@ -291,7 +293,7 @@ class FlightBatch:
                 speed, spin_up = effect.true_speed(speed, params), effect.true_speed(spin_up, params)
         return speed, spin_up
 
-    def _slow_speeds(self, speeds: list[Array | None], late: float) -> Columns:
+    def _rotor_speeds_in_band(self, speeds: list[Array | None], late: float) -> Columns:
         """Return the rotor speeds of all flights in the band with a delay [s]."""
         for place, (before, seconds, results) in enumerate(self._replayed):
             if before is speeds and seconds == late:

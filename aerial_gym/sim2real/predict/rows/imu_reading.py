@@ -16,18 +16,17 @@ from aerial_gym.physics.effects import ImuEffect
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.physics.model import Model
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.predict.rows.band_response import InBand, Late, split_columns
+from aerial_gym.sim2real.predict.rows.band_response import BandResponse, SensorDelays, split_columns
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.tolerances import SensorDeviation
 
 Columns = list[Array]
 
-READINGS = 3
-"""Number of stored kinematic readings."""
+READINGS = 3  # Number of stored kinematic readings
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading:
+class SensorReading:
     """Reading of a sensor for true vectors: ``turn^T v + offset``."""
 
     offset: Tensor
@@ -38,22 +37,22 @@ class Reading:
         return times(rows, self.turn) + self.offset
 
 
-def imu_from_model(model: Model) -> tuple[Reading, Reading]:
+def imu_readings_of_model(model: Model) -> tuple[SensorReading, SensorReading]:
     """Return the readings of accelerometer and gyro under a model's sensor errors, constant in all rows."""
     numbers = imu_errors([(effect, params[:1]) for effect, params in model.effects[ImuEffect]]).view(2, 4, 3)
-    accelerometer, gyro = (Reading(offset=part[0], turn=part[1:]) for part in numbers)
+    accelerometer, gyro = (SensorReading(offset=part[0], turn=part[1:]) for part in numbers)
     return accelerometer, gyro
 
 
 class ImuReading:
     """Readings of the inertial sensors in the band."""
 
-    def __init__(self, data: Dataset, in_band: InBand) -> None:
+    def __init__(self, data: Dataset, in_band: BandResponse) -> None:
         """Store the flights and their forces in the band."""
         self.data, self._in_band = data, in_band
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
-    def clock(self, logged: SensorDeviation) -> list[float]:
+    def delays_on_prediction_clock(self, logged: SensorDeviation) -> list[float]:
         """Return the delays of rotor speeds, accelerometer, gyro, attitude and velocity on the prediction's clock [s].
 
         This clock is that of the logged rotor speeds, or of the commands, which have no delay.
@@ -62,16 +61,16 @@ class ImuReading:
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]
 
-    def late(self, logged: SensorDeviation) -> Late:
+    def delays_by_flight(self, logged: SensorDeviation) -> SensorDelays:
         """Return the delays of force and rotation in each flight on that clock.
 
         Without an accelerometer the force is derived in the axes of the attitude, and has its delay.
         """
-        _, acc, gyro, attitude, _ = self.clock(logged)
+        _, acc, gyro, attitude, _ = self.delays_on_prediction_clock(logged)
         force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
-        return Late(force=force, gyro=(gyro,) * len(force))
+        return SensorDelays(force=force, gyro=(gyro,) * len(force))
 
-    def read(
+    def read_channels(
         self, model: Model, accelerations: Accelerations, logged: SensorDeviation, seeming: Tensor | None
     ) -> dict[str, Columns]:
         """Return the sensor readings by kind of channel, three columns (T,) each.
@@ -84,20 +83,22 @@ class ImuReading:
         """
         felt, force, torque = self.data.felt_force_kept, accelerations.specific_force, accelerations.ang_acc
         if logged.imu_place.any():
-            force = force + felt * self._in_band.lever_response(logged.imu_place, self.late(logged)).T
+            force = (
+                force + felt * self._in_band.lever_arm_acceleration(logged.imu_place, self.delays_by_flight(logged)).T
+            )
         if model.effects[ImuEffect]:
-            of_force, of_rate = imu_from_model(model)
+            of_force, of_rate = imu_readings_of_model(model)
             force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)
         if seeming is not None:
             torque = torque + seeming
-        turn = quat_to_matrix(logged.turn) if logged.attitude.any() else None
+        turn = quat_to_matrix(logged.attitude_turn) if logged.attitude.any() else None
         if turn is not None:  # a derived force has the axes of the logged attitude
             force = torch.where(felt, force, times(force, turn))
         *_, attitude, velocity = logged.delays.tolist()
         if velocity != attitude:  # a derived force has the velocity's delay in those axes
-            _, jerk, _ = self.data.kinematics()
+            _, jerk, _ = self.data.kinematic_readings()
             force = torch.where(felt, force, force - (velocity - attitude) * jerk)
-        implied = self._read_of_kinematics(model, logged, turn)
+        implied = self._read_kinematic_channels(model, logged, turn)
         if logged.acc_scale.any():
             # The scale acts on the predicted force; on the implied one, noise would bias it.
             more = force * logged.acc_scale * felt
@@ -110,7 +111,9 @@ class ImuReading:
             **implied,
         }
 
-    def _read_of_kinematics(self, model: Model, logged: SensorDeviation, turn: Tensor | None) -> dict[str, Columns]:
+    def _read_kinematic_channels(
+        self, model: Model, logged: SensorDeviation, turn: Tensor | None
+    ) -> dict[str, Columns]:
         """Return the kinematic channels with sensor errors, cached for all models with equal errors."""
         errs, turns = model.effects[ImuEffect], () if turn is None else (turn.flatten(),)
         own = (logged.acc_bias, logged.gyro_bias, logged.delays)
@@ -118,13 +121,13 @@ class ImuReading:
         key = (numbers, *(effect.name for effect, _ in errs))
         if key not in self._of_kinematics:
             _, acc, gyro, attitude, velocity = logged.delays.tolist()
-            force, jerk, rate = self.data.kinematics(force_late=acc - attitude, rate_late=gyro - attitude)
+            force, jerk, rate = self.data.kinematic_readings(force_late=acc - attitude, rate_late=gyro - attitude)
             if velocity != attitude:
                 force = force + (velocity - attitude) * jerk
             if turn is not None:
                 force, rate = times(force, turn.T), times(rate, turn.T)
             if errs:
-                of_force, of_rate = imu_from_model(model)
+                of_force, of_rate = imu_readings_of_model(model)
                 force, rate = of_force.apply(force), of_rate.apply(rate)
             bias = logged.acc_bias * self.data.felt_force_kept
             self._of_kinematics[key] = {

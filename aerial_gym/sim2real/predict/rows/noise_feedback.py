@@ -31,15 +31,10 @@ from aerial_gym.sim2real.predict.rows.spectra import noise_level, power_density
 def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, bandwidth: float) -> Array:
     """Return the standard deviation of the apparent relative increase of the torque about each axis, (3,).
 
-    It is 0 if the log is too slow to show the noise, and about axes without angular acceleration.
-
-    Args:
-        flight: Measured flight.
-        declared: Declared vehicle, one environment.
-        turning: Predicted angular acceleration in the band [rad/s²], body, (T, 3).
-        bandwidth: Bandwidth of the comparison [Hz].
+    It is 0 if the log is too slow to show the noise, and about axes without angular acceleration. ``turning``: predicted
+    angular acceleration in the band [rad/s²], body, (T, 3).
     """
-    noise, answer = _noise(flight, bandwidth), _answer(flight, declared, bandwidth)
+    noise, answer = _angular_noise_rms(flight, bandwidth), _rotor_response_rms(flight, declared, bandwidth)
     if noise is None or answer is None or not len(turning):
         return np.zeros(3)
     moved = turning.std(axis=0)
@@ -47,7 +42,7 @@ def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, b
     return np.divide(seeming, moved**2, out=np.zeros(3), where=moved > 0.0)
 
 
-def _noise(flight: Flight, bandwidth: float) -> Array | None:
+def _angular_noise_rms(flight: Flight, bandwidth: float) -> Array | None:
     """Return the RMS noise of the angular acceleration in the band [rad/s²], (3,); None if the log is too slow."""
     frequency, density = power_density(flight.ang_vel, flight.rate)
     level = noise_level(frequency, density, bandwidth, flight.rate)
@@ -56,7 +51,7 @@ def _noise(flight: Flight, bandwidth: float) -> Array | None:
     )
 
 
-def _answer(flight: Flight, vehicle: Vehicle, bandwidth: float) -> Array | None:
+def _rotor_response_rms(flight: Flight, vehicle: Vehicle, bandwidth: float) -> Array | None:
     """Return the RMS rotor response in the band as angular acceleration [rad/s²], (3,); None if the log is too slow."""
     told = flight.rotor_command is not None
     speed = flight.rotor_command if told else flight.rotor_speed

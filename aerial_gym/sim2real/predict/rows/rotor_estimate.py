@@ -31,10 +31,10 @@ from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.physics.effects import CommandEffect, DelayEffect, RotorSensorEffect, VehicleEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import without_line
+from aerial_gym.sim2real.logs.signals import remove_line
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.spectra import apply_gain, noise_level, power_density, segment_length
+from aerial_gym.sim2real.predict.rows.spectra import filter_by_gain, noise_level, power_density, segment_length
 
 ORDER = (2, 3, 4, 5, 0, 1)
 """Order of forces and torques in the construction of rotor modes: thrust, roll, pitch, yaw, then forces along x and y,
@@ -52,7 +52,7 @@ class RotorEstimate:
     unsure: Array  # Change of speed per standard deviation of each mode's share of motion [rad/s], (R modes, T, R)
 
 
-def as_measured(flight: Flight) -> RotorEstimate | None:
+def estimate_as_measured(flight: Flight) -> RotorEstimate | None:
     """Return the measured speeds unchanged; None without any."""
     if flight.rotor_speed is None:
         return None
@@ -63,20 +63,20 @@ def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float
     """Return the expected rotor speeds of each flight, None without measured speeds.
 
     Speeds stay as measured if the log is too slow to show the noise.
-
-    Args:
-        robot: Declared robot.
-        flights: Measured flights.
-        bandwidth: Bandwidth of the comparison [Hz].
     """
-    model = rotor_vehicle(robot)
+    model = rotor_response_model(robot)
     led = RotorReplay(flights).speeds(model, 0.0, model.effects[RotorSensorEffect])
     made = allocation_matrix(model.vehicle, STANDARD_GRAVITY)[0].numpy()
-    estimates = [_estimate(flight, commanded, made, bandwidth) for flight, commanded in zip(flights, led, strict=True)]
-    return [as_measured(flight) if one is None else one for flight, one in zip(flights, estimates, strict=True)]
+    estimates = [
+        _estimate_rotor_speeds(flight, commanded, made, bandwidth)
+        for flight, commanded in zip(flights, led, strict=True)
+    ]
+    return [
+        estimate_as_measured(flight) if one is None else one for flight, one in zip(flights, estimates, strict=True)
+    ]
 
 
-def rotor_vehicle(robot: RobotCfg) -> Model:
+def rotor_response_model(robot: RobotCfg) -> Model:
     """Return the declared vehicle with only those effects that change the rotors' response to commands."""
     kinds = (VehicleEffect, DelayEffect, CommandEffect, RotorSensorEffect)
     effects = {
@@ -88,14 +88,11 @@ def rotor_vehicle(robot: RobotCfg) -> Model:
     return build_model(vehicle, expand_effects(ModelParams(effects=effects), 1))
 
 
-def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) -> RotorEstimate | None:
+def _estimate_rotor_speeds(flight: Flight, led: Array | None, made: Array, bandwidth: float) -> RotorEstimate | None:
     """Return the expected speeds of a flight; None without speeds or if the log is too slow to show the noise.
 
-    Args:
-        flight: Measured flight.
-        led: Rotor speeds replayed from commands [rad/s], (T, R); None without commands.
-        made: Matrix from rotor thrusts to force and torque, (6, R).
-        bandwidth: Bandwidth of the comparison [Hz].
+    ``led``: rotor speeds replayed from commands [rad/s], (T, R); None without commands. ``made``: matrix from rotor thrusts
+    to force and torque, (6, R).
     """
     speed, rate = flight.rotor_speed, flight.rate
     if speed is None:
@@ -107,7 +104,7 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
         return None
     level, lines = noise
     root = np.sqrt(level)
-    modes = _modes(made * root)
+    modes = _rotor_modes(made * root)
     moved, around = (speed - base) / root @ modes, np.zeros_like(speed)
     if led is not None:
         density = power_density(moved, rate)[1]
@@ -115,23 +112,23 @@ def _estimate(flight: Flight, led: Array | None, made: Array, bandwidth: float) 
         noisy = in_band - 1.0 < 1.0  # motion below noise, which is 1 here
         around[:, noisy] = ((led - base) / root @ modes)[:, noisy]
         moved = moved - around
-    density, segments = power_density(moved, rate)[1], _segments(len(speed), rate)
+    density, segments = power_density(moved, rate)[1], _num_independent_segments(len(speed), rate)
     shares = [_share_of_motion(one, segments, 1.0 / np.sqrt(segments * lines)) for one in density.T]
     share, spread = (np.stack(parts, axis=1) for parts in zip(*shares, strict=True))
-    left = without_line(moved.T).T
-    expected = around + moved - left + apply_gain(left, frequency, share, rate)
-    unsure = apply_gain(left, frequency, spread, rate)
+    left = remove_line(moved.T).T
+    expected = around + moved - left + filter_by_gain(left, frequency, share, rate)
+    unsure = filter_by_gain(left, frequency, spread, rate)
     return RotorEstimate(
         speed=base + expected @ modes.T * root, unsure=unsure.T[:, :, None] * (modes.T * root)[:, None, :]
     )
 
 
-def _modes(made: Array) -> Array:
+def _rotor_modes(made: Array) -> Array:
     """Return orthonormal rotor modes, (R, R): one per force and torque, then those without any."""
     return np.linalg.qr(made[list(ORDER)].T, mode="complete")[0]
 
 
-def _segments(rows: int, rate: float) -> float:
+def _num_independent_segments(rows: int, rate: float) -> float:
     """Return the effective number of independent segments in Welch's mean: half-overlapping Hann windows count 9/11.
 
     Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Transactions on Audio and

@@ -7,19 +7,15 @@ import numpy as np
 from scipy import fft
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.signals import hann, welch
+from aerial_gym.sim2real.logs.signals import hann_window, welch
 
-SEGMENT_S = 2.0
-"""Length of a segment of Welch's spectrum [s]."""
-
-OCTAVE = 2.0
-"""Frequency ratio of the bands among which the quietest gives the noise."""
+SEGMENT_S = 2.0  # Length of a segment of Welch's spectrum [s]
+OCTAVE = 2.0  # Frequency ratio of the bands among which the quietest gives the noise
 
 FROM_BAND, TO_BAND = 1.5, 6.0
 """Range of these bands in bandwidths; near the band, as resampled logs have less noise far above it."""
 
-TO_RATE = 0.45
-"""Upper limit of these bands as a share of the rate."""
+TO_RATE = 0.45  # Upper limit of these bands as a share of the rate
 
 
 def segment_length(rows: int, rate: float) -> int:
@@ -31,16 +27,16 @@ def power_density(values: Array, rate: float) -> tuple[Array, Array]:
     """Return the frequencies [Hz], (L,), and the density of each column (T, any), flat for white noise."""
     length = segment_length(len(values), rate)
     frequency, density = welch(values, rate, length)
-    return frequency, density / _visible_share(length)[:, None]
+    return frequency, density / _white_noise_gain(length)[:, None]
 
 
-def _visible_share(length: int) -> Array:
+def _white_noise_gain(length: int) -> Array:
     """Return the gain of Welch's density for white noise, (L,), reduced by the removal of straight lines.
 
     For white noise x, line k is ``v_k (x - P x)`` with the projection P on straight lines and the windowed wave v_k. Its mean
     square is ``|v_k - P v_k|² = |v_k|² - |P v_k|²``.
     """
-    window = hann(length)
+    window = hann_window(length)
     place = np.arange(length) - 0.5 * (length - 1)
     lost = sum(np.abs(np.fft.rfft(window * one)) ** 2 / (one @ one) for one in (np.ones(length), place))
     return 1.0 - lost / (window @ window)
@@ -59,7 +55,7 @@ def noise_level(frequency: Array, density: Array, bandwidth: float, rate: float)
     return np.min(means, axis=0), (OCTAVE - 1.0) * float(places[0])
 
 
-def apply_gain(values: Array, frequency: Array, gain: Array, rate: float) -> Array:
+def filter_by_gain(values: Array, frequency: Array, gain: Array, rate: float) -> Array:
     """Return columns (T, R) filtered with a gain (L, R) by frequency, without phase shift."""
     mirrored = np.concatenate((values, values[::-1]))
     at = fft.rfftfreq(len(mirrored), 1.0 / rate)

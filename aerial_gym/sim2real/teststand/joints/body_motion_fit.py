@@ -70,8 +70,10 @@ class _Fit:
     def __init__(self, robot: RobotCfg, rides: Sequence[Ride], bandwidth: float) -> None:
         self.joints, self.swing = require_joints(robot).layout, Swing(robot, rides, bandwidth=bandwidth)
         self.springs = [joint.spring or SpringCfg() for joint in self.joints]
-        self.owners = [(k, name) for k, spring in enumerate(self.springs) for name in NUMBERS[spring.quadratic > 0.0]]
-        self.declared = np.array([getattr(self.springs[k], name) for k, name in self.owners])
+        self.parameter_owners = [
+            (k, name) for k, spring in enumerate(self.springs) for name in NUMBERS[spring.quadratic > 0.0]
+        ]
+        self.declared = np.array([getattr(self.springs[k], name) for k, name in self.parameter_owners])
         self.slow = torch.ones(1, len(self.joints), dtype=torch.float64)
         rate = self.swing.rate
         every, edge = max(1, int(rate / (SAMPLES_PER_BAND * bandwidth))), edge_rows(rate, bandwidth)
@@ -114,7 +116,7 @@ class _Fit:
             name: torch.tensor([[getattr(spring, name) for spring in self.springs]] * len(numbers), dtype=torch.float64)
             for name in ("stiffness", "quadratic", "damping", "friction", "rest", "preload")
         }
-        for place, (k, name) in enumerate(self.owners):
+        for place, (k, name) in enumerate(self.parameter_owners):
             stated[name][:, k] = torch.from_numpy(numbers[:, place])
         friction = stated.pop("friction")
         like, bounds = torch.ones_like(friction), {}
@@ -140,7 +142,9 @@ class _Fit:
             raise DataError(
                 "a joint does not move under its declared law, so it cannot be identified; check its spring"
             )
-        return np.array([MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.owners])
+        return np.array(
+            [MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.parameter_owners]
+        )
 
     def linear(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
         """Return the residual (N, 6) and its columns (N, 6, P + 1), per material change or thrust scale, without mean."""
@@ -162,7 +166,7 @@ class _Fit:
         width = columns.shape[-1]
         flat, left = columns.reshape(-1, width), residual.reshape(-1)
         low, high = np.full(width, -np.inf), np.full(width, np.inf)
-        positive = [place for place, (_, name) in enumerate(self.owners) if name != "rest"]
+        positive = [place for place, (_, name) in enumerate(self.parameter_owners) if name != "rest"]
         low[positive] = np.maximum(low[positive], -here[positive])
         size = np.sqrt((flat**2).sum(axis=0)) + 1e-300
         a = (flat / size).T @ (flat / size) + 1e-9 * np.eye(width)
@@ -179,7 +183,7 @@ class _Fit:
         values = estimates(numbers, covariance * np.outer(unit, unit), left.size - rows.shape[1])
         joints = []
         for k, joint in enumerate(self.joints):
-            own = {name: place for place, (owner, name) in enumerate(self.owners) if owner == k}
+            own = {name: place for place, (owner, name) in enumerate(self.parameter_owners) if owner == k}
             params = {name: values[place] for name, place in own.items()}
             changed = tuple(
                 name

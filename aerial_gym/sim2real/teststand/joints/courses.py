@@ -24,11 +24,11 @@ from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.model import Model, robot_effects
 from aerial_gym.physics.rotor_lag import follow_command
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.readers.csv_table import csv_rows
+from aerial_gym.sim2real.logs.readers.csv_table import read_csv_rows
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import edge_rows, interpolate, lowpass, uniform_log
+from aerial_gym.sim2real.logs.signals import edge_rows, interpolate_columns, lowpass, uniform_log
 
 SLOW = 0.05
 """Velocity scale v of dry friction, as a share of the joint rate's standard deviation."""
@@ -52,7 +52,7 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     """
     assert robot.joints is not None
     log = uniform_log(read_flight_log(path))
-    table, time, _ = csv_rows(path, find_mapping("aerial_gym"), [])
+    table, time, _ = read_csv_rows(path, find_mapping("aerial_gym"), [])
     columns = []
     for number, name in enumerate(robot.joints.names, 1):
         known = [column for column in (f"joint_{name}", f"joint_{number}") if column in table.columns]
@@ -64,7 +64,7 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: joint angles have empty or non-numeric fields; cut the log, or fill them")
-    return joint_course(robot, log, interpolate(log.time, time, angles), bandwidth=bandwidth)
+    return joint_course(robot, log, interpolate_columns(log.time, time, angles), bandwidth=bandwidth)
 
 
 def joint_course(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:

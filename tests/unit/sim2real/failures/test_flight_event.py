@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, least_log_odds, same_in_all, until_failure
+from aerial_gym.sim2real.failures.flight_event import (
+    Failure,
+    FailureFinder,
+    cut_at_failures,
+    failure_of_all_flights,
+    least_log_odds,
+)
 from aerial_gym.sim2real.failures.scan import _lag_response
 from tests.unit.sim2real.failures.test_evidence import make_work
 from tests.unit.sim2real.flat_flights import ROBOT
@@ -31,20 +37,20 @@ def failure(flight: str, time: float = 5.0, **params: float) -> Failure:
 def test_flights_end_before_their_failures_or_are_left_out() -> None:
     """A failure known to 20 ms at 3 s leaves 2.98 s; one at 1 s leaves less than 2 s, and so nothing."""
     flights = [hover(name, 1.0, rotor_command=np.ones((400, 4))) for name in "abc"]
-    event = until_failure(flights, [failure("b", 3.0), failure("c", 1.0)])
+    event = cut_at_failures(flights, [failure("b", 3.0), failure("c", 1.0)])
     assert [(one.name, one.num_rows) for one in event] == [("a", 400), ("b", 298)]
     assert event[1].attitude.shape == event[1].rotor_command.shape == (298, 4)
 
 
 def test_one_failure_is_that_of_all_flights_only_if_it_is_the_same_in_all() -> None:
     both = [failure("a", 5.00), failure("b", 5.02)]
-    every = same_in_all(both, 2)
+    every = failure_of_all_flights(both, 2)
     assert every.params == pytest.approx({"motor": 2.0, "scale": 0.8, "time": 5.01})
     assert every.std["time"] == pytest.approx(0.01 / np.sqrt(2.0))
     different_failures = (failure("b", 5.1), failure("b", 5.0, scale=0.7), failure("b", 5.0, motor=3.0))
     for other in (*different_failures, replace(both[1], name="weak_motor")):
-        assert same_in_all([both[0], other], 2) is None
-    assert same_in_all(both, 3) is None
+        assert failure_of_all_flights([both[0], other], 2) is None
+    assert failure_of_all_flights(both, 3) is None
 
 
 def test_a_failure_is_a_finding_with_its_intervals() -> None:

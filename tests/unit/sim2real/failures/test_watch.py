@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.flight_event import FailureFinder
-from aerial_gym.sim2real.failures.rotor_work import RotorWork
+from aerial_gym.sim2real.failures.rotor_work import RotorOutput
 from aerial_gym.sim2real.failures.scan import rank_causes, sum_of_odds
 from aerial_gym.sim2real.failures.sensor_faults import SensorFault
 from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch
@@ -51,7 +51,7 @@ def test_a_propeller_that_breaks_is_suspected_and_then_named() -> None:
 
 def test_the_whole_flight_tells_the_same(tmp_path: Path) -> None:
     log = read_flight_log(write(failure_table(), tmp_path / "a.csv"))
-    result = FailureFinder(ROBOT).find_first(complete_flight(log))
+    result = FailureFinder(ROBOT).find_first_failure(complete_flight(log))
     assert (result.name, result.params["motor"]) == ("weak_motor", 2.0)
     assert result.params["scale"] == pytest.approx(LEFT, abs=4.0 * result.std["scale"])
 
@@ -180,7 +180,7 @@ def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:
     own = np.ones((blocks, rotors))
     passed = 0
     for _ in range(200):
-        work = RotorWork(
+        work = RotorOutput(
             quantity="speed",
             driven_by="command",
             time=0.1 * np.arange(blocks),

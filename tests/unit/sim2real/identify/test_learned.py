@@ -13,9 +13,9 @@ from aerial_gym.config.robot import load_robot
 from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.learned import OUTPUTS, ResidualFit, _Trainer, judge_on_test, train_residual
+from aerial_gym.sim2real.identify.learned import OUTPUTS, ResidualFit, _Trainer, add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.predict.model_params import params_from_robot
@@ -34,10 +34,10 @@ def fly(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[list[Path]
     return train, test
 
 
-def make_judge(predictor: Predictor) -> LeftOut:
+def make_judge(predictor: Predictor) -> CrossValidation:
     residuals = predictor.residuals(params_from_robot(ROBOT))
     blocks = block_moments(predictor.times, residuals, [np.zeros((*r.shape, 0)) for r in residuals])
-    return LeftOut(
+    return CrossValidation(
         count=blocks.count,
         flight=blocks.flight,
         weights=inverse_variance_weights(residuals),
@@ -52,7 +52,7 @@ def learn(folder: Path, cubic: float, *, seconds: float = 8.0) -> tuple[Residual
     fit, held = load_train_and_test(ROBOT, train, [test], None, 10.0)
     predictor, params = make_predictor(fit), params_from_robot(ROBOT)
     learned = train_residual(predictor, params, make_judge(predictor))
-    return judge_on_test(learned, make_predictor(held), params, None), held
+    return add_test_shares(learned, make_predictor(held), params, None), held
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_flights_far_from_the_training_data_get_nothing(cubic: tuple[ResidualFit
     learned, held = cubic
     far = tuple(tuple(100.0 * number for number in row) for row in learned.cfg.whitening)
     narrow = replace(learned, cfg=replace(learned.cfg, whitening=far))
-    judged = judge_on_test(narrow, make_predictor(held), params_from_robot(ROBOT), None)
+    judged = add_test_shares(narrow, make_predictor(held), params_from_robot(ROBOT), None)
     assert judged.rows_outside == judged.rows > 0
     assert set(judged.gaps.values()) == {0.0}
 
@@ -89,7 +89,7 @@ def test_training_repeats_itself(tmp_path: Path) -> None:
     predictor = make_predictor(fit)
     trainer = _Trainer(predictor, params_from_robot(ROBOT), make_judge(predictor), 0)
     first = trainer.train(0.01)
-    np.testing.assert_array_equal(first.flat(), trainer.train(0.01).flat())
+    np.testing.assert_array_equal(first.as_vector(), trainer.train(0.01).as_vector())
     constant = replace(first, output=0.0 * first.output, offset=torch.eye(6, dtype=torch.float64)[4])
     turning = trainer.network_config(constant).output.bias  # J times the rms of angular acceleration y
     rms = np.sqrt(np.mean(np.concatenate(predictor.residuals(params_from_robot(ROBOT)))[:, 4] ** 2))

@@ -6,7 +6,7 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.structure import Structure
-from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
+from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.judge.answer import VerdictAnswer, answer, meaning
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
@@ -101,7 +101,7 @@ def test_the_manoeuvre_that_decides_is_the_next_step() -> None:
 
 
 def test_a_parameter_that_may_be_another_effect_is_not_stated_as_found() -> None:
-    rival = RivalInPart(effect="com_offset", parameter="x", other="motor_tilt", params={}, log_odds=0.1)
+    rival = ParameterRival(effect="com_offset", parameter="x", other="motor_tilt", params={}, log_odds=0.1)
     effect = make_named_effect(in_part=(rival,))
     assert "x_m" not in effect.finding.values
     assert "y_m" in effect.finding.values

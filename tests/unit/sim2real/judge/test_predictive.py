@@ -13,7 +13,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
 from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, find_unexplained
@@ -91,7 +91,7 @@ def judge_flight(
     declared = params_from_robot(robot)
     tolerance = tolerance_jacobian(train, declared)
     weights = inverse_variance_weights(train.residuals(declared))
-    fit = linearise(train, (), declared, tolerance)
+    fit = linearise_at_params(train, (), declared, tolerance)
     squares = np.concatenate([(part**2).sum(axis=2) for part in tolerance]).mean(axis=0)
     columns = [
         NuisanceColumns(kind=OF_FLIGHTS, channel=name, columns=[], size=size, most=most) for name, size in own.items()
@@ -121,7 +121,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     flown = uniform_flight(flight(60, drag=0.2, noise=0.1, seconds=8.0, rate=100.0), tmp_path)
     predictor = make_predictor([flown], tolerances=Tolerances(acc_bias=1e-6))
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
-    fit = linearise(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
+    fit = linearise_at_params(predictor, ("rotor_drag",), params, tolerance_jacobian(predictor, params))
     weights = inverse_variance_weights(predictor.residuals(params))
     chosen = replace(make_choice(make_fit()), weights=weights)
     selection = make_selection(chosen)

@@ -172,9 +172,13 @@ def test_what_late_sensors_explain_as_well_is_no_other_clock(offset: float, move
     assert curve.offset.rows == pytest.approx(offset, abs=0.2)
     (result,), expected = common_offsets([curve], 1), curve.offset if moved else ClockOffset()
     assert (result.rows, result.std) == pytest.approx((expected.rows, expected.std), rel=1e-12)
-    limits = [time for time in np.arange(5.0, 15.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0)]
+    limits = [
+        time
+        for time in np.arange(5.0, 15.0, 0.1)
+        if ClockOffset(rows=time, std=1e-3).is_likelier_than_sensor_delays(1000.0)
+    ]
     assert min(limits) == pytest.approx(9.0, abs=0.11)
-    assert not ClockOffset(rows=10.0, std=5.0).is_a_clock(1000.0)
+    assert not ClockOffset(rows=10.0, std=5.0).is_likelier_than_sensor_delays(1000.0)
 
 
 def test_where_flights_contradict_each_other_an_offset_must_be_clear() -> None:
@@ -187,5 +191,9 @@ def test_where_flights_contradict_each_other_an_offset_must_be_clear() -> None:
     assert common_offsets([moved, still], 1)[0].rows == pytest.approx(2.2, abs=0.2)
     far = make_curve(rng, 3.2, size=1.0)
     assert common_offsets([far, still], 2) == [far.offset, ClockOffset()]
-    limits = [time for time in np.arange(5.0, 20.0, 0.1) if ClockOffset(rows=time, std=1e-3).is_a_clock(1000.0, 20.0)]
+    limits = [
+        time
+        for time in np.arange(5.0, 20.0, 0.1)
+        if ClockOffset(rows=time, std=1e-3).is_likelier_than_sensor_delays(1000.0, 20.0)
+    ]
     assert min(limits) == pytest.approx(13.7, abs=0.11)

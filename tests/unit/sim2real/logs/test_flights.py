@@ -1,11 +1,11 @@
 import numpy as np
 
-from aerial_gym.sim2real.logs.flights import common_values
+from aerial_gym.sim2real.logs.flights import values_in_all_mappings
 from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
 
 
 def test_what_one_flight_lacks_is_had_by_none() -> None:
-    assert common_values([{"speed": 1, "height": 2}, {"speed": 3, "voltage": 4}]) == {"speed": [1, 3]}
+    assert values_in_all_mappings([{"speed": 1, "height": 2}, {"speed": 3, "voltage": 4}]) == {"speed": [1, 3]}
 
 
 def test_a_part_of_a_log_has_the_same_rows_of_everything() -> None:

@@ -8,11 +8,11 @@ import pytest
 from aerial_gym.sim2real.logs.flights import repair_log
 from aerial_gym.sim2real.logs.position_jumps import (
     LIMIT,
-    Offset,
-    differences,
+    PositionOffset,
     largest_jump,
     log_odds_of_return,
     mend_position_jumps,
+    step_estimates,
 )
 from aerial_gym.sim2real.logs.recording import FlightLog
 
@@ -53,7 +53,7 @@ def test_steps_are_least_squares_beside_a_slope() -> None:
     at = np.arange(2 * half)
     columns = np.column_stack((np.ones(2 * half), at, at >= half))
     expected = [np.linalg.lstsq(columns, left[k : k + 2 * half], rcond=None)[0][2] for k in range(30 - 2 * half + 1)]
-    np.testing.assert_allclose(differences(left, half), expected, atol=1e-12)
+    np.testing.assert_allclose(step_estimates(left, half), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -108,21 +108,21 @@ def test_without_a_velocity_nothing_is_told() -> None:
     assert mend_position_jumps(alone) is alone
 
 
-def make_offset(x: float, y: float, z: float, *, std: float = 0.001) -> Offset:
-    return Offset(size=np.array((x, y, z)), variance=np.full(3, std**2))
+def make_offset(x: float, y: float, z: float, *, std: float = 0.001) -> PositionOffset:
+    return PositionOffset(size=np.array((x, y, z)), variance=np.full(3, std**2))
 
 
 @pytest.mark.parametrize(
     ("offset", "told"),
     [
-        (Offset(), False),
+        (PositionOffset(), False),
         (make_offset(0.11, -0.11, 0.11), True),
         (make_offset(-0.11, 0.11, -0.11), False),
         (make_offset(0.22, -0.22, 0.22), False),
         (make_offset(0.11, -0.11, 0.11, std=0.004), False),
     ],
 )
-def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: Offset, told: bool) -> None:
+def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: PositionOffset, told: bool) -> None:
     rng = np.random.default_rng(1)
     left = 0.006 * rng.standard_normal((1000, 3))
     left[600:] += (-0.11, 0.11, -0.11)
@@ -142,7 +142,7 @@ def test_noise_takes_nothing_back() -> None:
 
 def test_the_odds_of_a_return() -> None:
     """Of Student's t in three axes, by hand: 3.5 times the difference of the logarithms of 1 + d² / 4, less those of widths."""
-    scale, offset = np.full((3, 3), 0.01), Offset(size=np.array((0.1, 0.0, 0.0)), variance=np.full(3, 0.01**2))
+    scale, offset = np.full((3, 3), 0.01), PositionOffset(size=np.array((0.1, 0.0, 0.0)), variance=np.full(3, 0.01**2))
     sizes = np.array(((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))
     wide = -1.5 * np.log(2.0)
     none, far, once = np.log1p(100.0 / 4.0), np.log1p(0.5 * 400.0 / 4.0), np.log1p(0.5 * 100.0 / 4.0)
@@ -151,7 +151,7 @@ def test_the_odds_of_a_return() -> None:
 
 
 def test_jumps_that_took_each_other_back_leave_nothing_to_return() -> None:
-    assert make_offset(LIMIT * 0.011, 0.0, 0.0, std=0.01).sure
-    assert not make_offset(LIMIT * 0.009, 0.0, 0.0, std=0.01).sure
-    assert not make_offset(0.09, 0.0, 0.0, std=1e-6).sure
-    assert not Offset().sure
+    assert make_offset(LIMIT * 0.011, 0.0, 0.0, std=0.01).is_significant
+    assert not make_offset(LIMIT * 0.009, 0.0, 0.0, std=0.01).is_significant
+    assert not make_offset(0.09, 0.0, 0.0, std=1e-6).is_significant
+    assert not PositionOffset().is_significant

@@ -10,13 +10,13 @@ from aerial_gym.sim2real.logs.signals import (
     apply_lag,
     continuous_quaternion,
     edge_rows,
-    interpolate,
+    interpolate_columns,
     lowpass,
     lowpass_gain,
     quaternion_signs,
+    remove_line,
     uniform_log,
     welch,
-    without_line,
 )
 
 RATE, BAND = 200.0, 10.0
@@ -92,7 +92,7 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
 def test_without_line_is_what_a_fit_of_a_line_leaves() -> None:
     """Of each row by itself; scipy solves least squares for it."""
     values = np.cumsum(np.random.default_rng(0).normal(size=(3, 2, 50)), axis=-1)
-    np.testing.assert_allclose(without_line(values), signal.detrend(values, axis=-1), atol=1e-12)
+    np.testing.assert_allclose(remove_line(values), signal.detrend(values, axis=-1), atol=1e-12)
 
 
 @pytest.mark.parametrize(("rows", "segment"), [(2000, 400), (999, 111), (50, 50)])
@@ -124,4 +124,4 @@ def test_signs_take_every_jump_out_of_a_quaternion() -> None:
 
 def test_columns_run_in_straight_lines_between_rows() -> None:
     values = np.array([[0.0, 4.0], [2.0, 2.0], [2.0, 0.0]])
-    assert interpolate(np.array([0.5, 1.5]), np.arange(3.0), values).tolist() == [[1.0, 3.0], [2.0, 1.0]]
+    assert interpolate_columns(np.array([0.5, 1.5]), np.arange(3.0), values).tolist() == [[1.0, 3.0], [2.0, 1.0]]

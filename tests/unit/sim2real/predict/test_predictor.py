@@ -16,20 +16,26 @@ from aerial_gym.physics import EFFECTS, vehicle_from_config
 from aerial_gym.physics.effects import LoadEffect
 from aerial_gym.physics.rigid_body import ForceBreakdown, force_breakdown
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise, normal_equations
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params, normal_equations
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
-from aerial_gym.sim2real.predict.noise_floor import noise_floor, square_of_slow_rounding
+from aerial_gym.sim2real.predict.noise_floor import mean_square_of_rounding, noise_floor
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import FARTHEST, rollout_errors_of_models
 from aerial_gym.sim2real.predict.rows.batches import group_flights
-from aerial_gym.sim2real.predict.rows.dataset import thin_rows
-from aerial_gym.sim2real.predict.tolerances import Tolerances, command_shift, deviate, joint_start, sensor_deviation
+from aerial_gym.sim2real.predict.rows.dataset import row_stride
+from aerial_gym.sim2real.predict.tolerances import (
+    Tolerances,
+    command_shift,
+    joint_start,
+    sensor_deviation,
+    vehicle_with_deviations,
+)
 from aerial_gym.sim2real.predict.windows import find_windows
 from tests.physics.vehicles import BATTERY
 from tests.repetitions import frequent_values
@@ -329,7 +335,7 @@ def test_tolerances_change_what_they_say() -> None:
     for name, size in (("mass", 2.0), ("thrust_3", -1.0), ("inertia_y", 1.0), ("com_z", 1.0), ("time_constant", 1.0)):
         deviation[names.index(name)] = size
     deviation[names.index("nominal_voltage")] = -1.0
-    off = deviate(vehicle, tolerances, deviation)
+    off = vehicle_with_deviations(vehicle, tolerances, deviation)
     assert float(off.mass[0]) == pytest.approx(0.6 * 1.006)
     assert float(off.thrust_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.996)
     assert float(off.torque_map[0, 2, 2]) == pytest.approx(1.2e-6 * 0.015 * 0.996)
@@ -444,7 +450,7 @@ def test_noise_of_what_kinematics_imply_is_no_scale_of_the_accelerometer(tmp_pat
     params = ModelParams(effects={"rotor_drag": np.full(3, 0.2)})
     sizes = Tolerances(acc_scale=0.1)
     predictor = make_predictor(flights, tolerances=sizes)
-    fit = linearise(predictor, (), params, tolerance_jacobian(predictor, params))
+    fit = linearise_at_params(predictor, (), params, tolerance_jacobian(predictor, params))
     kinematic = np.array([channel.kind == "kinematic_force" for channel in predictor.channels])
     weight = inverse_variance_weights(predictor.residuals(params)).weight * kinematic
     product, gradient = normal_equations(fit, weight)
@@ -534,7 +540,7 @@ def test_what_a_log_holds_in_full_has_no_noise_of_rounding(tmp_path: Path) -> No
     results = load(tmp_path, rate=400.0, noise=1.0, seconds=20.0)
     channels = find_channels([results])
     floor = noise_floor(ROBOT, [results], ModelParams(), channels, bandwidth=BAND)
-    square = square_of_slow_rounding(ROBOT, results, ModelParams(), channels, BAND)
+    square = mean_square_of_rounding(ROBOT, results, ModelParams(), channels, BAND)
     assert (square < 0.01 * floor**2).all()
 
 
@@ -600,10 +606,10 @@ def test_forces_derived_from_the_velocity_have_no_errors_of_an_accelerometer(tmp
     channels = find_channels([results])
     for place, channel in enumerate(channels):
         assert np.any(np.abs(moved[:, place]) > 1e-6) == (channel.kind != "specific_force"), channel.name
-    assert lacks("imu_bias", ROBOT, [results]) is None
+    assert finding_on_untestable_effect("imu_bias", ROBOT, [results]) is None
     without = replace(results, gyro=False)
     for name in ("imu_bias", "imu_misalignment"):
-        assert lacks(name, ROBOT, [without]) == Finding("no_inertial_sensor", name)
+        assert finding_on_untestable_effect(name, ROBOT, [without]) == Finding("no_inertial_sensor", name)
 
 
 @pytest.mark.slow
@@ -616,7 +622,7 @@ def test_a_prediction_does_not_depend_on_those_before_it(tmp_path: Path) -> None
         return make_predictor([results], robot)
 
     names = [n for n in EFFECTS if not EFFECTS.get(n).random and not isinstance(EFFECTS.get(n), LoadEffect)]
-    names = [n for n in names if not lacks(n, robot, [results])]
+    names = [n for n in names if not finding_on_untestable_effect(n, robot, [results])]
     params = params_from_robot(robot)
     for name in names:
         scale = np.array([p.scale if p.kind == "number" else 0.0 for p in EFFECTS.get(name).parameters])
@@ -656,4 +662,4 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(t
     ("rate", "bandwidth", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
 )
 def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, bandwidth: float, rows: int) -> None:
-    assert thin_rows(hover("a", 1.0, rate=rate), bandwidth) == rows
+    assert row_stride(hover("a", 1.0, rate=rate), bandwidth) == rows

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.scene import lacks_of_scene
+from aerial_gym.sim2real.predict.scene import finding_on_absent_scene
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, write
 from tests.unit.sim2real.one_rollout import roll_out
@@ -105,8 +105,8 @@ def test_a_rollout_feels_its_surroundings(effect: str) -> None:
 
 def test_what_the_logs_do_not_tell_is_said() -> None:
     flights = [hover("a", 1.0, ceiling_height=3.0), hover("b", 1.0)]
-    assert lacks_of_scene("ceiling_effect", flights[:1]) is None
-    ceiling, other = (lacks_of_scene(name, flights) for name in ("ceiling_effect", "downwash"))
+    assert finding_on_absent_scene("ceiling_effect", flights[:1]) is None
+    ceiling, other = (finding_on_absent_scene(name, flights) for name in ("ceiling_effect", "downwash"))
     assert ceiling == Finding("logs_lack", "ceiling_effect", {"flights": "b", "need": "ceiling_height"})
     assert other == Finding("logs_lack", "downwash", {"flights": "all logs", "need": "other_position"})
     declares = replace(NEAR, effects={"ceiling_effect": {"k": 1.0}})

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.identify.candidates.nuisance import _offsets, flight_offsets, most_of_flights
+from aerial_gym.sim2real.identify.candidates.nuisance import (
+    _flight_offset_columns,
+    flight_offsets,
+    largest_flight_offsets,
+)
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerance_rms
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import params_from_robot
@@ -22,17 +26,17 @@ def residuals() -> list[np.ndarray]:
 def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_differ_and_no_larger_than_they_may() -> (
     None
 ):
-    result = _offsets(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
+    result = _flight_offset_columns(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
     assert [one.name for one in result] == ["flight in specific_force.x", "flight in specific_force.y"]
     x, y = result
-    assert x.of_flights
+    assert x.is_flight_offset
     assert x.size == pytest.approx(0.2)
     assert y.size == 0.5
     for number, columns in enumerate(x.columns):
         expected = np.zeros((40, 3))
         expected[:, number] = 0.2
-        np.testing.assert_allclose(columns.of_channels((0,))[:, 0], expected, rtol=1e-6)
-        assert not columns.of_channels((1,)).any()
+        np.testing.assert_allclose(columns.dense_columns((0,))[:, 0], expected, rtol=1e-6)
+        assert not columns.dense_columns((1,)).any()
         assert columns.values.shape == (40, 1, 1)  # no zeros are kept
     weight = np.array([1.0, 2.0, 3.0])
     own = flight_offsets(result, CHANNELS, weight)
@@ -41,7 +45,7 @@ def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_
 
 
 def test_one_flight_alone_has_no_offset_of_its_own() -> None:
-    assert _offsets(CHANNELS, residuals()[:1], np.ones(3)) == []
+    assert _flight_offset_columns(CHANNELS, residuals()[:1], np.ones(3)) == []
 
 
 def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
@@ -53,7 +57,7 @@ def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
         predictor = make_predictor([flown])
         channels = predictor.channels
         tolerance = tolerance_jacobian(predictor, params_from_robot(ROBOT))
-        result = most_of_flights(predictor, tolerance_rms(tolerance, ROBOT.num_rotors))
+        result = largest_flight_offsets(predictor, tolerance_rms(tolerance, ROBOT.num_rotors))
         sizes[name] = dict(zip((channel.name for channel in channels), result, strict=True))
     assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
     assert sizes["derived"]["specific_force.x"] == 0.0

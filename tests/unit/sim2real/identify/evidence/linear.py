@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Normal
+from aerial_gym.sim2real.identify.evidence.laplace import Candidates, NormalEquations
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,6 @@ def candidates(*widths: int, num_tolerances: int = 0, names: tuple[str, ...] = (
     )
 
 
-def normal(columns: Array, measured: Array) -> Normal:
+def normal(columns: Array, measured: Array) -> NormalEquations:
     """Return the sums of derivatives (rows, K) and measurements (rows,) with noise of one."""
-    return Normal(product=columns.T @ columns, gradient=columns.T @ measured)
+    return NormalEquations(product=columns.T @ columns, gradient=columns.T @ measured)

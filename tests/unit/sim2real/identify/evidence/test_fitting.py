@@ -10,7 +10,7 @@ import pytest
 from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import Fitter
 from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_probabilities, set_probabilities
-from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.moments import Moments
 from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
@@ -40,8 +40,8 @@ def test_the_same_effects_beside_other_structures_are_one_set() -> None:
 def test_of_a_fit_that_went_nowhere_an_effect_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Fitter, "refit_without_effects", lambda _self, _fitted, names, _compared: names)
     nowhere = replace(make_fit("slung_payload", "rotor_drag", log=float("-inf")), support={})
-    assert not nowhere.holds
-    assert Fitter.without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
+    assert not nowhere.is_supported
+    assert Fitter.refit_without_weakest(object.__new__(Fitter), nowhere) == ("slung_payload",)
 
 
 def test_a_set_without_effects_is_fitted_again_without_its_structures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,7 +69,7 @@ def test_where_even_nothing_is_no_fit_the_search_ends() -> None:
 def test_a_fit_that_no_longer_holds_from_its_most_probable_parameters_is_not_taken() -> None:
     drag = make_fit("rotor_drag", log=-2.0)
     beside = make_fit("rotor_drag", log=-1.9, odds={"rotor_drag": -0.1})
-    result, ends = FitStub(beside).in_file(drag)
+    result, ends = FitStub(beside).set_for_robot_file(drag)
     assert result is drag
     assert ends == {}
 
@@ -80,7 +80,7 @@ def test_what_does_not_hold_goes_until_all_that_is_left_holds() -> None:
     pair, drag = make_fit("rotor_drag", "constant_wind", odds=odds), make_fit("rotor_drag")
     assert FitStub(pair, drag).drop_unsupported(whole) is drag
     assert FitStub().drop_unsupported(drag) is drag
-    result, ends = FitStub(pair, drag).in_file(whole)
+    result, ends = FitStub(pair, drag).set_for_robot_file(whole)
     assert result is drag
     assert ends == {}
 
@@ -89,11 +89,11 @@ def test_a_robot_file_holds_nothing_that_ends_where_physics_does() -> None:
     """A drag at the largest number that is possible; at 0, where it is neutral too, the other axes stay."""
     end, thrust = [10.0, 0.0, 0.3], make_fit("thrust_coefficient")
     both = make_fit("rotor_drag", "thrust_coefficient", params={"rotor_drag": end, "thrust_coefficient": [0.9]})
-    result, ends = FitStub(both, thrust).in_file(both)
+    result, ends = FitStub(both, thrust).set_for_robot_file(both)
     assert result is thrust
     assert ends == {"rotor_drag": ["dx"]}
     kept = make_fit("rotor_drag", params={"rotor_drag": [0.2, 0.0, 0.3]})
-    result, ends = FitStub(kept).in_file(kept)
+    result, ends = FitStub(kept).set_for_robot_file(kept)
     assert result is kept
     assert ends == {}
 
@@ -132,5 +132,5 @@ def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two
     rng = np.random.default_rng(5)
     columns = rng.normal(size=(50, size))
     sums = normal(columns, columns @ np.full(size, 0.02) + 1e-3 * rng.normal(size=50))
-    sets = Sets(candidates=candidates(size, names=(name,)), normal=sums)
+    sets = SetPosterior(candidates=candidates(size, names=(name,)), normal=sums)
     assert len(FitStub().fit_starts(library, sets, (0,))) == count

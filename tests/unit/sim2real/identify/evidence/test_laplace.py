@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from aerial_gym.sim2real.identify.evidence.laplace import Normal, log_evidences, posterior
+from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations, log_evidences, posterior
 from tests.unit.sim2real.identify.evidence.linear import candidates, normal
 
 
@@ -29,7 +29,9 @@ def test_the_evidence_of_one_parameter_is_its_integral_over_the_prior(best: floa
     the best value lies beyond the bound the prior is taken there: wrong by its change up to the bound at most."""
     precision = 400.0
     result = posterior(
-        candidates(1, low=low), Normal(product=np.array([[precision]]), gradient=np.array([precision * best])), (0,)
+        candidates(1, low=low),
+        NormalEquations(product=np.array([[precision]]), gradient=np.array([precision * best])),
+        (0,),
     )
     peak = max(best, low)
     whole = 1.0 - stats.cauchy.cdf(low) if np.isfinite(low) else 1.0
@@ -45,13 +47,13 @@ def test_the_evidence_of_one_parameter_is_its_integral_over_the_prior(best: floa
 
 def test_a_parameter_that_nothing_shows_costs_little_and_gains_nothing() -> None:
     """Then the exact evidence is 1; the normal approximation of a Cauchy prior has sqrt(1 / pi) = 0.56 of it."""
-    result = posterior(candidates(1), Normal(product=np.zeros((1, 1)), gradient=np.zeros(1)), (0,))
+    result = posterior(candidates(1), NormalEquations(product=np.zeros((1, 1)), gradient=np.zeros(1)), (0,))
     assert result.log_evidence == pytest.approx(0.5 * np.log(1.0 / np.pi), abs=1e-6)
 
 
 def test_a_large_parameter_is_not_held_back_by_its_prior() -> None:
     """At ten scales a normal prior would pull by a tenth of a standard deviation of the data each; Cauchy's tails do not."""
-    result = posterior(candidates(1), Normal(product=np.array([[4.0]]), gradient=np.array([40.0])), (0,))
+    result = posterior(candidates(1), NormalEquations(product=np.array([[4.0]]), gradient=np.array([40.0])), (0,))
     assert result.step[0] == pytest.approx(10.0, abs=0.06)
 
 

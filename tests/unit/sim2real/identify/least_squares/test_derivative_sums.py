@@ -14,7 +14,7 @@ from aerial_gym.sim2real.identify.least_squares.derivative_sums import (
     num_columns,
     weighted_moments,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import misfit
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import least_weighted_squares
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments
 
 RATE, WEIGHT = 30.0, np.array([0.5, 2.0, 7.0])
@@ -59,9 +59,9 @@ def test_zeros_are_put_back_as_they_were() -> None:
     kept = drop_zero_channels(dense)
     for part, whole_part in zip(kept, dense, strict=True):
         assert part.channels == (0, 1)
-        np.testing.assert_array_equal(part.of_channels(range(3)), whole_part)
+        np.testing.assert_array_equal(part.dense_columns(range(3)), whole_part)
     late = flights(1).last[0]
-    np.testing.assert_array_equal(late.of_channels(range(3)), whole(late))
+    np.testing.assert_array_equal(late.dense_columns(range(3)), whole(late))
 
 
 @pytest.mark.parametrize("parts", [1, 4])
@@ -77,7 +77,7 @@ def test_weighted_sums_are_those_of_the_channels_times_their_weights(parts: int)
     expected = block_moments(*apart, length=np.inf)
     all_beside = weighted_moments(own.times, own.residuals, columns, WEIGHT, parts=parts)
     behind = NuisanceSums(own.times, [part[1:] for part in columns], WEIGHT, parts=parts)
-    for result in (all_beside, behind.moments(own.residuals, own.dense)):
+    for result in (all_beside, behind.moments_with_effects(own.residuals, own.dense)):
         for name in ("product", "gradient"):
             sums = np.einsum("c,bc...->b...", WEIGHT, getattr(expected, name))
             np.testing.assert_allclose(getattr(result, name)[:, 0], sums, rtol=1e-10, atol=1e-10)
@@ -107,6 +107,8 @@ def test_a_misfit_is_the_least_of_weighted_squares_and_prior() -> None:
     values = np.concatenate([(r * root).reshape(-1) for r in own.residuals])
     system, right = np.vstack((rows, np.eye(7))), np.append(values, np.zeros(7))
     step = np.linalg.lstsq(system, right, rcond=None)[0]
-    assert misfit(beside, own.residuals) == pytest.approx(float(((right - system @ step) ** 2).sum()), rel=1e-10)
+    assert least_weighted_squares(beside, own.residuals) == pytest.approx(
+        float(((right - system @ step) ** 2).sum()), rel=1e-10
+    )
     own.residuals[1][7, 1] = np.nan
-    assert misfit(beside, own.residuals) == np.inf
+    assert least_weighted_squares(beside, own.residuals) == np.inf

@@ -10,14 +10,14 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     tolerance_jacobian,
     tolerance_rms,
 )
-from aerial_gym.sim2real.identify.least_squares.parameters import parameter_bounds, scales
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_bounds, parameter_scales
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.tolerances import of_logs
+from aerial_gym.sim2real.predict.tolerances import is_tolerance_of_logs
 from tests.unit.sim2real.flat_flights import PredictorStub
 
 ROBOT = ROBOTS.get("base_quadrotor")
 ROWS = np.array([1.0, -2.0, 3.0])
-NUM_TOLERANCES = of_logs(4).size
+NUM_TOLERANCES = is_tolerance_of_logs(4).size
 
 
 def of_deviations(params: ModelParams) -> list[np.ndarray]:
@@ -38,7 +38,7 @@ def test_derivatives_half_way_to_deviations_say_what_they_do_together() -> None:
 
 
 def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -> None:
-    sizes = np.where(of_logs(4), 100.0, 1.0)
+    sizes = np.where(is_tolerance_of_logs(4), 100.0, 1.0)
 
     def predict(params: ModelParams) -> list[np.ndarray]:
         d = np.zeros(NUM_TOLERANCES) if params.deviation is None else params.deviation
@@ -46,7 +46,7 @@ def test_what_is_tolerated_is_what_the_vehicle_may_be_off_by_and_not_its_log() -
 
     tolerance = tolerance_jacobian(PredictorStub(predict, robot=ROBOT), ModelParams(effects={}))
     result = tolerance_rms(tolerance, 4)
-    assert result == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(of_logs(4)))))
+    assert result == pytest.approx(np.sqrt(np.count_nonzero(np.logical_not(is_tolerance_of_logs(4)))))
 
 
 def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_alone() -> None:
@@ -57,7 +57,7 @@ def test_derivatives_by_parameters_are_per_scale_within_bounds_and_of_numbers_al
         asked.append(scale)
         return [np.outer(ROWS, (scale**2, 1.0))]
 
-    (_, top), scale = parameter_bounds(ROBOT, ("weak_motor",))[1], scales(("weak_motor",))[1]
+    (_, top), scale = parameter_bounds(ROBOT, ("weak_motor",))[1], parameter_scales(("weak_motor",))[1]
     params = ModelParams(effects={"weak_motor": np.array([2.0, top])})  # the number of the motor, and its scale
     beside = [np.full((3, 2, 1), 7.0)]
     predictor = PredictorStub(predict, robot=ROBOT)

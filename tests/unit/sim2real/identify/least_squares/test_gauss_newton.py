@@ -9,7 +9,13 @@ from aerial_gym.sim2real.identify.least_squares import gauss_newton
 from aerial_gym.sim2real.identify.least_squares.covariance import uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import Goal, ModelFit, best_step, fit_effects, misfit
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
+    FitGoal,
+    ModelFit,
+    best_step,
+    fit_effects,
+    least_weighted_squares,
+)
 from aerial_gym.sim2real.identify.least_squares.moments import (
     block_length,
     block_moments,
@@ -181,26 +187,26 @@ def worth(fit: ModelFit) -> float:
     return float(gradient @ step - 0.5 * step @ product @ step) - 0.5 * float(fit.moments.square.sum())
 
 
-def fit_exponential(goal: Goal) -> tuple[ModelFit, float, float, int]:
+def fit_exponential(goal: FitGoal) -> tuple[ModelFit, float, float, int]:
     """Return a fit from zero, its log likelihood, what it may have missed at most, and its predictions."""
     predictor, _ = exponential(4, 0.3)
     sums = nuisance_sums(predictor, 1e3)
     fit, _, more = fit_effects(predictor, (WIND,), ModelParams(effects={WIND: np.zeros(3)}), sums, goal=goal)
     count = predictor.calls
-    return fit, -0.5 * misfit(sums, predictor.residuals(fit.params)), more, count
+    return fit, -0.5 * least_weighted_squares(sums, predictor.residuals(fit.params)), more, count
 
 
 def test_a_fit_that_cannot_reach_its_goal_ends_at_once_and_any_other_arrives() -> None:
-    _, reached, _, whole = fit_exponential(Goal())
-    fit, nowhere, more, few = fit_exponential(Goal(worth=worth, least=reached + 1e5))
+    _, reached, _, whole = fit_exponential(FitGoal())
+    fit, nowhere, more, few = fit_exponential(FitGoal(worth=worth, least=reached + 1e5))
     assert worth(fit) + more > reached > nowhere
     assert few < whole / 2
-    assert fit_exponential(Goal(worth=worth, least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
+    assert fit_exponential(FitGoal(worth=worth, least=reached - 1.0))[1] == pytest.approx(reached, abs=1e-6)
 
 
 def test_a_fit_ends_where_its_own_derivatives_promise_no_more_than_is_enough() -> None:
-    _, reached, _, whole = fit_exponential(Goal())
-    fit, _, _, few = fit_exponential(Goal(enough=5.0))
+    _, reached, _, whole = fit_exponential(FitGoal())
+    fit, _, _, few = fit_exponential(FitGoal(enough=5.0))
     assert few < whole
     assert worth(fit) == pytest.approx(reached, abs=0.5)
 
@@ -212,7 +218,7 @@ def test_derivatives_are_not_taken_anew_where_steps_gave_what_they_promised(monk
     for enough in (10.0, 0.0):
         taken = []
         monkeypatch.setattr(gauss_newton, "effect_jacobian", lambda *args: taken.append(1) or effect_jacobian(*args))  # noqa: B023
-        goal = Goal(enough=enough)
+        goal = FitGoal(enough=enough)
         fit, _, more = fit_effects(
             predictor, (WIND,), start, nuisance_sums(predictor, 1e3), derivatives=near, goal=goal
         )
@@ -234,7 +240,7 @@ def test_a_fit_whose_derivatives_are_not_finite_goes_nowhere(derivatives: list[n
     predictor = PredictorStub(predict, [np.full((40, 1), 2.0)])
     fit, _, _ = fit_effects(predictor, (WIND,), edge, nuisance_sums(predictor, 1.0), derivatives=derivatives)
     assert fit.params is edge
-    assert not fit.finite
+    assert not fit.is_finite
 
 
 def test_short_flights_have_short_blocks() -> None:

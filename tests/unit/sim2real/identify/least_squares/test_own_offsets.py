@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from aerial_gym.sim2real.identify.evidence.laplace import Normal
-from aerial_gym.sim2real.identify.least_squares.own_offsets import OwnOffsets
+from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
+from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
 
 
 def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -14,7 +14,7 @@ def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray
 def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() -> None:
     """``J^T (1 / w + s² 1 1^T)^-1 r`` by the inverse itself, channel by channel; the second channel has no offset."""
     residuals, jacobians = flights(np.random.default_rng(1))
-    offsets = OwnOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
+    offsets = FlightOffsets(size=np.array([0.7, 0.0]), weight=np.array([4.0, 2.0]), most=np.ones(2))
     for r, j, out, along in zip(
         residuals, jacobians, *map(offsets.remove_offsets, (residuals, jacobians)), strict=True
     ):
@@ -30,7 +30,7 @@ def test_products_are_those_under_the_covariance_of_rows_that_share_an_offset() 
 def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
     residuals, jacobians = flights(np.random.default_rng(2))
     size, weight = 0.4, 3.0
-    offsets = OwnOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]), most=np.ones(2))
+    offsets = FlightOffsets(size=np.array([size, 0.0]), weight=np.array([weight, weight]), most=np.ones(2))
     product, gradient, constant = np.zeros((6, 6)), np.zeros(6), 0.0
     for place, (r, j) in enumerate(zip(residuals, jacobians, strict=True)):
         for channel in range(2):
@@ -39,7 +39,9 @@ def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
             product += weight * columns.T @ columns
             gradient += weight * columns.T @ r[:, channel]
             constant -= 0.5 * weight * r[:, channel] @ r[:, channel]
-    kept = Normal(product=product, gradient=gradient, constant=constant).integrate_out(np.arange(3, 6), np.arange(3))
+    kept = NormalEquations(product=product, gradient=gradient, constant=constant).integrate_out(
+        np.arange(3, 6), np.arange(3)
+    )
     pairs = list(zip(offsets.remove_offsets(residuals), offsets.remove_offsets(jacobians), strict=True))
     product_kept = sum(weight * np.einsum("rck,rcl->kl", j, j) for _, j in pairs)
     gradient_kept = sum(weight * np.einsum("rck,rc->k", j, r) for r, j in pairs)
@@ -52,7 +54,7 @@ def test_it_is_what_is_left_of_a_column_for_each_flight() -> None:
 
 def test_without_offsets_nothing_changes() -> None:
     residuals, _ = flights(np.random.default_rng(3))
-    offsets = OwnOffsets(size=np.zeros(2), weight=np.ones(2), most=np.ones(2))
-    assert not offsets.any
+    offsets = FlightOffsets(size=np.zeros(2), weight=np.ones(2), most=np.ones(2))
+    assert not offsets.has_offsets
     for before, after in zip(residuals, offsets.remove_offsets(residuals), strict=True):
         assert after is before

@@ -7,8 +7,8 @@ from aerial_gym.sim2real.identify.least_squares.parameters import (
     is_number,
     parameter_bounds,
     parameter_row,
-    scales,
-    with_params,
+    parameter_scales,
+    replace_params,
 )
 from aerial_gym.sim2real.predict.model_params import ModelParams
 
@@ -23,13 +23,13 @@ def test_parameters_stand_in_the_order_of_the_effects_that_are_requested() -> No
     np.testing.assert_array_equal(parameter_row(POINT, EFFECTS), [3.0, 0.9, 0.1, 0.2, 0.3])
     assert parameter_row(POINT, ()).size == 0
     low, high = parameter_bounds(ROBOT, EFFECTS)
-    assert scales(EFFECTS).shape == low.shape == high.shape == (5,)
+    assert parameter_scales(EFFECTS).shape == low.shape == high.shape == (5,)
     assert [is_number("weak_motor", place) for place in (0, 1)] == [False, True]
 
 
 def test_others_are_held_within_their_bounds_and_leave_the_rest_alone() -> None:
     _, high = parameter_bounds(ROBOT, EFFECTS)
-    moved = with_params(ROBOT, POINT, EFFECTS, np.array([2.0, high[1] + 1.0, -5.0, 0.4, 0.5]))
+    moved = replace_params(ROBOT, POINT, EFFECTS, np.array([2.0, high[1] + 1.0, -5.0, 0.4, 0.5]))
     np.testing.assert_array_equal(moved.effects["weak_motor"], [2.0, high[1]])
     np.testing.assert_array_equal(moved.effects["rotor_drag"], [0.0, 0.4, 0.5])  # a drag does not push
     np.testing.assert_array_equal(moved.effects["com_offset"], POINT.effects["com_offset"])

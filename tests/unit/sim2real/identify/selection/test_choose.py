@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
-from aerial_gym.sim2real.identify.least_squares.parameters import scales
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_scales
 from aerial_gym.sim2real.identify.selection import choose
 from aerial_gym.sim2real.identify.selection.candidate_view import CandidateView
-from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, _Chooser, choose_effects, narrowest
+from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, _Chooser, best_special_case, choose_effects
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.identify.selection.set_search import SetSearch
 from aerial_gym.sim2real.predict.channels import Channel
@@ -49,7 +49,7 @@ def fly(folder: Path, rate: float, **hidden: float) -> Predictor:
 
 def parameter_error(fitted: EffectSetFit, name: str, truth: float) -> np.ndarray:
     assert fitted.effects[0] == name
-    scale = scales((name,))
+    scale = parameter_scales((name,))
     std = scale * np.sqrt(np.diag(fitted.parameters.covariance)[: scale.size])
     return np.abs(fitted.params.effects[name] - truth) / std
 
@@ -64,7 +64,7 @@ def test_the_hidden_effects_are_the_most_probable_set(tmp_path, hidden, expected
     assert results.sets[tuple(sorted(expected))] > 0.8
     assert sum(results.sets.values()) == pytest.approx(1.0)
     assert all(results.inclusion[name] > 0.95 for name in expected)
-    assert results.named.holds
+    assert results.named.is_supported
     if parameter is not None:
         assert (parameter_error(results.named, "rotor_drag", parameter) < 4.0).all()
 
@@ -89,13 +89,13 @@ def test_an_effect_whose_size_follows_the_time_is_a_surrogate_unless_flights_dis
     """Rotors lose 8 % of their thrust in each flight. Scatter between flights 1e5 times that of noise hides the fall."""
     flights = fly(tmp_path, 100.0, fading=0.08)
     climber = SetSearch(flights, params_from_robot(ROBOT), FEW, silent)
-    view = climber.run()
+    view = climber.find_best_set()
     chooser = _Chooser(climber, MATERIAL)
-    results = chooser.result(view)
+    results = chooser.make_result(view)
     assert results.effects == ()
     assert results.surrogates == {"thrust_coefficient": "time"}
     scattered = {name: replace(one, overdispersion=1e5) for name, one in view.present.support.items()}
-    assert chooser.proxy_effects(replace(view.present, support=scattered), view.fitter) == {}
+    assert chooser.surrogate_effects(replace(view.present, support=scattered), view.fitter) == {}
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_of_two_trifles_that_replace_each_other_the_lesser_one_goes(material, ke
     )
     fitter.refit_without_effects = lambda one, gone: make_fit(*(name for name in one.effects if name not in gone))
     whole = make_fit(*max(SIZES, key=len))
-    results, immaterial, without = chooser.without_trifles(whole, fitter)
+    results, immaterial, without = chooser.drop_immaterial(whole, fitter)
     assert results.effects == kept
     assert set(without) == set(kept)
     assert all(name not in less.effects and set(less.effects) < set(kept) for name, less in without.items())
@@ -152,9 +152,9 @@ def test_a_robot_file_holds_no_structure_and_no_effect_that_holds_only_beside_on
     drag, mass = make_fit("rotor_drag", log=-5.0), make_fit("payload_mass", log=-3.0)
     fits = (whole, drag, mass, make_fit("imu_bias", log=-1.0), make_fit("rotor_drag", log=-0.5, structures=(PLACE,)))
     fitter, chooser = FitStub(both, drag, make_fit()), object.__new__(_Chooser)
-    assert chooser.bare(whole, (), fits, fitter) is mass
-    assert chooser.bare(whole, ("payload_mass",), fits, fitter) is drag
-    assert chooser.bare(drag, (), fits, fitter) is drag
+    assert chooser.best_set_without_structures(whole, (), fits, fitter) is mass
+    assert chooser.best_set_without_structures(whole, ("payload_mass",), fits, fitter) is drag
+    assert chooser.best_set_without_structures(drag, (), fits, fitter) is drag
 
 
 def test_what_is_more_probable_than_not_and_not_told_from_nothing_has_no_name() -> None:
@@ -214,18 +214,18 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
     best, named = make_fit("rotor_drag", *more), make_fit("rotor_drag")
     chooser, fitter = object.__new__(_Chooser), FitStub()
     chooser.names, chooser.tolerated = best.effects, np.zeros(1)
-    fitter.in_file, fitter.weights = lambda one: (named, {"weak_motor": ["scale"]}), None
+    fitter.set_for_robot_file, fitter.weights = lambda one: (named, {"weak_motor": ["scale"]}), None
     for name, result in (
-        ("proxy_effects", {}),
-        ("bare", best),
+        ("surrogate_effects", {}),
+        ("best_set_without_structures", best),
         ("drop_unproven", (named, {"torque_ratio": 0.7, "com_offset": 5.0})),
         ("drop_unidentified", (named, ["motor_tilt"])),
-        ("without_trifles", (named, {}, {})),
-        ("adds", {}),
+        ("drop_immaterial", (named, {}, {})),
+        ("log_odds_of_additions", {}),
     ):
         monkeypatch.setattr(chooser, name, lambda *_, result=result: result)
     monkeypatch.setattr(choose, "observable_candidates", lambda library: [])
-    monkeypatch.setattr(choose, "rivals_in_part", lambda *_: ())
+    monkeypatch.setattr(choose, "rivals_of_parameters", lambda *_: ())
     view = CandidateView(
         present=best,
         fits={best.label: best},
@@ -237,7 +237,7 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
         sets=None,
         guard=None,
     )
-    refused = chooser.result(view).refused
+    refused = chooser.make_result(view).refused
     assert {name: finding.code for name, finding in refused.items()} == {
         "payload_mass": "flights_disagree",
         "weak_motor": "at_bound",
@@ -252,11 +252,11 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
 def test_of_a_case_and_a_wider_one_that_are_not_told_apart_the_narrower_is_meant(behind: float, expected: str) -> None:
     wide = make_fit("wind_shear", log=0.0)
     rest = [wide, make_fit("rotor_drag", log=-0.1), make_fit(log=-0.2), make_fit("constant_wind", structures=(PLACE,))]
-    assert narrowest(wide, rest, 3.0) is wide
-    assert narrowest(wide, [*rest, make_fit("constant_wind", log=-behind)], 3.0).effects == (expected,)
+    assert best_special_case(wide, rest, 3.0) is wide
+    assert best_special_case(wide, [*rest, make_fit("constant_wind", log=-behind)], 3.0).effects == (expected,)
 
 
 @pytest.mark.parametrize(("fits", "expected"), [(-1.0, "constant_wind"), (-5.0, "wind_shear")])
 def test_a_wider_case_is_told_by_what_it_fits_better(fits: float, expected: str) -> None:
     wide, steady = make_fit("wind_shear", log=0.0), make_fit("constant_wind", log=-8.0, fits=fits)
-    assert narrowest(wide, [wide, steady], 3.0).effects == (expected,)
+    assert best_special_case(wide, [wide, steady], 3.0).effects == (expected,)

@@ -8,7 +8,7 @@ import pytest
 
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.weighting import inverse_variance_weights
-from aerial_gym.sim2real.identify.selection.partial_rivals import rivals_in_part
+from aerial_gym.sim2real.identify.selection.partial_rivals import rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
@@ -44,7 +44,7 @@ def fit_start(fitter: Fitter, **params: list[float]) -> EffectSetFit:
 def test_an_inertia_about_yaw_may_as_well_be_a_torque_ratio(fitter: Fitter) -> None:
     """1.6 times the inertia turns as 1 / 1.6 of the torque does; nothing else turns so."""
     named = fit_start(fitter, inertia_error=TRUE.tolist())
-    result = {(one.effect, one.parameter): one for one in rivals_in_part(fitter, named, named.effects, NAMES)}
+    result = {(one.effect, one.parameter): one for one in rivals_of_parameters(fitter, named, named.effects, NAMES)}
     one = result["inertia_error", "sz"]
     assert one.other == "torque_ratio"
     assert one.params["scale"] == pytest.approx(1.0 / 1.6, rel=0.05)
@@ -57,13 +57,13 @@ def test_an_inertia_about_yaw_may_as_well_be_a_torque_ratio(fitter: Fitter) -> N
 
 def test_quiet_flights_tell_them_apart(tmp_path: Path) -> None:
     quiet = make_fitter(tmp_path, 1.0)
-    assert rivals_in_part(quiet, fit_start(quiet, inertia_error=TRUE.tolist()), NAMES, NAMES) == ()
+    assert rivals_of_parameters(quiet, fit_start(quiet, inertia_error=TRUE.tolist()), NAMES, NAMES) == ()
 
 
 def test_what_is_no_candidate_or_in_the_set_is_no_rival(fitter: Fitter) -> None:
     named = fit_start(fitter, inertia_error=TRUE.tolist())
-    assert rivals_in_part(fitter, named, named.effects, ("inertia_error", "rotor_drag")) == ()
+    assert rivals_of_parameters(fitter, named, named.effects, ("inertia_error", "rotor_drag")) == ()
     both = fit_start(fitter, torque_ratio=[1.0 / 1.6], inertia_error=[1.3, 1.4, 1.0])
-    assert all(one.other not in both.effects for one in rivals_in_part(fitter, both, both.effects, NAMES))
-    assert rivals_in_part(fitter, fit_start(fitter, torque_ratio=[1.0 / 1.6]), NAMES, NAMES) == ()
-    assert rivals_in_part(fitter, named, (), NAMES) == ()
+    assert all(one.other not in both.effects for one in rivals_of_parameters(fitter, both, both.effects, NAMES))
+    assert rivals_of_parameters(fitter, fit_start(fitter, torque_ratio=[1.0 / 1.6]), NAMES, NAMES) == ()
+    assert rivals_of_parameters(fitter, named, (), NAMES) == ()

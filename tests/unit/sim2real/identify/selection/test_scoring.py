@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, LeftOut
+from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation
 from aerial_gym.sim2real.predict.channels import Channel
 
 BLOCKS, FLIGHTS = 8, 4
 
 
-def left_out() -> LeftOut:
+def left_out() -> CrossValidation:
     """Return four flights of eight blocks of 60 rows, two channels, nothing tolerated."""
     blocks = BLOCKS * FLIGHTS
     channels = tuple(Channel(kind="specific_force", axis=axis) for axis in "xy")
     weights = Weighting(variance=np.ones(2), effective=np.full(2, 0.5))
-    return LeftOut(
+    return CrossValidation(
         count=np.full(blocks, 60.0),
         flight=np.repeat(np.arange(FLIGHTS), BLOCKS),
         weights=weights,
@@ -70,7 +70,7 @@ def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(gaine
     result = judge.gain(squares(*[1.0] * FLIGHTS), more)
     assert result.worse == (False, harmful)
     assert result.harmed == (0.0, float(harmful))
-    assert bool(judge.harms(result)) is harmful
+    assert bool(judge.findings_on_harm(result)) is harmful
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from aerial_gym.sim2real.identify.candidates.library import Candidate, Library
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.evidence.guard import Guard
 from aerial_gym.sim2real.identify.evidence.laplace import Model
-from aerial_gym.sim2real.identify.evidence.search import Sets
+from aerial_gym.sim2real.identify.evidence.search import SetPosterior
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROMISE
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.candidate_view import FAR_BEHIND, CandidateView, occam_window
@@ -54,7 +54,7 @@ def make_view(
         fitter=fitter or Singles(*sets),
         library=Library(candidates=candidates, moments=None, weight=np.ones(1), tolerances=none),
         structures=[],
-        sets=Sets(candidates=linear_candidates(*[0] * len(NAMES)), normal=None, log_posterior=promised),
+        sets=SetPosterior(candidates=linear_candidates(*[0] * len(NAMES)), normal=None, log_posterior=promised),
         guard=GuardStub(keeps=keeps),
     )
 
@@ -72,9 +72,9 @@ def test_the_best_other_effect_is_fitted_however_far_and_whether_or_not_it_holds
     best, drag = make_fit("com_offset"), make_fit("rotor_drag", log=-1e6)
     promised = {(0,): 0.0, (1,): -1e6, (2,): -2e6, (3,): -3e6}
     view, climber = make_view(promised, best, drag, keeps=False), SearchStub()
-    climber.fit_rivals(view)
+    climber.fit_rival_sets(view)
     assert set(view.fits) == {best.label}
-    climber.fit_nearest(view)
+    climber.fit_nearest_rivals(view)
     assert set(view.fits) == {best.label, drag.label}
 
 
@@ -101,18 +101,18 @@ class SearchStub(SetSearch):
         weight = self.given.pop(0) if len(self.given) > 1 else self.given[0]
         return Weighting(variance=np.array([1.0 / weight]), effective=np.ones(1))
 
-    def start(self) -> CandidateView:
-        return self.start_view(self.declared, (), (), self.residual_weights(None))
+    def view_of_declared_model(self) -> CandidateView:
+        return self.view_of_supported_set(self.declared, (), (), self.residual_weights(None))
 
-    def start_view(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting, *_: Any):
+    def view_of_supported_set(self, params: ModelParams, effects: Any, structures: Any, weights: Weighting, *_: Any):
         """Return a view with the given weights, and record the start."""
         self.gone.append("start")
         fitter = FitStub()
         fitter.weights = weights
         return make_view({}, make_fit(), fitter=fitter)
 
-    def climb(self, ways: Any) -> None:
-        self.gone.append("all" if self.fit_rivals in ways else "likely")
+    def climb_to_best_set(self, ways: Any) -> None:
+        self.gone.append("all" if self.fit_rival_sets in ways else "likely")
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ class SearchStub(SetSearch):
 )
 def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...], gone: list[str]) -> None:
     climber = SearchStub(*weights)
-    climber.run()
+    climber.find_best_set()
     assert climber.gone == gone
 
 
@@ -154,7 +154,7 @@ def test_a_set_is_fitted_about_itself_until_its_deviations_stay(deviations, turn
             number += 1
             return fits[number]
 
-        def forget_nuisance_sums(self) -> None:
+        def clear_nuisance_sums(self) -> None:
             pass
 
     fitters = [Refits() for _ in fits]
@@ -172,6 +172,6 @@ def test_a_set_that_does_not_hold_under_new_weights_is_left_for_what_holds_of_it
     drag = make_fit("rotor_drag", log=-3.0)
     climber = SearchStub()
     climber.fitter_at_model = lambda *_: FitStub(both, drag, make_fit(log=-50.0))
-    climber.candidate_view = lambda present, own, fits, _: (present, list(own), list(fits))
-    result = SetSearch.start_view(climber, both.params, both.effects, (), None)
+    climber.make_candidate_view = lambda present, own, fits, _: (present, list(own), list(fits))
+    result = SetSearch.view_of_supported_set(climber, both.params, both.effects, (), None)
     assert result == (drag, [drag.label], [()])

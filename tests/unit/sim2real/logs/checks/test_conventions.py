@@ -8,7 +8,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.conventions import body_rate, check_log, check_time, without_bad_quaternions
+from aerial_gym.sim2real.logs.checks.conventions import (
+    body_rate_from_attitude,
+    check_duration_and_rate,
+    check_log,
+    without_bad_quaternions,
+)
 from aerial_gym.sim2real.logs.flights import load_flights
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
@@ -27,7 +32,7 @@ def table() -> pd.DataFrame:
 
 def check(table: pd.DataFrame, folder: Path) -> list[str]:
     log = read_flight_log(write(table, folder / "a.csv"))
-    check_time(log)
+    check_duration_and_rate(log)
     return check_log(uniform_log(without_bad_quaternions(log)), ROBOT)
 
 
@@ -183,5 +188,5 @@ def test_the_rate_of_a_steady_turn_is_its_rate() -> None:
     """q = (0, 0, sin(w t / 2), cos(w t / 2)) turns with w about z, in body as in world axes."""
     time = np.arange(0.0, 6.0, 0.01)
     quaternion = np.stack((0 * time, 0 * time, np.sin(0.7 * time), np.cos(0.7 * time)), axis=1)
-    inner = body_rate(quaternion, 100.0, 4.0)[150:-150]
+    inner = body_rate_from_attitude(quaternion, 100.0, 4.0)[150:-150]
     np.testing.assert_allclose(inner, np.tile([0.0, 0.0, 1.4], (len(inner), 1)), atol=1e-4)

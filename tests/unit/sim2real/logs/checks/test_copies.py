@@ -8,7 +8,7 @@ import pytest
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.logs.inputs import read_inputs
+from aerial_gym.sim2real.logs.inputs import read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
@@ -44,11 +44,11 @@ def test_a_test_flight_that_is_a_copy_is_left_out(table: pd.DataFrame, tmp_path:
     other = write(flight(2, seconds=8.0, rate=100.0, noise=1.0), tmp_path / "other.csv")
     with pytest.raises(DataError, match="a copy is no other flight"):
         load_flights(paths, ROBOT, mapping=None, bandwidth=10.0)
-    result = read_inputs(ROBOT, paths[:1], [paths[1], other], mapping=None, bandwidth=10.0)
+    result = read_flight_inputs(ROBOT, paths[:1], [paths[1], other], mapping=None, bandwidth=10.0)
     assert [one.name for one in result.test] == ["other"]
     assert "a copy is no other flight" in result.left_out[0].values["error"]
     with pytest.raises(DataError, match="give each flight once, to train or to test"):
-        read_inputs(ROBOT, paths[:1], paths[1:], mapping=None, bandwidth=10.0)
+        read_flight_inputs(ROBOT, paths[:1], paths[1:], mapping=None, bandwidth=10.0)
 
 
 def test_flights_that_begin_alike_or_rest_alike_are_different(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.logs.checks.conventions import check_log
-from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, kinematic_errors
+from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, imu_errors_from_kinematics
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import uniform_log
@@ -27,13 +27,13 @@ def read_log(table: pd.DataFrame, folder: Path) -> FlightLog:
 
 
 def errors(table: pd.DataFrame, folder: Path, sensor: str) -> ImuErrors:
-    return next(a for a in kinematic_errors(read_log(table, folder)) if a.sensor == sensor)
+    return next(a for a in imu_errors_from_kinematics(read_log(table, folder)) if a.sensor == sensor)
 
 
 @pytest.mark.parametrize("seed", [1, 5, 6])
 def test_a_clean_flight_is_silent(seed: int, tmp_path: Path) -> None:
     clean = flight(seed, seconds=16.0, rate=200.0, noise=1.0)
-    assert [note for a in kinematic_errors(read_log(clean, tmp_path)) for note in a.findings()] == []
+    assert [note for a in imu_errors_from_kinematics(read_log(clean, tmp_path)) for note in a.findings()] == []
 
 
 @pytest.mark.parametrize("size", [0.03, 0.1, 0.3])
@@ -94,4 +94,4 @@ def test_faults_of_the_imu_stand_in_the_notes_of_a_check(table: pd.DataFrame, tm
 
 def test_a_drag_the_model_lacks_is_no_fault_of_the_imu(tmp_path: Path) -> None:
     draggy = flight(5, seconds=16.0, rate=200.0, noise=1.0, drag=0.3)
-    assert [note for a in kinematic_errors(read_log(draggy, tmp_path)) for note in a.findings()] == []
+    assert [note for a in imu_errors_from_kinematics(read_log(draggy, tmp_path)) for note in a.findings()] == []

@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.rotor_law import relative_slope
+from aerial_gym.sim2real.logs.checks.rotor_law import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.rotor_model import lift
+from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 ROTORS = [f"rotor_{n}" for n in range(1, 5)]
@@ -46,7 +46,7 @@ def test_the_slope_of_speeds_is_one_and_of_a_root_two(table: pd.DataFrame, tmp_p
     log = read_flight_log(write(table, tmp_path / "a.csv"))
     for power in (0.5, 1.0, 2.0):
         states = HOVER * (table[ROTORS].to_numpy() / HOVER) ** power
-        low, high = relative_slope(log, lift(ROBOT, states), None)
+        low, high = interval_of_thrust_slope(log, total_rotor_force(ROBOT, states), None)
         assert low < 1.0 / power < high
         assert high / low < 1.4
 
@@ -57,4 +57,4 @@ def test_a_hover_tells_nothing(table: pd.DataFrame, tmp_path: Path) -> None:
     hover[["acc_x", "acc_y", "acc_z"]] = (0.0, 0.0, 9.81) + 0.05 * rng.standard_normal((len(table), 3))
     log = read_flight_log(write(hover, tmp_path / "a.csv"))
     states = HOVER * (1.0 + 0.003 * rng.standard_normal((len(table), 4)))
-    assert relative_slope(log, lift(ROBOT, states), None) == (0.0, np.inf)
+    assert interval_of_thrust_slope(log, total_rotor_force(ROBOT, states), None) == (0.0, np.inf)

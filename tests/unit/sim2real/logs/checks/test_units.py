@@ -8,7 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.units import check_growth, check_units, relate
+from aerial_gym.sim2real.logs.checks.units import (
+    axis_relation,
+    check_units_against_accelerometer,
+    check_units_of_velocity_and_position,
+)
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from tests.repetitions import thin_values
@@ -29,8 +33,8 @@ def table() -> pd.DataFrame:
 
 def check(table: pd.DataFrame, folder: Path) -> list[str]:
     log = read_flight_log(write(table, folder / "a.csv"))
-    notes = check_units(log)
-    check_growth(log)
+    notes = check_units_of_velocity_and_position(log)
+    check_units_against_accelerometer(log)
     return notes
 
 
@@ -122,7 +126,9 @@ def test_the_factor_lies_between_both_regressions_and_they_cover_it() -> None:
     rng, missed = np.random.default_rng(7), 0
     for _ in range(300):
         true = rng.standard_normal((40, 3))
-        result = relate(0.447 * (true + 0.5 * rng.standard_normal((40, 3))), true + 0.5 * rng.standard_normal((40, 3)))
+        result = axis_relation(
+            0.447 * (true + 0.5 * rng.standard_normal((40, 3))), true + 0.5 * rng.standard_normal((40, 3))
+        )
         assert result.order == (0, 1, 2)
         missed += int(np.sum((result.low > 0.447) | (result.high < 0.447)))
     assert missed == 0  # of 900, at 4 standard errors
@@ -131,5 +137,5 @@ def test_the_factor_lies_between_both_regressions_and_they_cover_it() -> None:
 def test_no_log_of_noise_is_refused() -> None:
     """Of 2,000 logs whose vectors have nothing to do with each other none is found scaled, turned or exchanged."""
     rng = np.random.default_rng(8)
-    result = [relate(rng.standard_normal((30, 3)), rng.standard_normal((30, 3))) for _ in range(2000)]
-    assert not any(one is not None and one.off.any() for one in result)
+    result = [axis_relation(rng.standard_normal((30, 3)), rng.standard_normal((30, 3))) for _ in range(2000)]
+    assert not any(one is not None and one.wrong_axes.any() for one in result)

@@ -12,7 +12,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import load_flights, resample_log
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.logs.readers.ulog import topics_table
+from aerial_gym.sim2real.logs.readers.ulog import merge_topics
 from aerial_gym.sim2real.logs.recording import FlightLog
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, write
 from tests.unit.sim2real.ulog_files import topics, write_ulog
@@ -172,7 +172,7 @@ def test_one_flight_is_one_time_course(hold: int, columns: list[str], table: pd.
 
 def px4(result: dict[str, dict[str, np.ndarray]]) -> tuple[pd.DataFrame, list[str]]:
     notes: list[Finding] = []
-    return topics_table(result, "a.ulg", notes)[0], notes
+    return merge_topics(result, "a.ulg", notes)[0], notes
 
 
 def change_stamps(name: str, change: Callable[[np.ndarray], object], table: pd.DataFrame, key: str = "timestamp"):

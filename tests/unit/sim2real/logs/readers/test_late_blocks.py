@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.logs.readers.late_blocks import find_blocks
+from aerial_gym.sim2real.logs.readers.late_blocks import find_disordered_blocks
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, check_stamps
+from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, correct_stamps
 
 ROWS, STEP = 3000, 0.0025
 SIZES = [2, 9, 35, 300]
@@ -26,8 +26,8 @@ def swap_blocks(start: int, first: int, second: int, order: np.ndarray | None = 
 def live(stamps: np.ndarray) -> tuple[np.ndarray, LiveStamps]:
     """Return the rows of a stream that pass the reader, each with time and number, and the reader."""
     reader = LiveStamps()
-    rows = [row for number, stamp in enumerate(stamps) for row in reader.add(np.array([stamp, number]), 0)]
-    reader.end(0)
+    rows = [row for number, stamp in enumerate(stamps) for row in reader.add_row(np.array([stamp, number]), 0)]
+    reader.reject_pending_rows(0)
     return np.array(rows), reader
 
 
@@ -39,7 +39,7 @@ def test_two_exchanged_blocks_are_put_in_order(first: int, second: int, start: i
     true = true_time(jitter)
     start = ROWS - first - second if start < 0 else start
     order = swap_blocks(start, first, second)
-    result = check_stamps(true[order], "a")
+    result = correct_stamps(true[order], "a")
     np.testing.assert_array_equal(result.time, true)
     np.testing.assert_array_equal(order[result.order], np.arange(ROWS))
     assert result.kept.all()
@@ -53,7 +53,7 @@ def test_several_exchanges_and_bad_stamps_among_them() -> None:
     stamps = true[order]
     bad = [300, 1010, 1150, 2410]
     stamps[bad] = 0.0, np.nan, 77.0, -5.0
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(result.time, np.delete(true, order[bad]))
     np.testing.assert_array_equal(np.sort(result.order[~result.kept]), bad)
     assert result.late.size == 3
@@ -64,7 +64,7 @@ def test_three_blocks_in_any_order_are_put_in_order() -> None:
     for blocks in ((1, 2, 0), (2, 0, 1), (2, 1, 0)):
         middle = [rows[900 + 40 * b : 940 + 40 * b] for b in blocks]
         order = np.concatenate((rows[:900], *middle, rows[1020:]))
-        np.testing.assert_array_equal(check_stamps(true[order], "a").time, true)
+        np.testing.assert_array_equal(correct_stamps(true[order], "a").time, true)
 
 
 def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
@@ -72,7 +72,7 @@ def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
     kept = np.r_[:720, 740:820, 840:ROWS]
     order = swap_blocks(700, 100, 100)
     stamps = true[order][np.isin(order, kept)]
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(result.time, true[kept])
     assert result.late.size == 1
 
@@ -82,7 +82,7 @@ def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
 def test_a_clock_that_was_set_back_is_not_sorted(back: float, ahead: int) -> None:
     """By ``back`` steps at row 1500, also where it was set ahead 200 rows before."""
     stamps = true_time() + STEP * (ahead * (np.arange(ROWS) >= 1300) - back * (np.arange(ROWS) >= 1500))
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(result.order, np.arange(ROWS))
     assert [step.row for step in result.steps] == [1500]
 
@@ -94,7 +94,7 @@ def test_a_block_with_wrong_stamps_is_left_out(by: float, size: int, first: int)
     true, block = true_time(0.3), np.arange(first, first + size)
     stamps = true.copy()
     stamps[block] += STEP * by
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(np.flatnonzero(~result.kept), block)
     np.testing.assert_array_equal(result.time, np.delete(true, block))
     assert result.steps == ()
@@ -104,7 +104,7 @@ def test_a_block_with_wrong_stamps_is_left_out(by: float, size: int, first: int)
 def test_two_halves_of_a_whole_turn_of_a_counter_are_a_wrap(period: float) -> None:
     step = period / ROWS
     stamps = (step * (np.arange(ROWS) + 0.5 * ROWS)) % period
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(result.order, np.arange(ROWS))
     assert len(result.steps) == 1
     assert result.steps[0].shift == period
@@ -115,7 +115,7 @@ def test_two_halves_of_a_whole_turn_of_a_counter_are_a_wrap(period: float) -> No
 def test_a_wrap_with_lost_rows_may_be_a_restart(counter: str, lost: int, doubt: bool) -> None:
     period = COUNTERS_S[counter]
     stamps = period + STEP * (np.arange(ROWS) - 900.5 + lost * (np.arange(ROWS) >= 900))
-    result = check_stamps(stamps % period, "a")
+    result = correct_stamps(stamps % period, "a")
     assert [(step.counter, step.may_be_restart) for step in result.steps] == [(counter, doubt)]
 
 
@@ -126,14 +126,14 @@ def test_random_exchanges_are_put_in_order(seed: int) -> None:
         first, second = rng.integers(2, 300, size=2)
         order = swap_blocks(start + int(rng.integers(400)), int(first), int(second), order)
     true = true_time(0.4, seed)
-    result = check_stamps(true[order], "a")
+    result = correct_stamps(true[order], "a")
     np.testing.assert_array_equal(result.time, true)
 
 
 def test_an_order_is_kept_where_no_clock_comes_back() -> None:
     stamps = true_time()
     stamps[[7, 900, 901]] = np.nan, 0.0, 0.0
-    np.testing.assert_array_equal(find_blocks(stamps).order, np.arange(ROWS))
+    np.testing.assert_array_equal(find_disordered_blocks(stamps).order, np.arange(ROWS))
 
 
 @pytest.mark.parametrize("start", [0, 700, -1], ids=["start", "middle", "end"])

@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.ulog import topics_table
+from aerial_gym.sim2real.logs.readers.ulog import merge_topics
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
@@ -214,7 +214,7 @@ def read_topics(
     results: dict[str, dict[str, np.ndarray]], folder: Path, mapping: LogMapping | None = None
 ) -> FlightLog:
     """Return the log of ULog topics, read with a mapping, by default with the package's own, without a ULog file."""
-    topics_table(results, "a.ulg", [])[0].to_csv(folder / "ulog.csv", index=False)
+    merge_topics(results, "a.ulg", [])[0].to_csv(folder / "ulog.csv", index=False)
     return read_flight_log(folder / "ulog.csv", mapping=mapping or find_mapping("px4_ulog"))
 
 
@@ -257,7 +257,7 @@ def test_a_gap_in_any_topic_stays_a_gap(name: str) -> None:
     stamp = result[name]["timestamp"]
     kept = (stamp < 7_000_000) | (stamp > 7_500_000)
     result[name] = {key: value[kept] for key, value in result[name].items()}
-    time = topics_table(result, "a.ulg", [])[0]["t"].to_numpy()
+    time = merge_topics(result, "a.ulg", [])[0]["t"].to_numpy()
     assert not np.any((time > 7.03) & (time < 7.48))
     assert np.diff(time).max() > 0.45
 
@@ -276,7 +276,7 @@ def test_pulses_and_controls_are_commands_that_a_mapping_converts(tmp_path: Path
 
 def test_topics_without_an_attitude_are_refused() -> None:
     with pytest.raises(DataError, match=r"a.ulg: has no topic vehicle_attitude; log it"):
-        topics_table({}, "a.ulg", [])
+        merge_topics({}, "a.ulg", [])
 
 
 def test_a_ulog_file_is_a_flight_log(tmp_path: Path) -> None:

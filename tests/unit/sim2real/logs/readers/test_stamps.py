@@ -7,7 +7,7 @@ import pytest
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import check_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
 
 ROWS, STEP = 2000, 0.0025
 TRUE = 5.0 + STEP * np.arange(ROWS)
@@ -50,7 +50,7 @@ BAD: dict[str, Change] = {
 def test_a_bad_stamp_costs_its_own_row(name: str) -> None:
     stamps = TRUE.copy()
     bad = BAD[name](stamps)
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(np.flatnonzero(~result.kept), sorted(bad))
     np.testing.assert_array_equal(result.time, np.delete(TRUE, bad))
     assert result.steps == ()
@@ -59,14 +59,14 @@ def test_a_bad_stamp_costs_its_own_row(name: str) -> None:
 def test_a_clock_that_stands_still_costs_the_rows_that_repeat_it() -> None:
     stamps = TRUE.copy()
     stamps[500:504] = stamps[500]
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(np.flatnonzero(~result.kept), [501, 502, 503])
 
 
 @pytest.mark.parametrize("back", [4.5 * STEP, 0.05, 2.0, 1e3, 1.7e9])
 def test_a_clock_that_was_set_back_goes_on_by_one_step(back: float) -> None:
     stamps = TRUE - back * (np.arange(ROWS) >= 900)
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     (step,) = result.steps
     assert result.kept.all()
     assert (step.row, step.counter) == (900, "")
@@ -80,7 +80,7 @@ def test_a_clock_that_was_set_back_goes_on_by_one_step(back: float) -> None:
 )
 def test_a_counter_that_wraps_goes_on_exactly(counter: str, period: float) -> None:
     true = np.delete(TRUE - TRUE[900] + period + 0.5 * STEP, [900, 901])
-    result = check_stamps(true % period, "a")
+    result = correct_stamps(true % period, "a")
     assert [step.counter for step in result.steps] == [counter]
     assert result.steps[0].shift == period
     np.testing.assert_allclose(result.time, true, atol=1e-6)
@@ -89,7 +89,7 @@ def test_a_counter_that_wraps_goes_on_exactly(counter: str, period: float) -> No
 def test_bad_stamps_beside_a_step_of_the_clock() -> None:
     stamps = TRUE - 2.0 * (np.arange(ROWS) >= 900)
     stamps[[880, 905, 1500]] = 0.0, 77.0, 0.0
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(np.flatnonzero(~result.kept), [880, 905, 1500])
     np.testing.assert_allclose(result.time, np.delete(TRUE, [880, 905, 1500]), atol=1e-9)
 
@@ -97,7 +97,7 @@ def test_bad_stamps_beside_a_step_of_the_clock() -> None:
 def test_gaps_and_jitter_are_no_fault() -> None:
     rng = np.random.default_rng(0)
     stamps = np.cumsum(STEP * rng.uniform(0.2, 1.8, ROWS)) + 3.0 * (np.arange(ROWS) > 700)
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     assert result.kept.all()
     np.testing.assert_array_equal(result.time, stamps)
 
@@ -107,7 +107,7 @@ def test_gaps_and_jitter_are_no_fault() -> None:
 )
 def test_stamps_of_no_clock_are_refused(stamps: np.ndarray) -> None:
     with pytest.raises(DataError):
-        check_stamps(stamps, "a")
+        correct_stamps(stamps, "a")
 
 
 def test_negative_numbers_in_unsigned_stamps_are_negative() -> None:
@@ -120,7 +120,7 @@ def test_negative_numbers_in_unsigned_stamps_are_negative() -> None:
 def test_rows_that_come_one_by_one_lose_the_bad_ones(name: str) -> None:
     stamps, live = TRUE.copy(), LiveStamps()
     bad = BAD[name](stamps)
-    good = [row for number, stamp in enumerate(stamps) for row in live.add(np.array([stamp, number]), 0)]
+    good = [row for number, stamp in enumerate(stamps) for row in live.add_row(np.array([stamp, number]), 0)]
     np.testing.assert_array_equal([row[1] for row in good], np.delete(np.arange(ROWS), bad))
     np.testing.assert_array_equal([row[0] for row in good], np.delete(TRUE, bad))
     assert len(live.bad) == len(bad)
@@ -129,7 +129,7 @@ def test_rows_that_come_one_by_one_lose_the_bad_ones(name: str) -> None:
 
 def test_rows_that_come_one_by_one_go_on_after_a_gap_and_a_step_of_the_clock() -> None:
     stamps, live = TRUE + 5.0 * (np.arange(ROWS) >= 500) - 9.0 * (np.arange(ROWS) >= 900), LiveStamps()
-    good = np.array([row[0] for stamp in stamps for row in live.add(np.array([stamp]), 0)])
+    good = np.array([row[0] for stamp in stamps for row in live.add_row(np.array([stamp]), 0)])
     assert (live.steps, live.bad) == (1, [])
     np.testing.assert_allclose(good, TRUE + 5.0 * (np.arange(ROWS) >= 500), atol=1e-9)
 
@@ -137,7 +137,7 @@ def test_rows_that_come_one_by_one_go_on_after_a_gap_and_a_step_of_the_clock() -
 @pytest.mark.parametrize("first", [[np.nan], [0.0], [0.0, 0.0, 0.0], [1e18], [-1e18, np.nan], [1.7e9, 0.0]])
 def test_rows_that_come_one_by_one_lose_bad_stamps_at_the_beginning(first: list[float]) -> None:
     stamps, live = TRUE + 1e9, LiveStamps()
-    good = [row[0] for stamp in [*first, *stamps] for row in live.add(np.array([stamp]), 0)]
+    good = [row[0] for stamp in [*first, *stamps] for row in live.add_row(np.array([stamp]), 0)]
     np.testing.assert_array_equal(good, stamps)
     assert (len(live.bad), live.steps) == (len(first), 0)
 
@@ -145,8 +145,8 @@ def test_rows_that_come_one_by_one_lose_bad_stamps_at_the_beginning(first: list[
 @pytest.mark.parametrize("stamp", [np.nan, 3.0, 1e300])
 def test_a_clock_that_never_goes_on_gives_no_row(stamp: float) -> None:
     live = LiveStamps()
-    assert [row for _ in range(50) for row in live.add(np.array([stamp]), 0)] == []
-    live.end(0)
+    assert [row for _ in range(50) for row in live.add_row(np.array([stamp]), 0)] == []
+    live.reject_pending_rows(0)
     assert len(live.bad) == 50
 
 
@@ -155,7 +155,7 @@ def test_a_clock_that_never_goes_on_gives_no_row(stamp: float) -> None:
 def test_bad_stamps_near_a_step_of_the_clock_cost_no_other_row(beside: list[int], value: float) -> None:
     stamps, bad = TRUE - 2.0 * (np.arange(ROWS) >= 900), [900 + row for row in beside]
     stamps[bad] = value
-    result = check_stamps(stamps, "a")
+    result = correct_stamps(stamps, "a")
     np.testing.assert_array_equal(np.flatnonzero(~result.kept), bad)
     np.testing.assert_allclose(result.time, np.delete(TRUE, bad), atol=1e-9)
     assert len(result.steps) == 1

@@ -25,8 +25,8 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.replay.load import STEP_S, LoadReplay
-from aerial_gym.sim2real.predict.replay.load_swing import swing
-from aerial_gym.sim2real.predict.scene import lacks_of_scene
+from aerial_gym.sim2real.predict.replay.load_swing import integrate_swing
+from aerial_gym.sim2real.predict.scene import finding_on_absent_scene
 from tests.physics.vehicles import F64, asymmetric_robot, random_state
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.one_rollout import roll_out
@@ -51,7 +51,7 @@ def test_a_load_below_a_held_origin_swings_like_a_pendulum(length: float, dampin
     start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, 0.0, 0.0]], dtype=F64)
     still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
     params = torch.tensor([mass, length, damping], dtype=F64)
-    result = swing(payload_effect(), params, start, still, step=STEP_S, gravity=G)[0][:, 0, 0]
+    result = integrate_swing(payload_effect(), params, start, still, step=STEP_S, gravity=G)[0][:, 0, 0]
     decay = 0.5 * damping / mass
     omega = sqrt(G / length - decay**2)
     time = STEP_S * torch.arange(steps + 1, dtype=F64)
@@ -67,7 +67,7 @@ def test_a_load_on_a_cone_stays_on_it_and_pulls_with_its_weight_over_the_cosine(
     start = torch.tensor([[sin(angle), 0.0, -cos(angle), 0.0, turn * sin(angle), 0.0]], dtype=F64)
     still = torch.zeros(2 * steps + 1, 1, 3, dtype=F64)
     params = torch.tensor([mass, length, 0.0], dtype=F64)
-    load, force = swing(payload_effect(), params, start, still, step=STEP_S, gravity=G)
+    load, force = integrate_swing(payload_effect(), params, start, still, step=STEP_S, gravity=G)
     phase = turn * STEP_S * torch.arange(steps + 1, dtype=F64)
     cone = torch.stack(
         (sin(angle) * phase.cos(), sin(angle) * phase.sin(), torch.full_like(phase, -cos(angle))), dim=-1
@@ -80,7 +80,7 @@ def test_the_damping_of_a_followed_swing_acts_on_the_origin() -> None:
     """Force of the link and reaction ``d l n'``, across it; at the first instant."""
     start = torch.tensor([[0.0, 0.0, -1.0, 0.5, -0.2, 0.0]], dtype=F64)
     params = torch.tensor([0.1, 0.7, 0.3], dtype=F64)
-    force = swing(payload_effect(), params, start, torch.zeros(3, 1, 3, dtype=F64), step=STEP_S, gravity=G)[1]
+    force = integrate_swing(payload_effect(), params, start, torch.zeros(3, 1, 3, dtype=F64), step=STEP_S, gravity=G)[1]
     pull = 0.1 * (G + 0.7 * (0.5**2 + 0.2**2))
     expected = torch.tensor([0.3 * 0.7 * 0.5, -0.3 * 0.7 * 0.2, -pull], dtype=F64)
     torch.testing.assert_close(force[0, 0], expected, atol=1e-12, rtol=0)
@@ -96,15 +96,15 @@ def test_a_swing_that_was_there_before_the_log_is_found_from_its_pull() -> None:
     place = np.zeros((time.size, 3))
     flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=place)
     replay, model = LoadReplay([flight], [time]), make_model(mass, length, 0.0)
-    result = replay.loads(model, [missed]).numpy()
+    result = replay.link_states(model, [missed]).numpy()
     np.testing.assert_allclose(result[:, :2], angles, atol=1e-4)
-    np.testing.assert_allclose(replay.loads(model)[:, :2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(replay.link_states(model)[:, :2], 0.0, atol=1e-9)
 
 
 def test_a_load_that_does_not_show_is_taken_to_hang_still() -> None:
     time = np.arange(400) / RATE
     missed = np.tile([0.05, 0.0, 0.0], (400, 1))
-    light = LoadReplay([hover("a", 1.0)], [time[:300]]).loads(make_model(6e-4, 0.8, 0.0), [missed[:300]])
+    light = LoadReplay([hover("a", 1.0)], [time[:300]]).link_states(make_model(6e-4, 0.8, 0.0), [missed[:300]])
     assert light[:, :2].abs().max() < 0.1
 
 
@@ -112,7 +112,7 @@ def test_a_pendulum_that_steps_cannot_follow_has_no_direction() -> None:
     flight = hover("a", 1.0)
     start = np.tile([0.5, 0.0, 0.0], (flight.time.size, 1))
     shaken = replace(flight, lin_vel=start * np.sin(40.0 * flight.time)[:, None])
-    load = LoadReplay([shaken], [flight.time[:300]]).loads(make_model(0.05, 1e-6, 0.0))
+    load = LoadReplay([shaken], [flight.time[:300]]).link_states(make_model(0.05, 1e-6, 0.0))
     assert load.shape == (300, 6)
     assert load.isnan().all()
 
@@ -121,7 +121,9 @@ def test_swings_of_wrong_shape_and_effects_without_a_kernel_are_refused() -> Non
     params, start = torch.ones(3, dtype=F64), torch.zeros(2, 6, dtype=F64)
     for rows, origins in ((4, 2), (5, 3)):
         with pytest.raises(ShapeError, match="expected"):
-            swing(payload_effect(), params, start, torch.zeros(rows, origins, 3, dtype=F64), step=STEP_S, gravity=G)
+            integrate_swing(
+                payload_effect(), params, start, torch.zeros(rows, origins, 3, dtype=F64), step=STEP_S, gravity=G
+            )
 
 
 def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
@@ -131,7 +133,7 @@ def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
     place, speed = np.zeros((time.size, 3)), np.zeros((time.size, 3))
     place[:, 0], speed[:, 0] = size * np.sin(sway * time), size * sway * np.cos(sway * time)
     flight = replace(hover("a", 1.0), time=time, position=place, lin_vel=speed)
-    load = LoadReplay([flight], [time]).loads(make_model(mass, length, damping))[:, 0].numpy()
+    load = LoadReplay([flight], [time]).link_states(make_model(mass, length, damping))[:, 0].numpy()
     gain = sway**2 / (G / length - sway**2 + 1j * sway * damping / mass)
     expected = size / length * np.imag(gain * np.exp(1j * sway * time))
     late = time > 12.0  # the start has faded to exp(-12)
@@ -141,7 +143,7 @@ def test_a_load_follows_the_measured_motion_of_its_vehicle() -> None:
 def test_a_load_starts_along_the_apparent_gravity_and_stays_there() -> None:
     rows = np.arange(400) / RATE
     flight = replace(hover("a", 1.0), lin_vel=np.column_stack((3.0 * rows, np.zeros(400), np.zeros(400))))
-    load = LoadReplay([flight], [rows[:300]]).loads(make_model(0.1, 0.7, 0.0)).numpy()
+    load = LoadReplay([flight], [rows[:300]]).link_states(make_model(0.1, 0.7, 0.0)).numpy()
     lean = np.array([-3.0, 0.0, -G]) / np.hypot(3.0, G)
     np.testing.assert_allclose(load[:, :3], np.tile(lean, (300, 1)), atol=2e-3)
 
@@ -224,7 +226,7 @@ def test_fits_of_a_load_start_at_several_lengths_and_those_of_a_rotor_at_each() 
 def test_a_load_cannot_be_followed_without_velocity() -> None:
     bare = replace(hover("a", 1.0), lin_vel=None)
     expected = Finding("logs_lack", "slung_payload", {"flights": "a", "need": "lin_vel"})
-    assert lacks_of_scene("slung_payload", [bare]) == expected
+    assert finding_on_absent_scene("slung_payload", [bare]) == expected
 
 
 def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
@@ -249,8 +251,8 @@ def test_a_rollout_starts_with_the_swing_that_the_log_shows() -> None:
     flights = [flight]
     predictor = make_predictor(flights)
     params = ModelParams(effects={"slung_payload": np.array([mass, length, 0.0])})
-    links = predictor.links(params)
-    assert predictor.links(ModelParams()) is None
-    np.testing.assert_allclose(links[0].interpolate(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
+    links = predictor.load_links(params)
+    assert predictor.load_links(ModelParams()) is None
+    np.testing.assert_allclose(links[0].interpolate_state(time)[:, 0], angle * np.cos(omega * time), atol=0.05 * angle)
     errors = [roll_out(ROBOT, flights, params, links=result, horizons=(0.5,)).velocity for result in (links, None)]
     assert np.sqrt(np.mean(errors[0] ** 2)) < 0.1 * np.sqrt(np.mean(errors[1] ** 2))

@@ -16,7 +16,7 @@ from aerial_gym.physics.effects import Condition, Moment, Parameter, WrenchEffec
 from aerial_gym.physics.effects.track import FlightTrack, relax
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects, params_from_robot
-from aerial_gym.sim2real.predict.replay.memory import make_track
+from aerial_gym.sim2real.predict.replay.memory import make_flight_track
 from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from benchmarks.undeclared import make_case
@@ -136,7 +136,7 @@ def test_arms_of_a_vehicle_that_stands_at_first_are_not_bent_by_its_flight() -> 
     params = torch.tensor([[0.8, 2.0, 0.4]], dtype=torch.float64)
     rest = 0.8 * 0.6 * ARM * THRUST
     for stands, share in ((on_ground, 0.04), (None, 1.0)):
-        result = creep.replay(make_track(replace(flight, on_ground=stands), vehicle, speed, 1.0 / RATE), params)
+        result = creep.replay(make_flight_track(replace(flight, on_ground=stands), vehicle, speed, 1.0 / RATE), params)
         np.testing.assert_allclose(result[0], share * rest, rtol=1e-12)
 
 
@@ -180,7 +180,7 @@ def test_windows_of_one_batch_begin_each_with_the_arms_of_its_flight(compliance:
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     windows = np.array([0, 0, 1, 1]), np.array([100, 200, 100, 200])
     run = WindowBatch(vehicle, expand_effects(params, 4), flights, *windows)
-    ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
+    ((_, state, _),) = run.simulate_steps(run.state_of_flight(0), {run.num_steps(0.1)})
     push = np.stack([np.ones(4), np.ones(4), uneven, uneven])
     angle = compliance * 0.6 * ARM * THRUST * push
     lost = (push * (1.0 - np.cos(angle))).mean(axis=1)
@@ -238,5 +238,5 @@ def test_an_effect_with_memory_is_one_class(monkeypatch: pytest.MonkeyPatch) -> 
     vehicle = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64)
     rows = np.array([100, 200, 260])
     run = WindowBatch(vehicle, expand_effects(params, 3), [flight], np.zeros(3, dtype=int), rows)
-    ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
+    ((_, state, _),) = run.simulate_steps(run.state_of_flight(0), {run.num_steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05) / ROBOT.body.mass, rtol=3e-3)

@@ -12,15 +12,15 @@ from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.errors import DataError, ShapeError
 from aerial_gym.physics import EFFECTS, Model, build_model, vehicle_from_config
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.battery import with_battery
-from aerial_gym.sim2real.identify.candidates.testable import lacks
+from aerial_gym.sim2real.identify.battery import add_battery_estimate
+from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_effects
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
-from aerial_gym.sim2real.predict.replay.rotor_lag import follow_commands
+from aerial_gym.sim2real.predict.replay.rotor_lag import simulate_rotor_lag
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rollout import WindowBatch
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -99,7 +99,7 @@ def test_what_commands_lead_to_is_worked_out_once_for_each_lag(tmp_path: Path) -
 def test_tables_that_do_not_fit_are_refused() -> None:
     table, ends, one = torch.ones(5, 4, dtype=F64), torch.tensor([0, 6], dtype=torch.int32), torch.ones(1, dtype=F64)
     with pytest.raises(ShapeError, match=r"commands have shapes \(5, 4\) and \(5, 4\), expected \(6, 4\)"):
-        follow_commands(table[:1], table, table, one, ends=ends, step=one, tau_up=table[0], tau_down=table[0])
+        simulate_rotor_lag(table[:1], table, table, one, ends=ends, step=one, tau_up=table[0], tau_down=table[0])
 
 
 # dead time
@@ -153,13 +153,15 @@ def test_what_logs_lack_for_the_battery_is_said(tmp_path: Path) -> None:
     bare = step_flight(tmp_path, rate=100.0, seconds=3.0)
     flat = replace(bare, battery=np.full(bare.num_rows, 15.8))
     falling = replace(bare, battery=np.linspace(15.8, 15.0, bare.num_rows))
-    refused = lacks("battery_sag", ROBOT, [falling])
+    refused = finding_on_untestable_effect("battery_sag", ROBOT, [falling])
     assert "the robot file must give battery" in refused.values["error"]
     without = Finding("logs_lack", "battery_sag", {"flights": "100", "need": "battery"})
-    assert lacks("battery_sag", POWERED, [falling], [bare]) == without
-    assert lacks("battery_sag", POWERED, [flat, flat]) == Finding("voltage_too_steady", "battery_sag", {"share": 0.0})
-    assert lacks("battery_sag", POWERED, [flat, falling], [flat]) is None
-    assert lacks("actuation_delay", ROBOT, [bare]) is None
+    assert finding_on_untestable_effect("battery_sag", POWERED, [falling], [bare]) == without
+    assert finding_on_untestable_effect("battery_sag", POWERED, [flat, flat]) == Finding(
+        "voltage_too_steady", "battery_sag", {"share": 0.0}
+    )
+    assert finding_on_untestable_effect("battery_sag", POWERED, [flat, falling], [flat]) is None
+    assert finding_on_untestable_effect("actuation_delay", ROBOT, [bare]) is None
     declared = replace(POWERED, effects={"battery_sag": {"gain": 0.3}})
     with pytest.raises(DataError, match="effect battery_sag: 100: without battery voltage; log it"):
         replay_flights(declared, [bare], bandwidth=10.0)
@@ -252,7 +254,7 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
         flight_from_commands(tmp_path, delay=0.0, gain=0.3, seed=seed, full=full, volt_noise=0.02)
         for seed, full in ((3, 16.6), (4, 16.3), (5, 16.1))
     ]
-    battery = with_battery(ROBOT, flights).battery
+    battery = add_battery_estimate(ROBOT, flights).battery
     slope = (battery.full_voltage - battery.empty_voltage) / battery.capacity
     assert battery.internal_resistance == pytest.approx(0.05, rel=0.1)
     assert slope == pytest.approx(1e-3, rel=0.1)
@@ -263,16 +265,16 @@ def test_a_battery_is_estimated_from_flights_that_drain_it(tmp_path: Path) -> No
 
 def test_no_battery_is_made_up(tmp_path: Path) -> None:
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
-    assert with_battery(POWERED, [result]) == POWERED
+    assert add_battery_estimate(POWERED, [result]) == POWERED
     for poor in (replace(result, battery=None), replace(result, battery=np.full(result.num_rows, 16.0))):
-        assert with_battery(ROBOT, [result, poor] if poor.battery is None else [poor]) == ROBOT
-    assert with_battery(ROBOT, [replace(result, rotor_command=None)]) == ROBOT
+        assert add_battery_estimate(ROBOT, [result, poor] if poor.battery is None else [poor]) == ROBOT
+    assert add_battery_estimate(ROBOT, [replace(result, rotor_command=None)]) == ROBOT
 
 
 def test_the_nominal_voltage_is_the_highest_seen_where_speeds_do_not_follow_it(tmp_path: Path) -> None:
     result = flight_from_commands(tmp_path, delay=0.0, gain=0.0)
     for flown in (result, replace(result, rotor_speed=None)):
-        battery = with_battery(ROBOT, [flown]).battery
+        battery = add_battery_estimate(ROBOT, [flown]).battery
         assert battery.nominal_voltage == pytest.approx(result.battery.reshape(16, 200).mean(axis=1).max(), rel=1e-5)
         assert "highest voltage seen" in battery.source
 
@@ -289,7 +291,7 @@ def test_windows_without_measured_speeds_begin_as_the_commands_have_led_the_roto
         lagging = replace(vehicle, time_constant_up=factor * vehicle.time_constant_up)
         run = WindowBatch(lagging, [], flights, np.zeros(3, dtype=int), rows)
         expected = high + (low - high) * np.exp(-(rows - 100) / RATE / (factor * 0.04))
-        np.testing.assert_allclose(run.reference_state(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
+        np.testing.assert_allclose(run.state_of_flight(0).rotor_speed, np.tile(expected[:, None], 4), rtol=1e-12)
 
 
 def test_rollouts_hold_commands_as_a_deviation_says(tmp_path: Path) -> None:
@@ -319,7 +321,7 @@ def test_slew_rates_limit_the_replayed_speeds(tmp_path: Path) -> None:
     assert speed[110] == pytest.approx(speed[100] - 50.0, rel=1e-12)
     down = 0.5 - (speed[100] - 915.0) / 500.0
     assert speed[150] == pytest.approx(900.0 + 15.0 * np.exp(-down / TAU_DOWN), rel=1e-12)
-    assert lacks("actuation_delay", replace(ROBOT, rotor=rotor), [driven]) is None
+    assert finding_on_untestable_effect("actuation_delay", replace(ROBOT, rotor=rotor), [driven]) is None
 
 
 def test_commands_in_the_dead_band_stop_replayed_rotors(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from aerial_gym.physics.rigid_body import (
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
-from aerial_gym.sim2real.predict.rows.band_response import InBand
+from aerial_gym.sim2real.predict.rows.band_response import BandResponse
 from aerial_gym.sim2real.predict.rows.batches import expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
 from aerial_gym.sim2real.predict.rows.rotor_estimate import estimate_rotors
@@ -76,8 +76,8 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
         force, torque, _ = suspension_pull(model, state.attitude, suspension, link)
         pull = torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=1)
         acting.wrenches.append(("load", pull))
-    band = InBand(data)
-    result = band.body_response(model, data.speed, acting)
+    band = BandResponse(data)
+    result = band.accelerations_in_band(model, data.speed, acting)
     # The lever of the accelerometer turns as measured.
     force = whole.specific_force + torch.linalg.cross(whole.ang_acc - data.ang_acc, model.vehicle.com)
     for actual, rows in ((result.specific_force, force), (result.ang_acc, whole.ang_acc)):
@@ -89,8 +89,8 @@ def test_the_band_of_a_sum_is_the_sum_of_the_bands(effects: dict[str, tuple[floa
     if not model.effects[LoadEffect] and not model.effects[FluidEffect]:
         hubs = condition_at_origin(model, state, torch.zeros_like(data.speed))
         parts = force_breakdown(model, condition, apart=True, hubs=hubs)
-        apart = band.body_response(model, data.speed, parts, about=torch.zeros(3, dtype=torch.float64))
+        apart = band.accelerations_in_band(model, data.speed, parts, about=torch.zeros(3, dtype=torch.float64))
         torch.testing.assert_close(apart.specific_force, result.specific_force, rtol=0.0, atol=1e-10)
         torch.testing.assert_close(apart.ang_acc, result.ang_acc, rtol=0.0, atol=1e-10)
-    again = band.body_response(model, data.speed.clone(), acting)
+    again = band.accelerations_in_band(model, data.speed.clone(), acting)
     torch.testing.assert_close(again.specific_force, result.specific_force, rtol=0.0, atol=0.0)

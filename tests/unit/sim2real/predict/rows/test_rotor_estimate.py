@@ -8,7 +8,12 @@ import pytest
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.rows.rotor_estimate import _modes, _share_of_motion, as_measured, estimate_rotors
+from aerial_gym.sim2real.predict.rows.rotor_estimate import (
+    _rotor_modes,
+    _share_of_motion,
+    estimate_as_measured,
+    estimate_rotors,
+)
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, make_predictor
 from tests.unit.sim2real.predict.test_scene import hover
@@ -109,7 +114,7 @@ def test_where_motion_is_more_than_noise_a_lag_that_is_wrong_changes_nothing() -
 def test_a_log_that_is_too_slow_or_without_noise_stays_as_it_is() -> None:
     slow = hover("slow", 5.0, rate=20.0)
     for flight, band in ((slow, 4.0), (pitch_flight(1.0)[0], 80.0), (hover("exact", 5.0), BAND)):
-        result, measured = estimate_rotors(ROBOT, [flight], band)[0], as_measured(flight)
+        result, measured = estimate_rotors(ROBOT, [flight], band)[0], estimate_as_measured(flight)
         np.testing.assert_array_equal(result.speed, measured.speed)
         assert not result.unsure.any()
 
@@ -123,7 +128,7 @@ def test_modes_are_those_of_thrust_roll_pitch_and_yaw_and_what_makes_none() -> N
     angle = np.pi / 3.0 * np.arange(6)
     made = np.zeros((6, 6))
     made[2:] = np.ones(6), np.sin(angle), -np.cos(angle), 0.01 * (-1.0) ** np.arange(6)
-    modes = _modes(made)
+    modes = _rotor_modes(made)
     np.testing.assert_allclose(modes.T @ modes, np.eye(6), atol=1e-12)
     np.testing.assert_allclose(np.abs(np.diag(made[2:] @ modes[:, :4])), np.linalg.norm(made[2:], axis=1), rtol=1e-12)
     np.testing.assert_allclose(made @ modes[:, 4:], 0.0, atol=1e-12)

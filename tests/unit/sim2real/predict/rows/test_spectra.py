@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.predict.rows.spectra import apply_gain, noise_level, power_density
+from aerial_gym.sim2real.predict.rows.spectra import filter_by_gain, noise_level, power_density
 
 
 def test_the_noise_is_that_of_the_quietest_octave() -> None:
@@ -30,5 +30,5 @@ def test_a_filter_keeps_the_phase() -> None:
     time = np.arange(2_000) / 100.0
     wave = np.sin(2.0 * np.pi * 3.0 * time)[:, None]
     frequency = np.arange(0.0, 51.0)
-    result = apply_gain(wave, frequency, np.maximum(0.0, 1.0 - 0.1 * frequency)[:, None], 100.0)
+    result = filter_by_gain(wave, frequency, np.maximum(0.0, 1.0 - 0.1 * frequency)[:, None], 100.0)
     assert result[200:-200] == pytest.approx(0.7 * wave[200:-200], abs=0.01)
