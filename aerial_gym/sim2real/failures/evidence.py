@@ -1,20 +1,15 @@
 """Log evidence of failures for all onset times at once, from cumulative sums over time blocks.
 
-Without a failure a rotor's output is ``y = e + N b + noise``: expectation e, columns N of its possible errors, and white
-noise. A failure adds ``a z`` from its onset on, with z the rotor's own part of the expectation; ``1 + a`` is the remaining
-share. For onset k, the least-squares solution follows from the sums from block k on:
-    z'z,  z'r,  z'N        (r = y - e),
+Without a failure a rotor's output is ``y = e + N b + noise``: expectation e, columns N of its possible errors. A failure
+adds ``a z`` from its onset on, with z the rotor's own part of the expectation. With ``r = y - e``, from block k on
     M_zz = z'z - z'N (N'N)⁻¹ N'z,   M_zr = z'r - z'N (N'N)⁻¹ N'r,   a = M_zr / M_zz,   RSS(k) = RSS - M_zr² / M_zz
-(Frisch, Waugh, Lovell). A stuck rotor needs the sums before and after k, and a brown-out, which ends, differences of sums.
-The noise is unknown, so the log likelihood is ``-(n / 2) log(RSS / n + s²)`` with n independent values. The declaration's
-tolerance s (``Tolerances``) prevents smaller deviations from counting as failures. The log evidence against no failure is
-Laplace's approximation with a Cauchy prior of the effect's scale, as in ``identify/evidence/laplace.py``.
+(Frisch, Waugh, Lovell). The log likelihood is ``-(n / 2) log(RSS / n + s²)`` with n independent values and the tolerance s.
+The log evidence is Laplace's approximation with a Cauchy prior, as in ``identify/evidence/laplace.py``.
 
 Letters: K blocks, R rotors, Q columns, D durations.
 
-Sources:
-    Siegmund, Venkatraman (1995), Using the generalized likelihood ratio statistic for sequential detection of a change-point,
-    Annals of Statistics 23; Davidson, MacKinnon (1993), Estimation and Inference in Econometrics, section 1.4.
+Sources: Siegmund, Venkatraman (1995), Using the generalized likelihood ratio statistic for sequential detection of a
+change-point, Annals of Statistics 23; Davidson, MacKinnon (1993), Estimation and Inference in Econometrics, section 1.4.
 """
 
 from dataclasses import dataclass
@@ -61,11 +56,8 @@ class ParameterPrior:
 def log_evidence(before: Array | float, after: Array, count: float, prior: ParameterPrior, inner: Array) -> Array:
     """Return the log evidence of one more parameter: likelihood ratio, prior density and posterior volume.
 
-    Args:
-        before: Mean squared residual without the parameter.
-        after: Mean squared residual with it.
-        count: Number of independent residuals.
-        inner: Sum of squares of its column, orthogonal to the jointly fitted columns, over independent residuals.
+    ``before``, ``after``: mean squared residuals without and with it, of ``count`` independent ones. ``inner``: sum of
+    squares of its column, orthogonal to the jointly fitted ones.
     """
     volume = 0.5 * (LOG_2PI - np.log(inner / after + prior.precision))
     return 0.5 * count * (np.log(before) - np.log(after)) + prior.log_density + volume

@@ -1,7 +1,6 @@
 """Events in single flights: failures and sensor faults with name, size and onset, each with its interval.
 
-An event belongs to a flight and has a time in it. Rows after a failure are not compared with the intact vehicle.
-Letters: T rows, K blocks.
+Rows after a failure are not compared with the intact vehicle. Letters: T rows, K blocks.
 """
 
 from collections.abc import Sequence
@@ -85,9 +84,9 @@ class Failure(FlightEvent):
 def least_log_odds(false_alarm_hours: float) -> float:
     """Return the log of the least sum of odds (``sum_of_odds``) that counts as a failure.
 
-    Without a failure each likelihood ratio has mean 1, so their sum over onsets grows by 1 per block on average. The mean
-    number of blocks between false alarms is thus at least the limit.
-    Source: Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13 (Shiryaev-Roberts).
+    Without a failure the sum grows by 1 per block on average, so the limit is at most the mean number of blocks between
+    alarms. Source: Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13
+    (Shiryaev-Roberts).
     """
     return float(np.log(false_alarm_hours * 3600.0 / BLOCK_S))
 
@@ -194,10 +193,7 @@ def cut_at_failures(flights: Sequence[Flight], failures: Sequence[Failure]) -> l
 
 
 def failure_of_all_flights(failures: Sequence[Failure], flights: int) -> Failure | None:
-    """Return the failure common to all of so many flights: same rotor, and size and time within intervals; else None.
-
-    Its numbers are the means over the flights.
-    """
+    """Return the failure common to so many flights, of one rotor, size and time within intervals, by means; else None."""
     if len(failures) < flights or len({(f.name, f.params.get("motor")) for f in failures}) != 1:
         return None
     first = failures[0]

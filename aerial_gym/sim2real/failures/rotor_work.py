@@ -1,13 +1,9 @@
-"""Expected and actual output of each rotor per time block: speeds, and the thrusts that the motion requires.
+"""Expected and actual output of each rotor per time block, relative to hover: speeds, and the thrusts that the motion
+requires.
 
-Two quantities per rotor are compared, if a log has them:
-
-- *speed*: measured, against the commands with the declared lag;
-- *thrust*: ``A⁺ w`` against ``A⁺ A T``. Here w is the force and torque of the measured motion, A the allocation matrix, and
-  T the declared thrusts at measured speeds, or at those from commands. The block torque is
-  ``J (w(end) - w(start)) / length + mean(w x J w)``, which limits the differentiation of gyro noise.
-
-Outputs are relative to hover. Frames: body is x forward, y left, z up. Letters: T rows, K blocks, R rotors, Q columns.
+*speed*: measured, against the commands with the declared lag. *thrust*: ``A⁺ w`` against ``A⁺ A T``, with the wrench w of
+the measured motion, the allocation matrix A and declared thrusts T. The block torque is ``J (w(end) - w(start)) / length +
+mean(w x J w)``. Frames: body is x forward, y left, z up. Letters: T rows, K blocks, R rotors, Q columns.
 """
 
 from dataclasses import dataclass, replace
@@ -72,10 +68,7 @@ class RotorOutputModel:
         self._lag = mean_time_constant(robot)
 
     def outputs_of_flight(self, flight: Flight, *, volts: float | None = None) -> list[RotorOutput]:
-        """Return the quantities that a flight's log provides, in complete blocks.
-
-        ``volts``: reference voltage of the battery [V]; None: its mean.
-        """
+        """Return the quantities of a flight's log in complete blocks; ``volts``: reference voltage [V], None: its mean."""
         size = max(1, round(BLOCK_S * flight.rate))
         count = (flight.num_rows - 1) // size
         if count < 1:

@@ -43,7 +43,6 @@ class FailureCause:
     log_odds: float  # Log odds of all its onsets against no failure
     begin: int  # Most probable onset block
     end: int | None  # First block after its end; None: it lasts
-
     change: float
 
     @property
@@ -81,10 +80,7 @@ def relative_tolerance(quantity: str, tolerances: Tolerances) -> float:
 
 
 def rank_causes(works: Sequence[RotorOutput], tolerances: Tolerances) -> list[FailureCause]:
-    """Return all failures that the quantities of a flight can show, the most probable first; their sum of odds decides.
-
-    Autocorrelated residuals count less (``effective_share``), by those of the most probable failure.
-    """
+    """Return all failures that a flight can show, the most probable first, with autocorrelated residuals counting less."""
     kinds = sum(len(KINDS[work.quantity, work.driven_by]) for work in works)
     ranked: list[FailureCause] = []
     for work in works:
@@ -146,7 +142,6 @@ class FailureTiming:
     time: float  # Onset [s]
     interval: tuple[float, float]  # 95 % interval [s]
     end: float | None  # End [s]; None: it lasts
-
     change: float
     std: float
 

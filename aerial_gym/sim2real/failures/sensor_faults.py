@@ -1,8 +1,4 @@
-"""Detection of sensor faults during a flight: position jumps and sensors that stop.
-
-The rules are those for complete logs (``logs.position_jumps``, ``logs.repeated_samples``), applied to the last seconds.
-Letters: T rows.
-"""
+"""Detection of sensor faults during a flight by the rules for complete logs, applied to its last seconds. Letters: T rows."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 """Detection of failures during a flight, from the rows of its log as they arrive.
 
-Rows become blocks in a sliding window. Every half second its sums are searched like those of a complete flight, and the
-last rows for sensor faults.
-Letters: T rows, K blocks.
+Rows become blocks in a sliding window, searched every half second. Letters: T rows, K blocks.
 """
 
 from collections import deque
@@ -59,7 +57,6 @@ class Alarm:
     """A failure or sensor fault with the time of its report."""
 
     stage: str  # suspected: a failure is certain and this is its most probable kind; named: the kind is certain
-
     failure: Failure | SensorFault
     told_s: float  # Time of the report from the first row [s]
 
@@ -74,10 +71,7 @@ class Alarm:
 
 
 class FlightWatch:
-    """Monitors one flight; after a lasting failure nothing more is reported, since the vehicle has changed.
-
-    While a sensor has stopped, rotors are not monitored, as their outputs would seem wrong.
-    """
+    """Monitors one flight up to a lasting failure; rotors are not monitored while a sensor has stopped."""
 
     def __init__(
         self,
@@ -87,10 +81,7 @@ class FlightWatch:
         name: str = "flight",
         false_alarm_hours: float = FALSE_ALARM_HOURS,
     ) -> None:
-        """Store the declared robot and the column names.
-
-        Raise ``DataError`` if a required column is missing, or a used one appears twice.
-        """
+        """Take the declared robot and the column names; raise ``DataError`` if a required one is missing or one is twice."""
         self._robot, self._name, self._place = robot, name, {column.strip(): k for k, column in enumerate(header)}
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
         numbers = range(1, robot.num_rotors + 1)

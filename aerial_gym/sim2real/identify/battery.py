@@ -31,10 +31,10 @@ FARTHEST = 1.2  # Largest ratio of the nominal voltage to the range of measured 
 def add_battery_estimate(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg:
     """Return the robot with a battery estimated from flights; unchanged if its file has one or the flights show none.
 
-    Charge and load are fitted by ``V = E_f - k q - r I``. E is the initial voltage of each flight. ``I = P / V`` is the current
-    for the rotors' mechanical power P at efficiency 1, and q the charge since the start. Full voltage is the highest E, empty
-    the lowest open-circuit voltage. Nominal is the voltage at which the fitted ratio of measured to replayed rotor speed is 1.
-    Without a significant slope, or measured speeds, it is the highest measured voltage.
+    Charge and load are fitted by ``V = E_f - k q - r I`` with ``I = P / V``, the rotors' mechanical power P, and the charge
+    q since the start. Full voltage is the highest E, empty the lowest open-circuit voltage. Nominal is the voltage at which
+    the fitted ratio of measured to replayed rotor speed is 1; without a significant slope it is the highest measured
+    voltage.
     """
     sag = EFFECTS.get("battery_sag")
     if robot.battery is not None or finding_on_absent_quantity(sag, flights) or finding_on_steady_voltage(sag, flights):

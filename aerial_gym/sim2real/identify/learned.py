@@ -1,7 +1,6 @@
 """Learned residual: a small network for forces without a known effect, accepted only by left-out flights.
 
-It predicts the remaining specific force and angular acceleration, times mass and inertia, from the felt motion. Rotation of
-the inertial sensors' axes is neglected, as a second-order effect.
+It predicts the remaining accelerations, times mass and inertia, from the felt motion; turned sensor axes are neglected.
 Letters: T rows of all flights, B time blocks, C channels, D inputs, O outputs in the flights, H hidden units.
 """
 
@@ -88,11 +87,7 @@ class ResidualFit:
 def train_residual(
     predictor: Predictor, params: ModelParams, left_out: CrossValidation, *, seed: int = 0
 ) -> ResidualFit:
-    """Return a network for the residual of the training flights, or its rejection if left-out flights do not improve.
-
-    ``left_out``: cross-validation of the same flights, with its folds and acceptance rule. Raise ``ConfigError`` if the
-    robot file already has a learned residual.
-    """
+    """Return a network for the training flights' residual, or its rejection; raise ``ConfigError`` if there is one."""
     if params.learned is not None:
         raise ConfigError(
             "the robot file already has a learned_residual, but named effects come first. Remove it to train a new one"

@@ -29,10 +29,8 @@ class LoopSetup:
     stated: RobotCfg  # Robot as in its file
     robot: RobotCfg  # Robot with a battery estimated from the training flights if its file has none
     params: ModelParams  # Model declared by the file
-
     train: Predictor
     test: Predictor
-
     asked_bandwidth: float  # Requested bandwidth [Hz]
 
     @property
@@ -59,11 +57,7 @@ class LoopSetup:
 def prepare_comparison(
     robot: RobotCfg, train: Sequence[Flight], test: Sequence[Flight], *, bandwidth: float, tolerances: Tolerances
 ) -> LoopSetup:
-    """Return a robot with its training and test flights, ready for comparison.
-
-    Raise ``ConfigError`` if the robot cannot be compared with flights. Raise ``DataError`` if the flights lack a quantity
-    for a declared effect, or share no channel.
-    """
+    """Return a robot with its flights, ready for comparison; raise ``ConfigError`` or ``DataError`` if it cannot be."""
     check_effects(robot)
     flights, powered = [*train, *test], add_battery_estimate(robot, train)
     band, channels = comparison_band(flights, bandwidth), find_channels(flights)

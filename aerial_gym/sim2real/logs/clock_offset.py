@@ -1,7 +1,4 @@
-"""The clock offset of the rotor log relative to the other sensors.
-
-Letters: T rows.
-"""
+"""The clock offset of the rotor log relative to the other sensors. Letters: T rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -36,11 +33,7 @@ class ClockOffset:
     std: float = 0.0  # Standard deviation [rows]
 
     def is_likelier_than_sensor_delays(self, rate: float, odds: float = 1.0) -> bool:
-        """Return whether a clock offset is more probable, by ``odds``, than two delayed sensors; ``rate`` in Hz.
-
-        A clock offset is uniform within ``LARGEST_SHIFT_S``. Delays of rotor speeds and accelerometer are independent and
-        normal.
-        """
+        """Return whether a uniform clock offset is more probable, by ``odds``, than two normal sensor delays; ``rate`` in Hz."""
         spread = float(np.hypot(np.sqrt(2.0) * LATE_S, self.std / rate))
         of_sensors = np.exp(-0.5 * (self.rows / rate / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread)
         return bool(odds * of_sensors < 0.5 / LARGEST_SHIFT_S)
@@ -59,10 +52,7 @@ class OffsetCurve:
 
     @property
     def offset(self) -> ClockOffset:
-        """Return the offset with the least residual; 0 unless the improvement is clear.
-
-        A parabola interpolates the minimum S of ``left``; its standard deviation is ``sqrt(2 S / n S'')``.
-        """
+        """Return the offset at the interpolated minimum S of ``left``, std ``sqrt(2 S / n S'')``; 0 without clear improvement."""
         if not self.left.size:
             return ClockOffset()
         most = self.left.size // 2
@@ -98,15 +88,9 @@ def offset_curve(
 ) -> OffsetCurve:
     """Return the residual curve of the accelerometer against the rotor log, for offsets up to ``largest`` [s].
 
-    Regressors of the specific force along z are thrust, drag and a shifted centre of mass. The number of independent
-    samples is twice the pass band [Hz] times the duration [s].
-
-    Args:
-        measured: Specific force along body z [m/s²], (T,).
-        predicted: The same, predicted from the logged rotor speeds, (T,).
-        others: Further regressors on the accelerometer's clock, (T, any): velocity, angular acceleration.
-        bandwidth: Upper limit of the pass band [Hz]; the lower one is a twentieth of it.
-        largest: Largest offset [s].
+    ``measured`` and ``predicted``: specific force along body z [m/s²], (T,), by accelerometer and rotor log.
+    ``disturbance``: further regressors, (T, any). The pass band is ``bandwidth`` [Hz] and a twentieth of it; twice its
+    width times the duration is the number of samples.
     """
     most = round(largest * rate)
     wave = np.column_stack((measured, predicted, disturbance))
@@ -127,10 +111,9 @@ def offset_curve(
 def common_offsets(curves: Sequence[OffsetCurve], learning: int) -> list[ClockOffset]:
     """Return the clock offset of each log: a common one if the decisive logs agree, else each log's own.
 
-    A logger has one clock, so a flight with nearly constant thrust takes the common offset unless its own data reject it.
-    The first ``learning`` logs decide; test flights may only follow or keep their own. An offset that delayed sensors
-    explain as well is 0, since tolerances cover such delays. If the decisive logs disagree, the odds must exceed
-    ``CLEAR_ODDS``, because other vertical forces can imitate an offset.
+    The first ``learning`` logs decide; others follow unless their data reject it. An offset that delayed sensors explain as
+    well is 0. If the decisive logs disagree, the odds must exceed ``CLEAR_ODDS``: other vertical forces can imitate an
+    offset.
     """
     told, agreed = _decide_offsets(curves, learning)
     odds = 1.0 if agreed else CLEAR_ODDS
@@ -164,13 +147,8 @@ def _decide_offsets(curves: Sequence[OffsetCurve], learning: int) -> tuple[list[
 def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffset], time_constant: float) -> bool:
     """Return whether commands share the clock of the rotor speeds rather than that of the other sensors.
 
-    A first-order lag with any time constant maps commands to speeds on the right clock. The rotor clock holds unless the
-    other one fits clearly better. The answer is common to all logs, as one log hardly separates a short offset from a lag.
-
-    Args:
-        logs: With rotor speeds that lead the other sensors by ``offsets``.
-        offsets: Offsets of the rotor speeds.
-        time_constant: Declared [s]; 0.2 to 5 times it is searched.
+    On the right clock a first-order lag of 0.2 to 5 times ``time_constant`` [s] maps commands to speeds. The answer is
+    common to all logs, as one log hardly separates a short offset from a lag.
     """
     curve_values = [
         _lag_residuals_by_clock(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)
@@ -199,10 +177,7 @@ def _lag_residuals_by_clock(log: FlightLog, offset: ClockOffset, time_constant: 
 
 
 def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = True) -> FlightLog:
-    """Return the log with rotor speeds, and optionally commands, delayed by ``offset``, without incomplete end rows.
-
-    Values between rows are interpolated linearly, which is the mean of a held command.
-    """
+    """Return the log with rotor speeds, and optionally commands, delayed by ``offset``, interpolated, without end rows."""
     if offset.rows == 0.0:
         return log
     rows, whole = np.arange(log.time.size, dtype=float), int(np.ceil(abs(offset.rows)))

@@ -1,7 +1,4 @@
-"""Complete a checked flight log: derive missing quantities where this is sound.
-
-Letters: T rows, R rotors.
-"""
+"""Complete a checked flight log: derive missing quantities where this is sound. Letters: T rows, R rotors."""
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -105,11 +102,10 @@ def load_flights(
     learning: int | None = None,
     refused: list[DataError] | None = None,
 ) -> list[Flight]:
-    """Return the flights in the files, with unique names.
+    """Return the flights in the files, with unique names; errors of unusable files are raised, or go to ``refused``.
 
-    The first ``learning`` files (None: all) decide the common clock offset of the rotor logs. Nothing else depends on other
-    files. Errors of unusable files go to ``refused`` if it is given. Raise ``DataError`` if a file is given twice, or is
-    unusable or a copy and ``refused`` is None.
+    The first ``learning`` files (None: all) decide the common clock offset of the rotor logs; nothing else depends on
+    others.
     """
     read: dict[Path, tuple[FlightLog, list[Finding]]] = {}
     seen = LogRegister()
@@ -185,11 +181,7 @@ def derive_velocity(log: FlightLog) -> FlightLog:
 
 
 def scale_commands_to_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog:
-    """Return the log with commanded speeds scaled to the mean measured thrust above ``hover_above``, if the mapping asks.
-
-    The scale s solves ``mean sum_r T(s w_r) = m mean f_z``, for rotors along body z. Raise ``DataError`` if position,
-    accelerometer or enough high rows are missing.
-    """
+    """Return the log with commands scaled by s, ``mean sum_r T(s w_r) = m mean f_z`` above ``hover_above``, if asked."""
     if log.hover_above is None or log.rotor_command is None:
         return log
     if log.position is None or log.specific_force is None:
@@ -209,10 +201,7 @@ def scale_commands_to_hover_thrust(log: FlightLog, robot: RobotCfg) -> FlightLog
 
 
 def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground: Flags | None = None) -> Flight:
-    """Return the flight, with missing specific force and angular velocity derived.
-
-    ``on_ground``: rows on the ground, (T,).
-    """
+    """Return the flight with missing specific force and angular velocity derived; ``on_ground``: (T,)."""
     rate, said = sample_rate(log), [*log.notes, *notes]
     band = DERIVED_BAND * rate
     specific_force, ang_vel = log.specific_force, log.ang_vel

@@ -18,7 +18,6 @@ class FlightInputs:
 
     train: list[Flight]
     test: list[Flight]
-
     left_out: tuple[Finding, ...]  # One finding for each rejected log
     digests: dict[str, str]  # SHA-256 of every file by its path, rejected ones included
 
@@ -31,11 +30,7 @@ def read_flight_inputs(
     mapping: LogMapping | None,
     bandwidth: float,
 ) -> FlightInputs:
-    """Return the flights of the logs; unusable logs become findings as long as each role keeps a flight.
-
-    Raise ``DataError`` if a file is missing or given twice, or no training or no test flight is usable. Raise
-    ``ConfigError`` if the bandwidth is out of range.
-    """
+    """Return the flights of the logs; unusable logs become findings as long as each role keeps a flight, else ``DataError``."""
     if not train or not test:
         raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
     check_bandwidth(bandwidth)

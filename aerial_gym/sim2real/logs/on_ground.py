@@ -1,7 +1,4 @@
-"""Detection of rows on the ground, where the rotors do not carry the vehicle.
-
-Letters: T rows, R rotors.
-"""
+"""Detection of rows on the ground, where the rotors do not carry the vehicle. Letters: T rows, R rotors."""
 
 import numpy as np
 from scipy import ndimage
@@ -25,10 +22,8 @@ MOST = 0.8  # Largest share of rows on the ground in a usable log
 def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     """Return the rows on the ground, (T,); None if there are none or the data do not show it.
 
-    A row is on the ground if the vehicle is at rest, supported, and below half its flight thrust. Neighbouring rows at rest
-    below nine tenths of the thrust belong to it. Then all rows within the mapping's ``lift_off_m`` of that height do. A
-    height alone is no evidence, as it may be that of a hover. Raise ``DataError`` if more than ``MOST`` of the rows are on
-    the ground.
+    There the vehicle is at rest, supported, and below half its flight thrust. Neighbours at rest below nine tenths of the
+    thrust belong to it, and all rows within the mapping's ``lift_off_m`` of that height. A height alone is no evidence.
     """
     rotors, width = log.rotor_speed, SMOOTH_S * sample_rate(log)
     if rotors is None and log.rotor_command is not None:
@@ -60,10 +55,7 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
 
 
 def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:
-    """Raise ``DataError`` unless one airborne span is longer than the end rows that the low-pass spoils.
-
-    ``bandwidth``: frequency limit of the comparison [Hz].
-    """
+    """Raise ``DataError`` unless one airborne span exceeds the end rows that a low-pass at ``bandwidth`` [Hz] spoils."""
     edge = edge_rows(sample_rate(log), min(bandwidth, HIGHEST_BAND * sample_rate(log)))
     flies = np.ones(log.time.size, dtype=bool) if on_ground is None else ~on_ground
     if not np.asarray(ndimage.minimum_filter1d(flies, 2 * edge + 1, mode="constant", cval=0)).any():

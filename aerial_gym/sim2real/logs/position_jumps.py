@@ -1,13 +1,9 @@
 """Correction of position jumps that no motion explains, as from a satellite receiver or a motion tracker.
 
-Position minus integrated velocity, ``p - ∫ v dt``, is a constant, a slow drift and noise; a jump is a step in it. A step
-is the difference between the half seconds before and after a row, with a common slope. Its scale without jumps comes
-from the whole flight and from the seconds around the row. Manoeuvres cause heavy tails, hence Student's t with few
-degrees of freedom. A median filter removes velocity spikes of up to a tenth of a second. A longer velocity error looks
-like a jump.
-
-A position that has jumped mostly returns by the same amount. So if the total offset o of the jumps is significant, the
-difference ``-o`` is searched as well; a known size needs less evidence. Letters: T rows.
+``p - ∫ v dt`` is a constant, a slow drift and noise; a jump is a step in it between the half seconds before and after a
+row. Its scale comes from the whole flight and the seconds around the row, with Student's t for the heavy tails of
+manoeuvres. A position that has jumped mostly returns: if the total offset o is significant, ``-o`` is searched with less
+evidence. Letters: T rows.
 """
 
 from collections.abc import Iterable
@@ -112,10 +108,7 @@ def displacement_from_velocity(velocity: Array, step: float) -> Array:
 
 
 def largest_jump(left: Array, step: float, offset: PositionOffset) -> PositionJump | None:
-    """Return the most significant jump in ``p - ∫ v dt`` (T, 3); None without one.
-
-    If no single jump is significant, a return by ``offset``, the sum of the jumps so far, is searched.
-    """
+    """Return the most significant jump in ``p - ∫ v dt`` (T, 3), else the return by ``offset``; None without one."""
     half = max(3, round(HALF_S / step))
     if len(left) < 8 * half:
         return None
@@ -144,10 +137,8 @@ def jump_sizes_and_scale(left: Array, step: float) -> tuple[Array, Array]:
 
 
 def log_odds_of_return(sizes: Array, scale: Array, offset: PositionOffset) -> Array:
-    """Return the log odds (T,) of a return by ``-offset`` against no jump, from differences (T, 3).
-
-    Both densities are trivariate Student's t, since a hard manoeuvre disturbs all axes. Without a jump the odds have mean
-    1, so they exceed c with a probability of at most 1 / c (Markov).
+    """Return the log odds (T,) of a return by ``-offset`` against no jump, from differences (T, 3) with trivariate t
+    densities.
     """
     wide = np.sqrt(scale**2 + offset.variance)
     no_jump, back = (np.log1p((x**2).sum(axis=1) / FREEDOM) for x in (sizes / scale, (sizes + offset.size) / wide))

@@ -1,7 +1,4 @@
-"""Correction of the rotor log's clock, or refusal of a delay beyond all clock offsets.
-
-Letters: T rows.
-"""
+"""Correction of the rotor log's clock, or refusal of a delay beyond all clock offsets. Letters: T rows."""
 
 from collections.abc import Sequence
 
@@ -35,10 +32,7 @@ ROWS_PER_BAND = 10.0  # Sample rate of the delay search in units of the bandwidt
 def rotor_clock_offsets(
     logs: Sequence[FlightLog], robot: RobotCfg, bandwidth: float, learning: int
 ) -> list[ClockOffset]:
-    """Return the clock offset of each rotor log relative to the accelerometer; the first ``learning`` logs decide.
-
-    Without velocity the offset is 0, because drag along z would imitate one.
-    """
+    """Return the clock offset of each rotor log, 0 without velocity, whose drag imitates one; the first ``learning`` decide."""
     able = [log.rotor_speed is not None and log.specific_force is not None and log.lin_vel is not None for log in logs]
     curves = [force_offset_curve(log, robot, bandwidth) for log, one in zip(logs, able, strict=True) if one]
     offsets = iter(common_offsets(curves, sum(able[:learning])))
@@ -48,10 +42,7 @@ def rotor_clock_offsets(
 def force_offset_curve(
     log: FlightLog, robot: RobotCfg, bandwidth: float, *, largest: float = LARGEST_SHIFT_S, stride: int = 1
 ) -> OffsetCurve:
-    """Return the residual curve of vertical force against rotor speeds, for clock offsets up to ``largest`` [s].
-
-    ``stride``: compare every so many rows.
-    """
+    """Return the residual curve of vertical force against rotor speeds up to ``largest`` [s], of every ``stride`` rows."""
     assert log.specific_force is not None
     assert log.lin_vel is not None
     thrust, _ = _rotor_wrench(log, robot)
@@ -99,10 +90,7 @@ def _offset_curve_of_waves(waves: Array, rate: float, bandwidth: float, largest:
 
 
 def check_rotor_clock(log: FlightLog, robot: RobotCfg, bandwidth: float) -> None:
-    """Raise ``DataError`` if rotor speeds lead or lag the accelerometer by more than any clock offset.
-
-    Roll and pitch may clearly contradict this; then another vertical force, such as a downwash, is the cause.
-    """
+    """Raise ``DataError`` if rotor speeds lead or lag beyond any clock offset, unless roll and pitch contradict this."""
     if log.rotor_speed is None or log.specific_force is None or log.lin_vel is None:
         return
     stride = max(1, int(sample_rate(log) / (ROWS_PER_BAND * bandwidth)))

@@ -66,10 +66,7 @@ def find_repeated_samples(values: Array, moving: Flags) -> SampleRepeats:
 
 
 def mend_repeated_samples(log: FlightLog) -> FlightLog:
-    """Return the log with repeated values interpolated, and a finding for each sensor with many.
-
-    Raise ``DataError`` if a sensor was frozen, or most rows repeat the one before.
-    """
+    """Return the log with repeated values interpolated, and findings; raise ``DataError`` for frozen sensors or most rows."""
     moving = _is_moving(log)
     sensors = _sensor_rows(log)
     whole = find_repeated_samples(np.concatenate(list(sensors.values()), axis=1), moving)

@@ -30,18 +30,11 @@ def lowpass_gain(frequency: Array, bandwidth: float) -> Array:
 
 
 def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = False, late: float = 0.0) -> Array:
-    """Return ``values`` after a zero-phase low-pass, or their time derivative in the same band.
+    """Return ``values`` (T, ...) after a zero-phase low-pass, or their time derivative in the same band.
 
-    Both ends continue by point reflection about a line fitted to the last half period. This prevents ringing of a level or
-    slope, and bending by noise in the last row. Rows within ``edge_rows`` should still be excluded. Each column's result is
-    independent of the other columns, bit for bit.
-
-    Args:
-        values: Samples at equal steps, (T, ...).
-        bandwidth: Frequency of half gain [Hz].
-        derivative: Whether to multiply by ``2 pi i f``.
-        late: Delay of the result [s], at most ``edge_rows``. The factor ``exp(-2 pi i f late)`` is exact in the band;
-            interpolation of thinned rows would not be.
+    Both ends continue by point reflection about a line fitted to the last half period, against ringing; rows within
+    ``edge_rows`` should still be excluded. Columns are independent, bit for bit. ``bandwidth``: frequency of half gain
+    [Hz]. ``late``: delay of the result [s], at most ``edge_rows``, exact in the band.
     """
     columns = np.ascontiguousarray(values.reshape(values.shape[0], -1).T)
     slow = lowpass_columns(columns, rate, bandwidth, derivative=derivative, late=late)

@@ -1,13 +1,9 @@
 """The noise floor: the RMS residual that a perfect model would leave.
 
-Sensor noise is white, so its level is measured above the comparison band, where the vehicle hardly moves. The residual's
-spectrum there is fitted by a constant plus a term in the squared frequency, for a differentiated signal. Both are
-extrapolated down through the low-pass. Vibration above the band makes the floor too high, never too low; so does a log
-too slow to separate the two terms.
-
-A spectrum that falls there was low-passed by the sensor; lines beyond the fall are ignored. Rounding noise is not white
-if a signal stays between two log values; it is estimated by rounding simulated signals.
-Letters: C channels.
+Sensor noise is white, so its level is measured above the comparison band: a constant plus a term in the squared frequency,
+for a differentiated signal, is fitted to the residual's spectrum and extrapolated down. Vibration there makes the floor too
+high. Lines beyond a fall by the sensor's own low-pass are ignored. Rounding noise in the band comes from rounded simulated
+signals. Letters: C channels.
 """
 
 from collections.abc import Sequence
@@ -67,9 +63,9 @@ def noise_floor_of_flight(
 ) -> Array | None:
     """Return the noise floor (RMS) of each channel of one flight, (C,); None if the log is too slow.
 
-    The first estimate uses a prediction from measured rotor speeds. A prediction from expected speeds keeps the motion's
-    share s of their noise N and differs from it by ``(1 - s)² (N + S) = (1 - s) N``. This is subtracted, down to the noise
-    of the measured channel itself. Rounding noise within the band is added.
+    A prediction from measured rotor speeds and one from expected speeds, which keep the share s of the noise N, differ by
+    ``(1 - s)² (N + S) = (1 - s) N``. This is subtracted, down to the noise of the channel itself; rounding in the band is
+    added.
     """
     readings, rate = [is_sensor_reading(channel, flight) for channel in channels], flight.rate
     as_logged = wide_band_predictor(robot, [flight], channels, [estimate_as_measured(flight)])
@@ -92,10 +88,7 @@ def noise_floor_of_flight(
 def mean_square_of_rounding(
     robot: RobotCfg, flight: Flight, params: ModelParams, channels: Sequence[Channel], bandwidth: float
 ) -> Array:
-    """Return the mean square of rounding errors in the band, beyond the level seen above it, (C,).
-
-    It comes from the residual differences between logs and their rounded copies.
-    """
+    """Return the mean square of rounding errors in the band, beyond the level seen above it, (C,), by rounded copies."""
     given = {name: getattr(flight, name) for name in ("rotor_speed", "rotor_command", "specific_force", "ang_vel")}
     flown = slice(None) if flight.on_ground is None else ~flight.on_ground
     logs = {name: simulate_rounding(v, flight.rate, bandwidth, flown) for name, v in given.items() if v is not None}
@@ -115,8 +108,7 @@ def mean_square_of_rounding(
 def simulate_rounding(values: Array, rate: float, bandwidth: float, rows: slice | Flags) -> list[Array]:
     """Return a simulated signal, and ``LOGS`` roundings of it with the step sizes of the log, (T, K) each.
 
-    In the band the signal follows the logged values (T, K). Above it, white noise has their variance there minus that of
-    rounding, step² / 12. The step sizes are the differences between the distinct logged values of a column in ``rows``.
+    It has the logged values in the band and, above it, white noise of their variance minus that of rounding, step² / 12.
     Each rounding has a random phase, since at the log's own phase the signal would stay on one value.
     """
     slow, random = lowpass(values, rate, bandwidth), np.random.default_rng(0)
@@ -136,10 +128,7 @@ def simulate_rounding(values: Array, rate: float, bandwidth: float, rows: slice 
 def wide_band_predictor(
     robot: RobotCfg, flights: Sequence[Flight], channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
 ) -> Predictor:
-    """Return a predictor of every row of flights with one rate, with a bandwidth above the comparison band.
-
-    ``rotors``: the rotor speeds of each flight that the prediction uses.
-    """
+    """Return a predictor of every row of flights with one rate, beyond the comparison band, from these rotor speeds."""
     return Predictor(
         robot,
         flights,
@@ -152,11 +141,9 @@ def wide_band_predictor(
 
 
 def noise_floor_of_columns(values: Array, rate: float, bandwidth: float, readings: Sequence[bool]) -> Array | None:
-    """Return the RMS noise of columns below a bandwidth [Hz], (K,); None if the log is too slow.
+    """Return the RMS noise below a bandwidth [Hz] of columns (T, K), low-passed at ``WIDE_BAND``; None if too slow.
 
-    Args:
-        values: Values in every row, low-passed at ``WIDE_BAND`` of the rate, (T, K).
-        readings: Whether each column is a direct sensor reading, whose noise does not grow with frequency.
+    ``readings``: whether each column is a direct sensor reading, whose noise does not grow with frequency.
     """
     wide, length = WIDE_BAND * rate, min(values.shape[0], round(SEGMENT_S * rate))
     if length < 2:

@@ -1,13 +1,9 @@
 """One-step predictions of a model for every row of a flight, and the measured channels in the same band.
 
-Each row is one environment of the simulator. ``physics.accelerations`` predicts specific force and angular acceleration
-from the measured state, and ``RotorReplay`` the rotor speeds from the commands. The accelerometer's lever arm uses the
-measured angular acceleration, not the predicted one.
-
-Two kinds of channel need no dynamics, and show errors of the inertial sensors alone. They compare sensor readings with the
-specific force and angular velocity that velocity and attitude imply.
-Channels: specific force x, y, z; angular acceleration x, y, z; speed of each rotor; kinematic force x, y, z; kinematic
-rate x, y, z. Letters: E rows, C channels, R rotors.
+``physics.accelerations`` predicts specific force and angular acceleration from the measured state, ``RotorReplay`` the
+rotor speeds from the commands. The accelerometer's lever arm uses the measured rotation. The kinematic channels need no
+dynamics: they compare inertial sensors with the specific force and angular velocity that velocity and attitude imply.
+Letters: E rows (environments of the simulator), C channels, R rotors.
 """
 
 from collections import OrderedDict
@@ -52,12 +48,7 @@ class Predictor:
         every_row: bool = False,
         rotors: Sequence[RotorEstimate | None] | None = None,
     ) -> None:
-        """Load the flights.
-
-        Args:
-            every_row: Whether to keep all rows of the log instead of thinning them to the band.
-            rotors: Rotor speeds that the prediction uses; None: their expectation.
-        """
+        """Load flights; ``every_row``: without thinning; ``rotors``: rotor speeds of the prediction, None: expected ones."""
         self.robot, self.flights, self.bandwidth = robot, tuple(flights), bandwidth
         self.channels, self.tolerances = tuple(channels), tolerances
         simulated = [flight.rotor_speed is None for flight in flights]
@@ -123,10 +114,7 @@ class Predictor:
         return [link for part in self._parts for link in part.load_links(params)]
 
     def _prediction_key(self, params: ModelParams) -> tuple[object, ...]:
-        """Return a hashable key of a model's predictions: the resulting vehicle and all other parameters in order.
-
-        Vehicle effects with the same result as a deviation, another effect or none have the same key.
-        """
+        """Return a key of a model's predictions: the resulting vehicle, whatever causes it, and all other parameters in order."""
         on_vehicle = {
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
         }

@@ -82,12 +82,8 @@ def rollout_errors_of_models(
 ) -> list[dict[str, RolloutErrors]]:
     """Return the rollout errors of models in several variants, simulated as one batch where possible.
 
-    Args:
-        models: Effects and deviations of each model.
-        variants: Whether each variant prescribes the measured attitude and angular velocity after every step.
-        links: State of each model's load along each flight; None: the load starts at rest with the log.
-        horizons: Times of comparison [s]; those longer than every flight are omitted.
-        tolerances: Standard deviations of the declared values; None: the default ones.
+    ``variants``: whether each prescribes the measured attitude and angular velocity. ``links``: state of each model's load
+    along each flight; None: at rest at the log's start. ``horizons`` [s] longer than every flight are omitted.
     """
     if len(models) > 1 and not _can_share_batch(models, flights):
         return [
@@ -141,10 +137,7 @@ def rollout_errors_of_models(
 
 
 def _can_share_batch(models: Sequence[ModelParams], flights: Sequence[Flight]) -> bool:
-    """Return whether models can share one batch: no deviations, learned residuals, memory or loads, and measured rotors.
-
-    In such a batch an effect that a model lacks has its neutral value.
-    """
+    """Return whether models fit one batch: no deviations, networks, memory or loads; absent effects are neutral."""
     effects = [EFFECTS.get(name) for one in models for name in one.effects if not acts_on_commands(name)]
     return (
         all(one.deviation is None and one.learned is None for one in models)
@@ -188,15 +181,11 @@ class WindowBatch:
         load: Array | None = None,
         settled: float = 1.0,
     ) -> None:
-        """Prepare the windows.
+        """Prepare windows from a vehicle of one environment and effects with parameters (W, P).
 
-        Args:
-            effects: Effects with parameters per window, (W, P).
-            flights: Flights with commands as they arrive at the rotors.
-            flight: Flight index of each window, (W,).
-            row: First row of each window, (W,).
-            load: Initial direction and rate of the load's link, (W, 6); None: the load starts at rest with the log.
-            settled: Initial angle of soft arms as a share of their rest angle, if a log begins in the air.
+        ``flights`` have commands as they arrive at the rotors; ``flight`` and ``row``: flight index and first row of each
+        window, (W,). ``load``: initial link states, (W, 6); None: at rest at the log's start. ``settled``: initial angle of
+        soft arms as a share of their rest angle, if a log begins in the air.
         """
         self._flights, self._flight, self._row, self._load, self._settled = flights, flight, row, load, settled
         self._tables: dict[str, _FlightTable] = {}
@@ -220,10 +209,7 @@ class WindowBatch:
     def simulate_steps(
         self, state: BodyState, at: Collection[int], *, given_attitude: Flags | None = None
     ) -> Iterator[tuple[int, BodyState, BodyState]]:
-        """Yield step number, simulated state and measured state after the step numbers ``at``.
-
-        ``given_attitude`` (W,): windows with measured attitude and angular velocity after every step.
-        """
+        """Yield step number, simulated and measured state after the steps ``at``; (W,): windows with ``given_attitude``."""
         given = (
             torch.from_numpy(given_attitude)[:, None] if given_attitude is not None and given_attitude.any() else None
         )

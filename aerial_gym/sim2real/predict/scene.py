@@ -41,11 +41,7 @@ def finding_on_absent_scene(name: str, flights: Sequence[Flight]) -> Finding | N
 
 
 def finding_on_absent_velocity(name: str, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding if an aerodynamic effect needs a velocity that the logs do not have; None otherwise.
-
-    A declared effect still acts, through the hub velocities of a rotating vehicle. Identification from these alone would
-    attribute other errors to the air.
-    """
+    """Return a finding if an aerodynamic effect needs a velocity that logs lack: hub velocities alone would mislead a fit."""
     effect = EFFECTS.get(name)
     airborne = isinstance(effect, WindEffect) or "velocity" in effect.follows
     return _finding_on_absent_data(name, ("lin_vel",) if airborne else (), flights)

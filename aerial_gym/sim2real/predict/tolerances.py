@@ -85,10 +85,8 @@ class Tolerances:
     def implausible_deviations(
         self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf
     ) -> list[Finding]:
-        """Return findings on the implausible deviations among (N,), in standard deviations.
-
-        ``absent``: tolerances of parts that the vehicle or its logs lack. ``farthest``: limit of the fit; a deviation there
-        was cut off, not measured.
+        """Return findings on implausible deviations (N,), without ``absent`` ones; those at ``farthest`` were cut off by the
+        fit.
         """
         names = self.names((deviation.size - len(self.names(0))) // 2)
         pairs = [
@@ -103,11 +101,7 @@ class Tolerances:
 
 
 def vehicle_with_deviations(vehicle: Vehicle, tolerances: Tolerances, deviation: Tensor) -> Vehicle:
-    """Return the vehicle with ``deviation`` standard deviations in each tolerance.
-
-    The inertia becomes ``S J S`` with the diagonal ``S = sqrt(1 + d)``, and stays positive definite. ``deviation``: in
-    standard deviations, (N,), in the order of ``Tolerances.names``.
-    """
+    """Return the vehicle with a deviation (N,) in standard deviations; the inertia ``S J S`` with ``S = sqrt(1 + d)``."""
     off = split_deviations(deviation)
     factor = (1.0 + tolerances.thrust * off["thrust"]).unsqueeze(0)
     stretch = (1.0 + tolerances.inertia * off["inertia"]).clamp_min(0.01).sqrt()

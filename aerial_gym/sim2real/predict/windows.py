@@ -1,7 +1,4 @@
-"""Windows of flights, each with the start of one rollout.
-
-Letters: W windows.
-"""
+"""Windows of flights, each with the start of one rollout. Letters: W windows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,10 +36,7 @@ class RolloutWindows:
 def find_windows(
     flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
 ) -> RolloutWindows:
-    """Return windows of ``horizon`` [s] in every long enough flight, one ``every`` so many seconds.
-
-    No window contains a row on the ground.
-    """
+    """Return windows of ``horizon`` [s] without rows on the ground in every flight, one ``every`` so many seconds."""
     spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
     every = max(every, sum(spans) / most)
     parts, cluster = [], 0
@@ -62,10 +56,7 @@ def find_windows(
 
 
 def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], RolloutWindows]:
-    """Return the feasible horizons [s], for which some flight is airborne long enough, and the longest one's windows.
-
-    Raise ``DataError`` if there is none.
-    """
+    """Return the feasible horizons [s] and the windows of the longest one; raise ``DataError`` if no flight is long enough."""
     for longest in sorted(horizons, reverse=True):
         windows = find_windows(flights, longest)
         if windows.row.size:

@@ -42,7 +42,6 @@ class Candidate:
     """One effect, or one effect on one rotor."""
 
     name: str
-
     named: bool  # Whether the selection has accepted it
     columns: Indices  # Free parameters, as indices of the K columns
     low: Array  # Lowest steps from neutral in units of the scale
@@ -78,7 +77,6 @@ class Tangent:
     """Linearisation of the prediction in the parameters of one effect."""
 
     name: str
-
     named: bool  # Whether the effect was fitted in that model
     start: Array  # All parameters at the linearisation, (P,)
     columns: list[SparseDerivatives]  # Derivatives by the parameters, per scale, (rows, C, P) of each flight
@@ -95,10 +93,7 @@ def linearise_candidates(
     accepted: Sequence[str] = (),
     skipped: Collection[str] = (),
 ) -> list[Tangent]:
-    """Return the linearisations of all candidates: accepted effects at their fitted values, others at neutral.
-
-    Arguments as for ``build_library``.
-    """
+    """Return the linearisations of accepted effects at fitted values and others at neutral, as ``build_library``."""
     candidates, base = list[Tangent](), predictor.predict(present)
     for name, params in linearisation_points(declared, present, accepted, skipped, predictor.robot):
         named = params is present
@@ -128,20 +123,18 @@ def build_library(
 ) -> Library:
     """Return the library of all candidates about a model that contains some of them.
 
-    Derivatives of accepted effects are those at the fitted values, corrected to be exact back to neutral; those of others
-    are at neutral.
+    Derivatives of accepted effects are at the fitted values, corrected to be exact back to neutral; those of others at
+    neutral.
 
     Args:
-        present: Model of the linearisation.
-        accepted: Effects fitted in the present model.
+        present: Model of the linearisation, in which ``accepted`` effects are fitted.
         weight: Weight of one row of each channel, (C,).
         frozen: Fixed parameters of accepted effects, which the flights do not determine.
         skipped: Effects that these flights cannot show.
-        structures: Returns the competing structures for the present residuals and the derivatives by each effect, (rows, C,
-            any), at each of its starts.
+        structures: Function of the present residuals and the derivatives by each effect at each start, (rows, C, any).
         tangents: Known linearisations of all candidates about the present model.
         tolerance: Derivatives by the deviations, (rows, C, N), about a nearby model; None: computed here.
-        by_channel: Whether to return unweighted moments of each channel and flight; not with structures.
+        by_channel: Whether moments are unweighted, by channel and flight; not with structures.
         parts: Number of parts of each flight.
     """
     if tangents is None:

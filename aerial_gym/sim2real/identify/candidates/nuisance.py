@@ -1,10 +1,7 @@
 """Residual structure without a known effect, as nuisance columns: functions of place, heading and so on, or a tone.
 
-A structure competes with effects by evidence, so an effect that merely imitates it loses. It corrects nothing and has no
-entry in a robot file. From functions that a known effect follows, the part that the effect can produce is removed. The
-rest represents errors of its law, and does not compete with drag or ground effect.
-
-Letters: T rows, C channels, F functions, S flights.
+A structure competes with effects by evidence, but corrects nothing. From functions that a known effect follows, the part
+that it can produce is removed; the rest represents errors of its law. Letters: T rows, C channels, F functions, S flights.
 """
 
 from collections.abc import Mapping, Sequence
@@ -81,11 +78,7 @@ class Nuisances:
         declared: Sequence[Array],
         most: Array,
     ) -> None:
-        """Store the flights and their structures.
-
-        ``declared``: residuals of the declared model, (T, C), which give the sizes. ``most``: largest offsets of single
-        flights in each channel, (C,).
-        """
+        """Take flights, residuals of the declared model (T, C), which give sizes, and the largest flight offsets (C,)."""
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
         self._lines = CommonLines(
             times, [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]
@@ -117,9 +110,8 @@ class Nuisances:
     ) -> list[NuisanceColumns]:
         """Return the structures without the parts that effects can produce.
 
-        Args:
-            present: Residuals of the present model, (T, C), which give the frequencies of tones.
-            effects: Derivatives by the parameters of each effect, (T, C, any), at each of its starts.
+        ``present``: residuals of the present model, (T, C), for tones. ``effects``: derivatives (T, C, any) of each effect
+        by start.
         """
         matrices = []
         for shape in self._shapes:
@@ -191,11 +183,9 @@ def _functions_beyond_effects(functions: Sequence[Array], effects: Sequence[Sequ
 
 
 def largest_flight_offsets(predictor: Predictor, tolerated: Array) -> Array:
-    """Return the largest offsets of single flights in each channel, (C,).
+    """Return the largest offsets of single flights in each channel, (C,): ``tolerated`` plus that of an accelerometer.
 
-    They are the RMS residual within the tolerances, ``tolerated`` (C,), with ``acc_of_flight`` added in squares for
-    accelerometers. A force derived from velocity has none, as no sensor measured it. Larger differences are no
-    offsets: flights in different winds differ by drag.
+    Larger differences are no offsets: flights in different winds differ by drag.
     """
     force = np.array([channel.kind in FORCES for channel in predictor.channels])
     if not all(flight.accelerometer for flight in predictor.flights):
@@ -204,10 +194,7 @@ def largest_flight_offsets(predictor: Predictor, tolerated: Array) -> Array:
 
 
 def _flight_offset_columns(channels: Sequence[Channel], present: Sequence[Array], most: Array) -> list[NuisanceColumns]:
-    """Return an offset per flight in each channel, for example after a battery change or a sensor's warm-up.
-
-    The unit is the standard deviation of the flights' mean residuals, at most ``most`` (C,).
-    """
+    """Return an offset per flight in each channel, of the flights' standard deviation up to ``most`` (C,)."""
     if len(present) < 2:
         return []
     sizes = np.minimum(np.std([part.mean(axis=0) for part in present], axis=0, ddof=1), most)

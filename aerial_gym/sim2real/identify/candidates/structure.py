@@ -1,7 +1,6 @@
 """Detection of structure in a residual: dependence on place, heading and so on, or a spectral line.
 
-Each explanation is fitted to all flights but one and evaluated on that one, so only repeatable structure counts.
-Letters: T rows, C channels.
+Only structure counts that repeats on a flight left out of its fit. Letters: T rows, C channels.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Nonlinear fits of sets of effects, and their evidence.
-
-Letters: N tolerances.
-"""
+"""Nonlinear fits of sets of effects, and their evidence. Letters: N tolerances."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -114,7 +111,6 @@ class Fitter:
     def __init__(
         self, predictor: Predictor, declared: ModelParams, num_names: int, weights: Weighting, present: ModelParams
     ) -> None:
-        """Store flights, declared model, number of available effects, weights and present model."""
         self.predictor, self.declared, self.weights = predictor, declared, weights
         self.log_prior_cost, self._present = float(np.log(max(1, num_names))), present
         self._tolerance: Derivatives | None = None
@@ -143,10 +139,7 @@ class Fitter:
         self._tolerance = known
 
     def nuisance_sums(self, structures: Sequence[NuisanceColumns], more: Sequence[Array] | None = None) -> NuisanceSums:
-        """Return the nuisance columns: tolerances, structures and ``more`` columns (rows, C, any), in this order.
-
-        Flight offsets are integrated out.
-        """
+        """Return tolerances, structures and ``more`` columns (rows, C, any), in this order, without flight offsets."""
         key = tuple(structures)
         if more is None and key in self._beside:
             return self._beside[key]
@@ -245,10 +238,7 @@ class Fitter:
         return max(results, key=lambda one: one.log_posterior)
 
     def fit_starts(self, library: Library, sets: SetPosterior, model: Model) -> list[ModelParams]:
-        """Return the starts of a set's fit: present values of old effects, the most probable linear step of new ones.
-
-        A strongly nonlinear effect with several starts, such as a pendulum of unknown length, also starts at its linearisation.
-        """
+        """Return the starts of a set's fit: old effects as present, new ones by a linear step, or far from it unmoved."""
         results, step, robot = posterior(sets.candidates, sets.normal, model), 0, self.predictor.robot
         best = plain = self.declared
         for candidate in (library.candidates[k] for k in model if not library.candidates[k].structure):
@@ -299,9 +289,8 @@ class Fitter:
     ) -> EffectSetFit:
         """Return the most probable among a set and its subsets whose effects all hold.
 
-        Removal of the weakest effect alone is not enough: an effect with little support beside another may suffice without it.
-        So each effect is removed in turn from the best few failing sets of each size, as long as these are more probable
-        than the best set that holds.
+        An effect with little support beside another may suffice without it. So each effect is removed in turn from the best
+        few failing sets of each size, as long as these are more probable than the best set that holds.
         """
         level, best = [fitted], None
         while level:
@@ -353,10 +342,7 @@ class Fitter:
     def fit_special_cases(
         self, fitted: EffectSetFit, names: Sequence[str], compared: ComparisonDepth | None = None
     ) -> list[EffectSetFit]:
-        """Return the fitted sets in which a narrower effect replaces a general one.
-
-        A general effect may win only by its curvature far from neutral: linearised, two lags follow a bend that one cannot.
-        """
+        """Return the fits with a narrower effect in place of a general one, which may win by its curvature alone."""
         results = []
         for wide in fitted.effects:
             for name in EFFECTS.get(wide).contains:

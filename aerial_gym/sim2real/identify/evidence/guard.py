@@ -1,15 +1,12 @@
 """Guard against misspecified models: every effect must hold with the variance that the flights themselves show.
 
-Evidence assumes that one of the sets is true and that only noise remains. If none is true, the model error is consistent
-within a flight but differs between flights. Parameters then scatter more between flights than noise explains. This factor,
-the overdispersion, overstates the support of an effect.
-
+Evidence assumes that only noise remains. A model error is consistent within a flight but differs between flights, whose
+parameters then scatter more than noise explains. This factor, the overdispersion, overstates the support of an effect.
 Letters: F parts of the flights, k columns of one set, P those of one effect.
 
-Sources:
-    Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, Biometrika 73 (variance from clusters);
-    Chandler, Bate (2007), Inference for clustered data using the independence loglikelihood, Biometrika 94, and Pauli,
-    Racugno, Ventura (2011), Bayesian composite marginal likelihoods, Statistica Sinica 21 (a likelihood scaled by it).
+Sources: Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, Biometrika 73 (variance from
+clusters); Chandler, Bate (2007), Inference for clustered data using the independence loglikelihood, Biometrika 94; Pauli,
+Racugno, Ventura (2011), Bayesian composite marginal likelihoods, Statistica Sinica 21 (a likelihood scaled by it).
 """
 
 from collections.abc import Mapping, Sequence
@@ -45,8 +42,7 @@ class Support:
     def robust_log_odds(self) -> float:
         """Return the log odds with the Wald statistic over the larger covariance.
 
-        Occam's factor keeps the noise covariance, which is stricter. The larger one also admitted structures that concealed a
-        measured ground effect (docs/results/measured.md).
+        Occam's factor keeps that of noise; the larger one concealed a measured ground effect (docs/results/measured.md).
         """
         return self.log_odds - 0.5 * self.wald * (1.0 - 1.0 / max(self.overdispersion, 1.0))
 
@@ -60,17 +56,13 @@ class Guard:
     """Removes effects that are less probable than not under the scatter between flights."""
 
     def __init__(self, library: Library, sets: SetPosterior) -> None:
-        """Store the posterior over sets of a candidate library."""
         self._sets, self._candidates = sets, make_candidates(library)
         self._parts = [make_normal_equations(library, slice(k, k + 1)) for k in range(library.moments.count.size)]
         self._whole = make_normal_equations(library)
         self._support: dict[Model, dict[int, Support]] = {}
 
     def drop_unsupported(self, model: Model) -> Model:
-        """Return a set after removal of its least supported candidate, repeated until all hold.
-
-        Structures are included: a residual that does not repeat in other flights has none.
-        """
+        """Return a set after removal of its least supported candidate, structures included, repeated until all hold."""
         while (by_name := self.support(model)) and not all(one.is_supported for one in by_name.values()):
             weakest = min(by_name, key=lambda k: by_name[k].robust_log_odds)
             model = tuple(k for k in model if k != weakest)

@@ -1,16 +1,11 @@
-"""Log evidence of a set of effects by Laplace's approximation.
+"""Log evidence ``log integral L(x) p(x) dx`` of a set of effects by Laplace's approximation.
 
 The model is linear about a point: residual r = J x + noise. x holds the parameters of a set's effects in units of scale,
-and the deviations of the declared vehicle within its tolerances. The evidence is the mean likelihood over the prior,
-``Z = integral L(x) p(x) dx``. It balances fit and parsimony: predictions that did not occur count against a set. Deviations
-have normal priors, whose standard deviations are the tolerances. Parameters of effects have Cauchy priors about neutral with
-the scale as width; their tails permit values ten times larger.
+with Cauchy priors about neutral, whose tails permit values ten times larger, and deviations within the tolerances, with
+normal priors. Letters: K columns of a library, k columns of one set, P of them parameters of effects.
 
-Letters: K columns of a library, k columns of one set, P of them parameters of effects.
-
-Sources:
-    Kass, Raftery (1995), Bayes factors, Journal of the American Statistical Association 90 (Laplace, section 4.1);
-    Jeffreys (1961), Theory of Probability, section 5.2 (Cauchy priors).
+Sources: Kass, Raftery (1995), Bayes factors, Journal of the American Statistical Association 90 (Laplace, section 4.1);
+Jeffreys (1961), Theory of Probability, section 5.2 (Cauchy priors).
 """
 
 from collections import Counter
@@ -54,10 +49,7 @@ class NormalEquations:
         return MarginalSums(self, columns, kept).sums_of_columns(kept)
 
     def marginal(self, columns: Indices) -> "NormalEquations":
-        """Return all sums with some columns integrated out and set to zero.
-
-        Columns common to all sets are thus treated once.
-        """
+        """Return all sums with columns that all sets share integrated out and set to zero."""
         kept = np.setdiff1d(np.arange(self.gradient.size), columns)
         reduced, product, gradient = (
             self.integrate_out(columns, kept),
@@ -72,7 +64,6 @@ class MarginalSums:
     """Sums with some columns integrated out exactly over their normal priors."""
 
     def __init__(self, normal: NormalEquations, columns: Indices, kept: Indices) -> None:
-        """Store the sums, the columns to integrate out, and those available afterwards."""
         there = columns[:, None]
         root = np.linalg.cholesky(normal.product[there, columns] + np.eye(columns.size))
         solved = _solve_lower(root, np.column_stack((normal.product[there, kept], normal.gradient[columns])))
@@ -90,10 +81,7 @@ class MarginalSums:
         )
 
     def restore_columns(self, gone: Indices, kept: Indices) -> NormalEquations:
-        """Return the sums of ``kept`` columns if the integrated columns ``gone`` are removed from the model after all.
-
-        Conditioning them on zero is exact: it lowers the likelihood by their steps over their covariance.
-        """
+        """Return the sums of ``kept`` columns if the integrated columns ``gone`` are fixed at zero instead."""
         inverse = _solve_lower(self._root, (self._columns[:, None] == gone).astype(np.float64))
         steps = inverse.T @ np.column_stack((self._across[:, kept], self._right))
         root = np.linalg.cholesky(inverse.T @ inverse)
@@ -123,7 +111,6 @@ class Posterior:
     columns: Indices  # Columns of the set, tolerances last, (k,)
     step: Array  # Most probable values in units of scale or tolerance, (k,)
     covariance: Array  # Covariance of the normal approximation, (k, k)
-
     log_evidence: float
 
     log_likelihood: float
@@ -173,9 +160,9 @@ class Candidates:
 def posterior(candidates: Candidates, normal: NormalEquations, model: Model) -> Posterior:
     """Return the posterior of one set's parameters, and its evidence by Laplace's approximation.
 
-    The Cauchy prior is a normal prior whose precision depends on the parameter, so the mode follows by iteration. Bounds
-    multiply the evidence by the posterior's share within them over the prior's. This is exact for a single parameter with a
-    normal prior. For an unobservable parameter it gives 0.56 instead of 1, the coverage of a Cauchy density by the normal.
+    The Cauchy prior is a normal prior whose precision depends on the parameter. Bounds multiply the evidence by the
+    posterior's share within them over the prior's, exact for a single parameter with a normal prior; 0.56 instead of 1 for
+    an unobservable one.
     """
     columns, count = candidates.columns_of_set(model)
     effects, start = np.arange(columns.size)[None] < count, np.zeros((1, columns.size))
@@ -203,8 +190,8 @@ def posterior(candidates: Candidates, normal: NormalEquations, model: Model) -> 
 def log_evidences(candidates: Candidates, normal: NormalEquations, models: Sequence[Model]) -> Array:
     """Return the log evidence of each set, (M,), as in ``posterior``.
 
-    Structures and tolerances have normal priors and are integrated out once for all sets that share them. For a set of
-    structures only, just the tolerances are. Sets with similar numbers of columns form a batch, padded with null columns.
+    Structures and tolerances are integrated out once for all sets that share them; for a set of structures only, just the
+    tolerances. Sets with similar numbers of columns form a batch, padded with null columns.
     """
     alone = np.array([bool(model) and candidates.structures.issuperset(model) for model in models])
     places = [
@@ -241,11 +228,7 @@ def log_evidences(candidates: Candidates, normal: NormalEquations, models: Seque
 def _marginal_sums(
     candidates: Candidates, normal: NormalEquations, wanted: Mapping[Model, Indices]
 ) -> dict[Model, NormalEquations]:
-    """Return the sums of the ``wanted`` columns with each set of structures, and the tolerances, integrated out.
-
-    Many sets differ by one structure. So the set nearest to most is integrated out, then single structures are added or
-    removed.
-    """
+    """Return the ``wanted`` columns with each set of structures, and the tolerances, integrated out, by single changes."""
     larger: dict[Model, list[Model]] = {}
     for one in wanted:
         for less in _subsets_with_one_less(one):
@@ -313,10 +296,9 @@ def _laplace_approximation(
     *,
     start: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return steps (M, k), covariances (M, k, k) and log evidences (M,), up to the likelihood's constant.
+    """Return steps (M, k), covariances (M, k, k) and log evidences (M,) up to a constant, of equations (M, k, k), (M, k).
 
-    The inputs are normal equations (M, k, k) and (M, k) of columns (M, k). ``effects`` (M, k): columns with Cauchy priors and
-    bounds; others have normal priors. ``start``: initial steps (M, k).
+    ``effects`` (M, k): columns with Cauchy priors and bounds; others have normal priors. ``start``: initial steps (M, k).
     """
     step = _posterior_modes(product, gradient, effects, start)
     precision, unit = _prior_precision(step, effects), np.eye(columns.shape[1])

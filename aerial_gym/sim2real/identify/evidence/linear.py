@@ -61,12 +61,7 @@ class LinearFit:
 
 
 def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
-    """Return the linear model about a fit, with parameters relative to neutral.
-
-    Args:
-        fit: Fit of effects, tolerances and structures with weighted moments; its blocks are the parts.
-        neutral: Parameters at which each effect changes nothing.
-    """
+    """Return the linear model about a fit with weighted moments, whose blocks are the parts, relative to neutral."""
     free, count = fit.free_all, fit.free_effects.size
     away = np.zeros(fit.low.size)
     if fit.effects:

@@ -9,10 +9,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 
 
 def set_probabilities(fits: Iterable[EffectSetFit], *, overdispersion: float) -> dict[tuple[str, ...], float]:
-    """Return the probability of each set of effects, summed over structures, the most probable first.
-
-    Log posteriors are divided by the overdispersion of the parameters (guard.py).
-    """
+    """Return the probability of each set, summed over structures, the most probable first, with overdispersion (guard.py)."""
     inclusion: dict[tuple[str, ...], float] = {}
     for fitted in fits:
         key = tuple(sorted(fitted.effects))

@@ -1,7 +1,6 @@
 """Posterior over sets of effects, and the search for the most probable sets.
 
-Sets rather than single effects compete. So two effects that fit only together are found as a pair, a redundant effect is
-removed, and indistinguishable effects share the probability.
+Sets compete, so two effects that fit only together are found as a pair, and indistinguishable ones share the probability.
 
 Source: Scott, Berger (2010), Bayes and empirical-Bayes multiplicity adjustment in the variable-selection problem, Annals of
 Statistics 38 (dependence of a set's prior on the number of available effects).
@@ -21,10 +20,7 @@ from aerial_gym.sim2real.identify.evidence.laplace import Candidates, Model, Nor
 
 @dataclass
 class SetPosterior:
-    """Posterior over the sets evaluated by a search.
-
-    A set of n effects has the prior ``1 / m**n`` for m names. The expected number of effects thus does not grow with the list.
-    """
+    """Posterior over the sets evaluated by a search; a set of n effects has the prior ``1 / m**n`` for m names."""
 
     candidates: Candidates
     normal: NormalEquations
@@ -77,8 +73,8 @@ MOST_STARTS = 3  # Number of sets from which the search starts, the best with no
 def search_sets(candidates: Candidates, normal: NormalEquations, *, starts: Sequence[Model] = ()) -> SetPosterior:
     """Return the posterior over sets around the most probable ones.
 
-    All singles and pairs are evaluated, which finds pairs of effects that fit only together. From the best of these and from
-    ``starts``, effects are added and removed while that helps; from the best result, swaps are tried as well.
+    All singles and pairs are evaluated. From the best of these and from ``starts``, effects are added and removed while
+    that helps; from the best result, swaps are tried as well.
     """
     reduced, once = candidates.without_tolerances(), normal.marginal(candidates.tolerances)
     sets, places = SetPosterior(candidates=reduced, normal=once), range(len(candidates.columns))

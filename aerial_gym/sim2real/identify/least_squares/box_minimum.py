@@ -1,7 +1,4 @@
-"""Minimum of a quadratic function within bounds.
-
-Letters: K parameters.
-"""
+"""Minimum of a quadratic function within bounds. Letters: K parameters."""
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -12,18 +9,11 @@ MOST_ROUNDS = 20  # Most iterations of the active set, which usually needs two o
 
 
 def minimise_in_bounds(a: Array, b: Array, low: Array, high: Array) -> Array:
-    """Return the minimiser of ``x a x / 2 - b x`` within bounds; NaN for non-finite input.
+    """Return the minimiser of ``x a x / 2 - b x`` (K,) within bounds of either sign; NaN for non-finite input.
 
-    A primal-dual active set gives the exact conditions of the minimum once it repeats. In the rare case of a cycle, scipy
-    solves the problem.
-
-    Args:
-        a: Positive definite, (K, K).
-        b: Linear coefficients, (K,).
-        high: Upper bounds, (K,), at least 0.
-
-    Source: Hintermueller, Ito, Kunisch (2002), The primal-dual active set strategy as a semismooth Newton method, SIAM
-    Journal on Optimization 13.
+    A primal-dual active set gives the exact conditions of the minimum once it repeats; scipy solves the rare case of a
+    cycle. Source: Hintermueller, Ito, Kunisch (2002), The primal-dual active set strategy as a semismooth Newton method,
+    SIAM Journal on Optimization 13.
     """
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         return np.full(b.size, np.nan)

@@ -37,10 +37,7 @@ class Uncertainty:
 
     @property
     def half_width(self) -> Array:
-        """Return half the 95 % interval, (P,): scatter with its t quantile, plus the tolerances.
-
-        The scatter is that of blocks, or of whole flights if it is larger than blocks explain.
-        """
+        """Return half the 95 % interval, (P,): scatter of blocks, or flights if larger, with its t quantile, plus tolerances."""
         whole = None if self.flights is None else np.diag(self.flights)
         scatter = half_width_of_scatter(np.diag(self.blocks), self.num_blocks, whole, self.num_flights)
         return np.hypot(scatter, NORMAL_95 * np.sqrt(np.diag(self.tolerance)))
@@ -59,21 +56,17 @@ class Uncertainty:
 
 
 def is_identifiable(covariance: Array) -> Flags:
-    """Return the identifiable parameters (P,), with a standard deviation of at most one scale in the covariance (P, P).
-
-    The covariance has weak priors, so that only flights and tolerances count.
-    """
+    """Return the parameters (P,) with a standard deviation of at most one scale in a covariance (P, P) with weak priors."""
     return np.diag(covariance) <= 1.0
 
 
 def uncertainty(fit: ModelFit, weight: Array) -> Uncertainty:
     """Return the uncertainty of the fitted effects, jointly with deviations within the tolerances.
 
-    ``A = sum w J J^T + P`` over effects and deviations, with the inverse prior variance P; ``s = sum w J r`` are scores of
-    a block or flight. The sandwich ``A^-1 (sum s s^T) A^-1`` is the covariance from noise, and ``A^-1 P A^-1`` that from
-    the unknown deviations.
-    Source: Liang, Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over
-    clusters); Hoerl, Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over the prior.
+    ``A = sum w J J^T + P`` with the inverse prior variance P, and ``s = sum w J r`` of a block or flight. The sandwich
+    ``A^-1 (sum s s^T) A^-1`` is the covariance from noise, ``A^-1 P A^-1`` that from the unknown deviations. Source: Liang,
+    Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over clusters); Hoerl,
+    Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over the prior.
     """
     free, own = fit.free_all, fit.free_effects.size
     product, _ = normal_equations(fit, weight)

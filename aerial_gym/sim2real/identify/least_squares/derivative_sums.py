@@ -1,8 +1,7 @@
 """Derivatives times the square root of the channel weights, and their products over time blocks.
 
-Many derivatives are zero: a structure or a sensor bias affects one channel. So columns are stored only for the channels
-that they affect.
-Letters: T rows of a flight, c channels of C, P parameters of a part, K of all parts, B blocks.
+Columns are stored only for the channels that they affect: a structure or a sensor bias affects one. Letters: T rows of a
+flight, c channels of C, P parameters of a part, K of all parts, B blocks.
 """
 
 from collections.abc import Sequence
@@ -57,10 +56,7 @@ class DerivativeColumns:
     """Derivatives of all flights by K parameters, times the square root of the channel weights."""
 
     def __init__(self, flights: Sequence[Sequence[Part]], offsets: FlightOffsets) -> None:
-        """Store the parts of each flight, which are consecutive among the K columns.
-
-        Random flight ``offsets``, with the weight of one row (C,), are integrated out.
-        """
+        """Store the parts of each flight, consecutive among the K columns, with random flight ``offsets`` integrated out."""
         self.width = num_columns(flights[0])
         root = np.sqrt(offsets.weight)
         self.columns = [_nonzero_columns(parts, root) for parts in flights]
@@ -141,10 +137,7 @@ class NuisanceSums:
         parts: int = 1,
         offsets: FlightOffsets | None = None,
     ) -> None:
-        """Store row times [s], derivatives, the weight of one row (C,) and the number of parts per flight.
-
-        Random flight ``offsets`` are integrated out.
-        """
+        """Take row times [s], derivatives and the weight of one row (C,); random flight ``offsets`` are integrated out."""
         self.offsets = no_offsets(weight) if offsets is None else offsets
         self.log_likelihood = self.offsets.log_likelihood([time.size for time in times])
         """Log likelihood term of the offsets, in addition to the squares."""
@@ -163,10 +156,7 @@ class NuisanceSums:
         return self.columns.width
 
     def moments_with_effects(self, residuals: Sequence[Array], own: Sequence[Array]) -> Moments:
-        """Return the block sums over all channels, for residuals (T, C) and derivatives (T, C, P) by effects.
-
-        The nuisance columns follow those of the effects.
-        """
+        """Return block sums over all channels: effects, by residuals (T, C) and derivatives (T, C, P), then nuisances."""
         width = own[0].shape[2]
         front = DerivativeColumns([(j, r[:, :, None]) for j, r in zip(own, residuals, strict=True)], self.offsets)
         inner, across = self.blocks.block_products(front, front), self.blocks.block_products(front, self.columns)
@@ -191,10 +181,7 @@ def weighted_moments(
     *,
     parts: int = 1,
 ) -> Moments:
-    """Return the block sums over all channels, like ``block_moments`` with a single channel of weight 1.
-
-    Flights are treated one by one to save memory.
-    """
+    """Return the block sums over all channels as one channel of weight 1, flight by flight to save memory."""
     return concatenate_flights(
         [
             NuisanceSums([time], [own], weight, parts=parts).moments_with_effects([r], [np.zeros((*r.shape, 0))])

@@ -41,10 +41,7 @@ def effect_jacobian(
     *,
     beside: list[Array] | None = None,
 ) -> list[Array]:
-    """Return the derivatives of the prediction by the effects' parameters, per scale, (rows, C, P) each.
-
-    Columns in ``beside`` (rows, C, N) are appended.
-    """
+    """Return derivatives by the effects' parameters, per scale, (rows, C, P) each, then the columns ``beside`` (rows, C, N)."""
     here, scale = parameter_row(params, effects), parameter_scales(effects)
     highest = parameter_bounds(predictor.robot, effects)[1]
     owners = [(name, place) for name in effects for place in range(len(EFFECTS.get(name).parameters))]
@@ -69,8 +66,7 @@ def tolerance_jacobian(
 ) -> list[NDArray[Any]]:
     """Return the derivatives of the prediction by the deviations, (rows, C, N) each, in the given precision.
 
-    They are taken at half of the model's deviations. Times the deviations they give the total change up to third-order terms,
-    including interactions such as that of a sensor delay with other deviations.
+    At half of the model's deviations they give the total change up to third-order terms, with interactions.
     """
     half = np.zeros(predictor.num_tolerances) if params.deviation is None else 0.5 * params.deviation
     base = predictor.predict(replace(params, deviation=half if half.any() else None))
@@ -85,10 +81,7 @@ def tolerance_jacobian(
 
 
 def tolerance_rms(tolerance: Derivatives, num_rotors: int) -> Array:
-    """Return the RMS residual in each channel from the tolerances of the vehicle alone, (C,).
-
-    ``tolerance``: derivatives by all tolerances, (rows, C, N) of each flight.
-    """
+    """Return the RMS residual in each channel, (C,), from the vehicle alone, by derivatives (rows, C, N) of all tolerances."""
     vehicle = np.logical_not(is_tolerance_of_logs(num_rotors))
     return np.sqrt(np.concatenate([(part[:, :, vehicle] ** 2).sum(axis=2) for part in tolerance]).mean(axis=0))
 
@@ -101,7 +94,6 @@ def directional_change(columns: NDArray[np.floating], step: Array) -> Array:
 def correct_derivatives(columns: Sequence[Array], step: Array, change: Sequence[Array]) -> None:
     """Apply Broyden's update: change derivatives (rows, C, k) least to give ``change`` (rows, C) over a ``step`` (k).
 
-    For example, the effect of a lag from 0 to 0.06 s differs much from the derivative at 0.06 s.
     Source: Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
     if not np.any(step):

@@ -1,7 +1,6 @@
 """Gauss-Newton least squares through the simulator, jointly for effects and tolerances, from sums over time blocks.
 
-The residual is linearised by finite differences of whole predictions. All further results (fits without a flight, scores,
-standard errors) follow from block sums of squares, gradients and products.
+The residual is linearised by finite differences of whole predictions; all further results follow from the block sums.
 Letters: B blocks, C channels, K parameters (of effects in units of scale, then N tolerances in standard deviations).
 """
 
@@ -141,10 +140,7 @@ def linearise_at_params(
     *,
     offsets: FlightOffsets | None = None,
 ) -> ModelFit:
-    """Return the linearised fit at a point, given the derivatives by the tolerances, (rows, C, N) of each flight.
-
-    ``offsets`` of flights are integrated out. Flights are treated one by one to save memory.
-    """
+    """Return the linearised fit at a point, by derivatives (rows, C, N) of tolerances, without flight ``offsets``."""
     predicted = predictor.predict(params)
     own, length = effect_jacobian(predictor, params, effects, predicted), block_length(predictor.times)
     steps = []
@@ -203,18 +199,10 @@ def fit_effects(
 ) -> tuple[ModelFit, list[Array], float]:
     """Return a Gauss-Newton fit of effects, its derivatives, and the log likelihood that it may have missed beyond these.
 
-    Steps that overshoot are halved. Tolerances and structures are fitted jointly but are not part of the result. The
-    moments include the channel weights (``UNIT``). A step costs one prediction instead of one per parameter, because
-    Broyden's update corrects the derivatives. If these promise no gain or give none, they are computed anew, and the fit
-    ends if that does not help. It also ends without a new computation if its steps gained what the derivatives promised, to
-    within ``goal.enough``.
-
-    Args:
-        effects: Fitted effects; all must be in ``start``.
-        beside: Nuisance columns, linear, with the channel weights.
-        derivatives: Derivatives by the effects' parameters, per scale, near the start, (rows, C, P).
-        fresh: Whether these were computed at the start.
-
+    Steps that overshoot are halved. Nuisance columns ``beside``, with the channel weights (``UNIT``), are fitted jointly.
+    Broyden's update corrects the derivatives, so a step costs one prediction. If these promise no gain or give none, they
+    are computed anew, and the fit ends if that does not help, or if its steps gained what they promised, to within
+    ``goal.enough``. ``derivatives`` by the parameters, per scale, near the start, (rows, C, P); ``fresh``: at the start.
     Source: Broyden (1965), A class of methods for solving nonlinear simultaneous equations, Mathematics of Computation 19.
     """
     params, predicted = start, predictor.predict(start)

@@ -90,12 +90,9 @@ def block_moments(
     *,
     length: float | None = None,
 ) -> Moments:
-    """Return the sums over blocks of about ``length`` [s] within single flights.
+    """Return the sums over blocks of ``length`` [s] (infinite: whole flights; None: ``block_length``) within flights.
 
-    Args:
-        times: Row times of each flight [s], (rows,).
-        jacobians: Derivatives of each flight, (rows, C, K).
-        length: Block length [s]; infinite: whole flights; None: ``block_length``.
+    ``times`` [s], (rows,); ``residuals``, (rows, C); ``jacobians``, (rows, C, K), of each flight.
     """
     length = block_length(times) if length is None else length
     blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length)]
@@ -139,10 +136,7 @@ class Weighting:
         return self.effective / self.variance
 
     def weight_limit(self, mean_square: Array) -> Array:
-        """Return the weight of one row, (C,), limited by the mean square of other flights' residuals.
-
-        ``mean_square``: mean squared residual of each channel, (C,).
-        """
+        """Return the weight of one row, (C,), limited by the mean square (C,) of other flights' residuals."""
         return self.effective / np.maximum(self.variance, mean_square)
 
 
@@ -160,8 +154,8 @@ def inverse_variance_weights(residuals: Sequence[Array]) -> Weighting:
 def effective_share(residual: Array) -> Array:
     """Return the independent samples per row of each channel, (C,): ``1 / (2 sum autocorrelation - 1)``.
 
-    The sum ends at the first negative sum of neighbouring lags. Source: Geyer (1992), Practical Markov chain Monte Carlo,
-    section 3.3, initial positive sequence.
+    Source: Geyer (1992), Practical Markov chain Monte Carlo, section 3.3: the sum ends at the first negative sum of
+    neighbours.
     """
     rows = residual.shape[0]
     centred = residual - residual.mean(axis=0)

@@ -1,10 +1,7 @@
 """Marginal likelihood with random offsets of single flights, as from a new battery or a warm sensor.
 
-A channel of a flight is ``r = J x + o + noise`` with noise weight w in each of n rows. The offset o is normal with standard
-deviation s, independent per flight. Integrated over o, the likelihood is that of rows minus the share
-``1 - 1 / sqrt(1 + n w s²)`` of their mean: the inverse root of ``1 / w + s² 1 1^T`` is ``sqrt(w) (1 - share 1 1^T / n)``.
-
-Letters: C channels, K parameters.
+In ``r = J x + o + noise`` with noise weight w in n rows, o is normal with standard deviation s. Integrated over o, the
+likelihood is that of rows minus the share ``1 - 1 / sqrt(1 + n w s²)`` of their mean. Letters: C channels, K parameters.
 
 Source: Laird, Ware (1982), Random-effects models for longitudinal data, Biometrics 38 (marginal covariance, section 3).
 """

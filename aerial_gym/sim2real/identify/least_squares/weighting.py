@@ -26,9 +26,8 @@ def iterate_channel_weights(
 ) -> Weighting:
     """Return the channel weights from the residual that no candidate effect explains.
 
-    All effects and the ``linear`` columns (rows, C, any), with tolerances, are fitted jointly three times. Each fit uses
-    the weights of the last residual, or of ``beyond`` applied to it. ``own``: derivatives by the effects at the start,
-    (rows, C, P), updated in place.
+    Effects, ``linear`` columns (rows, C, any) and tolerances are fitted three times, with weights from the last residual or
+    ``beyond`` it. ``own``: derivatives by the effects, (rows, C, P), updated in place.
     """
     params = start
     predicted = predictor.predict(params)

@@ -35,13 +35,11 @@ class CandidateView:
     fits: dict[Label, EffectSetFit]  # All sets that were fitted with the present weights, including the present set
     own: dict[Label, Fitter]  # Fitters of the sets whose tolerances are linearised about the set itself
     fresh: set[Label]  # Sets that were fitted with the tolerances linearised about the present set
-
     fitter: Fitter
     library: Library
     structures: list[NuisanceColumns]
     sets: SetPosterior
     guard: Guard
-
     gone: list[Way] = field(default_factory=list)  # Strategies that found no more probable set than the present one
 
     @property
@@ -61,18 +59,11 @@ class CandidateView:
         return max(bare, key=lambda one: one.log_posterior)
 
     def has_fit(self, label: Label) -> bool:
-        """Return whether a set was fitted with the tolerances linearised about the present set or about itself.
-
-        Log evidences with the tolerances linearised about distant models are not comparable.
-        """
+        """Return whether a set was fitted with comparable tolerances: linearised about the present set or about itself."""
         return label in self.fresh or label in self.own
 
     def fit(self, model: Model, *, however_far: bool = False) -> None:
-        """Fit a new set from its best start, if it may come near the best set; with ``however_far`` in any case.
-
-        A fit may gain up to ``MOST_TO_PROMISE`` times more than its linear model predicts, so the predicted deficit is divided
-        by that factor.
-        """
+        """Fit a new set that may come near the best, with ``MOST_TO_PROMISE`` times its linear gain, or ``however_far``."""
         behind, here = self.sets.log_posteriors([model, self.present_set])
         if self.has_fit(candidate_label(self.library, model)):
             return
@@ -88,9 +79,8 @@ class CandidateView:
         return ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
 
     def add(self, fitted: EffectSetFit) -> None:
-        """Add a fitted set; while an effect of it lacks support, fit and add the set without its weakest effect.
-
-        This ends early if no subset can come near the best set.
+        """Add a fitted set, and sets without its weakest effects as long as one lacks support and a subset may be near the
+        best.
         """
         while not self.has_fit(fitted.label):
             self.fits[fitted.label] = fitted
@@ -123,7 +113,7 @@ def free_other_fitters(own: Mapping[Label, Fitter], *kept: Label) -> None:
 
 
 def occam_window(fitted: EffectSetFit) -> float:
-    """Return the difference in log posterior below which a set is not distinct: ``LEAST_SCORE`` times overdispersion.
+    """Return the difference in log posterior below which sets are not distinct: ``LEAST_SCORE`` times overdispersion.
 
     Source: Madigan, Raftery (1994), Model selection and accounting for model uncertainty in graphical models using Occam's
     window, Journal of the American Statistical Association 89.

@@ -57,7 +57,6 @@ class MostProbableSet:
     """Effects that are probable by sensor noise alone, with the reason why they are not named."""
 
     weights: Weighting
-
     tolerated: Array  # Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)
     in_part: tuple[ParameterRival, ...] = ()  # Rival effects in place of single parameters of the named effects
 
@@ -67,10 +66,7 @@ class MostProbableSet:
         return self.named.effects
 
     def without_undetermined_effect(self, name: str, neutral: Array) -> "MostProbableSet":
-        """Return the choice without a named effect of which the flights determine no parameter.
-
-        It is also put at neutral in the sets without each other effect. These are not fitted again.
-        """
+        """Return the choice without a named effect of which the flights determine no parameter, also in ``without``."""
         less = {
             other: replace(
                 one,
@@ -100,10 +96,7 @@ class MostProbableSet:
 
     @property
     def sets(self) -> dict[tuple[str, ...], float]:
-        """Return the probability of each set of effects, summed over their structures, the most probable first.
-
-        A generalisation of an effect of the best set counts as that effect.
-        """
+        """Return the probability of each set over all structures; generalisations of an effect of the best set count as it."""
         meant = {wide: name for name in self.best.effects for wide in EFFECTS if name in EFFECTS.get(wide).contains}
         fits = [
             replace(one, effects=tuple(meant.get(name, name) for name in one.effects)) for one in self.sets_with_support
@@ -124,10 +117,7 @@ def choose_effects(
     material: float,
     progress: Progress = silent,
 ) -> MostProbableSet:
-    """Return the set of effects that is most probable given the training flights.
-
-    ``material``: least relative rise of a residual (rms) without an effect that is named.
-    """
+    """Return the most probable set, whose effects are named if a residual (rms) rises by ``material`` without them."""
     climber = SetSearch(predictor, declared, names, progress)
     return _Chooser(climber, material).make_result(climber.find_best_set())
 
@@ -201,8 +191,8 @@ class _Chooser:
     ) -> tuple[EffectSetFit, dict[str, float]]:
         """Return the set of effects whose log odds exceed ``LEAST_SCORE``, and the log odds of the removed ones.
 
-        A limit of zero raises a false alarm in one case of three. The larger of the odds in this set and in the most probable
-        set counts: without structures, their part of the residual looks like scatter between flights, and lowers the odds.
+        A limit of zero raises a false alarm in one case of three. The larger of the odds in this and in the most probable
+        set counts: without structures, their part of the residual looks like scatter between flights.
         """
 
         def effect_odds(one: EffectSetFit) -> dict[str, float]:
@@ -218,10 +208,7 @@ class _Chooser:
         return left, {name: odds for name, odds in effect_odds(fitted).items() if name not in left.effects}
 
     def drop_unidentified(self, fitted: EffectSetFit, fitter: Fitter) -> tuple[EffectSetFit, list[str]]:
-        """Return a set without the effects of which the flights determine no parameter, and these effects.
-
-        Such an effect may be probable jointly with another one, but all its parameters would be neutral in a robot file.
-        """
+        """Return a set without the effects of which flights determine no parameter, which would be neutral, and these."""
         left = fitter.drop_unsupported(
             fitted, lambda one: one.is_supported and all(results.shown for results in one.support.values())
         )
@@ -244,10 +231,7 @@ class _Chooser:
     def drop_immaterial(
         self, fitted: EffectSetFit, fitter: Fitter
     ) -> tuple[EffectSetFit, dict[str, dict[str, Rise]], dict[str, EffectSetFit]]:
-        """Return the set after removal of its immaterial effects, one after the other, the least material first.
-
-        Also return the rise of the residuals without each removed effect, and the set without each remaining one.
-        """
+        """Return the set without immaterial effects, the residuals' rises without these, and the sets without each other one."""
         results: dict[str, dict[str, Rise]] = {}
         group, flight = time_block_of_rows(self.predictor.times), flight_of_rows(self.predictor.times)
         names = [channel.name for channel in self.predictor.channels]
@@ -267,8 +251,8 @@ class _Chooser:
     def surrogate_effects(self, present: EffectSetFit, fitter: Fitter) -> dict[str, str]:
         """Return the surrogate effects, each with the structure that its size follows.
 
-        The model with a varying size must be more probable than that with a constant one by ``occam_window``. An effect whose
-        own law depends on that quantity is never a surrogate: its law may be inaccurate, but its name is right.
+        A varying size must be more probable than a constant one by ``occam_window``. An effect whose law has that quantity
+        is no surrogate.
         """
         predictor, results = self.predictor, {}
         predicted = predictor.predict(present.params)
@@ -306,8 +290,7 @@ class _Chooser:
 def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], window: float) -> EffectSetFit:
     """Return the best set with a special case (``Effect.contains``) of one effect; ``present`` if flights reject all.
 
-    A special case is rejected if it is behind by more than ``window`` both in log posterior and in log likelihood. So the prior
-    of a parameter that only the special case has cannot reject it: constant wind has a vertical wind, a wind shear has none.
+    One is rejected if behind by ``window`` in log posterior and in log likelihood, so not by the prior of an own parameter.
     """
     likely, fit = present.log_posterior - window, present.parameters.log_likelihood - window
     cases = [

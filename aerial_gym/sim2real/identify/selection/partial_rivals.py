@@ -1,10 +1,7 @@
 """Rivals of single parameters: another effect that explains the flights in place of one parameter of a named effect.
 
-A wrong torque ratio, for example, looks like a wrong inertia about one axis, while the flights confirm the other two axes. An
-exchange of whole effects misses that. So each parameter is put at neutral with another effect in its place. A model linear
-about the set screens these pairs, without bounds, because the linear sizes may differ from the fitted ones. Probable pairs are
-fitted. Their log evidence has no prior penalty for the added effect, because one parameter replaces another.
-
+A wrong torque ratio looks like a wrong inertia about one axis. So each parameter is put at neutral with another effect in
+its place. Pairs that are probable in a model linear about the set are fitted, without prior penalty for the effect.
 Letters: C channels.
 """
 
@@ -32,7 +29,6 @@ class ParameterRival:
     effect: str
     parameter: str
     other: str
-
     params: dict[str, float]  # Parameters of the other effect
     log_odds: float  # Log evidence relative to the most probable set, divided by its overdispersion
 
@@ -55,13 +51,7 @@ class ParameterRival:
 def rivals_of_parameters(
     fitter: Fitter, best: EffectSetFit, effects: Collection[str], names: Sequence[str]
 ) -> tuple[ParameterRival, ...]:
-    """Return the rivals of single parameters of some effects of the most probable set, its structures included.
-
-    Args:
-        fitter: Fitter of sets, linearised about this set.
-        effects: Its effects whose parameters are compared.
-        names: Effects that the flights can show; the confounders among them are tried.
-    """
+    """Return the rivals of parameters of some ``effects`` of the most probable set, among the confounders in ``names``."""
     window, matches = occam_window(best), []
     for effect, place, other in _rival_candidates(fitter, best, effects, names):
         values = best.params.effects[effect].copy()

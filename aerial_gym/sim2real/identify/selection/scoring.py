@@ -54,7 +54,6 @@ class FitScore:
     """A fitted model with its squared residuals on flights left out of the fit."""
 
     fit: ModelFit  # The fit, with its sums merged by flight
-
     spread: Uncertainty
     left_out: Array  # Sum of squared residuals of each block under the fit without its flight, (B, C)
 
@@ -89,7 +88,6 @@ class CrossValidation:
 
     count: Array  # Rows of each block of time, (B,)
     flight: Indices  # Index of the flight of each block, (B,)
-
     weights: Weighting
     criteria: Criteria
     channels: tuple[Channel, ...]
@@ -107,8 +105,8 @@ class CrossValidation:
     def gain(self, less: Array, more: Array) -> Gain:
         """Return the gain of the larger model, by left-out squares (B, C) of the smaller (``less``) and larger (``more``) one.
 
-        The score is ``sum n_c / 2 log(MS_less / MS_more)`` over channels with n independent samples each. The p-value is that
-        of a t-test on the same sums of the blocks.
+        The score is ``sum n_c / 2 log(MS_less / MS_more)`` with n independent samples; the p-value is of a t-test on its
+        blocks.
         """
         count, effective = self.count, self.weights.effective
         folds = [self.fold == part for part in np.unique(self.fold)]
@@ -172,16 +170,9 @@ def is_rise_harmful(
 ) -> Flags:
     """Return whether an effect makes the sum of squares of each channel harmfully larger, (..., C).
 
-    A rise is harmful if it exceeds a small share of the residual, the residual that the tolerances cause, and a small share
-    of the total gain. A real effect makes no channel worse in the long run. But the fit of a large one may harm a small
-    channel as long as the model lacks other effects.
-
-    Args:
-        less: Sum of squares of the model without the effect, (..., C).
-        more: Sum of squares of the model with it, (..., C).
-        rows: Number of rows in each sum, (...).
-        effective: Independent samples per row of each channel, (C,).
-        tolerated: Residual (rms) that the tolerances cause in each channel, (C,).
+    A harmful rise exceeds a small share of the residual, that of the tolerances ``tolerated`` (rms, (C,)), and a small
+    share of the total gain: the fit of a large effect may harm a small channel as long as the model lacks others. ``less``,
+    ``more``: sums without and with it, (..., C), over ``rows`` (...). ``effective``: independent samples per row, (C,).
     """
     rows = np.asarray(rows)[..., None]
     gains = 0.5 * rows * effective * _log_ratio(less, more)

@@ -61,10 +61,8 @@ class SelectionResult:
     final: FitScore
     chosen: MostProbableSet  # The sets that were compared
     not_testable: dict[str, Finding]  # Effects that these flights cannot show, with the reason
-
     left_out: CrossValidation
     criteria: Criteria
-
     looked_for: tuple[str, ...] = field(default_factory=default_effects)  # Effects that the selection was to consider
 
     doubt: dict[Label, float] = field(default_factory=dict)
@@ -110,10 +108,7 @@ class SelectionResult:
 
 
 def replacement_effects(name: str, best: Sequence[str], other: Sequence[str]) -> list[str]:
-    """Return the effects of another set that replace a named effect of the best set.
-
-    These are its generalisations and special cases; without any, the new effects unrelated to other replaced ones.
-    """
+    """Return the effects of another set that replace a named one: relatives by ``contains``, else new unrelated effects."""
     lacking, new = [one for one in best if one not in other], [one for one in other if one not in best]
     cases = {
         one: [case for case in new if one in EFFECTS.get(case).contains or case in EFFECTS.get(one).contains]
@@ -133,12 +128,9 @@ def select_effects(
 ) -> SelectionResult:
     """Return the most probable set of effects given the training flights, added to the declared model.
 
-    Args:
-        test: Test flights; used only to skip effects whose required quantities their logs lack.
-        candidates: Effects to consider; None: all but those with ``by_default = False``.
-
-    Raise ``ConfigError`` if a candidate cannot predict rows of a flight of a rigid vehicle in air. Raise
-    ``UnknownNameError`` if no effect has one of these names.
+    ``test``: test flights, only to skip effects whose quantities their logs lack. ``candidates``: effects to consider;
+    None: all with ``by_default``. Raise ``ConfigError`` for one that predicts no row of a rigid vehicle in air, or
+    ``UnknownNameError``.
     """
     named = default_effects() if candidates is None else tuple(candidates)
     sought = [name for name in named if EFFECTS.get(name).is_selectable]

@@ -1,7 +1,7 @@
 """Search for the most probable set of effects.
 
-All candidates are linearised about the present model, and the posterior over sets ranks them. The most probable sets are
-fitted with the full model, which gives their log evidence. The best becomes the present set, until no fit is better.
+Candidates are linearised about the present set, and the posterior over sets ranks them. The most probable ones are fitted
+with the full model; the best becomes the present set, until no fit is better.
 """
 
 from collections.abc import Iterator, Sequence
@@ -70,7 +70,6 @@ class SetSearch:
     _weighed: tuple[ModelParams, Weighting]  # The last model whose channel weights were computed, with these weights
 
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
-        """Take training flights, the declared model, and the effects that may be in a set."""
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         tolerance = tolerance_jacobian(predictor, declared)
         self.tolerated, self._tolerance = (
@@ -82,10 +81,7 @@ class SetSearch:
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
 
     def find_best_set(self) -> CandidateView:
-        """Alternate between the search and new channel weights from the best model, until the weights settle.
-
-        Only then are rivals fitted as well: they are many and seldom more probable.
-        """
+        """Return the last view after searches and new channel weights in turn; rivals are fitted once weights settle."""
         likely = (self.fit_probable_sets, self.fit_smaller_sets)
         self.view = self.view_of_declared_model()
         for ways in (likely, (*likely, self.fit_rival_sets, self.fit_nearest_rivals)):
@@ -199,10 +195,9 @@ class SetSearch:
         return best
 
     def relinearise(self, fitted: EffectSetFit, about: Fitter) -> tuple[EffectSetFit, Fitter]:
-        """Return a set refitted with the tolerances linearised about itself until its deviations settle, and its fitter.
+        """Return a set refitted, with tolerances linearised about itself until its deviations settle, and its fitter.
 
-        About a model without sensor delay, a delay of 6 ms is fitted only in part, and the rest looks like actuation delay. If
-        the deviations change by more than in the iteration before, the iteration diverges, and the earlier result is kept.
+        A delay of 6 ms is fitted only in part about a model without one. A divergent iteration keeps the earlier result.
         """
         last = np.inf
         for _ in range(MOST_TURNS):
@@ -222,9 +217,8 @@ class SetSearch:
     def fit_probable_sets(self, view: CandidateView) -> None:
         """Fit the sets that are probable in the linear model, in the order of their log posterior.
 
-        The linear model is mostly too optimistic. So fits go on until no set promises more than the best fit, or until several
-        in a row bring no improvement. Structures together can imitate an effect with memory better than its own linear model
-        does. So sets without structures, except offsets of flights, are fitted in a second pass.
+        Fits go on until no set promises more than the best one, or several in a row are in vain. Structures can imitate an
+        effect with memory better than its linear model does, so sets without structures are fitted in a second pass.
         """
         values = view.sets.log_posterior
         structures = {k for k, one in enumerate(view.library.candidates) if one.is_common_structure}

@@ -1,7 +1,6 @@
-"""Check units, frames, quaternion order and the sign of gravity of a flight log.
+"""Check units, frames, quaternion order and the sign of gravity of a flight log by pairs of independent measurements.
 
-Each check compares two independent measurements. It refuses only a contradiction that no real vehicle can cause.
-Letters: T rows.
+Only a contradiction that no real vehicle can cause is refused. Letters: T rows.
 """
 
 from collections.abc import Callable
@@ -63,10 +62,7 @@ def check_duration_and_rate(log: FlightLog) -> None:
 
 
 def _unit_of_time(log: FlightLog) -> str:
-    """Return the unit of the time column (ms, us or ns) from the ratio of motion to rate; empty if it is seconds.
-
-    In a wrong unit, each row's motion is the unit times the logged rate times the time step.
-    """
+    """Return the unit of the time column (ms, us or ns) from the ratio of motion to rate; empty if it is seconds."""
     step = np.diff(log.time)[:, None]
     turned = (Rotation.from_quat(log.attitude[:-1]).inv() * Rotation.from_quat(log.attitude[1:])).as_rotvec()
     pairs = [(turned, log.ang_vel)]
@@ -82,10 +78,7 @@ def _unit_of_time(log: FlightLog) -> str:
 
 
 def without_bad_quaternions(log: FlightLog) -> FlightLog:
-    """Return the log without rows whose attitude is not a unit quaternion; call before normalisation.
-
-    Raise ``DataError`` if their share exceeds ``MOST_BAD``.
-    """
+    """Return the log without rows whose quaternion is not of norm 1; raise ``DataError`` if these exceed ``MOST_BAD``."""
     norm = np.linalg.norm(log.attitude, axis=1)
     bad = np.abs(norm - 1.0) > NORM_OFF
     if not bad.any():
@@ -257,10 +250,7 @@ def _check_velocity_against_position(log: FlightLog, attitude: Rotation) -> None
 
 
 def _check_force_frame(log: FlightLog, attitude: Rotation) -> None:
-    """Refuse an accelerometer in world axes, and velocities in other world axes than the attitude.
-
-    Without velocity and position, thrust decides: it acts along body z, so body x and y read little.
-    """
+    """Refuse an accelerometer in world axes, by the motion or else by thrust, and velocities in other world axes."""
     if log.specific_force is None:
         return
     as_body = _lowpass_compared_rows(attitude.apply(log.specific_force), log)

@@ -1,7 +1,6 @@
 """Detection of duplicated flights: the same measurements in two logs, also renamed, trimmed or thinned.
 
-Independent measurements never agree in all digits, so rows with equal values are the same measurement.
-Time and quantities that one log lacks are not compared. Letters: T rows.
+Independent measurements never agree in all digits. Time and quantities that one log lacks are not compared.
 """
 
 from collections.abc import Sequence
@@ -26,10 +25,7 @@ class LogRegister:
         self._rows: dict[tuple[str, tuple[str, ...]], frozenset[bytes]] = {}
 
     def add(self, log: FlightLog) -> None:
-        """Add a log as read from its file.
-
-        Raise ``DataError`` if this log and an earlier one share more than ``MOST_SHARED`` of the shorter one's rows.
-        """
+        """Add a log; raise ``DataError`` if it shares more than ``MOST_SHARED`` of its rows with an earlier one."""
         for other in self._logs:
             names = [name for name in READINGS if getattr(log, name) is not None and getattr(other, name) is not None]
             own_readings, other_readings = (self._distinct_rows(one, names or ["attitude"]) for one in (log, other))

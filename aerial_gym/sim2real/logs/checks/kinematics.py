@@ -60,11 +60,7 @@ class ImuErrors:
 
 
 def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
-    """Return the errors of gyro against attitude and of accelerometer against velocity, for each sensor in the log.
-
-    The log has equal time steps. The gyro is compared with the attitude's derivative. The accelerometer is compared with
-    the derivative of velocity plus gravity, in body axes.
-    """
+    """Return the errors of gyro and accelerometer against attitude rate and gravity plus acceleration, in body axes."""
     rate = sample_rate(log)
     notes = []
     if log.ang_vel is not None:

@@ -38,10 +38,7 @@ def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) ->
 
 
 def interval_of_thrust_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
-    """Return the interval of ``d ln |f| / d ln T``, without the parts linear in climb rate and squared level speed.
-
-    Both sides have errors, so the slope lies between the two regressions (see ``units``). 0 to infinity: not observable.
-    """
+    """Return the interval of ``d ln |f| / d ln T``, between both regressions (see ``units``); 0 to infinity: not observable."""
     assert log.specific_force is not None
     rows = max(1, round(WINDOW_S * sample_rate(log)))
     count = len(thrust) // rows

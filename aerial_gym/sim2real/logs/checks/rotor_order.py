@@ -1,7 +1,4 @@
-"""Check the order of the rotor columns by the torques that they predict.
-
-Letters: T rows, R rotors, N orders.
-"""
+"""Check the order of the rotor columns by the torques that they predict. Letters: T rows, R rotors, N orders."""
 
 from collections.abc import Callable
 from itertools import permutations

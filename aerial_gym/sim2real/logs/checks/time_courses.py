@@ -20,10 +20,7 @@ APART = 3.0  # Least ratio of the errors that indicates two flights; it is about
 
 
 def check_motion_at_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
-    """Raise ``DataError`` if the motion is discontinuous at the corrected clock steps at these times [s].
-
-    Its error there is compared with the errors of all other row pairs with the same time difference.
-    """
+    """Raise ``DataError`` if the motion at these corrected clock steps [s] errs more than between other rows as far apart."""
     rows = np.searchsorted(log.time, times)
     rows = rows[(rows > 0) & (rows < log.time.size)]
     if not rows.size:
@@ -42,10 +39,7 @@ def check_motion_at_clock_steps(log: FlightLog, times: Sequence[float]) -> None:
 
 
 def check_for_alternating_flights(log: FlightLog) -> None:
-    """Raise ``DataError`` if rows of two flights alternate, as after sorting a log whose clock was set back.
-
-    One quantity chooses the best preceding row. Another one must then fit that row far better than the row just before.
-    """
+    """Raise ``DataError`` if rows of two flights alternate: another than the last row fits far better in two quantities."""
     errors = {lag: errors_of_integrated_rates(log, lag) for lag in (1, *LAGS)}
     names, first = list(errors[1]), LAGS[-1]
     if log.time.size < first + WINDOW_ROWS or len(names) < 2:
@@ -66,10 +60,7 @@ def check_for_alternating_flights(log: FlightLog) -> None:
 
 
 def errors_of_integrated_rates(log: FlightLog, lag: int) -> dict[str, Array]:
-    """Return the change over ``lag`` rows minus the integrated rate, as norms (T - lag,) by quantity.
-
-    Units: attitude rad, position m, velocity m/s. An unmeasured rate counts as 0.
-    """
+    """Return change over ``lag`` rows minus integrated rate, as norms (T - lag,): attitude rad, position m, velocity m/s."""
     passed = (log.time[lag:] - log.time[:-lag])[:, None]
     attitude = Rotation.from_quat(log.attitude)
     turned = (attitude[:-lag].inv() * attitude[lag:]).as_rotvec()

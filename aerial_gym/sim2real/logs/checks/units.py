@@ -1,9 +1,8 @@
 """Check that position, velocity and accelerometer agree in unit, sign and order of axes.
 
-Over windows of 0.5 s the change of position is the integral of velocity, and that of velocity the integral of
-acceleration; no vehicle model enters. Errors in both variables bias the slope of either regression. The true factor
-lies between the two slopes (Frisch, 1934, Statistical Confluence Analysis). A log with little motion has a wide
-interval and passes. Letters: N windows.
+Over windows of 0.5 s the change of one is the integral of the next; no vehicle model enters. Errors in both variables bias
+either regression, and the true factor lies between their slopes (Frisch, 1934, Statistical Confluence Analysis). Letters: N
+windows.
 """
 
 from dataclasses import dataclass
@@ -50,9 +49,7 @@ class AxisRelation:
     order: tuple[int, ...]  # Index of the cause's axis for each axis of the effect
     factor: Array  # Signed slope, (3,)
     low: Array  # Lower limit of the interval of ``|factor|``, (3,); 0, with ``high`` infinite, if the sign is uncertain
-
     high: Array
-
     share: Array  # Squared correlation of each pair of axes, (3,)
 
     @property
@@ -147,10 +144,9 @@ def check_units_of_velocity_and_position(log: FlightLog) -> list[Finding]:
 
 
 def check_units_against_accelerometer(log: FlightLog) -> None:
-    """Raise ``DataError`` if velocity and position agree but contradict the accelerometer in sign or unit.
+    """Raise ``DataError`` if velocity and position contradict the accelerometer in sign, or in unit on all certain axes.
 
-    An attitude estimate that relies on the accelerometer may hide slow motion, but not equally on all axes. A wrong unit
-    must show equally on all certain axes, at least two.
+    An attitude estimate that relies on the accelerometer may hide slow motion, but not equally on all axes.
     """
     letters = [letter for letter, values in (("v", log.lin_vel), ("p", log.position)) if values is not None]
     by = _relation_to_accelerometer(log, letters[0]) if letters else None

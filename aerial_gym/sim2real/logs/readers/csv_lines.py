@@ -67,12 +67,7 @@ def split_fields(line: str, separator: str) -> list[str]:
 
 
 def find_header(lines: Iterable[str], time: str) -> CsvHeader | None:
-    """Return the header of a CSV file, or None; consume the lines up to and including it.
-
-    Args:
-        lines: Lines of the file; an iterator is left after the header.
-        time: Name of the time column; a comment that contains it is a header, as numpy writes it.
-    """
+    """Return the header of a CSV file, or None; consume its lines. A comment with the ``time`` column is one, as by numpy."""
     for line in lines:
         header = _parse_header(line.lstrip(" \t#") if REMARK.match(line) else line)
         if header.names and (time in header.names or not REMARK.match(line)):

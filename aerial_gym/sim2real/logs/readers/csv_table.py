@@ -1,7 +1,4 @@
-"""Read the columns of a CSV file as numbers, and report each defect with its line and remedy.
-
-Letters: T rows.
-"""
+"""Read the columns of a CSV file as numbers, and report each defect with its line and remedy. Letters: T rows."""
 
 import csv
 from collections.abc import Callable, Mapping, Sequence
@@ -41,10 +38,8 @@ def read_csv_rows(
 
 
 def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
-    """Return the table of a file, indexed by line number, with NaN for empty fields.
-
-    Malformed lines and rows with non-numeric fields are dropped with a finding. Raise ``DataError`` if the file has no
-    usable table with the mapped columns.
+    """Return the table of a file by line number, NaN for empty fields, without malformed rows; raise ``DataError`` if
+    unusable.
     """
     lines = read_lines(path)
     source = iter(enumerate(lines, start=1))
@@ -85,10 +80,7 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
 def _drop_rows_without_numbers(
     table: pd.DataFrame, wanted: Mapping[str, ColumnsCfg], time: str, path: str, notes: list[Finding]
 ) -> pd.DataFrame:
-    """Return the table with numeric wanted columns, without the rows that hold something else there.
-
-    A non-numeric time becomes NaN, a bad stamp, and stays.
-    """
+    """Return the table without rows whose wanted columns hold no numbers; a non-numeric time becomes NaN and stays."""
     bad, example = np.zeros(len(table), dtype=bool), dict[str, object]()
     for name, quantity in wanted.items():
         if name not in table.columns:
@@ -188,10 +180,7 @@ def read_numbers(
     gaps: bool = False,
     held: bool = False,
 ) -> Array:
-    """Return numbers (T, columns), with short gaps filled where the mapping allows it.
-
-    ``gaps``: keep NaN; ``held``: fill with the value before instead of a straight line.
-    """
+    """Return numbers (T, columns), short gaps filled by a line, or ``held``; with ``gaps`` NaN stays."""
     matrix, filled = np.empty((len(table), len(columns))), 0
     for index, column in enumerate(columns):
         numbers = np.asarray(pd.to_numeric(table[column], errors="coerce"), dtype=np.float64)

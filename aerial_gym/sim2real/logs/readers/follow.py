@@ -30,10 +30,7 @@ def stdin_lines() -> Iterator[str]:
 
 
 def file_lines(path: Path, *, follow: bool) -> Iterator[str | None]:
-    """Yield the complete lines of a file, and None when it starts anew; invalid bytes are replaced.
-
-    ``follow``: whether to wait for further lines without end. Raise ``DataError`` if the file is unreadable or not text.
-    """
+    """Yield the complete lines of a file, None when it starts anew; ``follow``: wait for more. Bad bytes are replaced."""
     file, part, start = _open_text_file(path), b"", b""
     with ExitStack() as files:
         files.enter_context(file)

@@ -1,9 +1,7 @@
 """Detection of blocks of rows that a logger wrote late, and of blocks with wrong time stamps.
 
-The stamps of a late block are right, but it stands at the wrong place: time jumps ahead, returns to fill the gap, and
-continues. A block has wrong stamps if time after it has advanced by the normal number of steps. After a clock that was
-set back, time does neither.
-Letters: T rows.
+A late block has right stamps at the wrong place: time jumps ahead, returns to fill the gap, and continues. After a block of
+wrong stamps time has advanced by the normal number of steps. A clock that was set back does neither. Letters: T rows.
 """
 
 from dataclasses import dataclass
@@ -40,11 +38,7 @@ class RowBlocks:
 
 
 def find_disordered_blocks(stamps: Array, periods: tuple[float, ...] = ()) -> RowBlocks:
-    """Return the late blocks and the blocks with wrong stamps.
-
-    ``stamps``: logged time [s], NaN where empty, (T,). ``periods``: wrap periods of counters [s]; a step back by one of
-    them is no late block.
-    """
+    """Return the disordered blocks of stamps [s], (T,), NaN where empty; a step back by a wrap period [s] is no late block."""
     order, late, wrong = np.arange(stamps.size), list[int](), [np.zeros(0, dtype=int)]
     finite = np.flatnonzero(np.isfinite(stamps))
     steps = np.diff(stamps[finite])
@@ -96,11 +90,7 @@ def _runs_of_increasing_stamps(stamps: Array, finite: Indices, step: float) -> l
 
 
 def _slice_of_exchanged_runs(runs: list[_StampRun], number: int, joint: float) -> tuple[int, int] | None:
-    """Return the slice of runs that sorting by stamps puts in order; None if uncertain.
-
-    The step back is before run ``number``. Sorted, the runs must not overlap, and time must continue to the run after
-    them. At an end of the log, all gaps between the runs must also be short.
-    """
+    """Return the slice of runs around a step back whose sorting leaves no overlap and, at an end, no gap; else None."""
     start, stop = number - 1, number + 1
     low, high = runs[number].first, max(runs[start].last, runs[number].last)
     while stop < len(runs) and runs[stop].first <= high and stop - start <= MOST_RUNS:
@@ -121,10 +111,7 @@ def _slice_of_exchanged_runs(runs: list[_StampRun], number: int, joint: float) -
 
 
 def _slice_of_wrong_runs(runs: list[_StampRun], number: int, step: float) -> tuple[int, int] | None:
-    """Return the slice of runs with wrong stamps: without them time advances one usual step per row.
-
-    Candidates lie before the step back at run ``number`` or after it; the one with fewer rows is taken.
-    """
+    """Return the slice of runs, the one with fewer rows, without which time advances one usual step per row; else None."""
 
     def off(before: int, after: int) -> bool:
         rows = int(runs[after].rows[0]) - runs[before].end

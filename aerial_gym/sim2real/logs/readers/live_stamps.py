@@ -12,13 +12,9 @@ CONFIRMED = 10  # Number of consecutive rows that confirm a start, a gap or a st
 
 
 class LiveStamps:
-    """Filter of live rows: accept rows whose time continues, and hold others until later rows decide.
-
-    A late block has stamps in an earlier gap. It is held until the clock returns, and is then dropped.
-    """
+    """Filter of live rows: accept rows whose time continues, hold others until later rows decide, and drop late blocks."""
 
     def __init__(self) -> None:
-        """Start without any row."""
         self._steps: list[float] = []
         self._last: float | None = None
         self._shift = 0.0
@@ -30,10 +26,7 @@ class LiveStamps:
         """Number of corrected backward steps of the clock."""
 
     def add_row(self, row: Array, place: int) -> list[Array]:
-        """Return the rows that this row confirms as valid, with corrected time.
-
-        ``row``: its values. ``place``: index of the time stamp [s] in the row.
-        """
+        """Return the rows that a row with its stamp [s] at index ``place`` confirms as valid, with corrected time."""
         stamp = float(row[place])
         if self._last is not None and 0.0 < stamp - self._last <= self._largest_step:
             self.reject_pending_rows(place)

@@ -93,10 +93,9 @@ def stamp_seconds(stamps: ArrayLike, unit: float) -> Array:
 
 
 def correct_stamps(stamps: Array, path: str) -> StampCorrection:
-    """Return the corrected time of the rows with a valid stamp.
+    """Return the corrected time of the rows with a valid stamp [s], (T,), NaN where empty; ``path``: name for messages.
 
-    ``stamps``: logged time [s], NaN where empty, in log order, (T,). ``path``: name of the log or topic for messages. Raise
-    ``DataError`` if most stamps do not increase, or more than ``MOST_BAD`` are bad.
+    Raise ``DataError`` if most stamps do not increase, or more than ``MOST_BAD`` are bad.
     """
     blocks = find_disordered_blocks(stamps, tuple(COUNTERS_S.values()))
     kept = np.isfinite(stamps)
@@ -145,10 +144,7 @@ def _is_far_off(stamps: Array, rows: Indices, step: float) -> Flags:
 
 
 def _is_slightly_off(stamps: Array, rows: Indices, step: float) -> Flags:
-    """Return the slightly disordered stamps (K,); of each disordered group those furthest off.
-
-    If the lateness is lower after the group than before, the clock was set back and none of them is bad.
-    """
+    """Return the slightly disordered stamps (K,), furthest off of each group; none if the clock was set back there."""
     results, late = np.zeros(rows.size, dtype=bool), stamps - step * rows
     off = np.abs(late - ndimage.median_filter(late, size=2 * NEAR_ROWS + 1, mode="mirror"))
     labels, count = ndimage.label(_is_out_of_order(stamps, NEAR_ROWS))  # pyright: ignore[reportGeneralTypeIssues]

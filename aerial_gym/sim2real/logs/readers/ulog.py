@@ -94,11 +94,10 @@ def read_ulog_table(path: Path, notes: list[Finding]) -> tuple[pd.DataFrame, tup
 
 
 def merge_topics(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.DataFrame, tuple[float, ...]]:
-    """Merge topics (arrays by field) into one table on one clock; return it with the corrected times of clock steps [s].
+    """Return topics (arrays by field) as one table on one clock, and the corrected times of clock steps [s].
 
-    Faster topics are averaged over a step of the clock, slower ones interpolated, commands held. Rows without nearby
-    samples are dropped, so gaps remain. A topic without usable stamps is dropped with a finding. Raise ``DataError`` if the
-    attitude or its time stamps are missing or unusable.
+    Faster topics are averaged, slower ones interpolated, commands held; rows without nearby samples are dropped. A topic
+    without usable stamps becomes a finding; without an attitude a ``DataError`` is raised.
     """
     if "vehicle_attitude" not in topics:
         raise DataError(f"{path}: has no topic vehicle_attitude; log it (SDLOG_PROFILE) and fly again")
@@ -141,10 +140,7 @@ def merge_topics(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
 
 
 def _topic_samples(topics: Topics, name: str, notes: list[Finding]) -> TopicSamples:
-    """Return the usable samples of a topic; no columns if it holds none.
-
-    Raise ``DataError`` if its time stamps are unusable.
-    """
+    """Return the usable samples of a topic, no columns if it holds none; raise ``DataError`` for unusable stamps."""
     topic, wanted = topics[name], dict(TOPICS[name])
     if name == "sensor_combined" and "vehicle_angular_velocity" not in topics:
         wanted |= GYRO
@@ -190,10 +186,7 @@ def _topic_stamps(topic: Mapping[str, Array], name: str) -> StampCorrection:
 
 
 def _align_clock(reference: TopicSamples, one: TopicSamples, name: str) -> TopicSamples:
-    """Return a topic moved by multiples of ``WRAP_S`` onto the reference clock.
-
-    Raise ``DataError`` if the times do not overlap, or the number of backward clock steps differs.
-    """
+    """Return a topic moved by multiples of ``WRAP_S`` onto the reference clock; raise ``DataError`` if the clocks differ."""
     if not one.columns:
         return one
     turns = round(float(np.median(reference.time) - np.median(one.time)) / WRAP_S)

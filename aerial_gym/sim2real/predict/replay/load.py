@@ -1,9 +1,7 @@
 """Replay of a suspended load along flights, driven by the measured motion of the body origin.
 
-The swing is integrated from an unknown initial state of two angles and two rates. Gauss-Newton steps fit these to the
-unexplained specific force of the first 16 s. A weak prior assumes a link at rest along the apparent gravity. Without
-a measured specific force the prior alone holds. The fit is repeated for each model, also in test flights: every model
-with a load receives these four numbers per flight as its initial state, not as a prediction.
+Two angles and two rates at the start are fitted by Gauss-Newton steps to the unexplained specific force of the first 16 s,
+with a weak prior of a link at rest along the apparent gravity. So every model with a load receives four numbers per flight.
 Letters: N steps, K steps of the initial fit, F flights.
 """
 
@@ -84,12 +82,9 @@ class LoadReplay:
             self._inside = torch.from_numpy((grid <= np.array(self._spans)).astype(float))
 
     def link_states(self, model: Model, missed: Sequence[Array] | None = None) -> Tensor:
-        """Return direction n and rate n' of the link, world, (E, 6), in the rows of all flights in sequence.
+        """Return direction n and rate n' of the link, world, (E, 6), by the model's first row, in all flights in sequence.
 
-        Args:
-            model: Model with a load, whose parameters are those of its first row.
-            missed: Specific force residual without the load [m/s²], world, (rows, 3) per flight. None: the link starts at
-                rest.
+        ``missed``: specific force residual without the load [m/s²], world, (rows, 3) per flight; None: a start at rest.
         """
         effect, params = model.effects[LoadEffect][0]
         felt, numbers = (None, None) if missed is None else self._interpolate_to_steps(missed)
@@ -130,10 +125,7 @@ class LoadReplay:
         return torch.cat((torch.nn.functional.normalize(apparent, dim=0), torch.zeros(3, dtype=apparent.dtype)))
 
     def _interpolate_to_steps(self, values: Sequence[Array]) -> tuple[Tensor, bytes]:
-        """Return values at the rows of each flight (rows, 3) interpolated to the first steps, (K + 1, F, 3), and their bytes.
-
-        Values beyond the end of a flight are 0. The last result is reused for the same input object.
-        """
+        """Return values at rows at the first steps, (K + 1, F, 3), 0 after a flight, and their bytes; the last are cached."""
         if values is not self._missed:
             grid = self._time[::2][: max(self._num_found) + 1]
             columns = [

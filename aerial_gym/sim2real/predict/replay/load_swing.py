@@ -36,18 +36,11 @@ def _spatial_vector(top: wp.vec3d, bottom: wp.vec3d) -> wp.spatial_vectord:
 def integrate_swing(
     effect: LoadEffect, params: Tensor, start: Tensor, acceleration: Tensor, *, step: float, gravity: float
 ) -> tuple[Tensor, Tensor]:
-    """Return the motion of links under moving origins and the forces on these [N], by Runge-Kutta steps of order 4.
+    """Return states of links (N + 1, F, 6) under moving origins and the forces on these [N], (N + 1, F, 3), world, by RK4.
 
-    Returns direction and rate of the links, (N + 1, F, 6), and forces, (N + 1, F, 3), world.
-
-    Args:
-        effect: Load effect that gives the equation of motion.
-        params: Parameters of the effect, float64, (P,).
-        start: Initial direction and rate of the links, world, float64, (F, 6).
-        acceleration: Acceleration of the origins [m/s²], world, every half step, float64, (2 N + 1, F, 3).
-        gravity: Downward acceleration of free fall [m/s²].
-
-    Raise ``CapabilityError`` if its law cannot be traced. Raise ``ShapeError`` if the shapes do not match.
+    All float64: ``params`` (P,); ``start``: direction and rate, world, (F, 6); ``acceleration`` of the origins [m/s²],
+    world, every half ``step`` [s], (2 N + 1, F, 3). Raise ``CapabilityError`` if the law cannot be traced, and
+    ``ShapeError``.
     """
     rows, count = acceleration.shape[:2]
     if rows % 2 == 0 or tuple(start.shape) != (count, 6):

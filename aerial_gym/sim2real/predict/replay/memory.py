@@ -1,7 +1,4 @@
-"""Replay of the memory of effects along flights (``Effect.replay``).
-
-Letters: T rows, M memory values, R rotors.
-"""
+"""Replay of the memory of effects along flights (``Effect.replay``). Letters: T rows, M memory values, R rotors."""
 
 from collections.abc import Iterator, Sequence
 
@@ -20,10 +17,7 @@ from aerial_gym.sim2real.predict.rows.batches import vehicle_of_row
 
 
 def effects_with_memory(effects: EffectsByKind) -> Iterator[tuple[Effect, Tensor]]:
-    """Yield the effects whose memory ``Effect.replay`` computes, with their parameters.
-
-    ``RotorReplay`` handles the memory of effects on commands and ``LoadReplay`` that of a load. Random wind has no replay.
-    """
+    """Yield effects, with parameters, whose memory ``Effect.replay`` computes: not of commands, loads or random wind."""
     for effect, params in effects.forces:
         if effect.replayed and effect.remembers:
             yield effect, params
@@ -47,12 +41,8 @@ def replay_memory(
 ) -> dict[str, list[Tensor]]:
     """Return the memory of effects on rotors and body in every log row of each flight, (T, M), by effect.
 
-    Args:
-        model: Model with the same parameters in every row.
-        flights: Flights with or without measured rotor speeds.
-        speeds: Rotor speeds from the commands [rad/s], (T, R), for flights without measured ones.
-        answers: Stored results.
-        settled: Initial angle of soft arms as a share of their rest angle, if a log begins in the air.
+    ``speeds``: rotor speeds from the commands [rad/s], (T, R), for flights without measured ones. ``answers``: stored
+    results. ``settled``: initial angle of soft arms as a share of their rest angle, if a log begins in the air.
     """
     effects = list(effects_with_memory(model.effects))
     if not effects:

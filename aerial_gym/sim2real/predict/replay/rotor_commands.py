@@ -1,9 +1,7 @@
 """Commanded rotor speeds with dead time and the effect of the measured battery voltage.
 
-The voltage is not filtered, because the rotor lag filters its noise with the commands. Of white noise it leaves the share
-``a / (2 - a)`` of the variance, ``a = 1 - exp(-dt / tau)``. For 20 mV on 16 V at 400 Hz this is 2e-4 of the speed. It
-reduces a gain by 3e-4 if the voltage varies by 0.2 V (RMS). A low-pass would remove the sag under load.
-Letters: T rows, R rotors.
+The voltage is not filtered: the rotor lag leaves the share ``a / (2 - a)`` of its noise variance, ``a = 1 - exp(-dt /
+tau)``; a low-pass would remove the sag under load. Letters: T rows, R rotors.
 """
 
 from collections.abc import Sequence
@@ -29,16 +27,10 @@ LEAST_VARIATION = 0.01  # Least relative variation of the voltage that is distin
 
 
 def target_speeds_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
-    """Return the target speeds at the start and in the rest of each row [rad/s], (T, R) each, and the first part's share.
+    """Return the target speeds at the start and in the rest of each row [rad/s], (T, R), and the first part's share.
 
-    A command holds until the next row. Before the first command arrives, its value is assumed.
-
-    Args:
-        flight: Flight with commands.
-        model: Model with delay and battery effects, one environment.
-        shift: Interpolation of each command towards the next, as a share of a row.
-
-    Raise ``DataError`` if the log lacks a quantity that an effect needs.
+    A command holds until the next row; ``shift`` interpolates it towards the next, as a share of a row. Before the first
+    one arrives, its value is assumed. Raise ``DataError`` if the log lacks a quantity that an effect needs.
     """
     command = flight.rotor_command
     assert command is not None
@@ -111,10 +103,7 @@ def finding_on_steady_voltage(effect: Effect, flights: Sequence[Flight]) -> Find
 
 
 def finding_on_slow_commands(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding if the time between commands exceeds the rotor lag, so an actuation effect is not identifiable.
-
-    Rotors then also follow commands between the logged rows, and a fitted lag would compensate for these.
-    """
+    """Return a finding if commands are slower than the rotor lag, which would compensate for those between rows."""
     rates = [flight.rate for flight in flights if flight.rotor_command is not None]
     if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
         return None

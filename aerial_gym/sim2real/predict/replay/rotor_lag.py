@@ -86,21 +86,16 @@ def simulate_rotor_lag(
 ) -> Tensor:
     """Return the rotor speeds at the rows of all flights in sequence [rad/s], float64, (N, R).
 
-    The law is ``rotors.lag_speed``, with ``slew_rates`` that of ``rotor_lag.slew_limited_lag`` for speeds of either sign.
+    The law is ``rotors.lag_speed``, with ``slew_rates`` that of ``rotor_lag.slew_limited_lag``.
 
     Args:
-        first: Speeds at the first row of each flight [rad/s], float64, (F, R).
-        earlier: Commands at the start of each row [rad/s], float64, (N, R).
-        later: Commands in the rest of each row [rad/s], float64, (N, R).
+        first: Speeds at the first row of each flight [rad/s], (F, R).
+        earlier: Commands at the start of each row [rad/s], (N, R); ``later`` in the rest of it.
         share: Part of a row in which the earlier commands hold, 0 to 1, (F,).
         ends: First row of each flight, and N, int32, (F + 1,).
         step: Time between two rows of each flight [s], (F,).
         tau_up: Time constant of a rising speed [s], (R,); 0 follows at once.
-        tau_down: Time constant of a falling speed [s], (R,).
-        slew_rates: Largest rates of rising and falling speeds [rad/s²], each (R,), infinite without a limit. None: no rotor
-            has a limit or is reversible.
-
-    Raise ``ShapeError`` if the shapes of the commands do not match the flights.
+        slew_rates: Largest rates up and down [rad/s²], each (R,); None: no rotor has a limit or is reversible.
     """
     rows = (int(ends[-1]), first.shape[1])
     if tuple(earlier.shape) != rows or tuple(later.shape) != rows:

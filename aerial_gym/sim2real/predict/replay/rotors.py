@@ -36,12 +36,8 @@ class RotorReplay:
     ) -> list[Array | None]:
         """Return the speeds of each flight as a sensor reads them [rad/s], (T, R); None for a flight without commands.
 
-        Args:
-            model: Model with lag, dead time and battery effects, one environment.
-            shift: Interpolation of each command towards the next, as a share of a row.
-            sensors: Effects on the rotor speed sensors, with parameters (1, P).
-
-        Raise ``DataError`` if a log lacks a quantity that an effect needs.
+        ``shift``: interpolation of each command towards the next, as a share of a row. ``sensors``: effects on the sensors
+        with parameters (1, P). Raise ``DataError`` if a log lacks a quantity that an effect needs.
         """
         vehicle, effects = model.vehicle, (*model.effects[DelayEffect], *model.effects[CommandEffect], *sensors)
         numbers = [vehicle.time_constant_up, vehicle.time_constant_down, vehicle.battery]

@@ -1,9 +1,8 @@
 """Low-passed forces and accelerations of the vehicle, from the forces on it in every row.
 
-The low-pass is linear and commutes with row-independent factors: mass, inertia and axes. So forces are filtered separately
-for each effect and cached, and only changed ones are filtered again. For rotors the powers of speed are filtered, before
-the map's coefficients multiply them.
-Letters: E rows, T rows kept, R rotors, K coefficients of a map.
+The low-pass commutes with factors that all rows share: mass, inertia, axes. So the forces of each effect, and the powers of
+rotor speeds before a map's coefficients, are filtered separately and cached; only changed ones are filtered again. Letters:
+E rows, T rows kept, R rotors, K coefficients of a map.
 """
 
 from collections.abc import Callable
@@ -28,7 +27,6 @@ class SensorDelays:
     """Delays of the sensors on the clock of the rows, by flight [s]."""
 
     force: tuple[float, ...]  # Delay of the accelerometer, or of the derived force
-
     gyro: tuple[float, ...]
 
 
@@ -36,7 +34,6 @@ class BandResponse:
     """Low-passed forces on the vehicle along some flights."""
 
     def __init__(self, data: Dataset) -> None:
-        """Store the flights and filter their measured motion."""
         self._data = data
         self._known: dict[str, list[tuple[Tensor, tuple[float, ...], Tensor]]] = {}
         on_time = (0.0,) * len(data.times)
@@ -60,14 +57,9 @@ class BandResponse:
     ) -> Accelerations:
         """Return specific force [m/s²] and angular acceleration [rad/s²] of the body origin in the band, (T, 3) each.
 
-        Both have the sensors' delays. Rotation is measured, so errors of the torque model do not enter the forces.
-
-        Args:
-            model: Model with the same parameters in all rows.
-            rotor_speed: True rotor speeds [rad/s], (E, R).
-            acting: Forces in every row; linear ones may be separate.
-            about: Reference point of the torques of effects at hubs [m], body, (3,). None: the centre of mass.
-            late: Sensor delays; None: zero.
+        The rotation is measured, so errors of the torque model do not enter the forces. ``rotor_speed``: true speeds
+        [rad/s], (E, R). ``about``: point of the torques of effects at hubs [m], body, (3,); None: the centre of mass.
+        ``late``: sensor delays; None: zero.
         """
         late = late or self._on_time
         vehicle, wrench = model.vehicle, self._wrench_in_band(model, rotor_speed, acting, about, late.force)
@@ -106,10 +98,7 @@ class BandResponse:
         return wrench
 
     def lever_arm_acceleration(self, place: Tensor, late: SensorDelays) -> Tensor:
-        """Return the extra acceleration of a point [m], body, (3,), against the origin, from measured rotation [m/s²], (3, T).
-
-        The formula is ``alpha x r + w (w r) - w² r``, with the delay of the force.
-        """
+        """Return ``alpha x r + w (w r) - w² r`` [m/s²], (3, T), of a point r [m], body, with the delay of the force."""
         turning, products = _motion_selectors()
         square = products.diagonal(dim1=1, dim2=2).sum(dim=1)
         lever = torch.linalg.cross(turning, place[None]) + products @ place - square[:, None] * place

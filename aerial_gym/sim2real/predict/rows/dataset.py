@@ -56,12 +56,7 @@ class Dataset:
         channels: Sequence[Channel],
         every_row: bool,
     ) -> None:
-        """Load the flights.
-
-        Args:
-            rotors: Rotor speeds of each flight for the prediction; None where none were measured.
-            every_row: Whether to keep all rows of the log instead of thinning them to the band.
-        """
+        """Load the flights with the rotor speeds of the prediction; ``every_row``: without thinning to the band."""
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
         self.stride = [1 if every_row else row_stride(f, bandwidth) for f in flights]
         self.kept = [self._residual_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
@@ -124,10 +119,7 @@ class Dataset:
         return lowpass(rows, self.flights[index].rate / stride, self.bandwidth)[self.kept[index] // stride]
 
     def kinematic_readings(self, *, force_late: float = 0.0, rate_late: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the sensor readings that attitude and velocity imply at the kept rows, (T, 3) each, with delays [s].
-
-        These are specific force [m/s²], its derivative by the velocity's delay [m/s³] and angular velocity [rad/s].
-        """
+        """Return specific force, its derivative by the velocity's delay [m/s³] and angular velocity by kinematics, (T, 3)."""
         flights = len(self.flights)
         forces = self.columns_in_band(self._implied[:6], [force_late] * flights)
         rates = self.columns_in_band(self._implied[6:], [rate_late] * flights)
@@ -135,10 +127,7 @@ class Dataset:
         return force, jerk, rate
 
     def columns_in_band(self, columns: Array, late: Sequence[float] | None = None) -> Array:
-        """Return low-passed columns of all flights (K, E) at the kept rows, (K, rows kept); zeros stay exactly 0.
-
-        ``late``: delay of each flight [s]; None: no delay.
-        """
+        """Return low-passed columns (K, E) at the kept rows, (K, T), with a delay per flight [s]; zeros stay exactly 0."""
         moving = np.flatnonzero(has_nonzero(columns, axis=1))
         matrix = np.zeros((len(columns), self.kept_spans[-1].stop))
         for index, (span, to) in enumerate(zip(self.spans, self.kept_spans, strict=True)):

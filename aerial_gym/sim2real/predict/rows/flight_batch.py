@@ -86,7 +86,6 @@ class FlightBatch:
     """Predictions for a batch of flights."""
 
     def __init__(self, robot: RobotCfg, declared: Vehicle, data: Dataset, tolerances: Tolerances) -> None:
-        """Store the robot, its vehicle of one environment, the flights and the tolerances."""
         self.data, self.tolerances, self._declared = data, tolerances, declared
         self._replay = RotorReplay(data.flights)
         self._load_replay = LoadReplay(data.flights, data.row_times)
@@ -235,10 +234,7 @@ class FlightBatch:
         return add_known_wind(model, self.data.flights, self.data.flight)
 
     def _motion_state(self, asked: _ModelQuery) -> dict[str, Tensor]:
-        """Return the motion in every row on the rotor speeds' clock, with the true body attitude.
-
-        Misalignment and delay of the logged attitude and the velocity's delay are corrected.
-        """
+        """Return the motion in every row on the rotor speeds' clock, corrected for misalignment and delays of the pose."""
         results, logged = dict(self.data.state), asked.logged
         *_, attitude, velocity = self._imu.delays_on_prediction_clock(logged)
         if velocity:
@@ -274,10 +270,7 @@ class FlightBatch:
     def _rotor_speeds_and_accelerations(
         self, model: Model, speeds: list[Array | None] | None, motion: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Return true rotor speeds [rad/s] and their accelerations [rad/s²] in every row, (E, R).
-
-        ``motion`` (R,): deviation of each mode's motion from its expectation, in standard deviations.
-        """
+        """Return true rotor speeds [rad/s], [rad/s²], (E, R); ``motion`` (R,): deviation of each mode in its std."""
         data = self.data
         if data.speed is None or data.spin_up is None or data.unsure_speed is None or data.unsure_spin_up is None:
             assert speeds is not None

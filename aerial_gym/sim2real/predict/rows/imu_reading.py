@@ -48,24 +48,17 @@ class ImuReading:
     """Readings of the inertial sensors in the band."""
 
     def __init__(self, data: Dataset, in_band: BandResponse) -> None:
-        """Store the flights and their forces in the band."""
         self.data, self._in_band = data, in_band
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
     def delays_on_prediction_clock(self, logged: SensorDeviation) -> list[float]:
-        """Return the delays of rotor speeds, accelerometer, gyro, attitude and velocity on the prediction's clock [s].
-
-        This clock is that of the logged rotor speeds, or of the commands, which have no delay.
-        """
+        """Return the delays of rotor speeds, accelerometer, gyro, attitude and velocity against rotor speeds or commands [s]."""
         late = logged.delays.tolist()
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]
 
     def delays_by_flight(self, logged: SensorDeviation) -> SensorDelays:
-        """Return the delays of force and rotation in each flight on that clock.
-
-        Without an accelerometer the force is derived in the axes of the attitude, and has its delay.
-        """
+        """Return the delays of force and rotation on that clock; a derived force has the delay of the attitude."""
         _, acc, gyro, attitude, _ = self.delays_on_prediction_clock(logged)
         force = tuple(acc if flight.accelerometer else attitude for flight in self.data.flights)
         return SensorDelays(force=force, gyro=(gyro,) * len(force))
@@ -75,11 +68,8 @@ class ImuReading:
     ) -> dict[str, Columns]:
         """Return the sensor readings by kind of channel, three columns (T,) each.
 
-        Args:
-            model: Model with the same parameters in all rows.
-            found: Specific force and angular acceleration with the delays of the log.
-            logged: Sensor errors of the deviations within the tolerances.
-            seeming: Apparent addition to the angular acceleration by correlated noise [rad/s²], (T, 3); None: zero.
+        ``accelerations`` have the delays of the log; ``seeming``: apparent angular acceleration by noise [rad/s²], (T, 3),
+        or None.
         """
         felt, force, torque = self.data.felt_force_kept, accelerations.specific_force, accelerations.ang_acc
         if logged.imu_place.any():

@@ -1,18 +1,11 @@
 """Tolerance for the correlation of gyro noise with torque, caused by the autopilot's feedback.
 
-In hover, much of the torque is the autopilot's response to gyro noise. Measurement and prediction are then correlated
-beyond the physical torque, and a fit attributes this to inertia or rotor drag (bias of closed-loop identification). The
-correlation is unknown but bounded. With noise of RMS n, torque of RMS t and a response of RMS a, the torque seems larger
-by at most ``n a / t²``. A uniform distribution within this bound, with either sign, has the standard deviation
-bound / sqrt(3). In motion it is negligible.
+In hover, much of the torque is the autopilot's response to gyro noise, and a fit attributes this to inertia or rotor drag.
+With noise of RMS n, torque of RMS t and a response of RMS a, the torque seems larger by at most ``n a / t²``; the standard
+deviation within this bound is bound / sqrt(3). Noise and response are measured above the band; the response is that of
+commands through the rotor lag, or else of rotor speeds. Letters: T rows, L lines of a spectrum, K columns.
 
-The noise is measured above the comparison band. So is the response, from the commands there, low-passed by the rotor lag.
-Without commands, the inverse lag of the measured rotor speeds takes their place, sensor noise included.
-
-Letters: T rows, L lines of a spectrum, K columns.
-
-Source:
-    Ljung (1999), System Identification: Theory for the User, section 13.4 (feedback in the direct method).
+Source: Ljung (1999), System Identification: Theory for the User, section 13.4 (feedback in the direct method).
 """
 
 import numpy as np
@@ -29,10 +22,9 @@ from aerial_gym.sim2real.predict.rows.spectra import noise_level, power_density
 
 
 def torque_gain_uncertainty(flight: Flight, declared: Vehicle, turning: Array, bandwidth: float) -> Array:
-    """Return the standard deviation of the apparent relative increase of the torque about each axis, (3,).
+    """Return the standard deviation of the apparent relative increase of the torque about each axis, (3,); 0 if unseen.
 
-    It is 0 if the log is too slow to show the noise, and about axes without angular acceleration. ``turning``: predicted
-    angular acceleration in the band [rad/s²], body, (T, 3).
+    ``turning``: predicted angular acceleration in the band [rad/s²], body, (T, 3).
     """
     noise, answer = _angular_noise_rms(flight, bandwidth), _rotor_response_rms(flight, declared, bandwidth)
     if noise is None or answer is None or not len(turning):

@@ -1,20 +1,14 @@
 """Expected rotor speeds for predictions, without the noise that would bias a fit.
 
-A prediction from noisy speeds contains their noise, so a fit underestimates the effect (attenuation), in hover by several
-times. A prediction from the *expected* speed, given all measurements, has no such bias. The error of the expectation is
-independent of it (Berkson's error) and only adds residual noise.
-
-Signals are taken as stationary, with white sensor noise. At each frequency the expectation keeps the share ``1 - N / P``
-of noise N in the density P, for each force and torque of the rotors. N is the lowest density above the comparison band.
-In motion the share is nearly 1; in hover most of the scatter is removed. If noise exceeds motion, the declared lag driven
-by the commands predicts more than the sensor, and the share applies to the difference from it. (Otherwise a slight error
-of the lag would not be noise.) The uncertainty of the share is a tolerance of the comparison.
-
+A fit to a prediction from noisy speeds underestimates the effect (attenuation), in hover by several times. The error of the
+*expected* speed, given all measurements, is independent of it (Berkson's error). At each frequency the expectation keeps
+the share ``1 - N / P`` of the noise N, the lowest density above the band, in the density P, for each force and torque of
+the rotors. If noise exceeds motion, the share applies to the difference from the declared lag driven by the commands.
 Letters: T rows, R rotors and as many modes of theirs, L lines of a spectrum.
 
-Sources:
-    Carroll, Ruppert, Stefanski, Crainiceanu (2006), Measurement Error in Nonlinear Models, chapter 4 (regression calibration);
-    Wiener (1949), Extrapolation, Interpolation, and Smoothing of Stationary Time Series (the filter ``1 - N / P``).
+Sources: Carroll, Ruppert, Stefanski, Crainiceanu (2006), Measurement Error in Nonlinear Models, chapter 4 (regression
+calibration); Wiener (1949), Extrapolation, Interpolation, and Smoothing of Stationary Time Series (the filter ``1 - N /
+P``).
 """
 
 from collections.abc import Sequence
@@ -60,10 +54,7 @@ def estimate_as_measured(flight: Flight) -> RotorEstimate | None:
 
 
 def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float) -> list[RotorEstimate | None]:
-    """Return the expected rotor speeds of each flight, None without measured speeds.
-
-    Speeds stay as measured if the log is too slow to show the noise.
-    """
+    """Return the expected rotor speeds of each flight, as measured for a log too slow to show noise; None without any."""
     model = rotor_response_model(robot)
     led = RotorReplay(flights).speeds(model, 0.0, model.effects[RotorSensorEffect])
     made = allocation_matrix(model.vehicle, STANDARD_GRAVITY)[0].numpy()
@@ -89,11 +80,7 @@ def rotor_response_model(robot: RobotCfg) -> Model:
 
 
 def _estimate_rotor_speeds(flight: Flight, led: Array | None, made: Array, bandwidth: float) -> RotorEstimate | None:
-    """Return the expected speeds of a flight; None without speeds or if the log is too slow to show the noise.
-
-    ``led``: rotor speeds replayed from commands [rad/s], (T, R); None without commands. ``made``: matrix from rotor thrusts
-    to force and torque, (6, R).
-    """
+    """Return the expected speeds of a flight or None; ``led``: replayed speeds (T, R), ``made``: thrusts to wrench, (6, R)."""
     speed, rate = flight.rotor_speed, flight.rate
     if speed is None:
         return None
@@ -129,20 +116,15 @@ def _rotor_modes(made: Array) -> Array:
 
 
 def _num_independent_segments(rows: int, rate: float) -> float:
-    """Return the effective number of independent segments in Welch's mean: half-overlapping Hann windows count 9/11.
-
-    Source: Welch (1967), The use of fast Fourier transform for the estimation of power spectra, IEEE Transactions on Audio and
-    Electroacoustics 15 (variance 11/9 of that of as many independent segments).
-    """
+    """Return the number of independent segments in Welch's mean: half-overlapping Hann windows count 9/11 (Welch, 1967)."""
     return max(1.0, 9.0 / 11.0 * (2.0 * rows / segment_length(rows, rate) - 1.0))
 
 
 def _share_of_motion(density: Array, segments: float, unsure: float) -> tuple[Array, Array]:
     """Return the share of motion in each line (L,) of a density with noise 1, and its standard deviation.
 
-    The density of motion falls with frequency, so rising lines are pooled (isotonic regression). Each pooled level has a
-    chi-squared distribution; the result is the posterior mean over ``MOTION``. ``unsure``: relative standard deviation of the
-    noise level.
+    Rising lines are pooled (isotonic regression); the level of each pool is chi-squared, with a posterior mean over
+    ``MOTION``. ``unsure``: relative standard deviation of the noise level.
     """
     falling = isotonic_regression(density, increasing=False)
     lines = np.diff(falling.blocks)

@@ -31,11 +31,7 @@ def power_density(values: Array, rate: float) -> tuple[Array, Array]:
 
 
 def _white_noise_gain(length: int) -> Array:
-    """Return the gain of Welch's density for white noise, (L,), reduced by the removal of straight lines.
-
-    For white noise x, line k is ``v_k (x - P x)`` with the projection P on straight lines and the windowed wave v_k. Its mean
-    square is ``|v_k - P v_k|² = |v_k|² - |P v_k|²``.
-    """
+    """Return the gain of Welch's density for white noise, ``|v_k - P v_k|²`` of wave v_k without lines P, over |v_k|², (L,)."""
     window = hann_window(length)
     place = np.arange(length) - 0.5 * (length - 1)
     lost = sum(np.abs(np.fft.rfft(window * one)) ** 2 / (one @ one) for one in (np.ones(length), place))
@@ -43,10 +39,7 @@ def _white_noise_gain(length: int) -> Array:
 
 
 def noise_level(frequency: Array, density: Array, bandwidth: float, rate: float) -> tuple[Array, float] | None:
-    """Return the noise density of each column, (K,), and the least number of lines in its mean; None for a slow log.
-
-    It is the mean density of the quietest octave above the band [Hz], since white noise nowhere exceeds the total.
-    """
+    """Return the density of each column in its quietest octave above the band [Hz], (K,), and its least number of lines."""
     low, high = FROM_BAND * bandwidth, min(TO_BAND * bandwidth, TO_RATE * rate)
     places = np.flatnonzero((frequency >= low) & (OCTAVE * frequency <= high))
     if not places.size:
