@@ -21,10 +21,7 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.failures.rotor_work import RotorOutput
 
 FEWEST_BEFORE = 5  # Least number of blocks before an onset
-
-FEWEST_AFTER = {"speed": 2, "thrust": 10}
-"""Least number of blocks after an onset, by quantity; a collision looks like a brief loss of thrust."""
-
+FEWEST_AFTER = {"speed": 2, "thrust": 10}  # Least number of blocks after an onset; a collision is brief
 LONGEST = 100  # Longest duration in blocks of a brown-out that ends
 CONTINUOUS = 0.1  # Prior standard deviation of a stuck rotor's speed around that of the block before, relative to hover
 
@@ -68,9 +65,7 @@ class OnsetOdds:
     """Log odds of one kind of failure for every onset."""
 
     kind: str
-    log_odds: Array
-    """Against no failure, (K, R) by onset and rotor; for brown-outs (K, D + 1) by onset and duration, the last unlimited."""
-
+    log_odds: Array  # (K, R) by onset and rotor; brown-outs (K, D + 1) by duration, the last unlimited
     change: Array  # Relative change of output; for a stuck rotor the constant output relative to hover
 
 

@@ -29,11 +29,7 @@ WINDOW_BLOCKS = 300  # Number of stored blocks: half a minute
 LOOK_BLOCKS = 5  # Number of blocks between two searches
 LEAD_BLOCKS = 10  # Number of earlier blocks from which the rotor lag is simulated: many time constants
 FIRST_ROWS = 20  # Number of rows that determine the sample rate
-
-SETTLED_S = 2.0
-"""Time after onset and first suspicion before a failure is named [s]. A stuck rotor first resembles a failed one, and an
-onset with too few later blocks is displaced."""
-
+SETTLED_S = 2.0  # Time before a failure is named [s]: early, a stuck rotor resembles a failed one
 SURE = 0.99  # Least probability among all failures for its naming
 AT_LATEST_S = 8.0  # Longest time after onset and first suspicion until a failure is named [s]
 

@@ -27,10 +27,7 @@ OUTPUTS = tuple(f"{kind}.{axis}" for kind in ("specific_force", "angular_acceler
 """Channels in the order of the network's outputs."""
 
 HIDDEN = 16  # Units H of the one hidden layer
-
-DECAYS = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)
-"""Tested weight decays, per squared weight relative to a mean square of order one."""
-
+DECAYS = (1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # Tested weight decays, relative to a mean square of order one
 STEPS = 200  # Largest number of L-BFGS iterations
 LEAST_SHARE = 0.1  # Least explained share of an output's mean square on left-out flights; otherwise the output is zero
 TAIL = 0.01  # Share of training rows outside each input limit, and outside the distance of full trust
@@ -46,10 +43,7 @@ class ResidualFit:
     objections: tuple[Finding, ...]  # Reasons for the rejection; empty if accepted
     gain: Gain | None = None  # Improvement over the named effects on left-out training flights
     decay: float = 0.0  # Weight decay with the least error on left-out flights
-
-    gaps: dict[str, float | None] = field(default_factory=dict)
-    """Explained share of each channel's mean square above the noise floor on test flights; None without an excess."""
-
+    gaps: dict[str, float | None] = field(default_factory=dict)  # Explained share above the noise floor on test flights
     rows: int = 0  # Number of compared rows of the test flights
     rows_outside: int = 0  # Number of these rows outside the training data
 

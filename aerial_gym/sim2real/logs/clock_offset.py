@@ -10,9 +10,7 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
 from aerial_gym.sim2real.logs.signals import apply_lag, edge_rows, interpolate_columns, lowpass
 
-LATE_S = 0.003
-"""Standard deviation of each sensor's unknown delay [s]: filters and telemetry take milliseconds that no log states."""
-
+LATE_S = 0.003  # Standard deviation of each sensor's unknown delay [s]: milliseconds of filters and telemetry
 LARGEST_SHIFT_S = 0.05  # Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s
 SETTLED = 5.0  # Settling time of a lag in declared time constants
 
@@ -33,7 +31,7 @@ class ClockOffset:
     std: float = 0.0  # Standard deviation [rows]
 
     def is_likelier_than_sensor_delays(self, rate: float, odds: float = 1.0) -> bool:
-        """Return whether a uniform clock offset is more probable, by ``odds``, than two normal sensor delays; ``rate`` in Hz."""
+        """Return whether the uniform clock offset is likelier, by ``odds``, than two normal sensor delays; ``rate`` in Hz."""
         spread = float(np.hypot(np.sqrt(2.0) * LATE_S, self.std / rate))
         of_sensors = np.exp(-0.5 * (self.rows / rate / spread) ** 2) / (np.sqrt(2.0 * np.pi) * spread)
         return bool(odds * of_sensors < 0.5 / LARGEST_SHIFT_S)
@@ -52,7 +50,7 @@ class OffsetCurve:
 
     @property
     def offset(self) -> ClockOffset:
-        """Return the offset at the interpolated minimum S of ``left``, std ``sqrt(2 S / n S'')``; 0 without clear improvement."""
+        """Return the offset at the parabolic minimum S of ``left``, std ``sqrt(2 S / n S'')``; 0 if unclear."""
         if not self.left.size:
             return ClockOffset()
         most = self.left.size // 2

@@ -46,10 +46,7 @@ class Flight(Recording):
     name: str  # Short name, unique among the flights of one run
     rate: float  # Rows per second [Hz]
     ang_vel: Array  # [rad/s], body, (T, 3)
-
-    gyro: bool
-    """Whether ``ang_vel`` was measured and the rotor torques are known; otherwise angular acceleration is no channel."""
-
+    gyro: bool  # Whether ``ang_vel`` was measured and rotor torques are known, as for angular acceleration
     accelerometer: bool  # Whether ``specific_force`` was measured; if not, it was derived from the velocity
     on_ground: Flags | None = None  # Rows on the ground, excluded from comparisons, (T,); None if there are none
 

@@ -33,10 +33,7 @@ class Recording:
     rotor_command: Array | None = None  # Commanded speeds from each row on [rad/s], in force mode thrusts [N], (T, R)
     battery: Array | None = None  # Voltage [V], (T,)
     attitude_integrated: bool = False  # Whether the attitude is the integrated gyro, and so no independent measurement
-
-    other_position: Array | None = None
-    """Body origin of another vehicle in the same flight [m], world, (T, 3); NaN where unknown."""
-
+    other_position: Array | None = None  # Body origin of another vehicle [m], world, (T, 3); NaN where unknown
     ground_height: float = 0.0  # World z of the ground [m]
     ceiling_height: float | None = None  # World z of the ceiling [m]; None if unknown
     wind: tuple[float, float, float] | None = None  # Known steady wind [m/s], world; None: still air is assumed

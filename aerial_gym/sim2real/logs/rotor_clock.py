@@ -22,10 +22,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, lowpass
 
 FAR_S = 0.25  # Largest delay of the rotor log that is searched [s]
-
-FAR_GAIN = 0.5
-"""A delay beyond clock offsets is accepted if its residual is less than this share of the best clock offset's."""
-
+FAR_GAIN = 0.5  # Largest residual of an accepted delay, relative to that of the best clock offset
 ROWS_PER_BAND = 10.0  # Sample rate of the delay search in units of the bandwidth
 
 

@@ -18,16 +18,11 @@ SENSORS = ("position", "attitude", "lin_vel", "ang_vel", "specific_force")
 """Sensors whose values always vary in flight; rotor speeds and voltages have coarse steps and may not."""
 
 LONGEST_FROZEN_S = 0.25  # Longest time of one value in motion; beyond it the sensor is frozen
-
-LEAST_WAY = 0.05
-"""Least motion [m], [rad] during one value of a frozen position or attitude, as these may have coarse steps."""
-
+LEAST_WAY = 0.05  # Least motion [m], [rad] during one value of a frozen pose, which may have coarse steps
 LEAST_MOTION = 0.1  # Least speed [m/s] or angular velocity [rad/s] of a moving vehicle
 LEAST_SHARE = 0.005  # Smallest reported share of repeated values; smaller ones are repaired silently
 MOST_ROWS = 0.5  # Largest share of rows that repeat entirely; beyond it the log rate exceeds all sensor rates
-
-REGULAR = 0.8
-"""A sensor is slower than the log if this share of its values lasts the median number of rows, plus or minus one."""
+REGULAR = 0.8  # Share of a slow sensor's values that last the median number of rows, plus or minus one
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,12 +19,8 @@ from aerial_gym.sim2real.arrays import Array
 class ModelParams:
     """Parameters of a model's effects and its deviations within the tolerances."""
 
-    effects: dict[str, Array] = field(default_factory=dict)
-    """Parameters by effect name, each (P,); effects not listed are not in the model."""
-
-    deviation: Array | None = None
-    """Deviations in standard deviations of the tolerances, (N,); None: exactly as declared."""
-
+    effects: dict[str, Array] = field(default_factory=dict)  # Parameters (P,) of the effects in the model by name
+    deviation: Array | None = None  # Deviations in standard deviations, (N,); None: exactly as declared
     learned: LearnedResidual | None = None  # Learned residual beyond the effects; None without one
 
     def with_effect(self, name: str, params: Array) -> "ModelParams":

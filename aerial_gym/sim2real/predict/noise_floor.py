@@ -26,15 +26,9 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 WIDE_BAND = 0.4  # Bandwidth of the residual's spectrum as a share of the rate
 FIT_FROM = 1.5  # Lower end of the fit in comparison bandwidths
 FIT_TO = 0.32  # Upper end of the fit as a share of the rate
-
-FIT_FROM_AT_LATEST = 0.7
-"""Largest lower end of the fit as a share of its upper end, for logs that are slow for their band."""
-
+FIT_FROM_AT_LATEST = 0.7  # Largest lower end of the fit as a share of its upper end, for slow logs
 CLEAR_OF_BAND = 1.1  # Least lower end of the fit in comparison bandwidths, whatever the rate
-
-NARROW = 2.0
-"""Least frequency ratio of the fitted lines that separates both terms; below it only the constant is fitted."""
-
+NARROW = 2.0  # Least frequency ratio of lines that separate both terms; below it only the constant is fitted
 NARROW_READING = 3.0  # The same ratio for direct sensor readings, whose noise does not grow with frequency
 FALLEN = 0.25  # Share of the first band's density below which a band counts as low-passed
 BAND_RATIO = 1.6  # Frequency ratio of the bands over which the spectrum is averaged for this

@@ -28,9 +28,7 @@ from aerial_gym.sim2real.predict.rows.flight_batch import Columns, FlightBatch
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate, estimate_rotors
 from aerial_gym.sim2real.predict.tolerances import Tolerances, sensor_deviation, vehicle_deviation
 
-KEPT_BYTES = 6e7
-"""Memory for stored predictions [bytes], counted as if they shared nothing; fits often return to the same model."""
-
+KEPT_BYTES = 6e7  # Memory for stored predictions [bytes], as if they shared nothing; fits often return to one
 MOST_TOLD = 512  # Number of models whose prediction keys are stored
 
 
@@ -114,7 +112,7 @@ class Predictor:
         return [link for part in self._parts for link in part.load_links(params)]
 
     def _prediction_key(self, params: ModelParams) -> tuple[object, ...]:
-        """Return a key of a model's predictions: the resulting vehicle, whatever causes it, and all other parameters in order."""
+        """Return a key of a model's predictions: the resulting vehicle, and all other parameters in order."""
         on_vehicle = {
             name: values for name, values in params.effects.items() if isinstance(EFFECTS.get(name), VehicleEffect)
         }

@@ -62,10 +62,7 @@ class RolloutErrors:
     horizons: tuple[float, ...]  # [s]
     position: Array | None  # [m], (W, horizons); None if the log has no position
     velocity: Array | None  # [m/s], (W, horizons)
-
-    attitude: Array | None
-    """Rotation angle between rollout and flight [rad], (W, horizons); None with prescribed attitude."""
-
+    attitude: Array | None  # Rotation angle [rad], (W, horizons); None with prescribed attitude
     driven_by: str  # Input of the rotors: commands or measured rotor speeds
 
 

@@ -32,9 +32,7 @@ LAYOUT: dict[str, str | tuple[str, ...]] = {
 }
 """Names of the tolerances in order, with their parts: one for all, one per rotor, or one per axis or sensor."""
 
-OF_LOGS = ("sensor_delay", "acc_scale", "imu_place")
-"""Tolerances of the logger, not the vehicle; kinematics determine most of them, so they hide no effect."""
-
+OF_LOGS = ("sensor_delay", "acc_scale", "imu_place")  # Tolerances of the logger, which hide no effect
 STRAINED = 3.0  # Standard deviations beyond which a declaration is implausible, or its tolerance too small
 
 
@@ -49,29 +47,13 @@ class Tolerances:
     com: float = 0.0003  # Per axis [m]; by balancing
     acc_bias: float = 0.02  # Accelerometer bias per axis [m/s²]
     gyro_bias: float = 0.002  # Gyro bias per axis [rad/s]
-
-    acc_of_flight: float = 0.1
-    """Largest accelerometer bias of a single flight, per axis [m/s²]; warming up changes it by some 10 mg."""
-
-    attitude: float = 0.01
-    """Misalignment of the logged attitude about each axis [rad]: markers are aligned by eye, autopilots by a level.
-
-    It rotates implied forces and rates, the airspeed and a suspended load.
-    """
-
-    sensor_delay: float = LATE_S
-    """Delay of rotor speeds, accelerometer, gyro, attitude and velocity, each independent [s].
-
-    Filters, telemetry and motion capture take milliseconds that no log states. Commands are the reference.
-    """
-
+    acc_of_flight: float = 0.1  # Largest accelerometer bias of a single flight, per axis [m/s²]: some 10 mg warming up
+    attitude: float = 0.01  # Misalignment of the logged attitude about each axis [rad], aligned by eye or level
+    sensor_delay: float = LATE_S  # Delay of rotor speeds, accelerometer, gyro, attitude, velocity, each [s]
     acc_scale: float = 0.005  # Relative accelerometer scale per axis, after a calibration on six sides or at rest
     imu_place: float = 0.005  # Accelerometer position relative to the body origin, per axis [m]
     nominal_voltage: float = 0.003  # Relative; battery voltage at which rotors reach the commanded speed
-
-    command_hold: float = 0.3
-    """Shift of the effective command towards the next row, in rows: autopilots are faster than logs."""
-
+    command_hold: float = 0.3  # Shift of the command towards the next row, in rows: autopilots are faster than logs
     joint_rest: float = 0.3  # Initial deviation of soft arms from rest, as a share of their hover angle
 
     def __post_init__(self) -> None:
@@ -149,10 +131,7 @@ class SensorDeviation:
     acc_scale: Tensor  # Relative, (3,)
     imu_place: Tensor  # Accelerometer position relative to the body origin [m], body, (3,)
     rotor_motion: Tensor  # Deviation of the motion in each rotor mode, in its standard deviations, (R,)
-
-    answered_noise: Tensor
-    """Deviation of the noise correlated with torque about each axis, in its standard deviations, (3,)."""
-
+    answered_noise: Tensor  # Deviation of noise correlated with torque, in its standard deviations, (3,)
     attitude: Tensor  # Roll, pitch and yaw from the axes of the logged attitude to those of the body [rad], (3,)
     delays: Tensor  # Delays of rotor speeds, accelerometer, gyro, attitude and velocity [s], (5,)
 

@@ -11,10 +11,7 @@ from aerial_gym.physics.effects import DelayEffect
 from aerial_gym.sim2real.arrays import Indices
 from aerial_gym.sim2real.logs.flights import Flight
 
-STEP_S = 0.01
-"""Longest rollout step [s], over which logged rotor speeds are averaged; at 10 rad/s, Runge-Kutta of order 4 errs by
-1e-7 rad per step."""
-
+STEP_S = 0.01  # Longest rollout step [s]; at 10 rad/s, Runge-Kutta of order 4 errs by 1e-7 rad per step
 WINDOW_EVERY_S = 0.5  # Time between the starts of consecutive windows [s]
 
 FIRST_WINDOW_S = max(e.longest for e in map(EFFECTS.get, EFFECTS) if isinstance(e, DelayEffect))

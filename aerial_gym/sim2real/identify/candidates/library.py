@@ -46,10 +46,7 @@ class Candidate:
     columns: Indices  # Free parameters, as indices of the K columns
     low: Array  # Lowest steps from neutral in units of the scale
     high: Array  # Highest steps from neutral in units of the scale
-
-    start: Array = field(default_factory=lambda: np.zeros(0))
-    """All parameters at the linearisation, conventions and rotor number included."""
-
+    start: Array = field(default_factory=lambda: np.zeros(0))  # All parameters at the linearisation
     structure: bool = False  # Whether it is a residual structure rather than an effect
     is_flight_offset: bool = False  # Whether it is a structure specific to each flight
 
@@ -67,9 +64,7 @@ class Library:
     moments: Moments  # Sums with every candidate at neutral
     weight: Array  # Weight of a row of each channel of the moments
     tolerances: Indices  # Indices of the tolerances among the K columns
-
-    tangents: list["Tangent"] = field(default_factory=list)
-    """Linearisations of the effects, in the order of the candidates."""
+    tangents: list["Tangent"] = field(default_factory=list)  # Linearisations, in the order of the candidates
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,9 +18,7 @@ from aerial_gym.sim2real.predict.channels import Channel
 LEAST_SHARE = 0.3  # Least explained share of the variance on left-out flights
 
 SEGMENT_S = 8.0
-OWN_MOTION = 0.5
-"""Largest share of the flight motion at a line, relative to the residual's; above it, motion causes the line."""
-
+OWN_MOTION = 0.5  # Largest share of a line in the motion, over that in the residual, not caused by motion
 LINE_WIDTH = 2  # Half width of a spectral line in bins
 
 

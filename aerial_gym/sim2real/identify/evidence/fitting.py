@@ -56,19 +56,11 @@ class EffectSetFit:
     effects: tuple[str, ...]
     structures: tuple[NuisanceColumns, ...]
     params: ModelParams
-    log_posterior: float
-    """Log evidence plus log prior, up to a constant common to all sets with equal weights; minus infinity for a prediction
-    that is not finite."""
-
+    log_posterior: float  # Log evidence plus log prior, up to a constant; -inf if the prediction is not finite
     parameters: Posterior  # Posterior of effects, tolerances and structures other than flight offsets, in this order
     support: dict[str, Support]  # Statistical support of each effect
-
-    most: float = np.inf
-    """Upper limit of the log posterior of this set and its subsets with the same structures: its own value, plus the possible
-    further gain of the fit and the evidence against effects."""
-
-    deviation: Array = field(default_factory=lambda: np.zeros(0))
-    """Most probable deviations in standard deviations, (N,)."""
+    most: float = np.inf  # Upper limit of the log posterior of this set and its subsets with the same structures
+    deviation: Array = field(default_factory=lambda: np.zeros(0))  # Most probable deviations in std, (N,)
 
     @property
     def is_supported(self) -> bool:

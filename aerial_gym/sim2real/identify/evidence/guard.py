@@ -31,10 +31,7 @@ class Support:
 
     log_odds: float  # Log posterior odds of the set with and without the effect, if only noise remains
     wald: float  # Wald statistic: squared distance from neutral over the covariance of noise and tolerances
-
-    overdispersion: float
-    """Parameter variance from the scatter between flights over that from noise, mean over the parameters."""
-
+    overdispersion: float  # Parameter variance from scatter between flights over that from noise, mean
     size: int  # Number P of parameters
     shown: bool = True  # Whether flights determine any of the parameters better than its scale
 

@@ -112,9 +112,7 @@ class Posterior:
     step: Array  # Most probable values in units of scale or tolerance, (k,)
     covariance: Array  # Covariance of the normal approximation, (k, k)
     log_evidence: float
-
-    log_likelihood: float
-    """Log likelihood of the best parameters, with the priors of deviations and structures but not of effects."""
+    log_likelihood: float  # That of the best parameters, with the priors of deviations and structures only
 
 
 EMPTY_POSTERIOR = Posterior(
@@ -135,15 +133,9 @@ class Candidates:
     tolerances: Indices  # Columns of the tolerances
     low: Array  # Lowest possible step of each column in units of scale, (K,); minus infinity without a bound
     high: Array  # Highest possible step, (K,)
-
-    exclusive: tuple[str, ...]
-    """Name of each candidate; a set has at most one per name, as an effect may have several starts or rotors."""
-
-    apart: frozenset[frozenset[str]] = frozenset()
-    """Pairs of names that exclude each other: a general effect and a narrower one that it contains."""
-
-    structures: frozenset[int] = frozenset()
-    """Candidates that are structures; their columns have normal priors like tolerances."""
+    exclusive: tuple[str, ...]  # Name of each candidate; a set has at most one per name, of one start or rotor
+    apart: frozenset[frozenset[str]] = frozenset()  # Pairs that exclude each other: a general effect and a narrower one
+    structures: frozenset[int] = frozenset()  # Candidates that are structures, with normal priors
 
     def columns_of_set(self, model: Model) -> tuple[Indices, int]:
         """Return the columns of a set, effects first and tolerances last, and the number that belongs to effects."""

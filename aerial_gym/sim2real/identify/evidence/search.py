@@ -24,8 +24,7 @@ class SetPosterior:
 
     candidates: Candidates
     normal: NormalEquations
-    log_posterior: dict[Model, float] = field(default_factory=dict)
-    """Log posterior of each evaluated set, up to a constant."""
+    log_posterior: dict[Model, float] = field(default_factory=dict)  # Of each evaluated set, up to a constant
 
     @cached_property
     def log_prior_cost(self) -> float:

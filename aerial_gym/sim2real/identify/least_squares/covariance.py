@@ -25,10 +25,7 @@ class Uncertainty:
 
     columns: Indices  # Indices of the P parameters among all K, (P,)
     step: Array  # Step from the linearisation to the optimum, (K,)
-
-    plain: Array
-    """Covariance for white residuals as weighted, with tolerances, (P, P); it reveals unobservable parameters."""
-
+    plain: Array  # Covariance for white residuals, (P, P); it reveals unobservable parameters
     blocks: Array  # Covariance from the scatter of time blocks, (P, P)
     flights: Array | None  # Covariance from the scatter of whole flights, (P, P); None with fewer than three
     tolerance: Array  # Covariance from the uncertainty of the deviations within the tolerances, (P, P)
@@ -37,7 +34,7 @@ class Uncertainty:
 
     @property
     def half_width(self) -> Array:
-        """Return half the 95 % interval, (P,): scatter of blocks, or flights if larger, with its t quantile, plus tolerances."""
+        """Return half the 95 % interval, (P,): scatter of blocks, or flights if larger, with its t quantile, and tolerances."""
         whole = None if self.flights is None else np.diag(self.flights)
         scatter = half_width_of_scatter(np.diag(self.blocks), self.num_blocks, whole, self.num_flights)
         return np.hypot(scatter, NORMAL_95 * np.sqrt(np.diag(self.tolerance)))

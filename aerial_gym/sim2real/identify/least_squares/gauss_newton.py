@@ -29,10 +29,7 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 
 UNIT = np.ones(1)  # Weight for moments that already include the channel weights (``Beside.moments``)
 Frozen = frozenset[tuple[str, int]]  # Fixed parameters: effect, and index among its parameters
-
-WEAK_PRIOR = 100.0
-"""Prior standard deviation of the effects' parameters in units of scale, for solvable fits without data."""
-
+WEAK_PRIOR = 100.0  # Prior standard deviation of effect parameters in units of scale, for fits without data
 FARTHEST_DEVIATION = 5.0  # Largest deviation of a tolerance in standard deviations
 
 MOST_STEPS = 8
@@ -91,13 +88,9 @@ class ModelFit:
 class FitGoal:
     """Stopping rule of a fit."""
 
-    worth: Callable[[ModelFit], float] = lambda _: np.inf
-    """Value of a fit, or of its best subset of effects, under its linear model."""
-
+    worth: Callable[[ModelFit], float] = lambda _: np.inf  # Value of a fit, or of its best subset, if linear
     least: float = -np.inf  # Value that the fit must be able to reach; otherwise it stops at once
-
-    enough: float = NOTHING_LEFT
-    """Log likelihood that fresh derivatives may still promise at the end; the value includes it."""
+    enough: float = NOTHING_LEFT  # Log likelihood that fresh derivatives may promise at the end
 
     def is_out_of_reach(self, fit: ModelFit, more: float) -> bool:
         """Return whether a fit cannot reach ``least`` even with ``more`` log likelihood than its derivatives promise."""

@@ -20,11 +20,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import MOST_TO_PROM
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.memory import give_back_memory
 
-FAR_BEHIND = 3.0
-"""Multiple of ``occam_window`` by which a set must be less probable than the best to be negligible: odds of 1e-4."""
-
-Way = Callable[["CandidateView"], None]
-"""A search strategy: a function that fits sets which may be more probable than the present one."""
+FAR_BEHIND = 3.0  # Multiple of ``occam_window`` by which a negligible set is less probable: odds of 1e-4
+Way = Callable[["CandidateView"], None]  # Search strategy: fits sets that may be more probable than the present one
 
 
 @dataclass(frozen=True, kw_only=True)

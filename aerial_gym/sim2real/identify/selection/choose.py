@@ -29,33 +29,22 @@ from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 
-STEADY = 0.2
-"""Largest rms variation of an effect's size with a structure, relative to its mean, at which the effect keeps its name."""
+STEADY = 0.2  # Largest rms variation of a named effect's size with a structure, relative to its mean
 
 
 @dataclass(frozen=True, kw_only=True)
 class MostProbableSet:
     """The most probable set of effects."""
 
-    named: EffectSetFit
-    """The set for the robot file: without surrogates, immaterial effects, or structures except offsets of flights."""
-
+    named: EffectSetFit  # For the robot file: without surrogates, immaterial effects, and structures but offsets
     best: EffectSetFit  # The most probable set of all, which may contain them
     fits: tuple[EffectSetFit, ...]  # Every set that was fitted, the most probable first
     without: dict[str, EffectSetFit]  # The named set without each of its effects
-
-    adds: dict[str, float]
-    """Robust log odds of each other effect added to the best set, by the model linearised about that set."""
-
+    adds: dict[str, float]  # Robust log odds of each other effect added to the best set, if linear
     hidden: tuple[str, ...]  # Effects of which these flights determine no parameter
     surrogates: dict[str, str]  # Surrogate effects, each with the structure that its size follows
-
-    immaterial: dict[str, dict[str, Rise]]
-    """Probable but immaterial effects, with the rise of each channel's residual without them."""
-
-    refused: dict[str, Finding]
-    """Effects that are probable by sensor noise alone, with the reason why they are not named."""
-
+    immaterial: dict[str, dict[str, Rise]]  # Probable effects, with the residuals' rise without them
+    refused: dict[str, Finding]  # Effects probable by sensor noise alone, with the reason against them
     weights: Weighting
     tolerated: Array  # Residual (rms) that the tolerances of the declared vehicle cause in each channel, (C,)
     in_part: tuple[ParameterRival, ...] = ()  # Rival effects in place of single parameters of the named effects
@@ -231,7 +220,7 @@ class _Chooser:
     def drop_immaterial(
         self, fitted: EffectSetFit, fitter: Fitter
     ) -> tuple[EffectSetFit, dict[str, dict[str, Rise]], dict[str, EffectSetFit]]:
-        """Return the set without immaterial effects, the residuals' rises without these, and the sets without each other one."""
+        """Return the set without immaterial effects, the residuals' rises without these, and sets without each other one."""
         results: dict[str, dict[str, Rise]] = {}
         group, flight = time_block_of_rows(self.predictor.times), flight_of_rows(self.predictor.times)
         names = [channel.name for channel in self.predictor.channels]

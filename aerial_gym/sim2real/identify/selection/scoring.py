@@ -31,15 +31,9 @@ class Criteria:
 
     significance: float = 0.001  # Largest p-value of an accepted effect against noise and tolerances alone
     left_out_significance: float = 0.01  # Largest p-value of an accepted gain on flights left out
-
-    flights_better: float = 0.75
-    """Least share of flights left out that a model must predict better, and in which no channel may become worse."""
-
+    flights_better: float = 0.75  # Least share of flights predicted better, in which no channel may become worse
     material: float = 0.05  # Least relative fall of the left-out residual (rms) in the best channel
-
-    visible: float = 0.5
-    """Least fall of that channel's residual (rms), as a share of the residual that the tolerances cause there."""
-
+    visible: float = 0.5  # Least fall of a residual (rms), as a share of that from tolerances
     harmless: float = 0.02  # Largest relative rise of a channel's left-out residual (rms) that counts as harmless
     forgiven: float = 0.1  # Largest harmless loss of log likelihood in a channel, as a share of the total gain
 
@@ -77,9 +71,7 @@ class Gain:
     falls: tuple[float, ...]  # Relative fall of the residual (rms) of each channel, over all flights
     harmed: tuple[float, ...]  # Share of the flights in which the residual of each channel rises
     worse: tuple[bool, ...]  # Whether the residual of each channel rises over all flights
-
-    visible: tuple[bool, ...]
-    """Whether the fall in each channel exceeds the share ``Criteria.visible`` of the residual that tolerances cause."""
+    visible: tuple[bool, ...]  # Least fall of a residual (rms), as a share of that from tolerances
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,9 +64,7 @@ class SelectionResult:
     left_out: CrossValidation
     criteria: Criteria
     looked_for: tuple[str, ...] = field(default_factory=default_effects)  # Effects that the selection was to consider
-
-    doubt: dict[Label, float] = field(default_factory=dict)
-    """Log odds that the test flights add in favour of some sets over the named one, at least 0."""
+    doubt: dict[Label, float] = field(default_factory=dict)  # Log odds by test flights over the named set, at least 0
 
     @property
     def effect_names(self) -> tuple[str, ...]:

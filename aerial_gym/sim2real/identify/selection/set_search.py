@@ -54,9 +54,7 @@ MOST_RIVALS = 3  # Largest number of rivals that are fitted in place of one effe
 
 MOST_ROUNDS = 8
 MOST_WEIGHINGS = 3
-SAME_DEVIATION = 0.5
-"""Relinearisation stops when no deviation within the tolerances changes by more than this many standard deviations."""
-
+SAME_DEVIATION = 0.5  # Largest change of a deviation, in standard deviations, that ends relinearisation
 MOST_TURNS = 4  # Largest number of relinearisations of a set; a sensor delay of two standard deviations needs three
 SETTLED = 0.3  # Channel weights are updated until no logarithm of a weight changes by more than this
 
@@ -64,9 +62,7 @@ SETTLED = 0.3  # Channel weights are updated until no logarithm of a weight chan
 class SetSearch:
     """Local search over sets of effects, from the present set to a better one until none is found."""
 
-    view: CandidateView
-    """Candidates about the present set. They take much memory, so the previous ones are freed first."""
-
+    view: CandidateView  # Candidates about the present set; large, so the previous ones are freed first
     _weighed: tuple[ModelParams, Weighting]  # The last model whose channel weights were computed, with these weights
 
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:

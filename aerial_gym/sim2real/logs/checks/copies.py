@@ -13,8 +13,7 @@ from aerial_gym.sim2real.logs.recording import FlightLog
 READINGS = ("ang_vel", "specific_force", "lin_vel", "position")
 """Compared quantities; the attitude alone if two logs share none, since it may be integrated from the log's start."""
 
-MOST_SHARED = 0.1
-"""Largest accepted share of equal rows: noise-free simulations start alike, and coarse sensors repeat on the ground."""
+MOST_SHARED = 0.1  # Largest accepted share of equal rows, as of noise-free starts and coarse sensors on the ground
 
 
 class LogRegister:

@@ -20,8 +20,7 @@ BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
 FEWEST_BLOCKS = 8
 
-QUIET = {"gyro": 0.1, "accelerometer": 0.3}
-"""Least RMS motion [rad/s], [m/s²] from which angles and delay are fitted; below it only the bias is."""
+QUIET = {"gyro": 0.1, "accelerometer": 0.3}  # Least RMS motion [rad/s], [m/s²] for angles and delay, not for the bias
 
 MATERIAL = {"gyro": 0.01, "accelerometer": 0.1, "misalignment": np.radians(1.0), "clock": 0.002}
 """Smallest bias [rad/s], [m/s²], angle [rad] and delay [s] that are reported."""

@@ -24,9 +24,7 @@ AXES = np.arange(3)
 
 WINDOW_S = 0.5  # Window length [s]; errors of different windows count as independent
 SURE = normal_tail(4.0)  # Error probability of a refusal per axis, small because each log has six axes
-
-CLEARLY = 10.0
-"""Least log likelihood ratio of another order of axes; each moved axis must also be explained to ``SHARED``."""
+CLEARLY = 10.0  # Least log likelihood ratio of another order, whose moved axes are explained to ``SHARED``
 
 SHARED = 0.8
 

@@ -10,15 +10,9 @@ from aerial_gym.errors import DataError
 
 SEPARATORS = (";", "\t", ",")  # Field separators; a header with none of them is separated by spaces
 SPACES = " "  # Separator mark for any run of white space
-
-ULOG_MAGIC = b"ULog\x01\x12\x35"
-"""First bytes of a PX4 ULog. Source: PX4 User Guide, ULog File Format, section Header."""
-
+ULOG_MAGIC = b"ULog\x01\x12\x35"  # First bytes of a PX4 ULog. Source: PX4 User Guide, ULog File Format, Header
 ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # Encodings by byte-order mark; other files are UTF-8
-
-REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)
-"""Start of a comment, a spreadsheet's separator hint or an empty line."""
-
+REMARK = re.compile(r"\s*(#|//|%|sep=|$)", re.IGNORECASE)  # Start of a comment, a separator hint or an empty line
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")  # A number with a decimal comma
 
 

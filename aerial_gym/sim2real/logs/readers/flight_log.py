@@ -31,10 +31,7 @@ from aerial_gym.sim2real.logs.readers.ulog import read_ulog_table
 from aerial_gym.sim2real.logs.recording import FlightLog
 
 COMPANION_GAP_S = 0.1  # Longest gap [s] in the other vehicle's log across which its position is interpolated
-
-EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))
-"""Column names of Euler angles, for the advice on a missing quaternion."""
-
+EULER = (("roll", "pitch", "yaw"), ("phi", "theta", "psi"))  # Column names of Euler angles, for a missing quaternion
 FLIP = np.array([1.0, -1.0, -1.0])  # Signs from body FRD to body FLU
 
 

@@ -12,9 +12,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.csv_lines import check_is_text
 
 POLL_S = 0.05  # Polling interval [s]
-
-START_BYTES = 256
-"""Number of first bytes compared to detect a file rewritten in place; a log begins with its header and first row."""
+START_BYTES = 256  # Number of first bytes, header and first row, compared to detect a file rewritten in place
 
 
 def stdin_lines() -> Iterator[str]:

@@ -34,13 +34,8 @@ COUNTERS_S = {
 """Periods [s] of common counters; after a wrap time must continue within a gap that can be bridged."""
 
 NEAR_ROWS = 5  # Rows on each side that are compared to find slightly disordered stamps
-
-PERMANENT = 0.375
-"""Least drop of lateness per disordered row, in steps, of a clock that was set back: m steps disorder 2 m rows."""
-
-FURTHEST = 0.7
-"""Stamps off by at least this share of the worst in their group are bad: two exchanged stamps are off equally."""
-
+PERMANENT = 0.375  # Least drop of lateness per row, in steps, of a clock set back: m steps disorder 2 m rows
+FURTHEST = 0.7  # Share of the worst in their group by which stamps are bad: exchanged stamps are off equally
 SHOWN = 3  # Number of places listed in a finding
 
 
@@ -53,9 +48,7 @@ class ClockStep:
     after: float  # First stamp after the step [s]
     shift: float  # Time added to all later stamps [s]
     counter: str  # Key in ``COUNTERS_S`` of the counter that wrapped; empty if the clock was set back otherwise
-
-    may_be_restart: bool = False
-    """Whether a restart is possible: a wrap with more than ``JOINT_STEPS`` steps between the two rows."""
+    may_be_restart: bool = False  # Whether more than ``JOINT_STEPS`` steps lie between the rows of a wrap
 
     def finding(self, unit: str, number: int, topic: str = "") -> Finding:
         """Return the finding on this step at a line or sample number."""

@@ -43,10 +43,7 @@ CLOCKS = ("vehicle_attitude", "vehicle_angular_velocity", "sensor_combined", "es
 """Topics that every row needs; the slowest of them is the clock."""
 
 REACH = 2.5  # Largest distance of the two samples around a row, in usual steps of the topic
-
-LONGEST_LATENCY_US = 1_000_000
-"""Largest delay from sampling to publication [us]; with more, the sample stamp is on another clock."""
-
+LONGEST_LATENCY_US = 1_000_000  # Largest delay from sampling to publication [us] on one clock
 WRAP_S = 2**32 * 1e-6  # Wrap period of a 32-bit counter of microseconds [s]
 MOST_UNCOVERED = 0.01  # A larger share of rows without samples of a topic is reported
 SLOWEST_CLOCK_HZ = 20.0  # Lowest rate of a clock topic; slower ones except the attitude are dropped

@@ -22,9 +22,7 @@ from aerial_gym.sim2real.logs.flights import DERIVED_BAND, Flight
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.replay.load_swing import integrate_swing
 
-STEP_S = 0.02
-"""Integration step [s]; Runge-Kutta of order 4 follows 10 rad/s with an error of 3e-6 of the angle per step."""
-
+STEP_S = 0.02  # Integration step [s]; RK4 follows 10 rad/s with an error of 3e-6 of the angle per step
 SETTLED_S = 0.5  # Span [s] whose mean apparent gravity gives the link's rest direction
 BAND = 5.0  # Bandwidth of the measured acceleration [Hz]; links longer than 0.1 m swing below 2 Hz
 
@@ -33,10 +31,7 @@ FOUND_S = (2.0, 4.0, 8.0, 16.0, 16.0)
 of steps keeps predictions smooth in the parameters."""
 
 FORCE_STD = 0.1  # Standard deviation of the specific force residual [m/s²] in the initial fit
-
-START_STD = (0.3, 0.3, 1.0, 1.0)
-"""Prior standard deviations of the initial angles [rad] and rates [rad/s], for a moderate swing of a link of a metre."""
-
+START_STD = (0.3, 0.3, 1.0, 1.0)  # Prior of the initial angles [rad] and rates [rad/s] of a moderate swing
 NUDGE = 1e-6  # Finite-difference step of the initial state [rad], [rad/s]
 REMEMBERED = 8  # Number of stored results
 

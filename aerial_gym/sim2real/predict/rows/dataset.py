@@ -23,19 +23,10 @@ from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 
 ROWS_PER_BAND = 5.0  # Rate of the evaluated rows in bandwidths
-
-THINNED_HZ = 50.0
-"""Least rate of the evaluated rows [Hz]: slow logs are not thinned, as their forces often are derived from velocity."""
-
-PREFILTER = 0.4
-"""Cut-off of the low-pass before thinning, as a share of the new rate. It removes 0.4 % of the amplitude at the bandwidth,
-and as much aliases to it."""
-
+THINNED_HZ = 50.0  # Least rate of the evaluated rows [Hz]: slow logs, often with derived forces, are not thinned
+PREFILTER = 0.4  # Cut-off before thinning, as a share of the new rate; removes 0.4 % at the bandwidth
 SAMPLES_PER_BAND = 3.0  # Approximate rate of the residuals in bandwidths
-
-FAR_ABOVE = np.array([0.0, 0.0, 1e3])
-"""Assumed position of a vehicle whose log has none [m], world: far from the ground."""
-
+FAR_ABOVE = np.array([0.0, 0.0, 1e3])  # Position if a log has none [m], world: far from the ground
 SETTLE_S = 0.5  # Time dropped at the start if rotor speeds are simulated from commands [s]
 
 

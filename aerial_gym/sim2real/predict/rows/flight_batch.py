@@ -78,8 +78,7 @@ class _LoadQuery:
     key: tuple[object, ...]
     speeds: list[Array | None] | None
     suspension: Suspension
-    missed: list[Array] | None
-    """Specific force residual of this model [m/s²], world, (rows, 3) per flight; None if not measured."""
+    missed: list[Array] | None  # Specific force residual [m/s²], world, (rows, 3) per flight, if measured
 
 
 class FlightBatch:

@@ -52,7 +52,7 @@ class ImuReading:
         self._of_kinematics: OrderedDict[tuple[object, ...], dict[str, Columns]] = OrderedDict()
 
     def delays_on_prediction_clock(self, logged: SensorDeviation) -> list[float]:
-        """Return the delays of rotor speeds, accelerometer, gyro, attitude and velocity against rotor speeds or commands [s]."""
+        """Return delays of rotor speeds, accelerometer, gyro, attitude and velocity against rotor speeds or commands [s]."""
         late = logged.delays.tolist()
         clock = 0.0 if self.data.simulated else late[0]
         return [one - clock for one in late]

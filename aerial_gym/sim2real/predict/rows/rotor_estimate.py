@@ -30,12 +30,8 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.spectra import filter_by_gain, noise_level, power_density, segment_length
 
-ORDER = (2, 3, 4, 5, 0, 1)
-"""Order of forces and torques in the construction of rotor modes: thrust, roll, pitch, yaw, then forces along x and y,
-which flat vehicles lack."""
-
-MOTION = np.geomspace(1e-3, 1e6, 91)
-"""Prior grid of the ratio of motion density to noise density, with equal probabilities."""
+ORDER = (2, 3, 4, 5, 0, 1)  # Rotor modes: thrust, roll, pitch, yaw, then forces along x and y, which flat vehicles lack
+MOTION = np.geomspace(1e-3, 1e6, 91)  # Prior grid of motion density over noise density, equally probable
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,7 @@ from aerial_gym.sim2real.logs.signals import hann_window, welch
 
 SEGMENT_S = 2.0  # Length of a segment of Welch's spectrum [s]
 OCTAVE = 2.0  # Frequency ratio of the bands among which the quietest gives the noise
-
-FROM_BAND, TO_BAND = 1.5, 6.0
-"""Range of these bands in bandwidths; near the band, as resampled logs have less noise far above it."""
-
+FROM_BAND, TO_BAND = 1.5, 6.0  # Range of these bands in bandwidths, as resampled logs have less noise above
 TO_RATE = 0.45  # Upper limit of these bands as a share of the rate
 
 
