@@ -107,21 +107,27 @@ class CloseLoopCmd:
 
 
 def _print_verdict(verdict: "Verdict", out: Path) -> None:
-    from aerial_gym.sim2real.judge.answer import answer
-    from aerial_gym.sim2real.report.tables import SHOWN_NOTES, became_rows, channel_rows, effect_rows, rollout_rows
+    from aerial_gym.sim2real.judge.answer import answer_parts
+    from aerial_gym.sim2real.report.tables import (
+        SHOWN_NOTES,
+        channel_rows,
+        channels_by_outcome,
+        rollout_rows,
+        text_rows_of_effects,
+    )
     from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
     console = Console(markup=False)
     console.print(f"verdict: {verdict.verdict}")
-    for sentence in answer_texts(answer(verdict).parts):
+    for sentence in answer_texts(answer_parts(verdict)):
         console.print(sentence)
     shown = verdict.notes[:SHOWN_NOTES]
     for note in shown:
         if note.code == "flight_left_out":
             console.print(text(note))
-    for effect in effect_rows(verdict):
+    for effect in text_rows_of_effects(verdict):
         console.print(f"  {effect['name']}: {effect['parameters']}; {effect['sure']}")
-    for state, channels in became_rows(verdict).items():
+    for state, channels in channels_by_outcome(verdict).items():
         console.print(f"  {state}: {channels}")
     if verdict.learned is not None:
         console.print(f"  {join_texts(verdict.learned.findings)}")

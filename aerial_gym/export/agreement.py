@@ -28,7 +28,7 @@ UNIT = 2.0**-23
 """Relative distance of neighbouring float32 numbers."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Agreement:
     """The output of a file that uses most of its limit."""
 
@@ -77,23 +77,17 @@ class Comparison:
     @property
     def worst(self) -> Agreement:
         """The output that uses most of its limit."""
-        span = self._high - self._low
-        each = [
-            Agreement(output=name, error=error, rounding=rounding, span=wide)
-            for name, error, rounding, wide in zip(
-                self._names, self._error.tolist(), self._rounding.tolist(), span.tolist(), strict=True
-            )
-        ]
-        return max(each, key=_share)
+        numbers = (self._error.tolist(), self._rounding.tolist(), (self._high - self._low).tolist())
+        return max((Agreement(*each) for each in zip(self._names, *numbers, strict=True)), key=_share_of_limit)
 
 
-def not_finite(width: int, entries: Sequence[int]) -> Tensor:
+def rows_not_finite(width: int, entries: Sequence[int]) -> Tensor:
     """Return zero inputs (3 K, O), each with one of K entries set to NaN, infinity or minus infinity."""
     places = torch.nn.functional.one_hot(torch.tensor(entries), width).bool()
     return torch.cat([torch.where(places, value, 0.0) for value in (nan, inf, -inf)])
 
 
-def _share(each: Agreement) -> float:
+def _share_of_limit(each: Agreement) -> float:
     """Return the share of its limit that an output uses; infinite for an error without a limit, or NaN."""
     if each.error == 0.0:
         return 0.0

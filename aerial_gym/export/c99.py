@@ -12,26 +12,34 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.export.c99_images import CONVOLVE, ImageCode, image_code, image_text, join_code, layer_code, parameters
+from aerial_gym.export.c99_images import (
+    CONVOLVE,
+    ImageCode,
+    image_code,
+    image_comment,
+    image_parameters,
+    join_code,
+    layer_code,
+)
 from aerial_gym.export.finite import C_FINITE
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import DeployablePolicy, action_transform
 from aerial_gym.sensors.encoder.file import Encoder
-from aerial_gym.task import ACTIONS
 from aerial_gym.task.terms import actions
 
 LINE = 110
 """Columns of a line of weights."""
 
 
-def header(layout: Layout, *, work: int = 0) -> str:
+def policy_header(layout: Layout, *, work: int = 0) -> str:
     """Return the header: sizes, state, two functions, and the meaning of every entry; ``work`` sizes the image layers."""
     n, upper = layout.name, layout.name.upper()
     memory = f"\n    float memory[{layout.memory}];" if layout.memory else ""
     memory += f"\n    float work[2][{work}];" if layout.images else ""
-    looks = " * images\n" + "".join(image_text(image) for image in layout.images) if layout.images else ""
+    looks = " * images\n" + "".join(image_comment(image) for image in layout.images) if layout.images else ""
     seen = "\n".join(
-        f" *   {_places(s.first, s.count):>9}  {s.term}: {s.meaning}{_history(s.history)}" for s in layout.observation
+        f" *   {_entry_range(s.first, s.count):>9}  {s.term}: {s.meaning}{_history_text(s.history)}"
+        for s in layout.observation
     )
     given = "\n".join(f" *   {i:>9}  {name}" for i, name in enumerate(layout.command))
     return f"""/* A policy of {layout.task} for {layout.robot} with {layout.controller}; aerial_gym {layout.version}.
@@ -65,41 +73,43 @@ void {n}_reset({n}_state *state);
  * action before its limits, is NaN or infinite. {
         _AFTER_ERROR if layout.memory else "The next step is not affected."
     } */
-{step(layout)};
+{step_declaration(layout)};
 
 #endif
 """
 
 
-def step(layout: Layout) -> str:
+def step_declaration(layout: Layout) -> str:
     """Return the head of the function that flies."""
     seen, given = layout.num_observations, len(layout.command)
     head = f"int {layout.name}_step({layout.name}_state *state, const float observation[{seen}], "
-    return f"{head}{parameters(layout)}float command[{given}])"
+    return f"{head}{image_parameters(layout)}float command[{given}])"
 
 
-def source(policy: DeployablePolicy, layout: Layout) -> str:
+def policy_source(policy: DeployablePolicy, layout: Layout) -> str:
     """Return the source."""
     n, body = layout.name, policy.policy.body
-    write = _TRANSFORMS.get(ACTIONS.get(layout.transform).value)
-    if write is None:
+    transform, params = action_transform(layout)
+    if transform not in _TRANSFORMS:
         raise ConfigError(f"action {layout.transform}: has no form in C. Export onnx or torchscript")
+    write = _TRANSFORMS[transform]
+    command = f"    for (int i = 0; i < {len(layout.command)}; ++i) command[i] = action[i];"
     parts: list[str] = []
     mean, std, limit = policy.normalization()
     scale = policy.scale.double()
-    parts += [_array("shift", mean.double() / scale), _array("factor", scale / std.double())]
-    looks = image_code(policy, layout, _array)
+    parts += [_c_array("shift", mean.double() / scale), _c_array("factor", scale / std.double())]
+    looks = image_code(policy, layout, _c_array)
     parts += looks.arrays
     linears = [layer for layer in body.layers if isinstance(layer, nn.Linear)]
     for i, layer in enumerate(linears):
-        parts += [_array(f"weight_{i}", layer.weight), _array(f"bias_{i}", layer.bias)]
+        parts += [_c_array(f"weight_{i}", layer.weight), _c_array(f"bias_{i}", layer.bias)]
     widths = [layout.num_observations + sum(looks.widths.values()), *(layer.out_features for layer in linears)]
     cell = body.cell
     if cell is not None:
-        parts += [_array("entering", cell.weight_ih), _array("entering_bias", cell.bias_ih)]
-        parts += [_array("held", cell.weight_hh), _array("held_bias", cell.bias_hh)]
-    parts += [_array("head", policy.policy.head.weight), _array("head_bias", policy.policy.head.bias)]
-    clamped = "" if limit is None else f"\n        seen[i] = clamped(seen[i], {_number(limit)});"
+        parts += [_c_array("entering", cell.weight_ih), _c_array("entering_bias", cell.bias_ih)]
+        parts += [_c_array("held", cell.weight_hh), _c_array("held_bias", cell.bias_hh)]
+    parts += [_c_array("head", policy.policy.head.weight), _c_array("head_bias", policy.policy.head.bias)]
+    clamped = "" if limit is None else f"\n        seen[i] = clamped(seen[i], {_c_number(limit)});"
     layers, before = [], "seen"
     if layout.images:
         layers, before = [looks.code, join_code(policy, looks.widths)], "joined"
@@ -135,8 +145,8 @@ void {n}_reset({n}_state *state) {{
     for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = 0.0f;{forget}
 }}
 
-{step(layout)} {{
-    int finite = {_all_finite(checked)};
+{step_declaration(layout)} {{
+    int finite = {_finite_condition(checked)};
     float seen[{layout.num_observations}];
     for (int i = 0; i < {layout.num_observations}; ++i) {{
         seen[i] = (observation[i] - shift[i]) * factor[i];{clamped}
@@ -146,8 +156,8 @@ void {n}_reset({n}_state *state) {{
     finite = finite && is_finite(state->action, {layout.num_actions});
     for (int i = 0; i < {layout.num_actions}; ++i) state->action[i] = clamped(state->action[i], 1.0f);
     const float *action = state->action;
-{write(layout, action_transform(layout)[1])}
-{_result(outputs)}
+{write(params) if write else command}
+{_return_statements(outputs)}
 }}
 """
 
@@ -173,7 +183,7 @@ typedef struct {{
 }} {name}_space;
 
 /* Returns 0. Returns 1, with NaN in all latents, if a pixel or a latent is NaN or infinite. */
-{_encoder_head(encoder, name)};
+{_encoder_declaration(encoder, name)};
 
 #endif
 """
@@ -181,7 +191,7 @@ typedef struct {{
 
 def encoder_source(encoder: Encoder, name: str) -> str:
     """Return the source of an encoder."""
-    passed, pixels = _encoder_code(encoder, _array), encoder.seen.rows * encoder.seen.columns
+    passed, pixels = _encoder_code(encoder, _c_array), encoder.seen.rows * encoder.seen.columns
     return f"""#include "{name}.h"
 
 #include <math.h>
@@ -190,27 +200,27 @@ def encoder_source(encoder: Encoder, name: str) -> str:
 {chr(10).join(passed.arrays)}
 {C_FINITE}{_ACTIVATIONS[encoder.cfg.activation]}{CONVOLVE}
 {_DENSE}
-{_encoder_head(encoder, name)} {{
-    int finite = {_all_finite({"image": pixels})};
+{_encoder_declaration(encoder, name)} {{
+    int finite = {_finite_condition({"image": pixels})};
     for (int i = 0; i < {pixels}; ++i) state->work[0][i] = image[i];
 {passed.code}
     finite = finite && is_finite(latents, {encoder.num_latents});
-{_result({"latents": encoder.num_latents})}
+{_return_statements({"latents": encoder.num_latents})}
 }}
 """
 
 
-def _encoder_head(encoder: Encoder, name: str) -> str:
+def _encoder_declaration(encoder: Encoder, name: str) -> str:
     pixels = encoder.seen.rows * encoder.seen.columns
     return f"int {name}_encode({name}_space *state, const float image[{pixels}], float latents[{encoder.num_latents}])"
 
 
-def _all_finite(arrays: Mapping[str, int]) -> str:
+def _finite_condition(arrays: Mapping[str, int]) -> str:
     """Return a C expression: whether all entries of some arrays are finite."""
     return " && ".join(f"is_finite({name}, {count})" for name, count in arrays.items())
 
 
-def _result(outputs: Mapping[str, int]) -> str:
+def _return_statements(outputs: Mapping[str, int]) -> str:
     """Return the last C statements of a function: NaN in all outputs and 1, unless ``finite``."""
     bad = " ".join(f"set_nan({name}, {count});" for name, count in outputs.items())
     return f"    if (!finite) {{ {bad} }}\n    return !finite;"
@@ -255,77 +265,69 @@ _MEMORY = """    float from_seen[3 * {m}], from_memory[3 * {m}]; /* reset, updat
     }}"""
 
 
-def _direct(layout: Layout, params: Mapping[str, Any]) -> str:
-    del params
-    return f"    for (int i = 0; i < {len(layout.command)}; ++i) command[i] = action[i];"
-
-
-def _forward_flight(layout: Layout, params: Mapping[str, Any]) -> str:
-    del layout
-    return f"""    const float speed = {_number(0.5 * params["max_speed"])} * (action[0] + 1.0f);
-    const float inclination = {_number(params["max_inclination"])} * action[1];
+def _forward_flight_code(params: Mapping[str, Any]) -> str:
+    return f"""    const float speed = {_c_number(0.5 * params["max_speed"])} * (action[0] + 1.0f);
+    const float inclination = {_c_number(params["max_inclination"])} * action[1];
     command[0] = speed * cosf(inclination);
     command[1] = 0.0f;
     command[2] = speed * sinf(inclination);
-    command[3] = {_number(params["max_yaw_rate"])} * action[2];"""
+    command[3] = {_c_number(params["max_yaw_rate"])} * action[2];"""
 
 
-def _affine(layout: Layout, params: Mapping[str, Any]) -> str:
-    del layout
+def _affine_code(params: Mapping[str, Any]) -> str:
     places = params.get("order") or range(len(params["low"]))
     lines = [
-        f"    command[{i}] = {_number(0.5 * (b - a))} * (action[{place}] + 1.0f) + {_number(a)};"
+        f"    command[{i}] = {_c_number(0.5 * (b - a))} * (action[{place}] + 1.0f) + {_c_number(a)};"
         for i, (place, a, b) in enumerate(zip(places, params["low"], params["high"], strict=True))
     ]
     return "\n".join(lines)
 
 
-def _four_places(layout: Layout, params: Mapping[str, Any]) -> str:
-    del layout
+def _four_places_code(params: Mapping[str, Any]) -> str:
     lines = ["    float lift[4];"]
     lines += [f"    lift[{i}] = 0.25f * (action[{i}] + 1.0f) * (action[{i}] + 1.0f);" for i in range(4)]
     rotors = zip(params["mix"], params["low"], params["high"], params["speeds"], strict=True)
     for i, (row, low, high, speed) in enumerate(rotors):
-        share = " + ".join(f"{_number(weight)} * lift[{k}]" for k, weight in enumerate(row))
-        size = f"fminf(fmaxf(fabsf(share), {_number(actions.NEGLIGIBLE)}), 1.0f)"
+        share = " + ".join(f"{_c_number(weight)} * lift[{k}]" for k, weight in enumerate(row))
+        size = f"fminf(fmaxf(fabsf(share), {_c_number(actions.NEGLIGIBLE)}), 1.0f)"
         size = f"sqrtf({size})" if speed else size
         if low < 0.0:
-            signed = f"{_number(high)} * (share > 0.0f ? size : share < 0.0f ? -size : 0.0f)"
-            expression = f"fminf(fmaxf({signed}, {_number(low)}), {_number(high)})"
+            signed = f"{_c_number(high)} * (share > 0.0f ? size : share < 0.0f ? -size : 0.0f)"
+            expression = f"fminf(fmaxf({signed}, {_c_number(low)}), {_c_number(high)})"
         else:
-            expression = f"share > 0.0f ? {_number(low)} + {_number(high - low)} * size : {_number(low)}"
+            expression = f"share > 0.0f ? {_c_number(low)} + {_c_number(high - low)} * size : {_c_number(low)}"
         lines.append(f"    {{ const float share = {share}, size = {size};")
         lines.append(f"      command[{i}] = {expression}; }}")
     return "\n".join(lines)
 
 
-_TRANSFORMS: dict[Callable[..., Tensor], Callable[[Layout, Mapping[str, Any]], str]] = {
-    actions.direct: _direct,
-    actions.forward_flight: _forward_flight,
-    actions.affine: _affine,
-    actions.four_places: _four_places,
+_TRANSFORMS: dict[Callable[..., Tensor], Callable[[Mapping[str, Any]], str] | None] = {
+    actions.direct: None,
+    actions.forward_flight: _forward_flight_code,
+    actions.affine: _affine_code,
+    actions.four_places: _four_places_code,
 }
-"""The transforms of actions, in C."""
+"""The transforms of actions, in C; None: the command is the action."""
 
 
-def _places(first: int, count: int) -> str:
+def _entry_range(first: int, count: int) -> str:
     return str(first) if count == 1 else f"{first} to {first + count - 1}"
 
 
-def _history(history: int) -> str:
+def _history_text(history: int) -> str:
     return "" if history == 1 else f"; of the last {history} steps, oldest first"
 
 
-def _number(value: float) -> str:
+def _c_number(value: float) -> str:
     """Return a number of float32 in C."""
-    (text,) = _texts(torch.tensor([value], dtype=torch.float64))
+    (text,) = _c_numbers(torch.tensor([value], dtype=torch.float64))
     return text
 
 
-def _array(name: str, values: Tensor) -> str:
+def _c_array(name: str, values: Tensor) -> str:
     """Return the definition of a constant array."""
     lines, line = [], "   "
-    for text in _texts(values.detach().flatten()):
+    for text in _c_numbers(values.detach().flatten()):
         if len(line) + len(text) + 2 > LINE:
             lines.append(line)
             line = "   "
@@ -333,7 +335,7 @@ def _array(name: str, values: Tensor) -> str:
     return f"static const float {name}[{values.numel()}] = {{\n" + "\n".join([*lines, line]) + "\n};"
 
 
-def _texts(values: Tensor) -> Iterable[str]:
+def _c_numbers(values: Tensor) -> Iterable[str]:
     """Return the numbers (N,) of float32 in C, each to its last digit."""
     texts = (f"{value:.9g}" for value in values.float().tolist())
     return (f"{text if '.' in text or 'e' in text else text + '.0'}f" for text in texts)

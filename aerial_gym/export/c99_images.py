@@ -49,12 +49,12 @@ class ImageCode:
     work: int  # Numbers that the largest layer makes: the state holds twice as many
 
 
-def parameters(layout: Layout) -> str:
+def image_parameters(layout: Layout) -> str:
     """Return the images among the parameters of the step, in order."""
-    return "".join(f"const {_pixel(image)[0]} {image.key}[{prod(image.shape)}], " for image in layout.images)
+    return "".join(f"const {_pixel_type(image)[0]} {image.key}[{prod(image.shape)}], " for image in layout.images)
 
 
-def _pixel(image: ObservationImage) -> tuple[str, str]:
+def _pixel_type(image: ObservationImage) -> tuple[str, str]:
     if image.dtype not in PIXELS:
         raise ConfigError(
             f"image {image.key!r}: {image.dtype} has no type in C99. Export onnx or torchscript, or train with dtype "
@@ -63,7 +63,7 @@ def _pixel(image: ObservationImage) -> tuple[str, str]:
     return PIXELS[image.dtype]
 
 
-def image_text(image: ObservationImage) -> str:
+def image_comment(image: ObservationImage) -> str:
     """Return the header's comment on an image."""
     channels, rows, columns = image.shape
     written = "floor(255 share + 0.5)" if image.dtype == "uint8" else "the share itself"
@@ -80,18 +80,18 @@ def image_code(policy: DeployablePolicy, layout: Layout, array: Callable[[str, T
     code: list[str] = []
     widths, work = {}, 0
     for image in layout.images:
-        encoder = policy.policy.body.encoders[image.key]
+        encoder, out = policy.policy.body.encoders[image.key], f"{image.key}_features"
         assert isinstance(encoder, Pixels)
-        code.append(
-            f"    for (int i = 0; i < {prod(image.shape)}; ++i) state->work[0][i] = {image.key}[i]{_pixel(image)[1]};"
-        )
-        passed = layer_code(encoder, image.shape, array, name=image.key, out=f"{image.key}_features")
-        wide = widths[image.key] = passed.widths[image.key]
-        out = f"{image.key}_features"
-        arrays += passed.arrays
-        code += [f"    float {out}[{wide}];", passed.code]
-        code.append(f"    for (int i = 0; i < {wide}; ++i) {out}[i] = activated({out}[i]);")
-        work = max(work, passed.work)
+        layers = layer_code(encoder, image.shape, array, name=image.key, out=out)
+        wide = widths[image.key] = layers.widths[image.key]
+        arrays += layers.arrays
+        code += [
+            f"    for (int i = 0; i < {prod(image.shape)}; ++i) state->work[0][i] = {image.key}[i]{_pixel_type(image)[1]};",
+            f"    float {out}[{wide}];",
+            layers.code,
+            f"    for (int i = 0; i < {wide}; ++i) {out}[i] = activated({out}[i]);",
+        ]
+        work = max(work, layers.work)
     return ImageCode(arrays=tuple(arrays), code="\n".join(code), widths=widths, work=work)
 
 
@@ -126,9 +126,8 @@ def layer_code(
 
 def join_code(policy: DeployablePolicy, widths: dict[str, int]) -> str:
     """Return statements that put vectors and features side by side in ``joined``, in the order of the policy."""
-    lines, first, place = [], 0, 0
-    counts = {key: shape[0] for key, shape in policy.policy.shapes.items() if len(shape) == 1}
-    lines.append(f"    float joined[{sum(counts.values()) + sum(widths.values())}];")
+    counts, first, place = {key: shape[0] for key, shape in policy.policy.shapes.items() if len(shape) == 1}, 0, 0
+    lines = [f"    float joined[{sum(counts.values()) + sum(widths.values())}];"]
     for key in policy.policy.shapes:
         wide, source = (counts[key], f"seen[{first} + i]") if key in counts else (widths[key], f"{key}_features[i]")
         first += counts.get(key, 0)

@@ -12,11 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from aerial_gym.config.storage import write_atomic
-from aerial_gym.errors import CapabilityError
 from aerial_gym.export import c99
-from aerial_gym.export.agreement import Comparison, not_finite
+from aerial_gym.export.agreement import Comparison, rows_not_finite
 from aerial_gym.export.finite import finite_rows, nan_unless
-from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
+from aerial_gym.export.formats import onnx_bytes, onnx_session, torchscript_bytes
 from aerial_gym.export.pilot import compile_library
 from aerial_gym.sensors.encoder.file import Encoder, load_encoder
 
@@ -50,13 +49,14 @@ def write_encoder(encoder: str, file: Path) -> Path:
         return file
     flown, given = DeployableEncoder(module).eval(), (torch.zeros(2, module.seen.rows, module.seen.columns),)
     if file.suffix == ".onnx":
-        write_atomic(file, onnx_bytes(flown, given, [INPUT], [OUTPUT], ({0: torch.export.Dim("rows")},)))
+        content = onnx_bytes(flown, given, [INPUT], [OUTPUT], ({0: torch.export.Dim("rows")},))
     else:
-        write_atomic(file, torchscript_bytes(flown, given))
+        content = torchscript_bytes(flown, given)
+    write_atomic(file, content)
     return file
 
 
-def _compile(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
+def _c_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
     name, pixels = file.stem, encoder.seen.rows * encoder.seen.columns
     driver = f"""#include "{name}.h"
 void rows(int rows, const float *images, float *latents) {{
@@ -74,16 +74,12 @@ void rows(int rows, const float *images, float *latents) {{
     return run
 
 
-def make_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
+def encoder_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
     """Return the function of an encoder file, images (B, H, W) to latents (B, L)."""
     if file.suffix == ".c":
-        return _compile(encoder, file)
+        return _c_runner(encoder, file)
     if file.suffix == ".onnx":
-        try:
-            import onnxruntime
-        except ImportError:
-            raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
-        session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+        session = onnx_session(file)
         return lambda images: torch.from_numpy(session.run(None, {INPUT: images.numpy()})[0])
     return torch.jit.load(str(file))
 
@@ -92,10 +88,10 @@ def make_runner(encoder: Encoder, file: Path) -> Callable[[Tensor], Tensor]:
 def compare_encoder(encoder: Encoder, file: Path) -> Comparison:
     """Return the comparison of a file's latents with torch, on ``CHECKED`` random images and some with NaN or infinity."""
     rows, columns = encoder.seen.rows, encoder.seen.columns
-    run, result = make_runner(encoder, file), Comparison([f"{OUTPUT} {i}" for i in range(encoder.num_latents)])
+    run, result = encoder_runner(encoder, file), Comparison([f"{OUTPUT} {i}" for i in range(encoder.num_latents)])
     images = torch.rand(CHECKED, rows, columns, generator=torch.Generator().manual_seed(0))
     result.add(deepcopy(encoder).double()(images.double()), encoder(images), run(images))
     pixels = rows * columns
-    bad = not_finite(pixels, (0, pixels // 2, pixels - 1)).unflatten(-1, (rows, columns))
+    bad = rows_not_finite(pixels, (0, pixels // 2, pixels - 1)).unflatten(-1, (rows, columns))
     result.add_not_finite(run(bad))
     return result

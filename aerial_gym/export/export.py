@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.storage import storage_errors, write_atomic
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export import c99
-from aerial_gym.export.agreement import Agreement, Comparison, not_finite
+from aerial_gym.export.agreement import Agreement, Comparison, rows_not_finite
 from aerial_gym.export.encoder import compare_encoder, write_encoder
 from aerial_gym.export.formats import onnx_bytes, torchscript_bytes
 from aerial_gym.export.layout import Layout, ObservationImage, policy_layout
@@ -111,27 +111,22 @@ def write_policy(policy: Policy, layout: Layout, out: Path, to: Iterable[str], *
     files = []
     for each in (wanted := list(to)):
         file = FORMATS[each](flown, layout, out)
-        files.append(_check_file(each, file, lambda file: compare(flown, layout, file), check))
-    return files + (_encoders(layout.encoder, layout, out, wanted, check=check) if sees_latents(layout) else [])
+        files.append(_compare_file(each, file, lambda file: compare_policy(flown, layout, file), check))
+    observes_latents = any(seen.term == LATENTS for seen in layout.observation)
+    return files + (_write_encoders(layout.encoder, layout, out, wanted, check=check) if observes_latents else [])
 
 
-def sees_latents(layout: Layout) -> bool:
-    """Return whether latents are among the observations."""
-    return any(seen.term == LATENTS for seen in layout.observation)
-
-
-def _encoders(encoder: str | None, layout: Layout, out: Path, to: list[str], *, check: bool) -> list[Exported]:
+def _write_encoders(encoder: str | None, layout: Layout, out: Path, to: list[str], *, check: bool) -> list[Exported]:
     """Write the image encoder of a policy that observes latents."""
     assert encoder is not None
-    module = load_encoder(encoder)
-    files = (write_encoder(encoder, out / f"{layout.name}_encoder{ENDINGS[each]}") for each in to)
-    return [
-        _check_file(each, file, lambda file: compare_encoder(module, file), check)
-        for each, file in zip(to, files, strict=True)
-    ]
+    module, results = load_encoder(encoder), []
+    for each in to:
+        file = write_encoder(encoder, out / f"{layout.name}_encoder{ENDINGS[each]}")
+        results.append(_compare_file(each, file, lambda file: compare_encoder(module, file), check))
+    return results
 
 
-def _check_file(to: str, file: Path, comparison: Callable[[Path], Comparison], check: bool) -> Exported:
+def _compare_file(to: str, file: Path, comparison: Callable[[Path], Comparison], check: bool) -> Exported:
     """Return a written file, compared with torch if asked for and possible."""
     if not check:
         return Exported(to=to, file=file, largest_difference=None, not_checked="not asked for")
@@ -143,9 +138,9 @@ def _check_file(to: str, file: Path, comparison: Callable[[Path], Comparison], c
 
 
 @torch.no_grad()
-def compare(flown: DeployablePolicy, layout: Layout, file: Path) -> Comparison:
+def compare_policy(flown: DeployablePolicy, layout: Layout, file: Path) -> Comparison:
     """Return the comparison of an exported policy with torch, on random observations and some with NaN or infinity."""
-    result, step = Comparison(flown.outputs), load_exported(file).step
+    result, step = Comparison(flown.output_names), load_exported(file).step
     exact, generator = deepcopy(flown).double(), torch.Generator().manual_seed(0)
     rows = (CHECKED_WITH_IMAGES if layout.images else CHECKED) // STEPS
     file_memory = torch.zeros(rows, layout.memory)
@@ -161,7 +156,7 @@ def compare(flown: DeployablePolicy, layout: Layout, file: Path) -> Comparison:
         )
         result.add(*(torch.cat(output, dim=-1) for output in outputs))
         torch_memory, file_memory = [output[2:] for output in outputs[:2]], outputs[2][2]
-    bad = not_finite(layout.num_observations, range(layout.num_observations))
+    bad = rows_not_finite(layout.num_observations, range(layout.num_observations))
     images = [random_image(image, len(bad), generator) for image in layout.images]
     result.add_not_finite(torch.cat(step(bad, torch.zeros(len(bad), layout.memory), *images), dim=-1))
     return result
@@ -180,32 +175,32 @@ ENDINGS = {"onnx": ".onnx", "torchscript": ".pt", "c99": ".c"}
 """Of an encoder's file, by the format."""
 
 
-def _onnx(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
-    file, (inputs, outputs) = out / f"{layout.name}.onnx", flown.names
-    batch = torch.export.Dim("rows")
-    more = tuple({0: batch} for _ in inputs[1:])
-    dynamic = ({0: batch}, more) if more else ({0: batch},)
-    write_atomic(file, onnx_bytes(flown, flown.example(), inputs, outputs, dynamic))
+def _write_onnx(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
+    file, (inputs, outputs), batch = (
+        out / f"{layout.name}.onnx",
+        flown.input_and_output_names,
+        {0: torch.export.Dim("rows")},
+    )
+    dynamic = (batch, (batch,) * (len(inputs) - 1)) if len(inputs) > 1 else (batch,)
+    write_atomic(file, onnx_bytes(flown, flown.example_inputs(), inputs, outputs, dynamic))
     return file
 
 
-def _torchscript(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
+def _write_torchscript(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
     file = out / f"{layout.name}.pt"
-    write_atomic(file, torchscript_bytes(flown, flown.example()))
+    write_atomic(file, torchscript_bytes(flown, flown.example_inputs()))
     return file
 
 
-def _c99(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
-    text = c99.source(flown, layout)
+def _write_c99(flown: DeployablePolicy, layout: Layout, out: Path) -> Path:
+    file, text = out / f"{layout.name}.c", c99.policy_source(flown, layout)
     work = c99.image_code(flown, layout, lambda _, __: "").work
-    write_atomic(out / f"{layout.name}.h", c99.header(layout, work=work))
-    write_atomic(out / f"{layout.name}.c", text)
-    return out / f"{layout.name}.c"
+    write_atomic(file.with_suffix(".h"), c99.policy_header(layout, work=work))
+    write_atomic(file, text)
+    return file
 
 
-FORMATS: dict[str, Callable[[DeployablePolicy, Layout, Path], Path]] = {
-    "onnx": _onnx,
-    "torchscript": _torchscript,
-    "c99": _c99,
-}
-"""Writer of a format."""
+Writer = Callable[[DeployablePolicy, Layout, Path], Path]
+
+FORMATS: dict[str, Writer] = {"onnx": _write_onnx, "torchscript": _write_torchscript, "c99": _write_c99}
+"""Writer of each format."""

@@ -36,6 +36,3 @@ static void set_nan(float *numbers, int count) {
 }
 """
 """Functions that a C file uses for this; they need ``stdint.h``."""
-
-C_RETURNS = "Returns 0; or 1 if a number that goes in, or an output before its limits, is NaN or infinite"
-"""First words of a C function's comment about its result."""

@@ -1,5 +1,6 @@
-"""A torch module as ONNX or TorchScript."""
+"""A torch module as ONNX or TorchScript, and sessions of ONNX files."""
 
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -22,6 +23,15 @@ def onnx_bytes(
     )
     assert program is not None
     return program.model_proto.SerializeToString()
+
+
+def onnx_session(file: Path) -> Any:
+    """Return the session of an ONNX file on the CPU; raise ``CapabilityError`` without onnxruntime."""
+    try:
+        import onnxruntime
+    except ImportError:
+        raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
+    return onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
 
 
 def torchscript_bytes(module: nn.Module, given: tuple[Tensor, ...]) -> bytes:

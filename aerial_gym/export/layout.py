@@ -116,7 +116,7 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
         raise ConfigError(f"name {name!r}: C allows letters, digits and _, no digit first")
     seen: list[ObservationTerm] = []
     first = 0
-    images = tuple(_image(key, shape, task) for key, shape in policy.shapes.items() if len(shape) == 3)
+    images = tuple(_image_description(key, shape, task) for key, shape in policy.shapes.items() if len(shape) == 3)
     if len(images) == len(policy.shapes):
         raise ConfigError(
             f"policy of {cfg.task}: sees nothing but {', '.join(policy.shapes)}; what is exported takes a vector as well. "
@@ -129,7 +129,7 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
             count = entry.width * entry.cfg.history
             seen.append(
                 ObservationTerm(
-                    key=key, term=entry.cfg.term, meaning=_meaning(entry.term.term.summary), first=first,
+                    key=key, term=entry.cfg.term, meaning=_meaning_of_term(entry.term.term.summary), first=first,
                     count=count, history=entry.cfg.history, scale=entry.cfg.scale, noise_std=entry.cfg.noise_std,
                     delay_steps=steps_range(entry.cfg.delay_steps), dropout=entry.cfg.dropout,
                     dropout_value=entry.cfg.dropout_value, hold_steps=entry.cfg.hold_steps,
@@ -159,7 +159,7 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
     )
 
 
-def _image(key: str, shape: tuple[int, ...], task: Task) -> ObservationImage:
+def _image_description(key: str, shape: tuple[int, ...], task: Task) -> ObservationImage:
     """Return the description of an image observation."""
     cfg = task.cfg.images[key]
     spec = task.env.gtd.spec(cfg.key)
@@ -176,6 +176,6 @@ def _image(key: str, shape: tuple[int, ...], task: Task) -> ObservationImage:
     )
 
 
-def _meaning(summary: str) -> str:
+def _meaning_of_term(summary: str) -> str:
     """Return a term's summary without batch dimensions."""
     return re.sub(r",? \(E, [^)]*\)", "", summary).removeprefix("Return ").rstrip(".")

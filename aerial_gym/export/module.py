@@ -62,32 +62,31 @@ class DeployablePolicy(nn.Module):
 
         Without a normaliser they are 0, 1 and None.
         """
-        mean, std, limit, normalizers = [], [], None, dict(self.policy.body.normalizers.items())
+        pairs, limit, normalizers = [], None, dict(self.policy.body.normalizers.items())
         for key, width in self._vectors.items():
             normalizer = normalizers.get(key)
             if isinstance(normalizer, RunningNormalizer):
                 limit = normalizer.limit
-                mean.append(normalizer.mean)
-                std.append(normalizer.std)
+                pairs.append((normalizer.mean, normalizer.std))
             else:
-                mean.append(torch.zeros(width))
-                std.append(torch.ones(width))
-        return torch.cat(mean), torch.cat(std), limit
+                pairs.append((torch.zeros(width), torch.ones(width)))
+        mean, std = map(torch.cat, zip(*pairs, strict=True))
+        return mean, std, limit
 
-    def example(self, rows: int = 2) -> tuple[Tensor, ...]:
+    def example_inputs(self, rows: int = 2) -> tuple[Tensor, ...]:
         """Return inputs of the right shapes."""
         given = [torch.zeros(rows, len(self.scale))]
         given += [torch.zeros(rows, *each.shape, dtype=TYPES[each.dtype][0]) for each in self._layout.images]
         return (*given, torch.zeros(rows, self._layout.memory)) if self._layout.memory else tuple(given)
 
     @property
-    def names(self) -> tuple[list[str], list[str]]:
+    def input_and_output_names(self) -> tuple[list[str], list[str]]:
         """Return the names of inputs and outputs."""
         inputs, outputs = ["observation", *self._images, "memory"], ["command", "action", "memory_after"]
         return (inputs, outputs) if self._layout.memory else (inputs[:-1], outputs[:2])
 
     @property
-    def outputs(self) -> list[str]:
+    def output_names(self) -> list[str]:
         """Name of each output entry, in order."""
         made = self._layout
         counted = [("action", made.num_actions), ("memory", made.memory)]

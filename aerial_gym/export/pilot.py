@@ -18,6 +18,7 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.export.c99_images import PIXELS
+from aerial_gym.export.formats import onnx_session
 from aerial_gym.export.layout import Layout
 from aerial_gym.interop import usual_settings
 
@@ -97,11 +98,7 @@ def torchscript_step(file: Path, layout: Layout) -> Step:
 
 def onnx_step(file: Path, layout: Layout) -> Step:
     """Return the step of an ONNX file, in onnxruntime on the CPU."""
-    try:
-        import onnxruntime
-    except ImportError:
-        raise CapabilityError("onnxruntime is not installed. Run: pip install 'aerial-gym[export]'") from None
-    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    session = onnx_session(file)
 
     def step(observation: Tensor, memory: Tensor, *images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         given = {"observation": observation.numpy()} | ({"memory": memory.numpy()} if layout.memory else {})
@@ -122,18 +119,9 @@ def compile_library(file: Path, driver: str) -> ctypes.CDLL:
     with tempfile.TemporaryDirectory() as folder:
         more, library = Path(folder) / "rows.c", Path(folder) / "rows.so"
         more.write_text(driver, encoding="utf-8")
-        command = [
-            compiler,
-            *COMPILER,
-            "-fPIC",
-            "-shared",
-            f"-I{file.parent}",
-            str(file),
-            str(more),
-            "-o",
-            str(library),
-        ]
-        done = subprocess.run([*command, "-lm"], capture_output=True, encoding="utf-8", errors="replace", check=False)
+        options = [*COMPILER, "-fPIC", "-shared", f"-I{file.parent}"]
+        command = [compiler, *options, str(file), str(more), "-o", str(library), "-lm"]
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
         if done.returncode:
             raise CapabilityError(f"{file}: does not compile: {done.stderr.strip()[:500]}")
         return ctypes.CDLL(str(library))
@@ -141,8 +129,8 @@ def compile_library(file: Path, driver: str) -> ctypes.CDLL:
 
 def c99_step(file: Path, layout: Layout) -> Step:
     """Return the step of a C file, compiled for this machine."""
-    n, sizes = layout.name, (layout.num_observations, len(layout.command), layout.num_actions, layout.memory)
-    seen, given, acts, memory = sizes
+    n, seen, given = layout.name, layout.num_observations, len(layout.command)
+    acts, memory = layout.num_actions, layout.memory
     types = {each.key: PIXELS[each.dtype][0] for each in layout.images}
     images = "".join(f", const {kind} *{key}" for key, kind in types.items())
     looks = "".join(f"{each.key} + r * {prod(each.shape)}, " for each in layout.images)

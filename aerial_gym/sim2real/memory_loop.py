@@ -8,9 +8,9 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.stages import prepare_comparison, select_from_setup
-from aerial_gym.sim2real.judge.analysis import LoopResult, judge
-from aerial_gym.sim2real.judge.failure_verdict import with_failures, with_suspicions
+from aerial_gym.sim2real.identify.stages import declare, select
+from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
+from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.memory import give_back_memory
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -49,9 +49,9 @@ def judge_flights(
     declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
     selection = select_from_setup(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
-    judged = judge(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
+    judged = judge_on_test_flights(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()
-    return with_failures(judged, told, len(flights)) if failures else with_suspicions(judged, seen)
+    return result_with_failures(judged, told, len(flights)) if failures else result_with_suspicions(judged, seen)
 
 
 def _intact_parts(role: str, flights: Sequence[Flight], failures: Sequence[Failure]) -> list[Flight]:

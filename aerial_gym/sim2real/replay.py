@@ -11,8 +11,8 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
-from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate, rollout_gap
-from aerial_gym.sim2real.logs.flights import Flight, findings_on_rigid_joints, load_flights, merge_findings_of_flights
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
+from aerial_gym.sim2real.logs.flights import Flight, load_flights, merge_notes, rigid_notes
 from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
@@ -41,12 +41,8 @@ class Replay:
     @property
     def notes(self) -> list[Finding]:
         """Findings on the vehicle, the logs and missing rollouts."""
-        missing = rollout_gap(self.flights)
-        return [
-            *findings_on_rigid_joints(self.robot),
-            *merge_findings_of_flights(self.flights),
-            *([] if missing is None else [missing]),
-        ]
+        missing = reason_against_rollouts(self.flights)
+        return [*rigid_notes(self.robot), *merge_notes(self.flights), *([] if missing is None else [missing])]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the results for JSON."""
@@ -124,16 +120,16 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
         predictor=predictor,
         params=params,
         bandwidth=band,
-        evaluation=evaluate(robot, predictor, [params], floor=floor, seed=seed)[0],
+        evaluation=evaluate_models(robot, predictor, [params], floor=floor, seed=seed)[0],
     )
 
 
 def replay_rollout_rows(result: Replay) -> list[dict[str, str]]:
     """Return one row per rollout error: variant, quantity with unit, horizon [s], rms with its interval."""
-    from aerial_gym.sim2real.report.tables import interval
+    from aerial_gym.sim2real.report.tables import interval_text
 
     return [
-        {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval(rms)}
+        {"variant": variant, "quantity": f"{name} [{QUANTITIES[name]}]", "horizon": f"{h:g}", "rms": interval_text(rms)}
         for variant, quantities in result.evaluation.rollout.items()
         for name, horizons in quantities.items()
         for h, rms in horizons.items()
@@ -142,24 +138,21 @@ def replay_rollout_rows(result: Replay) -> list[dict[str, str]]:
 
 def _write_report(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report import plots
-    from aerial_gym.sim2real.report.figures import VARIANTS
-    from aerial_gym.sim2real.report.profiles import profiles, write_profiles
-    from aerial_gym.sim2real.report.report import render, write_residuals
+    from aerial_gym.sim2real.report.figures import figures_of_errors
+    from aerial_gym.sim2real.report.profiles import mean_residual_profiles, write_profiles
+    from aerial_gym.sim2real.report.report import render_template, write_residuals
     from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
 
     write_json(folder / "replay.json", result.as_mapping())
     write_residuals(folder / "residuals.csv", {"replay": result.predictor}, {"declared": result.params})
-    channels, results = result.predictor.channels, profiles(result.predictor, {"declared": result.params})
+    channels, results = result.predictor.channels, mean_residual_profiles(result.predictor, {"declared": result.params})
     write_profiles(folder / "profiles.csv", results, channels)
-    figures = [{"title": "Residuals", "image": plots.residual_bars(result.evaluation, None)}]
-    for variant, title in VARIANTS.items():
-        if variant in result.evaluation.rollout:
-            figures.append({"title": title, "image": plots.rollout_bars(result.evaluation, None, variant)})
+    figures = figures_of_errors(result.evaluation, None, "Residuals")
     for kind in dict.fromkeys(channel.kind for channel in channels):
         words = kind.replace("_", " ")
-        image = plots.traces(result.predictor, {"declared": result.params}, kind)
+        image = plots.trace_figure(result.predictor, {"declared": result.params}, kind)
         figures.append({"title": f"The {words} over time", "image": image})
-        image = plots.residual_profiles(results, channels, kind)
+        image = plots.profile_figure(results, channels, kind)
         figures.append({"title": f"Mean residual of the {words} with its standard error", "image": image})
     context = {
         "robot": result.robot,
@@ -170,6 +163,8 @@ def _write_report(folder: Path, result: Replay) -> None:
         "figures": figures,
         "notes": [text(note) for note in result.notes],
         "shown_notes": SHOWN_NOTES,
-        "no_rollouts": rollout_gap(result.flights),
+        "no_rollouts": reason_against_rollouts(result.flights),
     }
-    (folder / "report.html").write_text(render("replay.html", context), encoding="utf-8", errors="surrogateescape")
+    (folder / "report.html").write_text(
+        render_template("replay.html", context), encoding="utf-8", errors="surrogateescape"
+    )

@@ -5,6 +5,7 @@ Letters: S samples, G groups, B bins, C columns, P parameters.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,16 +59,35 @@ def fit_line(x: Array, y: Array) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rms:
-    """A root mean square with its interval."""
+class Estimate:
+    """A value with its 95 % interval."""
+
+    label: ClassVar[str] = "value"  # Key of the value in JSON
 
     value: float
-    low: float  # Lower end of the 95 % interval
-    high: float  # Upper end
+    low: float
+    high: float  # Infinite without enough groups
 
-    def as_mapping(self) -> dict[str, float | list[float]]:
+    @classmethod
+    def from_half_width(cls, value: float, half_width: float) -> Self:
+        """Return a value with a symmetric interval."""
+        return cls(value=float(value), low=float(value - half_width), high=float(value + half_width))
+
+    def as_mapping(self) -> dict[str, float | list[float | None]]:
         """Return the values for JSON."""
-        return {"rms": self.value, "interval": [self.low, self.high]}
+        return {self.label: self.value, "interval": [self.low, self.high if np.isfinite(self.high) else None]}
+
+
+class Rms(Estimate):
+    """A root mean square with its interval."""
+
+    label = "rms"
+
+
+class Rise(Estimate):
+    """Relative rise of one root mean square over another, with its interval."""
+
+    label = "rises"
 
 
 def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
@@ -86,19 +106,6 @@ def rms_with_interval(values: Array, group: Indices, *, seed: int) -> list[Rms]:
     low, high = np.quantile(np.sqrt(means), (0.025, 0.975), axis=0)
     value = np.sqrt(squares.sum(axis=0) / counts.sum())
     return [Rms(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rise:
-    """Relative rise of one root mean square over another."""
-
-    value: float
-    low: float  # Lower end of the 95 % interval
-    high: float  # Upper end; infinite without enough groups
-
-    def as_mapping(self) -> dict[str, float | list[float | None]]:
-        """Return the values for JSON."""
-        return {"rises": self.value, "interval": [self.low, self.high if np.isfinite(self.high) else None]}
 
 
 def rise_with_interval(values: Array, reference: Array, group: Indices, flight: Indices) -> list[Rise]:
@@ -120,13 +127,13 @@ def rise_with_interval(values: Array, reference: Array, group: Indices, flight: 
         totals.append(total)
         scores.append(np.square(part) / total)
     change, score = 0.5 * np.log(totals[0] / totals[1]), 0.5 * (scores[0] - scores[1])
-    half = half_width_of_scatter(*_scatter(score, group), *_scatter(score, flight))
+    half = half_width_of_scatter(*_variance_of_sum(score, group), *_variance_of_sum(score, flight))
     with np.errstate(over="ignore"):
         value, low, high = (np.expm1(end) for end in (change, change - half, change + half))
     return [Rise(value=float(v), low=float(lo), high=float(hi)) for v, lo, hi in zip(value, low, high, strict=True)]
 
 
-def _scatter(score: Array, label: Indices) -> tuple[Array, int]:
+def _variance_of_sum(score: Array, label: Indices) -> tuple[Array, int]:
     """Return the variance of the sum of scores (S, C) between clusters, (C,), and their number; infinite for one cluster."""
     labels, place = np.unique(label, return_inverse=True)
     sums = np.zeros((labels.size, score.shape[1]))

@@ -13,7 +13,13 @@ from aerial_gym.cli.main import main
 from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
+from aerial_gym.sim2real.teststand.balance import (
+    Balance,
+    HoverEffort,
+    hover_effort,
+    judge_balance,
+    repeats_by_condition,
+)
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "crazypad"
 
@@ -36,7 +42,7 @@ STUDY = {
 def pairs() -> dict[str, list[HoverEffort]]:
     layout = find_mapping("crazypad")
     logs = [hover_effort(read_flight_log(path, mapping=layout, hover=True)) for path in sorted(DATA.glob("*.csv"))]
-    return {name.removesuffix("_log"): pair for name, pair in group_repeats(logs).items()}
+    return {name.removesuffix("_log"): pair for name, pair in repeats_by_condition(logs).items()}
 
 
 def judge(

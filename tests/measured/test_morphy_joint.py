@@ -14,7 +14,13 @@ from aerial_gym import ENVIRONMENTS, SIMS
 from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real.teststand.joints.record import Release, alternate_blocks, creep_elements, fit_rows
+from aerial_gym.sim2real.teststand.joints.record import (
+    LAWS,
+    Release,
+    alternate_blocks,
+    creep_elements,
+    fit_curve_of_law,
+)
 from tests.builders import simulation
 
 RECORD = Path(__file__).parents[2].parent / "shared" / "data" / "bench" / "morphy_joint_step.csv"
@@ -98,7 +104,8 @@ def test_a_law_found_in_half_of_a_record_holds_in_the_other(dt: float, law_held:
     assert shares[3] > 0.45
     for fitted, left in (("even swings", odd), ("odd swings", ~odd), ("first half", late)):
         for name in (ELEMENTS, POWER):
-            law = fit_rows(name, record, ~left)
+            params = fit_curve_of_law(name, record, ~left).params.tolist()
+            law = dict(zip(("release", *LAWS[name]), params, strict=True))
             since = np.maximum(record.time - law["release"], 0.0)
             wrong = let_go(with_elevations(law_spring(law)), start, since, dt=dt) - record.angle
             result = degrees_off(wrong, left)

@@ -97,7 +97,7 @@ class DemoFlights:
     story: str  # One paragraph for the page
 
 
-def find_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
+def demo_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
     """Return the measured flights in ``folder``, or flights of the independent plant where there are none.
 
     Raises:
@@ -116,10 +116,10 @@ def find_flights(folder: Path | None, out: Path, seed: int) -> DemoFlights:
         return DemoFlights(
             robot="crazyflie_21_brushless", train=trains, test=tests, mapping="idsia_nanodrone", story=story
         )
-    return _make_flights(out / "flights", seed)
+    return _flights_of_plant(out / "flights", seed)
 
 
-def _make_flights(folder: Path, seed: int) -> DemoFlights:
+def _flights_of_plant(folder: Path, seed: int) -> DemoFlights:
     root, folder = Path(__file__).parents[3], folder.resolve()  # the plant runs in another folder
     if not (root / "benchmarks" / "undeclared").is_dir():
         raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")

@@ -27,7 +27,7 @@ class GainRanges:
     max_inclination: float  # [rad]
     randomize: bool = False  # Whether a reset draws between the ends; else the middle holds
 
-    def explicit(self, source: str) -> LeeGainsCfg:
+    def middle_gains(self, source: str) -> LeeGainsCfg:
         """Return the middle of each range."""
         return LeeGainsCfg(
             **{name: tuple(0.5 * (a + b) for a, b in zip(*getattr(self, name), strict=True)) for name in GAINS},
@@ -139,7 +139,9 @@ def translate_controller(law: Any, config: Any) -> ControllerCfg:
     ranges = _gain_ranges(law, config)
     if ranges is None:
         return native
-    return replace(native, gains=ranges.explicit(f"class {config.__name__}"), if_unstable="warn")  # as it flies there
+    return replace(
+        native, gains=ranges.middle_gains(f"class {config.__name__}"), if_unstable="warn"
+    )  # as it flies there
 
 
 def gain_randomization(law: Any, config: Any) -> Randomize:

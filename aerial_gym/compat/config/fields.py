@@ -167,7 +167,7 @@ def replace_entries(cfg: Any, changes: Changes) -> Any:
         if rest:
             nested.setdefault(head, {})[rest] = value
         else:
-            flat[head] = freeze(value)
+            flat[head] = as_tuples(value)
     for head, inner in nested.items():
         if isinstance(cfg, Mapping) and head not in cfg:
             raise ConfigError(f"{head}: what this class stands for has none of that name. Known: {', '.join(cfg)}")
@@ -193,16 +193,16 @@ def copy_class(config: Any) -> Any:
     return type(config.__name__, (config,), inner)
 
 
-def freeze(value: Any) -> Any:
+def as_tuples(value: Any) -> Any:
     """Return lists, arrays and tensors as tuples of Python numbers, other values unchanged."""
     if hasattr(value, "tolist"):
         value = value.tolist()
-    return tuple(freeze(item) for item in value) if isinstance(value, (list, tuple)) else value
+    return tuple(as_tuples(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
 def values_equal(a: Any, b: Any) -> bool:
     """Return whether two values are equal; numbers to a millionth, because they may be written in other units."""
-    a, b = freeze(a), freeze(b)
+    a, b = as_tuples(a), as_tuples(b)
     if isinstance(a, tuple) or isinstance(b, tuple):
         return _is_sequence(a) and _is_sequence(b) and len(a) == len(b) and all(map(values_equal, a, b))
     if isinstance(a, (int, float)) and isinstance(b, (int, float)):

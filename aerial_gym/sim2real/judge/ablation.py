@@ -17,7 +17,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, t
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
-from aerial_gym.sim2real.judge.whiteness import EDGES, in_octaves, lines
+from aerial_gym.sim2real.judge.whiteness import EDGES, power_by_octave, spectral_lines
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -80,13 +80,13 @@ class Ablation:
         return None if any(rise.high >= self.least for rise in rises) else False
 
     @property
-    def most(self) -> tuple[str, Rise]:
+    def largest_rise(self) -> tuple[str, Rise]:
         """Return the channel whose residual rises most."""
         return max(self.residual.items(), key=lambda item: item[1].value)
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        channel, rise = self.most
+        channel, rise = self.largest_rise
         return {
             "residual": {"channel": channel, **rise.as_mapping()},
             "rollout": {f"{horizon:g}": plain(rises) for horizon, rises in self.rollout.items()},
@@ -94,7 +94,7 @@ class Ablation:
         }
 
 
-def ablations(
+def ablations_of_effects(
     robot: RobotCfg,
     test: Sequence[Flight],
     predictors: tuple[Predictor, Predictor],
@@ -119,33 +119,33 @@ def ablations(
     for place, (name, less) in enumerate(without.items()):
         left = tested.residuals(less)
         rises = rise_with_interval(np.concatenate(left), residual, group, flight)
-        most = int(np.argmax([rise.value for rise in rises]))
-        octaves = octave_shares(tested, left, residuals, most)
-        rollout = horizon_rises(flown[place], evaluations[1].rollouts["free"]) if flown else {}
+        largest_rise = int(np.argmax([rise.value for rise in rises]))
+        octaves = share_removed_by_octave(tested, left, residuals, largest_rise)
+        rollout = rollout_rises_by_horizon(flown[place], evaluations[1].rollouts["free"]) if flown else {}
         by_horizon[name] = Ablation(
             residual={channel.name: rise for channel, rise in zip(tested.channels, rises, strict=True)},
             rollout=rollout,
             least=selection.criteria.material,
-            rivals=rank_rivals(name, selection, train),
+            rivals=gains_of_rivals(name, selection, train),
             octaves=octaves,
-            solid_below_hz=reliable_band(octaves, tested.bandwidth, selection.criteria.material),
+            solid_below_hz=highest_reliable_frequency(octaves, tested.bandwidth, selection.criteria.material),
         )
     return by_horizon
 
 
-def octave_shares(
+def share_removed_by_octave(
     predictor: Predictor, without: Sequence[Array], residuals: Sequence[Array], place: int
 ) -> tuple[float, ...]:
     """Return the share of a channel's residual power that an effect removes in each octave, (O,)."""
     powers = []
     for values in (without, residuals):
         own = [rows[:, place : place + 1] for rows in values]
-        frequency, power = lines(predictor.times, own, predictor.bandwidth, tapered=True)
-        powers.append(in_octaves(frequency, power, predictor.bandwidth)[:, 0])
+        frequency, power = spectral_lines(predictor.times, own, predictor.bandwidth, tapered=True)
+        powers.append(power_by_octave(frequency, power, predictor.bandwidth)[:, 0])
     return tuple((1.0 - powers[1] / np.maximum(powers[0], 1e-300)).tolist())
 
 
-def reliable_band(octaves: Sequence[float], bandwidth: float, least: float) -> float | None:
+def highest_reliable_frequency(octaves: Sequence[float], bandwidth: float, least: float) -> float | None:
     """Return the frequency [Hz] up to which an effect lowers the rms of every octave by at least ``least``."""
     edge = None
     for taken, upper in zip(octaves, EDGES[1:], strict=True):
@@ -155,7 +155,7 @@ def reliable_band(octaves: Sequence[float], bandwidth: float, least: float) -> f
     return edge
 
 
-def horizon_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
+def rollout_rises_by_horizon(without: RolloutErrors, errors: RolloutErrors) -> dict[float, dict[str, Rise]]:
     """Return the relative rise of each rollout error in the same windows, by horizon ``JUDGED_S`` and quantity."""
     by_horizon: dict[float, dict[str, Rise]] = {horizon: {} for horizon in JUDGED_S if horizon in errors.horizons}
     for quantity, horizon, rise in rollout_rises(without, errors):
@@ -164,7 +164,7 @@ def horizon_rises(without: RolloutErrors, errors: RolloutErrors) -> dict[float, 
     return by_horizon
 
 
-def rank_rivals(name: str, selection: SelectionResult, train: Predictor) -> tuple[RivalGain, ...]:
+def gains_of_rivals(name: str, selection: SelectionResult, train: Predictor) -> tuple[RivalGain, ...]:
     """Return the rivals of a named effect with the share of the training error that each removes, best first.
 
     Each model also has the deviations within the tolerances that fit best beside its effects.
@@ -183,13 +183,13 @@ def rank_rivals(name: str, selection: SelectionResult, train: Predictor) -> tupl
             explains=float(max(0.0, 1.0 - squares(rival.fitted)[place] / left[place])),
             instead_of=float(max(0.0, 1.0 - own[place] / left[place])),
             log_odds=rival.log_odds,
-            because=rejection(name, rival),
+            because=reason_against_rival(name, rival),
         )
         for rival in selection.effect_rivals(name)[:MOST_WEIGHED]
     )
 
 
-def rejection(name: str, rival: Rival) -> Finding:
+def reason_against_rival(name: str, rival: Rival) -> Finding:
     """Return the reason why a rival is not named in place of the accepted effect."""
     if rival.is_distinct:
         return Finding("rival_less_probable", rival.effect, {"log_odds": rival.log_odds})

@@ -12,19 +12,30 @@ from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.learned import add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.identify.stages import LoopSetup, final_model
-from aerial_gym.sim2real.judge.ablation import ablations
-from aerial_gym.sim2real.judge.breakdown import active_regime, by_flight
-from aerial_gym.sim2real.judge.decision import Decision, decide
-from aerial_gym.sim2real.judge.doubt import doubt_notes, with_doubt
-from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate
-from aerial_gym.sim2real.judge.experiments.design import fits_vehicle, recommend_manoeuvres
-from aerial_gym.sim2real.judge.outcome import Outcome, outcomes
-from aerial_gym.sim2real.judge.random_wind.gusts import NAME, wind_declaration, with_random
-from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, channel_rms, find_unexplained, judges_forces
-from aerial_gym.sim2real.judge.verdict import NamedEffect, Verdict, effect_entries, find_ties, immaterial
-from aerial_gym.sim2real.judge.whiteness import whiteness
-from aerial_gym.sim2real.logs.flights import Flight, findings_on_rigid_joints, merge_findings_of_flights
+from aerial_gym.sim2real.identify.stages import LoopSetup, model_with_effects
+from aerial_gym.sim2real.judge.ablation import ablations_of_effects
+from aerial_gym.sim2real.judge.breakdown import active_regime, errors_by_flight
+from aerial_gym.sim2real.judge.decision import Decision, verdict_decision
+from aerial_gym.sim2real.judge.doubt import notes_on_doubt, selection_with_doubt
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models
+from aerial_gym.sim2real.judge.experiments.design import can_have_effect, recommend_manoeuvres
+from aerial_gym.sim2real.judge.outcome import error_outcomes
+from aerial_gym.sim2real.judge.random_wind.gusts import NAME, model_with_wind, random_wind_in_file
+from aerial_gym.sim2real.judge.residual_excess import (
+    ResidualExcess,
+    can_judge_forces,
+    channel_rms,
+    find_residual_excess,
+)
+from aerial_gym.sim2real.judge.verdict import (
+    NamedEffect,
+    Verdict,
+    effects_of_selection,
+    names_of_ties,
+    notes_on_materiality,
+)
+from aerial_gym.sim2real.judge.whiteness import whiteness_of_channels
+from aerial_gym.sim2real.logs.flights import merge_notes, rigid_notes
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
@@ -44,24 +55,24 @@ class LoopResult:
     verdict: Verdict
 
 
-def judge(
+def judge_on_test_flights(
     declared: LoopSetup, selection: SelectionResult, *, seed: int, learn_residual: bool, progress: Progress
 ) -> LoopResult:
     """Return the verdict on the test flights, to which nothing is fitted, and the corrected robot."""
     tested, model = declared.test, final_model(declared, selection)
 
     progress("the noise floor of the test flights", 0.7)
-    floors = floors_in_declared_wind(declared, model)
-    still = rms_of_noise_floors(floors)
+    floors = noise_floors_in_declared_wind(declared, model)
+    still = of_all_flights(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
     pair = (declared.params, model) if selection.effect_names else (declared.params,)
-    evaluations = evaluate(declared.robot, tested, pair, floor=still, seed=seed)
+    evaluations = evaluate_models(declared.robot, tested, pair, floor=still, seed=seed)
     before, named = evaluations[0], evaluations[-1]
-    unexplained = find_unexplained(declared.train, tested, selection, (declared.params, model), named, still)
+    unexplained = find_residual_excess(declared.train, tested, selection, (declared.params, model), named, still)
     doubtful = selection.effect_names and (unexplained.left_open or unexplained.open_to)
-    result = with_doubt(selection, tested) if doubtful else selection
+    result = selection_with_doubt(selection, tested) if doubtful else selection
     progress("ablation of each effect", 0.93)
-    effects = effect_verdicts(declared, result, model, (before, named), unexplained.floor, seed=seed)
+    effects = effects_with_ablations(declared, result, model, (before, named), unexplained.floor, seed=seed)
     learned = None
     if learn_residual:
         progress("fit of the learned residual", 0.9)
@@ -71,23 +82,22 @@ def judge(
         params, after = model, unexplained.with_wind_floor(named)
     else:
         params = replace(model, learned=learned.effect)
-        (after,) = evaluate(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
+        (after,) = evaluate_models(declared.robot, tested, [params], floor=unexplained.floor, seed=seed)
     gusts = ()
     if NAME not in declared.robot.effects and unexplained.wind.is_accepted:
         gusts = (unexplained.wind.as_effect(declared.stated),)
-    made = decision(declared, result, unexplained, gusts)
-    became: tuple[Outcome, ...] = ()
+    made = decision_with_gusts(declared, result, unexplained, gusts)
     models, both, least = (declared.params, params), (before, after), result.criteria.material
-    if effects or gusts or (learned is not None and learned.cfg is not None):
-        became = outcomes(tested, models, both, least=least)
+    corrects = effects or gusts or (learned is not None and learned.cfg is not None)
+    became = error_outcomes(tested, models, both, least=least) if corrects else ()
     manoeuvre, fly_next = recommend_manoeuvres(declared, result, unexplained.open_to)
-    spectra = whiteness(tested.times, unexplained.left, declared.channels, declared.bandwidth)
+    spectra = whiteness_of_channels(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
         verdict=made.kind,
         open_points=made.findings,
         effects=(*effects, *gusts),
         candidates=made.candidates,
-        not_testable=not_testable(result, declared.stated, unexplained),
+        not_testable=untestable_effects(result, declared.stated, unexplained),
         manoeuvre=manoeuvre,
         fly_next=fly_next,
         inclusion=result.chosen.inclusion,
@@ -96,12 +106,14 @@ def judge(
         before=before,
         after=after,
         outcomes=became,
-        flights=by_flight(tested, models, both, floors_with_gusts(floors, unexplained), least=least, seed=seed),
+        flights=errors_by_flight(
+            tested, models, both, noise_floors_with_gusts(floors, unexplained), least=least, seed=seed
+        ),
         unexplained=unexplained.channels,
         not_shown=unexplained.left_open,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
         learned=learned,
-        notes=notes(declared, result, model, unexplained, effects, named),
+        notes=verdict_notes(declared, result, model, unexplained, effects, named),
     )
     accepted = (*result.effect_names, *(effect.name for effect in gusts))
     return LoopResult(
@@ -109,33 +121,33 @@ def judge(
         selection=result,
         params=params,
         within=unexplained.within,
-        corrected=correct_robot(declared, with_random(params, unexplained.wind), accepted),
+        corrected=correct_robot(declared, model_with_wind(params, unexplained.wind), accepted),
         verdict=verdict,
     )
 
 
-def floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:
+def noise_floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:
     """Return each test flight's noise floors (C,), with the declared random wind; None where the log shows none."""
     test = declared.test
-    wind = wind_declaration(declared.robot).adds(test, params)
-    floors = [noise_floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
-    return beside_wind(floors, wind)
+    wind = random_wind_in_file(declared.robot).channel_rms(test, params)
+    floors = [floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
+    return noise_floors_with_wind(floors, wind)
 
 
-def beside_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | None]:
+def noise_floors_with_wind(floors: Sequence[Array | None], wind: Array) -> list[Array | None]:
     """Return the root sum of squares of each flight's noise floors and the rms of random wind, (C,) each."""
     return [None if floor is None else np.hypot(floor, wind) for floor in floors]
 
 
-def floors_with_gusts(floors: Sequence[Array | None], unexplained: ResidualExcess) -> list[Array | None]:
+def noise_floors_with_gusts(floors: Sequence[Array | None], unexplained: ResidualExcess) -> list[Array | None]:
     """Return the noise floors of flights, (C,) each, with the identified random wind added."""
     still = rms_of_noise_floors(floors)
     if still is None or unexplained.floor is None:
         return list(floors)
-    return beside_wind(floors, np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0)))
+    return noise_floors_with_wind(floors, np.sqrt(np.maximum(unexplained.floor**2 - still**2, 0.0)))
 
 
-def effect_verdicts(
+def effects_with_ablations(
     declared: LoopSetup,
     selection: SelectionResult,
     model: ModelParams,
@@ -149,18 +161,18 @@ def effect_verdicts(
     ``floor`` is the noise floor of each channel, random wind included, (C,).
     """
     test, models = declared.test, (declared.params, model)
-    worth = ablations(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
+    worth = ablations_of_effects(declared.robot, test.flights, (declared.train, test), models, evaluations, selection)
     weight = selection.weights.weight
     regimes = {name: active_regime(test, *models, name, weight, floor, seed=seed) for name in selection.effect_names}
-    return effect_entries(selection, worth, regimes, declared.stated)
+    return effects_of_selection(selection, worth, regimes, declared.stated)
 
 
-def decision(
+def decision_with_gusts(
     declared: LoopSetup, selection: SelectionResult, unexplained: ResidualExcess, gusts: Sequence[NamedEffect]
 ) -> Decision:
     """Return the kind, candidates and open points of the verdict, accepted gusts included."""
-    made = decide(
-        {name: find_ties(name, selection) for name in selection.effect_names},
+    made = verdict_decision(
+        {name: names_of_ties(name, selection) for name in selection.effect_names},
         unexplained.channels,
         unexplained.floor is not None,
         open_to=unexplained.open_to,
@@ -168,12 +180,12 @@ def decision(
         of_flights=unexplained.of_flights,
     )
     made = unexplained.wind.decision(made) if gusts else made
-    if judges_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):
+    if can_judge_forces(declared.flights) or all(channel.kind != "specific_force" for channel in declared.channels):
         return made
     return replace(made, findings=(*made.findings, Finding("forces_not_judged")))
 
 
-def notes(
+def verdict_notes(
     declared: LoopSetup,
     selection: SelectionResult,
     model: ModelParams,
@@ -185,21 +197,21 @@ def notes(
 
     ``named`` is the evaluation of the named effects on the test flights.
     """
+    open_channels = list(unexplained.left_open)
     return (
-        *findings_on_rigid_joints(declared.stated),
-        *doubt_notes(selection),
-        *open_notes(unexplained),
+        *rigid_notes(declared.stated),
+        *notes_on_doubt(selection),
+        *([Finding("left_open_note", "", {"channels": open_channels})] if open_channels else []),
         *unexplained.wind.notes,
-        *immaterial(effects),
+        *notes_on_materiality(effects),
         *(rival.finding for effect in effects for rival in effect.in_part),
-        *strain_notes(declared, model, selection.criteria.material, unexplained, named),
-        *surrogate_notes(selection),
-        *own_notes(selection),
-        *about_logs(declared),
+        *notes_on_implausible_deviations(declared, model, selection.criteria.material, unexplained, named),
+        *notes_on_surrogates_and_offsets(selection),
+        *notes_on_logs(declared),
     )
 
 
-def strain_notes(
+def notes_on_implausible_deviations(
     declared: LoopSetup, model: ModelParams, least: float, unexplained: ResidualExcess, named: ModelEvaluation
 ) -> list[Finding]:
     """Return a note on each implausible deviation, and one on the errors that all deviations together change."""
@@ -223,33 +235,27 @@ def absent_tolerances(declared: LoopSetup, params: ModelParams) -> set[str]:
     """Return the tolerances of parts and sensors that the vehicle or its logs lack: their deviations mean nothing."""
     flights = declared.train.flights
     soft = any(effect.replayed and effect.remembers for effect in map(EFFECTS.get, params.effects))
+    forces = [flight.lin_vel is not None and not flight.attitude_integrated for flight in flights]
     has = {
         "nominal_voltage": declared.stated.battery is not None,
         "joint_rest": soft,
-        "time_constant": any(flight.rotor_command is not None for flight in flights),
-        "command_hold": any(flight.rotor_command is not None for flight in flights),
-        **{f"acc_bias_{axis}": any(flight.accelerometer for flight in flights) for axis in "xyz"},
-        **{f"gyro_bias_{axis}": any(flight.gyro for flight in flights) for axis in "xyz"},
-        **{f"attitude_{axis}": any(map(implies_force, flights)) for axis in "xyz"},
+        **dict.fromkeys(("time_constant", "command_hold"), any(f.rotor_command is not None for f in flights)),
+        **dict.fromkeys([f"acc_bias_{axis}" for axis in "xyz"], any(flight.accelerometer for flight in flights)),
+        **dict.fromkeys([f"gyro_bias_{axis}" for axis in "xyz"], any(flight.gyro for flight in flights)),
+        **dict.fromkeys([f"attitude_{axis}" for axis in "xyz"], any(forces)),  # velocity and attitude imply the force
     }
     return {name for name, present in has.items() if not present}
 
 
-def implies_force(flight: Flight) -> bool:
-    """Return whether a flight's velocity and attitude determine the specific force."""
-    return flight.lin_vel is not None and not flight.attitude_integrated
+def notes_on_surrogates_and_offsets(selection: SelectionResult) -> list[Finding]:
+    """Return notes on effects that follow a structure, and on offsets of flights: neither belongs to the vehicle."""
+    results = [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
+    offsets = selection.chosen.best.own
+    sizes = [{"channel": o.channel, f"rms_{unit_key(UNITS[o.channel.split('.')[0]])}": o.size} for o in offsets]
+    return [*results, *([Finding("offsets_sizes", "", {"offsets": sizes})] if sizes else [])]
 
 
-def own_notes(selection: SelectionResult) -> list[Finding]:
-    """Return a note on the offsets that differ between flights, hence are no property of the vehicle."""
-    offsets = [
-        {"channel": one.channel, f"rms_{unit_key(UNITS[one.channel.split('.')[0]])}": one.size}
-        for one in selection.chosen.best.flight_offsets
-    ]
-    return [Finding("offsets_sizes", "", {"offsets": offsets})] if offsets else []
-
-
-def about_logs(declared: LoopSetup) -> list[Finding]:
+def notes_on_logs(declared: LoopSetup) -> list[Finding]:
     """Return the notes on the logs, their rate and their number."""
     flights, band = declared.flights, declared.bandwidth
     results = merge_findings_of_flights(flights)
@@ -261,18 +267,7 @@ def about_logs(declared: LoopSetup) -> list[Finding]:
     return results
 
 
-def surrogate_notes(selection: SelectionResult) -> list[Finding]:
-    """Return a note on each surrogate effect, with the structure that its size follows."""
-    return [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
-
-
-def open_notes(unexplained: ResidualExcess) -> list[Finding]:
-    """Return a note on the channels that the training flights leave open."""
-    channels = list(unexplained.left_open)
-    return [Finding("left_open_note", "", {"channels": channels})] if channels else []
-
-
-def not_testable(selection: SelectionResult, robot: RobotCfg, unexplained: ResidualExcess) -> dict[str, Finding]:
+def untestable_effects(selection: SelectionResult, robot: RobotCfg, unexplained: ResidualExcess) -> dict[str, Finding]:
     """Return the effects that the flights cannot show, with the reason; also confounders that are not registered.
 
     A vehicle without soft arms gets no advice to fly for them. One with joints is compared as rigid, without link effects.
@@ -281,7 +276,7 @@ def not_testable(selection: SelectionResult, robot: RobotCfg, unexplained: Resid
     if robot.joints is not None:
         results |= {name: Finding("acts_on_links", name) for name in EFFECTS if not EFFECTS.get(name).on_rigid}
     for name in results:
-        if robot.joints is None and not fits_vehicle(name, selection, robot):
+        if robot.joints is None and not can_have_effect(name, selection, robot):
             results[name] = Finding("no_soft_arms", name)
     for name in selection.effect_names:
         for other in EFFECTS.get(name).confused_with:
@@ -303,10 +298,10 @@ def correct_robot(declared: LoopSetup, params: ModelParams, accepted: Sequence[s
     }
     flights = ", ".join(flight.name for flight in declared.train.flights)
     source = f"{', '.join(accepted)}: aerial-gym close-loop on the flights {flights}"
-    return with_effects(learned, effects, source)
+    return robot_with_effects(learned, effects, source)
 
 
-def with_effects(robot: RobotCfg, effects: dict[str, dict[str, float]], source: str) -> RobotCfg:
+def robot_with_effects(robot: RobotCfg, effects: dict[str, dict[str, float]], source: str) -> RobotCfg:
     """Return a robot with its effects replaced; ``source`` precedes its previous ``effects_source``."""
     before = f"; before: {robot.effects_source}" if robot.effects_source else ""
     return replace(robot, effects=effects, effects_source=f"{source}{before}")

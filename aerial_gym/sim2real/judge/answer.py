@@ -4,7 +4,6 @@ Every part is a list of findings with numbers from the verdict.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.judge.outcome import BETTER, NOT_SHOWN, WORSE, Outcome
@@ -19,46 +18,26 @@ GAIN_HORIZON_S = 1.0
 """Horizon of the rollout that the gain may name [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class VerdictAnswer:
-    """The four parts of an answer, each a list of findings."""
-
-    result: tuple[Finding, ...]
-    gain: tuple[Finding, ...]
-    open: tuple[Finding, ...]  # Results that got worse, that remain, or that stay open
-
-    next: tuple[Finding, ...]
-
-    @property
-    def parts(self) -> dict[str, tuple[Finding, ...]]:
-        """Return the parts by name, in their order."""
-        return {"result": self.result, "gain": self.gain, "open": self.open, "next": self.next}
+def answer_parts(verdict: Verdict) -> dict[str, tuple[Finding, ...]]:
+    """Return the answer by part: result, gain, open (worse, remaining and open results), and next."""
+    parts = {"result": _result_findings, "gain": _gain_findings, "open": _open_findings, "next": _next_steps}
+    return {name: tuple(findings(verdict)) for name, findings in parts.items()}
 
 
-def answer(verdict: Verdict) -> VerdictAnswer:
-    """Return the answer of a verdict."""
-    return VerdictAnswer(
-        result=tuple(_results(verdict)),
-        gain=tuple(_gain(verdict)),
-        open=tuple(_open(verdict)),
-        next=tuple(_next(verdict)),
-    )
-
-
-def list_findings(verdict: Verdict) -> tuple[Finding, ...]:
+def all_findings(verdict: Verdict) -> tuple[Finding, ...]:
     """Return all findings: the answer, its meaning, the notes, and the reasons why effects could not be tested."""
-    parts = (finding for part in answer(verdict).parts.values() for finding in part)
+    parts = (finding for part in answer_parts(verdict).values() for finding in part)
     learned = () if verdict.learned is None else verdict.learned.findings
-    all_of = (*parts, *meaning(verdict), *learned, *verdict.notes, *verdict.not_testable.values())
+    all_of = (*parts, *trust_findings(verdict), *learned, *verdict.notes, *verdict.not_testable.values())
     return tuple(dict.fromkeys(all_of))
 
 
-def meaning(verdict: Verdict) -> tuple[Finding, ...]:
+def trust_findings(verdict: Verdict) -> tuple[Finding, ...]:
     """Return the findings on trust: errors that the correction raises or lowers, ties, and open channels."""
     kind = verdict.verdict
     if kind == "explained" and not verdict.effects and (verdict.failures or verdict.joint_findings):
         kind = NOT_SHOWN if verdict.not_shown else "none"
-    worse, better = (_quantities(verdict.outcomes, state) for state in (WORSE, BETTER))
+    worse, better = (_errors_in_state(verdict.outcomes, state) for state in (WORSE, BETTER))
     findings = [Finding("correction_harms", "", {"errors": worse})] if worse else []
     tied = {effect.name: list(effect.ties) for effect in verdict.effects if effect.ties}
     certain = [effect.name for effect in verdict.effects if not effect.ties]
@@ -73,10 +52,8 @@ def meaning(verdict: Verdict) -> tuple[Finding, ...]:
         findings.append(Finding("open_in_channels", "", {"channels": list(verdict.not_shown)}))
     if verdict.joint_findings:
         findings.append(Finding("rigid_vehicle_only"))
-    if verdict.failures:
-        findings.append(
-            Finding("until_failure_only", "", {"flights": [failure.flight for failure in verdict.failures]})
-        )
+    if flights := [failure.flight for failure in verdict.failures]:
+        findings.append(Finding("until_failure_only", "", {"flights": flights}))
     return tuple(findings)
 
 
@@ -90,23 +67,24 @@ TRUST = {
 """Finding on trust for each kind of verdict."""
 
 
-def _quantities(outcomes: Sequence[Outcome], state: str) -> list[str]:
+def _errors_in_state(outcomes: Sequence[Outcome], state: str) -> list[str]:
     """Return the errors in a state, without horizon unless another horizon has the opposite state."""
     opposite = {one.quantity for one in outcomes if one.state == (BETTER if state == WORSE else WORSE)}
     names = (one.name if one.quantity in opposite else one.quantity for one in outcomes if one.state == state)
     return list(dict.fromkeys(names))
 
 
-def _results(verdict: Verdict) -> Iterator[Finding]:
+def _result_findings(verdict: Verdict) -> Iterator[Finding]:
     named = {effect.name for effect in verdict.effects}
     yield from (failure.finding for failure in verdict.failures if failure.name not in named)
     yield from verdict.joint_findings
-    for effect in verdict.effects:
-        yield effect.finding
+    yield from (effect.finding for effect in verdict.effects)
     if verdict.effects and not named <= {failure.name for failure in verdict.failures}:
         return
     if verdict.unexplained:
-        yield from (_add_errors(verdict, point) for point in verdict.open_points if point.code == "remains_unexplained")
+        yield from (
+            _with_errors(verdict, point) for point in verdict.open_points if point.code == "remains_unexplained"
+        )
         if verdict.verdict == "unexplained":
             yield Finding("effects_none")
     elif any(point.code in ("left_open", "floor_unknown") for point in verdict.open_points):
@@ -116,7 +94,7 @@ def _results(verdict: Verdict) -> Iterator[Finding]:
         yield Finding("declared_explains", "", until)
 
 
-def _add_errors(verdict: Verdict, point: Finding) -> Finding:
+def _with_errors(verdict: Verdict, point: Finding) -> Finding:
     """Return a finding on unexplained channels with their residuals and noise floors added."""
     rows, after = [], verdict.after
     for place, channel in enumerate(after.channels):
@@ -126,7 +104,7 @@ def _add_errors(verdict: Verdict, point: Finding) -> Finding:
     return Finding(point.code, point.subject, {**point.values, "errors": rows})
 
 
-def _gain(verdict: Verdict) -> Iterator[Finding]:
+def _gain_findings(verdict: Verdict) -> Iterator[Finding]:
     if not verdict.outcomes:
         return
     if {effect.name for effect in verdict.effects} == {"gusts"}:
@@ -139,11 +117,13 @@ def _gain(verdict: Verdict) -> Iterator[Finding]:
         if (one.horizon is None and kind not in KINEMATIC) or (kind == "free" and one.horizon == GAIN_HORIZON_S):
             best.setdefault(kind if axis.isdigit() else one.quantity, one)  # only the best rotor
     ranked = sorted(best.values(), key=lambda one: one.horizon is not None)  # rollouts after channels
-    errors = [_change(verdict, one) for one in ranked[:MOST_GAINS] if one.rise.value <= 0.5 * ranked[0].rise.value]
+    errors = [
+        _error_change(verdict, one) for one in ranked[:MOST_GAINS] if one.rise.value <= 0.5 * ranked[0].rise.value
+    ]
     yield Finding("errors_fall", "", {"errors": errors}) if errors else Finding("no_error_falls")
 
 
-def _change(verdict: Verdict, one: Outcome) -> dict[str, object]:
+def _error_change(verdict: Verdict, one: Outcome) -> dict[str, object]:
     """Return an error before and after the correction, with the interval of its relative change."""
     if one.horizon is None:
         names = [channel.name for channel in verdict.before.channels]
@@ -158,19 +138,19 @@ def _change(verdict: Verdict, one: Outcome) -> dict[str, object]:
     return {"quantity": one.name, f"before_{key}": before.value, f"after_{key}": after.value, **change}
 
 
-def _open(verdict: Verdict) -> Iterator[Finding]:
+def _open_findings(verdict: Verdict) -> Iterator[Finding]:
     for code, chosen in (
         ("error_rises", [one for one in verdict.outcomes if one.state == WORSE]),
-        ("error_may_rise", [one for one in verdict.outcomes if one.suspect]),
+        ("error_may_rise", [one for one in verdict.outcomes if one.is_possibly_worse]),
     ):
         if chosen:
             largest = max(chosen, key=lambda one: one.rise.value)
             more = len({one.quantity for one in chosen}) - 1
-            yield Finding(code, largest.name, {**_change(verdict, largest), "more": more})
-    told = {finding.code for finding in _results(verdict)}
+            yield Finding(code, largest.name, {**_error_change(verdict, largest), "more": more})
+    result = {finding.code for finding in _result_findings(verdict)}
     for point in verdict.open_points:
-        if point.code not in told:
-            yield _add_errors(verdict, point) if point.code == "remains_unexplained" else point
+        if point.code not in result:
+            yield _with_errors(verdict, point) if point.code == "remains_unexplained" else point
     yield from (rival.finding for effect in verdict.effects for rival in effect.in_part)
     structure = verdict.structure
     if structure.kind != "none":
@@ -178,7 +158,7 @@ def _open(verdict: Verdict) -> Iterator[Finding]:
         yield Finding("structure_found", structure.kind, values)
 
 
-def _next(verdict: Verdict) -> Iterator[Finding]:
+def _next_steps(verdict: Verdict) -> Iterator[Finding]:
     """Yield the next steps: an experiment that decides what is open, then the robot file to use."""
     open_codes = {point.code for point in verdict.open_points}
     if verdict.verdict == "ambiguous":
@@ -187,28 +167,23 @@ def _next(verdict: Verdict) -> Iterator[Finding]:
     if "forces_not_judged" in open_codes:
         yield Finding("log_velocity")
     if verdict.verdict == "unexplained":
-        kind = verdict.structure.kind
-        yield (
-            Finding("inspect_rest")
-            if kind == "none"
-            else Finding("fly_structure", kind, {"freq_hz": verdict.structure.freq_hz})
-        )
+        kind, freq = verdict.structure.kind, verdict.structure.freq_hz
+        yield Finding("inspect_rest") if kind == "none" else Finding("fly_structure", kind, {"freq_hz": freq})
         return
     if verdict.corrects or verdict.joint_findings:
-        yield _robot_file(verdict)
+        yield _advice_on_robot_file(verdict)
     if "left_open" in open_codes:
         yield Finding("train_like_test", "", {"channels": list(verdict.not_shown)})
     if "floor_unknown" in open_codes:
         yield Finding("log_faster")
     if not (verdict.corrects or verdict.joint_findings or open_codes & {"left_open", "floor_unknown"}):
         yield Finding("keep_declared")
-        shows = {name: advice for name, advice in verdict.fly_next.items() if advice.fly is not None}
-        if shows:
-            yield max(shows.values(), key=lambda advice: advice.score).finding
+        if shows := [advice for advice in verdict.fly_next.values() if advice.fly is not None]:
+            yield max(shows, key=lambda advice: advice.score).finding
 
 
-def _robot_file(verdict: Verdict) -> Finding:
-    worse, better = (_quantities(verdict.outcomes, state) for state in (WORSE, BETTER))
+def _advice_on_robot_file(verdict: Verdict) -> Finding:
+    worse, better = (_errors_in_state(verdict.outcomes, state) for state in (WORSE, BETTER))
     if not worse:
         return Finding("load_robot_file")
     return Finding("keep_declared_where", "", {"errors": worse}) if better else Finding("keep_declared_for_harm")

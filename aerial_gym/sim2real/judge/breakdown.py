@@ -14,8 +14,8 @@ from aerial_gym.sim2real.identify.candidates.structure import rows_at_times
 from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_rows
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, gap_closed
-from aerial_gym.sim2real.judge.outcome import Outcome, channel_outcome, rollout_outcome
-from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
+from aerial_gym.sim2real.judge.outcome import Outcome
+from aerial_gym.sim2real.logs.flights import Flight, common_values
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -28,8 +28,8 @@ ROLLOUT_S = 1.0
 """Rollout horizon that the table by flight shows [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Part:
+@dataclass(frozen=True)
+class FlightError:
     """One error of one flight, with the declared model (before) and the corrected one (after)."""
 
     unit: str
@@ -63,7 +63,7 @@ class Regime:
         return select_fields(self, "channel", "before", "after", "gap_closed")
 
 
-def by_flight(
+def errors_by_flight(
     predictor: Predictor,
     models: tuple[ModelParams, ModelParams],
     evaluations: tuple[ModelEvaluation, ModelEvaluation],
@@ -71,37 +71,31 @@ def by_flight(
     *,
     least: float,
     seed: int,
-) -> dict[str, list[Part]]:
+) -> dict[str, list[FlightError]]:
     """Return the errors of the declared and the corrected model in each channel and in the free rollout at 1 s, by flight."""
     before, after = (predictor.residuals(model) for model in models)
-    results: dict[str, list[Part]] = {}
+    results: dict[str, list[FlightError]] = {}
     for index, flight in enumerate(predictor.flights):
         floor = floors[index]
         level = [None] * len(predictor.channels) if floor is None else floor.tolist()
-        changes = _changes(before[index], after[index], time_block_of_rows([predictor.times[index]]), seed)
+        changes = _rms_and_rises(before[index], after[index], time_groups([predictor.times[index]]), seed)
         results[flight.name] = [
-            Part(
-                unit=channel.unit,
-                before=rms[0],
-                after=rms[1],
-                floor=own,
-                became=channel_outcome(channel, rise, least),
-            )
+            FlightError(channel.unit, *rms, own, Outcome(quantity=channel.name, rise=rise, least=least))
             for channel, own, (rms, rise) in zip(predictor.channels, level, changes, strict=True)
-        ] + _rollout_parts(index, evaluations, least, seed)
+        ] + _rollout_errors(index, evaluations, least, seed)
     return results
 
 
-def _changes(before: Array, after: Array, group: Indices, seed: int) -> list[tuple[tuple[Rms, Rms], Rise]]:
+def _rms_and_rises(before: Array, after: Array, group: Indices, seed: int) -> list[tuple[tuple[Rms, Rms], Rise]]:
     """Return the rms of each column before and after, and its relative rise, of errors (T, C) each."""
     rms = zip(*(rms_with_interval(values, group, seed=seed) for values in (before, after)), strict=True)
     rises = rise_with_interval(after, before, group, np.zeros(len(before), dtype=np.int64))
     return list(zip(rms, rises, strict=True))
 
 
-def _rollout_parts(
+def _rollout_errors(
     index: int, evaluations: tuple[ModelEvaluation, ModelEvaluation], least: float, seed: int
-) -> list[Part]:
+) -> list[FlightError]:
     if "free" not in evaluations[0].rollouts or ROLLOUT_S not in evaluations[0].rollouts["free"].horizons:
         return []
     before, after = (evaluation.rollouts["free"] for evaluation in evaluations)
@@ -111,9 +105,9 @@ def _rollout_parts(
         if old is None or not own.any():
             continue
         at = slice(column, column + 1)
-        ((rms, rise),) = _changes(old[own, at], new[own, at], before.windows.cluster[own], seed)
-        became = rollout_outcome("free", quantity, ROLLOUT_S, rise, least)
-        parts.append(Part(unit=unit, before=rms[0], after=rms[1], floor=None, became=became))
+        ((rms, rise),) = _rms_and_rises(old[own, at], new[own, at], before.windows.cluster[own], seed)
+        became = Outcome(quantity=f"free.{quantity}", horizon=ROLLOUT_S, rise=rise, least=least)
+        parts.append(FlightError(unit, *rms, None, became))
     return parts
 
 
@@ -149,11 +143,11 @@ def active_regime(
         before=rms[0],
         after=rms[1],
         gap_closed=gap_closed(rms[0].value, rms[1].value, None if floor is None else float(floor[place])),
-        looks=_looks(predictor.flights, predictor.times, acts),
+        looks=_conditions(predictor.flights, predictor.times, acts),
     )
 
 
-def _looks(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:
+def _conditions(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:
     """Return mean speed, height and turn rate over the rows in which an effect acts, and over the others."""
     parts = []
     for flight, time in zip(flights, times, strict=True):

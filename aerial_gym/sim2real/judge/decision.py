@@ -16,7 +16,7 @@ class Decision:
     findings: tuple[Finding, ...]  # Residuals that remain and questions that stay open
 
 
-def decide(
+def verdict_decision(
     ties: Mapping[str, Sequence[str]],
     unexplained: Sequence[str],
     floor_known: bool,

@@ -26,7 +26,7 @@ from aerial_gym.sim2real.judge.predictive import PASSES
 from aerial_gym.sim2real.predict.predictor import Predictor
 
 
-def with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
+def selection_with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
     """Return the selection with the log odds that the test flights add to each rival of a named effect, at least 0."""
     rivals = {one.fitted.label: one.fitted for name in selection.effect_names for one in selection.effect_rivals(name)}
     if not rivals:
@@ -36,7 +36,7 @@ def with_doubt(selection: SelectionResult, test: Predictor) -> SelectionResult:
     return replace(selection, doubt=dict(zip(rivals, np.maximum(gain, 0.0).tolist(), strict=True)))
 
 
-def doubt_notes(selection: SelectionResult) -> list[Finding]:
+def notes_on_doubt(selection: SelectionResult) -> list[Finding]:
     """Return a note on each rival that is tied only because of the test flights."""
     return [
         Finding("doubt_by_test", name, {"other": rival.effect, "log_odds": rival.log_odds - rival.doubt})
@@ -47,7 +47,7 @@ def doubt_notes(selection: SelectionResult) -> list[Finding]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Left:
+class ResidualSums:
     """Sums over the rows of the test flights of a set's residual r and Jacobian J, and its precision in training."""
 
     square: Array  # ``r r``, (C,)
@@ -55,18 +55,18 @@ class Left:
     product: Array  # ``J J``, (C, K, K)
     precision: Array  # A, (K, K)
 
-    def best(self, weight: Array) -> Array:
+    def joint_step(self, weight: Array) -> Array:
         """Return the parameter step that fits training and test flights together, (K,)."""
         joint = self.precision + np.tensordot(weight, self.product, axes=1)
         return np.linalg.solve(joint, weight @ self.gradient)
 
-    def channel_squares(self, step: Array) -> Array:
+    def squares_after_step(self, step: Array) -> Array:
         """Return the sum of squared residuals of each channel after a parameter step, (C,)."""
         return self.square - 2.0 * self.gradient @ step + np.einsum("k,ckl,l->c", step, self.product, step)
 
     def log_density(self, weight: Array) -> float:
         """Return the predictive log density of the test flights, without the constant shared by all sets."""
-        step, seen = self.best(weight), np.tensordot(weight, self.product, axes=1)
+        step, seen = self.joint_step(weight), np.tensordot(weight, self.product, axes=1)
         surer = np.linalg.slogdet(self.precision + seen)[1] - np.linalg.slogdet(self.precision)[1]
         return -0.5 * float(weight @ self.square - (weight @ self.gradient) @ step + surer)
 
@@ -76,15 +76,15 @@ def log_densities(test: Predictor, fits: Sequence[EffectSetFit], selection: Sele
 
     The weight of a channel is limited by the smallest mean square that any set leaves in it.
     """
-    weights, sums = selection.weights, [test_residual(test, one, selection) for one in fits]
+    weights, sums = selection.weights, [residual_sums(test, one, selection) for one in fits]
     rows, weight = sum(time.size for time in test.times), weights.weight
     for _ in range(PASSES):
-        least = np.min([one.channel_squares(one.best(weight)) for one in sums], axis=0) / rows
+        least = np.min([one.squares_after_step(one.joint_step(weight)) for one in sums], axis=0) / rows
         weight = weights.weight_limit(least)
     return np.array([one.log_density(weight) for one in sums])
 
 
-def test_residual(test: Predictor, fitted: EffectSetFit, selection: SelectionResult) -> Left:
+def residual_sums(test: Predictor, fitted: EffectSetFit, selection: SelectionResult) -> ResidualSums:
     """Return the residual sums of a set on the test flights at its most probable model, without offsets of flights."""
     at, offsets = fitted.model_with_deviations, selection.own_offsets
     predicted = test.predict(at)
@@ -96,7 +96,7 @@ def test_residual(test: Predictor, fitted: EffectSetFit, selection: SelectionRes
     jacobian = np.concatenate(offsets.remove_offsets([part[:, :, kept] for part in columns]))
     left = np.concatenate(offsets.remove_offsets([m - p for m, p in zip(test.measured, predicted, strict=True)]))
     count = kept.size
-    return Left(
+    return ResidualSums(
         square=np.square(left).sum(axis=0),
         gradient=np.einsum("rck,rc->ck", jacobian, left),
         product=np.stack([jacobian[:, c].T @ jacobian[:, c] for c in range(left.shape[1])]),

@@ -31,7 +31,7 @@ class ModelEvaluation:
     rollouts: dict[str, RolloutErrors]  # By variant: free, given_attitude
     rollout: dict[str, dict[str, dict[float, Rms]]]  # Rms by variant, quantity and horizon [s]
 
-    def gaps_closed(self, before: "ModelEvaluation") -> list[float | None]:
+    def shares_of_gap_closed(self, before: "ModelEvaluation") -> list[float | None]:
         """Return the share of another model's mean square above the noise floor that this one removes, by channel."""
         floor = self.floor or (None,) * len(self.channels)
         pairs = zip(before.residual, self.residual, floor, strict=True)
@@ -40,7 +40,7 @@ class ModelEvaluation:
     def as_mapping(self, *, before: "ModelEvaluation | None" = None) -> dict[str, object]:
         """Return it for JSON, with the share of the gap closed since ``before``."""
         result: dict[str, object] = {}
-        closed = None if before is None else self.gaps_closed(before)
+        closed = None if before is None else self.shares_of_gap_closed(before)
         for place, (channel, rms) in enumerate(zip(self.channels, self.residual, strict=True)):
             entry: dict[str, object] = {**rms.as_mapping()}
             if self.floor is not None:
@@ -61,15 +61,15 @@ class ModelEvaluation:
         return result
 
 
-def evaluate(
+def evaluate_models(
     robot: RobotCfg, predictor: Predictor, models: Sequence[ModelParams], *, floor: Array | None, seed: int
 ) -> list[ModelEvaluation]:
     """Return residuals and rollouts of each model on flights that were not used for its fit."""
     flights, group = predictor.flights, time_block_of_rows(predictor.times)
     residuals = [np.concatenate(predictor.residuals(one)) for one in models]
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
-    if not rollout_gap(flights):
-        links, variants = [predictor.load_links(one) for one in models], {"free": False, "given_attitude": True}
+    if not reason_against_rollouts(flights):
+        links, variants = [predictor.links(one) for one in models], {"free": False, "given_attitude": True}
         rollouts = rollout_errors_of_models(
             robot, flights, models, variants, links=links, tolerances=predictor.tolerances
         )
@@ -85,7 +85,7 @@ def evaluate(
     ]
 
 
-def rollout_gap(flights: Sequence[Flight]) -> Finding | None:
+def reason_against_rollouts(flights: Sequence[Flight]) -> Finding | None:
     """Return the reason why no rollout can start at a measured velocity and attitude; None if one can."""
     blind = [flight for flight in flights if flight.lin_vel is None]
     if blind:

@@ -7,12 +7,12 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.failures.flight_event import Failure, failure_of_all_flights
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.judge.analysis import LoopResult, with_effects
+from aerial_gym.sim2real.judge.analysis import LoopResult, robot_with_effects
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
-from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, Verdict, declaration
+from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, parameters_in_file
 
 
-def with_failures(judged: LoopResult, failures: Sequence[Failure], flights: int) -> LoopResult:
+def result_with_failures(judged: LoopResult, failures: Sequence[Failure], flights: int) -> LoopResult:
     """Return the result with its failures added, and in the corrected robot a failure that every flight has.
 
     Args:
@@ -20,15 +20,21 @@ def with_failures(judged: LoopResult, failures: Sequence[Failure], flights: int)
     """
     if not failures:
         return judged
-    every = failure_of_all_flights(failures, flights)
-    effect = None if every is None else _effect(every, judged.declared.stated)
-    verdict = _add_failures(judged.verdict, failures, effect)
+    every, verdict, robot = same_in_all(failures, flights), judged.verdict, judged.corrected
+    effect = None if every is None else _failure_as_effect(every, judged.declared.stated)
     if effect is None:
-        return replace(judged, verdict=verdict)
-    return replace(judged, verdict=verdict, corrected=_robot_with_failure(judged.corrected, effect))
+        advice = tuple(_training_advice(failure) for failure in failures)
+        verdict = replace(verdict, notes=(*advice, *verdict.notes))
+    else:
+        added, candidates = (*verdict.effects, effect), (*verdict.candidates, effect.name)
+        verdict = replace(verdict, effects=added, candidates=candidates)
+        effects = {**robot.effects, effect.name: effect.params}
+        robot = robot_with_effects(robot, effects, f"{effect.name}: aerial-gym close-loop, in every flight")
+    kind = "explained" if verdict.verdict in NOTHING_NAMED else verdict.verdict  # the failures explain the flights
+    return replace(judged, verdict=replace(verdict, verdict=kind, failures=tuple(failures)), corrected=robot)
 
 
-def with_suspicions(judged: LoopResult, failures: Sequence[Failure]) -> LoopResult:
+def result_with_suspicions(judged: LoopResult, failures: Sequence[Failure]) -> LoopResult:
     """Return the result with a note on each flight with a suspected failure, which changes nothing else."""
     if not failures:
         return judged
@@ -38,21 +44,9 @@ def with_suspicions(judged: LoopResult, failures: Sequence[Failure]) -> LoopResu
     return replace(judged, verdict=replace(judged.verdict, notes=(*judged.verdict.notes, *notes)))
 
 
-def _add_failures(verdict: Verdict, failures: Sequence[Failure], effect: NamedEffect | None) -> Verdict:
-    """Return a verdict with failures; without a named effect, the failures explain the flights."""
-    return replace(
-        verdict,
-        verdict="explained" if verdict.verdict in NOTHING_NAMED else verdict.verdict,
-        effects=verdict.effects if effect is None else (*verdict.effects, effect),
-        candidates=verdict.candidates if effect is None else (*verdict.candidates, effect.name),
-        failures=tuple(failures),
-        notes=(*(_training_advice(failure) for failure in failures if effect is None), *verdict.notes),
-    )
-
-
-def _effect(failure: Failure, robot: RobotCfg) -> NamedEffect | None:
+def _failure_as_effect(failure: Failure, robot: RobotCfg) -> NamedEffect | None:
     """Return a failure as an effect of the vehicle; None if its parameters are not all those of the effect."""
-    params = _in_robot_file(failure)
+    params = _robot_file_parameters(failure)
     if set(params) != {parameter.name for parameter in EFFECTS.get(failure.name).parameters}:
         return None
     std = {name: one for name, one in failure.std.items() if name in params}
@@ -63,12 +57,12 @@ def _effect(failure: Failure, robot: RobotCfg) -> NamedEffect | None:
         noise_std=std,
         frozen=(),
         confidence=min(failure.probability, MOST_CONFIDENT),
-        declared=declaration(failure.name, robot),
+        declared=parameters_in_file(failure.name, robot),
         place=failure.place,
     )
 
 
-def _in_robot_file(failure: Failure) -> dict[str, float]:
+def _robot_file_parameters(failure: Failure) -> dict[str, float]:
     """Return the parameters that a robot file holds; a failure without end gets the longest duration allowed."""
     known = {parameter.name: parameter for parameter in EFFECTS.get(failure.name).parameters}
     params = {name: value for name, value in failure.params.items() if name in known}
@@ -79,16 +73,8 @@ def _in_robot_file(failure: Failure) -> dict[str, float]:
 
 def _training_advice(failure: Failure) -> Finding:
     """Return the advice for training with a failure that only single flights have: the effect for a robot file."""
-    name, params = failure.name, _in_robot_file(failure)
+    name, params = failure.name, _robot_file_parameters(failure)
     if "time" not in params:  # a broken propeller: thrust is quadratic in speed, so the speed scale is the root
-        name, params = (
-            "motor_failure",
-            {"motor": params["motor"], "scale": params["scale"] ** 0.5, "time": failure.time},
-        )
+        params = {"motor": params["motor"], "scale": params["scale"] ** 0.5, "time": failure.time}
+        name = "motor_failure"
     return Finding("train_with_failure", failure.flight, {"effect": name, "params": params})
-
-
-def _robot_with_failure(robot: RobotCfg, effect: NamedEffect) -> RobotCfg:
-    """Return the robot with a failure that every flight has added to its effects."""
-    effects = {**robot.effects, effect.name: effect.params}
-    return with_effects(robot, effects, f"{effect.name}: aerial-gym close-loop, in every flight")

@@ -3,14 +3,12 @@
 Letters: T rows, C channels, W windows, H horizons.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from aerial_gym.sim2real.identify.least_squares.moments import flight_of_rows, time_block_of_rows
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, rollout_rises
-from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
@@ -48,7 +46,7 @@ class Outcome:
         return WORSE if self.rise.low > 0.0 else NOT_SHOWN
 
     @property
-    def suspect(self) -> bool:
+    def is_possibly_worse(self) -> bool:
         """Return whether the error rises by a material share that may be chance."""
         return self.state == NOT_SHOWN and self.rise.value >= self.least
 
@@ -57,7 +55,7 @@ class Outcome:
         return {"state": self.state, **self.rise.as_mapping()}
 
 
-def outcomes(
+def error_outcomes(
     predictor: Predictor,
     models: tuple[ModelParams, ModelParams],
     evaluations: tuple[ModelEvaluation, ModelEvaluation],
@@ -65,28 +63,11 @@ def outcomes(
     least: float,
 ) -> tuple[Outcome, ...]:
     """Return the outcome of every channel and every rollout from the declared to the corrected model."""
-    return (*_channels(predictor, models, least), *_rollouts(evaluations, least))
-
-
-def _channels(predictor: Predictor, models: tuple[ModelParams, ModelParams], least: float) -> Iterator[Outcome]:
     before, after = (np.concatenate(predictor.residuals(model)) for model in models)
-    rises = rise_with_interval(after, before, time_block_of_rows(predictor.times), flight_of_rows(predictor.times))
-    for channel, rise in zip(predictor.channels, rises, strict=True):
-        yield channel_outcome(channel, rise, least)
-
-
-def _rollouts(evaluations: tuple[ModelEvaluation, ModelEvaluation], least: float) -> Iterator[Outcome]:
-    before, after = (evaluation.rollouts for evaluation in evaluations)
-    for variant, errors in after.items():
-        for quantity, horizon, rise in rollout_rises(errors, before[variant]):
-            yield rollout_outcome(variant, quantity, horizon, rise, least)
-
-
-def channel_outcome(channel: Channel, rise: Rise, least: float) -> Outcome:
-    """Return the outcome of a channel."""
-    return Outcome(quantity=channel.name, rise=rise, least=least)
-
-
-def rollout_outcome(variant: str, quantity: str, horizon: float, rise: Rise, least: float) -> Outcome:
-    """Return the outcome of one quantity of a rollout at a horizon [s]."""
-    return Outcome(quantity=f"{variant}.{quantity}", horizon=horizon, rise=rise, least=least)
+    rises = rise_with_interval(after, before, time_groups(predictor.times), flight_of_rows(predictor.times))
+    results = [Outcome(quantity=c.name, rise=r, least=least) for c, r in zip(predictor.channels, rises, strict=True)]
+    old, new = (evaluation.rollouts for evaluation in evaluations)
+    for variant, errors in new.items():
+        for quantity, horizon, rise in rollout_rises(errors, old[variant]):
+            results.append(Outcome(quantity=f"{variant}.{quantity}", horizon=horizon, rise=rise, least=least))
+    return tuple(results)

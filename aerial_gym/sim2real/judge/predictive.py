@@ -33,7 +33,7 @@ PASSES = 3
 """Iterations between the fit and the channel weights from its residual on the test flights."""
 
 
-def left_open(
+def largest_open_squares(
     test: Predictor, params: ModelParams, selection: SelectionResult, fitted: Flags | None = None
 ) -> tuple[Array, Array]:
     """Return the largest mean square of each channel that parameter errors may cause on test flights, (C,).
@@ -134,7 +134,7 @@ class ResidualCriterion:
     """Whether an rms of each channel, (C,), is near the noise floor or within the tolerances, (C,)."""
 
 
-def open_effects(
+def effects_left_open(
     train: Predictor,
     test: Predictor,
     models: tuple[ModelParams, ModelParams],
@@ -180,7 +180,7 @@ def sufficient_effects(
         seen: Candidates about the final model on the training flights.
         tested: The same on the test flights.
     """
-    product, gradient = _sums(seen, weights.weight)
+    product, gradient = _sums_with_weights(seen, weights.weight)
     named = [candidate.columns for candidate in seen.candidates if candidate.named]
     beside = np.concatenate([*named, seen.tolerances]).astype(int)
     left: dict[str, float] = {}
@@ -193,30 +193,32 @@ def sufficient_effects(
     def suffices(squares: Array) -> bool:
         return bool(asked.enough(np.sqrt(squares))[asked.remaining].all())
 
-    step, squares = _of_all_flights(*information(beside), tested, None, beside, weights)
-    alone = _cost(step, seen) if suffices(squares) else np.inf
+    step, squares = _joint_step(*information(beside), tested, None, beside, weights)
+    alone = _deviation_cost(step, seen) if suffices(squares) else np.inf
     for candidate in seen.candidates:
         if candidate.named or not candidate.columns.size:
             continue
         columns = np.concatenate((candidate.columns, beside))
         a, g = information(columns)
-        step, squares = _of_all_flights(a, g, tested, candidate, columns, weights)
+        step, squares = _joint_step(a, g, tested, candidate, columns, weights)
         spread, own = np.linalg.inv(a), candidate.columns.size
         away = (step - spread @ g)[:own]
         likely = away @ np.linalg.solve(spread[:own, :own], away) <= special.chdtri(own, significance)
-        pays = alone - _cost(step, seen) > LEAST_SCORE  # else new values of named effects and tolerances suffice
+        pays = (
+            alone - _deviation_cost(step, seen) > LEAST_SCORE
+        )  # else new values of named effects and tolerances suffice
         if likely and pays and suffices(squares):
             cost = float((weights.weight * squares)[asked.remaining].sum())
             left[candidate.name] = min(cost, left.get(candidate.name, np.inf))
     return tuple(sorted(left, key=lambda name: left[name]))
 
 
-def _cost(step: Array, library: Library) -> float:
+def _deviation_cost(step: Array, library: Library) -> float:
     """Return the negative log prior ``d² / 2`` of the deviations, the last entries of a step."""
     return 0.5 * float(np.square(step[step.size - library.tolerances.size :]).sum())
 
 
-def _of_all_flights(
+def _joint_step(
     a: Array, g: Array, tested: Library, candidate: Candidate | None, columns: Indices, weights: Weighting
 ) -> tuple[Array, Array]:
     """Return the joint step of all flights (``a``, ``g``: training), and the test flights' mean squares after it, (C,).
@@ -226,7 +228,7 @@ def _of_all_flights(
     weight, whole = weights.weight, np.zeros(tested.moments.gradient.shape[2])
     rows, blocks = tested.moments.count.sum(), tested.moments.count.size
     for _ in range(PASSES):
-        product, gradient = _sums(tested, weight)
+        product, gradient = _sums_with_weights(tested, weight)
         joint, pull = a + product[np.ix_(columns, columns)], g + gradient[columns]
         step = np.linalg.solve(joint, pull) if candidate is None else _solution_in_bounds(joint, pull, candidate)
         whole[columns] = step
@@ -236,7 +238,7 @@ def _of_all_flights(
     return step, squares
 
 
-def _sums(library: Library, weight: Array) -> tuple[Array, Array]:
+def _sums_with_weights(library: Library, weight: Array) -> tuple[Array, Array]:
     moments = library.moments
     return np.einsum("c,bckl->kl", weight, moments.product), np.einsum("c,bck->k", weight, moments.gradient)
 

@@ -13,8 +13,13 @@ from aerial_gym.sim2real.identify.candidates.structure import Structure, find_st
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
-from aerial_gym.sim2real.judge.predictive import ResidualCriterion, channel_names, left_open, open_effects
-from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, wind_declaration
+from aerial_gym.sim2real.judge.predictive import (
+    ResidualCriterion,
+    channel_names,
+    effects_left_open,
+    largest_open_squares,
+)
+from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, random_wind_in_file
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import KINEMATIC
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -57,14 +62,12 @@ class ResidualExcess:
 
     def with_wind_floor(self, evaluation: ModelEvaluation) -> ModelEvaluation:
         """Return an evaluation whose noise floor includes random wind, if random wind is accepted."""
-        return (
-            replace(evaluation, floor=tuple(self.floor.tolist()))
-            if self.wind.is_accepted and self.floor is not None
-            else evaluation
-        )
+        if self.floor is None or not self.wind.is_accepted:
+            return evaluation
+        return replace(evaluation, floor=tuple(self.floor.tolist()))
 
 
-def find_unexplained(
+def find_residual_excess(
     train: Predictor,
     test: Predictor,
     selection: SelectionResult,
@@ -83,7 +86,8 @@ def find_unexplained(
     within = with_best_deviations(params, selection.final.fit, selection.weights.weight)
     left, tolerated = test.residuals(within), selection.left_out.tolerated
     rms = np.minimum(channel_rms(left), [channel.value for channel in after.residual])  # deviations may only lower it
-    judged = np.array([channel.kind not in not_judged(flights) for channel in test.channels])
+    not_judged = KINEMATIC if can_judge_forces(flights) else (*KINEMATIC, "specific_force")
+    judged = np.array([channel.kind not in not_judged for channel in test.channels])
     suspected = judged & material_excess(rms, floor, tolerated)
     seen, own = train.residuals(within), selection.own_offsets.size > 0.0
 
@@ -94,7 +98,7 @@ def find_unexplained(
     about = np.where(own, about_offsets(left), rms)
     within_flights = whole = np.zeros(rms.size)
     if suspected.any():
-        within_flights, whole = left_open(test, params, selection, fitted)
+        within_flights, whole = largest_open_squares(test, params, selection, fitted)
 
     def excess_channels(floor: Array | None) -> Flags:
         cases = ((about, within_flights), (rms, whole))
@@ -103,13 +107,13 @@ def find_unexplained(
             axis=0,
         )
 
-    remaining, wind = excess_channels(floor), wind_declaration(train.robot)
+    remaining, wind = excess_channels(floor), random_wind_in_file(train.robot)
     if not wind.is_accepted:
         wind = find_random_wind(
             train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
         )
         if wind.is_accepted and floor is not None:
-            floor = np.hypot(floor, wind.adds(test, params))
+            floor = np.hypot(floor, wind.channel_rms(test, params))
             remaining = excess_channels(floor)
     structure, could = Structure(), ()
     if remaining.any():
@@ -119,7 +123,7 @@ def find_unexplained(
             structure = find_structure(train.flights, train.times, seen, test.channels, places)
         level = floor  # of the noise, random wind included
         asked = ResidualCriterion(remaining=remaining, enough=lambda rms: ~material_excess(rms, level, tolerated))
-        could = open_effects(train, test, models, selection, asked)
+        could = effects_left_open(train, test, models, selection, asked)
     names = [channel.name for channel in test.channels]
     open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
     offsets = open_channels & own & ~material_excess(about, floor, tolerated)
@@ -165,11 +169,6 @@ def excess_power(rms: Array, floor: Array | None) -> Array:
     return np.zeros(rms.size) if floor is None else np.maximum(rms**2 - floor**2, 0.0)
 
 
-def judges_forces(flights: Sequence[Flight]) -> bool:
+def can_judge_forces(flights: Sequence[Flight]) -> bool:
     """Return whether every flight has velocity: without it drag is unknown, and force residuals are not judged."""
     return all(flight.lin_vel is not None for flight in flights)
-
-
-def not_judged(flights: Sequence[Flight]) -> tuple[str, ...]:
-    """Return the kinds of channel whose residual is not judged: kinematic ones, and forces if velocity is unknown."""
-    return KINEMATIC if judges_forces(flights) else (*KINEMATIC, "specific_force")

@@ -20,7 +20,7 @@ from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.judge.ablation import Ablation
-from aerial_gym.sim2real.judge.breakdown import Part, Regime
+from aerial_gym.sim2real.judge.breakdown import FlightError, Regime
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Outcome
@@ -139,7 +139,7 @@ class Verdict:
     outcomes: tuple[Outcome, ...]
     """Change of each channel and rollout error on the test flights; empty if nothing is corrected."""
 
-    flights: dict[str, list[Part]]
+    flights: dict[str, list[FlightError]]
     """Errors of the declared and the corrected model on each test flight."""
 
     unexplained: tuple[str, ...]
@@ -190,20 +190,20 @@ class Verdict:
         }
 
 
-def declaration(name: str, robot: RobotCfg) -> dict[str, float]:
+def parameters_in_file(name: str, robot: RobotCfg) -> dict[str, float]:
     """Return the parameters of an effect in a robot file; neutral values where the file has none."""
     effect, stated = EFFECTS.get(name), robot.effects.get(name, {})
     neutral = zip(effect.parameters, effect.neutral(robot), strict=True)
     return {parameter.name: float(stated.get(parameter.name, value)) for parameter, value in neutral}
 
 
-def rotor_place(name: str, params: Array, robot: RobotCfg) -> str:
+def place_of_affected_rotor(name: str, params: Array, robot: RobotCfg) -> str:
     """Return the place of the rotor that an effect acts on, such as ``front left``; empty if it acts on no single one."""
     kinds = [parameter.kind for parameter in EFFECTS.get(name).parameters]
     return place_of_rotor(robot, round(float(params[kinds.index("rotor")]))) if "rotor" in kinds else ""
 
 
-def effect_entries(
+def effects_of_selection(
     selection: SelectionResult, ablations: dict[str, Ablation], regimes: dict[str, Regime], robot: RobotCfg
 ) -> tuple[NamedEffect, ...]:
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
@@ -227,27 +227,27 @@ def effect_entries(
                 confidence=min(inclusion[name], MOST_CONFIDENT),
                 ablation=ablations[name],
                 regime=regimes[name],
-                ties=tuple(find_ties(name, selection)),
+                ties=tuple(names_of_ties(name, selection)),
                 in_part=tuple(rival for rival in selection.chosen.in_part if rival.effect == name),
                 correlation={
                     key: dict(zip(numbers[:i], correlation[i, :i].tolist(), strict=True))
                     for key in own
                     if f"{name}.{key}" in numbers and (i := numbers.index(f"{name}.{key}")) > 0
                 },
-                declared=declaration(name, robot),
-                place=rotor_place(name, fit.params.effects[name], robot),
+                declared=parameters_in_file(name, robot),
+                place=place_of_affected_rotor(name, fit.params.effects[name], robot),
             )
         )
     return tuple(results)
 
 
-def immaterial(effects: Sequence[NamedEffect]) -> list[Finding]:
+def notes_on_materiality(effects: Sequence[NamedEffect]) -> list[Finding]:
     """Return a note for each effect that is immaterial, or not shown to be material."""
     notes = []
     for effect in effects:
         if (ablation := effect.ablation) is None or ablation.material:
             continue
-        channel, rise = ablation.most
+        channel, rise = ablation.largest_rise
         values = {"channel": channel, "rise": rise.value, "rise_low": rise.low, "rise_high": rise.high}
         if ablation.material is None:
             notes.append(Finding("materiality_open", effect.name, values))
@@ -256,6 +256,6 @@ def immaterial(effects: Sequence[NamedEffect]) -> list[Finding]:
     return notes
 
 
-def find_ties(name: str, selection: SelectionResult) -> list[str]:
+def names_of_ties(name: str, selection: SelectionResult) -> list[str]:
     """Return the effects that explain the flights as well as an accepted one in its place."""
     return [rival.effect for rival in selection.effect_ties(name)]

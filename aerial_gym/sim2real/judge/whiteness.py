@@ -46,7 +46,7 @@ class Whiteness:
         return select_fields(self, "probability", "white", "octaves")
 
 
-def lines(
+def spectral_lines(
     times: Sequence[Array], values: Sequence[Array], bandwidth: float, *, tapered: bool = False
 ) -> tuple[Array, Array]:
     """Return frequencies (L,) [Hz] and powers (L, C) of all spans without a gap, with the low-pass gain divided out.
@@ -71,7 +71,7 @@ def lines(
     return np.concatenate(frequencies), np.concatenate(powers)
 
 
-def integrate(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
+def integrals(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
     """Return the integrals of values (T, C): trapezoidal rule, with its gain ``(w h/2) cot(w h/2)`` divided out."""
     results = []
     for time, rows in zip(times, values, strict=True):
@@ -84,18 +84,18 @@ def integrate(times: Sequence[Array], values: Sequence[Array]) -> list[Array]:
     return results
 
 
-def in_octaves(frequency: Array, power: Array, bandwidth: float) -> Array:
+def power_by_octave(frequency: Array, power: Array, bandwidth: float) -> Array:
     """Return the power in each octave, (O, C)."""
     place = np.clip(np.digitize(frequency / bandwidth, EDGES[1:], right=True), 0, len(EDGES) - 2)
     return np.stack([power[place == octave].sum(axis=0) for octave in range(len(EDGES) - 1)])
 
 
-def octave_names(bandwidth: float) -> list[str]:
+def octave_ranges(bandwidth: float) -> list[str]:
     """Return the frequency range of each octave as text."""
     return [f"{low * bandwidth:.3g} to {high * bandwidth:.3g} Hz" for low, high in pairwise(EDGES)]
 
 
-def whiteness(
+def whiteness_of_channels(
     times: Sequence[Array], residuals: Sequence[Array], channels: Sequence[Channel], bandwidth: float
 ) -> list[Whiteness]:
     """Return the whiteness of each channel of residuals (T, C); channels that are derivatives are integrated first.
@@ -104,8 +104,8 @@ def whiteness(
     Source: Durbin (1969), Tests for serial correlation in regression analysis based on the periodogram of least-squares
     residuals, Biometrika 56; finite samples: Stephens (1970), JRSS B 32.
     """
-    frequency, power = lines(times, residuals, bandwidth)
-    read = lines(times, integrate(times, residuals), bandwidth)[1]
+    frequency, power = spectral_lines(times, residuals, bandwidth)
+    read = spectral_lines(times, integrals(times, residuals), bandwidth)[1]
     order, count = np.argsort(frequency), frequency.size
     results = []
     for place, channel in enumerate(channels):
@@ -116,8 +116,8 @@ def whiteness(
         total = np.cumsum(even[order]) / even.sum()
         distance = float(np.abs(total - np.arange(1, count + 1) / count).max())
         root = np.sqrt(count)
-        share = in_octaves(frequency, even[:, None], bandwidth)[:, 0] / even.sum()
-        number = in_octaves(frequency, np.ones((count, 1)), bandwidth)[:, 0] / count
+        share = power_by_octave(frequency, even[:, None], bandwidth)[:, 0] / even.sum()
+        number = power_by_octave(frequency, np.ones((count, 1)), bandwidth)[:, 0] / count
         results.append(
             Whiteness(
                 probability=float(special.kolmogorov(distance * (root + 0.12 + 0.11 / root))),

@@ -106,33 +106,35 @@ class Panel:
             scaled = np.log10(np.maximum(y, 1e-300)) if self.log else y
             return top + high * (1.0 - np.clip((scaled - y_low) / (y_high - y_low), 0.0, 1.0))
 
-        parts = [_path(mark, to_pixels(mark.x), upright(mark.y)) for mark in self.marks]
+        parts = [_mark_path(mark, to_pixels(mark.x), upright(mark.y)) for mark in self.marks]
         ends = np.array([left, left + wide])
-        parts += [_stroke(ends, upright(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"') for y in self.levels]
+        parts += [_stroke_path(ends, upright(np.full(2, y)), 2, 'stroke="#000" stroke-width="5"') for y in self.levels]
         x_ticks = np.arange(len(self.names), dtype=float) if self.names else ticks(x_low, x_high)
         y_ticks = _decades(y_low, y_high) if self.log else ticks(y_low, y_high)
         bottom, out = top + high, 3 * POINT
         x_at, y_at = to_pixels(x_ticks), upright(y_ticks)
         x_ends = np.concatenate((np.repeat(x_at, 2), np.tile([left - out, left], y_at.size)))
         y_ends = np.concatenate((np.tile([bottom, bottom + out], x_at.size), np.repeat(y_at, 2)))
-        parts.append(_stroke(x_ends, y_ends, 2, 'stroke="#000" stroke-width="8"'))
+        parts.append(_stroke_path(x_ends, y_ends, 2, 'stroke="#000" stroke-width="8"'))
         parts.append(
             f'<rect x="{left:.0f}" y="{top:.0f}" width="{wide:.0f}" height="{high:.0f}" '
             'fill="none" stroke="#000" stroke-width="8"/>'
         )
         if self.numbered:
-            names = self.names or [_number(x) for x in x_ticks]
-            parts += [text(n, x, bottom + 11 * POINT, anchor="middle") for n, x in zip(names, x_at, strict=True)]
-        parts += [
-            text(_number(v), left - 5 * POINT, y + 2.5 * POINT, anchor="end")
-            for v, y in zip(y_ticks, y_at, strict=True)
-        ]
-        parts.append(text(self.x_label, left + wide / 2, bottom + 21 * POINT, size=8, anchor="middle"))
-        parts.append(text(self.y_label, left - 33 * POINT, top + high / 2, size=8, anchor="middle", turned=True))
-        parts.append(text(self.title, left, top - 4 * POINT, size=9))
-        return "".join([*parts, self._box() if self.boxed else ""])
+            names = self.names or [_tick_text(x) for x in x_ticks]
+            parts += [
+                text_element(n, x, bottom + 11 * POINT, anchor="middle") for n, x in zip(names, x_at, strict=True)
+            ]
+        y_names = zip(map(_tick_text, y_ticks), y_at, strict=True)
+        parts += [text_element(name, left - 5 * POINT, y + 2.5 * POINT, anchor="end") for name, y in y_names]
+        parts.append(text_element(self.x_label, left + wide / 2, bottom + 21 * POINT, size=8, anchor="middle"))
+        parts.append(
+            text_element(self.y_label, left - 33 * POINT, top + high / 2, size=8, anchor="middle", turned=True)
+        )
+        parts.append(text_element(self.title, left, top - 4 * POINT, size=9))
+        return "".join([*parts, self._legend() if self.boxed else ""])
 
-    def _box(self) -> str:
+    def _legend(self) -> str:
         """Return the legend in the upper corner that the last line avoids."""
         left, top, wide, _ = self.place
         labelled, size = [mark for mark in self.marks if mark.label], 6.5
@@ -143,10 +145,8 @@ class Panel:
         parts = [f'<rect x="{start:.0f}" y="{top + 40:.0f}" width="{width:.0f}" height="{high:.0f}" fill="#fffc"/>']
         for place, mark in enumerate(labelled, start=1):
             y = top + 40 + place * step
-            parts += [
-                _sample(mark, start + 2 * POINT, y - 2 * POINT),
-                text(mark.label, start + 14 * POINT, y, size=size),
-            ]
+            parts.append(_legend_stroke(mark, start + 2 * POINT, y - 2 * POINT))
+            parts.append(text_element(mark.label, start + 14 * POINT, y, size=size))
         return "".join(parts)
 
 
@@ -164,12 +164,12 @@ class Figure:
     def svg(self) -> str:
         """Return the figure as SVG; empty panels stay blank."""
         wide, high = self.size
-        parts = [text(self.title, LEFT * INCH, 14 * POINT, size=9)]
+        parts = [text_element(self.title, LEFT * INCH, 14 * POINT, size=9)]
         at = wide - RIGHT * INCH
         for mark in reversed(self.legend):
-            parts.append(text(mark.label, at, 10 * POINT, anchor="end"))
+            parts.append(text_element(mark.label, at, 10 * POINT, anchor="end"))
             at -= (len(mark.label) * LETTER * 7 + 13) * POINT
-            parts.append(_sample(mark, at, 8 * POINT))
+            parts.append(_legend_stroke(mark, at, 8 * POINT))
             at -= 12 * POINT
         for column in self.columns:
             drawn = [panel for panel in column if panel.marks or panel.x_label]
@@ -202,16 +202,11 @@ def panels(
     """
     widths = [float(width)] * columns if isinstance(width, float | int) else list(width)
     lefts = LEFT + np.concatenate(([0.0], np.cumsum(np.array(widths) + gap[0])))
-    grid = [
-        [
-            Panel(
-                place=(lefts[column] * INCH, (TOP + row * (height + gap[1])) * INCH, wide * INCH, height * INCH),
-                numbered=not sharex or row == rows - 1,
-            )
-            for column, wide in enumerate(widths)
-        ]
-        for row in range(rows)
-    ]
+    grid = []
+    for row in range(rows):
+        top, numbered = (TOP + row * (height + gap[1])) * INCH, not sharex or row == rows - 1
+        places = [(left * INCH, top, wide * INCH, height * INCH) for left, wide in zip(lefts, widths, strict=False)]
+        grid.append([Panel(place=place, numbered=numbered) for place in places])
     size = (lefts[-1] - gap[0] + RIGHT) * INCH, (TOP + rows * (height + gap[1]) - gap[1] + BOTTOM) * INCH
     by_column = [list(column) for column in zip(*grid, strict=True)]
     return Figure(title=title, size=size, columns=by_column, shared=sharex), grid
@@ -251,28 +246,28 @@ def _envelope(x: Array, y: Array) -> tuple[Array, Array]:
     return x[keep], y[keep]
 
 
-def _path(mark: Mark, x: Array, y: Array) -> str:
+def _mark_path(mark: Mark, x: Array, y: Array) -> str:
     """Return a mark as SVG; non-finite points become gaps."""
-    known, style = np.isfinite(x) & np.isfinite(y), _style(mark)
+    known, style = np.isfinite(x) & np.isfinite(y), _stroke_style(mark)
     if mark.together == 1:
         x, y = np.unique(np.stack((x[known], y[known]), axis=1) // 10.0 * 10.0, axis=0).T  # one dot per pixel
     elif mark.together == x.size:
         gaps = np.flatnonzero(np.diff(known)) + 1
         pieces = zip(np.split(x, gaps), np.split(y, gaps), np.split(known, gaps), strict=True)
-        return "".join(_line(own_x, own_y, style) for own_x, own_y, drawn in pieces if drawn[0])
+        return "".join(_line_path(own_x, own_y, style) for own_x, own_y, drawn in pieces if drawn[0])
     else:
         whole = np.repeat(known.reshape(-1, mark.together).all(axis=1), mark.together)
         x, y = x[whole], y[whole]
-    return _stroke(x, y, mark.together, style)
+    return _stroke_path(x, y, mark.together, style)
 
 
-def _line(x: Array, y: Array, style: str) -> str:
+def _line_path(x: Array, y: Array, style: str) -> str:
     if x.size > 4 and x.size > 2.0 * (x.max() - x.min()) / 10.0:
         x, y = _envelope(x, y)
-    return _stroke(x, y, x.size, style)
+    return _stroke_path(x, y, x.size, style)
 
 
-def _style(mark: Mark) -> str:
+def _stroke_style(mark: Mark) -> str:
     if mark.filled:
         return f'fill="{mark.colour}"'
     more = f' stroke-opacity="{mark.alpha:g}"' if mark.alpha < 1.0 else ""
@@ -281,7 +276,7 @@ def _style(mark: Mark) -> str:
     return f'stroke="{mark.colour}" stroke-width="{mark.width * POINT:.0f}"{more}'
 
 
-def _stroke(x: Array, y: Array, together: int, style: str) -> str:
+def _stroke_path(x: Array, y: Array, together: int, style: str) -> str:
     """Return a path with strokes of ``together`` points each; a single point is a dot."""
     points = np.rint(np.stack((x, y), axis=1)).astype(np.int64).reshape(-1, 2 * together).tolist()
     end = "h0" if together == 1 else ""
@@ -289,18 +284,20 @@ def _stroke(x: Array, y: Array, together: int, style: str) -> str:
     return f'<path {style} d="{"".join(strokes)}"/>'
 
 
-def _sample(mark: Mark, x: float, y: float) -> str:
+def _legend_stroke(mark: Mark, x: float, y: float) -> str:
     """Return a short legend stroke in the style of a mark."""
     wide = 5.0 if mark.filled or mark.together == 1 else max(mark.width, 1.0)
     style = f'stroke="{mark.colour}" stroke-width="{wide * POINT:.0f}"'
-    return _stroke(np.array([x, x + 10 * POINT]), np.array([y, y]), 2, style)
+    return _stroke_path(np.array([x, x + 10 * POINT]), np.array([y, y]), 2, style)
 
 
-def _number(value: float) -> str:
+def _tick_text(value: float) -> str:
     return f"{value + 0.0:.4g}"
 
 
-def text(words: str, x: float, y: float, *, size: float = 7, anchor: str = "start", turned: bool = False) -> str:
+def text_element(
+    words: str, x: float, y: float, *, size: float = 7, anchor: str = "start", turned: bool = False
+) -> str:
     """Return words at a point, with font size [pt]."""
     if not words:
         return ""

@@ -34,8 +34,8 @@ COLOURS = ("#b0413e", "#d99036", "#4f8f5b", "#7a5ca8")
 LINE = "#1f4e79"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cloud:
+@dataclass(frozen=True)
+class ChannelEvidence:
     """Information of one channel about a parameter."""
 
     channel: Channel
@@ -45,7 +45,7 @@ class Cloud:
     std: float  # Standard deviation of that value, from the scatter of time blocks
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ParameterEvidence:
     """Information of all channels about a parameter."""
 
@@ -54,19 +54,19 @@ class ParameterEvidence:
     scale: float
     neutral: float
     fitted: float
-    clouds: tuple[Cloud, ...]  # All channels, the most informative first
+    clouds: tuple[ChannelEvidence, ...]  # All channels, the most informative first
 
     @property
-    def informative_channels(self) -> tuple[tuple[Cloud, float], ...]:
+    def informative_channels(self) -> list[tuple[ChannelEvidence, float]]:
         """Return the channels with a noticeable share of the parameter's information, and these shares."""
-        told = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
-        shares = [(cloud, own / max(sum(told), 1e-300)) for cloud, own in zip(self.clouds, told, strict=True)]
-        return tuple((cloud, share) for cloud, share in shares if share >= LEAST_TOLD)
+        information = [float(cloud.adds @ cloud.adds) for cloud in self.clouds]
+        shares = [own / max(sum(information), 1e-300) for own in information]
+        return [pair for pair in zip(self.clouds, shares, strict=True) if pair[1] >= LEAST_TOLD]
 
     @property
-    def channels_to_plot(self) -> tuple[Cloud, ...]:
+    def channels_to_plot(self) -> list[ChannelEvidence]:
         """Return the channels to plot."""
-        return tuple(cloud for cloud, _ in self.informative_channels[:MOST_CHANNELS])
+        return [cloud for cloud, _ in self.informative_channels[:MOST_CHANNELS]]
 
 
 def parameter_evidence(
@@ -82,8 +82,8 @@ def parameter_evidence(
     predicted = predictor.predict(params)
     jacobian = np.concatenate(effect_jacobian(predictor, params, (effect,), predicted)) * np.sqrt(weight)[:, None]
     left = np.concatenate([m - p for m, p in zip(predictor.measured, predicted, strict=True)]) * np.sqrt(weight)
-    group, scale = time_block_of_rows(predictor.times), parameter_scales((effect,))
-    clues_list = []
+    group, scale = time_groups(predictor.times), scales((effect,))
+    results = []
     for k, parameter in enumerate(EFFECTS.get(effect).parameters):
         if parameter.kind != "number" or parameter.name in untold:
             continue
@@ -91,30 +91,16 @@ def parameter_evidence(
         beyond = left + adds * (params.effects[effect][k] - neutral[k]) / scale[k]
         clouds = []
         for place in np.argsort(-(adds**2).sum(axis=0)).tolist():
-            slope, std = _through_zero(adds[:, place], beyond[:, place], group)
-            clouds.append(
-                Cloud(
-                    channel=predictor.channels[place],
-                    adds=adds[:, place],
-                    beyond=beyond[:, place],
-                    alone=float(neutral[k] + slope * scale[k]),
-                    std=float(std * scale[k]),
-                )
-            )
-        clues_list.append(
-            ParameterEvidence(
-                parameter=parameter.name,
-                unit=parameter.unit,
-                scale=float(scale[k]),
-                neutral=float(neutral[k]),
-                fitted=float(params.effects[effect][k]),
-                clouds=tuple(clouds),
-            )
-        )
-    return clues_list
+            slope, std = _slope_through_zero(adds[:, place], beyond[:, place], group)
+            alone = float(neutral[k] + slope * scale[k])
+            columns = (adds[:, place], beyond[:, place])
+            clouds.append(ChannelEvidence(predictor.channels[place], *columns, alone, float(std * scale[k])))
+        numbers = (float(scale[k]), float(neutral[k]), float(params.effects[effect][k]))
+        results.append(ParameterEvidence(parameter.name, parameter.unit, *numbers, tuple(clouds)))
+    return results
 
 
-def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
+def _slope_through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
     """Return the slope of a least-squares line through the origin, and its standard deviation from the scatter of groups."""
     square = float(x @ x)
     if square == 0.0:
@@ -124,37 +110,35 @@ def _through_zero(x: Array, y: Array, group: Indices) -> tuple[float, float]:
     return slope, float(np.sqrt(scores @ scores) / square)
 
 
-def evidence(effect: str, clues: list[ParameterEvidence]) -> str:
+def evidence_figure(effect: str, clues: list[ParameterEvidence]) -> str:
     """Return a figure with one panel per parameter."""
     shown = [clue for clue in clues if clue.channels_to_plot]
     figure, axes = panels(1, max(len(shown), 1), width=3.3, height=2.6, title=effect, gap=(0.6, 0.0))
     for panel, clue in zip(axes[0], shown, strict=False):
-        _draw(panel, clue)
+        _draw_parameter(panel, clue)
     return figure.svg()
 
 
 def write_evidence(path: Path, clues: Mapping[str, Sequence[ParameterEvidence]]) -> None:
     """Write each parameter's fitted value, and the value from each informative channel alone."""
     columns = ["effect", "parameter", "fitted", "channel", "alone", "std", "share_told"]
-    rows = []
-    for effect, own in clues.items():
-        for clue in own:
-            rows += [
-                (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share)
-                for cloud, share in clue.informative_channels
-            ]
+    rows = [
+        (effect, clue.parameter, clue.fitted, cloud.channel.name, cloud.alone, cloud.std, share)
+        for effect, own in clues.items()
+        for clue in own
+        for cloud, share in clue.informative_channels
+    ]
     pd.DataFrame(rows, columns=columns).to_csv(path, index=False, float_format="%.6g", errors="surrogateescape")
 
 
-def _draw(panel: Panel, clue: ParameterEvidence) -> None:
+def _draw_parameter(panel: Panel, clue: ParameterEvidence) -> None:
     for cloud, colour in zip(clue.channels_to_plot, COLOURS, strict=False):
         step = max(1, cloud.adds.size // MOST_POINTS)
         name = f"{cloud.channel.kind.replace('_', ' ')} {cloud.channel.axis}"
         label = f"{name} alone: {cloud.alone:.4g} ± {1.96 * cloud.std:.2g}"
         panel.dots(cloud.adds[::step], cloud.beyond[::step], colour, width=1.8, alpha=0.45, label=label)
-    ends = np.array(
-        [min(c.adds.min() for c in clue.channels_to_plot), max(c.adds.max() for c in clue.channels_to_plot)]
-    )
+    adds = np.concatenate([cloud.adds for cloud in clue.channels_to_plot])
+    ends = np.array([adds.min(), adds.max()])
     line = (clue.fitted - clue.neutral) / clue.scale * ends
     panel.line(ends, line, LINE, width=1.6, label=f"{clue.parameter} = {clue.fitted:.4g}")
     unit = "" if clue.unit == "-" else f" {clue.unit}"

@@ -11,12 +11,13 @@ from aerial_gym.sim2real.identify.candidates.structure import rotate_forces_to_w
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
 from aerial_gym.sim2real.judge.analysis import LoopResult
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.outcome import SAME
 from aerial_gym.sim2real.predict.channels import KINEMATIC, Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report import plots
-from aerial_gym.sim2real.report.evidence import ParameterEvidence, evidence, parameter_evidence
-from aerial_gym.sim2real.report.profiles import Profile, quantities
+from aerial_gym.sim2real.report.evidence import ParameterEvidence, evidence_figure, parameter_evidence
+from aerial_gym.sim2real.report.profiles import Profile, profile_quantities
 
 MOST_REJECTED = 2
 """Number of rejected effects whose evidence is plotted if none is accepted."""
@@ -36,15 +37,15 @@ def report_models(judged: LoopResult) -> dict[str, ModelParams]:
     return models | {"corrected": judged.params} if judged.verdict.corrects else models
 
 
-def report_clues(judged: LoopResult) -> dict[str, list[ParameterEvidence]]:
+def evidence_of_effects(judged: LoopResult) -> dict[str, list[ParameterEvidence]]:
     """Return the training flights' information about the accepted effects; without any, about the closest candidates.
 
     Models include the jointly fitted deviations, so that the fitted line matches the residual.
     """
     declared, selection = judged.declared, judged.selection
     models = dict.fromkeys(selection.effect_names, judged.within)
-    for fitted in () if models else closest(selection):
-        models.setdefault(fitted.effects[0], fitted.model_with_deviations)
+    for fitted in () if models else most_probable_single_effects(selection):
+        models.setdefault(fitted.effects[0], fitted.model_in_tolerances)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
     weight, results = selection.weights.weight, {}
     for name, params in models.items():
@@ -53,7 +54,7 @@ def report_clues(judged: LoopResult) -> dict[str, list[ParameterEvidence]]:
     return results
 
 
-def figures(
+def report_figures(
     judged: LoopResult, told: Mapping[str, list[ParameterEvidence]], profiles_list: Sequence[Profile]
 ) -> dict[str, list[dict[str, str]]]:
     """Return the figures of the page by section."""
@@ -62,32 +63,30 @@ def figures(
     clouds = []
     for name, own in told.items():
         rejected = "" if name in judged.selection.effect_names else ", which is not accepted"
-        clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence(name, own)})
-    bars = [{"title": "Residuals before and after", "image": plots.residual_bars(before, after)}]
-    bars += [
-        {"title": title, "image": plots.rollout_bars(before, after, variant)}
-        for variant, title in VARIANTS.items()
-        if variant in before.rollout
-    ]
+        clouds.append({"title": f"Evidence for {name}{rejected}", "image": evidence_figure(name, own)})
     rest = [
-        {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.residual_figures(parts, channel)}
-        for channel, parts in residual_rows(judged)
+        {"title": f"Residual of the {channel.name.replace('_', ' ')}", "image": plots.residual_figure(parts, channel)}
+        for channel, parts in residuals_to_plot(judged)
     ]
-    kinds, models = kinds_to_plot(judged), report_models(judged)
+    models = report_models(judged)
+    titles = {kind: kind.replace("_", " ").capitalize() for kind in kinds_to_plot(judged)}
     return {
-        "traces": [{"title": _words(kind), "image": plots.traces(test, models, kind)} for kind in kinds],
+        "traces": [{"title": title, "image": plots.trace_figure(test, models, kind)} for kind, title in titles.items()],
         "profiles": [
-            {"title": _words(kind), "image": plots.residual_profiles(profiles_list, test.channels, kind)}
-            for kind in kinds
+            {"title": title, "image": plots.profile_figure(profiles_list, test.channels, kind)}
+            for kind, title in titles.items()
         ],
         "evidence": clouds,
-        "bars": bars,
+        "bars": figures_of_errors(before, after, "Residuals before and after"),
         "rest": rest,
     }
 
 
-def _words(kind: str) -> str:
-    return kind.replace("_", " ").capitalize()
+def figures_of_errors(before: ModelEvaluation, after: ModelEvaluation | None, title: str) -> list[dict[str, str]]:
+    """Return the figures of residuals and rollout errors of one or two models."""
+    figures = [{"title": title, "image": plots.residual_bars(before, after)}]
+    variants = {name: title for name, title in VARIANTS.items() if name in before.rollout}
+    return figures + [{"title": t, "image": plots.rollout_bars(before, after, name)} for name, t in variants.items()]
 
 
 def kinds_to_plot(judged: LoopResult) -> list[str]:
@@ -97,7 +96,7 @@ def kinds_to_plot(judged: LoopResult) -> list[str]:
     return list(dict.fromkeys(drawn))
 
 
-def residual_rows(judged: LoopResult) -> list[tuple[Channel, list[plots.ResidualPart]]]:
+def residuals_to_plot(judged: LoopResult) -> list[tuple[Channel, list[plots.FlightResidual]]]:
     """Return the corrected model's residual in the unexplained channels, or in the one farthest above its noise floor."""
     channels, after, results = judged.declared.channels, judged.verdict.after, []
     dynamic = [place for place, channel in enumerate(channels) if channel.kind not in KINEMATIC]
@@ -113,25 +112,17 @@ def residual_rows(judged: LoopResult) -> list[tuple[Channel, list[plots.Residual
         parts = []
         for predictor, residuals in left:
             for flight, time, residual in zip(predictor.flights, predictor.times, residuals, strict=True):
-                turned = rotate_forces_to_world(flight, time, residual, channels)
-                against = {"time [s]": time, **quantities(flight, time, vehicle, judged.declared.bandwidth)}
+                turned = world_forces(flight, time, residual, channels)
+                against = {"time [s]": time, **profile_quantities(flight, time, vehicle, judged.declared.bandwidth)}
                 if flight.position is not None:
-                    against |= {"x [m]": flight.position[rows_at_times(flight, time), 0]}
-                    against |= {"y [m]": flight.position[rows_at_times(flight, time), 1]}
-                parts.append(
-                    plots.ResidualPart(
-                        flight=flight,
-                        time=time,
-                        values=residual[:, place],
-                        world=turned[:, place],
-                        quantities=against,
-                    )
-                )
+                    x, y, _ = flight.position[flight_rows(flight, time)].T
+                    against |= {"x [m]": x, "y [m]": y}
+                parts.append(plots.FlightResidual(time, residual[:, place], turned[:, place], against))
         results.append((channels[place], parts))
     return results
 
 
-def closest(selection: SelectionResult) -> list[EffectSetFit]:
+def most_probable_single_effects(selection: SelectionResult) -> list[EffectSetFit]:
     """Return the most probable fitted sets with a single effect, for a report without accepted effects."""
     fits = [one for one in selection.chosen.fits if len(one.effects) == 1 and not one.structures]
     return [one for one in fits if np.isfinite(one.log_posterior)][:MOST_REJECTED]

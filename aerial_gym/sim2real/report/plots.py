@@ -7,7 +7,7 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
-from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
+from aerial_gym.sim2real.logs.flights import common_values
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -31,18 +31,17 @@ TRACE_S = 5.0
 """Duration of the detailed trace [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ResidualPart:
+@dataclass(frozen=True)
+class FlightResidual:
     """Residual of one channel in one flight under the corrected model."""
 
-    flight: Flight
     time: Array  # [s], (T,)
     values: Array  # Residual in body axes, (T,)
     world: Array  # Residual in world axes for a force, else the same, (T,)
     quantities: dict[str, Array]  # Quantities on the horizontal axes, (T,) each
 
 
-def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -> str:
+def trace_figure(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -> str:
     """Return the time course of one flight: its most informative seconds, and the residual of the whole flight.
 
     The flight and seconds are those with the largest difference between the models, or from the measurement.
@@ -50,13 +49,13 @@ def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -
     places = [place for place, channel in enumerate(predictor.channels) if channel.kind == kind]
     predicted = {name: predictor.predict(params) for name, params in models.items()}
     first, *rest = predicted.values()
-    against = rest[0] if rest and _differ(first, rest[0], places) else predictor.measured
+    against = rest[0] if rest and _are_different(first, rest[0], places) else predictor.measured
     change = [np.square(a[:, places] - b[:, places]) for a, b in zip(first, against, strict=True)]
     size = np.maximum(np.concatenate(change).mean(axis=0), 1e-300)
     telling = [(part / size).sum(axis=1) for part in change]
     index = int(np.argmax([part.mean() for part in telling]))
     time, measured = predictor.times[index], predictor.measured[index]
-    window = _span(time, telling[index])
+    window = _most_informative_rows(time, telling[index])
     title = f"{kind.replace('_', ' ')}, {predictor.flights[index].name}: measured and predicted"
     figure, axes = panels(len(places), 2, width=(4.6, 5.2), height=1.25, title=title, gap=(0.62, 0.12), sharex=True)
     for (left, right), place in zip(axes, places, strict=True):
@@ -65,7 +64,7 @@ def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -
             values, colour = flights[index][:, place], COLOURS[model]
             left.line(time[window], values[window], colour, label=model)
             right.line(time, measured[:, place] - values, colour, width=0.6)
-        left.y_label = _axis(predictor.channels[place])
+        left.y_label = _axis_label(predictor.channels[place])
         right.levels.append(0.0)
     axes[0][1].title = "measured minus predicted"
     figure.legend = axes[0][0].marks
@@ -74,15 +73,15 @@ def traces(predictor: Predictor, models: Mapping[str, ModelParams], kind: str) -
     return figure.svg()
 
 
-def _axis(channel: Channel) -> str:
+def _axis_label(channel: Channel) -> str:
     return f"{channel.axis} [{channel.unit}]"
 
 
-def _differ(one: Sequence[Array], other: Sequence[Array], places: Sequence[int]) -> bool:
+def _are_different(one: Sequence[Array], other: Sequence[Array], places: Sequence[int]) -> bool:
     return any(np.any(a[:, places] != b[:, places]) for a, b in zip(one, other, strict=True))
 
 
-def _span(time: Array, size: Array) -> Flags:
+def _most_informative_rows(time: Array, size: Array) -> Flags:
     """Return the rows of the ``TRACE_S`` window with the largest sum of ``size`` (T,)."""
     ends = np.searchsorted(time, time + TRACE_S)
     total = np.concatenate(([0.0], np.cumsum(size)))
@@ -91,13 +90,12 @@ def _span(time: Array, size: Array) -> Flags:
     return (time >= time[start]) & (time <= time[start] + TRACE_S)
 
 
-def residual_profiles(profiles: Sequence[Profile], channels: Sequence[Channel], kind: str) -> str:
+def profile_figure(profiles: Sequence[Profile], channels: Sequence[Channel], kind: str) -> str:
     """Return the mean residual of one kind of channel against each quantity, per model with standard errors."""
     places = [place for place, channel in enumerate(channels) if channel.kind == kind]
     title = kind.replace("_", " ")
-    figure, axes = panels(
-        len(places), len(profiles), width=2.35, height=1.25, title=title, gap=(0.5, 0.12), sharex=True
-    )
+    size = {"width": 2.35, "height": 1.25}
+    figure, axes = panels(len(places), len(profiles), **size, title=title, gap=(0.5, 0.12), sharex=True)
     for row, place in zip(axes, places, strict=True):
         for panel, profile in zip(row, profiles, strict=True):
             for model, means in profile.residual.items():
@@ -107,14 +105,14 @@ def residual_profiles(profiles: Sequence[Profile], channels: Sequence[Channel], 
                 panel.dots(at, mean, COLOURS[model], width=2.2)
                 panel.error_bars(at, mean - half, mean + half, COLOURS[model])
             panel.levels.append(0.0)
-        row[0].y_label = _axis(channels[place])
+        row[0].y_label = _axis_label(channels[place])
     for panel, profile in zip(axes[-1], profiles, strict=True):
         panel.x_label = profile.against
     figure.legend = [mark for mark in axes[0][0].marks if mark.label]
     return figure.svg()
 
 
-def residual_figures(parts: Sequence[ResidualPart], channel: Channel) -> str:
+def residual_figure(parts: Sequence[FlightResidual], channel: Channel) -> str:
     """Return the residual's spectrum and its means against place, speed, time and voltage, per flight.
 
     Features common to all flights are structure; differences between flights are noise.
@@ -132,7 +130,7 @@ def residual_figures(parts: Sequence[ResidualPart], channel: Channel) -> str:
     first.log, first.x_label, first.y_label = True, "frequency [Hz]", f"{channel.unit} / √Hz"
     for panel, (title, places) in zip(rest, against.items(), strict=False):
         turned = title in PLACES and channel.kind == "specific_force"
-        _per_flight(panel, places, [part.world if turned else part.values for part in parts])
+        _draw_means_by_flight(panel, places, [part.world if turned else part.values for part in parts])
         panel.x_label, panel.y_label = title, f"{'world ' if turned else ''}[{channel.unit}]"
     return figure.svg()
 
@@ -141,7 +139,7 @@ PLACES = ("x [m]", "y [m]", "height [m]")
 """Quantities against which forces are plotted in world axes."""
 
 
-def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) -> None:
+def _draw_means_by_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) -> None:
     """Draw means over bins of equal count: a thin line per flight, and a thick one for all."""
     edges = bin_edges(np.concatenate(places))
     if edges.size < 3:
@@ -161,12 +159,11 @@ def _per_flight(panel: Panel, places: Sequence[Array], values: Sequence[Array]) 
 def residual_bars(before: ModelEvaluation, after: ModelEvaluation | None) -> str:
     """Return the RMS residual of each channel before and after, with intervals and noise floor, one panel per unit."""
     kinds = [kind for kind in SHOWN_KINDS if any(channel.kind == kind for channel in before.channels)]
-    title = "residual (rms)"
-    figure, axes = panels(1, len(kinds), width=2.9, height=2.1, title=title, gap=(0.55, 0.0))
+    figure, axes = panels(1, len(kinds), width=2.9, height=2.1, title="residual (rms)", gap=(0.55, 0.0))
     for panel, kind in zip(axes[0], kinds, strict=True):
         places = [place for place, channel in enumerate(before.channels) if channel.kind == kind]
         channels = [before.channels[place] for place in places]
-        _bars(panel, [c.axis for c in channels], [[e.residual[p] for p in places] for e in (before, after) if e])
+        _draw_bars(panel, [c.axis for c in channels], [[e.residual[p] for p in places] for e in (before, after) if e])
         if before.floor is not None:
             for at, place in enumerate(places):
                 ends = np.array([at - 0.4, at + 0.4])
@@ -179,18 +176,17 @@ def residual_bars(before: ModelEvaluation, after: ModelEvaluation | None) -> str
 def rollout_bars(before: ModelEvaluation, after: ModelEvaluation | None, variant: str) -> str:
     """Return rollout errors by horizon, before and after."""
     quantities = list(before.rollout[variant])
-    title = "open-loop error (rms)"
-    figure, axes = panels(1, len(quantities), width=2.9, height=2.1, title=title, gap=(0.55, 0.0))
+    figure, axes = panels(1, len(quantities), width=2.9, height=2.1, title="open-loop error (rms)", gap=(0.55, 0.0))
     for panel, quantity in zip(axes[0], quantities, strict=True):
         horizons = list(before.rollout[variant][quantity])
         rows = [list(e.rollout[variant][quantity].values()) for e in (before, after) if e]
-        _bars(panel, [f"{h:g} s" for h in horizons], rows)
+        _draw_bars(panel, [f"{h:g} s" for h in horizons], rows)
         panel.log, panel.x_label = True, f"{quantity} [{QUANTITIES[quantity]}]"
     figure.legend = [mark for mark in axes[0][0].marks if mark.label]
     return figure.svg()
 
 
-def _bars(panel: Panel, names: Sequence[str], rows: Sequence[Sequence[Rms]]) -> None:
+def _draw_bars(panel: Panel, names: Sequence[str], rows: Sequence[Sequence[Rms]]) -> None:
     """Draw one bar with interval per name and model."""
     width, panel.names = 0.8 / len(rows), names
     for index, (values, (model, colour)) in enumerate(zip(rows, COLOURS.items(), strict=False)):

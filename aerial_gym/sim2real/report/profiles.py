@@ -43,7 +43,7 @@ class Profile:
     residual: dict[str, BinMeans]  # Mean residuals by model
 
 
-def quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) -> dict[str, Array]:
+def profile_quantities(flight: Flight, time: Array, vehicle: Vehicle, bandwidth: float) -> dict[str, Array]:
     """Return the quantities for profiles at times [s] (T,), as far as the log has them, (T,) each.
 
     Thrust is the declared total at measured speeds, or at the commands if speeds were not measured.
@@ -72,12 +72,12 @@ def bin_index(edges: Array, values: Array) -> Indices:
     return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
 
 
-def profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
+def mean_residual_profiles(predictor: Predictor, models: Mapping[str, ModelParams]) -> list[Profile]:
     """Return the profiles over all quantities that vary, for each model."""
     group, by_name = time_block_of_rows(predictor.times), []
     vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
     pairs = zip(predictor.flights, predictor.times, strict=True)
-    own = values_in_all_mappings([quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
+    own = common_values([profile_quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
     residuals = {name: np.concatenate(predictor.residuals(params)) for name, params in models.items()}
     for name, parts in own.items():
         values = np.concatenate(parts)

@@ -37,9 +37,8 @@ def uncertainty_ranges(robot: RobotCfg, effects: Sequence[NamedEffect]) -> dict[
         for parameter, correlations in entry.correlation.items():
             name = f"effects.{entry.name}.{parameter}"
             if name in ranges:
-                kept = {
-                    f"effects.{other}": share for other, share in correlations.items() if f"effects.{other}" in ranges
-                }
+                shares = {f"effects.{other}": share for other, share in correlations.items()}
+                kept = {other: share for other, share in shares.items() if other in ranges}
                 ranges[name] = replace(ranges[name], correlation=kept)
     return ranges
 

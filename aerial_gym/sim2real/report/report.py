@@ -7,28 +7,34 @@ from pathlib import Path
 import numpy as np
 
 from aerial_gym.sim2real.judge.analysis import LoopResult
-from aerial_gym.sim2real.judge.answer import answer, meaning
-from aerial_gym.sim2real.judge.evaluation import rollout_gap
-from aerial_gym.sim2real.judge.whiteness import octave_names
+from aerial_gym.sim2real.judge.answer import answer_parts, trust_findings
+from aerial_gym.sim2real.judge.evaluation import reason_against_rollouts
+from aerial_gym.sim2real.judge.whiteness import octave_ranges
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.report.evidence import ParameterEvidence, write_evidence
-from aerial_gym.sim2real.report.figures import VARIANTS, figures, kinds_to_plot, report_clues, report_models
-from aerial_gym.sim2real.report.profiles import LABELS, Profile, profiles, write_profiles
+from aerial_gym.sim2real.report.figures import (
+    VARIANTS,
+    evidence_of_effects,
+    kinds_to_plot,
+    report_figures,
+    report_models,
+)
+from aerial_gym.sim2real.report.profiles import LABELS, Profile, mean_residual_profiles, write_profiles
 from aerial_gym.sim2real.report.tables import (
     SHOWN_NOTES,
-    became_rows,
     channel_rows,
-    effect_rows,
+    channels_by_outcome,
     flight_table,
     format_rise,
-    interval,
-    number,
+    interval_text,
+    number_text,
     parameter_rows,
-    percent,
+    percent_text,
     reason_rows,
     rejection_rows,
     rollout_rows,
+    text_rows_of_effects,
 )
 from aerial_gym.sim2real.wording import answer_texts, join_texts, text
 
@@ -44,17 +50,17 @@ TEMPLATES = Path(__file__).parent / "templates"
 def write_report(folder: Path, judged: LoopResult) -> None:
     """Write report.html, report.md and the tables of their data: residuals.csv, profiles.csv, evidence.csv."""
     test, models = judged.declared.test, report_models(judged)
-    residual_profiles = profiles(test, models)
-    told = report_clues(judged)
+    residual_profiles = mean_residual_profiles(test, models)
+    told = evidence_of_effects(judged)
     context = report_context(judged, told, residual_profiles)
     for name in ("report.html", "report.md"):
-        (folder / name).write_text(render(name, context), encoding="utf-8", errors="surrogateescape")
+        (folder / name).write_text(render_template(name, context), encoding="utf-8", errors="surrogateescape")
     write_evidence(folder / "evidence.csv", told)
     write_profiles(folder / "profiles.csv", residual_profiles, test.channels)
     write_residuals(folder / "residuals.csv", {"train": judged.declared.train, "test": test}, models)
 
 
-def render(name: str, context: dict[str, object]) -> str:
+def render_template(name: str, context: dict[str, object]) -> str:
     """Return a rendered template of this package."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -66,7 +72,12 @@ def render(name: str, context: dict[str, object]) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {"num": number, "interval": interval, "percent": percent, "risen": format_rise}
+    environment.filters |= {
+        "num": number_text,
+        "interval": interval_text,
+        "percent": percent_text,
+        "risen": format_rise,
+    }
     environment.filters |= {"text": text, "joined": join_texts}
     return environment.get_template(f"{name}.j2").render(context)
 
@@ -79,25 +90,25 @@ def report_context(
     after = verdict.after if verdict.corrects else None
     return {
         "verdict": verdict,
-        "answer": answer_texts(answer(verdict).parts),
-        "meaning": join_texts(meaning(verdict)),
+        "answer": answer_texts(answer_parts(verdict)),
+        "meaning": join_texts(trust_findings(verdict)),
         "robot": judged.declared.stated,
         "bandwidth": judged.declared.bandwidth,
         "train": [flight.name for flight in judged.declared.train.flights],
         "test": [flight.name for flight in judged.declared.test.flights],
         "effects": parameter_rows(judged),
         "channels": channel_rows(verdict.before, after, verdict.outcomes),
-        "octaves": octave_names(judged.declared.bandwidth),
+        "octaves": octave_ranges(judged.declared.bandwidth),
         "flights": flight_table(verdict, kinds_to_plot(judged)),
         "sets": list(verdict.sets.items())[:MOST_SETS],
         "least": selection.criteria.material,
         "shown_rivals": SHOWN_RIVALS,
         "shown_notes": SHOWN_NOTES,
-        "became": became_rows(verdict),
-        "named": effect_rows(verdict),
+        "became": channels_by_outcome(verdict),
+        "named": text_rows_of_effects(verdict),
         "reasons": reason_rows({name: text(reason) for name, reason in verdict.not_testable.items()}),
         "unshowable": [name for name, advice in verdict.fly_next.items() if advice.fly is None],
-        "no_rollouts": rollout_gap(judged.declared.test.flights),
+        "no_rollouts": reason_against_rollouts(judged.declared.test.flights),
         "notes": [text(note) for note in verdict.notes],
         "rollouts": [
             {"title": text, "driven_by": verdict.before.rollouts[name].driven_by, "rows": rollout_rows(verdict, name)}
@@ -107,7 +118,7 @@ def report_context(
         "unnamed": rejection_rows(selection),
         "criteria": vars(selection.criteria),
         "tolerances": vars(judged.declared.tolerances),
-        "figures": figures(judged, told, residual_profiles),
+        "figures": report_figures(judged, told, residual_profiles),
     }
 
 

@@ -65,9 +65,8 @@ def _files_in_record(record: Path) -> set[str]:
         names = json.loads(record.read_text(encoding="utf-8"))["files"]
     except (OSError, ValueError, KeyError, TypeError):
         return set()
-    if not isinstance(names, list):
-        return set()
-    return {name for name in names if isinstance(name, str) and name == Path(name).name and name not in ("", ".", "..")}
+    texts = {name for name in names if isinstance(name, str)} if isinstance(names, list) else set()
+    return {name for name in texts if name == Path(name).name and name not in ("", ".", "..")}
 
 
 def write_record(folder: Path, config: dict[str, object], inputs: dict[str, str]) -> None:

@@ -1,6 +1,7 @@
 """Text tables for the templates of a report."""
 
 from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from aerial_gym.sim2real.judge.verdict import Verdict
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
 from aerial_gym.sim2real.statistics import Rise, Rms
 from aerial_gym.sim2real.wording import text
-from aerial_gym.sim2real.wording.words import error_words
+from aerial_gym.sim2real.wording.words import error_name, number_text
 
 SHOWN_NOTES = 5
 """Number of notes that are not folded, the most important ones."""
@@ -31,21 +32,11 @@ def parameter_rows(judged: LoopResult) -> list[dict[str, object]]:
         neutral = EFFECTS.get(effect.name).neutral(judged.declared.stated)
         for place, parameter in enumerate(EFFECTS.get(effect.name).parameters):
             low, high = effect.interval.get(parameter.name, (None, None))
-            rows.append(
-                {
-                    "effect": effect.name,
-                    "parameter": parameter.name,
-                    "unit": parameter.unit,
-                    "declared": declared.get(parameter.name, neutral[place]),
-                    "value": effect.params[parameter.name],
-                    "low": low,
-                    "high": high,
-                    "unknown": "not shown by these flights" if parameter.kind == "number" else "",
-                    "confidence": effect.confidence,
-                    "first": place == 0,
-                    "count": len(EFFECTS.get(effect.name).parameters),
-                }
-            )
+            row = {"effect": effect.name, "parameter": parameter.name, "unit": parameter.unit, "low": low, "high": high}
+            row |= {"declared": declared.get(parameter.name, neutral[place]), "value": effect.params[parameter.name]}
+            row |= {"unknown": "not shown by these flights" if parameter.kind == "number" else ""}
+            row |= {"confidence": effect.confidence, "first": place == 0, "count": len(neutral)}
+            rows.append(row)
     return rows
 
 
@@ -53,28 +44,30 @@ def channel_rows(
     before: ModelEvaluation, after: ModelEvaluation | None, became: Sequence[Outcome] = (), *, intervals: bool = True
 ) -> list[dict[str, object]]:
     """Return one row per channel; ``became``: outcomes by channel."""
-    shown = interval if intervals else value_alone
-    rows, states = [], {texts.name: texts for texts in became}
-    closed = [None] * len(before.channels) if after is None else after.gaps_closed(before)
+    shown = interval_text if intervals else value_text
+    rows, outcomes = [], {outcome.name: outcome for outcome in became}
+    closed = [None] * len(before.channels) if after is None else after.shares_of_gap_closed(before)
     for place, channel in enumerate(before.channels):
-        first = before.residual[place]
-        second = None if after is None else after.residual[place]
-        texts = states.get(channel.name)
         rows.append(
             {
                 "name": f"{channel.kind.replace('_', ' ')} {channel.axis} [{channel.unit}]",
-                "before": shown(first),
-                "after": "–" if second is None else shown(second),
-                "change": "–" if texts is None else format_rise(texts.rise),
-                "became": "–" if texts is None else texts.state,
-                "closed": percent(closed[place]),
-                "floor": "–" if before.floor is None else number(before.floor[place]),
+                "before": shown(before.residual[place]),
+                "after": "–" if after is None else shown(after.residual[place]),
+                **_outcome_cells(outcomes.get(channel.name)),
+                "closed": percent_text(closed[place]),
+                "floor": "–" if before.floor is None else number_text(before.floor[place]),
             }
         )
     return rows
 
 
-def became_rows(verdict: Verdict) -> dict[str, str]:
+def _outcome_cells(outcome: Outcome | None) -> dict[str, str]:
+    if outcome is None:
+        return {"change": "–", "became": "–"}
+    return {"change": format_rise(outcome.rise), "became": outcome.state}
+
+
+def channels_by_outcome(verdict: Verdict) -> dict[str, str]:
     """Return the channels by outcome (worse, better, same or not shown), with their changes."""
     texts: dict[str, str] = {}
     for state in (WORSE, BETTER, SAME, NOT_SHOWN):
@@ -88,23 +81,17 @@ def became_rows(verdict: Verdict) -> dict[str, str]:
     return texts
 
 
-def effect_rows(verdict: Verdict) -> list[dict[str, str]]:
+def text_rows_of_effects(verdict: Verdict) -> list[dict[str, str]]:
     """Return one row per named effect: parameters and certainty."""
     rows = []
     for effect in verdict.effects:
         unit = {p.name: "" if p.unit == "-" else f" {p.unit}" for p in EFFECTS.get(effect.name).parameters}
-        values = [
-            f"{key} = {number(value, 4)}"
-            + (f" ± {number(1.96 * effect.std[key], 2)}" if key in effect.std else "")
-            + unit[key]
-            for key, value in effect.params.items()
-            if key not in effect.frozen
-        ]
-        sure = [f"confidence {number(effect.confidence, 4)}"]
-        if effect.ties:
-            sure.append(f"may as well be {' or '.join(effect.ties)}")
-        for part in effect.in_part:
-            sure.append(f"its {part.parameter} may as well be {part.other}")
+        half_widths = {key: f" ± {number_text(1.96 * std, 2)}" for key, std in effect.std.items()}
+        known = {key: number_text(value, 4) for key, value in effect.params.items() if key not in effect.frozen}
+        values = [f"{key} = {value}{half_widths.get(key, '')}{unit[key]}" for key, value in known.items()]
+        sure = [f"confidence {number_text(effect.confidence, 4)}"]
+        sure += [f"may as well be {' or '.join(effect.ties)}"] if effect.ties else []
+        sure += [f"its {part.parameter} may as well be {part.other}" for part in effect.in_part]
         if effect.ablation is not None and not effect.ablation.material:
             sure.append("immaterial" if effect.ablation.material is False else "whether it is material is not shown")
         rows.append({"name": effect.name, "parameters": ", ".join(values), "sure": ", ".join(sure)})
@@ -121,24 +108,20 @@ def reason_rows(reasons: Mapping[str, str]) -> dict[str, list[str]]:
 
 def rollout_rows(verdict: Verdict, variant: str, *, intervals: bool = True) -> list[dict[str, str]]:
     """Return one row per quantity and horizon."""
-    shown = interval if intervals else value_alone
+    shown = interval_text if intervals else value_text
     before, after = verdict.before.rollout[variant], verdict.after.rollout[variant]
-    states = {texts.name: texts for texts in verdict.outcomes}
-    rows = []
-    for quantity, horizons in before.items():
-        for horizon, rms in horizons.items():
-            texts = states.get(f"{variant}.{quantity}.{horizon:g}")
-            rows.append(
-                {
-                    "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
-                    "horizon": f"{horizon:g}",
-                    "before": shown(rms),
-                    "after": shown(after[quantity][horizon]),
-                    "change": "–" if texts is None else format_rise(texts.rise),
-                    "became": "–" if texts is None else texts.state,
-                }
-            )
-    return rows
+    outcomes = {outcome.name: outcome for outcome in verdict.outcomes}
+    return [
+        {
+            "quantity": f"{quantity} [{QUANTITIES[quantity]}]",
+            "horizon": f"{horizon:g}",
+            "before": shown(rms),
+            "after": shown(after[quantity][horizon]),
+            **_outcome_cells(outcomes.get(f"{variant}.{quantity}.{horizon:g}")),
+        }
+        for quantity, horizons in before.items()
+        for horizon, rms in horizons.items()
+    ]
 
 
 def rejection_rows(selection: SelectionResult) -> list[dict[str, str]]:
@@ -167,7 +150,7 @@ def rejection_rows(selection: SelectionResult) -> list[dict[str, str]]:
 def format_rise(rise: Rise) -> str:
     """Return a relative rise with its interval in per cent, or as a factor if it is large."""
     if max(rise.value, rise.high) > MOST_PERCENT:
-        return f"× {number(1.0 + rise.value)} [{number(1.0 + rise.low)}, {number(1.0 + rise.high)}]"
+        return f"× {number_text(1.0 + rise.value)} [{number_text(1.0 + rise.low)}, {number_text(1.0 + rise.high)}]"
     return f"{rise.value:+.1%} [{rise.low:+.1%}, {rise.high:+.1%}]"
 
 
@@ -176,49 +159,42 @@ def flight_table(verdict: Verdict, kinds: Collection[str]) -> dict[str, list]:
 
     Channels of other ``kinds`` are omitted.
     """
-    rows: dict[str, dict[str, object]] = {}
+    rows: dict[str, dict[str, Any]] = {}
     worse = []
     for name, parts in verdict.flights.items():
         for part in parts:
-            texts = part.became
-            if texts.state == WORSE:
-                worse.append(f"{_label(texts)} {format_rise(texts.rise)} on {name}")
-            if texts.horizon is None and texts.name.split(".")[0] not in kinds:
+            outcome = part.became
+            if outcome.state == WORSE:
+                worse.append(f"{_error_label(outcome)} {format_rise(outcome.rise)} on {name}")
+            if outcome.horizon is None and outcome.name.split(".")[0] not in kinds:
                 continue
-            row = rows.setdefault(texts.name, {"quantity": f"{_label(texts)} [{part.unit}]", "cells": {}})
-            cells = row["cells"]
-            assert isinstance(cells, dict)
-            cells[name] = {
-                "before": number(part.before.value),
-                "after": number(part.after.value) if verdict.corrects else None,
-                "floor": None if part.floor is None else number(part.floor),
-                "state": texts.state,
-                "change": format_rise(texts.rise),
+            row = rows.setdefault(outcome.name, {"quantity": f"{_error_label(outcome)} [{part.unit}]", "cells": {}})
+            row["cells"][name] = {
+                "before": number_text(part.before.value),
+                "after": number_text(part.after.value) if verdict.corrects else None,
+                "floor": None if part.floor is None else number_text(part.floor),
+                "state": outcome.state,
+                "change": format_rise(outcome.rise),
             }
     return {"names": list(verdict.flights), "rows": list(rows.values()), "worse": worse}
 
 
-def _label(outcome: Outcome) -> str:
+def _error_label(outcome: Outcome) -> str:
     """Return the name of an error in a table: channel with axis, or rollout quantity."""
     channel = outcome.horizon is None
-    return outcome.quantity.replace("_", " ").replace(".", " ") if channel else error_words(outcome.name)
+    return outcome.quantity.replace("_", " ").replace(".", " ") if channel else error_name(outcome.name)
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Return a number with three significant digits by default."""
-    return "–" if not np.isfinite(value) else f"{value:.{digits}g}"
-
-
-def percent(share: float | None, digits: int = 1) -> str:
+def percent_text(share: float | None, digits: int = 1) -> str:
     """Return a share in per cent, or a dash for None."""
     return "–" if share is None else f"{share:.{digits}%}"
 
 
-def value_alone(rms: Rms) -> str:
+def value_text(rms: Rms) -> str:
     """Return a value without interval."""
-    return number(rms.value)
+    return number_text(rms.value)
 
 
-def interval(rms: Rms) -> str:
+def interval_text(rms: Rms) -> str:
     """Return a value with its 95 % interval."""
-    return f"{number(rms.value)} [{number(rms.low)}, {number(rms.high)}]"
+    return f"{number_text(rms.value)} [{number_text(rms.low)}, {number_text(rms.high)}]"

@@ -19,7 +19,14 @@ from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.teststand.causes import OTHER, ROTORS, BalanceCause, cause_probabilities, causes, tell_apart
+from aerial_gym.sim2real.teststand.causes import (
+    OTHER,
+    ROTORS,
+    BalanceCause,
+    candidate_causes,
+    cause_probabilities,
+    experiments_for_causes,
+)
 from aerial_gym.sim2real.teststand.hover import FEWEST_WINDOWS, find_hover_rows
 from aerial_gym.sim2real.teststand.scatter import Scatter, ScatterFit, fit_scatter, log_evidence, pool_scatter
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
@@ -68,7 +75,7 @@ def hover_effort(log: FlightLog) -> HoverEffort:
     )
 
 
-def group_repeats(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
+def repeats_by_condition(hovers: Sequence[HoverEffort]) -> dict[str, list[HoverEffort]]:
     """Return the hovers by condition: names that differ only in a final number belong together."""
     results: dict[str, list[HoverEffort]] = {}
     for hover in hovers:
@@ -110,6 +117,14 @@ class Change:
     baseline: Estimate
     flights: Estimate
     change: Estimate
+
+    def exponential(self) -> "Change":
+        """Return the change of a quantity from the change of its logarithm; its change is then relative."""
+        return Change(
+            baseline=_exponential(self.baseline),
+            flights=_exponential(self.flights),
+            change=_exponential(self.change, 1.0),
+        )
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -171,14 +186,14 @@ def judge_balance(
         DataError: If no condition has two logs, or they are copies, since the scatter is then unknown.
         ConfigError: If four rotors cannot balance the robot, or the mass is invalid.
     """
-    possible = causes(robot)
+    possible, mass = candidate_causes(robot), robot.body.mass
     if added_mass is not None:
-        if not -robot.body.mass < added_mass < inf:
+        if not -mass < added_mass < inf:
             raise ConfigError(
                 f"added_mass = {added_mass!r} kg: must be finite and more than minus the mass of the robot"
             )
         possible = [cause for cause in possible if "payload_mass" not in cause.name]
-    filled = [group for group in (list(baseline), list(flights), *group_repeats(repeats).values()) if group]
+    filled = [group for group in (list(baseline), list(flights), *repeats_by_condition(repeats).values()) if group]
     if not baseline or not flights or all(len(group) < 2 for group in filled):
         raise DataError(
             "needs a baseline, a flight, and two logs of at least one condition, whose difference is the scatter between logs; "
@@ -189,32 +204,29 @@ def judge_balance(
     if np.linalg.matrix_rank(scatter.squares) < (ROTORS if scatter.freedom >= ROTORS else 1):
         raise DataError("logs of one condition do not differ: are some of them copies? Give each log once")
     share = 1.0 / len(baseline) + 1.0 / len(flights)
-    usual = np.exp(logs[0].mean(axis=0)) * (1.0 + (added_mass or 0.0) / robot.body.mass)
+    usual = np.exp(logs[0].mean(axis=0)) * (1.0 + (added_mass or 0.0) / mass)
     fits: tuple[CauseFit, ...] = ()
     if scatter.freedom >= ROTORS:
-        fits = tuple(_fit(cause, logs[1], usual, scatter, len(baseline)) for cause in possible)
-        fits = tuple(_validate(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
-        fits = _weigh_causes(fits, [logs[0], np.log([hover.effort for hover in (*flights, *test)]), *logs[2:]], usual)
-    verdict, candidates = _decide(fits, possible)
-    (total,) = _change([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
+        fits = tuple(_fit_cause(cause, logs[1], usual, scatter, len(baseline)) for cause in possible)
+        fits = tuple(_test_on_left_out_logs(fit, flights, test, usual, scatter, len(baseline)) for fit in fits)
+        condition = np.log([hover.effort for hover in (*flights, *test)])
+        fits = _with_probabilities(fits, [logs[0], condition, *logs[2:]], usual)
+    verdict, candidates = _verdict(fits, possible)
+    (total,) = _changes([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
     return Balance(
         verdict=verdict,
         candidates=candidates,
-        tell_apart=tuple(tell_apart(candidates)),
+        tell_apart=tuple(experiments_for_causes(candidates)),
         fits=fits,
         baseline=tuple(baseline),
         flights=tuple(flights),
         test=tuple(test),
-        shares=tuple(_change([np.array([h.effort / h.effort.sum() for h in group]) for group in filled], share)),
-        total=Change(
-            baseline=_exponential(total.baseline),
-            flights=_exponential(total.flights),
-            change=_exponential(total.change, 1.0),
-        ),
+        shares=tuple(_changes([np.array([h.effort / h.effort.sum() for h in group]) for group in filled], share)),
+        total=total.exponential(),
         freedom=scatter.freedom,
         scatter=scatter.std,
         notes=(
-            *_notes(baseline, flights, test, scatter, added_mass),
+            *_balance_notes(baseline, flights, test, scatter, added_mass),
             *(Finding("flights_differ") for fit in fits[-1:] if not _repeats_agree(fit)),
             *(Finding("other_cause", "", {"probability": fit.probability}) for fit in fits[-1:] if candidates),
         ),
@@ -226,16 +238,17 @@ def _repeats_agree(other: CauseFit) -> bool:
     return other.judged is None or other.judged >= SIGNIFICANCE
 
 
-def _fit(cause: BalanceCause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
+def _fit_cause(cause: BalanceCause, efforts: Array, usual: Array, scatter: Scatter, count: int) -> CauseFit:
     """Return a cause fitted to log efforts (L, R), with relative residuals."""
     ratio = np.exp(efforts.mean(axis=0)) / usual
     fit = fit_scatter(1.0 - 1.0 / ratio, cause.columns / ratio[:, None], scatter, 1.0 / len(efforts) + 1.0 / count)
-    place = (fit.ratio(1, 0), fit.ratio(2, 0)) if cause.name == "payload_mass + com_offset" else (None, None)
-    known = None if place[0] is None or place[1] is None else (place[0], place[1])
-    return CauseFit(cause=cause, fit=fit, params=_physical(cause, fit), place=known)
+    place = None
+    if cause.name == "payload_mass + com_offset" and (x := fit.ratio(1, 0)) and (y := fit.ratio(2, 0)):
+        place = x, y
+    return CauseFit(cause=cause, fit=fit, params=_physical_parameters(cause, fit), place=place)
 
 
-def _physical(cause: BalanceCause, fit: ScatterFit) -> dict[str, Estimate]:
+def _physical_parameters(cause: BalanceCause, fit: ScatterFit) -> dict[str, Estimate]:
     """Return the physical parameters with 95 % intervals, to first order."""
     values = cause.physical(fit.params)
     steps = 1e-6 * np.eye(fit.params.size)
@@ -245,7 +258,7 @@ def _physical(cause: BalanceCause, fit: ScatterFit) -> dict[str, Estimate]:
     return {n: Estimate.from_half_width(v, s) for (n, v), s in zip(values.items(), spread, strict=True)}
 
 
-def _validate(
+def _test_on_left_out_logs(
     estimate: CauseFit,
     flights: Sequence[HoverEffort],
     test: Sequence[HoverEffort],
@@ -261,7 +274,7 @@ def _validate(
     )
     p_values, errors = [], []
     for seen, left_out in parts:
-        fit = _fit(estimate.cause, np.log([hover.effort for hover in seen]), usual, scatter, count).fit
+        fit = _fit_cause(estimate.cause, np.log([hover.effort for hover in seen]), usual, scatter, count).fit
         predicted = 1.0 + estimate.cause.columns @ fit.params
         each = [hover.effort / (usual * predicted) - 1.0 for hover in left_out]
         mean = np.mean(each, axis=0)
@@ -274,7 +287,7 @@ def _validate(
     return replace(estimate, judged=p_value, held_out=rms(np.array(errors)))
 
 
-def _weigh_causes(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
+def _with_probabilities(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Array) -> tuple[CauseFit, ...]:
     """Return the fits with posterior probabilities, from groups (L, R) of logs: baseline, condition, others."""
     scatter, share = pool_scatter(groups), 1.0 / len(groups[0]) + 1.0 / len(groups[1])
     ratio = np.exp(groups[1].mean(axis=0)) / usual
@@ -283,7 +296,7 @@ def _weigh_causes(fits: Sequence[CauseFit], groups: Sequence[Array], usual: Arra
     return tuple(replace(fit, probability=float(p)) for fit, p in zip(fits, probability, strict=True))
 
 
-def _decide(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tuple[str, tuple[str, ...]]:
+def _verdict(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tuple[str, tuple[str, ...]]:
     """Return the verdict and the possible causes, one name per part at fault.
 
     These are the smallest set of candidates with a total probability of 1 - `SIGNIFICANCE`. No cause is named if "none" is in
@@ -309,27 +322,28 @@ def _decide(fits: Sequence[CauseFit], possible: Sequence[BalanceCause]) -> tuple
     return ("explained" if len(parts) == 1 else "ambiguous"), tuple(part[0].cause.name for part in parts.values())
 
 
-def _change(values: Sequence[Array], share: float) -> list[Change]:
+def _changes(values: Sequence[Array], share: float) -> list[Change]:
     """Return the change of each column from the first group (L, columns) to the second; all groups give the scatter."""
     scatter = pool_scatter(values)
     before, after = values[0].mean(axis=0), values[1].mean(axis=0)
 
-    def interval(value: Array, part: float) -> list[Estimate]:
+    def intervals(value: Array, part: float) -> list[Estimate]:
         return [Estimate.from_half_width(*pair) for pair in zip(value, scatter.half_width(part), strict=True)]
 
-    parts = (
-        interval(before, 1.0 / len(values[0])),
-        interval(after, 1.0 / len(values[1])),
-        interval(after - before, share),
+    parts = zip(
+        intervals(before, 1.0 / len(values[0])),
+        intervals(after, 1.0 / len(values[1])),
+        intervals(after - before, share),
+        strict=True,
     )
-    return [Change(baseline=b, flights=f, change=c) for b, f, c in zip(*parts, strict=True)]
+    return [Change(baseline=b, flights=f, change=c) for b, f, c in parts]
 
 
 def _exponential(estimate: Estimate, less: float = 0.0) -> Estimate:
     return Estimate(value=exp(estimate.value) - less, low=exp(estimate.low) - less, high=exp(estimate.high) - less)
 
 
-def _notes(
+def _balance_notes(
     baseline: Sequence[HoverEffort],
     flights: Sequence[HoverEffort],
     test: Sequence[HoverEffort],

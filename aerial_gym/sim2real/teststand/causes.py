@@ -19,14 +19,14 @@ ROTORS = 4
 """Required number of rotors; with more, the mixer determines the distribution of thrust."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class BalanceCause:
     """A candidate cause: it multiplies the baseline effort of each rotor by ``1 + columns params``."""
 
     name: str
+    kind: str  # Class of cause: none, weight, propeller or other
     columns: Array = field(repr=False)  # Linear effect of the parameters on the efforts, (R, P)
     physical: Callable[[Array], dict[str, float]] = field(repr=False)  # Function from fitted to physical parameters
-    kind: str  # Class of cause: none, weight, propeller or other
     motor: int | None = None  # Affected rotor from 1; None: all
 
     @property
@@ -67,7 +67,7 @@ def thrust_layout(robot: RobotCfg) -> ThrustLayout:
     return ThrustLayout(carried=carried, shift=shift, twist=to_yaw / carried, spin=spin)
 
 
-def causes(robot: RobotCfg) -> list[BalanceCause]:
+def candidate_causes(robot: RobotCfg) -> list[BalanceCause]:
     """Return the candidate causes for a declared vehicle, "none" first and "something else" last.
 
     Source:
@@ -78,33 +78,23 @@ def causes(robot: RobotCfg) -> list[BalanceCause]:
     layout, mass = thrust_layout(robot), robot.body.mass
     heavier = np.ones((ROTORS, 1))
 
-    def param_columns(params: Array) -> dict[str, float]:
+    def payload_and_offset(params: Array) -> dict[str, float]:
         whole = 1.0 + params[0]
         return {"dm": float(mass * params[0]), "x": float(params[1] / whole), "y": float(params[2] / whole)}
 
     return [
-        BalanceCause(name="none", columns=np.empty((ROTORS, 0)), physical=lambda _: {}, kind="none"),
+        BalanceCause("none", "none", np.empty((ROTORS, 0)), lambda _: {}),
+        BalanceCause("payload_mass", "weight", heavier, lambda p: {"dm": float(mass * p[0])}),
+        BalanceCause("com_offset", "weight", layout.shift, lambda p: {"x": float(p[0]), "y": float(p[1])}),
         BalanceCause(
-            name="payload_mass", columns=heavier, physical=lambda p: {"dm": float(mass * p[0])}, kind="weight"
+            "payload_mass + com_offset", "weight", np.column_stack((heavier, layout.shift)), payload_and_offset
         ),
-        BalanceCause(
-            name="com_offset",
-            columns=layout.shift,
-            physical=lambda p: {"x": float(p[0]), "y": float(p[1])},
-            kind="weight",
-        ),
-        BalanceCause(
-            name="payload_mass + com_offset",
-            columns=np.column_stack((heavier, layout.shift)),
-            physical=param_columns,
-            kind="weight",
-        ),
-        *(cause for rotor in range(ROTORS) for cause in _weak(layout, rotor)),
+        *(cause for rotor in range(ROTORS) for cause in _weak_propellers(layout, rotor)),
         OTHER,
     ]
 
 
-OTHER = BalanceCause(name="something else", columns=np.eye(ROTORS), physical=lambda _: {}, kind="other")
+OTHER = BalanceCause("something else", "other", np.eye(ROTORS), lambda _: {})
 """Any other change: two causes at once, or one that is not listed."""
 
 
@@ -123,44 +113,30 @@ def cause_probabilities(possible: Sequence[BalanceCause]) -> Array:
     return np.array([0.5 if kind == "none" else 0.5 / (num_others * kinds.count(kind)) for kind in kinds])
 
 
-def _weak(layout: ThrustLayout, rotor: int) -> list[BalanceCause]:
+def _weak_propellers(layout: ThrustLayout, rotor: int) -> list[BalanceCause]:
     """Return two weak propellers: one whose drag torque falls with its thrust, and one with free drag torque."""
     name, one = f"weak_motor {rotor + 1}", np.eye(ROTORS)[:, rotor : rotor + 1]
 
-    def with_yaw(params: Array) -> dict[str, float]:
+    def scale(params: Array) -> dict[str, float]:
+        return {"scale": float(1.0 / (1.0 + params[0]))}
+
+    def scale_and_torque_ratio(params: Array) -> dict[str, float]:
         thrust = 1.0 + layout.twist[rotor] * params[1]
         drag = 1.0 - params[1] / (layout.spin[rotor] * layout.carried[rotor] * thrust)
         return {"scale": float(thrust / (thrust + params[0])), "torque_ratio": float(drag)}
 
+    both, number = np.column_stack((one, layout.twist)), rotor + 1
     return [
-        BalanceCause(
-            name=name,
-            columns=one,
-            physical=lambda p: {"scale": float(1.0 / (1.0 + p[0]))},
-            kind="propeller",
-            motor=rotor + 1,
-        ),
-        BalanceCause(
-            name=f"{name} + torque_ratio",
-            columns=np.column_stack((one, layout.twist)),
-            physical=with_yaw,
-            kind="propeller",
-            motor=rotor + 1,
-        ),
+        BalanceCause(name, "propeller", one, scale, number),
+        BalanceCause(f"{name} + torque_ratio", "propeller", both, scale_and_torque_ratio, number),
     ]
 
 
-def tell_apart(candidates: Sequence[str]) -> list[Finding]:
+def experiments_for_causes(candidates: Sequence[str]) -> list[Finding]:
     """Return the experiments that distinguish the candidates."""
     if len(candidates) < 2:
         return []
-    weak = [name for name in candidates if name.startswith("weak_motor")]
-    payload = [name for name in candidates if name.startswith("payload_mass")]
-    findings = []
-    if payload and len(payload) < len(candidates):
-        findings.extend((Finding("weigh_vehicle"), Finding("measure_thrust")))
-    if weak and len(weak) < len(candidates):
-        findings.append(Finding("turn_with_gyro"))
-    if weak:
-        findings.append(Finding("swap_propeller"))
-    return findings
+    weak, payload = (sum(name.startswith(kind) for name in candidates) for kind in ("weak_motor", "payload_mass"))
+    codes = ["weigh_vehicle", "measure_thrust"] if 0 < payload < len(candidates) else []
+    codes += ["turn_with_gyro"] if 0 < weak < len(candidates) else []
+    return [Finding(code) for code in (*codes, *(["swap_propeller"] if weak else []))]

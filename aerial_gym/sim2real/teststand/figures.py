@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BEFORE, AFTER, DATA = "#b0413e", "#2a6f97", "#333333"
 
 
-def _pair(
+def _comparison_figure(
     x: Array, measured: Array, before: Array, after: Array, names: tuple[str, str], labels: tuple[str, str]
 ) -> "Figure":
     """Return a figure of measurements with two predictions (upper) and their residuals (lower)."""
@@ -51,7 +51,7 @@ def static_figures(fit: StaticFit) -> "dict[str, Figure]":
         else:
             after = np.polyval(choice.best.polynomial()[::-1], fit.speed)
         labels = ("speed [rad/s]", f"{name} [{choice.unit}]")
-        panels[name] = _pair(fit.speed, values, before, after, ("w²", choice.chosen), labels)
+        panels[name] = _comparison_figure(fit.speed, values, before, after, ("w²", choice.chosen), labels)
     return panels
 
 
@@ -65,7 +65,7 @@ def step_figures(lag: StepFit) -> "dict[str, Figure]":
         part = slice(offset, offset + measured.size)
         before, after = (measured - lag.laws[name].residual[part] for name in names)
         labels = ("t [s]", "speed [rad/s]")
-        panels[f"steps_{number}"] = _pair(record.time[rows], measured, before, after, names, labels)
+        panels[f"steps_{number}"] = _comparison_figure(record.time[rows], measured, before, after, names, labels)
         offset += measured.size
     return panels
 
@@ -79,8 +79,10 @@ def joint_figures(study: JointStudy) -> "dict[str, Figure]":
     early = record.time < 1.0
     labels = ("t [s]", "angle [deg]")
     return {
-        "joint": _pair(record.time, measured, before, after, names, labels),
-        "joint_first_second": _pair(record.time[early], measured[early], before[early], after[early], names, labels),
+        "joint": _comparison_figure(record.time, measured, before, after, names, labels),
+        "joint_first_second": _comparison_figure(
+            record.time[early], measured[early], before[early], after[early], names, labels
+        ),
     }
 
 

@@ -20,9 +20,9 @@ from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
     cross_validation_error,
+    errors_on_left_out_folds,
     fold_labels,
     hac_covariance,
-    left_out,
     rms,
 )
 
@@ -41,17 +41,12 @@ FASTEST_TURN = 1.0
 FEWEST_WINDOWS = 4
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class HoverModel:
     """One candidate thrust map."""
 
-    name: str
     thrust_map: tuple[float, float, float]  # c0, c1, c2 [N], [N s/rad], [N s²/rad²]
-
-    held_out: Array = field(repr=False)
-    """Measured minus predicted thrust over mass [m/s²], from fits without that flight or fold, (W,)."""
-
-    error: Rms  # RMS held-out error, with its interval over flights or folds
+    error: Rms  # Held-out error of thrust over mass [m/s²], with its interval over flights or folds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,30 +105,18 @@ def find_hover_rows(log: FlightLog, speed: Array) -> list[Flags]:
     return [still & (label == window) for window in chosen]
 
 
-@dataclass(frozen=True, kw_only=True)
-class HoverWindows:
-    """Means over the hover windows of one flight."""
+def window_means(log: FlightLog) -> tuple[Array, Array]:
+    """Return means over the hover windows: sums over rotors of 1, w, w², (W, 3), and thrust over mass [m/s²], (W,).
 
-    name: str
-    moments: Array  # Sums over rotors of 1, w, w², averaged over each window, (W, 3)
-    force: Array  # Thrust over mass [m/s²], (W,)
-    from_gravity: bool  # Whether the thrust is g over the cosine of tilt, without an accelerometer
-
-
-def hover_windows(log: FlightLog) -> HoverWindows:
-    """Return the hover windows of a flight."""
+    Without an accelerometer, the thrust is g over the cosine of the tilt.
+    """
     if log.rotor_speed is None:
         raise DataError(f"{log.path}: needs measured rotor speeds; commands or duty cycles give no thrust coefficient")
     rows = find_hover_rows(log, log.rotor_speed)
     up = Rotation.from_quat(log.attitude).as_matrix()[:, 2, 2]
     force = STANDARD_GRAVITY / np.maximum(up, 0.1) if log.specific_force is None else log.specific_force[:, 2]
     powers = np.stack([(log.rotor_speed**p).sum(axis=1) for p in range(3)], axis=1)
-    return HoverWindows(
-        name=log.name,
-        moments=np.array([powers[r].mean(axis=0) for r in rows]),
-        force=np.array([force[r].mean() for r in rows]),
-        from_gravity=log.specific_force is None,
-    )
+    return np.array([powers[r].mean(axis=0) for r in rows]), np.array([force[r].mean() for r in rows])
 
 
 def fit_hover(
@@ -151,41 +134,39 @@ def fit_hover(
     """
     if not 0.0 < mass < 1e3 or not 0.0 <= mass_std < mass:
         raise ConfigError(f"mass = {mass!r} ± {mass_std!r} kg: must be > 0, and its deviation in [0, mass)")
-    parts, missed = [], []
+    parts, missed, notes = [], [], []
     for log in logs:
         try:
-            parts.append(hover_windows(log))
+            parts.append((log.name, *window_means(log)))
+            notes += [Finding("thrust_from_gravity", log.name)] if log.specific_force is None else []
         except DataError as error:
             missed.append(error)
     if not parts:
         raise missed[0] if missed else DataError("needs at least one flight that hovers")
-    sizes = [part.force.size for part in parts]
+    sizes = [force.size for *_, force in parts]
     group = fold_labels(sizes)
-    moments, force = np.concatenate([p.moments for p in parts]), np.concatenate([p.force for p in parts])
+    _, *columns = zip(*parts, strict=True)
+    moments, force = map(np.concatenate, columns)
     square, target = moments[:, 2], mass * force
-    coefficient = _ratio(square, target, sizes, mass_std / mass)
-    models = {"c_t w²": _model("c_t w²", (0.0, 0.0, 1.0), moments, force, mass, group)}
+    coefficient = _slope_with_interval(square, target, sizes, mass_std / mass)
+    models = {"c_t w²": _map_of_shape((0.0, 0.0, 1.0), moments, force, mass, group)}
     scale = None
     if declared is not None:
         carried = (moments * declared).sum(axis=1)
-        scale = _ratio(carried, target, sizes, mass_std / mass)
-        left = force - carried / mass
+        scale = _slope_with_interval(carried, target, sizes, mass_std / mass)
         models = {
-            "declared": HoverModel(
-                name="declared", thrust_map=declared, held_out=left, error=cross_validation_error(left, group)
-            ),
-            "declared, scaled": _model("declared, scaled", declared, moments, force, mass, group),
+            "declared": HoverModel(declared, cross_validation_error(force - carried / mass, group)),
+            "declared, scaled": _map_of_shape(declared, moments, force, mass, group),
             **models,
         }
-    notes = [Finding("flight_left_out", "", {"error": str(error)}) for error in missed]
-    notes += [Finding("thrust_from_gravity", p.name) for p in parts if p.from_gravity]
+    notes = [*(Finding("flight_left_out", "", {"error": str(error)}) for error in missed), *notes]
     if mass_std == 0.0:
         notes.append(Finding("mass_exact"))
     return HoverFit(
         mass=mass,
         thrust_coefficient=coefficient,
         scale=scale,
-        by_flight={p.name: _slope(p.moments[:, 2], mass * p.force) for p in parts},
+        by_flight={name: _slope_through_zero(sums[:, 2], mass * part) for name, sums, part in parts},
         models=models,
         chosen=min((n for n in models if n != "declared"), key=lambda name: models[name].error.value),
         square_sum=square,
@@ -194,32 +175,32 @@ def fit_hover(
     )
 
 
-def _slope(cause: Array, effect: Array) -> float:
+def _slope_through_zero(cause: Array, effect: Array) -> float:
     return float(cause @ effect / (cause @ cause))
 
 
-def _ratio(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float) -> Estimate:
+def _slope_with_interval(cause: Array, effect: Array, sizes: Sequence[int], mass_error: float) -> Estimate:
     """Return the slope through the origin; the interval has the larger scatter of windows or flights, and the mass error."""
-    slope = _slope(cause, effect)
+    slope = _slope_through_zero(cause, effect)
     unit = cause / rms(cause)
     residual = effect - slope * cause
     spread = stats.t.ppf(0.975, cause.size - 1) * np.sqrt(hac_covariance(unit[:, None], residual)[0, 0]) / rms(cause)
     if len(sizes) >= 3:
         ends = np.cumsum(sizes)[:-1]
-        each = [_slope(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
+        each = [_slope_through_zero(c, e) for c, e in zip(np.split(cause, ends), np.split(effect, ends), strict=True)]
         spread = max(spread, stats.t.ppf(0.975, len(each) - 1) * np.std(each, ddof=1) / np.sqrt(len(each)))
     half_width = float(np.hypot(spread, 1.96 * mass_error * slope))
     return Estimate.from_half_width(slope, half_width)
 
 
-def _model(
-    name: str, shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: Indices
+def _map_of_shape(
+    shape: tuple[float, float, float], moments: Array, force: Array, mass: float, group: Indices
 ) -> HoverModel:
-    """Return a scaled thrust map of fixed shape, with held-out errors from fits without each group."""
+    """Return a scaled thrust map of fixed shape, with the error of fits without each group."""
     carried, target = moments @ np.array(shape), mass * force
-    held_out = left_out(group, lambda out: force[out] - _slope(carried[~out], target[~out]) * carried[out] / mass)
-    size = _slope(carried, target)
-    c0, c1, c2 = (size * c for c in shape)
-    return HoverModel(
-        name=name, thrust_map=(c0, c1, c2), held_out=held_out, error=cross_validation_error(held_out, group)
+    errors = errors_on_left_out_folds(
+        group, lambda out: force[out] - _slope_through_zero(carried[~out], target[~out]) * carried[out] / mass
     )
+    size = _slope_through_zero(carried, target)
+    c0, c1, c2 = (size * c for c in shape)
+    return HoverModel((c0, c1, c2), cross_validation_error(errors, group))

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ReportTable:
     """Table with a title and text cells."""
 
     title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,14 +48,8 @@ class Study:
             lines += ["| " + " | ".join(row) + " |" for row in table.rows] + [""]
         for name in self.figures:
             lines += [f"![{name.replace('_', ' ')}]({name}.png)", ""]
-        lines += [
-            "## Notes",
-            "",
-            *(f"- {note}" for note in map(text, self.notes)),
-            *(["- none"] if not self.notes else []),
-            "",
-        ]
-        return "\n".join(lines)
+        notes = [f"- {text(note)}" for note in self.notes] or ["- none"]
+        return "\n".join([*lines, "## Notes", "", *notes, ""])
 
 
 def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: Sequence[str | Path]) -> None:
@@ -74,10 +68,9 @@ def write_study(out_dir: Path, study: Study, config: dict[str, object], inputs: 
 def rotor_files(robot: RobotCfg | None, changes: dict[str, object], source: str) -> dict[str, str]:
     """Return robot.yaml with new rotor values, or rotor.yaml with these alone without a robot."""
     if robot is None:
-        lines = [
-            f"  {name}: {list(v) if isinstance(v, tuple) else v!r}" for name, v in changes.items() if v is not None
-        ]
-        return {"rotor.yaml": "\n".join(["rotor:", *lines, f"  source: {source!r}", ""])}
+        known = {name: list(v) if isinstance(v, tuple) else v for name, v in changes.items() if v is not None}
+        lines = [f"  {name}: {value!r}" for name, value in (known | {"source": source}).items()]
+        return {"rotor.yaml": "\n".join(["rotor:", *lines, ""])}
     declared = robot.the_rotor("writing the numbers of a bench into a robot file")
     rotor: RotorCfg = replace(declared, **changes, source=f"{source} Other numbers: {declared.source}")  # type: ignore[arg-type]
     kinds = {"rotor": rotor} if robot.rotor is not None else {"rotors": dict.fromkeys(robot.rotors, rotor)}

@@ -33,7 +33,7 @@ class Scatter:
         """Return the p-value of a residual (K,) with a covariance (K, K) under scatter alone, by Hotelling's test."""
         size = left.size
         ratio = float(left @ np.linalg.solve(covariance, left)) / self.freedom
-        return _tail(ratio, size, self.freedom - size + 1)
+        return _f_tail_probability(ratio, size, self.freedom - size + 1)
 
 
 def pool_scatter(groups: Sequence[Array]) -> Scatter:
@@ -92,7 +92,7 @@ def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -
         params=params,
         covariance=bread * (share + still) / freedom,
         freedom=freedom,
-        misfit=_tail(still / share, size - count, rest + count) if size > count else 1.0,
+        misfit=_f_tail_probability(still / share, size - count, rest + count) if size > count else 1.0,
         spread=scatter.freedom**-1 * columns @ bread @ columns.T,
     )
 
@@ -137,6 +137,6 @@ def log_evidence(target: Array, columns: Array, scatter: Scatter, share: float) 
     return float(whole - np.log(np.diag(root)).sum())
 
 
-def _tail(ratio: float, count: int, freedom: int) -> float:
+def _f_tail_probability(ratio: float, count: int, freedom: int) -> float:
     """Return the upper tail probability of F for a ratio of sums of squares."""
     return float(stats.f.sf(ratio * freedom / count, count, freedom))

@@ -16,10 +16,10 @@ from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
     cross_validation_error,
     estimates,
-    independent_covariance,
+    hc3_covariance,
     leverage,
-    parsimonious,
     rms,
+    smallest_good_candidate,
 )
 from aerial_gym.sim2real.teststand.tables import Bench, check_rotor_numbers
 
@@ -65,7 +65,7 @@ class MapFit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
+class MapChoice:
     """Candidate maps for one quantity, and the selected one."""
 
     unit: str
@@ -108,8 +108,8 @@ class StaticFit:
     thrust: Array  # [N], (T,)
     torque: Array | None  # [N m], (T,)
 
-    thrust_map: Choice
-    torque_map: Choice | None
+    thrust_map: MapChoice
+    torque_map: MapChoice | None
 
     torque_ratio: Estimate | None  # Torque over thrust [m]
 
@@ -169,13 +169,13 @@ def _fit_both_ways(name: str, measured: dict[str, Array]) -> StaticFit:
     """Return the maps for both directions of rotation, from speed, thrust and optional torque, (T,) each."""
     back = measured["speed"] < 0.0
     if not back.any():
-        return _fit_test(name, measured)
-    forwards = _fit_test(name, {q: values[~back] for q, values in measured.items()}, through_zero=True)
+        return _fit_one_way(name, measured)
+    forwards = _fit_one_way(name, {q: values[~back] for q, values in measured.items()}, through_zero=True)
     backwards = {q: -values[back] for q, values in measured.items()}
-    return replace(forwards, reverse=_fit_test(f"{name}, backwards", backwards, through_zero=True))
+    return replace(forwards, reverse=_fit_one_way(f"{name}, backwards", backwards, through_zero=True))
 
 
-def _fit_test(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
+def _fit_one_way(name: str, measured: dict[str, Array], *, through_zero: bool = False) -> StaticFit:
     speed, thrust = measured["speed"], measured["thrust"]
     check_rotor_numbers(name, speed, thrust, measured.get("torque"))
     dead = (speed == 0.0) & (thrust > STALLED * thrust.max())
@@ -203,7 +203,7 @@ def _fit_test(name: str, measured: dict[str, Array], *, through_zero: bool = Fal
 
 def choose_map(
     speed: Array, values: Array, *, unit: str, thrust: MapFit | None = None, through_zero: bool = False
-) -> Choice:
+) -> MapChoice:
     """Return the candidate maps for ``values`` (T,) at speeds (T,), and the selection.
 
     ``thrust``: the selected thrust map, which adds a constant torque ratio as a candidate. Maps without a positive w² term
@@ -211,24 +211,29 @@ def choose_map(
     negative w term.
     """
     maps = {name: powers for name, powers in MAPS.items() if not (through_zero and 0 in powers)}
-    candidates = {name: _fit_powers(name, powers, speed, values) for name, powers in (maps | BEYOND).items()}
-    columns = {name: speed[:, None] ** np.array(powers) for name, powers in maps.items()}
+    columns = {name: speed[:, None] ** np.array(powers) for name, powers in (maps | BEYOND).items()}
+    labels = {name: tuple(f"c{p}" for p in powers) for name, powers in (maps | BEYOND).items()}
     if thrust is not None:
-        carried = np.polyval(thrust.polynomial()[::-1], speed)[:, None]
-        columns = {"torque ratio": carried, **columns}
-        candidates = {"torque ratio": _fit_regressors("torque ratio", carried, values, ("ratio",)), **candidates}
+        columns = {"torque ratio": np.polyval(thrust.polynomial()[::-1], speed)[:, None], **columns}
+        labels["torque ratio"] = ("ratio",)
+    candidates = {name: _fit_regressors(name, rows, values, labels[name]) for name, rows in columns.items()}
+    columns = {name: rows for name, rows in columns.items() if name not in BEYOND}
     nested, terms = np.empty(speed.size), {name: rows.shape[1] for name, rows in columns.items()}
     for row in range(speed.size):
         kept_rows = np.arange(speed.size) != row
         errors = {name: rms(_leave_one_out(c[kept_rows], values[kept_rows])) for name, c in columns.items()}
-        best = parsimonious(errors, terms)
+        best = smallest_good_candidate(errors, terms)
         gains = np.linalg.lstsq(columns[best][kept_rows], values[kept_rows], rcond=None)[0]
         nested[row] = values[row] - columns[best][row] @ gains
-    rising = [name for name in columns if name == "torque ratio" or candidates[name].polynomial()[2] > 0.0]
-    if through_zero:
-        rising = [name for name in rising if name == "torque ratio" or candidates[name].polynomial()[1] >= 0.0]
-    chosen = parsimonious({name: candidates[name].held_out_rms for name in rising}, terms)
-    return Choice(unit=unit, candidates=candidates, chosen=chosen, nested=nested)
+
+    def is_possible(name: str) -> bool:
+        _, c1, c2 = candidates[name].polynomial()
+        return name == "torque ratio" or (c2 > 0.0 and (c1 >= 0.0 or not through_zero))
+
+    chosen = smallest_good_candidate(
+        {name: candidates[name].held_out_rms for name in filter(is_possible, columns)}, terms
+    )
+    return MapChoice(unit=unit, candidates=candidates, chosen=chosen, nested=nested)
 
 
 def _leave_one_out(regressors: Array, values: Array) -> Array:
@@ -239,20 +244,13 @@ def _leave_one_out(regressors: Array, values: Array) -> Array:
     return residual / np.maximum(1.0 - leverage(scaled), 1e-9)
 
 
-def _fit_powers(name: str, powers: tuple[int, ...], speed: Array, values: Array) -> MapFit:
-    return _fit_regressors(name, speed[:, None] ** np.array(powers), values, tuple(f"c{p}" for p in powers))
-
-
 def _fit_regressors(name: str, regressors: Array, values: Array, labels: tuple[str, ...]) -> MapFit:
     scale = np.abs(regressors).max(axis=0)
     scaled = regressors / scale
     gains = np.linalg.lstsq(scaled, values, rcond=None)[0]
     residual = values - scaled @ gains
-    covariance = independent_covariance(scaled, residual) / np.outer(scale, scale)
+    covariance = hc3_covariance(scaled, residual) / np.outer(scale, scale)
     results = estimates(gains / scale, covariance, values.size - gains.size)
-    return MapFit(
-        name=name,
-        coefficients=dict(zip(labels, results, strict=True)),
-        fit_rms=rms(residual),
-        held_out=_leave_one_out(regressors, values),
-    )
+    coefficients = dict(zip(labels, results, strict=True))
+    left = _leave_one_out(regressors, values)
+    return MapFit(name=name, coefficients=coefficients, fit_rms=rms(residual), held_out=left)

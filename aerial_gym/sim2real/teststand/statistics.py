@@ -10,31 +10,13 @@ import numpy as np
 from scipy import optimize, stats
 
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
-from aerial_gym.sim2real.statistics import Rms, rms_with_interval
+from aerial_gym.sim2real.statistics import Estimate, Rms, rms_with_interval
 
 PARSIMONY = 0.02
 """Largest relative excess of the held-out error for which a law with fewer parameters is chosen."""
 
 FOLDS = 5
 """Number of folds of a single flight."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A value with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def as_mapping(self) -> dict[str, float | list[float]]:
-        """Return the values for JSON."""
-        return {"value": self.value, "interval": [self.low, self.high]}
-
-    @classmethod
-    def from_half_width(cls, value: float, half_width: float) -> "Estimate":
-        """Return a value with a symmetric interval."""
-        return cls(value=float(value), low=float(value - half_width), high=float(value + half_width))
 
 
 def estimates(values: Array, covariance: Array, freedom: int) -> list[Estimate]:
@@ -61,19 +43,19 @@ def fold_labels(counts: Sequence[int]) -> Indices:
     return np.repeat(np.arange(len(counts)), counts)
 
 
-def left_out(part: Indices, missed: Callable[[Flags], Array]) -> Array:
-    """Return the cross-validation error of every row, (N,), given its fold ``part`` (N,).
+def errors_on_left_out_folds(fold: Indices, errors: Callable[[Flags], Array]) -> Array:
+    """Return the error of every row, (N,), from the fit without its fold (N,).
 
-    ``missed`` takes the left-out rows, bool (N,), fits all others, and returns the errors of the left-out ones.
+    ``errors`` takes the left-out rows, bool (N,), fits all others, and returns the errors of the left-out ones.
     """
-    results = np.empty(part.size)
-    for label in np.unique(part):
-        out = part == label
-        results[out] = missed(out)
+    results = np.empty(fold.size)
+    for label in np.unique(fold):
+        out = fold == label
+        results[out] = errors(out)
     return results
 
 
-def parsimonious(errors: Mapping[str, float], terms: Mapping[str, int]) -> str:
+def smallest_good_candidate(errors: Mapping[str, float], terms: Mapping[str, int]) -> str:
     """Return the candidate with the fewest terms among those with nearly the least error; of equals the best."""
     least = min(errors.values())
     close = [name for name, error in errors.items() if error <= (1.0 + PARSIMONY) * least]
@@ -90,7 +72,7 @@ LONGEST_MEMORY = 0.97
 """Largest AR(1) coefficient for the prewhitening of scores (Andrews, Monahan 1992, section 3)."""
 
 
-def independent_covariance(regressors: Array, residual: Array) -> Array:
+def hc3_covariance(regressors: Array, residual: Array) -> Array:
     """Return the least-squares covariance for independent, heteroscedastic residuals, (K, K).
 
     Source: MacKinnon, White (1985), Some heteroskedasticity-consistent covariance matrix estimators, HC3.
@@ -100,7 +82,7 @@ def independent_covariance(regressors: Array, residual: Array) -> Array:
     return bread @ (weighted.T @ weighted) @ bread
 
 
-def correlation_rows(residual: Array) -> int:
+def bartlett_bandwidth(residual: Array) -> int:
     """Return the Bartlett bandwidth in rows for residuals that follow an AR(1) process.
 
     Source: Andrews (1991), Heteroskedasticity and autocorrelation consistent covariance matrix estimation, eq. 6.2, 6.4.
@@ -127,18 +109,13 @@ def hac_covariance(regressors: Array, residual: Array) -> Array:
     memory = np.clip((after * before).sum(axis=0) / power, -LONGEST_MEMORY, LONGEST_MEMORY)
     white = np.concatenate((scores[:1], after - before * memory))
     meat = white.T @ white
-    lags = min(correlation_rows(white @ _unit(white)), residual.size - 1)
+    lags = min(bartlett_bandwidth(white @ (1.0 / np.maximum(white.std(axis=0), 1e-300))), residual.size - 1)
     for lag in range(1, lags + 1):
         product = white[lag:].T @ white[:-lag]
         meat += (1.0 - lag / (lags + 1.0)) * (product + product.T)
     meat = meat / np.outer(1.0 - memory, 1.0 - memory)
     bread = np.linalg.pinv(regressors.T @ regressors)
     return bread @ meat @ bread
-
-
-def _unit(white: Array) -> Array:
-    """Return weights that standardise the scores, (K,)."""
-    return 1.0 / np.maximum(white.std(axis=0), 1e-300)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,10 +17,10 @@ from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.statistics import (
     Estimate,
     cross_validation_error,
+    errors_on_left_out_folds,
     fit_curve,
-    left_out,
-    parsimonious,
     rms,
+    smallest_good_candidate,
 )
 from aerial_gym.sim2real.teststand.tables import Bench
 
@@ -138,7 +138,7 @@ def step_record(bench: Bench) -> StepRecord:
     return StepRecord(path=bench.path, time=time, command=command, measured=measured, starts=starts)
 
 
-def lag_error(error: float, tau: float, slew: float, since: Array) -> Array:
+def speed_error_after_step(error: float, tau: float, slew: float, since: Array) -> Array:
     """Return the remaining speed error [rad/s] at times ``since`` [s] after a step, (T,): a ramp, then an exponential.
 
     It solves ``e' = -min(|e| / tau, slew) sign(e)`` from ``error``, and is constant before the step.
@@ -152,7 +152,7 @@ def lag_error(error: float, tau: float, slew: float, since: Array) -> Array:
     return np.sign(error) * np.where(since < 0.0, size, np.where(since < ramp, size - slew * since, decay))
 
 
-def simulate(record: StepRecord, params: dict[str, float]) -> Array:
+def speed_of_law(record: StepRecord, params: dict[str, float]) -> Array:
     """Return the speed [rad/s] that a law predicts from the commands and the first measured speed, (T,)."""
     shared = params.get("tau", 0.0)
     delay, speed = params.get("delay", 0.0), record.measured.copy()
@@ -163,14 +163,14 @@ def simulate(record: StepRecord, params: dict[str, float]) -> Array:
         tau, slew = params.get(f"tau_{way}", shared), params.get(f"slew_{way}", NO_LIMIT)
         end = record.time[min(stop, record.time.size - 1)]
         since = np.append(record.time[start:stop], end) - record.time[start] - delay
-        course = goal - lag_error(goal - level, tau, slew, since)
+        course = goal - speed_error_after_step(goal - level, tau, slew, since)
         speed[start:stop], level = course[:-1], float(course[-1])
     return speed
 
 
 def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     """Return the fits of all laws to all steps, with cross-validation errors over steps."""
-    ways = [way for record in records for way in _ways(record)]
+    ways = [way for record in records for way in _step_directions(record)]
     notes = []
     names = list(LAWS)
     if min(ways.count("up"), ways.count("down")) < 2:
@@ -186,13 +186,13 @@ def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     return StepFit(
         records=tuple(records),
         laws=laws,
-        chosen=parsimonious(errors, terms),
-        in_robot=parsimonious({name: errors[name] for name in ROBOT_LAWS if name in laws}, terms),
+        chosen=smallest_good_candidate(errors, terms),
+        in_robot=smallest_good_candidate({name: errors[name] for name in ROBOT_LAWS if name in laws}, terms),
         notes=tuple(notes),
     )
 
 
-def _ways(record: StepRecord) -> list[str]:
+def _step_directions(record: StepRecord) -> list[str]:
     levels = [float(record.measured[record.starts[0]]), *record.command[record.starts[:-1]]]
     return ["up" if after > before else "down" for before, after in pairwise(levels)]
 
@@ -209,13 +209,15 @@ def _fit_law(name: str, records: Sequence[StepRecord]) -> StepLawFit:
 
     def predict(values: Array) -> Array:
         params = dict(zip(labels, values, strict=True))
-        return np.concatenate([simulate(record, params)[record.starts[0] :] for record in records])
+        return np.concatenate([speed_of_law(record, params)[record.starts[0] :] for record in records])
 
     whole = fit_curve(predict, measured, start, low, high)
     inside = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
     begins = np.concatenate([np.isin(np.arange(r.starts[0], r.time.size), r.starts) for r in records])
     step = begins.cumsum(dtype=np.int64)
-    held_out = left_out(step, lambda out: fit_curve(predict, measured, inside, low, high, ~out).residual[out])
+    held_out = errors_on_left_out_folds(
+        step, lambda out: fit_curve(predict, measured, inside, low, high, ~out).residual[out]
+    )
     params = _bound_slew_limit(dict(zip(labels, whole.estimates(), strict=True)), records)
     return StepLawFit(
         name=name, params=params, fit_rms=rms(whole.residual), held_out=held_out, step=step, residual=whole.residual

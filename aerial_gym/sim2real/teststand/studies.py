@@ -12,18 +12,18 @@ from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand import figures
-from aerial_gym.sim2real.teststand.balance import Balance, Change, HoverEffort, hover_effort, judge_balance
+from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, hover_effort, judge_balance
 from aerial_gym.sim2real.teststand.hover import fit_hover
 from aerial_gym.sim2real.teststand.joints.record import (
     ALTERNATE_S,
     PUBLISHED,
     creep_elements,
+    errors_by_span,
     fit_joint,
     release_record,
-    spans,
 )
 from aerial_gym.sim2real.teststand.report import ReportTable, Study, rotor_files
-from aerial_gym.sim2real.teststand.static import Choice, StaticFit, fit_static
+from aerial_gym.sim2real.teststand.static import MapChoice, StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import Estimate, rms
 from aerial_gym.sim2real.teststand.step import BOUNDS, StepFit, fit_steps, step_record
 from aerial_gym.sim2real.teststand.tables import Bench
@@ -31,12 +31,12 @@ from aerial_gym.sim2real.teststand.tables import Bench
 MOST_TESTS_SHOWN = 3
 
 
-def interval(value: Estimate | Rms) -> str:
+def interval_text(value: Estimate | Rms) -> str:
     """Return a value with its 95 % interval as text."""
     return f"{value.value:.4g} [{value.low:.4g}, {value.high:.4g}]"
 
 
-def change(before: float, after: float) -> str:
+def change_text(before: float, after: float) -> str:
     """Return a relative change as text."""
     return f"{100.0 * (after / before - 1.0):+.0f} %"
 
@@ -44,48 +44,45 @@ def change(before: float, after: float) -> str:
 def study_motor(benches: Sequence[Bench], *, num_motors: int = 1, robot: RobotCfg | None = None) -> Study:
     """Return a study of rotor maps and lags from static tests and step records, distinguished by their columns."""
     static: list[StaticFit] = []
-    steps, left_out = [], []
+    steps, notes = [], []
     for bench in benches:
         if bench.column("command") is not None and bench.column("time") is not None:
             steps.append(step_record(bench))
         elif bench.column("thrust") is not None:
             fits, missed = fit_static(bench, num_motors=num_motors)
             static += fits
-            left_out += missed
+            notes += missed
         else:
             raise DataError(
                 f"{bench.path}: is neither a static test (speed, thrust) nor a step record (time, command, measured); it has "
                 f"the columns {', '.join(bench.table.columns)}. Name them with --columns and --units"
             )
-    lag = fit_steps(steps) if steps else None
-    tables = [*static_tables(static), *([] if lag is None else step_tables(lag))]
-    notes = [*left_out, *(note for fit in static for note in fit.notes)]
-    notes += [] if lag is None else lag.notes
-    notes += [note for fit in static[:MOST_TESTS_SHOWN] for note in curvature_notes(fit)]
+    tables = static_tables(static)
     mapping: dict[str, object] = {
         "static": [fit.as_mapping() for fit in static],
-        "left_out": [note.values["error"] for note in left_out],
+        "left_out": [note.values["error"] for note in notes],
     }
+    drawn = figures.static_figures(static[0]) if static else {}
+    notes += [note for fit in static for note in fit.notes]
+    lag = fit_steps(steps) if steps else None
     if lag is not None:
+        tables.append(step_table(lag))
+        notes += lag.notes
         mapping["steps"] = lag.as_mapping()
+        drawn |= figures.step_figures(lag)
+    notes += [note for fit in static[:MOST_TESTS_SHOWN] for note in curvature_notes(fit)]
     if len(static) > 1:
-        mapping["all_tests"] = all_tests(static)
-    shown = {} if not static else figures.static_figures(static[0])
-    changes = rotor_changes(static, lag)
+        mapping["all_tests"] = summary_of_tests(static)
+    changes, files = rotor_changes(static, lag), ", ".join(Path(bench.path).name for bench in benches)
     return Study(
         title="Motor identification",
         intro="Every interval is a 95 % interval; held-out errors are on rows or steps that the fit has not seen.",
         mapping=mapping,
         tables=tuple(tables),
-        figures=shown | ({} if lag is None else figures.step_figures(lag)),
+        figures=drawn,
         notes=tuple(notes),
-        files={} if not changes else rotor_files(robot, changes, f"aerial-gym identify motor: {names(benches)}."),
+        files=rotor_files(robot, changes, f"aerial-gym identify motor: {files}.") if changes else {},
     )
-
-
-def names(benches: Sequence[Bench]) -> str:
-    """Return the file names."""
-    return ", ".join(Path(bench.path).name for bench in benches)
 
 
 def rotor_changes(static: Sequence[StaticFit], lag: StepFit | None) -> dict[str, object]:
@@ -132,7 +129,7 @@ def slew_rate_settings(params: Mapping[str, Estimate]) -> dict[str, object]:
     return {"slew_rate": up, "slew_rate_down": down}
 
 
-def all_tests(static: Sequence[StaticFit]) -> dict[str, object]:
+def summary_of_tests(static: Sequence[StaticFit]) -> dict[str, object]:
     """Return a summary of map selection over many tests, with errors relative to the highest thrust."""
     before = np.array([fit.thrust_map.rms_squared_only.value / fit.thrust.max() for fit in static])
     after = np.array([fit.thrust_map.rms_chosen.value / fit.thrust.max() for fit in static])
@@ -151,33 +148,35 @@ def static_tables(static: Sequence[StaticFit]) -> list[ReportTable]:
     tables = []
     parts = [part for fit in static for part in (fit, fit.reverse) if part is not None]
     for fit in parts if len(static) <= MOST_TESTS_SHOWN else []:
-        rows = [("c_t (w² alone) [N s²/rad²]", interval(fit.thrust_coefficient))]
+        rows = [("c_t (w² alone) [N s²/rad²]", interval_text(fit.thrust_coefficient))]
         if fit.torque_ratio is not None:
-            rows.append(("c_t2t, torque per thrust [m]", interval(fit.torque_ratio)))
-        tables.append(
-            ReportTable(title=f"Coefficients, {Path(fit.name).name}", head=("quantity", "value"), rows=tuple(rows))
-        )
-        tables.append(_choice_table("Thrust", fit.thrust_map))
+            rows.append(("c_t2t, torque per thrust [m]", interval_text(fit.torque_ratio)))
+        tables.append(ReportTable(f"Coefficients, {Path(fit.name).name}", ("quantity", "value"), rows))
+        tables.append(_table_of_maps("Thrust", fit.thrust_map))
         if fit.torque_map is not None:
-            tables.append(_choice_table("Torque", fit.torque_map))
+            tables.append(_table_of_maps("Torque", fit.torque_map))
     if len(static) > MOST_TESTS_SHOWN:
-        results = all_tests(static)
-        rows = [(name.replace("_", " "), str(value)) for name, value in results.items()]
-        tables.append(ReportTable(title="All tests", head=("quantity", "value"), rows=tuple(rows)))
+        rows = [(name.replace("_", " "), str(value)) for name, value in summary_of_tests(static).items()]
+        tables.append(ReportTable("All tests", ("quantity", "value"), rows))
     return tables
 
 
-def _choice_table(quantity: str, choice: Choice) -> ReportTable:
+def _table_of_maps(quantity: str, choice: MapChoice) -> ReportTable:
     rows = []
     for fit in choice.candidates.values():
-        numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.coefficients.items())
-        mark = " (chosen)" if fit.name == choice.chosen else ""
+        mark, numbers = " (chosen)" * (fit.name == choice.chosen), _parameter_text(fit.coefficients)
         rows.append((fit.name + mark, f"{fit.fit_rms:.3g}", f"{fit.held_out_rms:.3g}", numbers))
     before, after = choice.rms_squared_only, choice.rms_chosen
-    rows.append(("before: w²", "", interval(before), ""))
-    rows.append(("after: selected again without each row", "", interval(after), change(before.value, after.value)))
+    rows.append(("before: w²", "", interval_text(before), ""))
+    rows.append(
+        ("after: selected again without each row", "", interval_text(after), change_text(before.value, after.value))
+    )
     head = ("map", f"fit rms [{choice.unit}]", f"held-out rms [{choice.unit}]", "coefficients, 95 %")
-    return ReportTable(title=f"{quantity} map", head=head, rows=tuple(rows))
+    return ReportTable(f"{quantity} map", head, rows)
+
+
+def _parameter_text(params: Mapping[str, Estimate]) -> str:
+    return "; ".join(f"{name} {interval_text(value)}" for name, value in params.items())
 
 
 def curvature_notes(fit: StaticFit) -> list[Finding]:
@@ -194,36 +193,32 @@ def curvature_notes(fit: StaticFit) -> list[Finding]:
     return results
 
 
-def step_tables(lag: StepFit) -> list[ReportTable]:
+def step_table(lag: StepFit) -> ReportTable:
     """Return the table of lag laws."""
     rows = []
     for law in lag.laws.values():
         mark = " (chosen)" * (law.name == lag.chosen) + " (in robot file)" * (law.name == lag.in_robot)
-        numbers = "; ".join(f"{name} {interval(value)}" for name, value in law.params.items())
-        rows.append((law.name + mark, f"{law.fit_rms:.3g}", interval(law.error), numbers))
+        rows.append((law.name + mark, f"{law.fit_rms:.3g}", interval_text(law.error), _parameter_text(law.params)))
     before, after = lag.laws["one time constant"], lag.laws[lag.chosen]
-    rows.append(("change against one time constant", "", change(before.held_out_rms, after.held_out_rms), ""))
+    rows.append(("change against one time constant", "", change_text(before.held_out_rms, after.held_out_rms), ""))
     head = ("law", "fit rms [rad/s]", "held-out rms [rad/s], steps left out", "tau, delay [s]; slew [rad/s²]")
-    return [ReportTable(title="Step responses", head=head, rows=tuple(rows))]
+    return ReportTable("Step responses", head, rows)
 
 
 def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
     """Return a study of a compliant joint's law from a release record."""
     study = fit_joint(release_record(bench, release=release))
-    record, best = study.record, study.laws[study.chosen]
-    rows = []
-    published = spans(record.time, study.published)
-    rows.append(("published quadratic spring, without a fit", "", *_angles(published), "", "", ""))
+    time, best = study.record.time, study.laws[study.chosen]
+    published, held_out = errors_by_span(time, study.published), errors_by_span(time, best.held_out)
+    rows = [["published quadratic spring, without a fit", "", *_error_texts(published), "", "", ""]]
     for law in study.laws.values():
-        mark = " (chosen)" * (law.name == study.chosen)
-        fit, held_out = spans(record.time, law.residual), spans(record.time, law.held_out)
         shown = (
-            f"{np.degrees(fit['rms']):.3g}",
-            *_angles(held_out),
-            f"{np.degrees(study.forecast[law.name].value):.3g}",
-            *_angles(spans(record.time, study.alternate[law.name]))[:2],
+            _degree_text(rms(law.residual)),
+            *_error_texts(errors_by_span(time, law.held_out)),
+            _degree_text(study.forecast[law.name].value),
+            *_error_texts(errors_by_span(time, study.alternate[law.name]))[:2],
         )
-        rows.append((law.name + mark, *shown))
+        rows.append([law.name + " (chosen)" * (law.name == study.chosen), *shown])
     head = (
         "law",
         "fit rms [deg]",
@@ -234,27 +229,21 @@ def study_joint(bench: Bench, *, release: float = 0.0) -> Study:
         f"every second {1e3 * ALTERNATE_S:g} ms held out [deg]",
         "first second of these [deg]",
     )
-    params = [(name, interval(value)) for name, value in best.params.items()]
+    params = [(name, interval_text(value)) for name, value in best.params.items()]
     units = "release, time [s]; stiffness [1/s²], damping [1/s] per inertia of the joint; rest [rad]"
     law_text = f"# {study.chosen}: {units}\n" + joint_text(study.chosen, {n: p.value for n, p in best.params.items()})
-    change_text = change(published["rms"], rms(best.held_out))
-    early = change(published["rms_first_second"], spans(record.time, best.held_out)["rms_first_second"])
+    whole, early = (change_text(published[name], held_out[name]) for name in ("rms", "rms_first_second"))
     return Study(
         title="Compliant joint",
-        intro=f"Held-out error against the published law: {change_text}; in the first second: {early}. "
+        intro=f"Held-out error against the published law: {whole}; in the first second: {early}. "
         "Blocks of time are left out in turn, the first 30 ms included.",
         mapping=study.as_mapping(),
         tables=(
-            ReportTable(title="Laws", head=head, rows=tuple(rows)),
-            ReportTable(
-                title=f"Parameters of the {study.chosen} ({units})", head=("parameter", "95 %"), rows=tuple(params)
-            ),
+            ReportTable("Laws", head, rows),
+            ReportTable(f"Parameters of the {study.chosen} ({units})", ("parameter", "95 %"), params),
         ),
         figures=figures.joint_figures(study),
-        notes=(
-            Finding("published_law", "", PUBLISHED),
-            Finding("one_record"),
-        ),
+        notes=(Finding("published_law", "", PUBLISHED), Finding("one_record")),
         files={"joint.yaml": f"{law_text}\n  source: 'aerial-gym identify joint: {Path(bench.path).name}'\n"},
     )
 
@@ -270,8 +259,12 @@ def joint_text(law: str, params: Mapping[str, float]) -> str:
     return "\n".join(lines)
 
 
-def _angles(value: dict[str, float]) -> tuple[str, str, str]:
-    return tuple(f"{np.degrees(value[name]):.3g}" for name in ("rms", "rms_first_second", "largest"))  # type: ignore[return-value]
+def _degree_text(angle: float) -> str:
+    return f"{np.degrees(angle):.3g}"
+
+
+def _error_texts(errors: Mapping[str, float]) -> list[str]:
+    return [_degree_text(errors[name]) for name in ("rms", "rms_first_second", "largest")]
 
 
 def study_hover(
@@ -286,13 +279,11 @@ def study_hover(
     logs = [read_flight_log(path, mapping=layout) for path in paths]
     declared = None if robot is None else robot.the_rotor("identify hover").thrust_map
     fit = fit_hover(logs, mass=mass, mass_std=mass_std, declared=declared)
-    rows = [("c_t [N s²/rad²]", interval(fit.thrust_coefficient))]
+    rows = [("c_t [N s²/rad²]", interval_text(fit.thrust_coefficient))]
     if fit.scale is not None:
-        rows.append(("factor on the declared thrust map", interval(fit.scale)))
+        rows.append(("factor on the declared thrust map", interval_text(fit.scale)))
     rows += [(f"c_t of {name}", f"{value:.4g}") for name, value in fit.by_flight.items()]
-    models = tuple(
-        (name + " (chosen)" * (name == fit.chosen), interval(model.error)) for name, model in fit.models.items()
-    )
+    models = [(name + " (chosen)" * (name == fit.chosen), interval_text(m.error)) for name, m in fit.models.items()]
     head = ("map", "measured minus predicted thrust over mass [m/s²]")
     best = fit.models[fit.chosen].thrust_map
     return Study(
@@ -301,8 +292,8 @@ def study_hover(
         "left out of the fit.",
         mapping=fit.as_mapping(),
         tables=(
-            ReportTable(title="Coefficients", head=("quantity", "value"), rows=tuple(rows)),
-            ReportTable(title="Held-out errors", head=head, rows=models),
+            ReportTable("Coefficients", ("quantity", "value"), rows),
+            ReportTable("Held-out errors", head, models),
         ),
         figures=figures.hover_figures(fit),
         notes=fit.notes,
@@ -337,26 +328,25 @@ def study_balance(
         intro=f"Verdict: {results.verdict}. Candidates: {', '.join(results.candidates) or 'none'}. Intervals of 95 % come from "
         f"the scatter between logs of one condition, known from {results.freedom} repeats.",
         mapping=results.as_mapping(),
-        tables=tuple(_balance_tables(results)),
+        tables=_balance_tables(results),
         notes=(*results.notes, *results.tell_apart),
     )
 
 
-def _balance_tables(value: Balance) -> list[ReportTable]:
-    def row(name: str, change: Change) -> tuple[str, ...]:
-        return name, interval(change.baseline), interval(change.flights), interval(change.change)
-
-    rows = [row(f"share of rotor {number}", share) for number, share in enumerate(value.shares, start=1)]
-    rows.append(row("sum of squared speeds; relative change", value.total))
-    tables = [
-        ReportTable(title="Effort at hover", head=("quantity", "baseline", "flights", "change"), rows=tuple(rows))
+def _balance_tables(balance: Balance) -> tuple[ReportTable, ...]:
+    changes = {f"share of rotor {number}": share for number, share in enumerate(balance.shares, start=1)}
+    changes["sum of squared speeds; relative change"] = balance.total
+    rows = [
+        (name, interval_text(c.baseline), interval_text(c.flights), interval_text(c.change))
+        for name, c in changes.items()
     ]
+    efforts = ReportTable("Effort at hover", ("quantity", "baseline", "flights", "change"), rows)
     rows = []
-    for fit in value.fits:
-        numbers = "; ".join(f"{name} {interval(value)}" for name, value in fit.params.items())
+    for fit in balance.fits:
+        numbers = _parameter_text(fit.params)
         if fit.place is not None:
-            numbers += "; weight at " + ", ".join(interval(axis) for axis in fit.place)
-        mark = " (possible)" * (fit.cause.name in value.candidates)
+            numbers += "; weight at " + ", ".join(interval_text(axis) for axis in fit.place)
+        mark = " (possible)" * (fit.cause.name in balance.candidates)
         judged = ("", "") if fit.judged is None else (f"{fit.judged:.2g}", f"{fit.held_out:.3g}")
         rows.append((fit.cause.name + mark, numbers, f"{fit.probability:.2g}", f"{fit.fit.misfit:.2g}", *judged))
     head = (
@@ -367,4 +357,4 @@ def _balance_tables(value: Balance) -> list[ReportTable]:
         "p-value of its error on left-out logs",
         "relative error on left-out logs",
     )
-    return [*tables, *([ReportTable(title="Candidates", head=head, rows=tuple(rows))] if rows else [])]
+    return (efforts, ReportTable("Candidates", head, rows)) if rows else (efforts,)

@@ -8,7 +8,7 @@ from aerial_gym.sim2real.wording.words import (
     Template,
     Values,
     error_list,
-    error_words,
+    error_name,
     join_words,
     name_list,
     number_text,
@@ -51,7 +51,7 @@ def _declaration_sentence(finding: Finding) -> str:
     return f"{start} declared model{rigid} explains the flights within noise and tolerances."
 
 
-def _change_words(row: Values) -> str:
+def _before_and_after_text(row: Values) -> str:
     unit = quantity_unit(str(row["quantity"]))
     before, after = quantity_value(row, "before", unit), quantity_value(row, "after", unit)
     return f"from {number_text(before)} to {number_text(after, 2 if after < 0.5 * before else 3)} {unit}"
@@ -59,8 +59,8 @@ def _change_words(row: Values) -> str:
 
 def _error_decrease_sentence(finding: Finding) -> str:
     first, *further = finding.values["errors"]
-    parts = [f"{error_words(first['quantity'])} falls {_change_words(first)}"]
-    parts += [f"{error_words(row['quantity'])} {_change_words(row)}" for row in further]
+    parts = [f"{error_name(first['quantity'])} falls {_before_and_after_text(first)}"]
+    parts += [f"{error_name(row['quantity'])} {_before_and_after_text(row)}" for row in further]
     return f"On unseen flights, {join_words(parts)}."
 
 
@@ -68,14 +68,14 @@ def _error_rise_sentence(finding: Finding) -> str:
     more = int(finding.values["more"])
     further = f"; {more} more error{'s rise' if more > 1 else ' rises'}" if more else ""
     interval = rise_interval(finding.values)
-    return f"The {error_words(finding.subject)} rises {_change_words(finding.values)} ({interval}){further}."
+    return f"The {error_name(finding.subject)} rises {_before_and_after_text(finding.values)} ({interval}){further}."
 
 
 def _possible_rise_sentence(finding: Finding) -> str:
     more = int(finding.values["more"])
     further = f"; {more} more may rise" if more else ""
     change = f"{100.0 * float(finding.values['rise']):+.0f} %"
-    return f"The {error_words(finding.subject)} may rise: {change} ({rise_interval(finding.values)}){further}."
+    return f"The {error_name(finding.subject)} may rise: {change} ({rise_interval(finding.values)}){further}."
 
 
 def _sentence_on_unexplained_errors(finding: Finding) -> str:
@@ -93,14 +93,14 @@ def _sentence_on_unexplained_errors(finding: Finding) -> str:
     further = f"; {more} more error{'s exceed' if more > 1 else ' exceeds'} noise and tolerances" if more else ""
     times = f", {multiple:.2g} times the noise floor" if (multiple := floor_multiple(most)) else ""
     size = number_text(quantity_value(most, "rms", unit))
-    return f"The model is missing something: the {error_words(str(most['channel']))} is {size} {unit}{times}{further}."
+    return f"The model is missing something: the {error_name(str(most['channel']))} is {size} {unit}{times}{further}."
 
 
 def _structure_sentence(finding: Finding) -> str:
     values, periodic = finding.values, finding.subject == "periodic"
     clause = f"has a line at {number_text(values['freq_hz'])} Hz" if periodic else f"follows the {finding.subject}"
     share = percent_text(float(values["share"]))
-    return f"The {error_words(str(values['channel']))} {clause}, which explains {share} of its variance on flights left out."
+    return f"The {error_name(str(values['channel']))} {clause}, which explains {share} of its variance on flights left out."
 
 
 def _manoeuvre_sentence(finding: Finding) -> str:

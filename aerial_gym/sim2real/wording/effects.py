@@ -10,12 +10,12 @@ from math import degrees
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.wording.words import (
-    decimals,
+    decimals_of_half_width,
+    half_width_text,
     join_words,
     number_text,
     percent_text,
-    round_value,
-    tolerance,
+    value_text,
 )
 
 LEAST_CERTAIN = 0.95
@@ -80,14 +80,14 @@ def effect_sentence(finding: Finding) -> str:
 def _parameter_sentence(finding: Finding, params: ParameterChanges) -> str:
     """Return the sentence of an effect without its own template, such as a user's effect."""
     units = {p.name: "" if p.unit == "-" else p.unit for p in EFFECTS.get(finding.subject).parameters}
-    parts = [f"{name} = {_with_half_width(one, units[name])}".rstrip() for name, one in params.items()]
+    parts = [f"{name} = {_value_with_half_width(one, units[name])}".rstrip() for name, one in params.items()]
     return f"The flights show {finding.subject}: {', '.join(parts)}."
 
 
-def _with_half_width(one: ParameterChange, unit: str) -> str:
+def _value_with_half_width(one: ParameterChange, unit: str) -> str:
     """Return ``value ± half width unit``."""
-    width = "" if decimals(one.half_width) is None else f" {tolerance(one.half_width, '')}"
-    return f"{round_value(one.value, one.half_width)}{width} {unit}".replace(" °", "°")
+    width = "" if decimals_of_half_width(one.half_width) is None else f" {half_width_text(one.half_width, '')}"
+    return f"{value_text(one.value, one.half_width)}{width} {unit}".replace(" °", "°")
 
 
 def _text_of_declaration(one: ParameterChange, unit: str) -> str:
@@ -109,13 +109,13 @@ def _change_sentence(numbers: Sequence[DirectedNumber], unit: str, start: str, u
     certain = [(one, more if one.change > 0.0 else less) for one, more, less in numbers if one.is_certain]
     width = _largest_half_width([one for one, _ in certain] or [one for one, *_ in numbers])
     if not certain:
-        return f"{unsure}, {tolerance(width, unit)}."
+        return f"{unsure}, {half_width_text(width, unit)}."
     space = "" if unit == "°" else " "
-    parts = [f"{round_value(abs(one.change), width)}{space}{unit} {word}" for one, word in certain]
-    return f"{start.format(join_words(parts))}, {tolerance(width, unit)}."
+    parts = [f"{value_text(abs(one.change), width)}{space}{unit} {word}" for one, word in certain]
+    return f"{start.format(join_words(parts))}, {half_width_text(width, unit)}."
 
 
-def _changes(
+def _change_template(
     start: str, unsure: str, words: Mapping[str, tuple[str, str]], unit: str, factor: float = 1.0
 ) -> EffectTemplate:
     """Return the template of changes of parameters, each with the words for a rise and for a fall."""
@@ -128,38 +128,40 @@ def _changes(
     return sentence
 
 
-def _ratio(start: str, more: str, less: str, end: str = "than declared") -> EffectTemplate:
+def _ratio_template(start: str, more: str, less: str, end: str = "than declared") -> EffectTemplate:
     """Return the template of the relative change of the parameter ``scale``."""
 
     def sentence(finding: Finding, params: ParameterChanges) -> str:
         one, rotor = params["scale"], _rotor_name(finding, params) if "motor" in params else ""
         half_width = one.half_width and 1e2 * one.half_width / one.declared
         change = 1e2 * (one.value / one.declared - 1.0)
-        size, word = round_value(abs(change), half_width), more if change > 0.0 else less
-        return f"{start.replace('ROTOR', rotor.capitalize())} {size} % {word} {end}, {tolerance(half_width, '%')}."
+        size, word = value_text(abs(change), half_width), more if change > 0.0 else less
+        return (
+            f"{start.replace('ROTOR', rotor.capitalize())} {size} % {word} {end}, {half_width_text(half_width, '%')}."
+        )
 
     return sentence
 
 
-def _coefficients(start: str, labels: Mapping[str, str], unit: str, factor: float = 1.0) -> EffectTemplate:
+def _coefficient_template(start: str, labels: Mapping[str, str], unit: str, factor: float = 1.0) -> EffectTemplate:
     """Return the template of coefficients, their widest half width, and declared values unless all are zero."""
 
     def sentence(_: Finding, params: ParameterChanges) -> str:
         shown = {name: params[name].scale(factor) for name in labels if name in params}
         parts = [
-            f"{round_value(one.value, one.half_width)} {unit} {labels[name]}".strip() for name, one in shown.items()
+            f"{value_text(one.value, one.half_width)} {unit} {labels[name]}".strip() for name, one in shown.items()
         ]
         width, old = _largest_half_width(list(shown.values())), any(one.declared for one in shown.values())
         declared = f"; declared: {join_words([number_text(one.declared) for one in shown.values()])}" if old else ""
-        return f"{start} {join_words(parts)}, {tolerance(width, unit)}{declared}.".replace("  ", " ")
+        return f"{start} {join_words(parts)}, {half_width_text(width, unit)}{declared}.".replace("  ", " ")
 
     return sentence
 
 
-def _failure(verb: str, of: str) -> EffectTemplate:
+def _failure_template(verb: str, of: str) -> EffectTemplate:
     def sentence(finding: Finding, params: ParameterChanges) -> str:
         rotors = _rotor_name(finding, params) if "motor" in params else "all rotors"
-        share = f" {_with_half_width(params['scale'].scale(1e2), '%')}" if "scale" in params else ""
+        share = f" {_value_with_half_width(params['scale'].scale(1e2), '%')}" if "scale" in params else ""
         ends = "duration" in params and params["duration"].value < 1e4
         span = f" for {params['duration'].value:.3g} s" if ends else " on"
         when = f" from {params['time'].value:.2f} s{span}" if "time" in params else ""
@@ -168,7 +170,7 @@ def _failure(verb: str, of: str) -> EffectTemplate:
     return sentence
 
 
-def _values(start: str, units: Mapping[str, tuple[float, str]], **clauses: str) -> EffectTemplate:
+def _value_template(start: str, units: Mapping[str, tuple[float, str]], **clauses: str) -> EffectTemplate:
     """Return the template of values with half widths.
 
     ``units`` has the unit of each parameter and the factor to it, ``clauses`` the end of the sentence for known parameters.
@@ -176,53 +178,55 @@ def _values(start: str, units: Mapping[str, tuple[float, str]], **clauses: str) 
 
     def sentence(_: Finding, params: ParameterChanges) -> str:
         known = {name: unit for name, unit in units.items() if name in params}
-        texts = {name: _with_half_width(params[name].scale(factor), unit) for name, (factor, unit) in known.items()}
+        texts = {
+            name: _value_with_half_width(params[name].scale(factor), unit) for name, (factor, unit) in known.items()
+        }
         ends = [clause for name, clause in clauses.items() if name in texts]
         return f"{''.join([start, *ends]).format(**texts)}."
 
     return sentence
 
 
-def _payload_mass(_: Finding, params: ParameterChanges) -> str:
+def _payload_mass_sentence(_: Finding, params: ParameterChanges) -> str:
     one = params["dm"].scale(1e3)
     word = "heavier" if one.change > 0.0 else "lighter"
-    size = round_value(abs(one.change), one.half_width)
-    return f"The vehicle is {size} g {word} than declared, {tolerance(one.half_width, 'g')}."
+    size = value_text(abs(one.change), one.half_width)
+    return f"The vehicle is {size} g {word} than declared, {half_width_text(one.half_width, 'g')}."
 
 
-def _motor_time_constant(_: Finding, params: ParameterChanges) -> str:
+def _motor_time_constant_sentence(_: Finding, params: ParameterChanges) -> str:
     tau = params["tau"].scale(1e3)
-    declared = round_value(tau.declared, tau.half_width)
-    return f"The rotors lag with a time constant of {_with_half_width(tau, 'ms')}; {declared} ms is declared."
+    declared = value_text(tau.declared, tau.half_width)
+    return f"The rotors lag with a time constant of {_value_with_half_width(tau, 'ms')}; {declared} ms is declared."
 
 
-def _motor_asymmetry(_: Finding, params: ParameterChanges) -> str:
+def _motor_asymmetry_sentence(_: Finding, params: ParameterChanges) -> str:
     ways = {"tau_up": "rises", "tau_down": "falls"}
     parts = [
-        f"{way} with {_with_half_width(params[name].scale(1e3), 'ms')}" for name, way in ways.items() if name in params
+        f"{way} with {_value_with_half_width(params[name].scale(1e3), 'ms')}"
+        for name, way in ways.items()
+        if name in params
     ]
     return f"Rotor speed {join_words(parts)} of time constant."
 
 
-def _actuation_delay(_: Finding, params: ParameterChanges) -> str:
+def _actuation_delay_sentence(_: Finding, params: ParameterChanges) -> str:
     delay = params["delay"].scale(1e3)
-    return f"Commands act with a dead time of {_with_half_width(delay, 'ms')}{_text_of_declaration(delay, 'ms')}."
+    return f"Commands act with a dead time of {_value_with_half_width(delay, 'ms')}{_text_of_declaration(delay, 'ms')}."
 
 
-def _rotor_inertia(_: Finding, params: ParameterChanges) -> str:
+def _rotor_inertia_sentence(_: Finding, params: ParameterChanges) -> str:
     one, unit = params["jr"].scale(1e6), "mg m²"
-    return (
-        f"Each rotor has an inertia of {_with_half_width(one, unit)} about its axis{_text_of_declaration(one, unit)}."
-    )
+    return f"Each rotor has an inertia of {_value_with_half_width(one, unit)} about its axis{_text_of_declaration(one, unit)}."
 
 
-def _slung_payload(_: Finding, params: ParameterChanges) -> str:
-    mass = _with_half_width(params["mass"].scale(1e3), "g") if "mass" in params else "unknown mass"
-    length = f" at {_with_half_width(params['length'], 'm')} below the body origin" if "length" in params else ""
+def _slung_payload_sentence(_: Finding, params: ParameterChanges) -> str:
+    mass = _value_with_half_width(params["mass"].scale(1e3), "g") if "mass" in params else "unknown mass"
+    length = f" at {_value_with_half_width(params['length'], 'm')} below the body origin" if "length" in params else ""
     return f"A payload of {mass} swings on a cable{length}."
 
 
-def _inertia_error(_: Finding, params: ParameterChanges) -> str:
+def _inertia_error_sentence(_: Finding, params: ParameterChanges) -> str:
     words = {"sx": "in roll", "sy": "in pitch", "sz": "in yaw"}
     axes = [
         (one.scale(1e2 / one.declared), f"higher {words[axis]}", f"lower {words[axis]}") for axis, one in params.items()
@@ -231,29 +235,29 @@ def _inertia_error(_: Finding, params: ParameterChanges) -> str:
     return _change_sentence(axes, "%", "The moment of inertia is {} than declared", unsure)
 
 
-def _wind_shear(finding: Finding, params: ParameterChanges) -> str:
+def _wind_shear_sentence(finding: Finding, params: ParameterChanges) -> str:
     height = f" at a height of {number_text(params['z_ref'].value)} m" if "z_ref" in params else ""
     start, unsure = "A wind that grows with height blows {}", "A wind of unknown direction grows with height"
-    return _changes(f"{start}{height}", unsure, WORLD_WORDS, "m/s")(finding, params)
+    return _change_template(f"{start}{height}", unsure, WORLD_WORDS, "m/s")(finding, params)
 
 
-def _imu_bias(_: Finding, params: ParameterChanges) -> str:
+def _imu_bias_sentence(_: Finding, params: ParameterChanges) -> str:
     parts = []
     for sensor, key, unit in (("accelerometer", "a", "m/s²"), ("gyro", "g", "rad/s")):
         for axis in "xyz":
             if (one := params.get(f"{key}{axis}")) is not None and one.is_certain:
                 word = "too high" if one.value > 0.0 else "too low"
-                size = f"{round_value(abs(one.value), one.half_width)} {tolerance(one.half_width, '')} {unit}"
+                size = f"{value_text(abs(one.value), one.half_width)} {half_width_text(one.half_width, '')} {unit}"
                 parts.append(f"{sensor} {axis} reads {size} {word}")
     if not parts:
         return "The inertial sensors have a bias, but on no axis for certain."
     return f"{parts[0][0].upper()}{join_words(parts)[1:]}."
 
 
-def _h_force_flapping(_: Finding, params: ParameterChanges) -> str:
+def _h_force_flapping_sentence(_: Finding, params: ParameterChanges) -> str:
     units = {"kh": ("drag coefficient", "µN s²/(m rad)"), "kf": ("moment coefficient", "µN s²/rad")}
     parts = [
-        f"a {word} of {_with_half_width(params[name].scale(1e6), unit)}"
+        f"a {word} of {_value_with_half_width(params[name].scale(1e6), unit)}"
         for name, (word, unit) in units.items()
         if name in params
     ]
@@ -272,66 +276,74 @@ MOUNT_WORDS = {
 }
 
 EFFECT_TEMPLATES: dict[str, EffectTemplate] = {
-    "rotor_drag": _coefficients("Air drag per airspeed is", AXES, "N s/m"),
-    "quadratic_drag": _coefficients("Air drag per squared airspeed is", AXES, "N s²/m²"),
-    "h_force_flapping": _h_force_flapping,
-    "axial_inflow": _coefficients("Rotor thrust falls in climb by", {"ka": ""}, "µN s²/(m rad)", 1e6),
-    "translational_lift": _coefficients("Rotor thrust grows with squared airspeed by", {"kt": ""}, "N s²/m²"),
-    "thrust_coefficient": _ratio("All rotors give", "more thrust", "less thrust"),
-    "weak_motor": _ratio("ROTOR gives", "more thrust", "less thrust"),
-    "torque_ratio": _ratio("The drag torque of the rotors is", "higher", "lower"),
-    "motor_time_constant": _motor_time_constant,
-    "motor_asymmetry": _motor_asymmetry,
-    "motor_failure": _failure("follows", "of its commands"),
-    "stuck_rotor": _failure("keeps", "its speed"),
-    "brown_out": _failure("follow", "of their commands"),
-    "actuation_delay": _actuation_delay,
-    "battery_sag": _values("Rotor speed falls by {gain} for 10 % less battery voltage", {"gain": (10.0, "%")}),
-    "rotor_inertia": _rotor_inertia,
-    "motor_tilt": _changes(
+    "rotor_drag": _coefficient_template("Air drag per airspeed is", AXES, "N s/m"),
+    "quadratic_drag": _coefficient_template("Air drag per squared airspeed is", AXES, "N s²/m²"),
+    "h_force_flapping": _h_force_flapping_sentence,
+    "axial_inflow": _coefficient_template("Rotor thrust falls in climb by", {"ka": ""}, "µN s²/(m rad)", 1e6),
+    "translational_lift": _coefficient_template("Rotor thrust grows with squared airspeed by", {"kt": ""}, "N s²/m²"),
+    "thrust_coefficient": _ratio_template("All rotors give", "more thrust", "less thrust"),
+    "weak_motor": _ratio_template("ROTOR gives", "more thrust", "less thrust"),
+    "torque_ratio": _ratio_template("The drag torque of the rotors is", "higher", "lower"),
+    "motor_time_constant": _motor_time_constant_sentence,
+    "motor_asymmetry": _motor_asymmetry_sentence,
+    "motor_failure": _failure_template("follows", "of its commands"),
+    "stuck_rotor": _failure_template("keeps", "its speed"),
+    "brown_out": _failure_template("follow", "of their commands"),
+    "actuation_delay": _actuation_delay_sentence,
+    "battery_sag": _value_template("Rotor speed falls by {gain} for 10 % less battery voltage", {"gain": (10.0, "%")}),
+    "rotor_inertia": _rotor_inertia_sentence,
+    "motor_tilt": _change_template(
         "The axis of ROTOR is tilted {}",
         "The axis of ROTOR is tilted, but its direction is not certain",
         TILT_WORDS,
         "°",
         degrees(1.0),
     ),
-    "joint_spring": _values(
+    "joint_spring": _value_template(
         "The arms bend elastically by {compliance} per N m of load", ARM_UNITS, tau=" within {tau}"
     ),
-    "joint_creep": _values("The arms creep by {compliance} per N m of load", ARM_UNITS, tau=" within {tau}"),
-    "com_offset": _changes(
+    "joint_creep": _value_template("The arms creep by {compliance} per N m of load", ARM_UNITS, tau=" within {tau}"),
+    "com_offset": _change_template(
         "The centre of mass lies {} the declared one",
         "The centre of mass is shifted from the declared one, but its direction is not certain",
         PLACE_WORDS,
         "mm",
         1e3,
     ),
-    "payload_mass": _payload_mass,
-    "slung_payload": _slung_payload,
-    "inertia_error": _inertia_error,
-    "constant_wind": _changes("A steady wind blows {}", "A steady wind of unknown direction blows", WORLD_WORDS, "m/s"),
-    "wind_shear": _wind_shear,
-    "gusts": _values(
+    "payload_mass": _payload_mass_sentence,
+    "slung_payload": _slung_payload_sentence,
+    "inertia_error": _inertia_error_sentence,
+    "constant_wind": _change_template(
+        "A steady wind blows {}", "A steady wind of unknown direction blows", WORLD_WORDS, "m/s"
+    ),
+    "wind_shear": _wind_shear_sentence,
+    "gusts": _value_template(
         "The wind gusts by {std} along each axis (standard deviation), with a correlation time of {corr_time}",
         {"std": (1.0, "m/s"), "corr_time": (1.0, "s")},
     ),
-    "ground_effect": _values("Ground effect acts with a strength of {k}(1: one rotor by itself)", {"k": (1.0, "")}),
-    "ceiling_effect": _values("Ceiling effect acts with a strength of {k}(1: one rotor by itself)", {"k": (1.0, "")}),
-    "downwash": _values(
+    "ground_effect": _value_template(
+        "Ground effect acts with a strength of {k}(1: one rotor by itself)", {"k": (1.0, "")}
+    ),
+    "ceiling_effect": _value_template(
+        "Ceiling effect acts with a strength of {k}(1: one rotor by itself)", {"k": (1.0, "")}
+    ),
+    "downwash": _value_template(
         "The wake of the other vehicle pushes down with up to {force}",
         {"force": (1.0, "N"), "sigma": (1.0, "m")},
         sigma=" over a width of {sigma}",
     ),
-    "imu_bias": _imu_bias,
-    "imu_misalignment": _changes(
+    "imu_bias": _imu_bias_sentence,
+    "imu_misalignment": _change_template(
         "The inertial sensors are mounted {}",
         "The inertial sensors are turned against the body, but about no axis for certain",
         MOUNT_WORDS,
         "°",
         degrees(1.0),
     ),
-    "rotor_speed_scale": _ratio("The logged rotor speeds read", "too high", "too low", "against the true ones"),
-    "blade_element": _coefficients("Blade-element theory acts with a share of", {"share": "of 1"}, ""),
-    "vortex_ring": _coefficients("Thrust is lost in fast descent, by a coefficient of", {"k": ""}, ""),
+    "rotor_speed_scale": _ratio_template(
+        "The logged rotor speeds read", "too high", "too low", "against the true ones"
+    ),
+    "blade_element": _coefficient_template("Blade-element theory acts with a share of", {"share": "of 1"}, ""),
+    "vortex_ring": _coefficient_template("Thrust is lost in fast descent, by a coefficient of", {"k": ""}, ""),
 }
 """Template of each effect that flights can show."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.wording.words import Template, join_words, round_value
+from aerial_gym.sim2real.wording.words import Template, join_words, value_text
 
 
 def _place_list(items: Sequence[object], count: int, word: str = "line") -> str:
@@ -12,13 +12,13 @@ def _place_list(items: Sequence[object], count: int, word: str = "line") -> str:
     return f"{word} {', '.join(map(str, items))}" + (f" and {more} more" if more > 0 else "")
 
 
-def _rows_left_out(finding: Finding, reason: str, word: str = "line", places: Sequence[object] = ()) -> str:
+def _rows_left_out_sentence(finding: Finding, reason: str, word: str = "line", places: Sequence[object] = ()) -> str:
     values = finding.values
     where = _place_list(places or values["lines"], int(values["rows"]), word)
     return f"{values['rows']} of {values['total']} rows are left out: {reason} ({where})."
 
 
-def _samples_left_out(finding: Finding) -> str:
+def _samples_left_out_sentence(finding: Finding) -> str:
     values = finding.values
     where = _place_list(values["places"], int(values["samples"]), "sample")
     return (
@@ -36,7 +36,7 @@ def _clock_sentence(start: str, finding: Finding) -> str:
     return f"{start} at {place}, {jump}. {shift}{doubt * values.get('may_be_restart', False)}"
 
 
-def _late_blocks(finding: Finding) -> str:
+def _late_blocks_sentence(finding: Finding) -> str:
     values = finding.values
     start = f"Topic {values['topic']}: " if values["topic"] else ""
     where = _place_list(values["places"], values["blocks"], "sample" if values["topic"] else "line")
@@ -47,39 +47,39 @@ def _vector_text(values: Sequence[float], half_widths: Sequence[float | None]) -
     """Return the values with their half widths; ``not shown`` for an axis without half width."""
     pairs = zip(values, half_widths, strict=True)
     return ", ".join(
-        "not shown" if half is None else f"{round_value(value, half)} ± {round_value(half, half)}"
+        "not shown" if half is None else f"{value_text(value, half)} ± {value_text(half, half)}"
         for value, half in pairs
     )
 
 
-def _sensor_bias(finding: Finding) -> str:
+def _sensor_bias_sentence(finding: Finding) -> str:
     values = finding.values
     key, unit = ("rad_s", "rad/s") if "bias_rad_s" in values else ("m_s2", "m/s²")
     size = _vector_text(values[f"bias_{key}"], values[f"half_width_{key}"])
     return f"The {values['sensor']} has a bias of ({size}) {unit} by kinematics, which is left as logged."
 
 
-def _sensor_misalignment(finding: Finding) -> str:
+def _sensor_misalignment_sentence(finding: Finding) -> str:
     size = _vector_text(finding.values["angle_deg"], finding.values["half_width_deg"])
     sensor = finding.values["sensor"]
     return f"The {sensor} is turned against the body by ({size})° by kinematics, which is left as logged."
 
 
-def _sensor_delay(finding: Finding) -> str:
+def _sensor_delay_sentence(finding: Finding) -> str:
     values, late = finding.values, float(finding.values["late_ms"])
     other = "attitude" if values["sensor"] == "gyro" else "velocity"
     amount = f"{abs(late):.1f} ± {values['half_width_ms']:.1f} ms {'late' if late > 0.0 else 'early'}"
     return f"The {values['sensor']} is {amount} against {other}; it is left as logged."
 
 
-def _velocity_factor(finding: Finding) -> str:
+def _velocity_factor_sentence(finding: Finding) -> str:
     values = finding.values
     rows = zip(values["axes"], values["factor"], values["low"], values["high"], strict=True)
     parts = [f"{axis} {factor:.3f} ({low:.3f} to {high:.3f})" for axis, factor, low, high in rows]
     return f"Velocity over the derivative of position is {join_words(parts)}; it is left as logged."
 
 
-def _position_jump(finding: Finding) -> str:
+def _position_jump_sentence(finding: Finding) -> str:
     values = finding.values
     pairs = zip(values["size_m"], values["half_width_m"], strict=True)
     size = ", ".join(f"{value:+.3g} ± {half:.1g}" for value, half in pairs)
@@ -97,26 +97,26 @@ LOGS: dict[str, Template] = {
     "position_jumps_left": (
         "The position jumps more than {most} times against the velocity (position_jump); it is left as logged."
     ),
-    "sensor_bias": _sensor_bias,
-    "sensor_turned": _sensor_misalignment,
-    "sensor_late": _sensor_delay,
-    "velocity_factor": _velocity_factor,
+    "sensor_bias": _sensor_bias_sentence,
+    "sensor_turned": _sensor_misalignment_sentence,
+    "sensor_late": _sensor_delay_sentence,
+    "velocity_factor": _velocity_factor_sentence,
     "sensor_dropout": "{sensor} repeats one value from {time_s:.3f} s on.",
     "row_without_state": "It has no attitude or no angular velocity.",
     "row_with_bad_stamp": "t = {stamp_s:g} s does not fit the rows around it.",
-    "rows_with_bad_stamps": lambda f: _rows_left_out(f, "their time stamps do not fit the rows around them"),
-    "rows_not_of_header": lambda f: _rows_left_out(
+    "rows_with_bad_stamps": lambda f: _rows_left_out_sentence(f, "their time stamps do not fit the rows around them"),
+    "rows_not_of_header": lambda f: _rows_left_out_sentence(
         f, f"they do not have the {f.values['fields']} fields of the header"
     ),
-    "rows_without_numbers": lambda f: _rows_left_out(
+    "rows_without_numbers": lambda f: _rows_left_out_sentence(
         f, f"a field is no number of a flight, such as {f.values['column']} = {f.values['field']}"
     ),
-    "rows_without_quaternion": lambda f: _rows_left_out(
+    "rows_without_quaternion": lambda f: _rows_left_out_sentence(
         f, "their quaternion does not have norm 1", "t [s] =", [f"{time:.6g}" for time in f.values["times_s"]]
     ),
     "rows_without_topic": "{rows} of {total} rows are left out: topic {topic} has no samples near them.",
-    "samples_with_bad_stamps": _samples_left_out,
-    "blocks_ordered": _late_blocks,
+    "samples_with_bad_stamps": _samples_left_out_sentence,
+    "blocks_ordered": _late_blocks_sentence,
     "clock_set_back": lambda f: _clock_sentence("The clock was set back", f),
     "clock_wrapped": lambda f: _clock_sentence(f"The counter of the clock ({f.values['counter']}) wrapped", f),
     "rows_copied": "{rows} rows are left out: they copy an earlier one, time included.",
@@ -149,7 +149,7 @@ LOGS: dict[str, Template] = {
         f"The rotor log leads the other sensors by {f.values['lead_ms']:.3g} ± {f.values['half_width_ms']:.2g} ms and is moved "
         f"back{'' if f.values['with_commands'] else '; commands stay'}."
     ),
-    "position_jump": _position_jump,
+    "position_jump": _position_jump_sentence,
     "samples_slow": (
         "{sensor} comes only {rate_hz:number} times per second (the log has {log_rate_hz:number4} rows); "
         "straight lines connect its values."

@@ -7,7 +7,7 @@ from aerial_gym.sim2real.predict.scene import NEEDED
 from aerial_gym.sim2real.wording.answer import failure_sentence
 from aerial_gym.sim2real.wording.words import (
     Template,
-    error_words,
+    error_name,
     join_words,
     number_text,
     percent_text,
@@ -30,7 +30,7 @@ REMEDIES_OF_DEVIATIONS = {
 """Remedy for an implausible deviation, by the start of the tolerance's name; for others: declare the value anew."""
 
 
-def _implausible_deviation(finding: Finding) -> str:
+def _implausible_deviation_sentence(finding: Finding) -> str:
     name, size = finding.subject, float(finding.values["deviation_std"])
     start = f"The flights ask for {name} to be off by {size:+.1f} standard deviations of its tolerance."
     if name.startswith("rotor_motion"):
@@ -41,17 +41,17 @@ def _implausible_deviation(finding: Finding) -> str:
     return f"{start} {f'{way}, or give' if way else 'Give'} its real tolerance (--tolerances)."
 
 
-def _errors_with_deviations(finding: Finding) -> str:
+def _sentence_on_errors_with_deviations(finding: Finding) -> str:
     rows: Sequence[Mapping[str, float]] = finding.values["errors"]
     parts = []
     for row in rows:
         unit = quantity_unit(str(row["channel"]))
         new, old = (number_text(quantity_value(row, when, unit), 2) for when in ("with", "without"))
-        parts.append(f"the {error_words(str(row['channel']))} is {new} instead of {old} {unit}")
+        parts.append(f"the {error_name(str(row['channel']))} is {new} instead of {old} {unit}")
     return f"With these deviations, {join_words(parts[:3])}."
 
 
-def _offsets_of_flights(finding: Finding) -> str:
+def _sentence_on_offsets_of_flights(finding: Finding) -> str:
     rows: Sequence[Mapping[str, float]] = finding.values["offsets"]
     parts = []
     for row in rows:
@@ -63,7 +63,7 @@ def _offsets_of_flights(finding: Finding) -> str:
     )
 
 
-def _share_of_gap_closed(finding: Finding) -> str:
+def _sentence_on_gap_closed(finding: Finding) -> str:
     shares: Mapping[str, float] = finding.values["shares"]
     if not shares:
         return "The named effects leave no gap above the noise floor."
@@ -84,7 +84,7 @@ PROCESSES = {
 """Properties that gusts do not have; any other name is a quantity that the residual follows."""
 
 
-def _other_process(finding: Finding) -> str:
+def _sentence_on_other_process(finding: Finding) -> str:
     name = str(finding.values["process"])
     p_value = number_text(finding.values["p_value"], 1)
     return f"{PROCESSES.get(name, f'It follows the {name}')} (p = {p_value})."
@@ -96,7 +96,7 @@ def _objection_sentences(finding: Finding) -> str:
     return " ".join(template_sentence(NOTES[one.code], one) for one in objections)
 
 
-def _body_motion_errors(finding: Finding) -> str:
+def _sentence_on_body_motion_errors(finding: Finding) -> str:
     pairs = finding.values["errors_before_and_after"].items()
     parts = [f"{name} {number_text(old)} to {number_text(new)}" for name, (old, new) in pairs]
     return f"Errors felt by the body on parts left out [m/s², rad/s²]: {'; '.join(parts)}."
@@ -105,10 +105,10 @@ def _body_motion_errors(finding: Finding) -> str:
 NOTES: dict[str, Template] = {
     "effect_immaterial": lambda f: (
         f"{f.subject} is immaterial: without it no error of the test flights rises by {percent_text(f.values['least'])}. "
-        f"The {error_words(f.values['channel'])} rises most ({rise_interval(f.values)}). The robot file may leave it out."
+        f"The {error_name(f.values['channel'])} rises most ({rise_interval(f.values)}). The robot file may leave it out."
     ),
     "materiality_open": lambda f: (
-        f"The test flights do not show whether {f.subject} is material: without it, the {error_words(f.values['channel'])} "
+        f"The test flights do not show whether {f.subject} is material: without it, the {error_name(f.values['channel'])} "
         f"changes by {rise_interval(f.values)}."
     ),
     "doubt_by_test": (
@@ -120,13 +120,13 @@ NOTES: dict[str, Template] = {
     ),
     "parameter_tied": "{parameter} of {subject} may also be {other} ({params:params}; log odds {log_odds:.1f}).",
     "stands_in": "{subject} is not named: it only replaces a residual that follows the {structure}.",
-    "offsets_sizes": _offsets_of_flights,
-    "tolerance_strained": _implausible_deviation,
+    "offsets_sizes": _sentence_on_offsets_of_flights,
+    "tolerance_strained": _implausible_deviation_sentence,
     "tolerances_cut_off": (
         "{tolerances:names}: cut off at {deviation_std:g} standard deviations, so not measured. "
         "An effect is missing, or input noise looks like it."
     ),
-    "strained_changes": _errors_with_deviations,
+    "strained_changes": _sentence_on_errors_with_deviations,
     "strained_changes_little": "These deviations hardly change the errors of the test flights.",
     "band_limited": "Compared below {band_hz:number} Hz: the slowest log has {slowest_hz:number4} rows per second.",
     "few_flights": ("Only {flights} training flights: intervals rest on blocks of time, not on the spread of flights."),
@@ -147,7 +147,7 @@ NOTES: dict[str, Template] = {
     "may_be_noise": "It may be noise (p = {p_value:number2}).",
     "adds_too_little": "It adds too little to the noise of any channel, or less than the tolerances may cause.",
     "wrong_corr_time": "These flights cannot show a correlation time of {corr_time_s:number2} s.",
-    "rival_process": _other_process,
+    "rival_process": _sentence_on_other_process,
     "rival_less_probable": "less probable (log odds {log_odds:.1f})",
     "rival_wider": "as probable, but a wider case of {effect}",
     "rival_not_rejected": "not rejected: these flights cannot tell them apart",
@@ -155,7 +155,7 @@ NOTES: dict[str, Template] = {
         "learned_residual was added on request; it explains nothing. {rows_outside} of {rows} test rows lie outside its "
         "training data, where it fades."
     ),
-    "learned_share": _share_of_gap_closed,
+    "learned_share": _sentence_on_gap_closed,
     "learned_refused": lambda f: f"learned_residual was requested, but not added. {_objection_sentences(f)}",
     "gain_by_chance": "Its gain on flights left out may be chance (p = {p_value:number2}).",
     "few_flights_better": "It predicts only {share:percent} of the flights left out better.",
@@ -169,7 +169,7 @@ NOTES: dict[str, Template] = {
     "rollouts_lack_attitude": "No rollouts: {subject} without attitude, which the gyro alone does not give.",
     "rollouts_too_short": "No rollouts: no flight is airborne for {shortest_s:g} s at a time.",
     "joint_effort": ("Joint {subject}: the effort error changes from {before_n_m:number} to {after_n_m:number} N m."),
-    "joints_felt": _body_motion_errors,
+    "joints_felt": _sentence_on_body_motion_errors,
 }
 """Templates of the notes of a verdict, by code."""
 

@@ -38,7 +38,7 @@ _ERRORS = {
 _VARIANTS = {"free": "", "given_attitude": " with the logged attitude"}
 
 
-def error_words(quantity: str) -> str:
+def error_name(quantity: str) -> str:
     """Return the name of a channel's error, or of a rollout's error with or without horizon."""
     if quantity in _ERRORS:
         return _ERRORS[quantity]
@@ -51,7 +51,7 @@ def error_words(quantity: str) -> str:
 
 def error_list(quantities: Iterable[str]) -> str:
     """Return the names of errors as a list in a sentence."""
-    return name_list(map(error_words, quantities))
+    return name_list(map(error_name, quantities))
 
 
 def quantity_unit(quantity: str) -> str:
@@ -94,7 +94,7 @@ def rise_interval(values: Values) -> str:
     return f"{low} to {high} %".replace("inf", "∞")
 
 
-def decimals(half_width: float | None) -> int | None:
+def decimals_of_half_width(half_width: float | None) -> int | None:
     """Return the decimals that show a half width with one significant digit, or two if the first is 1; None: not known."""
     if half_width is None or not isfinite(half_width) or half_width <= 0.0:
         return None
@@ -102,16 +102,16 @@ def decimals(half_width: float | None) -> int | None:
     return max(0, -place + (half_width < 2.0 * 10.0**place))
 
 
-def round_value(value: float, half_width: float | None) -> str:
+def value_text(value: float, half_width: float | None) -> str:
     """Return a value with as many decimals as its half width; three significant digits if that is not known."""
-    places = decimals(half_width)
+    places = decimals_of_half_width(half_width)
     text = f"{value:.3g}" if places is None else f"{value:.{places}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
-def tolerance(half_width: float | None, unit: str) -> str:
+def half_width_text(half_width: float | None, unit: str) -> str:
     """Return ``± half width unit``, or ``interval not known``."""
-    places = decimals(half_width)
+    places = decimals_of_half_width(half_width)
     space = " " if unit and unit != "°" else ""
     return "interval not known" if places is None else f"± {half_width:.{places}f}{space}{unit}"
 
@@ -130,7 +130,7 @@ FORMATS: dict[str, Callable[[Any], str]] = {
     "number": number_text,
     **{f"number{digits}": partial(number_text, digits=digits) for digits in (1, 2, 4)},
     "percent": percent_text,
-    "error": error_words,
+    "error": error_name,
     "errors": error_list,
     "names": name_list,
     "and": join_words,

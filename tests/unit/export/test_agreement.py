@@ -16,7 +16,7 @@ from aerial_gym.export import export
 from aerial_gym.export.agreement import FACTOR, UNIT, Comparison
 from aerial_gym.export.c99 import _ACTIVATIONS
 from aerial_gym.export.encoder import compare_encoder, write_encoder
-from aerial_gym.export.export import Exported, compare, write_policy
+from aerial_gym.export.export import Exported, compare_policy, write_policy
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import DeployablePolicy
 from aerial_gym.rl_training.policies.policy import Policy
@@ -166,7 +166,7 @@ def test_wrong_files_do_not_pass(name: str, to: str, tmp_path: Path) -> None:
     made = make_layout(right, "affine", low=[0.0] * 4, high=[3000.0] * 4)
     WRONG[name](wrong)
     (written,) = write_policy(wrong, made, tmp_path, [to], check=False)
-    worst = compare(DeployablePolicy(right, made).eval(), made, written.file).worst
+    worst = compare_policy(DeployablePolicy(right, made).eval(), made, written.file).worst
     assert not worst.holds, worst
 
 
@@ -179,7 +179,7 @@ def test_an_activation_that_hides_nan_does_not_pass(tmp_path: Path) -> None:
     assert _ACTIVATIONS["relu"] in text
     hiding = text.replace("if (!finite)", "if (0)").replace("x < 0.0f ? 0.0f : x", "x > 0.0f ? x : 0.0f")
     written.file.write_text(hiding)
-    worst = compare(DeployablePolicy(policy, made).eval(), made, written.file).worst
+    worst = compare_policy(DeployablePolicy(policy, made).eval(), made, written.file).worst
     assert worst.error == inf
     assert not worst.holds
 

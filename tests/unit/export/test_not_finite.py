@@ -11,7 +11,7 @@ from torch import Tensor
 
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.export import pilot
-from aerial_gym.export.encoder import make_runner, write_encoder
+from aerial_gym.export.encoder import encoder_runner, write_encoder
 from aerial_gym.export.export import FORMATS, write_policy
 from aerial_gym.export.layout import Layout
 from aerial_gym.export.module import DeployablePolicy
@@ -167,6 +167,6 @@ def test_latents(activation: str, tmp_path: Path) -> None:
         for bad in BAD:
             images = torch.rand(3, 21, 38)
             images[0, 20, 37], images[1, 2, 3] = bad, bad
-            latents = make_runner(encoder, file)(images)
+            latents = encoder_runner(encoder, file)(images)
             assert latents[:2].isnan().all()
             assert latents[2].isfinite().all()

@@ -28,7 +28,7 @@ from aerial_gym.sim2real import close_loop, replay
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.judge.analysis import LoopResult
-from aerial_gym.sim2real.judge.answer import list_findings
+from aerial_gym.sim2real.judge.answer import all_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
 from aerial_gym.sim2real.memory_loop import judge_flights
@@ -382,7 +382,7 @@ def test_forces_at_an_unknown_airspeed_are_not_called_unexplained(tmp_path: Path
         verdict = judge_flights(robot, *flights).verdict
     assert verdict.verdict == "none"
     assert verdict.unexplained == ()
-    codes = [finding.code for finding in list_findings(verdict)]
+    codes = [finding.code for finding in all_findings(verdict)]
     assert {"forces_not_judged", "log_velocity"} <= set(codes)
 
 

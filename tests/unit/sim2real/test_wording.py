@@ -13,7 +13,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import CODES, Finding, unit_key
 from aerial_gym.sim2real.wording import TEMPLATES, finding_rows, render_findings, text
 from aerial_gym.sim2real.wording.effects import EFFECT_TEMPLATES
-from aerial_gym.sim2real.wording.words import round_value, tolerance
+from aerial_gym.sim2real.wording.words import half_width_text, value_text
 from tests.unit.sim2real.finding_samples import EFFECT_SAMPLES, GOLDEN, SAMPLES, effect, golden
 
 ROOT = Path(aerial_gym.sim2real.__file__).parent
@@ -104,7 +104,7 @@ def test_units_end_keys(unit: str, key: str) -> None:
     ],
 )
 def test_values_have_the_digits_that_their_intervals_allow(value: float, half_width: float, shown: str) -> None:
-    assert f"{round_value(value, half_width)} {tolerance(half_width, '')}" == shown
+    assert f"{value_text(value, half_width)} {half_width_text(half_width, '')}" == shown
 
 
 @pytest.mark.parametrize(

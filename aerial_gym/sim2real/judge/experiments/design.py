@@ -31,7 +31,7 @@ from aerial_gym.sim2real.identify.least_squares.parameters import is_number
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import Rival, SelectionResult
 from aerial_gym.sim2real.identify.stages import LoopSetup
-from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, fly
+from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, SPAN_S, manoeuvre_flight
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -61,13 +61,13 @@ class Advice:
         return Finding("weigh_or_log", "", tells) if self.fly is None else Finding("fly", self.fly, tells)
 
 
-class Catalogue:
+class ManoeuvreCatalogue:
     """The manoeuvres that a vehicle can fly, with the sensors and the noise of the given flights."""
 
     def __init__(self, train: Predictor, selection: SelectionResult) -> None:
         """Take the predictor of the training flights; the first flight states which sensors are logged."""
         rate = max(SLOWEST_HZ, ROWS_PER_BAND * train.bandwidth)
-        flights = [fly(name, train.robot, train.flights[0], rate=rate) for name in MANOEUVRES]
+        flights = [manoeuvre_flight(name, train.robot, train.flights[0], rate=rate) for name in MANOEUVRES]
         self.flights = [flight for flight in flights if flight is not None]
         self.predictor = Predictor(
             train.robot, self.flights, bandwidth=train.bandwidth, channels=train.channels, tolerances=train.tolerances
@@ -77,7 +77,7 @@ class Catalogue:
         self._tolerance = tolerance_jacobian(self.predictor, final)
         self._spans = np.array([SPAN_S / float(time[-1] - time[0]) for time in self.predictor.times])
 
-    def tell(self, one: tuple[ModelParams, Sequence[str]], other: tuple[ModelParams, Sequence[str]]) -> Array:
+    def score_of_pair(self, one: tuple[ModelParams, Sequence[str]], other: tuple[ModelParams, Sequence[str]]) -> Array:
         """Return the smaller expected score per 10 s of the two cases in which either model is true, (M,).
 
         Each model is given by its parameters and the names of the effects that may be fitted.
@@ -86,7 +86,7 @@ class Catalogue:
 
     def likelihood_losses(self, truth: ModelParams, fitted: ModelParams, effects: Sequence[str]) -> Array:
         """Return the expected loss in log likelihood per 10 s of a fitted model against the true one, (M,)."""
-        fit = self._fit(self.predictor.predict(truth), fitted, tuple(effects))
+        fit = self._linear_fit(self.predictor.predict(truth), fitted, tuple(effects))
         scores = []
         for index in range(len(self.flights)):
             blocks = np.flatnonzero(fit.moments.flight == index)
@@ -95,14 +95,14 @@ class Catalogue:
             scores.append(0.5 * float(self.weight @ squares + prior_precision(fit) @ step**2))
         return np.multiply(np.maximum(scores, 0.0), self._spans)
 
-    def show(self, name: str, final: ModelParams, effects: Sequence[str], declared: ModelParams) -> Array:
+    def score_of_effect(self, name: str, final: ModelParams, effects: Sequence[str], declared: ModelParams) -> Array:
         """Return the expected score per 10 s of a moderate effect over none in each manoeuvre, (M,).
 
         Its best-determined parameter has a change of one scale. Other effects and the tolerances are fitted too.
         """
-        params = starts_of_effect(name, final, declared, self.predictor.robot)[0]
-        fit = self._fit(self.predictor.predict(params), params, (*effects, name))
-        own = [k for k in fit.effect_columns(name) if is_number(*fit.parameter_owners[k])]
+        params = starts(name, final, declared, self.predictor.robot)[0]
+        fit = self._linear_fit(self.predictor.predict(params), params, (*effects, name))
+        own = [k for k in fit.effect_columns(name) if is_number(*fit.owners[k])]
         scores = []
         for index in range(len(self.flights)):
             product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
@@ -112,14 +112,14 @@ class Catalogue:
             scores.append(0.5 / best)
         return np.multiply(scores, self._spans)
 
-    def _fit(self, truth: list[Array], params: ModelParams, effects: tuple[str, ...]) -> ModelFit:
+    def _linear_fit(self, truth: list[Array], params: ModelParams, effects: tuple[str, ...]) -> ModelFit:
         base = self.predictor.predict(params)
         own = effect_jacobian(self.predictor, params, effects, base)
         jacobians = [np.concatenate(pair, axis=2) for pair in zip(own, self._tolerance, strict=True)]
         residuals = [t - b for t, b in zip(truth, base, strict=True)]
         return linearise_fit(self.predictor, effects, params, residuals, jacobians)
 
-    def advise(self, scores: Array, tells: tuple[str, ...]) -> Advice:
+    def best_advice(self, scores: Array, tells: tuple[str, ...]) -> Advice:
         """Return the manoeuvre with the highest score; without a name if that is below ``LEAST_SCORE``."""
         best = int(np.argmax(scores))
         name = self.flights[best].name if scores[best] >= LEAST_SCORE else None
@@ -127,7 +127,9 @@ class Catalogue:
         return Advice(fly=name, tells=tells, score=float(scores[best]), hover=float(scores[still]))
 
 
-def manoeuvre_for_ties(catalogue: Catalogue, selection: SelectionResult, tied: dict[str, list[Rival]]) -> Advice | None:
+def manoeuvre_for_ties(
+    catalogue: ManoeuvreCatalogue, selection: SelectionResult, tied: dict[str, list[Rival]]
+) -> Advice | None:
     """Return the manoeuvre whose lowest score over all tied pairs is highest; None if there are none.
 
     ``tied`` has the rivals of each accepted effect that fit the flights equally well.
@@ -136,36 +138,23 @@ def manoeuvre_for_ties(catalogue: Catalogue, selection: SelectionResult, tied: d
     for name, rivals in tied.items():
         for rival in rivals:
             other = rival.fitted
-            scores.append(catalogue.tell((final.fit.params, final.effects), (other.params, other.effects)))
+            scores.append(catalogue.score_of_pair((final.fit.params, final.effects), (other.params, other.effects)))
             names += [name, rival.effect]
-    return catalogue.advise(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
+    return catalogue.best_advice(np.min(scores, axis=0), tuple(dict.fromkeys(names))) if scores else None
 
 
-def showable(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
+def effects_to_show(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
     """Return the effects that these flights do not show, but other flights of this vehicle could."""
-    return [
-        name
-        for name in selection.not_testable
-        if name not in selection.effect_names
-        and not finding_on_untestable_effect(name, robot, flights)
-        and fits_vehicle(name, selection, robot)
-    ]
+    unseen = [name for name in selection.not_testable if name not in selection.effect_names]
+    possible = (name for name in unseen if not lacks(name, robot, flights))
+    return [name for name in possible if can_have_effect(name, selection, robot)]
 
 
-def fits_vehicle(name: str, selection: SelectionResult, robot: RobotCfg) -> bool:
+def can_have_effect(name: str, selection: SelectionResult, robot: RobotCfg) -> bool:
     """Return whether a vehicle may have an effect; soft arms need such an effect in its file or among the named ones."""
     if not isinstance(EFFECTS.get(name), ArmJoint):
         return True
     return any(isinstance(EFFECTS.get(other), ArmJoint) for other in (*robot.effects, *selection.effect_names))
-
-
-def manoeuvres_for_effects(
-    catalogue: Catalogue, selection: SelectionResult, declared: ModelParams, hidden: Sequence[str]
-) -> dict[str, Advice]:
-    """Return the manoeuvre that shows each hidden effect best."""
-    final = selection.final
-    scores = {name: catalogue.show(name, final.fit.params, final.effects, declared) for name in hidden}
-    return {name: catalogue.advise(score, (name,)) for name, score in scores.items()}
 
 
 def recommend_manoeuvres(
@@ -177,12 +166,13 @@ def recommend_manoeuvres(
     """
     train = declared.train
     tied = {name: selection.effect_ties(name) for name in selection.effect_names}
-    hidden = list(dict.fromkeys((*showable(selection, train.robot, train.flights), *open_to)))
+    hidden = list(dict.fromkeys((*effects_to_show(selection, train.robot, train.flights), *open_to)))
     if not any(tied.values()) and not hidden:
         return None, {}
-    catalogue = Catalogue(train, selection)
-    tells, shows = (
-        manoeuvre_for_ties(catalogue, selection, tied),
-        manoeuvres_for_effects(catalogue, selection, declared.params, hidden),
-    )
+    catalogue, final = ManoeuvreCatalogue(train, selection), selection.final
+    shows = {}
+    for name in hidden:
+        score = catalogue.score_of_effect(name, final.fit.params, final.effects, declared.params)
+        shows[name] = catalogue.best_advice(score, (name,))
+    tells = manoeuvre_for_ties(catalogue, selection, tied)
     return tells or next((shows[name] for name in open_to), None), shows

@@ -21,13 +21,13 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     CORR_TIMES,
     WindSeries,
     fit_process,
-    log_spread,
     p_value_of_noise,
     p_values_of_rivals,
     process_covariance,
+    std_of_logarithms,
 )
-from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, declaration
-from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
+from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, parameters_in_file
+from aerial_gym.sim2real.logs.flights import Flight, common_values
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 
@@ -82,32 +82,25 @@ class RandomWind:
     def as_effect(self, robot: RobotCfg) -> NamedEffect:
         """Return the gusts as an effect of the verdict."""
         std = {key: value * s for (key, value), s in zip(self.params().items(), self.spread, strict=True)}
-        confidence = min(1.0 - self.p_value, MOST_CONFIDENT)
-        return NamedEffect(
-            name=NAME,
-            params=self.params(),
-            std=std,
-            noise_std=std,
-            frozen=(),
-            confidence=float(confidence),
-            declared=declaration(NAME, robot),
-        )
+        confidence, declared = float(min(1.0 - self.p_value, MOST_CONFIDENT)), parameters_in_file(NAME, robot)
+        more = {"std": std, "noise_std": std, "frozen": (), "confidence": confidence, "declared": declared}
+        return NamedEffect(name=NAME, params=self.params(), **more)
 
-    def adds(self, predictor: Predictor, params: ModelParams) -> Array:
+    def channel_rms(self, predictor: Predictor, params: ModelParams) -> Array:
         """Return the rms that the wind adds to the residual of each channel below the bandwidth, (C,)."""
         response = np.concatenate(wind_response(predictor, params))
         inside = float(process_covariance(self.corr_time, predictor.bandwidth, np.zeros(1))[0])
         return self.std * np.sqrt(inside * np.mean((response**2).sum(axis=2), axis=0))
 
 
-def wind_declaration(robot: RobotCfg) -> RandomWind:
+def random_wind_in_file(robot: RobotCfg) -> RandomWind:
     """Return the gusts that a robot file declares; a std of 0 if it declares none."""
     if NAME not in robot.effects:
         return RandomWind()
     return RandomWind(std=robot.effects[NAME]["std"], corr_time=robot.effects[NAME]["corr_time"])
 
 
-def with_random(params: ModelParams, wind: RandomWind) -> ModelParams:
+def model_with_wind(params: ModelParams, wind: RandomWind) -> ModelParams:
     """Return a model with the random wind among its effects, if it is accepted."""
     return params.with_effect(NAME, np.array(list(wind.params().values()))) if wind.is_accepted else params
 
@@ -142,9 +135,12 @@ def find_random_wind(
     series = wind_series(predictor, params, response, places)
     fit = fit_process(series)
     results = RandomWind(
-        std=fit.std, corr_time=fit.corr_time, spread=log_spread(series, fit), p_value=p_value_of_noise(series, fit)
+        std=fit.std,
+        corr_time=fit.corr_time,
+        spread=std_of_logarithms(series, fit),
+        p_value=p_value_of_noise(series, fit),
     )
-    added = results.adds(predictor, params)
+    added = results.channel_rms(predictor, params)
     share = 1.0 - floor / np.sqrt(floor**2 + added**2)
     seen = added > criteria.visible * tolerated
     objections = []

@@ -76,7 +76,9 @@ def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: S
     values[..., -1] = 1.0  # of the mean
     for flight, wind in enumerate(series.wind):
         values[:, : len(wind), flight] = wind.T[list(axes)]
-    covariance = np.stack([covariances(series, *process)[list(axes)] for process in processes])  # (processes, axes, T)
+    covariance = np.stack(
+        [axis_covariances(series, *process)[list(axes)] for process in processes]
+    )  # (processes, axes, T)
     white, variance = whiten_rows(covariance, values)
     white, one = white[..., :-1], white[..., -1:]
     inside = np.arange(len(values[0]))[:, None] < rows
@@ -85,7 +87,7 @@ def log_likelihoods(series: WindSeries, processes: Sequence[Process], *, axes: S
     return -0.5 * (left + (np.log(variance)[..., None] * inside).sum(axis=2)).sum(axis=(1, 2))
 
 
-def covariances(series: WindSeries, std: float, corr_time: float, noise: Array) -> Array:
+def axis_covariances(series: WindSeries, std: float, corr_time: float, noise: Array) -> Array:
     """Return the covariance of process and noise along each axis at every lag, (3, T)."""
     rows = max(len(wind) for wind in series.wind)
     results = np.tile(std**2 * process_covariance(corr_time, series.bandwidth, series.step * np.arange(rows)), (3, 1))
@@ -126,7 +128,7 @@ def fit_process(series: WindSeries) -> ProcessFit:
     start = np.log(np.array([size, 1.0, *(0.5 * jump)]))
 
     def cost_and_slope(values: Array) -> tuple[float, Array]:
-        costs = _costs(series, [values, *(values + NUDGE * np.eye(values.size))])
+        costs = _negative_log_likelihoods(series, [values, *(values + NUDGE * np.eye(values.size))])
         return float(costs[0]), (costs[1:] - costs[0]) / NUDGE
 
     bounds, options = list(zip(low, high, strict=True)), {"ftol": 1e-8}
@@ -135,19 +137,21 @@ def fit_process(series: WindSeries) -> ProcessFit:
     return ProcessFit(std=float(std), corr_time=float(corr_time), noise=np.array(noise), likelihood=-float(results.fun))
 
 
-def _costs(series: WindSeries, points: Sequence[Array]) -> Array:
+def _negative_log_likelihoods(series: WindSeries, points: Sequence[Array]) -> Array:
     """Return the negative log likelihood at logarithms of std, correlation time and noise, (5,) each."""
     processes = [(float(one[0]), float(one[1]), one[2:]) for one in np.exp(points)]
     return -log_likelihoods(series, processes)
 
 
-def log_spread(series: WindSeries, fit: ProcessFit) -> tuple[float, float]:
+def std_of_logarithms(series: WindSeries, fit: ProcessFit) -> tuple[float, float]:
     """Return the standard deviation of log std and log corr_time, from the curvature of the likelihood."""
     centre = np.log(np.array([fit.std, fit.corr_time, *fit.noise]))
     step, size = 0.02 * np.eye(centre.size), centre.size
     pairs = list(combinations(range(size), 2))
     away = [*(step[i] for i in range(size)), *(step[i] + step[j] for i, j in pairs)]
-    here, *costs = _costs(series, [centre, *(centre + one for one in away), *(centre - one for one in away)])
+    here, *costs = _negative_log_likelihoods(
+        series, [centre, *(centre + one for one in away), *(centre - one for one in away)]
+    )
     both = np.add(*np.split(np.array(costs), 2)) - 2.0 * here
     curvature = np.diag(both[:size]) / 0.02**2
     for (i, j), mixed in zip(pairs, both[size:], strict=True):
@@ -181,7 +185,7 @@ def compute_innovations(
     series: WindSeries, fit: ProcessFit
 ) -> tuple[list[Array], Callable[[list[Array]], list[list[Array]]]]:
     """Return the whitened wind of each flight without its mean, (T, 3), and a function that whitens features alike."""
-    covariance = covariances(series, fit.std, fit.corr_time, fit.noise)
+    covariance = axis_covariances(series, fit.std, fit.corr_time, fit.noise)
 
     def subtract_mean(values: Array, axis: int) -> Array:
         white, _ = whiten_rows(covariance[axis, : len(values)], np.column_stack((values, np.ones(len(values)))))

@@ -1,6 +1,6 @@
 """Springs, dampers and dry friction of joints from flights with logged joint angles.
 
-The joint effort follows from the motion (``joint_courses``) and is fitted by laws of the joint's angle and rate::
+The joint effort follows from the motion (``joint_motion``) and is fitted by laws of the joint's angle and rate::
 
     effort = preload - (k + k2 |q - rest|) (q - rest) - c q' - F s,    s = low-passed q' / sqrt(q'² + v²)
 
@@ -22,17 +22,17 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import plain, select_fields
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.joints.courses import Course
+from aerial_gym.sim2real.teststand.joints.joint_motion import JointMotion
 from aerial_gym.sim2real.teststand.statistics import (
     FOLDS,
     PARSIMONY,
     Estimate,
     cross_validation_error,
+    errors_on_left_out_folds,
     estimates,
     fit_curve,
     fold_labels,
     hac_covariance,
-    left_out,
 )
 
 CLEAR = 0.8
@@ -117,34 +117,34 @@ def require_joints(robot: RobotCfg) -> JointsCfg:
     return robot.joints
 
 
-def fit_flown_joints(robot: RobotCfg, courses: Sequence[Course]) -> tuple[list[LogJointFit], list[Finding]]:
+def fit_flown_joints(robot: RobotCfg, motions: Sequence[JointMotion]) -> tuple[list[LogJointFit], list[Finding]]:
     """Return the fits of all passive joints to all flights, and findings on joints left out."""
     results, left_out = [], []
     for k, joint in enumerate(require_joints(robot).layout):
-        if reason := unfit(joint):
+        if reason := reason_against_fit(joint):
             left_out.append(reason)
         else:
-            results.append(_fit_one(joint, k, courses))
+            results.append(_fit_joint(joint, k, motions))
     return results, left_out
 
 
-def unfit(joint: JointCfg) -> Finding | None:
+def reason_against_fit(joint: JointCfg) -> Finding | None:
     """Return a finding on the reason why a joint cannot be fitted; None if it can."""
     if joint.drive is not None:
         return Finding("joint_driven", joint.name)
     return Finding("joint_creeps", joint.name) if joint.spring and joint.spring.creep else None
 
 
-def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> LogJointFit:
+def _fit_joint(joint: JointCfg, k: int, motions: Sequence[JointMotion]) -> LogJointFit:
     low, high = (-np.inf, np.inf) if joint.ends is None else (joint.ends.low, joint.ends.high)
-    if max(np.ptp(course.angle[:, k]) for course in courses) < 1e-9:
+    if max(np.ptp(motion.angle[:, k]) for motion in motions) < 1e-9:
         raise DataError(f"joint {joint.name}: its angle is the same in all rows; check the column")
     kept = [
-        (course.angle[:, k] > low) & (course.angle[:, k] < high) & (np.abs(course.side[:, k]) >= CLEAR)
-        for course in courses
+        (motion.angle[:, k] > low) & (motion.angle[:, k] < high) & (np.abs(motion.side[:, k]) >= CLEAR)
+        for motion in motions
     ]
     angle, rate, side, effort = (
-        np.concatenate([getattr(c, name)[rows, k] for c, rows in zip(courses, kept, strict=True)])
+        np.concatenate([getattr(c, name)[rows, k] for c, rows in zip(motions, kept, strict=True)])
         for name in ("angle", "rate", "side", "effort")
     )
     counts = [int(rows.sum()) for rows in kept]
@@ -154,35 +154,24 @@ def _fit_one(joint: JointCfg, k: int, courses: Sequence[Course]) -> LogJointFit:
         )
     fold = fold_labels(counts)
     laws = {name: _fit_law(name, angle, rate, side, effort, fold) for name in LAWS}
-    least = min(law.error.value for law in laws.values())
-    chosen = min(
-        (n for n, law in laws.items() if law.error.value <= (1.0 + PARSIMONY) * least), key=lambda n: len(LAWS[n])
-    )
+    limit = (1.0 + PARSIMONY) * min(law.error.value for law in laws.values())
+    chosen = min((name for name, law in laws.items() if law.error.value <= limit), key=lambda name: len(LAWS[name]))
     declared = joint.spring or SpringCfg()
-    before = cross_validation_error(effort - _file_effort(declared, angle, rate, side), fold)
+    before = cross_validation_error(effort - _effort_of_spring(declared, angle, rate, side), fold)
     sizes = {"stiffness": angle.std(), "quadratic": (angle**2).std(), "damping": rate.std(), "friction": side.std()}
-    sizes |= {
-        "rest": laws[chosen].params["stiffness"].value if "stiffness" in laws[chosen].params else 0.0,
-        "preload": 1.0,
-    }
-    least_change = MATERIAL * effort.std()
-    changed = _changes(declared, laws[chosen], {name: least_change / max(size, 1e-12) for name, size in sizes.items()})
+    rest = laws[chosen].params["stiffness"].value if "stiffness" in laws[chosen].params else 0.0
+    least = {n: MATERIAL * effort.std() / max(s, 1e-12) for n, s in (sizes | {"rest": rest, "preload": 1.0}).items()}
+    changed = _significant_changes(declared, laws[chosen], least)
     spring = declared
     if changed:
         params = {name: float(f"{value.value:.6g}") for name, value in laws[chosen].params.items()}
         spring = SpringCfg(**{n: v if n in ("rest", "preload") else max(v, 0.0) for n, v in params.items()})  # type: ignore[arg-type]
     return LogJointFit(
-        name=joint.name,
-        declared=before,
-        laws=laws,
-        chosen=chosen,
-        changed=changed,
-        spring=spring,
-        rows=angle.size,
+        name=joint.name, declared=before, laws=laws, chosen=chosen, changed=changed, spring=spring, rows=angle.size
     )
 
 
-def _file_effort(spring: SpringCfg, angle: Array, rate: Array, side: Array) -> Array:
+def _effort_of_spring(spring: SpringCfg, angle: Array, rate: Array, side: Array) -> Array:
     away = angle - spring.rest
     effort = spring.preload - (spring.stiffness + spring.quadratic * np.abs(away)) * away - spring.damping * rate
     return effort - spring.friction * side
@@ -195,22 +184,18 @@ def _fit_law(name: str, angle: Array, rate: Array, side: Array, effort: Array, f
         return JointLawFit(name=name, params=params, error=cross_validation_error(left, fold))
     columns = (np.ones_like(angle), -angle, -rate)
     rows = np.stack((*columns, -side) if "friction" in LAWS[name] else columns, axis=1)
-    left = left_out(
+    left = errors_on_left_out_folds(
         fold, lambda out: effort[out] - rows[out] @ np.linalg.lstsq(rows[~out], effort[~out], rcond=None)[0]
     )
     values = np.linalg.lstsq(rows, effort, rcond=None)[0]
     covariance = hac_covariance(rows, effort - rows @ values)
     preload, stiffness = values[0], values[1]
-    to_rest = np.zeros(len(values))
-    to_rest[:2] = 1.0 / stiffness, -preload / stiffness**2
     change = np.eye(len(values))
-    change[0] = to_rest
+    change[0, :2] = 1.0 / stiffness, -preload / stiffness**2
     shown = np.concatenate(([preload / stiffness], values[1:]))
-    names = ("rest", "stiffness", "damping", "friction")[: len(values)]
     results = estimates(shown, change @ covariance @ change.T, effort.size - len(values))
-    return JointLawFit(
-        name=name, params=dict(zip(names, results, strict=True)), error=cross_validation_error(left, fold)
-    )
+    params: dict[str, Estimate] = dict(zip(("rest", "stiffness", "damping", "friction"), results, strict=False))
+    return JointLawFit(name=name, params=params, error=cross_validation_error(left, fold))
 
 
 def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> tuple[dict[str, Estimate], Array]:
@@ -228,11 +213,11 @@ def _fit_quadratic(angle: Array, rate: Array, effort: Array, fold: Indices) -> t
 
     whole = fit_curve(predict, effort, start, low, high)
     near = np.clip(whole.params, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
-    left = left_out(fold, lambda out: fit_curve(predict, effort, near, low, high, ~out).residual[out])
+    left = errors_on_left_out_folds(fold, lambda out: fit_curve(predict, effort, near, low, high, ~out).residual[out])
     return dict(zip(names, whole.estimates(), strict=True)), left
 
 
-def _changes(declared: SpringCfg, law: JointLawFit, least: dict[str, float]) -> tuple[str, ...]:
+def _significant_changes(declared: SpringCfg, law: JointLawFit, least: dict[str, float]) -> tuple[str, ...]:
     """Return the parameters whose declared values lie outside the fitted intervals, by at least ``least``.
 
     The result is ``law`` if the fitted law is of another kind.

@@ -24,9 +24,15 @@ from aerial_gym.sim2real.logs.signals import edge_rows
 from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
-from aerial_gym.sim2real.teststand.joints.angle_logs import MATERIAL, JointResult, require_joints, unfit
-from aerial_gym.sim2real.teststand.joints.courses import SLOW
-from aerial_gym.sim2real.teststand.joints.swing import CHANNELS, SETTLE_S, Laws, Ride, Swing
+from aerial_gym.sim2real.teststand.joints.angle_logs import MATERIAL, JointResult, reason_against_fit, require_joints
+from aerial_gym.sim2real.teststand.joints.joint_motion import SLOW
+from aerial_gym.sim2real.teststand.joints.joint_simulation import (
+    CHANNELS,
+    SETTLE_S,
+    BodyMotion,
+    JointLaws,
+    JointSimulation,
+)
 from aerial_gym.sim2real.teststand.statistics import cross_validation_error, estimates, fold_labels, hac_covariance
 
 LEAST_ROWS = 50
@@ -52,65 +58,68 @@ class BodyMotionFit:
 
 
 def fit_hidden_joints(
-    robot: RobotCfg, rides: Sequence[Ride], *, bandwidth: float, progress: Progress = silent
+    robot: RobotCfg, motions: Sequence[BodyMotion], *, bandwidth: float, progress: Progress = silent
 ) -> BodyMotionFit:
     """Return the fit of all joints to the body's motion in all flights."""
-    if left_out := [reason for joint in require_joints(robot).layout if (reason := unfit(joint))]:
+    if left_out := [reason for joint in require_joints(robot).layout if (reason := reason_against_fit(joint))]:
         why = "has a drive, whose effort is not logged" if left_out[0].code == "joint_driven" else "creeps"
         raise ConfigError(
             "identify joints: without logged angles every joint must be passive and without creep, but "
             f"{left_out[0].subject} {why}"
         )
-    return _Fit(robot, rides, bandwidth).run(progress)
+    return JointFitter(robot, motions, bandwidth).fit(progress)
 
 
-class _Fit:
+class JointFitter:
     """Gauss-Newton fit that starts at the declared parameters."""
 
-    def __init__(self, robot: RobotCfg, rides: Sequence[Ride], bandwidth: float) -> None:
-        self.joints, self.swing = require_joints(robot).layout, Swing(robot, rides, bandwidth=bandwidth)
+    def __init__(self, robot: RobotCfg, motions: Sequence[BodyMotion], bandwidth: float) -> None:
+        self.joints, self.simulation = (
+            require_joints(robot).layout,
+            JointSimulation(robot, motions, bandwidth=bandwidth),
+        )
         self.springs = [joint.spring or SpringCfg() for joint in self.joints]
         self.parameter_owners = [
             (k, name) for k, spring in enumerate(self.springs) for name in NUMBERS[spring.quadratic > 0.0]
         ]
         self.declared = np.array([getattr(self.springs[k], name) for k, name in self.parameter_owners])
         self.slow = torch.ones(1, len(self.joints), dtype=torch.float64)
-        rate = self.swing.rate
+        rate = self.simulation.rate
         every, edge = max(1, int(rate / (SAMPLES_PER_BAND * bandwidth))), edge_rows(rate, bandwidth)
-        self.kept = [np.arange(edge, len(ride.wrench) - self.swing.warm - edge, every) for ride in rides]
+        self.kept = [np.arange(edge, len(motion.wrench) - self.simulation.warm - edge, every) for motion in motions]
         if min(rows.size for rows in self.kept) < LEAST_ROWS:
             raise DataError(
                 f"flights are too short: without angles {SETTLE_S:g} s at their start are left out; fly longer"
             )
         self.fold = fold_labels([rows.size for rows in self.kept])
 
-    def run(self, progress: Progress) -> BodyMotionFit:
+    def fit(self, progress: Progress) -> BodyMotionFit:
         """Return the converged fit."""
         progress("joints as declared", 0.05)
-        angle, rate = self.swing.run(self.laws(self.declared[None]), torch.ones(1).double())[1:]
+        angle, rate = self.simulation.run(self.joint_laws(self.declared[None]), torch.ones(1).double())[1:]
         self.slow = (SLOW * rate.flatten(0, 1).std(0, keepdim=True)).clamp_min(1e-9)
-        unit = self.material(angle, rate)
+        unit = self.material_changes(angle, rate)
         numbers, thrust = self.declared.copy(), 1.0
-        before = residual, columns = self.linear(numbers, thrust, unit)
+        before = residual, columns = self.linearise(numbers, thrust, unit)
         step, least = np.zeros(unit.size + 1), np.inf
         for count in range(MOST_STEPS):
             progress(f"joints, step {count + 1}", 0.1 + 0.8 * count / MOST_STEPS)
             if count > 0:
-                residual, columns = self.linear(numbers, thrust, unit)
-            weight = 1.0 / np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-12)
+                residual, columns = self.linearise(numbers, thrust, unit)
+            weight = _channel_weights(residual)
             cost = float(np.sum(np.log(np.mean(residual**2, axis=0))))
             if cost > least + 1e-9:
                 step = 0.5 * step
                 numbers, thrust = numbers - step[:-1] * unit, thrust - step[-1]
                 continue
             least, best = cost, (residual, columns, weight, numbers.copy())
-            step = self.best(residual * weight, columns * weight[:, None], numbers / unit)
+            step = self.step_within_bounds(residual * weight, columns * weight[:, None], numbers / unit)
             numbers, thrust = numbers + step[:-1] * unit, thrust + step[-1]
             if np.abs(step[:-1]).max() < NEAR:
                 break
         return self.result(before, best, unit)
 
-    def laws(self, numbers: Array) -> Laws:
+    def joint_laws(self, numbers: Array) -> JointLaws:
         """Return the joint laws for parameter sets (B, P)."""
         stated = {
             name: torch.tensor([[getattr(spring, name) for spring in self.springs]] * len(numbers), dtype=torch.float64)
@@ -123,11 +132,11 @@ class _Fit:
         for name, nowhere in NO_ENDS.items():
             row = [nowhere if joint.ends is None else getattr(joint.ends, name) for joint in self.joints]
             bounds[name] = like * torch.tensor(row, dtype=torch.float64)
-        return Laws(spring=Spring(**stated), ends=JointLimits(**bounds), friction=friction, slow=self.slow * like)
+        return JointLaws(spring=Spring(**stated), ends=JointLimits(**bounds), friction=friction, slow=self.slow * like)
 
-    def material(self, angle: Tensor, rate: Tensor) -> Array:
+    def material_changes(self, angle: Tensor, rate: Tensor) -> Array:
         """Return the change of each parameter that changes its joint's effort by the share ``MATERIAL`` of its spread, (P,)."""
-        laws = self.laws(self.declared[None])
+        laws = self.joint_laws(self.declared[None])
         flat = angle.flatten(0, 1), rate.flatten(0, 1)
         spring, away = laws.spring.evaluate_effort(*flat), flat[0] - laws.spring.rest
         effort = laws.joint_effort(*flat).std(0)
@@ -146,22 +155,22 @@ class _Fit:
             [MATERIAL * float(effort[k] / sizes[name][k].clamp_min(1e-12)) for k, name in self.parameter_owners]
         )
 
-    def linear(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
+    def linearise(self, numbers: Array, thrust: float, unit: Array) -> tuple[Array, Array]:
         """Return the residual (N, 6) and its columns (N, 6, P + 1), per material change or thrust scale, without mean."""
         sets = np.concatenate((numbers[None], numbers + np.diag(unit), numbers[None]))
         scale = torch.full((len(sets),), thrust, dtype=torch.float64)
         scale[-1] = scale[-1] + MATERIAL
-        felt, _, _ = self.swing.run(self.laws(sets), scale)
+        felt, _, _ = self.simulation.run(self.joint_laws(sets), scale)
         residual, moved = [], []
-        for ride, part, kept in zip(self.swing.rides, felt, self.kept, strict=True):
-            left, change = ride.felt[self.swing.warm + kept] - part[0, kept], part[1:, kept] - part[0, kept]
+        for motion, part, kept in zip(self.simulation.motions, felt, self.kept, strict=True):
+            left, change = motion.felt[self.simulation.warm + kept] - part[0, kept], part[1:, kept] - part[0, kept]
             residual.append(left - left.mean(axis=0))
             moved.append(np.moveaxis(change - change.mean(axis=1, keepdims=True), 0, -1))
         columns = np.concatenate(moved)
         columns[..., -1] /= MATERIAL
         return np.concatenate(residual), columns
 
-    def best(self, residual: Array, columns: Array, here: Array) -> Array:
+    def step_within_bounds(self, residual: Array, columns: Array, here: Array) -> Array:
         """Return the bounded Gauss-Newton step: parameters in units of material changes, then the thrust scale."""
         width = columns.shape[-1]
         flat, left = columns.reshape(-1, width), residual.reshape(-1)
@@ -169,8 +178,9 @@ class _Fit:
         positive = [place for place, (_, name) in enumerate(self.parameter_owners) if name != "rest"]
         low[positive] = np.maximum(low[positive], -here[positive])
         size = np.sqrt((flat**2).sum(axis=0)) + 1e-300
-        a = (flat / size).T @ (flat / size) + 1e-9 * np.eye(width)
-        return minimise_in_bounds(a, (flat / size).T @ left, low * size, high * size) / size
+        flat = flat / size
+        a = flat.T @ flat + 1e-9 * np.eye(width)
+        return minimise_in_bounds(a, flat.T @ left, low * size, high * size) / size
 
     def result(
         self, before: tuple[Array, Array], optimum: tuple[Array, Array, Array, Array], unit: Array
@@ -191,23 +201,20 @@ class _Fit:
                 if not params[name].low <= self.declared[place] <= params[name].high
                 and abs(params[name].value - self.declared[place]) >= unit[place]
             )
-            told = {name: float(f"{value.value:.6g}") for name, value in params.items()} if changed else {}
+            rounded = {name: float(f"{value.value:.6g}") for name, value in params.items()} if changed else {}
             declared = {name: float(self.declared[place]) for name, place in own.items()}
-            spring = replace(self.springs[k], **told)
+            spring = replace(self.springs[k], **rounded)
             joints.append(
                 JointResult(name=joint.name, declared=declared, params=params, changed=changed, spring=spring)
             )
-        nuisance = [
-            before[0],
-            before[1][..., unit.size :],
-            1.0 / np.maximum(np.sqrt(np.mean(before[0] ** 2, axis=0)), 1e-12),
-        ]
-        errors = zip(
-            self.cross_validation_error(*nuisance), self.cross_validation_error(residual, columns, weight), strict=True
+        nuisances = before[1][..., unit.size :]
+        errors = (
+            self.errors_on_left_out_folds(before[0], nuisances, _channel_weights(before[0])),
+            self.errors_on_left_out_folds(residual, columns, weight),
         )
-        return BodyMotionFit(joints=tuple(joints), channels=dict(zip(CHANNELS, errors, strict=True)))
+        return BodyMotionFit(joints=tuple(joints), channels=dict(zip(CHANNELS, zip(*errors, strict=True), strict=True)))
 
-    def cross_validation_error(self, residual: Array, columns: Array, weight: Array) -> list[Rms]:
+    def errors_on_left_out_folds(self, residual: Array, columns: Array, weight: Array) -> list[Rms]:
         """Return the cross-validation error of each channel, from linear fits about this one."""
         left, width = np.empty_like(residual), columns.shape[-1]
         for number in np.unique(self.fold):
@@ -217,3 +224,8 @@ class _Fit:
             left[out] = residual[out] - columns[out] @ step
             left[out] -= left[out].mean(axis=0)  # a flight's own constant error
         return [cross_validation_error(channel, self.fold) for channel in left.T]
+
+
+def _channel_weights(residual: Array) -> Array:
+    """Return the inverse rms of each channel of residuals (N, C), (C,)."""
+    return 1.0 / np.maximum(np.sqrt(np.mean(residual**2, axis=0)), 1e-12)

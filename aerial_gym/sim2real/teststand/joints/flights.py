@@ -22,10 +22,10 @@ from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.angle_logs import JointResult, LogJointFit, fit_flown_joints, require_joints
 from aerial_gym.sim2real.teststand.joints.body_motion_fit import fit_hidden_joints
-from aerial_gym.sim2real.teststand.joints.courses import read_course
-from aerial_gym.sim2real.teststand.joints.swing import body_motion
+from aerial_gym.sim2real.teststand.joints.joint_motion import read_joint_motion
+from aerial_gym.sim2real.teststand.joints.joint_simulation import body_motion
 from aerial_gym.sim2real.teststand.report import ReportTable, Study
-from aerial_gym.sim2real.teststand.studies import change, interval
+from aerial_gym.sim2real.teststand.studies import change_text, interval_text
 
 BANDWIDTH_HZ = 15.0
 """Default bandwidth of the identification [Hz]."""
@@ -52,11 +52,10 @@ class FlightJointStudy:
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Return findings on joints left out, and on the errors before and after."""
-        efforts = [
-            {"before_n_m": one.declared.value, "after_n_m": one.laws[one.chosen].error.value} for one in self.logged
-        ]
-        names = [one.name for one in self.logged]
-        errors = [Finding("joint_effort", name, values) for name, values in zip(names, efforts, strict=True)]
+        errors = []
+        for one in self.logged:
+            values = {"before_n_m": one.declared.value, "after_n_m": one.laws[one.chosen].error.value}
+            errors.append(Finding("joint_effort", one.name, values))
         if self.channels:
             pairs = {name: [before.value, after.value] for name, (before, after) in self.channels.items()}
             errors = [Finding("joints_felt", "", {"errors_before_and_after": pairs})]
@@ -95,15 +94,17 @@ def find_joints(
     """Return the passive joints' parameters fitted to logs in the package's own layout."""
     require_joints(robot)
     if any(_has_angles(path) for path in flights):
-        logged, left_out = fit_flown_joints(robot, [read_course(path, robot, bandwidth=bandwidth) for path in flights])
+        logged, left_out = fit_flown_joints(
+            robot, [read_joint_motion(path, robot, bandwidth=bandwidth) for path in flights]
+        )
         return FlightJointStudy(
-            joints=tuple(_in_short(robot, joint) for joint in logged),
+            joints=tuple(_joint_result(robot, joint) for joint in logged),
             logged=tuple(logged),
             channels={},
             left_out=tuple(left_out),
         )
-    rides = [body_motion(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
-    fit = fit_hidden_joints(robot, rides, bandwidth=bandwidth, progress=progress)
+    motions = [body_motion(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
+    fit = fit_hidden_joints(robot, motions, bandwidth=bandwidth, progress=progress)
     return FlightJointStudy(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
 
 
@@ -112,18 +113,11 @@ def _has_angles(path: Path) -> bool:
     return header is not None and any(name.startswith("joint_") for name in header.names)
 
 
-def _in_short(robot: RobotCfg, joint: LogJointFit) -> JointResult:
-    declared = next(one.spring for one in require_joints(robot).layout if one.name == joint.name) or SpringCfg()
+def _joint_result(robot: RobotCfg, joint: LogJointFit) -> JointResult:
+    spring = next(one.spring for one in require_joints(robot).layout if one.name == joint.name) or SpringCfg()
     params = joint.laws[joint.chosen].params
-    return JointResult(
-        name=joint.name,
-        changed=joint.changed,
-        declared={
-            name: float(getattr(declared, name)) for name in (*params, *joint.changed) if hasattr(declared, name)
-        },
-        params=params,
-        spring=joint.spring,
-    )
+    declared = {name: float(getattr(spring, name)) for name in (*params, *joint.changed) if hasattr(spring, name)}
+    return JointResult(name=joint.name, changed=joint.changed, declared=declared, params=params, spring=joint.spring)
 
 
 def study_flown_joints(
@@ -133,24 +127,18 @@ def study_flown_joints(
     study = find_joints(robot, flights, bandwidth=bandwidth, progress=progress)
     names = ", ".join(path.name for path in flights)
     corrected = study.correct_robot(robot, f"aerial-gym identify joints: {names}")
-    named = (
-        "; ".join(f"{joint.name}: {change}" for joint in study.joint_changes for change in joint.changed) or "nothing"
-    )
-    parts = (
-        "Errors are those of the joint effort below the bandwidth"
-        if study.logged
-        else "No log has joint angles: all joints are fitted to the motion of the body below the bandwidth"
-    )
+    changes = [f"{joint.name}: {name}" for joint in study.joint_changes for name in joint.changed]
+    errors = "No log has joint angles: all joints are fitted to the motion of the body below the bandwidth"
+    if study.logged:
+        errors = "Errors are those of the joint effort below the bandwidth"
+    assumption = Finding("links_as_declared") if study.logged else Finding("thrust_scale_fitted")
     return Study(
         title="Joints in flight",
-        intro=f"Differences from the declaration: {named}. {parts}. Flights, or parts of a single one, are left out in turn.",
+        intro=f"Differences from the declaration: {'; '.join(changes) or 'nothing'}. {errors}. Flights, or parts of a single "
+        "one, are left out in turn.",
         mapping={"bandwidth_hz": bandwidth, **study.as_mapping()},
         tables=_tables_with_angles(study.logged) if study.logged else _tables_without_angles(study),
-        notes=(
-            *study.left_out,
-            Finding("links_as_declared") if study.logged else Finding("thrust_scale_fitted"),
-            Finding("intervals_of_flights"),
-        ),
+        notes=(*study.left_out, assumption, Finding("intervals_of_flights")),
         files={"robot.yaml": dump_yaml(corrected)},
     )
 
@@ -161,45 +149,43 @@ def _tables_with_angles(joints: Sequence[LogJointFit]) -> tuple[ReportTable, ...
             joint.name,
             ", ".join(joint.changed) or "nothing",
             joint.chosen,
-            interval(joint.declared),
-            interval(joint.laws[joint.chosen].error),
-            change(joint.declared.value, joint.laws[joint.chosen].error.value),
+            interval_text(joint.declared),
+            interval_text(joint.laws[joint.chosen].error),
+            change_text(joint.declared.value, joint.laws[joint.chosen].error.value),
         )
         for joint in joints
     )
     head = ("joint", "differs", "law", "declared, error [N m]", "fitted, held-out error [N m]", "change")
-    return ReportTable(title="Joints", head=head, rows=rows), *(_numbers(joint) for joint in joints)
+    return ReportTable("Joints", head, rows), *(_table_of_laws(joint) for joint in joints)
 
 
-def _numbers(joint: LogJointFit) -> ReportTable:
+def _table_of_laws(joint: LogJointFit) -> ReportTable:
     rows = [
-        (law.name + " (chosen)" * (law.name == joint.chosen), name, interval(value))
+        (law.name + " (chosen)" * (law.name == joint.chosen), name, interval_text(value))
         for law in joint.laws.values()
         for name, value in law.params.items()
     ]
-    head = ("law", "parameter [N m, rad, s]", "95 %")
-    return ReportTable(title=f"Candidates for {joint.name}", head=head, rows=tuple(rows))
+    return ReportTable(f"Candidates for {joint.name}", ("law", "parameter [N m, rad, s]", "95 %"), rows)
 
 
 def _tables_without_angles(study: FlightJointStudy) -> tuple[ReportTable, ...]:
-    numbers = tuple(
-        (joint.name, name, f"{joint.declared[name]:.4g}", interval(value), "yes" if name in joint.changed else "no")
+    numbers = [
+        (
+            joint.name,
+            name,
+            f"{joint.declared[name]:.4g}",
+            interval_text(value),
+            "yes" if name in joint.changed else "no",
+        )
         for joint in study.joints
         for name, value in joint.params.items()
-    )
-    felt = tuple(
-        (name, interval(before), interval(after), change(before.value, after.value))
+    ]
+    errors = [
+        (name, interval_text(before), interval_text(after), change_text(before.value, after.value))
         for name, (before, after) in study.channels.items()
-    )
+    ]
+    head = ("channel [m/s², rad/s²]", "declared, error", "fitted, held-out error", "change")
     return (
-        ReportTable(
-            title="Joints",
-            head=("joint", "parameter [N m, rad, s]", "declared", "fitted, 95 %", "differs"),
-            rows=numbers,
-        ),
-        ReportTable(
-            title="Motion of the body",
-            head=("channel [m/s², rad/s²]", "declared, error", "fitted, held-out error", "change"),
-            rows=felt,
-        ),
+        ReportTable("Joints", ("joint", "parameter [N m, rad, s]", "declared", "fitted, 95 %", "differs"), numbers),
+        ReportTable("Motion of the body", head, errors),
     )

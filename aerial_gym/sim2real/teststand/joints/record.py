@@ -18,8 +18,8 @@ from aerial_gym.sim2real.teststand.statistics import (
     CurveFit,
     Estimate,
     cross_validation_error,
+    errors_on_left_out_folds,
     fit_curve,
-    left_out,
     rms,
 )
 from aerial_gym.sim2real.teststand.tables import Bench
@@ -59,20 +59,16 @@ LAWS: dict[str, tuple[str, ...]] = {
     "quadratic spring": ("quadratic_stiffness", "damping", "rest"),
     "linear spring": ("stiffness", "damping", "rest"),
     "linear spring, 1 creep element": ("stiffness", "damping", "rest", "stiffness_1", "time_1"),
-    "linear spring, 2 creep elements": (
-        *("stiffness", "damping", "rest"),
-        *("stiffness_1", "time_1", "stiffness_2", "time_2"),
-    ),
-    "linear spring, 3 creep elements": (
-        *("stiffness", "damping", "rest"),
-        *("stiffness_1", "time_1", "stiffness_2", "time_2", "stiffness_3", "time_3"),
-    ),
+    **{
+        f"linear spring, {count} creep elements": (
+            *("stiffness", "damping", "rest"),
+            *(f"{name}_{i + 1}" for i in range(count) for name in ("stiffness", "time")),
+        )
+        for count in (2, 3)
+    },
     "linear spring, power-law creep": ("stiffness", "damping", "rest", "creep", "exponent"),
 }
 """Parameters of each law; the time of release is fitted as well."""
-
-SHOWN_SPANS_S = ((0.0, 1.0), (1.0, np.inf))
-"""Time spans with separate errors: the first second and the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,16 +124,16 @@ class JointStudy:
             "unit": "rad",
             "rows": self.record.time.size,
             "chosen": self.chosen,
-            "before": {"model": "published quadratic spring", **spans(self.record.time, self.published)},
-            "after": {"model": self.chosen, **spans(self.record.time, best.held_out)},
+            "before": {"model": "published quadratic spring", **errors_by_span(self.record.time, self.published)},
+            "after": {"model": self.chosen, **errors_by_span(self.record.time, best.held_out)},
             "candidates": [
                 {
                     "name": law.name,
-                    "fit": spans(self.record.time, law.residual),
-                    "held_out": spans(self.record.time, law.held_out),
+                    "fit": errors_by_span(self.record.time, law.residual),
+                    "held_out": errors_by_span(self.record.time, law.held_out),
                     "held_out_by_block": list(law.block_rms),
                     "forecast": self.forecast[law.name].as_mapping(),
-                    "alternate": spans(self.record.time, self.alternate[law.name]),
+                    "alternate": errors_by_span(self.record.time, self.alternate[law.name]),
                     "params": plain(law.params),
                 }
                 for law in self.laws.values()
@@ -145,11 +141,11 @@ class JointStudy:
         }
 
 
-def spans(time: Array, error: Array) -> dict[str, float]:
+def errors_by_span(time: Array, error: Array) -> dict[str, float]:
     """Return RMS and largest error [rad] of a record, and the RMS in and after its first second."""
-    early = time < SHOWN_SPANS_S[0][1]
-    errors = {"rms": rms(error), "rms_first_second": rms(error[early]), "largest": float(np.abs(error).max())}
-    return errors | {"rms_after_first_second": rms(error[~early])}
+    early, largest = time < 1.0, float(np.abs(error).max())
+    by_span = {"rms": rms(error), "rms_first_second": rms(error[early]), "largest": largest}
+    return by_span | {"rms_after_first_second": rms(error[~early])}
 
 
 def release_record(bench: Bench, *, release: float = 0.0) -> Release:
@@ -187,7 +183,7 @@ def joint_angle(record: Release, params: dict[str, float]) -> Array:
     """
     since = np.maximum(record.time - params.get("release", 0.0), 0.0)
     if "quadratic_stiffness" in params:
-        return _quadratic(record.start, params, since)
+        return _quadratic_spring_angle(record.start, params, since)
     stiffness, times = creep_elements(params)
     number = times.size
     motion = np.zeros((2 + number, 2 + number))
@@ -219,7 +215,7 @@ def creep_elements(params: Mapping[str, float]) -> tuple[Array, Array]:
     return stiffness, np.array([params[f"time_{i + 1}"] for i in range(number)])
 
 
-def _quadratic(start: float, params: dict[str, float], since: Array) -> Array:
+def _quadratic_spring_angle(start: float, params: dict[str, float], since: Array) -> Array:
     stiffness, damping, rest = params["quadratic_stiffness"], params["damping"], params["rest"]
 
     def motion(state: Array, _: float) -> tuple[float, float]:
@@ -242,7 +238,7 @@ def fit_joint(record: Release) -> JointStudy:
     late = record.time > 0.5 * record.time[-1]
     forecast = {}
     for name in laws:
-        error = _fit(name, record, ~late).residual[late]
+        error = fit_curve_of_law(name, record, ~late).residual[late]
         forecast[name] = cross_validation_error(error, np.arange(error.size) // max(1, error.size // 20))
     return JointStudy(
         record=record,
@@ -259,17 +255,14 @@ def alternate_blocks(record: Release) -> Indices:
     return (record.time / ALTERNATE_S).astype(np.int64) % 2
 
 
-def fit_rows(name: str, record: Release, kept: Flags) -> dict[str, float]:
-    """Return the parameters of a law fitted to the rows ``kept``, bool (T,), with ``release``."""
-    return dict(zip(("release", *LAWS[name]), _fit(name, record, kept).params.tolist(), strict=True))
-
-
 def alternate_error(name: str, record: Release) -> Array:
     """Return the residuals of all rows, each from the fit to the other alternate blocks [rad], (T,)."""
-    return left_out(alternate_blocks(record), lambda out: _fit(name, record, ~out).residual[out])
+    return errors_on_left_out_folds(
+        alternate_blocks(record), lambda out: fit_curve_of_law(name, record, ~out).residual[out]
+    )
 
 
-def _fit(name: str, record: Release, kept: Flags | None = None, near: Array | None = None) -> CurveFit:
+def fit_curve_of_law(name: str, record: Release, kept: Flags | None = None, near: Array | None = None) -> CurveFit:
     """Return a law fitted to the rows ``kept``, starting at the parameters ``near``."""
     labels = ("release", *LAWS[name])
     start, low, high = (np.array(column) for column in zip(*(BOUNDS[label] for label in labels), strict=True))
@@ -283,8 +276,10 @@ def _fit(name: str, record: Release, kept: Flags | None = None, near: Array | No
 
 
 def _fit_law(name: str, record: Release) -> JointFit:
-    whole = _fit(name, record)
-    held_out = left_out(record.block, lambda out: _fit(name, record, ~out, whole.params).residual[out])
+    whole = fit_curve_of_law(name, record)
+    held_out = errors_on_left_out_folds(
+        record.block, lambda out: fit_curve_of_law(name, record, ~out, whole.params).residual[out]
+    )
     params = dict(zip(("release", *LAWS[name]), whole.estimates(), strict=True))
     return JointFit(
         name=name,

@@ -5,9 +5,9 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.select import Rival
-from aerial_gym.sim2real.judge.ablation import Ablation, rejection, reliable_band
+from aerial_gym.sim2real.judge.ablation import Ablation, highest_reliable_frequency, reason_against_rival
 from aerial_gym.sim2real.judge.evaluation import gap_closed
-from aerial_gym.sim2real.judge.verdict import immaterial
+from aerial_gym.sim2real.judge.verdict import notes_on_materiality
 from aerial_gym.sim2real.statistics import Rise, rise_with_interval
 from tests.unit.sim2real.judge.builders import make_named_effect
 from tests.unit.sim2real.set_fits import make_fit
@@ -69,7 +69,7 @@ def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(residual, roll
 
 def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> None:
     def notes(material: Ablation) -> list[Finding]:
-        return immaterial([make_named_effect("rotor_drag", ablation=material)])
+        return notes_on_materiality([make_named_effect("rotor_drag", ablation=material)])
 
     assert notes(worth((0.08, 0.06, 0.1), (0.0, 0.0, 0.0))) == []
     (note,) = notes(worth((0.09, -0.16, 0.37), (0.0, 0.0, 0.0)))
@@ -85,7 +85,7 @@ def test_the_note_of_an_effect_that_is_not_material_states_the_interval() -> Non
 )
 def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octaves: tuple, edge: float | None) -> None:
     """5 % of the rms are 9.75 % of the power."""
-    assert reliable_band(octaves, 10.0, 0.05) == edge
+    assert highest_reliable_frequency(octaves, 10.0, 0.05) == edge
 
 
 @pytest.mark.parametrize(
@@ -99,4 +99,4 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
 )
 def test_why_a_rival_is_not_the_one_is_said(log_odds: float, wider: bool, because: Finding) -> None:
     rival = Rival(effect="wind_shear", fitted=make_fit("wind_shear"), log_odds=log_odds, wider=wider)
-    assert rejection("constant_wind", rival) == because
+    assert reason_against_rival("constant_wind", rival) == because

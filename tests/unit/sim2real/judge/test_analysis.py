@@ -9,12 +9,10 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.analysis import (
-    about_logs,
     correct_robot,
-    open_notes,
-    own_notes,
-    strain_notes,
-    surrogate_notes,
+    notes_on_implausible_deviations,
+    notes_on_logs,
+    notes_on_surrogates_and_offsets,
 )
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -31,7 +29,7 @@ def mass_notes(size: float, left: list[float]) -> list[Finding]:
     deviation = np.zeros(len(names := Tolerances().names(4)))
     deviation[names.index("mass")] = size
     excess = make_excess(deviation, left=[np.outer([1.0, -1.0], left)])
-    return strain_notes(
+    return notes_on_implausible_deviations(
         make_setup([hover("a", 5.0)]), ModelParams(), Criteria().material, excess, make_evaluation(0.2, 0.2, 0.2)
     )
 
@@ -60,28 +58,22 @@ def test_of_a_strained_tolerance_it_is_said_what_it_changes(left, changed) -> No
 )
 def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
     flights = [hover(f"f{n}", 5.0, rate=50.0 + n) for n in range(count)]
-    assert {note.code: note.values for note in about_logs(make_setup(flights, band=band))} == told
-
-
-def test_channels_that_training_leaves_open_are_told_to_be_trained() -> None:
-    (note,) = open_notes(make_excess(left_open=("specific_force.x", "angular_acceleration.z")))
-    assert note == Finding("left_open_note", "", {"channels": ["specific_force.x", "angular_acceleration.z"]})
-    assert open_notes(make_excess()) == []
+    assert {note.code: note.values for note in notes_on_logs(make_setup(flights, band=band))} == told
 
 
 def test_an_effect_that_only_stands_in_for_a_structure_is_told_with_it() -> None:
     chosen = make_choice(make_fit(), surrogates={"thrust_coefficient": "time"})
-    (note,) = surrogate_notes(make_selection(chosen))
+    (note,) = notes_on_surrogates_and_offsets(make_selection(chosen))
     assert note == Finding("stands_in", "thrust_coefficient", {"structure": "time"})
-    assert surrogate_notes(make_selection(make_choice(make_fit()))) == []
+    assert notes_on_surrogates_and_offsets(make_selection(make_choice(make_fit()))) == []
 
 
 def test_offsets_that_each_flight_has_of_its_own_are_told_with_their_size() -> None:
     own = NuisanceColumns(kind=OF_FLIGHTS, channel="specific_force.x", columns=[], size=0.0123)
-    (note,) = own_notes(make_selection(make_choice(make_fit(structures=(own, PLACE)))))
+    (note,) = notes_on_surrogates_and_offsets(make_selection(make_choice(make_fit(structures=(own, PLACE)))))
     assert note.code == "offsets_sizes"
     assert note.values == {"offsets": [{"channel": "specific_force.x", "rms_m_s2": 0.0123}]}
-    assert own_notes(make_selection(make_choice(make_fit(structures=(PLACE,))))) == []
+    assert notes_on_surrogates_and_offsets(make_selection(make_choice(make_fit(structures=(PLACE,))))) == []
 
 
 def test_what_is_random_in_a_robot_file_stays_in_the_corrected_one() -> None:

@@ -6,8 +6,8 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.structure import Structure
-from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
-from aerial_gym.sim2real.judge.answer import VerdictAnswer, answer, meaning
+from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
+from aerial_gym.sim2real.judge.answer import answer_parts, trust_findings
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice
 from aerial_gym.sim2real.judge.outcome import Outcome
@@ -36,8 +36,8 @@ def verdict(kind: str, **more: Any) -> Verdict:
     return make_verdict(kind, **{"before": model(*[1.0] * 9), "after": model(*[1.0] * 9)} | more)
 
 
-def codes(parts: VerdictAnswer) -> list[list[str]]:
-    return [[finding.code for finding in part] for part in parts.parts.values()]
+def codes(parts: dict[str, tuple[Finding, ...]]) -> list[list[str]]:
+    return [[finding.code for finding in part] for part in parts.values()]
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def codes(parts: VerdictAnswer) -> list[list[str]]:
     ],
 )  # fmt: skip
 def test_each_kind_of_verdict_has_its_statements(kind: str, more: dict[str, Any], expected: list[list[str]]) -> None:
-    assert codes(answer(verdict(kind, **more))) == expected
+    assert codes(answer_parts(verdict(kind, **more))) == expected
 
 
 def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
@@ -66,21 +66,21 @@ def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
     }
     became = tuple(outcome(quantity, rise) for quantity, rise in changes.items())
     after = model(0.1, 0.8, 1, 1.3, 0.03, 1.1, 0.01, 1, 1)
-    statement = answer(verdict("explained", effects=(EFFECT,), outcomes=became, after=after))
-    (gain,), (harm,) = statement.gain, statement.open
+    statement = answer_parts(verdict("explained", effects=(EFFECT,), outcomes=became, after=after))
+    (gain,), (harm,) = statement["gain"], statement["open"]
     errors = [(row["quantity"], row.get("after_m_s2", row.get("after_rad_s2"))) for row in gain.values["errors"]]
     assert errors == [("angular_acceleration.y", 0.03), ("specific_force.x", 0.1)]
     assert (harm.code, harm.subject) == ("error_rises", "angular_acceleration.x")
     assert (harm.values["after_rad_s2"], harm.values["more"]) == (1.3, 1)
-    (step,) = statement.next
+    (step,) = statement["next"]
     assert step == Finding("keep_declared_where", "", {"errors": ["angular_acceleration.x", "angular_acceleration.z"]})
 
 
 @pytest.mark.parametrize(("rise", "step"), [(0.2, "keep_declared_for_harm"), (-0.001, "load_robot_file")])
 def test_no_gain_is_claimed_without_one(rise: float, step: str) -> None:
-    statement = answer(verdict("explained", effects=(EFFECT,), outcomes=(outcome("specific_force.x", rise),)))
-    assert [one.code for one in (*statement.gain, *statement.next)] == ["no_error_falls", step]
-    told = meaning(verdict("explained", effects=(EFFECT,), outcomes=statement.gain and ()))
+    statement = answer_parts(verdict("explained", effects=(EFFECT,), outcomes=(outcome("specific_force.x", rise),)))
+    assert [one.code for one in (*statement["gain"], *statement["next"])] == ["no_error_falls", step]
+    told = trust_findings(verdict("explained", effects=(EFFECT,), outcomes=statement["gain"] and ()))
     assert "correction_helps" not in [one.code for one in told]
 
 
@@ -88,16 +88,16 @@ def test_an_unexplained_error_leads_with_its_size_over_the_noise_floor() -> None
     point = Finding("remains_unexplained", "", {"channels": ["specific_force.z"]})
     structure = Structure(kind="position", channel="specific_force.z", share=0.6)
     rest = {"open_points": (point,), "unexplained": ("specific_force.z",), "structure": structure}
-    statement = answer(verdict("unexplained", after=model(1, 1, 0.31, *[1] * 6), **rest))
+    statement = answer_parts(verdict("unexplained", after=model(1, 1, 0.31, *[1] * 6), **rest))
     assert codes(statement) == [["remains_unexplained", "effects_none"], [], ["structure_found"], ["fly_structure"]]
-    (error,) = statement.result[0].values["errors"]
+    (error,) = statement["result"][0].values["errors"]
     assert error == {"channel": "specific_force.z", "rms_m_s2": 0.31, "floor_m_s2": 0.1}
 
 
 def test_the_manoeuvre_that_decides_is_the_next_step() -> None:
     advice = Advice(fly="hover", tells=("com_offset", "weak_motor"), score=9.0, hover=1.0)
-    statement = answer(verdict("ambiguous", effects=(TIED,), manoeuvre=advice))
-    assert statement.next == (Finding("fly", "hover", {"tells": ["com_offset", "weak_motor"]}),)
+    statement = answer_parts(verdict("ambiguous", effects=(TIED,), manoeuvre=advice))
+    assert statement["next"] == (Finding("fly", "hover", {"tells": ["com_offset", "weak_motor"]}),)
 
 
 def test_a_parameter_that_may_be_another_effect_is_not_stated_as_found() -> None:
@@ -105,4 +105,4 @@ def test_a_parameter_that_may_be_another_effect_is_not_stated_as_found() -> None
     effect = make_named_effect(in_part=(rival,))
     assert "x_m" not in effect.finding.values
     assert "y_m" in effect.finding.values
-    assert "parameter_tied" in [one.code for one in answer(verdict("explained", effects=(effect,))).open]
+    assert "parameter_tied" in [one.code for one in answer_parts(verdict("explained", effects=(effect,)))["open"]]

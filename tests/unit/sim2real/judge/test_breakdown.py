@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.judge.breakdown import Part, by_flight
+from aerial_gym.sim2real.judge.breakdown import FlightError, errors_by_flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.report.tables import flight_table
 from tests.unit.sim2real.flat_flights import PredictorStub
@@ -15,7 +15,7 @@ FACTORS = {"calm": (1.3, 0.5, 1.0), "gusty": (0.7, 0.5, 1.01)}
 
 
 @pytest.fixture
-def parts() -> dict[str, list[Part]]:
+def parts() -> dict[str, list[FlightError]]:
     rng = np.random.default_rng(0)
     before = {name: size * rng.standard_normal((600, 3)) for name, size in (("calm", 0.1), ("gusty", 0.4))}
     models = ModelParams(), ModelParams(effects={"rotor_drag": np.ones(3)})
@@ -26,10 +26,10 @@ def parts() -> dict[str, list[Part]]:
         channels=FORCES,
     )
     floors, empty = [np.array([0.05, 0.04, 0.03]), None], make_evaluation(0.1, 0.1, 0.1)
-    return by_flight(predictor, models, (empty, empty), floors, least=0.05, seed=0)
+    return errors_by_flight(predictor, models, (empty, empty), floors, least=0.05, seed=0)
 
 
-def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Part]]) -> None:
+def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[FlightError]]) -> None:
     states = {name: [part.became.state for part in own] for name, own in parts.items()}
     assert states == {"calm": ["worse", "better", "same"], "gusty": ["better", "better", "same"]}
     for name, factors in FACTORS.items():
@@ -41,7 +41,7 @@ def test_every_axis_of_every_flight_has_its_own_numbers(parts: dict[str, list[Pa
     assert parts["gusty"][0].as_mapping()["noise_floor"] is None
 
 
-def test_the_table_marks_what_got_worse(parts: dict[str, list[Part]]) -> None:
+def test_the_table_marks_what_got_worse(parts: dict[str, list[FlightError]]) -> None:
     verdict = make_verdict(flights=parts, effects=(make_named_effect(),))
     table = flight_table(verdict, ["specific_force"])
     assert table["names"] == ["calm", "gusty"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from aerial_gym.sim2real.judge.decision import Decision, decide
+from aerial_gym.sim2real.judge.decision import Decision, verdict_decision
 
 X, Z = ("specific_force.x",), ("angular_acceleration.z",)
 DRAG = ("rotor_drag",)
@@ -14,7 +14,7 @@ def codes(decision: Decision) -> list[str]:
 
 def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
     ties = {"rotor_drag": [], "com_offset": ["motor_tilt", "weak_motor"], "imu_bias": []}
-    decision = decide(ties, ("rotor_speed.1",), floor_known=True)
+    decision = verdict_decision(ties, ("rotor_speed.1",), floor_known=True)
     assert decision.kind == "ambiguous"
     assert decision.candidates == ("rotor_drag", "com_offset", "imu_bias", "motor_tilt", "weak_motor")
     tie, rest = decision.findings
@@ -41,6 +41,6 @@ def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
 )
 def test_kind_and_open_points_follow_from_what_remains(effects, remains, kind, expected) -> None:
     given = {"unexplained": (), "floor_known": True} | remains
-    decision = decide(dict.fromkeys(effects, ()), **given)
+    decision = verdict_decision(dict.fromkeys(effects, ()), **given)
     assert (decision.kind, codes(decision)) == (kind, expected)
     assert decision.candidates == (*effects, *given.get("open_to", ()))

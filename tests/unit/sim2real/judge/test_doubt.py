@@ -3,13 +3,13 @@
 import numpy as np
 from scipy.stats import multivariate_normal
 
-from aerial_gym.sim2real.judge.doubt import Left
+from aerial_gym.sim2real.judge.doubt import ResidualSums
 
 ROWS, CHANNELS, PARAMETERS = 12, 2, 3
 
 
-def make_remainder(jacobian: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> Left:
-    return Left(
+def make_remainder(jacobian: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> ResidualSums:
+    return ResidualSums(
         square=(residual**2).sum(axis=0),
         gradient=np.einsum("rck,rc->ck", jacobian, residual),
         product=np.einsum("rck,rcl->ckl", jacobian, jacobian),
@@ -37,5 +37,5 @@ def test_what_training_knows_test_flights_cannot_move() -> None:
     residual = jacobian @ np.array([0.5, -1.0, 0.7]) + 0.5 * rng.normal(size=(200, CHANNELS))
     loose, tight = (make_remainder(jacobian, residual, k * np.eye(PARAMETERS)) for k in (1.0, 1e6))
     assert loose.log_density(weight) - tight.log_density(weight) > 100.0
-    np.testing.assert_allclose(loose.best(weight), [0.5, -1.0, 0.7], atol=0.1)
-    assert np.abs(tight.best(weight)).max() < 0.01
+    np.testing.assert_allclose(loose.joint_step(weight), [0.5, -1.0, 0.7], atol=0.1)
+    assert np.abs(tight.joint_step(weight)).max() < 0.01

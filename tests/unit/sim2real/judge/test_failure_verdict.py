@@ -16,6 +16,12 @@ from tests.unit.sim2real.set_fits import make_selection
 OTHER = Finding("velocity_unknown")
 
 
+def make_result() -> LoopResult:
+    params, verdict = ModelParams(), make_verdict("none", notes=(OTHER,))
+    given = {"declared": make_setup(), "selection": make_selection(), "verdict": verdict}
+    return LoopResult(**given, params=params, within=params, corrected=ROBOT)
+
+
 def make_failure(name: str, params: dict[str, float]) -> Failure:
     spans = {"time": (2.9, 3.1), "scale": (0.4, 0.6)}
     return Failure(
@@ -33,7 +39,7 @@ def make_failure(name: str, params: dict[str, float]) -> Failure:
 )
 def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(name, params, trains) -> None:
     failure = make_failure(name, params)
-    told = failure_verdict._add_failures(make_verdict("none", notes=(OTHER,)), [failure], None)
+    told = failure_verdict.result_with_failures(make_result(), [failure], 2).verdict
     assert (told.verdict, told.failures) == ("explained", (failure,))
     note, other = told.notes
     assert other is OTHER
@@ -42,11 +48,9 @@ def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(na
 
 
 def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else() -> None:
-    params, verdict = ModelParams(), make_verdict("none", notes=(OTHER,))
-    given = {"declared": make_setup(), "selection": make_selection(), "verdict": verdict}
-    judged = LoopResult(**given, params=params, within=params, corrected=ROBOT)
+    judged = make_result()
     failure = make_failure("motor_failure", {"time": 3.0})
-    told = failure_verdict.with_suspicions(judged, [failure])
+    told = failure_verdict.result_with_suspicions(judged, [failure])
     expected = Finding("failure_suspected", "f1", {**failure.finding.values, "log_odds": 24.81})
-    assert told == replace(judged, verdict=replace(verdict, notes=(OTHER, expected)))
-    assert failure_verdict.with_suspicions(judged, []) is judged
+    assert told == replace(judged, verdict=replace(judged.verdict, notes=(OTHER, expected)))
+    assert failure_verdict.result_with_suspicions(judged, []) is judged

@@ -22,7 +22,7 @@ from tests.unit.sim2real.judge.builders import make_outcome
 )
 def test_a_change_is_called_what_its_interval_shows(rise: tuple, state: str, suspect: bool) -> None:
     result = make_outcome("x", *rise)
-    assert (result.state, result.suspect) == (state, suspect)
+    assert (result.state, result.is_possibly_worse) == (state, suspect)
 
 
 def test_an_outcome_of_a_rollout_has_its_horizon_in_its_name() -> None:

@@ -15,8 +15,8 @@ from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
-from aerial_gym.sim2real.judge.predictive import left_open, quantile_of_squares
-from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, find_unexplained
+from aerial_gym.sim2real.judge.predictive import largest_open_squares, quantile_of_squares
+from aerial_gym.sim2real.judge.residual_excess import ResidualExcess, find_residual_excess
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from aerial_gym.sim2real.predict.noise_floor import noise_floor
@@ -105,7 +105,7 @@ def judge_flight(
     floor = noise_floor(robot, test.flights, declared, channels, bandwidth=10.0)
     rms = np.sqrt(np.mean(np.square(np.concatenate(test.residuals(declared))), axis=0))
     after = make_evaluation(*rms.tolist(), channels=channels)
-    return find_unexplained(train, test, replace(selection, left_out=left_out), (declared, declared), after, floor)
+    return find_residual_excess(train, test, replace(selection, left_out=left_out), (declared, declared), after, floor)
 
 
 def test_what_training_at_rest_does_not_show_is_neither_noise_nor_unexplained(tmp_path) -> None:
@@ -140,7 +140,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
             num_flights=2,
         )
         final = replace(selection.final, fit=fit, spread=spread)
-        within, whole = left_open(predictor, params, replace(selection, final=final))
+        within, whole = largest_open_squares(predictor, params, replace(selection, final=final))
         np.testing.assert_allclose(within, whole, rtol=1e-9)
         return within
 

@@ -9,7 +9,7 @@ import pytest
 
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.report.profiles import profiles, write_profiles
+from aerial_gym.sim2real.report.profiles import mean_residual_profiles, write_profiles
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor
 
 SCALE = 0.9
@@ -25,7 +25,8 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
 def test_the_mean_residual_lies_on_the_line_of_what_is_missing(flights: list[Flight]) -> None:
     """At a declared thrust T the force along z is 0.9 T / m: measured minus declared is -0.1 T / m."""
     test = make_predictor(flights)
-    result = {profile.against: profile for profile in profiles(test, {"declared": ModelParams(), "corrected": TRUE})}
+    profiles = mean_residual_profiles(test, {"declared": ModelParams(), "corrected": TRUE})
+    result = {profile.against: profile for profile in profiles}
     assert list(result) == ["thrust [N]", "speed [m/s]", "height [m]", "battery voltage [V]"]
     thrust, z = result["thrust [N]"], [channel.name for channel in test.channels].index("specific_force.z")
     declared, corrected = thrust.residual["declared"], thrust.residual["corrected"]
@@ -40,11 +41,11 @@ def test_the_mean_residual_lies_on_the_line_of_what_is_missing(flights: list[Fli
 
 def test_only_what_every_log_has_is_drawn(flights: list[Flight]) -> None:
     lost = [replace(flights[0], battery=None), replace(flights[1], position=None), flights[2]]
-    told = profiles(make_predictor(lost), {"declared": ModelParams()})
+    told = mean_residual_profiles(make_predictor(lost), {"declared": ModelParams()})
     assert [profile.against for profile in told] == ["thrust [N]", "speed [m/s]"]
     commanded = [replace(one, rotor_command=one.rotor_speed, rotor_speed=None) for one in flights]
-    (first, *_) = profiles(make_predictor(commanded), {"declared": ModelParams()})
-    (same, *_) = profiles(make_predictor(flights), {"declared": ModelParams()})
+    (first, *_) = mean_residual_profiles(make_predictor(commanded), {"declared": ModelParams()})
+    (same, *_) = mean_residual_profiles(make_predictor(flights), {"declared": ModelParams()})
     assert first.against == "thrust [N]"
     # Other rows are kept: commands need time to settle.
     assert first.middle[0] == pytest.approx(same.middle[0], rel=0.02)
@@ -52,7 +53,7 @@ def test_only_what_every_log_has_is_drawn(flights: list[Flight]) -> None:
 
 def test_the_table_has_every_bin_of_every_channel(flights: list[Flight], tmp_path: Path) -> None:
     test = make_predictor(flights)
-    result = profiles(test, {"declared": ModelParams(), "corrected": TRUE})
+    result = mean_residual_profiles(test, {"declared": ModelParams(), "corrected": TRUE})
     write_profiles(tmp_path / "profiles.csv", result, test.channels)
     table = pd.read_csv(tmp_path / "profiles.csv")
     assert len(table) == sum(profile.middle.size for profile in result) * len(test.channels)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.report.tables import became_rows, effect_rows, reason_rows, rejection_rows
+from aerial_gym.sim2real.report.tables import channels_by_outcome, reason_rows, rejection_rows, text_rows_of_effects
 from aerial_gym.sim2real.statistics import Rise
 from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.judge.builders import make_named_effect, make_outcome, make_verdict
@@ -20,7 +20,7 @@ def test_every_channel_is_told_once_with_what_became_of_it() -> None:
         ("angular_acceleration.x", 0.1, -0.1, 0.4),
         ("free.velocity", 0.5, 0.4, 0.6, 1.0),  # no channel
     )
-    rows = became_rows(make_verdict(outcomes=tuple(make_outcome(*change) for change in changes)))
+    rows = channels_by_outcome(make_verdict(outcomes=tuple(make_outcome(*change) for change in changes)))
     assert list(rows.items()) == [
         ("worse", "specific force z (+20%)"),
         ("better", "specific force x (-51%); rotor speed 1 (-87%), 2 (-86%)"),
@@ -38,7 +38,7 @@ def test_every_effect_says_how_sure_it_is() -> None:
         ties=("motor_tilt",),
     )
     gusts = make_named_effect("gusts", params={"std": 0.5}, std={}, confidence=0.999)
-    rows = effect_rows(make_verdict(effects=(offset, gusts)))
+    rows = text_rows_of_effects(make_verdict(effects=(offset, gusts)))
     assert rows[0]["parameters"] == "x = 0.004 ± 0.0002 m, y = -0.002 ± 0.00039 m"
     assert rows[0]["sure"] == "confidence 0.98, may as well be motor_tilt"
     assert rows[1] == {"name": "gusts", "parameters": "std = 0.5 m/s", "sure": "confidence 0.999"}

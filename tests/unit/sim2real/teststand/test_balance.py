@@ -16,8 +16,14 @@ from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
-from aerial_gym.sim2real.teststand.causes import cause_probabilities, causes, tell_apart
+from aerial_gym.sim2real.teststand.balance import (
+    Balance,
+    HoverEffort,
+    hover_effort,
+    judge_balance,
+    repeats_by_condition,
+)
+from aerial_gym.sim2real.teststand.causes import candidate_causes, cause_probabilities, experiments_for_causes
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
@@ -124,7 +130,7 @@ def test_statics_agree_with_mujoco() -> None:
 
     place = np.array([0.02, 0.01])
     ratio = thrust(0.004, (0.02, 0.01, 0.0)) / thrust(0.0, (0.0, 0.0, 0.0))
-    (cause,) = (cause for cause in causes(robot) if cause.name == "payload_mass + com_offset")
+    (cause,) = (cause for cause in candidate_causes(robot) if cause.name == "payload_mass + com_offset")
     params = np.linalg.lstsq(cause.columns, ratio - 1.0, rcond=None)[0]
     assert cause.columns @ params == pytest.approx(ratio - 1.0, abs=1e-9)
     shift = 0.004 / (MASS + 0.004) * (place - robot.body.com[:2])
@@ -134,7 +140,7 @@ def test_statics_agree_with_mujoco() -> None:
 def test_scatter_alone_is_refused_as_often_as_it_says_and_intervals_cover() -> None:
     """Rao's statistics are exact: of 1500 draws 5 and 95 %, within 3.3 standard deviations of the binomial."""
     rng, draws = np.random.default_rng(3), 1500
-    columns = causes(ROBOT)[2].columns
+    columns = candidate_causes(ROBOT)[2].columns
     truth = np.array([2.0, -1.0])
     misfits, covered = 0, 0
     root = np.linalg.cholesky(SPREAD)
@@ -169,7 +175,8 @@ def test_evidence_is_that_of_students_distribution_and_of_effects_of_any_size() 
 
 
 def test_what_many_candidates_share_is_one_half() -> None:
-    results = dict(zip([cause.name for cause in causes(ROBOT)], cause_probabilities(causes(ROBOT)), strict=True))
+    causes = candidate_causes(ROBOT)
+    results = dict(zip([cause.name for cause in causes], cause_probabilities(causes), strict=True))
     assert results["none"] == 0.5
     assert results["something else"] == pytest.approx(1.0 / 6.0)
     assert results["com_offset"] == pytest.approx(1.0 / 18.0)
@@ -326,14 +333,14 @@ def test_shares_and_sum_have_the_interval_of_a_pooled_t_test() -> None:
 def test_conditions_are_names_without_their_last_number() -> None:
     names = ("cut_1mm_log01", "cut_1mm_log3", "cut_2mm_log1")
     logs = [HoverEffort(name=name, effort=UNEVEN, windows=9, voltage=None) for name in names]
-    assert {k: len(v) for k, v in group_repeats(logs).items()} == {"cut_1mm_log": 2, "cut_2mm_log": 1}
+    assert {k: len(v) for k, v in repeats_by_condition(logs).items()} == {"cut_1mm_log": 2, "cut_2mm_log": 1}
 
 
 def test_what_tells_candidates_apart() -> None:
-    assert tell_apart(("weak_motor 3",)) == []
-    assert tell_apart(("weak_motor 1", "weak_motor 3"))[0].code == "swap_propeller"
-    assert tell_apart(("com_offset", "weak_motor 3"))[0].code == "turn_with_gyro"
-    assert tell_apart(("com_offset", "payload_mass"))[0].code == "weigh_vehicle"
+    assert experiments_for_causes(("weak_motor 3",)) == []
+    assert experiments_for_causes(("weak_motor 1", "weak_motor 3"))[0].code == "swap_propeller"
+    assert experiments_for_causes(("com_offset", "weak_motor 3"))[0].code == "turn_with_gyro"
+    assert experiments_for_causes(("com_offset", "payload_mass"))[0].code == "weigh_vehicle"
 
 
 def test_vehicles_that_the_balance_does_not_settle_are_refused() -> None:
@@ -344,9 +351,9 @@ def test_vehicles_that_the_balance_does_not_settle_are_refused() -> None:
         (mounts[:3], "needs 4 rotors"), ((tilted, *mounts[1:]), "along body z"), (same, "cannot balance")
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=message):
-            causes(replace(ROBOT, mounts=replace(ROBOT.mounts, layout=layout)))
+            candidate_causes(replace(ROBOT, mounts=replace(ROBOT.mounts, layout=layout)))
     with pytest.raises(ConfigError, match="not between the rotors"):
-        causes(replace(ROBOT, body=replace(ROBOT.body, com=(0.1, 0.0, 0.0))))
+        candidate_causes(replace(ROBOT, body=replace(ROBOT.body, com=(0.1, 0.0, 0.0))))
 
 
 def hover_file(path: Path, ratio: np.ndarray, *, seed: int) -> Path:

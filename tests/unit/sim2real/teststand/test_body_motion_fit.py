@@ -21,10 +21,10 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import edge_rows, uniform_log
-from aerial_gym.sim2real.teststand.joints import swing
-from aerial_gym.sim2real.teststand.joints.body_motion_fit import _Fit, fit_hidden_joints
-from aerial_gym.sim2real.teststand.joints.courses import _efforts
-from aerial_gym.sim2real.teststand.joints.swing import Laws, Ride, Swing, body_motion
+from aerial_gym.sim2real.teststand.joints import joint_simulation
+from aerial_gym.sim2real.teststand.joints.body_motion_fit import JointFitter, fit_hidden_joints
+from aerial_gym.sim2real.teststand.joints.joint_motion import joint_efforts
+from aerial_gym.sim2real.teststand.joints.joint_simulation import BodyMotion, JointLaws, JointSimulation, body_motion
 from tests.physics.articulated.test_link_buoyancy import draw_state, make_joints, tree_state, under_water
 from tests.physics.articulated.test_link_drag import fly, make_model
 from tests.unit.sim2real.teststand.test_angle_logs import HIDDEN, SAME, flight, robot
@@ -36,7 +36,7 @@ def without_angles(table: pd.DataFrame) -> pd.DataFrame:
     return table.drop(columns=[name for name in table.columns if name.startswith("joint_")])
 
 
-def make_ride(table: pd.DataFrame, path: Path) -> Ride:
+def make_ride(table: pd.DataFrame, path: Path) -> BodyMotion:
     without_angles(table).to_csv(path, index=False)
     return body_motion(robot(), uniform_log(read_flight_log(path)), bandwidth=BAND)
 
@@ -45,15 +45,15 @@ def make_ride(table: pd.DataFrame, path: Path) -> Ride:
 def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(tmp_path, monkeypatch) -> None:
     """The true springs leave a fifth of what the declared ones leave at most. To save time pieces begin a second
     before; half of it damped, a swing is forgotten to ``exp(-0.5 s c / 2 J)``, 0.19."""
-    monkeypatch.setattr(swing, "SETTLE_S", 1.0)
-    monkeypatch.setattr(swing, "USED_S", 0.7)
+    monkeypatch.setattr(joint_simulation, "SETTLE_S", 1.0)
+    monkeypatch.setattr(joint_simulation, "USED_S", 0.7)
     hidden = [SAME | {"stiffness": 0.8}, SAME | {"damping": 0.008, "rest": 0.05}, SAME, SAME]
     ride = make_ride(flight(hidden, 3, seconds=3.4, noise=0.0), tmp_path / "f.csv")
-    fit = _Fit(robot(), [ride], BAND)
-    true = np.array([hidden[k][name] for k, name in fit.parameter_owners])
-    felt = fit.swing.run(fit.laws(np.stack((true, fit.declared))), torch.ones(2).double())[0][0]
+    fit = JointFitter(robot(), [ride], BAND)
+    true = np.array([hidden[k][name] for k, name in fit.owners])
+    felt = fit.simulation.run(fit.joint_laws(np.stack((true, fit.declared))), torch.ones(2).double())[0][0]
     edge = edge_rows(ride.rate, BAND)
-    left = (felt - ride.felt[None, fit.swing.warm :])[:, edge:-edge]
+    left = (felt - ride.felt[None, fit.simulation.warm :])[:, edge:-edge]
     right, wrong = np.sqrt(np.mean((left - left.mean(axis=1, keepdims=True)) ** 2, axis=1))
     assert (right < 0.2 * wrong).all()
 
@@ -64,7 +64,7 @@ def test_effects_of_the_robot_file_push_the_links_too(tmp_path: Path) -> None:
     plain = make_ride(table, tmp_path / "f.csv")
     dragged = replace(robot(), effects={"rotor_drag": {"dx": 0.5, "dy": 0.5, "dz": 0.0}}, effects_source="invented")
     ride = body_motion(dragged, uniform_log(read_flight_log(tmp_path / "f.csv")), bandwidth=BAND)
-    Swing(dragged, [ride], bandwidth=BAND)
+    JointSimulation(dragged, [ride], bandwidth=BAND)
     middle = torch.tensor([dragged.body.com], dtype=torch.float64).expand_as(ride.base.ang_vel)
     turning = torch.linalg.cross(ride.base.ang_vel, middle)
     velocity = quat_rotate_inverse(ride.base.attitude, ride.base.lin_vel) + turning
@@ -78,10 +78,10 @@ def test_friction_acts_against_the_motion_and_an_end_never_pulls() -> None:
     none, far = row(0.0, 0.0, 0.0), row(9.0, 9.0, 9.0)
     spring = Spring(stiffness=none, quadratic=none, damping=none, rest=none, preload=none)
     free = JointLimits(low=-far, high=far, stiffness=none, damping=none)
-    slides = Laws(spring=spring, ends=free, friction=0.3 + none, slow=1e-3 + none)
+    slides = JointLaws(spring=spring, ends=free, friction=0.3 + none, slow=1e-3 + none)
     torch.testing.assert_close(slides.joint_effort(none, row(2.0, -2.0, 0.0)), row(-0.3, 0.3, 0.0), atol=1e-6, rtol=0)
     ends = JointLimits(low=-0.1 + none, high=0.1 + none, stiffness=4.0 + none, damping=1.0 + none)
-    held = Laws(spring=spring, ends=ends, friction=none, slow=1e-3 + none)
+    held = JointLaws(spring=spring, ends=ends, friction=none, slow=1e-3 + none)
     result = held.joint_effort(row(0.2, 0.2, -0.2), row(0.0, -5.0, 0.0))  # pushed back, left fast, pushed back
     torch.testing.assert_close(result, row(-0.4, 0.0, 0.4), atol=1e-12, rtol=0)
 
@@ -174,7 +174,7 @@ def test_free_joints_under_water_gave_no_effort() -> None:
     after = fly(model, state, dt, 1)
     lin_acc = quat_rotate_inverse(state.attitude, (after.lin_vel - state.lin_vel) / dt)
     acc = torch.cat((lin_acc, (after.ang_vel - state.ang_vel) / dt, (after.joint_vel - state.joint_vel) / dt), dim=-1)
-    efforts = _efforts(robot, tree_state(state), state.rotor_speed, acc)
+    efforts = joint_efforts(robot, tree_state(state), state.rotor_speed, acc)
     torch.testing.assert_close(efforts, torch.zeros_like(efforts), rtol=0.0, atol=1e-5)
 
 

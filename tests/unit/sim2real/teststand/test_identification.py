@@ -30,14 +30,14 @@ from aerial_gym.sim2real.teststand.joints.record import (
 )
 from aerial_gym.sim2real.teststand.static import StaticFit, fit_static
 from aerial_gym.sim2real.teststand.statistics import (
+    errors_on_left_out_folds,
     estimates,
     fold_labels,
     hac_covariance,
-    independent_covariance,
-    left_out,
-    parsimonious,
+    hc3_covariance,
+    smallest_good_candidate,
 )
-from aerial_gym.sim2real.teststand.step import StepRecord, fit_steps, lag_error, simulate, step_record
+from aerial_gym.sim2real.teststand.step import StepRecord, fit_steps, speed_error_after_step, speed_of_law, step_record
 from aerial_gym.sim2real.teststand.studies import joint_text, rotor_changes
 from aerial_gym.sim2real.teststand.tables import read_columns
 
@@ -65,8 +65,8 @@ def static_table(
 
 
 def single_fit(table: pd.DataFrame, folder: Path, **units: str) -> StaticFit:
-    (fit,), left_out = fit_static(bench(table, folder, **units))
-    assert left_out == []
+    (fit,), errors_on_left_out_folds = fit_static(bench(table, folder, **units))
+    assert errors_on_left_out_folds == []
     return fit
 
 
@@ -74,7 +74,7 @@ def test_variance_of_a_mean_of_independent_values_is_its_closed_form() -> None:
     """HC3 of a mean: every residual over (1 - 1/n), squared, summed, over n²."""
     residual = np.random.default_rng(0).standard_normal(50)
     residual -= residual.mean()
-    result = independent_covariance(np.ones((50, 1)), residual)[0, 0]
+    result = hc3_covariance(np.ones((50, 1)), residual)[0, 0]
     assert result == pytest.approx(((residual / (1.0 - 1.0 / 50)) ** 2).sum() / 50**2, rel=1e-12)
 
 
@@ -93,7 +93,7 @@ def test_variance_of_a_mean_of_correlated_values_is_its_closed_form() -> None:
 def test_a_fit_never_sees_the_test_part() -> None:
     """Each value less the mean of those in other parts; 6 and 9 are one part."""
     part, values = np.array([0, 1, 2, 2]), np.array([1.0, 2.0, 6.0, 9.0])
-    missed = left_out(part, lambda out: values[out] - values[~out].mean())
+    missed = errors_on_left_out_folds(part, lambda out: values[out] - values[~out].mean())
     np.testing.assert_allclose(missed, values - [17.0 / 3.0, 16.0 / 3.0, 1.5, 1.5])
 
 
@@ -104,8 +104,8 @@ def test_flights_are_left_out_whole_and_a_single_one_in_fifths() -> None:
 
 def test_fewer_terms_are_taken_if_they_cost_no_more_than_two_per_cent() -> None:
     terms = {"short": 1, "long": 2, "as long": 2}
-    assert parsimonious({"short": 1.019, "long": 1.0, "as long": 1.0}, terms) == "short"
-    assert parsimonious({"short": 1.021, "long": 1.01, "as long": 1.0}, terms) == "as long"
+    assert smallest_good_candidate({"short": 1.019, "long": 1.0, "as long": 1.0}, terms) == "short"
+    assert smallest_good_candidate({"short": 1.021, "long": 1.01, "as long": 1.0}, terms) == "as long"
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
@@ -197,11 +197,11 @@ def test_a_speed_sensor_that_does_not_read_is_left_out_and_tests_are_told_apart(
     table = static_table(np.random.default_rng(6), 0.005)
     table = pd.concat([table.assign(test="a"), table.assign(test="b"), table.assign(test="c", thrust_N=-1.0)])
     table.iloc[5, 0] = 0.0
-    fits, left_out = fit_static(bench(table, tmp_path))
+    fits, errors_on_left_out_folds = fit_static(bench(table, tmp_path))
     assert [fit.speed.size for fit in fits] == [23, 24]
     assert [(note.code, note.values) for note in fits[0].notes] == [("rows_without_speed", {"rows": 1})]
-    assert len(left_out) == 1
-    assert "test c: thrust at the highest speed is -1 N" in left_out[0].values["error"]
+    assert len(errors_on_left_out_folds) == 1
+    assert "test c: thrust at the highest speed is -1 N" in errors_on_left_out_folds[0].values["error"]
 
 
 @pytest.mark.parametrize(("error", "tau", "slew"), [(800.0, 0.05, 1e9), (800.0, 0.03, 9e3), (-800.0, 0.03, 9e3)])
@@ -213,8 +213,8 @@ def test_lag_with_a_slew_limit_solves_its_equation(error: float, tau: float, sle
         return -np.sign(e) * np.minimum(np.abs(e) / tau, slew)
 
     result = solve_ivp(motion, (0.0, 0.3), [error], t_eval=since, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(lag_error(error, tau, slew, since), result.y[0], atol=1e-5)
-    assert lag_error(error, tau, slew, np.array([-0.01]))[0] == error
+    np.testing.assert_allclose(speed_error_after_step(error, tau, slew, since), result.y[0], atol=1e-5)
+    assert speed_error_after_step(error, tau, slew, np.array([-0.01]))[0] == error
 
 
 LEVELS = (300.0, 1500.0, 400.0, 2000.0, 900.0, 1700.0, 250.0, 1200.0)
@@ -226,7 +226,7 @@ def step_table(params: dict[str, float], *, noise: float, seed: int = 0, rate: f
     table = pd.DataFrame({"t": time, "speed_cmd": command, "speed_meas": 0.0 * time})
     starts = np.arange(0, time.size + 1, round(0.5 * rate))
     record = StepRecord(path="", time=time, command=command, measured=0.0 * time, starts=starts)
-    course = simulate(record, params)
+    course = speed_of_law(record, params)
     return table.assign(speed_meas=course + noise * np.random.default_rng(seed).standard_normal(time.size))
 
 

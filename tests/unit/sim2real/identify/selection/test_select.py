@@ -16,7 +16,7 @@ from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
 from aerial_gym.sim2real.identify.selection.scoring import Criteria, FitScore
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects
-from aerial_gym.sim2real.judge.verdict import find_ties
+from aerial_gym.sim2real.judge.verdict import names_of_ties
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
 from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub, flight, load_tables, make_predictor
 from tests.unit.sim2real.set_fits import PLACE, make_choice, make_fit, make_score, make_selection
@@ -82,7 +82,7 @@ def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(gyro
 
     result = select_hidden(tmp_path, ("thrust_coefficient", "payload_mass"), change=log_columns, thrust_scale=0.95)
     (named,) = result.effect_names
-    assert {named, *find_ties(named, result)} == candidates
+    assert {named, *names_of_ties(named, result)} == candidates
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_a_steady_wind_is_not_called_a_shear_that_hardly_grows(tmp_path: Path) -
         tmp_path, ("constant_wind", "wind_shear", "rotor_drag"), robot=robot, drag=0.3, wind=(0.4, -0.3, 0.0)
     )
     assert result.effect_names == ("constant_wind",)
-    assert find_ties("constant_wind", result) == []
+    assert names_of_ties("constant_wind", result) == []
     (rival,) = result.effect_rivals("constant_wind")
     assert (rival.effect, rival.wider, rival.is_distinct) == ("wind_shear", True, False)
     assert result.chosen.inclusion["constant_wind"] > 0.99  # the shear is this wind as well

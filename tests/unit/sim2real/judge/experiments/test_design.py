@@ -10,8 +10,12 @@ from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.judge.experiments.design import Catalogue, manoeuvre_for_ties, manoeuvres_for_effects, showable
-from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, fly
+from aerial_gym.sim2real.judge.experiments.design import (
+    ManoeuvreCatalogue,
+    effects_to_show,
+    manoeuvre_for_ties,
+)
+from aerial_gym.sim2real.judge.experiments.manoeuvres import MANOEUVRES, manoeuvre_flight
 from aerial_gym.sim2real.predict.channels import find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import Tolerances
@@ -25,7 +29,7 @@ STD = {
 """Of the residual of each kind of channel."""
 
 
-def make_catalogue(folder: Path, *, only: str | None = None) -> Catalogue:
+def make_catalogue(folder: Path, *, only: str | None = None) -> ManoeuvreCatalogue:
     """Return the catalogue for a flight of the made-up quadrotor, with white residuals of known size."""
     flights = load_tables(folder, [flight(1, seconds=4.0, rate=100.0)])
     channels = [channel for channel in find_channels(flights) if only in (None, channel.kind)]
@@ -33,11 +37,11 @@ def make_catalogue(folder: Path, *, only: str | None = None) -> Catalogue:
         variance=np.array([STD[channel.kind] ** 2 for channel in channels]), effective=np.ones(len(channels))
     )
     chosen = replace(make_choice(make_fit()), weights=weights)
-    return Catalogue(make_predictor(flights, channels=channels), make_selection(chosen))
+    return ManoeuvreCatalogue(make_predictor(flights, channels=channels), make_selection(chosen))
 
 
 @pytest.fixture(scope="module")
-def catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
+def catalogue(tmp_path_factory: pytest.TempPathFactory) -> ManoeuvreCatalogue:
     return make_catalogue(tmp_path_factory.mktemp("flight"))
 
 
@@ -46,11 +50,11 @@ def model(**effects: list[float]) -> tuple[ModelParams, tuple[str, ...]]:
     return ModelParams(effects=params), tuple(effects)
 
 
-def by_name(catalogue: Catalogue, scores: np.ndarray) -> dict[str, float]:
+def by_name(catalogue: ManoeuvreCatalogue, scores: np.ndarray) -> dict[str, float]:
     return {flown.name: float(score) for flown, score in zip(catalogue.flights, scores, strict=True)}
 
 
-def test_every_manoeuvre_is_one_that_the_simulator_flies_with_these_rotor_speeds(catalogue: Catalogue) -> None:
+def test_every_manoeuvre_is_one_that_the_simulator_flies_with_these_rotor_speeds(catalogue: ManoeuvreCatalogue) -> None:
     """Flatness against the equations of motion: forces to 1 % of g and turns to 2 % of the largest, away from the ends."""
     assert {flown.name for flown in catalogue.flights} == set(MANOEUVRES)
     kinds = [channel.kind for channel in catalogue.predictor.channels]
@@ -64,19 +68,20 @@ def test_every_manoeuvre_is_one_that_the_simulator_flies_with_these_rotor_speeds
             assert np.abs(residual[10:-10, places]).max() < share * size, (flown.name, kind)
 
 
-def test_a_manoeuvre_beyond_the_rotors_is_left_out(catalogue: Catalogue) -> None:
+def test_a_manoeuvre_beyond_the_rotors_is_left_out(catalogue: ManoeuvreCatalogue) -> None:
     weak = replace(ROBOT, rotor=replace(ROBOT.rotor, thrust_range=(0.05, 1.55)))  # hover takes 1.47 N
     like = catalogue.flights[0]
-    assert fly("hover", weak, like, rate=100.0) is not None
-    assert fly("sweep along both axes, slow and then fast, up to 5 m/s", weak, like, rate=100.0) is None
+    assert manoeuvre_flight("hover", weak, like, rate=100.0) is not None
+    assert manoeuvre_flight("sweep along both axes, slow and then fast, up to 5 m/s", weak, like, rate=100.0) is None
     heavy = replace(ROBOT, rotor=replace(ROBOT.rotor, thrust_range=(1.3, 5.0)))
-    assert fly("jump up and down by a few centimetres, thrust up and down by a third", heavy, like, rate=100.0) is None
+    jump = "jump up and down by a few centimetres, thrust up and down by a third"
+    assert manoeuvre_flight(jump, heavy, like, rate=100.0) is None
     without = replace(like, lin_vel=None, position=None, rotor_speed=None)
-    blind = fly("hover", ROBOT, without, rate=100.0)
+    blind = manoeuvre_flight("hover", ROBOT, without, rate=100.0)
     assert blind.lin_vel is blind.position is blind.rotor_speed is None
 
 
-def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: Catalogue) -> None:
+def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: ManoeuvreCatalogue) -> None:
     """A bias b along x that nothing fits but the tolerance t: ``b² / 2 / (t² + 1 / n w)``, n w summed over both channels."""
     bias, predictor = 0.04, catalogue.predictor
     truth, empty = model(imu_bias=[bias, 0.0, 0.0, 0.0, 0.0, 0.0]), model()
@@ -87,14 +92,16 @@ def test_the_expected_score_of_a_bias_in_hover_is_the_closed_form(catalogue: Cat
     assert score == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_shifted_centre_of_mass_and_a_weak_motor_tie_in_hover_and_are_told_by_rotation(catalogue: Catalogue) -> None:
+def test_a_shifted_centre_of_mass_and_a_weak_motor_tie_in_hover_and_are_told_by_rotation(
+    catalogue: ManoeuvreCatalogue,
+) -> None:
     """In hover both are constant torques; a turn changes the thrusts, and with them what a weak motor lacks. The shift
     is the one with the torques of the weak motor: ``(1 - scale) / 4`` of the arm in x and y."""
     loss = 0.025
     shift = 0.1 * loss / 4.0
     one, other = model(com_offset=[-shift, shift, 0.0]), model(weak_motor=[1.0, 1.0 - loss])
-    scores = catalogue.tell(one, other)
-    advice = catalogue.advise(scores, ("com_offset", "weak_motor"))
+    scores = catalogue.score_of_pair(one, other)
+    advice = catalogue.best_advice(scores, ("com_offset", "weak_motor"))
     assert by_name(catalogue, scores)["hover"] < LEAST_SCORE
     assert advice.fly in (
         "rock quickly in roll and pitch (doublets of 15 to 20 degrees)",
@@ -103,43 +110,43 @@ def test_a_shifted_centre_of_mass_and_a_weak_motor_tie_in_hover_and_are_told_by_
     assert advice.score > 1.5 * advice.hover
 
 
-def test_wind_and_drag_are_told_by_motion(catalogue: Catalogue) -> None:
+def test_wind_and_drag_are_told_by_motion(catalogue: ManoeuvreCatalogue) -> None:
     drag = {"rotor_drag": [0.2, 0.2, 0.2]}
     one, other = model(**drag, constant_wind=[1.0, 0.0, 0.0]), model(rotor_drag=[0.25, 0.2, 0.2])
-    scores = by_name(catalogue, catalogue.tell(one, other))
+    scores = by_name(catalogue, catalogue.score_of_pair(one, other))
     assert scores["hover"] < 1e-3  # drag says nothing there, wind is not needed
     # At one heading what a wind pushes may be what sensors are turned by.
     assert scores["sweep forwards and back, the same path at four headings"] > 20.0 * LEAST_SCORE
 
 
 def test_mass_and_thrust_are_not_told_by_forces_at_all_and_by_turns_only_as_far_as_the_inertia_is_known(
-    catalogue: Catalogue, tmp_path: Path
+    catalogue: ManoeuvreCatalogue, tmp_path: Path
 ) -> None:
     """Without drag ``c / m`` alone counts in the force. Turns show c / J: an error of J of each axis imitates it, at most
     ``3 (d / 0.02)² / 2`` for a share d: 2 % are never told, 5 % are, by rocking and turning."""
     for share, tells in ((0.02, False), (0.05, True)):
         mass, thrust = model(payload_mass=[share * ROBOT.body.mass]), model(thrust_coefficient=[1.0 / (1.0 + share)])
         forces = make_catalogue(tmp_path, only="specific_force")
-        assert forces.tell(mass, thrust).max() < 1e-3
-        advice = catalogue.advise(catalogue.tell(mass, thrust), ("payload_mass", "thrust_coefficient"))
+        assert forces.score_of_pair(mass, thrust).max() < 1e-3
+        advice = catalogue.best_advice(catalogue.score_of_pair(mass, thrust), ("payload_mass", "thrust_coefficient"))
         assert (advice.fly is not None) == tells
         assert advice.score < 1.2 * 1.5 * (share / TOLERANCES.inertia) ** 2
         assert (advice.finding.code == "weigh_or_log") != tells
 
 
-def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: Catalogue) -> None:
+def test_what_has_not_shown_is_shown_by_what_excites_it(catalogue: ManoeuvreCatalogue) -> None:
     robot = replace(ROBOT, rotor=replace(ROBOT.rotor, radius=0.0635))
 
     def selection(hidden: str, *named: str) -> SelectionResult:
         return make_selection(make_choice(make_fit(*named)), not_testable={hidden: Finding("not_excited", hidden)})
 
-    assert showable(selection("ground_effect"), robot, []) == ["ground_effect"]
-    assert showable(selection("ground_effect"), ROBOT, []) == []
-    assert showable(selection("joint_creep"), ROBOT, []) == []
-    assert showable(selection("joint_creep", "joint_spring"), ROBOT, []) == ["joint_creep"]
+    assert effects_to_show(selection("ground_effect"), robot, []) == ["ground_effect"]
+    assert effects_to_show(selection("ground_effect"), ROBOT, []) == []
+    assert effects_to_show(selection("joint_creep"), ROBOT, []) == []
+    assert effects_to_show(selection("joint_creep", "joint_spring"), ROBOT, []) == ["joint_creep"]
     empty_selection, names = make_selection(), ["quadratic_drag", "rotor_inertia", "translational_lift"]
-    advice = manoeuvres_for_effects(catalogue, empty_selection, ModelParams(), names)
-    assert list(advice) == names
+    scores = {name: catalogue.score_of_effect(name, ModelParams(), (), ModelParams()) for name in names}
+    advice = {name: catalogue.best_advice(score, (name,)) for name, score in scores.items()}
     assert advice["quadratic_drag"].fly == "sweep along both axes, slow and then fast, up to 5 m/s"
     assert all(result.hover < 1e-3 for result in advice.values())
     for name in names:

@@ -11,15 +11,15 @@ from scipy import integrate
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.judge.decision import Decision
-from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, wind_declaration, wind_response
+from aerial_gym.sim2real.judge.random_wind.gusts import RandomWind, find_random_wind, random_wind_in_file, wind_response
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     WindSeries,
     fit_process,
-    log_spread,
     p_value_of_memory,
     p_value_of_noise,
     p_values_of_rivals,
     process_covariance,
+    std_of_logarithms,
 )
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import lowpass_gain
@@ -74,7 +74,7 @@ def test_std_and_correlation_time_are_found_within_their_spread() -> None:
         wind = series(std=0.8, seed=seed)
         fit = fit_process(wind)
         result.append(np.log([fit.std / 0.8, fit.corr_time / 1.0]))
-        spread.append(log_spread(wind, fit) if seed == 0 else spread[-1])
+        spread.append(std_of_logarithms(wind, fit) if seed == 0 else spread[-1])
     stated = np.mean(spread, axis=0)
     assert np.all(np.abs(np.mean(result, axis=0)) < 3.0 * stated / np.sqrt(6.0))
     assert np.all(np.std(result, axis=0) < 2.0 * stated)
@@ -154,7 +154,7 @@ def test_a_wind_is_seen_through_the_drag_of_the_model() -> None:
     assert result.is_accepted, result.objections
     for value, truth, spread in zip(result.params().values(), (1.2, 1.0), result.spread, strict=True):
         assert abs(np.log(value / truth)) < 3.0 * spread
-    added = result.adds(predictor, DRAGGED)[:3]
+    added = result.channel_rms(predictor, DRAGGED)[:3]
     share = np.sqrt(process_covariance(result.corr_time, BAND, np.zeros(1))[0])
     expected = result.std * np.array([0.5, 0.4, 0.3]) * share
     np.testing.assert_allclose(added, expected, rtol=1e-6)
@@ -180,10 +180,10 @@ def test_where_gusts_are_not_looked_for_and_why() -> None:
 
 
 def test_declared_gusts_are_taken_as_they_are() -> None:
-    declared = wind_declaration(replace(ROBOT, effects={"gusts": {"std": 0.5, "corr_time": 2.0}}))
+    declared = random_wind_in_file(replace(ROBOT, effects={"gusts": {"std": 0.5, "corr_time": 2.0}}))
     assert declared.is_accepted
     assert declared.params() == {"std": 0.5, "corr_time": 2.0}
-    assert not wind_declaration(ROBOT).is_accepted
+    assert not random_wind_in_file(ROBOT).is_accepted
 
 
 def test_noise_has_no_memory_as_often_as_stated() -> None:

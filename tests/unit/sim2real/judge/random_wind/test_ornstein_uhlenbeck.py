@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 
 from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     WindSeries,
-    covariances,
+    axis_covariances,
     log_likelihoods,
     whiten_rows,
 )
@@ -21,7 +21,7 @@ def make_series(*rows: int) -> WindSeries:
 
 def test_rows_are_whitened_as_by_the_cholesky_factor() -> None:
     """L^-1 y with C = L L^T, and the diagonal of L: the innovations of a process and their std."""
-    covariance = covariances(make_series(40), 0.7, 1.3, np.array([0.1, 0.3, 0.5]))
+    covariance = axis_covariances(make_series(40), 0.7, 1.3, np.array([0.1, 0.3, 0.5]))
     values = RNG.normal(size=(3, 40, 2))
     white, variance = whiten_rows(covariance, values)
     for first, columns, result, square in zip(covariance, values, white, variance, strict=True):
@@ -36,7 +36,7 @@ def test_the_likelihood_is_that_of_differences_from_the_mean() -> None:
     processes = [(0.5, 0.8, np.array([0.2, 0.3, 0.4])), (0.9, 2.0, np.array([0.1, 0.2, 0.6]))]
     expected = np.zeros(2)
     for place, process in enumerate(processes):
-        for axis, first in enumerate(covariances(series, *process)):
+        for axis, first in enumerate(axis_covariances(series, *process)):
             for wind in series.wind:
                 contrasts = np.diff(np.eye(len(wind)), axis=0)
                 whole = contrasts @ toeplitz(first[: len(wind)]) @ contrasts.T

@@ -35,7 +35,7 @@ SLOW = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class JointMotion:
     """Motion and efforts of the joints in one flight."""
 
     name: str
@@ -45,7 +45,7 @@ class Course:
     effort: Array  # Joint efforts from inverse dynamics [N m], (T, D)
 
 
-def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
+def read_joint_motion(path: Path, robot: RobotCfg, *, bandwidth: float) -> JointMotion:
     """Return the joint motion and efforts of a log in the package's own layout.
 
     The log has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, with angles [rad] or displacements [m].
@@ -64,10 +64,10 @@ def read_course(path: Path, robot: RobotCfg, *, bandwidth: float) -> Course:
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: joint angles have empty or non-numeric fields; cut the log, or fill them")
-    return joint_course(robot, log, interpolate_columns(log.time, time, angles), bandwidth=bandwidth)
+    return joint_motion(robot, log, interpolate(log.time, time, angles), bandwidth=bandwidth)
 
 
-def joint_course(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> Course:
+def joint_motion(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> JointMotion:
     """Return the joint motion and efforts for logged joint angles [rad], (T, D)."""
     rate = require_rate(log, bandwidth)
     assert log.ang_vel is not None
@@ -96,14 +96,14 @@ def joint_course(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: fl
         joint_vel=rows(slow(angle, derivatives=1)),
     )
     acc = torch.cat((lin_acc, rows(slow(log.ang_vel, derivatives=1)), rows(slow(angle, derivatives=2))), dim=-1)
-    effort = _efforts(robot, state, rows(slow(rotor_states(robot, log))), acc)
+    effort = joint_efforts(robot, state, rows(slow(rotor_states(robot, log))), acc)
     wide = lowpass(angle, rate, rate / 5.0, derivative=True)
     side = slow(wide / np.sqrt(wide**2 + (SLOW * wide.std(axis=0)) ** 2 + 1e-30))
     edge = 2 * edge_rows(rate, bandwidth)
     kept = slice(edge, len(angle) - edge)
     if len(angle) <= 4 * edge:
         raise DataError(f"{log.path}: {len(angle)} rows are too few for a bandwidth of {bandwidth:g} Hz")
-    return Course(
+    return JointMotion(
         name=log.name,
         angle=state.joint_pos.numpy()[kept],
         rate=state.joint_vel.numpy()[kept],
@@ -124,7 +124,7 @@ def require_rate(log: FlightLog, bandwidth: float) -> float:
     return rate
 
 
-def _efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
+def joint_efforts(robot: RobotCfg, state: TreeState, rotors: torch.Tensor, acc: torch.Tensor) -> torch.Tensor:
     """Return the joint efforts (T, D) for a motion and its accelerations (T, 6 + D), by inverse dynamics."""
     model, links, wrench = apply_link_wrenches(robot, state, rotors)
     articulation = model.articulation

@@ -26,7 +26,7 @@ from aerial_gym.physics.effects import EFFECTS, LinkFluidEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.signals import lowpass
-from aerial_gym.sim2real.teststand.joints.courses import apply_link_wrenches, require_rate, rotor_states
+from aerial_gym.sim2real.teststand.joints.joint_motion import apply_link_wrenches, require_rate, rotor_states
 
 CHANNELS = ("force x", "force y", "force z", "rotation x", "rotation y", "rotation z")
 """Specific force [m/s²] and angular acceleration [rad/s²]."""
@@ -48,7 +48,7 @@ USED_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ride:
+class BodyMotion:
     """Logged motion of the body that carries the joints."""
 
     name: str
@@ -58,7 +58,7 @@ class Ride:
     felt: Array  # Measured ``CHANNELS`` in the band, (T, 6)
 
 
-def body_motion(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
+def body_motion(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> BodyMotion:
     """Return the motion of the body from a log at equal time steps."""
     if fluids := [name for name in robot.effects if isinstance(EFFECTS.get(name), LinkFluidEffect)]:
         raise ConfigError(
@@ -92,30 +92,30 @@ def body_motion(robot: RobotCfg, log: FlightLog, *, bandwidth: float) -> Ride:
     )
     wrench = apply_link_wrenches(robot, base, rows(rotor_states(robot, log)))[2]
     felt = np.concatenate((lowpass(force, rate, bandwidth), turned), axis=1)
-    return Ride(name=log.name, rate=rate, base=base, wrench=wrench, felt=felt)
+    return BodyMotion(name=log.name, rate=rate, base=base, wrench=wrench, felt=felt)
 
 
-class Swing:
+class JointSimulation:
     """Simulation of the joints of some flights for any parameters.
 
     Joints forget their initial state, so flights are divided into segments that are simulated side by side. Each starts
     ``SETTLE_S`` before its first compared row.
     """
 
-    def __init__(self, robot: RobotCfg, rides: Sequence[Ride], *, bandwidth: float) -> None:
+    def __init__(self, robot: RobotCfg, motions: Sequence[BodyMotion], *, bandwidth: float) -> None:
         """Store the declared robot, and flights of one rate."""
-        rates = {round(ride.rate, 6) for ride in rides}
+        rates = {round(motion.rate, 6) for motion in motions}
         if len(rates) > 1:
             raise DataError(f"logs of different rates: {sorted(rates)} rows per second; identify them one by one")
-        self.rides, self.bandwidth, self.rate = tuple(rides), bandwidth, rides[0].rate
+        self.motions, self.bandwidth, self.rate = tuple(motions), bandwidth, motions[0].rate
         self.warm, self.held = round(SETTLE_S * self.rate), round(DAMPED_S * self.rate)
-        first = TreeState(**{name: rows[:1] for name, rows in vars(rides[0].base).items()})
+        first = TreeState(**{name: rows[:1] for name, rows in vars(motions[0].base).items()})
         model, links, _ = apply_link_wrenches(robot, first, torch.zeros(1, robot.num_rotors).double())
         assert model.articulation is not None
         self._articulation = model.articulation
         self._links = Links(mass=links.mass[:1], com=links.com[:1], inertia=links.inertia[:1])
         used = round(USED_S * self.rate)
-        self._pieces = [len(range(self.warm, len(ride.wrench), used)) for ride in rides]
+        self._pieces = [len(range(self.warm, len(motion.wrench), used)) for motion in motions]
         places = [torch.arange(count)[None] * used + torch.arange(self.warm + used)[:, None] for count in self._pieces]
 
         def cut(rows: Sequence[Tensor]) -> Tensor:  # the last segment is padded with the last row
@@ -124,10 +124,10 @@ class Swing:
             )
 
         names = ("attitude", "lin_vel", "ang_vel")
-        self._base = {name: cut([getattr(ride.base, name) for ride in rides]) for name in names}
-        self._wrench = cut([ride.wrench for ride in rides])
+        self._base = {name: cut([getattr(motion.base, name) for motion in motions]) for name in names}
+        self._wrench = cut([motion.wrench for motion in motions])
 
-    def run(self, laws: "Laws", thrust: Tensor) -> tuple[list[Array], Tensor, Tensor]:
+    def run(self, laws: "JointLaws", thrust: Tensor) -> tuple[list[Array], Tensor, Tensor]:
         """Return the predicted body motion from row ``warm`` on, (B, T, 6) per flight, and the joints' angles and rates.
 
         Angles and rates, (T, segments, D), are those of the first parameter set.
@@ -136,18 +136,18 @@ class Swing:
             thrust: Scale of the rotors' wrench, (B,).
         """
         sets, pieces, dt = len(thrust), sum(self._pieces), 1.0 / self.rate
-        spread = laws.each(pieces)
+        spread = laws.repeat(pieces)
         scale = thrust.repeat_interleave(pieces).view(-1, 1, 1)
         base = {name: value.repeat(1, sets, 1) for name, value in self._base.items()}
         wrench = self._wrench.repeat(1, sets, 1, 1)
         angle, rate = spread.spring.rest, torch.zeros_like(spread.spring.rest)
         felt, angles, rates = [], [], []
 
-        def row(k: int) -> SwingState:
-            return SwingState(motion={name: value[k] for name, value in base.items()}, wrench=scale * wrench[k])
+        def row(k: int) -> LinkLoads:
+            return LinkLoads(motion={name: value[k] for name, value in base.items()}, wrench=scale * wrench[k])
 
         start = end = here = row(0)
-        count = self._steps(laws, here)
+        count = self._steps_per_row(laws, here)
         dt = dt / count
         for k in range(count * len(wrench)):
             if k % count == 0:
@@ -171,26 +171,26 @@ class Swing:
         if not np.isfinite(whole).all():
             raise DataError("joints with these parameters do not settle; check the declared springs")
         parts, start = [], 0
-        for ride, count in zip(self.rides, self._pieces, strict=True):
+        for motion, count in zip(self.motions, self._pieces, strict=True):
             own = np.moveaxis(whole[:, :, start : start + count], 2, 0).reshape(-1, sets, 6)
-            own = own[: len(ride.wrench) - self.warm]
+            own = own[: len(motion.wrench) - self.warm]
             parts.append(np.swapaxes(lowpass(own, self.rate, self.bandwidth), 0, 1))
             start += count
         return parts, torch.stack(angles), torch.stack(rates)
 
-    def _steps(self, laws: "Laws", here: "SwingState") -> int:
+    def _steps_per_row(self, laws: "JointLaws", here: "LinkLoads") -> int:
         """Return the number of integration steps per row that the fastest joint needs."""
         own = {name: value[:1] for name, value in here.motion.items()}
         rest = laws.spring.rest[:1]
         state = TreeState(position=own["lin_vel"], joint_pos=rest, joint_vel=torch.zeros_like(rest), **own)
         mass = equations(self._articulation.tree, self._links, state, gravity=STANDARD_GRAVITY).mass
         ease = torch.linalg.inv(mass)[0].diagonal()[6:]  # joint acceleration per effort
-        slope, damping = laws.quickest
+        slope, damping = laws.largest_stiffness_and_damping
         quickest = float(torch.maximum(damping * ease, (slope * ease).sqrt()).max())
         return max(1, ceil(quickest / self.rate / QUICKEST))
 
     def _accelerations(
-        self, row: "SwingState", laws: "Laws", angle: Tensor, rate: Tensor, held: bool
+        self, row: "LinkLoads", laws: "JointLaws", angle: Tensor, rate: Tensor, held: bool
     ) -> tuple[Tensor, Tensor]:
         """Return the body's specific force and angular acceleration, (E, 6), and the joint accelerations, (E, D)."""
         state = TreeState(position=row.motion["lin_vel"], joint_pos=angle, joint_vel=rate, **row.motion)
@@ -203,25 +203,26 @@ class Swing:
             effort=laws.joint_effort(angle, rate, held=held),
         )
         moved = torch.linalg.solve(results.mass, results.force)
-        up = quat_rotate_inverse(row.motion["attitude"], _up(len(angle)))
-        return torch.cat((moved[:, :3] + STANDARD_GRAVITY * up, moved[:, 3:6]), dim=-1), moved[:, 6:]
+        up = torch.tensor(((0.0, 0.0, 1.0),), dtype=torch.float64).expand(len(angle), 3)
+        weight = STANDARD_GRAVITY * quat_rotate_inverse(row.motion["attitude"], up)
+        return torch.cat((moved[:, :3] + weight, moved[:, 3:6]), dim=-1), moved[:, 6:]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SwingState:
-    """Body motion and link wrenches at one instant."""
+class LinkLoads:
+    """Motion of the body and wrenches on the links at one instant."""
 
     motion: dict[str, Tensor]
     wrench: Tensor
 
-    def interpolate(self, other: "SwingState", share: float) -> "SwingState":
+    def interpolate(self, other: "LinkLoads", share: float) -> "LinkLoads":
         """Return the linear interpolation to another instant at a share."""
         motion = {name: torch.lerp(value, other.motion[name], share) for name, value in self.motion.items()}
-        return SwingState(motion=motion, wrench=torch.lerp(self.wrench, other.wrench, share))
+        return LinkLoads(motion=motion, wrench=torch.lerp(self.wrench, other.wrench, share))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Laws:
+class JointLaws:
     """Joint laws of several parameter sets, as tensors (B, D)."""
 
     spring: Spring
@@ -230,23 +231,20 @@ class Laws:
     slow: Tensor  # Velocity scale of friction [rad/s]: ``F q' / sqrt(q'² + slow²)``
 
     @property
-    def quickest(self) -> tuple[Tensor, Tensor]:
+    def largest_stiffness_and_damping(self) -> tuple[Tensor, Tensor]:
         """Return the largest stiffness and damping, (B, D): deflected by ``BENT``, at the end stops, with extra damping."""
         slope = self.spring.stiffness + 2.0 * self.spring.quadratic * BENT
         return slope + self.ends.stiffness, self.spring.damping + self.ends.damping + DAMPED_BY * slope
 
-    def each(self, count: int) -> "Laws":
+    def repeat(self, count: int) -> "JointLaws":
         """Return every parameter set repeated ``count`` times in sequence."""
 
-        def spread(rows: Any) -> dict[str, Tensor]:
-            return {name: value.repeat_interleave(count, dim=0) for name, value in vars(rows).items()}
+        def repetition(rows: Any) -> Any:
+            if isinstance(rows, Tensor):
+                return rows.repeat_interleave(count, dim=0)
+            return type(rows)(**{name: repetition(value) for name, value in vars(rows).items()})
 
-        return Laws(
-            spring=Spring(**spread(self.spring)),
-            ends=JointLimits(**spread(self.ends)),
-            friction=self.friction.repeat_interleave(count, dim=0),
-            slow=self.slow.repeat_interleave(count, dim=0),
-        )
+        return repetition(self)
 
     def joint_effort(self, angle: Tensor, rate: Tensor, *, held: bool = False) -> Tensor:
         """Return the joint efforts [N m], (B, D); ``held``: with the initial extra damping."""
@@ -254,7 +252,3 @@ class Laws:
         results = spring.value + self.ends.evaluate_effort(angle, rate).value
         results = results - self.friction * rate / (rate.square() + self.slow.square()).sqrt()
         return results - DAMPED_BY * spring.stiffness * rate if held else results
-
-
-def _up(number: int) -> Tensor:
-    return torch.tensor(((0.0, 0.0, 1.0),), dtype=torch.float64).expand(number, 3)
