@@ -25,7 +25,7 @@ START, GOAL = 0, 1
 
 
 @wp.func
-def _gap(
+def _least_gap(
     scene: SceneArrays, env: int, first: int, end: int, start: wp.vec3, goal: wp.vec3, point_index: int, room: float
 ) -> float:
     """Return the least distance of parts ``first`` to ``end`` from points 0 to ``point_index`` [m], at most ``room``."""
@@ -41,7 +41,7 @@ def _gap(
 
 
 @wp.kernel(enable_backward=False)
-def _clear(
+def _redraw_or_park(
     mask: wp.array[wp.bool],  # (E,)
     # scene
     scene: SceneArrays,
@@ -73,13 +73,13 @@ def _clear(
         return
     first = first_part[env, a]
     end = end_part[env, a]
-    gap = _gap(scene, env, first, end, start, goal, point_index, room)
+    gap = _least_gap(scene, env, first, end, start, goal, point_index, room)
     attempt = num_attempts * point_index  # start and goal have draws of their own
     last_attempt = attempt + num_attempts
     while gap < room and attempt < last_attempt:
         attempt += 1
         draw_instance(obstacles_out, env, a, attempt)
-        gap = _gap(scene, env, first, end, start, goal, point_index, room)
+        gap = _least_gap(scene, env, first, end, start, goal, point_index, room)
     if gap < room:
         park_instance(obstacles_out, env, a, parked_z)
 
@@ -98,7 +98,7 @@ class Clearance:
         inputs = [self._mask, scene.arrays, self._first_part, self._end_part, self._point]
         self._commands = [
             ReusableLaunch(
-                _clear,
+                _redraw_or_park,
                 dim=obstacles.asset.shape,
                 inputs=[*inputs, point_index, room, NUM_ATTEMPTS, PARKED_Z],
                 outputs=[self._start, obstacles],

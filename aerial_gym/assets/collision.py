@@ -46,7 +46,7 @@ class LinkGeometry:
     pivot: Vec3 = (0.0, 0.0, 0.0)  # Point that moves straight between two poses [m]: the hinge of a revolute link
 
 
-class _Body:
+class _LinkShapes:
     """Kernel arrays of the shapes of one link."""
 
     def __init__(self, link: LinkGeometry, *, device: torch.device) -> None:
@@ -82,7 +82,7 @@ class CollisionTest:
         """
         check_tensor("distance_out", distance_out, (scene.num_envs,), device=scene.device)
         body = LinkGeometry(shapes=tuple(shapes), position=position, attitude=attitude)
-        self._links = [_Body(link, device=scene.device) for link in (body, *links) if link.shapes or link is body]
+        self._links = [_LinkShapes(link, device=scene.device) for link in (body, *links) if link.shapes or link is body]
         self._scene, self._out, self._moving = scene, distance_out, moving
         self.has_solids = scene.num_solid > 0
         """Whether there is anything to touch."""
@@ -117,12 +117,19 @@ class CollisionTest:
         """Record the launches link by link."""
         last = len(self._links) - 1
         return [
-            self._record_link(own, *pose, dt=dt, crashes=crashes, flags=(is_step, number > 0, number == last))
+            self._record_link_launches(own, *pose, dt=dt, crashes=crashes, flags=(is_step, number > 0, number == last))
             for number, (own, pose) in enumerate(zip(self._links, poses, strict=True))
         ]
 
-    def _record_link(
-        self, own: "_Body", position: Tensor, attitude: Tensor, *, dt: float, crashes: Tensor, flags: tuple[bool, ...]
+    def _record_link_launches(
+        self,
+        own: _LinkShapes,
+        position: Tensor,
+        attitude: Tensor,
+        *,
+        dt: float,
+        crashes: Tensor,
+        flags: tuple[bool, ...],
     ) -> list[ReusableLaunch]:
         scene, rows = self._scene, (position.shape[0], self._scene.num_envs)
         inputs = [
@@ -140,10 +147,11 @@ class CollisionTest:
         kernel = make_collision_kernel(moves=moves, shared=shared, cores=own.cores, meshes=scene.has_meshes)
         launch = {"outputs": outputs, "block_dim": BLOCK_DIM if shared else 1, "device": scene.device, "tiled": True}
         return [
-            ReusableLaunch(kernel, dim=[count], inputs=[*inputs, first], **launch) for first, count in self._chunks()
+            ReusableLaunch(kernel, dim=[count], inputs=[*inputs, first], **launch)
+            for first, count in self._env_chunks()
         ]
 
-    def _chunks(self) -> list[tuple[int, int]]:
+    def _env_chunks(self) -> list[tuple[int, int]]:
         """Return the first environment and the number of environments of each launch."""
         envs = self._scene.num_envs
         if self._out.device.type == "cuda":

@@ -49,7 +49,7 @@ def _sphere_center(sphere: wp.vec4, position: wp.vec3, attitude: wp.quat) -> wp.
 
 
 @cache
-def _make_gap(*, meshes: bool) -> wp.Function:
+def _make_sphere_gap(*, meshes: bool) -> wp.Function:
     """Return the function for the distance of spheres to a part; ``meshes``: whether any part is a mesh (many registers)."""
     distance_to = signed_distance if meshes else primitive_distance
 
@@ -76,7 +76,7 @@ def _make_gap(*, meshes: bool) -> wp.Function:
 
 
 @wp.func
-def _part(scene: SceneArrays, env: int, part: int):  # fmt: skip
+def _part_pose(scene: SceneArrays, env: int, part: int):  # fmt: skip
     """Return a part's shape row, its instance and the pose of its carrier; row -1 if the part is absent."""
     row = scene.part_shape[env, part]
     a = scene.part_instance[env, part]
@@ -110,14 +110,14 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
     must not run on two CPU threads at once. ``cores``: the robot has boxes or capsules. ``meshes``: any part is a mesh.
     """
     body_type = wp.array[BodyShape] if cores else wp.array[wp.vec4]
-    gap_of = body_distance if cores else _make_gap(meshes=meshes)
+    gap_of = body_distance if cores else _make_sphere_gap(meshes=meshes)
     obstacles_type: Any = Obstacles if moves else NoObstacles
     meets_still = make_static_sweep(cores=cores, meshes=meshes) if cores or meshes else spheres_touch_static
     meets_moving = make_moving_sweep(cores=cores, meshes=meshes)
     lean = not (moves or cores or meshes)
 
     @wp.kernel(module="unique", enable_backward=False, cuda_max_registers=REGISTERS if lean else None)
-    def walk(
+    def collide(
         # scene
         scene: SceneArrays,
         # state
@@ -152,7 +152,7 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
             bow = (hull + wp.length(pivot)) * relative_sagitta(attitude[k, env], attitude[k + 1, env])
             reach = wp.max(reach, ends + bow + MARGIN)
         for part in range(lane, scene.num_solid, wp.block_dim()):
-            row, a, x, q = _part(scene, env, part)
+            row, a, x, q = _part_pose(scene, env, part)
             if row >= 0:
                 if wp.static(moves):  # noqa: SIM102 (only what stands alone is static)
                     if a != WORLD and is_step and instance_moves(obstacles_out, env, a):
@@ -185,7 +185,7 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
             may_meet = is_step and not touches
         if may_meet:
             for part in range(lane, scene.num_solid, wp.block_dim()):
-                row, a, x, q = _part(scene, env, part)
+                row, a, x, q = _part_pose(scene, env, part)
                 rests = row >= 0 and not touches
                 if wp.static(moves):
                     rests = rests and not (a != WORLD and instance_moves(obstacles_out, env, a))
@@ -219,4 +219,4 @@ def make_collision_kernel(*, moves: bool, shared: bool, cores: bool, meshes: boo
                 for a in range(lane, obstacles_out.asset.shape[1], wp.block_dim()):
                     move_instance(obstacles_out, env, a, dt, last)
 
-    return walk
+    return collide

@@ -16,7 +16,7 @@ from aerial_gym.interop import ReusableLaunch
 
 
 @wp.func
-def _fold(x: float, v: float, low: float, high: float) -> wp.vec2:
+def _reflect(x: float, v: float, low: float, high: float) -> wp.vec2:
     """Return position and velocity after reflection at a limit."""
     if x > high:
         return wp.vec2(wp.max(2.0 * high - x, low), -wp.abs(v))
@@ -26,7 +26,7 @@ def _fold(x: float, v: float, low: float, high: float) -> wp.vec2:
 
 
 @wp.func
-def _wrap(x: float, low: float, high: float) -> float:
+def _wrap_into_range(x: float, low: float, high: float) -> float:
     """Return the position wrapped into ``[low, high)``."""
     span = high - low
     return x - span * wp.floor((x - low) / span)
@@ -52,18 +52,18 @@ def advance_pose(
         from_a = obstacles.waypoint_a[env, a]
         path = obstacles.waypoint_b[env, a] - from_a
         along = wp.normalize(path)
-        folded = _fold(wp.dot(place - from_a, along), wp.dot(velocity, along), 0.0, wp.length(path))
+        folded = _reflect(wp.dot(place - from_a, along), wp.dot(velocity, along), 0.0, wp.length(path))
         place = from_a + folded[0] * along
         if folded[1] * wp.dot(velocity, along) < 0.0:
             velocity = -velocity  # rather than folded[1] * along, whose rounding would slow it down in time
     elif row.at_bounds == BOUNCE:
         for i in range(3):
-            folded = _fold(place[i], velocity[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
+            folded = _reflect(place[i], velocity[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
             place[i] = folded[0]
             velocity[i] = folded[1]
     elif row.at_bounds == WRAP:
         for i in range(3):
-            place[i] = _wrap(place[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
+            place[i] = _wrap_into_range(place[i], obstacles.bounds_min[env][i], obstacles.bounds_max[env][i])
     rotation = wp.quat_from_axis_angle(wp.normalize(turn), dt * wp.length(turn))
     return place, wp.normalize(rotation * attitude), velocity
 
@@ -111,7 +111,7 @@ def move_instance(obstacles: Obstacles, env: int, a: int, dt: float, steps: int)
 
 
 @wp.kernel(enable_backward=False)
-def _advance(
+def _advance_instances(
     dt: float,  # [s]
     # out
     obstacles_out: Obstacles,
@@ -138,7 +138,9 @@ def _set_twists(
 def make_motion_launch(obstacles: Obstacles, dt: float) -> ReusableLaunch:
     """Record the launch that moves all obstacles by ``dt`` [s]."""
     device = wp.device_from_torch(wp.to_torch(obstacles.asset).device)
-    return ReusableLaunch(_advance, dim=obstacles.asset.shape, inputs=[dt], outputs=[obstacles], device=device)
+    return ReusableLaunch(
+        _advance_instances, dim=obstacles.asset.shape, inputs=[dt], outputs=[obstacles], device=device
+    )
 
 
 class ObstacleMotion:
@@ -150,13 +152,13 @@ class ObstacleMotion:
         check_tensor("twists", twists, shape, device=twists.device, dtype=torch.float32)
         self._twists, dim = twists, obstacles.asset.shape
         device = wp.device_from_torch(twists.device)
-        self._advance = make_motion_launch(obstacles, 0.0)
+        self._advance_instances = make_motion_launch(obstacles, 0.0)
         self._take = ReusableLaunch(_set_twists, dim=dim, inputs=[twists], outputs=[obstacles], device=device)
 
     def step(self, dt: float) -> None:
         """Launch the motion over ``dt`` [s] on torch's current stream."""
-        self._advance.set_param_at_index(0, dt)
-        self._advance.launch(self._twists)
+        self._advance_instances.set_param_at_index(0, dt)
+        self._advance_instances.launch(self._twists)
 
     def take_twists(self) -> None:
         """Launch the update of twists from the tensor."""

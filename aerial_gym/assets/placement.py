@@ -92,7 +92,7 @@ def _random_states(random: Randomness, purpose: Purpose, count: int) -> Tensor:
 
 
 @wp.kernel(enable_backward=False)
-def _place(
+def _place_instances(
     mask: wp.array[wp.bool],  # (E,)
     # params
     num_kept: int,
@@ -118,7 +118,7 @@ class Placement:
         self._mask = mask
         asked = wp.from_torch(mask)
         self._command = ReusableLaunch(
-            _place,
+            _place_instances,
             dim=obstacles.asset.shape,
             inputs=[asked, num_kept, num_others, PARKED_Z],
             outputs=[obstacles],

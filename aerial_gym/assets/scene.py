@@ -71,7 +71,7 @@ class Scene:
         self.num_envs, self.num_instances = asset_state.shape[:2]
         self.device = asset_state.device
         with on_torch_stream(asset_state):
-            self.shape_table = ShapeTable([*shapes, *_as_compound((*fixed, *robot))], device=self.device)
+            self.shape_table = ShapeTable([*shapes, *_compound_of_parts((*fixed, *robot))], device=self.device)
         self._num_shapes = len(shapes)
         solid = self.shape_table.parts[: len(self.shape_table.parts) - len(robot)]
         self.has_meshes = any(part.shape.kind == "mesh" for part in solid)
@@ -79,9 +79,9 @@ class Scene:
         size = (self.num_envs, self.num_instances)
         self.shape_index = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.semantic_id = torch.zeros(size, dtype=torch.int32, device=self.device)
-        self._take_instances(shape_index, semantic_id)
+        self._set_instances(shape_index, semantic_id)
         carriers = [int(WORLD)] * len(fixed) + [int(BODY) - _link_index(part, robot_links) for part in robot]
-        self._allocate_parts(self._most_parts(groups), carriers)
+        self._allocate_parts(self._max_num_parts(groups), carriers)
         self._lay_out_parts()
         self.arrays = make_struct(
             SceneArrays,
@@ -116,17 +116,17 @@ class Scene:
 
     def relabel(self, shape_index: Tensor, semantic_id: Tensor) -> None:
         """Change shape rows and semantic ids of instances, integer (E, A), within their groups. Waits for the device."""
-        self._take_instances(shape_index, semantic_id)
+        self._set_instances(shape_index, semantic_id)
         self._lay_out_parts()
 
-    def _take_instances(self, shape_index: Tensor, semantic_id: Tensor) -> None:
-        self.shape_index.copy_(self._per_instance("shape_index", shape_index))
-        self.semantic_id.copy_(self._per_instance("semantic_id", semantic_id))
+    def _set_instances(self, shape_index: Tensor, semantic_id: Tensor) -> None:
+        self.shape_index.copy_(self._expand_to_instances("shape_index", shape_index))
+        self.semantic_id.copy_(self._expand_to_instances("semantic_id", semantic_id))
         rows = self.shape_index
         if self.num_instances and not 0 <= int(rows.min()) <= int(rows.max()) < self._num_shapes:
             raise ShapeError(f"shape_index must lie in 0 to {self._num_shapes - 1}, the rows of the shape table")
 
-    def _most_parts(self, groups: Sequence[tuple[int, int]] | None) -> int:
+    def _max_num_parts(self, groups: Sequence[tuple[int, int]] | None) -> int:
         """Return the largest possible number of instance parts in an environment."""
         if not self.num_instances:
             return 0
@@ -191,7 +191,7 @@ class Scene:
         self.arrays.link_attitude = vector_view("robot_state", state[..., 3:7], (*size, 4), device=device)
         self.robot_state = state
 
-    def _per_instance(self, name: str, values: Tensor) -> Tensor:
+    def _expand_to_instances(self, name: str, values: Tensor) -> Tensor:
         shape = (self.num_envs, self.num_instances)
         if tuple(values.shape) not in (shape, shape[1:]):
             raise ShapeError(f"{name} has shape {tuple(values.shape)}, expected (E, A) = {shape} or (A,) = {shape[1:]}")
@@ -207,7 +207,7 @@ def _link_index(part: PartCfg, names: Sequence[str]) -> int:
     return names.index(part.link)
 
 
-def _as_compound(parts: tuple[PartCfg, ...]) -> list[ShapeCfg]:
+def _compound_of_parts(parts: tuple[PartCfg, ...]) -> list[ShapeCfg]:
     """Return parts without instance as one compound for the shape table; none without parts."""
     for part in parts:
         if part.semantic_id is None:

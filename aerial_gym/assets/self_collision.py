@@ -30,7 +30,7 @@ _touches = make_touches(cores=True, meshes=False)
 
 
 @wp.func
-def _gap(one: Shape, x: wp.vec3, q: wp.quat, other: BodyShape, y: wp.vec3, p: wp.quat, limit: float) -> float:
+def _link_gap(one: Shape, x: wp.vec3, q: wp.quat, other: BodyShape, y: wp.vec3, p: wp.quat, limit: float) -> float:
     """Return the signed distance of two shapes on links at poses (x, q) and (y, p) [m], at most ``limit``."""
     return shape_gap(one, x + wp.quat_rotate(q, one.position), q * one.attitude, other, y, p, limit)
 
@@ -46,7 +46,7 @@ def _measure_reference(
     """Write the signed distance of each pair of shapes in the reference pose."""
     n = wp.tid()
     unit, zero = wp.quat_identity(), wp.vec3()
-    gap_out[n] = _gap(shapes[pairs[n, 0]], zero, unit, body[pairs[n, 1]], zero, unit, float(wp.inf))
+    gap_out[n] = _link_gap(shapes[pairs[n, 0]], zero, unit, body[pairs[n, 1]], zero, unit, float(wp.inf))
 
 
 @wp.kernel(enable_backward=False)
@@ -88,7 +88,7 @@ def _test_pairs(
             k += 1
         x = position[last, e, i]
         y = position[last, e, j]
-        nearest = _gap(shapes[a], x, attitude[last, e, i], body[b], y, attitude[last, e, j], nearest)
+        nearest = _link_gap(shapes[a], x, attitude[last, e, i], body[b], y, attitude[last, e, j], nearest)
     touches = touches or nearest < 0.0
     distance_out[e] = nearest
     if is_step and touches:
@@ -132,7 +132,7 @@ class SelfCollisionTest:
             self._fixed.append(wp.array(list(pivots), dtype=wp.vec3, device=self._place))
         no_crashes = torch.zeros(0, dtype=torch.bool, device=device)
         now = state.unsqueeze(0)
-        self._now = self._record(now[..., :3], now[..., 3:7], is_step=False, crashes=no_crashes)
+        self._now = self._record_launch(now[..., :3], now[..., 3:7], is_step=False, crashes=no_crashes)
         self._step: ReusableLaunch | None = None
 
     def follow(self, position: Tensor, attitude: Tensor, *, crashes_out: Tensor) -> None:
@@ -144,9 +144,9 @@ class SelfCollisionTest:
             attitude: To the world, xyzw, unit, (K + 1, E, L, 4); likewise.
         """
         check_tensor("crashes_out", crashes_out, (len(self._out),), device=self._out.device, dtype=torch.bool)
-        self._step = self._record(position, attitude, is_step=True, crashes=crashes_out)
+        self._step = self._record_launch(position, attitude, is_step=True, crashes=crashes_out)
 
-    def _record(self, position: Tensor, attitude: Tensor, *, is_step: bool, crashes: Tensor) -> ReusableLaunch:
+    def _record_launch(self, position: Tensor, attitude: Tensor, *, is_step: bool, crashes: Tensor) -> ReusableLaunch:
         device = self._out.device
         poses = [
             vector_view("position", position, (*position.shape[:3], 3), device=device),

@@ -45,13 +45,13 @@ class ShapeTable:
         rows = np.zeros(len(self.parts), dtype=Shape.numpy_dtype())  # type: ignore[call-overload]
         for row, part, color in zip(rows, self.parts, inherited, strict=True):
             cfg = part.shape
-            looks.add(cfg, inherited=color, mesh=self._mesh(cfg).look if cfg.kind == "mesh" else None)
+            looks.add(cfg, inherited=color, mesh=self._load_mesh(cfg).look if cfg.kind == "mesh" else None)
             row["kind"], row["size"] = _KINDS[cfg.kind], half_size(cfg)
-            row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_edges_of_box(cfg)
+            row["radius"], row["half"] = _MARGIN * _bounding_radius(cfg), _half_edges_of_bounds(cfg)
             row["position"] = part.position
             row["attitude"] = quat_from_euler(torch.tensor(part.euler, dtype=torch.float64)).numpy()
             if cfg.kind == "mesh":
-                mesh = self._mesh(cfg)
+                mesh = self._load_mesh(cfg)
                 row["mesh"], row["ray_mesh"], row["radius"] = mesh.solid.id, mesh.rays.id, _MARGIN * mesh.radius
                 row["center"] = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
                 row["half"] = 0.5 * _MARGIN * (mesh.bounds[1] - mesh.bounds[0]) + _FLAT * mesh.radius
@@ -62,7 +62,7 @@ class ShapeTable:
     def __len__(self) -> int:
         return len(self.shapes)
 
-    def _mesh(self, cfg: ShapeCfg) -> "_Mesh":
+    def _load_mesh(self, cfg: ShapeCfg) -> "_Mesh":
         key = (str(cfg.path), cfg.scale, cfg.up)
         if key not in self._meshes:
             pieces = read_pieces(key[0], scale=cfg.scale, up=cfg.up)
@@ -98,7 +98,7 @@ def half_size(cfg: ShapeCfg) -> tuple[float, float, float]:
     return cfg.radius or 0.0, 0.5 * (cfg.height or 0.0), 0.0
 
 
-def _half_edges_of_box(cfg: ShapeCfg) -> tuple[float, float, float]:
+def _half_edges_of_bounds(cfg: ShapeCfg) -> tuple[float, float, float]:
     a, b, c = half_size(cfg)
     if cfg.kind == "box":
         return a, b, c

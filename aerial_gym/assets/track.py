@@ -68,12 +68,12 @@ class TrackPoses:
 
 
 @wp.func
-def _flat(place: wp.vec3) -> wp.vec2:
+def _horizontal(place: wp.vec3) -> wp.vec2:
     return wp.vec2(place[0], place[1])
 
 
 @wp.func
-def _room(
+def _least_margin(
     nominal: TrackPoses,
     env: int,
     gates: int,  # number of gates with a known place
@@ -87,9 +87,9 @@ def _room(
     """Return the smallest margin of a point above its required distances [m]; negative if one is violated."""
     room = wp.length(point - start) - to_start
     for g in range(gates):
-        room = wp.min(room, wp.length(point - _flat(nominal.gate_position[env, g])) - to_gate)
+        room = wp.min(room, wp.length(point - _horizontal(nominal.gate_position[env, g])) - to_gate)
     for p in range(poles):
-        room = wp.min(room, wp.length(point - _flat(nominal.pole_position[env, p])) - to_pole)
+        room = wp.min(room, wp.length(point - _horizontal(nominal.pole_position[env, p])) - to_pole)
     return room
 
 
@@ -104,7 +104,7 @@ def _gate_place(
     while attempt < NUM_ATTEMPTS and most < 0.0:
         share = substream(random, attempt)
         point = layout.lower + wp.cw_mul(wp.vec2(wp.randf(share), wp.randf(share)), layout.upper - layout.lower)
-        room = _room(
+        room = _least_margin(
             nominal, env, g, poles, start, point, layout.start_distance, layout.gate_distance, layout.pole_to_gate
         )
         if room > most:
@@ -113,7 +113,7 @@ def _gate_place(
         attempt += 1
     last = start
     if g > 0:
-        last = _flat(nominal.gate_position[env, g - 1])
+        last = _horizontal(nominal.gate_position[env, g - 1])
     return best, wp.atan2(best[1] - last[1], best[0] - last[0])
 
 
@@ -124,8 +124,8 @@ def _pole_place(
     """Draw the place [m] of the pole before a gate of known place."""
     last = start
     if g > 0:
-        last = _flat(nominal.gate_position[env, g - 1])
-    way = _flat(nominal.gate_position[env, g]) - last
+        last = _horizontal(nominal.gate_position[env, g - 1])
+    way = _horizontal(nominal.gate_position[env, g]) - last
     left = wp.normalize(wp.vec2(-way[1], way[0]))
     best = wp.vec2()
     most = float(-wp.inf)
@@ -143,7 +143,7 @@ def _pole_place(
             point = layout.lower + wp.cw_mul(wp.vec2(wp.randf(share), wp.randf(share)), layout.upper - layout.lower)
         inside = point[0] >= layout.lower[0] and point[1] >= layout.lower[1]
         inside = inside and point[0] <= layout.upper[0] and point[1] <= layout.upper[1]
-        room = _room(
+        room = _least_margin(
             nominal, env, g + 1, g, start, point, layout.start_distance, layout.pole_to_gate, layout.pole_distance
         )
         if inside and room > most:
@@ -174,7 +174,7 @@ def _draw_track(
     gates = track.gate_position.shape[0]
     poles = track.pole.shape[0]
     layout = track.layout
-    from_there = _flat(start[env])
+    from_there = _horizontal(start[env])
     for g in range(gates):
         first = g * NUM_DRAWS
         place = track.gate_position[g]
@@ -211,7 +211,7 @@ def _draw_track(
         obstacles_out.attitude[env, gates + p] = wp.quat_identity()
 
 
-def _kernel_layout(cfg: LayoutCfg | None) -> TrackLayout:
+def _layout_struct(cfg: LayoutCfg | None) -> TrackLayout:
     layout = TrackLayout()
     if cfg is not None:
         layout.is_drawn, layout.lower, layout.upper = 1, wp.vec2(*cfg.lower), wp.vec2(*cfg.upper)
@@ -220,7 +220,7 @@ def _kernel_layout(cfg: LayoutCfg | None) -> TrackLayout:
     return layout
 
 
-def _places(tensors: Sequence[Tensor]) -> TrackPoses:
+def _pose_arrays(tensors: Sequence[Tensor]) -> TrackPoses:
     position, attitude, pole = tensors
     return make_struct(TrackPoses, gate_position=position, gate_attitude=attitude, pole_position=pole)
 
@@ -254,13 +254,13 @@ class TrackPlacement:
         for name in ("gate_position", "gate_euler", "pole"):
             for end in ("low", "high"):
                 setattr(track, f"{name}_{end}", wp.vec3(*getattr(cfg, f"{name}_{end}")))
-        track.layout = _kernel_layout(cfg.layout)
+        track.layout = _layout_struct(cfg.layout)
         self._mask = random.mask
         self._command = ReusableLaunch(
             _draw_track,
             dim=start.shape[0],
             inputs=[self._mask, start, random_arrays(random), track],
-            outputs=[_places(nominal), _places(places), obstacles],
+            outputs=[_pose_arrays(nominal), _pose_arrays(places), obstacles],
             device=device,
             block_dim=BLOCK_DIM,
         )

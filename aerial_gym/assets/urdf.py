@@ -62,10 +62,12 @@ def load_urdf(
         to_root = poses[name]
         try:
             bodies = link.collisions or link.visuals
-            colors = _colors(robot, link, count=len(bodies))
+            colors = _geometry_colors(robot, link, count=len(bodies))
             for body, color in zip(bodies, colors, strict=True):
                 pose = to_root if body.origin is None else to_root @ body.origin
-                parts.append(_part(body.geometry, pose, link_ids.get(name, own), color, Path(path).resolve().parent))
+                parts.append(
+                    _part_cfg(body.geometry, pose, link_ids.get(name, own), color, Path(path).resolve().parent)
+                )
         except ConfigError as error:
             raise ConfigError(f"URDF {path}: link {name!r}: {error}") from None
     if not parts:
@@ -84,12 +86,12 @@ def link_poses(robot: "URDF") -> dict[str, np.ndarray]:
     while waiting:
         name = waiting.pop()
         for joint in below.get(name, []):
-            poses[joint.child] = poses[name] @ _at_zero(joint)
+            poses[joint.child] = poses[name] @ _joint_frame_at_zero(joint)
             waiting.append(joint.child)
     return poses
 
 
-def _at_zero(joint: "Joint") -> np.ndarray:
+def _joint_frame_at_zero(joint: "Joint") -> np.ndarray:
     """Return the child link's frame in that of its parent, (4, 4)."""
     from trimesh.transformations import rotation_matrix, translation_matrix
 
@@ -102,18 +104,18 @@ def _at_zero(joint: "Joint") -> np.ndarray:
     return origin @ rotation_matrix(offset, joint.axis)
 
 
-def _colors(robot: "URDF", link: "Link", *, count: int) -> list[Vec3 | None]:
+def _geometry_colors(robot: "URDF", link: "Link", *, count: int) -> list[Vec3 | None]:
     """Return the colours of ``count`` geometries of a link: of their own visuals, or of the first visual that has one.
 
     Collision geometries have no materials; where a link has as many visuals, they are taken to be the same in order.
     """
-    colors = [_color(robot, visual.material) for visual in link.visuals]
+    colors = [_material_color(robot, visual.material) for visual in link.visuals]
     if len(colors) == count:
         return colors
     return [next((color for color in colors if color is not None), None)] * count
 
 
-def _color(robot: "URDF", material: "Material | None") -> Vec3 | None:
+def _material_color(robot: "URDF", material: "Material | None") -> Vec3 | None:
     """Return the colour of a material, which may stand at the top of the file and be named only; None without one."""
     if material is None:
         return None
@@ -182,18 +184,20 @@ def _check_tree(root: ElementTree.Element) -> None:
         raise ConfigError(f"link {missing[0]!r} is its own ancestor")
 
 
-def _part(geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, color: Vec3 | None, folder: Path) -> PartCfg:
+def _part_cfg(
+    geometry: "Geometry", pose: np.ndarray, semantic_id: int | None, color: Vec3 | None, folder: Path
+) -> PartCfg:
     from trimesh.transformations import euler_from_matrix
 
     if not np.isfinite(pose).all():
         raise ConfigError("an origin is not finite")
     x, y, z = (float(value) for value in pose[:3, 3])
     roll, pitch, yaw = (float(angle) for angle in euler_from_matrix(pose, "sxyz"))
-    shape = replace(_shape(geometry, folder), color=color)
+    shape = replace(_shape_cfg(geometry, folder), color=color)
     return PartCfg(shape=shape, position=(x, y, z), euler=(roll, pitch, yaw), semantic_id=semantic_id)
 
 
-def _shape(geometry: "Geometry", folder: Path) -> ShapeCfg:
+def _shape_cfg(geometry: "Geometry", folder: Path) -> ShapeCfg:
     if geometry.box is not None:
         x, y, z = (float(edge) for edge in geometry.box.size)
         return ShapeCfg(kind="box", size=(x, y, z))

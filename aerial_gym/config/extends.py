@@ -25,16 +25,16 @@ def load_extended(
         family: Folder of the package in which, and in whose rooms, names are looked up.
         located: Returns a configuration whose paths, relative to a folder, are found from anywhere.
     """
-    return _load(cls, Path(path), family, located, ())
+    return _load_file(cls, Path(path), family, located, ())
 
 
-def _load(cls: type[T], path: Path, family: str, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
+def _load_file(cls: type[T], path: Path, family: str, located: Callable[[T, Path], T], above: tuple[Path, ...]) -> T:
     data, resolved = read_yaml(path), path.resolve()
     if resolved in above:
         names = " -> ".join(file.name for file in (*above[above.index(resolved) :], resolved))
         raise ConfigError(f"{path}: extends itself ({names})")
     if "extends" in data:
-        base = _load(cls, _base_file(path, data.pop("extends"), family), family, located, (*above, resolved))
+        base = _load_file(cls, _base_file(path, data.pop("extends"), family), family, located, (*above, resolved))
         data = _overlay(to_mapping(base), data, str(path))
     return located(build(cls, data, where=str(path)), resolved.parent)
 
@@ -61,19 +61,19 @@ def _overlay(base: Mapping[str, object], change: Mapping[str, object], where: st
         if value is None:
             merged.pop(key, None)
         else:
-            merged[key] = _merge(base.get(key), value, f"{where}: {key}")
+            merged[key] = _merge_value(base.get(key), value, f"{where}: {key}")
     return merged
 
 
-def _merge(base: object, value: object, where: str) -> object:
+def _merge_value(base: object, value: object, where: str) -> object:
     if not isinstance(value, Mapping):
         return value
     if isinstance(base, Mapping):
         return _overlay(base, value, where)
-    return _with_entries(base, value, where) if isinstance(base, list) else value
+    return _merge_entries(base, value, where) if isinstance(base, list) else value
 
 
-def _with_entries(base: list[object], value: Mapping[str, object], where: str) -> list[object]:
+def _merge_entries(base: list[object], value: Mapping[str, object], where: str) -> list[object]:
     """Return a list of named entries with the changes of a mapping by name."""
     entries = {str(entry.get("name")): entry for entry in base if isinstance(entry, Mapping) and entry.get("name")}
     if len(entries) < len(base) or not base:

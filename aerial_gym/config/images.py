@@ -138,7 +138,7 @@ MISS_FACE = -1
 """Face of a pixel that sees nothing within its range."""
 
 
-def _distance(cfg: "RangeSensorCfg") -> str:
+def _distance_meaning(cfg: "RangeSensorCfg") -> str:
     along = "along the optical axis" if cfg.kind == "depth" else "along the ray"
     return f"distance {along}; too far {cfg.far_pixel:g}, too near {cfg.near_pixel:g}"
 
@@ -147,7 +147,7 @@ IMAGES: dict[str, Image] = {
     "distance": Image(
         key="depth_range_pixels",
         unit=lambda cfg: f"{cfg.max_range:g} m" if cfg.normalize else "m",
-        meaning=_distance,
+        meaning=_distance_meaning,
         empty_pixel=lambda cfg: cfg.far_pixel,
     ),
     "segmentation": Image(

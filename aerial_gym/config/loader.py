@@ -110,7 +110,7 @@ def build(cls: type[T], data: Mapping[str, object], *, where: str) -> T:
 
 def to_mapping(config: object) -> dict[str, Any]:
     """Return the nested mapping from which ``build`` makes the same dataclass again, ready for YAML."""
-    return {f.name: _plain(getattr(config, f.name)) for f in dataclasses.fields(config)}  # type: ignore[arg-type]
+    return {f.name: _plain_value(getattr(config, f.name)) for f in dataclasses.fields(config)}  # type: ignore[arg-type]
 
 
 class _Dumper(yaml.SafeDumper):
@@ -130,12 +130,12 @@ def dump_yaml(config: object) -> str:
     return yaml.dump(to_mapping(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
         return to_mapping(value)
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
+        return {str(key): _plain_value(item) for key, item in value.items()}
+    return [_plain_value(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 
 def convert(hint: Any, value: Any, where: str) -> Any:

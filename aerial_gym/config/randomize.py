@@ -75,9 +75,9 @@ class RandomizeCfg:
         holds = all(-1.0 <= value <= 1.0 for value in self.correlation.values())
         require(self, "correlation", holds, "must lie in -1 to 1")
         for numbers in self.components(max(self.widths())):
-            self._check(*numbers)
+            self._check_component(*numbers)
 
-    def _check(self, low: float, high: float, mean: float, std: float) -> None:
+    def _check_component(self, low: float, high: float, mean: float, std: float) -> None:
         normal, limits = self.distribution == "normal", f"with high = {self.high!r}"
         require(self, "low", low < high or (low == high and not normal), f"{limits} needs low <= high")
         require(self, "low", normal or (isfinite(low) and isfinite(high)), f"{limits} must be finite")

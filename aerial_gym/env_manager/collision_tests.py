@@ -65,16 +65,16 @@ class CollisionTests:
         self._collision: CollisionTest | None = None
         gtd["robot_clearance"].fill_(inf)
         if assets.scene.num_solid:
-            self._collision = _with_obstacles(robot, gtd, assets, pose, links)
+            self._collision = _make_obstacle_test(robot, gtd, assets, pose, links)
         followed = None if trajectory is None else (trajectory.position, trajectory.attitude)
-        if places is not None and places.track is not None:
-            followed, dt = (places.track.position, places.track.attitude), dt / places.track.pieces
+        if places is not None and places.trajectory is not None:
+            followed, dt = (places.trajectory.position, places.trajectory.attitude), dt / places.trajectory.pieces
         self._follows = followed is not None
         if followed is not None and self._collision is not None:
             self._collision.follow(*followed, dt=dt, crashes_out=crashes)
         self._between: SelfCollisionTest | None = None
         if robot.collision.between_links and robot.joints is not None and links is not None and followed is not None:
-            self._between = _between_links(robot, robot.joints, links, gtd)
+            self._between = _make_link_test(robot, robot.joints, links, gtd)
             self._between.follow(*followed, crashes_out=crashes)
         self.measure()
 
@@ -93,7 +93,7 @@ class CollisionTests:
             self._between.measure()
 
 
-def _with_obstacles(
+def _make_obstacle_test(
     robot: RobotCfg,
     gtd: GlobalTensorDictionary,
     assets: AssetManager,
@@ -113,7 +113,7 @@ def _with_obstacles(
     )
 
 
-def _between_links(
+def _make_link_test(
     robot: RobotCfg, joints: JointsCfg, links: LinkTensors, gtd: GlobalTensorDictionary
 ) -> "SelfCollisionTest":
     """Return the test of links with each other, and declare their distance."""

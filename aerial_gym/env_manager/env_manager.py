@@ -27,7 +27,7 @@ from aerial_gym.interop import resolve_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.state import ArticulatedState
 from aerial_gym.registry import GlobalTensorDictionary, Registry, TensorSpec
-from aerial_gym.registry.state import add_prefix, check_state, copy_tensors, identity, restore
+from aerial_gym.registry.state import add_prefix, check_state, config_digests, copy_tensors, restore_tensors
 from aerial_gym.robots import ROBOTS, RobotManager, Surroundings
 from aerial_gym.robots.differentiable import DifferentiableBackend
 from aerial_gym.robots.joints.link_tensors import declare_links
@@ -190,7 +190,7 @@ class EnvManager:
             trajectory=trajectory,
             dt=sim.dt,
         )
-        self._identity = identity(
+        self._identity = config_digests(
             sim=sim, environment=env, robot=robot, controller=controller, randomize=dict(randomize or {})
         )
         self._all = torch.ones(num_envs, dtype=torch.bool, device=device)
@@ -235,20 +235,20 @@ class EnvManager:
 
         The tensors are never overwritten, so that a loss may hold those of many steps. The GTD has float32 copies.
         """
-        return self._graph().gradient_tensors
+        return self._gradient_backend().gradient_tensors
 
     def detach(self) -> None:
         """Cut the gradients at this instant: later losses are differentiated back to here, and no further."""
-        self._graph().detach()
+        self._gradient_backend().detach()
 
     def settle(self) -> None:
         """Detach in tensors that keep their memory, so that a later CUDA graph can be replayed from here.
 
         Earlier losses must have been differentiated already.
         """
-        self._graph().settle()
+        self._gradient_backend().settle()
 
-    def _graph(self) -> DifferentiableBackend:
+    def _gradient_backend(self) -> DifferentiableBackend:
         simulation = self.robot_manager.differentiable
         if simulation is None:
             raise ConfigError("this simulation has no gradients: build it with differentiable=True")
@@ -285,8 +285,8 @@ class EnvManager:
             self._below.find()
         self.robot_manager.advance(self.cfg.physics_steps_per_env_step)
         self._move_links()
-        if self._links is not None and self._links.track is not None:
-            self._links.track.refresh()
+        if self._links is not None and self._links.trajectory is not None:
+            self._links.trajectory.refresh()
 
     def _move_links(self) -> None:
         if self._links is not None:
@@ -370,9 +370,9 @@ class EnvManager:
             tensor.copy_(state[f"random.{name}"])
         self.seed = int(self.random.seed)
         self.asset_manager.draw_kinds()
-        restore(state, self.state_tensors())
+        restore_tensors(state, self.state_tensors())
         self.robot_manager.refresh_model()
-        restore(state, self.state_tensors())  # again, for tensors rebuilt above
+        restore_tensors(state, self.state_tensors())  # again, for tensors rebuilt above
 
     def render(self, mask: Tensor | None = None) -> None:
         """Read every sensor at the states of this instant; those of the environments in ``mask``, bool (E,), alone if given."""

@@ -44,7 +44,7 @@ class Purpose(IntEnum):
     ACTION_NOISE = 24  # Noise of commands; indices: step, entry
 
 
-def _scramble(state: Word) -> Word:
+def _next_state(state: Word) -> Word:
     """Return the next state of the 32-bit generator PCG, as in Warp, an int or int64.
 
     Source: Jarzynski, Olano (2020), Hash functions for GPU rendering, JCGT 9(3).
@@ -57,13 +57,13 @@ def _scramble(state: Word) -> Word:
 def split_state(state: Tensor, count: Tensor | int) -> Tensor:
     """Return the random state of a count within a state, int64: ``wp.rand_init(int(state), count)``."""
     if isinstance(count, Tensor):
-        return _scramble((state.long() + _scramble(count.long() & 0xFFFFFFFF)) & 0xFFFFFFFF)
-    return _scramble((state.long() + _scramble(count & 0xFFFFFFFF)) & 0xFFFFFFFF)
+        return _next_state((state.long() + _next_state(count.long() & 0xFFFFFFFF)) & 0xFFFFFFFF)
+    return _next_state((state.long() + _next_state(count & 0xFFFFFFFF)) & 0xFFFFFFFF)
 
 
 def uniform_draw(state: Tensor, *, dtype: torch.dtype) -> Tensor:
     """Return the first uniform draw of each state, in [0, 1): ``wp.randf(state)``."""
-    return (_scramble(state) >> 8).to(dtype) / 2**24
+    return (_next_state(state) >> 8).to(dtype) / 2**24
 
 
 def uniform_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -> Tensor:
@@ -73,7 +73,7 @@ def uniform_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) 
     """
     stream, draws = split_state(state, index), []
     for _ in range(width):
-        stream = _scramble(stream)
+        stream = _next_state(stream)
         draws.append((stream >> 8).to(dtype) / 2**24)
     return torch.stack(draws, dim=-1)
 
@@ -85,9 +85,9 @@ def normal_draws(state: Tensor, index: int, width: int, *, dtype: torch.dtype) -
     """
     stream, draws = split_state(state, index), []
     for _ in range(width):
-        stream = _scramble(stream)
+        stream = _next_state(stream)
         radius = torch.sqrt(-2.0 * torch.log((stream >> 8).to(dtype) / 2**24 + 5.96e-8))
-        stream = _scramble(stream)
+        stream = _next_state(stream)
         draws.append(radius * torch.cos(2.0 * pi * ((stream >> 8).to(dtype) / 2**24)))
     return torch.stack(draws, dim=-1)
 
@@ -151,12 +151,12 @@ class Randomness:
 
     def stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of a purpose in every environment, int64, (E,): ``draws.episode_stream`` in a kernel."""
-        return split_state(self._environments(purpose), self.episode)
+        return split_state(self._environment_stream(purpose), self.episode)
 
     def seed_stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of draws that hold in all episodes of a seed, int64, (E,)."""
-        return split_state(self._environments(purpose), 0)
+        return split_state(self._environment_stream(purpose), 0)
 
-    def _environments(self, purpose: Purpose) -> Tensor:
+    def _environment_stream(self, purpose: Purpose) -> Tensor:
         """Return the random state of seed, purpose and environment; a chance collision concerns one purpose only."""
         return split_state(split_state(self.seed, int(purpose)), self.environment)

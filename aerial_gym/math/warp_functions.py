@@ -93,7 +93,7 @@ def _cholesky_root(a: wp.mat33) -> _CholeskyFactor:
 
 
 @wp.func
-def _forwards(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
+def _solve_lower(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
     """Return ``L⁻¹ v``."""
     x = v[0] * root.diagonal[0]
     y = (v[1] - root.below[0] * x) * root.diagonal[1]
@@ -101,7 +101,7 @@ def _forwards(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def _backwards(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
+def _solve_upper(root: _CholeskyFactor, v: wp.vec3) -> wp.vec3:
     """Return ``L⁻ᵀ v``."""
     z = v[2] * root.diagonal[2]
     y = (v[1] - root.below[2] * z) * root.diagonal[1]
@@ -117,14 +117,14 @@ def solve_motion(push: wp.mat33, mixed: wp.mat33, turn: wp.mat33, force: wp.vec3
     chapter 10). By 3 x 3 inverses of cofactors the worst in a thousand contacts was five times as far off.
     """
     first = _cholesky_root(push)
-    x = _forwards(first, wp.vec3(mixed[0, 0], mixed[0, 1], mixed[0, 2]))
-    y = _forwards(first, wp.vec3(mixed[1, 0], mixed[1, 1], mixed[1, 2]))
-    z = _forwards(first, wp.vec3(mixed[2, 0], mixed[2, 1], mixed[2, 2]))
+    x = _solve_lower(first, wp.vec3(mixed[0, 0], mixed[0, 1], mixed[0, 2]))
+    y = _solve_lower(first, wp.vec3(mixed[1, 0], mixed[1, 1], mixed[1, 2]))
+    z = _solve_lower(first, wp.vec3(mixed[2, 0], mixed[2, 1], mixed[2, 2]))
     beside = wp.matrix_from_rows(x, y, z)
     second = _cholesky_root(turn - beside * wp.transpose(beside))
-    moved = _forwards(first, force)
-    turned = _backwards(second, _forwards(second, torque - beside * moved))
-    return _backwards(first, moved - wp.transpose(beside) * turned), turned
+    moved = _solve_lower(first, force)
+    turned = _solve_upper(second, _solve_lower(second, torque - beside * moved))
+    return _solve_upper(first, moved - wp.transpose(beside) * turned), turned
 
 
 @wp.func

@@ -21,15 +21,15 @@ IDENTITY = "identity."
 """Prefix of the names of digests, which identify the simulation of a state."""
 
 
-def digest(config: object) -> Tensor:
+def config_digest(config: object) -> Tensor:
     """Return a configuration as a number, int64, (1,), the same in every process and place of the package."""
     text = re.sub(r" at 0x[0-9a-f]+", "", repr(config).replace(str(PACKAGE), ""))
     return torch.tensor([int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")])
 
 
-def identity(**configs: object) -> dict[str, Tensor]:
+def config_digests(**configs: object) -> dict[str, Tensor]:
     """Return the digests of a simulation's configurations, by name."""
-    return {f"{IDENTITY}{name}": digest(config) for name, config in configs.items()}
+    return {f"{IDENTITY}{name}": config_digest(config) for name, config in configs.items()}
 
 
 def add_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -62,7 +62,7 @@ def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
             )
 
 
-def restore(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
+def restore_tensors(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
     """Copy a state into the tensors of a simulation."""
     for name, tensor in own.items():
         if not name.startswith(IDENTITY):

@@ -72,11 +72,11 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
     def refuse(self, key: str, instead: str) -> None:
         """Refuse writes to a key from now on; ``instead`` is the remedy in the error message."""
         self._instead[key] = instead
-        self._guarded[key] = WriteGuardTensor.wrap(self.plain(key), partial(self._refuse_write, key), _ignore)
+        self._guarded[key] = WriteGuardTensor.wrap(self.plain(key), partial(self._refuse_write, key), _ignore_write)
 
     def watch(self, key: str, notice: Callable[[], None]) -> None:
         """Call ``notice`` after each write to a key from now on."""
-        self._guarded[key] = WriteGuardTensor.wrap(self.plain(key), _ignore, notice)
+        self._guarded[key] = WriteGuardTensor.wrap(self.plain(key), _ignore_write, notice)
 
     def _refuse_write(self, key: str) -> NoReturn:
         raise OwnershipError(f"GTD key {key!r} is read-only: {self._instead[key]}")
@@ -124,13 +124,13 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
 
     def __str__(self) -> str:
         head = ("key", "shape", "dtype", "unit", "frame", "owner", "meaning")
-        rows = [head, *(self._row(spec) for spec in self._specs.values())]
+        rows = [head, *(self._table_row(spec) for spec in self._specs.values())]
         widths = [max(len(row[i]) for row in rows) for i in range(len(head) - 1)]
         return "\n".join(
             "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[-1]]) for row in rows
         )
 
-    def _row(self, spec: TensorSpec) -> tuple[str, ...]:
+    def _table_row(self, spec: TensorSpec) -> tuple[str, ...]:
         letters = "(" + ", ".join(str(letter) for letter in spec.shape) + ")"
         numbers = "(" + ", ".join(str(size) for size in self._tensors[spec.key].shape) + ")"
         shape = letters if letters == numbers else f"{letters} = {numbers}"
@@ -139,4 +139,4 @@ class GlobalTensorDictionary(Mapping[str, Tensor]):
         return spec.key, shape, dtype, spec.unit, spec.frame, spec.owner, meaning
 
 
-def _ignore() -> None: ...
+def _ignore_write() -> None: ...

@@ -65,7 +65,7 @@ class ContactSources:
             meaning="mean force of ground and obstacles on the robot over the step",
         ))  # fmt: skip
 
-    def ground(self) -> Ground | None:
+    def make_ground(self) -> Ground | None:
         """Return the ground, None without one; among obstacles a robot with joints gets one at minus infinity."""
         height = self._around.ground_height
         if height is None and (self._on_links is None or self._on_links.solids is None):
@@ -79,7 +79,9 @@ class ContactSources:
             on_links=self._on_links,
         )
 
-    def hook(self, state: BodyState, sim: SimCfg, *, mass: Tensor, inertia: Tensor, com: Tensor) -> SubstepHook | None:
+    def make_hook(
+        self, state: BodyState, sim: SimCfg, *, mass: Tensor, inertia: Tensor, com: Tensor
+    ) -> SubstepHook | None:
         """Return the hook after each substep: contact with obstacles, else the hook of the surroundings."""
         around, robot = self._around, self._robot
         scene, contact = around.scene, around.contact

@@ -27,7 +27,7 @@ class DifferentiableBackend(TorchBackend):
     def __init__(self, shown: BodyState, shown_actions: tuple[Tensor, Tensor], *, dtype: torch.dtype) -> None:
         """Take state and last two actions in the Global Tensor Dictionary, and the float type of the graph."""
         self._shown, self._shown_actions, self._dtype = shown, shown_actions, dtype
-        self.state: BodyState = _map(shown, lambda rows: rows.detach().to(dtype, copy=True))
+        self.state: BodyState = _map_state(shown, lambda rows: rows.detach().to(dtype, copy=True))
         self.actions: tuple[Tensor, Tensor] = _map_pair(shown_actions, lambda rows: rows.detach().to(dtype, copy=True))
         """Actions of this step and the previous one, each (E, U), with gradients."""
         self._traced: GradientTensors | None = None
@@ -87,7 +87,7 @@ class DifferentiableBackend(TorchBackend):
         if self._hook is not None:
             with torch.no_grad():
                 self._hook.begin(state)
-        rows = self._in_rows(dt)
+        rows = self._substep_kernel(dt)
         for k in range(substeps):
             if rows is None:
                 before, self.state = self.advance_once(self.state, self.actions[0], dt)
@@ -96,9 +96,9 @@ class DifferentiableBackend(TorchBackend):
             with torch.no_grad():
                 state.copy_(self.state)
                 if self._hook is not None and before is not None:
-                    self._hook.after_substep(k, _map(before, torch.Tensor.detach), state)
+                    self._hook.after_substep(k, _map_state(before, torch.Tensor.detach), state)
 
-    def _in_rows(self, dt: float) -> SubstepRows | None:
+    def _substep_kernel(self, dt: float) -> SubstepRows | None:
         """Return a substep of ``dt`` [s] as one float32 kernel, without the hook, which needs the motion before it."""
         if self._rows is None or self._rows[0] != dt:
             plain = self._dtype == torch.float32 and self._hook is None
@@ -123,7 +123,7 @@ class DifferentiableBackend(TorchBackend):
 
     def detach(self) -> None:
         """Cut the gradients at this instant."""
-        self.state = _map(self.state, torch.Tensor.detach)
+        self.state = _map_state(self.state, torch.Tensor.detach)
         self.actions = _map_pair(self.actions, torch.Tensor.detach)
         super().detach()
 
@@ -136,7 +136,7 @@ class DifferentiableBackend(TorchBackend):
         self.state, self._traced = replace(self.state, **settled), None
 
 
-def _map(state, change):
+def _map_state(state, change):
     """Return a state with a change of every tensor."""
     return replace(state, **{name: change(rows) for name, rows in vars(state).items()})
 

@@ -41,7 +41,7 @@ what was not finite in the end."""
 
 
 @wp.kernel(enable_backward=False)
-def _remember(
+def _record_step(
     non_finite: wp.array[wp.int32],  # (E,) bits of NonFinite
     episode_step: wp.array[wp.int32],  # (E,)
     ended: wp.array[wp.bool],  # (E,) the row is reset after this step
@@ -128,9 +128,9 @@ class FiniteWatch:
         state = [gtd[key] for key in (*STATE_COLUMNS, "rotor_speed", "robot_actions")]
         inputs = [gtd["non_finite"], gtd["sim_steps"], self._ended, *state, self._action]
         outputs = [self._steps, self._ring, self._count, self._rows, self._kept]
-        self._command = ReusableLaunch(_remember, dim=num_envs, inputs=inputs, outputs=outputs, device=self._device)
+        self._command = ReusableLaunch(_record_step, dim=num_envs, inputs=inputs, outputs=outputs, device=self._device)
 
-    def keep(self, actions: Tensor, ended: Tensor) -> None:
+    def record_step(self, actions: Tensor, ended: Tensor) -> None:
         """Store this step, before rows in ``ended``, bool (E,), are reset, if recording is on; ``actions``: (E, V)."""
         if not self.keeps:
             return
@@ -138,12 +138,12 @@ class FiniteWatch:
         self._ended.copy_(ended)
         self._command.launch(self._action)
 
-    def forget(self) -> None:
+    def clear_steps(self) -> None:
         """Clear the recorded steps of all rows, as all are reset."""
         if self.keeps:
             self._steps.zero_()
 
-    def look(self, *, wait: bool = False) -> int:
+    def count_rows(self, *, wait: bool = False) -> int:
         """Return the number of non-finite rows known to the host, and warn once of the first.
 
         Without ``wait`` a GPU is not waited for: the number is that of some steps ago.
@@ -179,10 +179,10 @@ class FiniteWatch:
             writer = csv.writer(file)
             writer.writerow([*HEAD_COLUMNS, *self._columns])
             for place in range(count):
-                writer.writerows(self._table(rows[place], kept[place]))
+                writer.writerows(self._csv_rows(rows[place], kept[place]))
         return count
 
-    def _table(self, row: Sequence[int], kept: Tensor) -> list[list[object]]:
+    def _csv_rows(self, row: Sequence[int], kept: Tensor) -> list[list[object]]:
         env, last_step, bits, known = row
         names = NonFinite(bits).names()
         return [

@@ -57,7 +57,7 @@ class StartArrays:
 
 
 @wp.func
-def start_row(e: int, given: StartArrays):
+def start_episode(e: int, given: StartArrays):
     """Write a new state of one environment and its secondary states.
 
     Rows that end by NaN or infinity are counted, and the first ones recorded. Then the flags of episode ends are cleared.
@@ -93,11 +93,11 @@ def start_row(e: int, given: StartArrays):
 
 
 @wp.kernel(enable_backward=False)
-def _start(mask: wp.array[wp.bool], given: StartArrays):
+def _start_episodes(mask: wp.array[wp.bool], given: StartArrays):
     """Begin an episode in the environments of the mask (E,)."""
     e = wp.tid()
     if mask[e]:
-        start_row(e, given)
+        start_episode(e, given)
 
 
 @wp.kernel(enable_backward=False)
@@ -134,7 +134,7 @@ class StepBegin:
             device=actions.device,
         )
 
-    def take(self, given: Tensor) -> None:
+    def begin(self, given: Tensor) -> None:
         """Begin with an action, (E, U); launched on torch's current stream, not waited for."""
         given = given.detach().to(self._actions).contiguous()
         self._command.set_param_at_index(0, given)
@@ -183,10 +183,14 @@ class InitialState:
             rows=noticed.rows,
             **{name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel", "rotor_speed")},
         )
-        self.work = RowWork(function=start_row, given_type=StartArrays, given=given)
+        self.work = RowWork(function=start_episode, given_type=StartArrays, given=given)
         """The start of one environment, for use in another kernel."""
         self._command = ReusableLaunch(
-            _start, dim=state.num_envs, inputs=[self._mask, given], device=state.position.device, block_dim=BLOCK_DIM
+            _start_episodes,
+            dim=state.num_envs,
+            inputs=[self._mask, given],
+            device=state.position.device,
+            block_dim=BLOCK_DIM,
         )
 
     def reset(self, mask: Tensor) -> None:

@@ -24,7 +24,7 @@ ROUND_OFF = 1e-6
 below zero by round-off. It widens exact correlations by a thousandth of the standard deviation."""
 
 
-def joint_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
+def correlation_factor(cfg: Randomize) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the names of correlated quantities and the lower Cholesky factor of their correlations, (N, N).
 
     Raise ``ConfigError`` if one is not drawn, or is no normal single number, or if the correlations contradict each other.
@@ -141,23 +141,23 @@ def draw_code(drawn: Sequence[RandomQuantity], random: Randomness, *, device: to
     for each in drawn:
         width = each.columns.stop - each.columns.start
         for i, numbers in enumerate(each.cfg.components(width)):
-            _fill(rows[each.columns.start + i], each.cfg.distribution, *numbers)
+            _fill_limits(rows[each.columns.start + i], each.cfg.distribution, *numbers)
     first = {each.name: each.columns.start for each in drawn}
-    together, small = joint_factor({each.name: each.cfg for each in drawn})
+    together, small = correlation_factor({each.name: each.cfg for each in drawn})
     columns, factor = [first[name] for name in together], np.zeros((len(rows), len(rows)), dtype=np.float32)
     factor[np.ix_(columns, columns)] = small
     given, target = DrawArrays(), wp.device_from_torch(device)
     given.random = random_arrays(random)
     given.draws, given.factor = wp.array(rows, dtype=DrawLimits, device=target), wp.array(factor, device=target)
     names = {function.key: function for function in _CALLED}
-    return KernelInput(lines=tuple(_lines(drawn, columns)), names=names, given_type=DrawArrays, given=given)
+    return KernelInput(lines=tuple(_kernel_lines(drawn, columns)), names=names, given_type=DrawArrays, given=given)
 
 
-def _lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int]) -> Iterator[str]:
+def _kernel_lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int]) -> Iterator[str]:
     """Yield the kernel lines that draw each number; ``joint_columns`` are the columns of the joint distribution."""
     yield f"episode = episode_stream(given.random, row, {int(Purpose.PARAMETERS)})"
     for i, each in enumerate(drawn):
-        yield f"quantity_{i} = substream(episode, {_stream(each.name)})"
+        yield f"quantity_{i} = substream(episode, {_stream_number(each.name)})"
         for element, k in enumerate(range(each.columns.start, each.columns.stop)):
             state = f"substream(quantity_{i}, {element})"
             if k in joint_columns:
@@ -169,16 +169,16 @@ def _lines(drawn: Sequence[RandomQuantity], joint_columns: Sequence[int]) -> Ite
         yield f"made_{k} = joint(given.draws[{k}], {weighted})"
 
 
-def _stream(name: str) -> int:
+def _stream_number(name: str) -> int:
     """Return the random stream of a quantity: the CRC32 of its name."""
     return crc32(name.encode()) & 0x7FFFFFFF
 
 
-def _fill(row: np.void, distribution: str, low: float, high: float, mean: float, std: float) -> None:
+def _fill_limits(row: np.void, distribution: str, low: float, high: float, mean: float, std: float) -> None:
     row["mean"], row["std"] = mean, std
     row["least"], row["most"] = max(low, -3e38), min(high, 3e38)
     if distribution == "normal":
-        low, high = _normal_share(low, mean, std), _normal_share(high, mean, std)
+        low, high = _normal_probability(low, mean, std), _normal_probability(high, mean, std)
     elif distribution == "log_uniform":
         low, high = log(low), log(high)
     elif distribution == "integer":
@@ -186,7 +186,7 @@ def _fill(row: np.void, distribution: str, low: float, high: float, mean: float,
     row["low"], row["high"] = low, high
 
 
-def _normal_share(limit: float, mean: float, std: float) -> float:
+def _normal_probability(limit: float, mean: float, std: float) -> float:
     """Return the probability of a normal number below a limit."""
     from statistics import NormalDist
 

@@ -26,7 +26,7 @@ def apply_draw(cfg: RandomizeCfg, declared: Tensor, draw: Tensor) -> Tensor:
     return declared * draw if cfg.how == "scale" else declared + draw
 
 
-def second_moments_scaled(inertia: Tensor, factor: Tensor) -> Tensor:
+def scale_second_moments(inertia: Tensor, factor: Tensor) -> Tensor:
     """Return an inertia (E, 3, 3) with factors (E, 3) on the mass's second moments along the body axes.
 
     ``S = tr(J)/2 1 - J`` is the integral of ``x x^T dm``; stretched to ``D S D`` with ``D = diag(sqrt(factor))`` it is that of
@@ -57,19 +57,19 @@ class Quantity:
     how: tuple[str, ...] = ("scale", "offset", "value")  # Allowed draws of the quantity
 
 
-def _mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _set_mass(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     mass = apply_draw(cfg, vehicle.mass, draw)
     if cfg.keep_inertia:
         return replace(vehicle, mass=mass)
     return replace(vehicle, mass=mass, inertia=vehicle.inertia * (mass / vehicle.mass)[:, None, None])
 
 
-def _inertia(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _scale_inertia(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     del cfg
-    return replace(vehicle, inertia=second_moments_scaled(vehicle.inertia, draw))
+    return replace(vehicle, inertia=scale_second_moments(vehicle.inertia, draw))
 
 
-def _field(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _set_fields(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     drawn: dict[int, Tensor] = {}
     for declared in (getattr(vehicle, name) for name in names):  # one tensor for all names stays one
         if id(declared) not in drawn:
@@ -77,28 +77,28 @@ def _field(names: tuple[str, ...], vehicle: Vehicle, cfg: RandomizeCfg, draw: Te
     return replace(vehicle, **{name: drawn[id(getattr(vehicle, name))] for name in names})
 
 
-def _thrust(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _scale_thrust(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     del cfg
     return vehicle.with_scaled_maps(thrust=draw, torque=draw)
 
 
-def _torque(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _scale_torque(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     del cfg
     return vehicle.with_scaled_maps(torque=draw)
 
 
-def _axis(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _turn_axes(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     axis = apply_draw(cfg, vehicle.rotor_axis, draw)
     return replace(vehicle, rotor_axis=axis / axis.norm(dim=-1, keepdim=True))
 
 
-def _battery(column: int, vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _set_battery(column: int, vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     columns = list(vehicle.battery.unbind(-1))
     columns[column] = apply_draw(cfg, columns[column], draw)
     return replace(vehicle, battery=torch.stack(columns, dim=-1))
 
 
-def _charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
+def _set_charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     """Begin on the line from full to empty at a share c of the charge: ``E0' = E1 + c (E0 - E1)``, ``Q' = c Q``."""
     del cfg
     nominal, full, empty, resistance, capacity, efficiency = vehicle.battery.unbind(-1)
@@ -106,56 +106,64 @@ def _charge(vehicle: Vehicle, cfg: RandomizeCfg, draw: Tensor) -> Vehicle:
     return replace(vehicle, battery=torch.stack(columns, dim=-1))
 
 
-def _field_quantity(unit: str, width: Width, meaning: str, *fields: str) -> Quantity:
-    return Quantity(unit=unit, width=width, apply=partial(_field, fields), meaning=meaning)
+def _quantity_of_fields(unit: str, width: Width, meaning: str, *fields: str) -> Quantity:
+    return Quantity(unit=unit, width=width, apply=partial(_set_fields, fields), meaning=meaning)
 
 
 QUANTITIES: dict[str, Quantity] = {
     "body.mass": Quantity(
-        unit="kg", width="one", apply=_mass, meaning="mass; the inertia grows with it (keep_inertia)"
+        unit="kg", width="one", apply=_set_mass, meaning="mass; the inertia grows with it (keep_inertia)"
     ),
-    "body.com": _field_quantity("m", "vector", "centre of mass from the body origin, body", "com"),
+    "body.com": _quantity_of_fields("m", "vector", "centre of mass from the body origin, body", "com"),
     "body.inertia": Quantity(
         unit="-",
         width="vector",
-        apply=_inertia,
+        apply=_scale_inertia,
         how=("scale",),
         meaning="factors on the mass's second moments along the body axes: stays that of a body",
     ),
     "rotor.thrust_map": Quantity(
-        unit="-", width="rotor", apply=_thrust, how=("scale",), meaning="thrust and drag torque of a speed"
+        unit="-", width="rotor", apply=_scale_thrust, how=("scale",), meaning="thrust and drag torque of a speed"
     ),
     "rotor.torque_map": Quantity(
-        unit="-", width="rotor", apply=_torque, how=("scale",), meaning="drag torque of a speed alone"
+        unit="-", width="rotor", apply=_scale_torque, how=("scale",), meaning="drag torque of a speed alone"
     ),
-    "rotor.time_constant": _field_quantity(
+    "rotor.time_constant": _quantity_of_fields(
         "s", "rotor", "lag, rising and falling", "time_constant_up", "time_constant_down"
     ),
-    "rotor.time_constant_up": _field_quantity("s", "rotor", "lag of a speed that grows", "time_constant_up"),
-    "rotor.time_constant_down": _field_quantity("s", "rotor", "lag of a speed that falls", "time_constant_down"),
-    "rotor.slew_rate": _field_quantity(
+    "rotor.time_constant_up": _quantity_of_fields("s", "rotor", "lag of a speed that grows", "time_constant_up"),
+    "rotor.time_constant_down": _quantity_of_fields("s", "rotor", "lag of a speed that falls", "time_constant_down"),
+    "rotor.slew_rate": _quantity_of_fields(
         "rad/s² or N/s", "rotor", "largest rates of the rotor's state", "slew_rate", "slew_rate_down"
     ),
-    "rotor.dead_band": _field_quantity("rad/s or N", "rotor", "commands that stop the rotor", "dead_band"),
-    "rotor.radius": _field_quantity("m", "rotor", "radius of the propeller", "rotor_radius"),
-    "mounts.*.position": _field_quantity("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
+    "rotor.dead_band": _quantity_of_fields("rad/s or N", "rotor", "commands that stop the rotor", "dead_band"),
+    "rotor.radius": _quantity_of_fields("m", "rotor", "radius of the propeller", "rotor_radius"),
+    "mounts.*.position": _quantity_of_fields("m", "rotor_vector", "hubs from the body origin, body", "rotor_position"),
     "mounts.*.axis": Quantity(
-        unit="-", width="rotor_vector", apply=_axis, how=("offset",), meaning="directions of thrust, made unit length"
+        unit="-",
+        width="rotor_vector",
+        apply=_turn_axes,
+        how=("offset",),
+        meaning="directions of thrust, made unit length",
     ),
     **{
         f"battery.{name}": Quantity(
-            unit="see BatteryCfg", width="one", apply=partial(_battery, column), meaning=f"{name} of the battery"
+            unit="see BatteryCfg", width="one", apply=partial(_set_battery, column), meaning=f"{name} of the battery"
         )
         for column, name in enumerate(BATTERY)
     },
     "battery.charge": Quantity(
-        unit="-", width="one", apply=_charge, how=("value",), meaning="share of the charge with which an episode begins"
+        unit="-",
+        width="one",
+        apply=_set_charge,
+        how=("value",),
+        meaning="share of the charge with which an episode begins",
     ),
 }
 """Quantities of every vehicle; those of effects, gains and sensors depend on the robot."""
 
 
-def table() -> str:
+def quantity_table() -> str:
     """Return all names that ``randomize:`` knows as a table in Markdown; those of effects by effect."""
     from aerial_gym.physics import EFFECTS
 
@@ -172,4 +180,4 @@ def table() -> str:
 
 if __name__ == "__main__":
     accept_any_console()
-    print(table())
+    print(quantity_table())

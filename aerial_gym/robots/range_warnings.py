@@ -45,10 +45,12 @@ def report_range_faults(
     """
     if controller.law not in LAWS or not randomize:
         return
-    ends = hovers_at_ends(robot, controller, randomize, gravity=gravity, dt=dt, integrator=integrator, names=names)
+    ends = hovers_at_range_ends(
+        robot, controller, randomize, gravity=gravity, dt=dt, integrator=integrator, names=names
+    )
     faults = [each for each in ends if not each[2].holds]
     if faults:
-        said = "; ".join(f"{name} = {end}: {_fault(hover, dt)}" for name, end, hover in faults)
+        said = "; ".join(f"{name} = {end}: {_describe_fault(hover, dt)}" for name, end, hover in faults)
         helps = dict.fromkeys(remedy(hover) for _, _, hover in faults if hover.stable)
         logging.getLogger(__name__).warning(
             f"robot {names[0]} with controller {names[1]} at dt = {dt:g} s does not hover within {HOVER_RANGE:g} m for "
@@ -56,11 +58,11 @@ def report_range_faults(
         )
 
 
-def _fault(hover: HoverResult, dt: float) -> str:
+def _describe_fault(hover: HoverResult, dt: float) -> str:
     return hover_error(hover) if hover.stable else instability(hover, dt)
 
 
-def hovers_at_ends(
+def hovers_at_range_ends(
     robot: RobotCfg,
     controller: ControllerCfg,
     randomize: Randomize,
@@ -74,11 +76,13 @@ def hovers_at_ends(
     robot = add_effects_to_randomise(robot, randomize)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     effects = robot_effects(robot, num_envs=1, device=torch.device("cpu"), dtype=torch.float64, rigid=True)
-    ranges = RobotDraws(_of_vehicle(randomize, {effect.name for effect, _ in effects}), robot, declared, effects, {})
-    for ends in _group_by_delay(list(_ends(ranges))):
+    ranges = RobotDraws(
+        _vehicle_quantities(randomize, {effect.name for effect, _ in effects}), robot, declared, effects, {}
+    )
+    for ends in _group_by_delay(list(_range_ends(ranges))):
         values = torch.stack([row for _, _, row in ends])
         params = [rows.expand(len(ends), -1) for _, rows in effects]
-        followed = ranges.follow(values, *params)
+        followed = ranges.apply_draws(values, *params)
         acting = [(effect, rows) for (effect, _), rows in zip(effects, followed.params, strict=True)]
         model = hover_model(robot, followed.vehicle, gravity=gravity, effects=acting)
         loop = ClosedLoop(robot, controller, gravity=gravity, integrator=integrator, names=names, model=model)
@@ -86,7 +90,7 @@ def hovers_at_ends(
             yield name, end, hover
 
 
-def _of_vehicle(randomize: Randomize, effects: set[str]) -> Randomize:
+def _vehicle_quantities(randomize: Randomize, effects: set[str]) -> Randomize:
     """Return the drawn quantities of the vehicle and of some effects; correlations do not change the ends."""
     chosen = {}
     for name, each in randomize.items():
@@ -103,10 +107,10 @@ End = tuple[str, str, Tensor]
 """Quantity, value of its end, and all numbers with it, (K,)."""
 
 
-def _ends(ranges: RobotDraws) -> Iterator[End]:
+def _range_ends(ranges: RobotDraws) -> Iterator[End]:
     """Yield the ends of every range: all components low, all high, and of rotors that differ every second one low."""
     neutral = torch.zeros(1, ranges.width, dtype=torch.float64)
-    ranges.neutral(neutral)
+    ranges.fill_neutral(neutral)
     for each in ranges.drawn:
         width = each.columns.stop - each.columns.start
         numbers = each.cfg.components(width)

@@ -19,7 +19,7 @@ from aerial_gym.errors import ConfigError, suggest_name
 from aerial_gym.physics import EFFECTS, Vehicle
 from aerial_gym.physics.effects import Effect, Parameter
 from aerial_gym.physics.vehicle import own_rows, share_row
-from aerial_gym.robots.parameter_draws import RandomQuantity, joint_factor
+from aerial_gym.robots.parameter_draws import RandomQuantity, correlation_factor
 from aerial_gym.robots.quantities import QUANTITIES, apply_draw
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def quantity_names(robot: RobotCfg, *, gains: Iterable[str]) -> list[str]:
     """Return the names of everything that may be drawn of a robot and ``gains``; any effect may, though the file lacks it."""
     names = [name for name in QUANTITIES if robot.battery is not None or not name.startswith("battery.")]
     names += [f"mounts.{i + 1}.{field}" for i in range(robot.num_rotors) for field in ("position", "axis")]
-    names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in _parameters(name, robot)]
+    names += [f"effects.{name}.{p.name}" for name in EFFECTS.names() for p in _effect_parameters(name, robot)]
     return names + [f"gains.{name}" for name in gains]
 
 
@@ -89,19 +89,19 @@ class RobotDraws:
         self._vehicle = {name: rows[0].tolist() for name, rows in declared.rows().items()}
         self._effects = [effect for effect, _ in effects]
         self._params = {effect.name: params[0].tolist() for effect, params in effects}
-        self._parameters = {effect.name: effect.parameters for effect, _ in effects}
+        self._effect_parameters = {effect.name: effect.parameters for effect, _ in effects}
         self._gains = {name: rows[0].tolist() for name, rows in gains.items()}
         self._gain_rows = {name: own_rows(rows[:1])[0] for name, rows in gains.items()}
-        joint_factor(cfg)
+        correlation_factor(cfg)
         self.drawn: list[RandomQuantity] = []
         first = 0
         for name, each in cfg.items():
-            shape = self._shape(name, each)
+            shape = self._draw_shape(name, each)
             self.drawn.append(
                 RandomQuantity(name=name, cfg=each, shape=shape, columns=slice(first, first + prod(shape)))
             )
             first += prod(shape)
-            self._check(name, each)
+            self._check_range(name, each)
             if each.correlation and prod(shape) != 1:
                 raise ConfigError(f"randomize: {name}: correlation is for quantities of one number")
         self.width = first
@@ -122,14 +122,14 @@ class RobotDraws:
         """Return the draws by name, (E, ...), as views of the numbers (E, K)."""
         return {each.name: values[:, each.columns].view(-1, *each.shape) for each in self.drawn}
 
-    def neutral(self, values: Tensor) -> None:
+    def fill_neutral(self, values: Tensor) -> None:
         """Fill the numbers (E, K) with draws that leave everything as declared."""
         for each in self.drawn:
             how = each.cfg.how
             value = torch.tensor(self._nominal_value(each.name, each.cfg), device=values.device)
             values[:, each.columns] = 1.0 if how == "scale" else 0.0 if how == "offset" else value.flatten()
 
-    def follow(self, values: Tensor, *params: Tensor, vehicle: Vehicle | None = None) -> DrawResult:
+    def apply_draws(self, values: Tensor, *params: Tensor, vehicle: Vehicle | None = None) -> DrawResult:
         """Return vehicle, effect parameters and gains for draws (E, K) and the present parameters (E, P) of all effects.
 
         Args:
@@ -157,10 +157,10 @@ class RobotDraws:
                 declared = rows(self._gains[rest[0]]) if bare else share_row(self._gain_rows[rest[0]], count)
                 gains[rest[0]] = apply_draw(each.cfg, declared, draw)
             else:
-                vehicle = self._apply(vehicle, each, draw)
+                vehicle = self._apply_to_vehicle(vehicle, each, draw)
         return DrawResult(vehicle=vehicle, params=tuple(torch.stack(each, dim=-1) for each in columns), gains=gains)
 
-    def _apply(self, vehicle: Vehicle, each: RandomQuantity, draw: Tensor) -> Vehicle:
+    def _apply_to_vehicle(self, vehicle: Vehicle, each: RandomQuantity, draw: Tensor) -> Vehicle:
         one = _ONE_MOUNT.fullmatch(each.name)
         if one is None:
             return QUANTITIES[each.name].apply(vehicle, each.cfg, draw.expand(-1, *self._full_shape(each.name)))
@@ -176,7 +176,7 @@ class RobotDraws:
         width = QUANTITIES[name].width
         return {"one": (), "vector": (3,), "rotor": (self._num_rotors,), "rotor_vector": (self._num_rotors, 3)}[width]
 
-    def _shape(self, name: str, cfg: RandomizeCfg) -> tuple[int, ...]:
+    def _draw_shape(self, name: str, cfg: RandomizeCfg) -> tuple[int, ...]:
         """Return the shape of the draw of a quantity in one environment."""
         if name not in QUANTITIES:
             shape = () if name.startswith("effects.") else (3,)
@@ -194,18 +194,18 @@ class RobotDraws:
         """Return the declared value of a quantity, in the shape of its draw."""
         family, *rest = name.split(".", 2)
         if family == "effects":
-            return self._params[rest[0]][[p.name for p in self._parameters[rest[0]]].index(rest[1])]
+            return self._params[rest[0]][[p.name for p in self._effect_parameters[rest[0]]].index(rest[1])]
         if family == "gains":
             return self._gains[rest[0]]
-        probe = self._probe(name, cfg)
+        probe = self._vehicle_value(name, cfg)
         return probe.tolist()
 
-    def _parameter(self, name: str) -> Parameter | None:
+    def _effect_parameter(self, name: str) -> Parameter | None:
         """Return the effect parameter of a quantity, None for other quantities."""
         family, *rest = name.split(".", 2)
-        return next(p for p in self._parameters[rest[0]] if p.name == rest[1]) if family == "effects" else None
+        return next(p for p in self._effect_parameters[rest[0]] if p.name == rest[1]) if family == "effects" else None
 
-    def _probe(self, name: str, cfg: RandomizeCfg) -> Tensor:
+    def _vehicle_value(self, name: str, cfg: RandomizeCfg) -> Tensor:
         one = _ONE_MOUNT.fullmatch(name)
         if one is not None:
             field = {"position": "rotor_position", "axis": "rotor_axis"}[one[2]]
@@ -216,7 +216,7 @@ class RobotDraws:
             "rotor.time_constant_down": "time_constant_down", "rotor.slew_rate": "slew_rate",
             "rotor.dead_band": "dead_band", "rotor.radius": "rotor_radius",
         }  # fmt: skip
-        shape = self._shape(name, cfg)
+        shape = self._draw_shape(name, cfg)
         if name == "battery.charge" or (name not in fields and not name.startswith("battery.")):
             return torch.ones(shape)
         if name.startswith("battery."):
@@ -226,14 +226,14 @@ class RobotDraws:
         declared = torch.tensor(self._vehicle[fields[name]])
         return declared[: shape[0]] if shape else declared
 
-    def _check(self, name: str, cfg: RandomizeCfg) -> None:
+    def _check_range(self, name: str, cfg: RandomizeCfg) -> None:
         """Raise ``ConfigError`` for a range beyond the possible values, or a quantity that the robot lacks."""
         trait = {"rotor.slew_rate": "slew", "rotor.dead_band": "dead_band"}.get(name)
         if trait is not None and trait not in self._declared.traits:
             raise ConfigError(f"randomize: {name}: the rotors of this robot have none. Declare one in its file")
         declared = torch.tensor(self._nominal_value(name, cfg)).flatten().tolist()
-        parameter = self._parameter(name)
-        least, most = _limits(name, parameter, self._num_rotors)
+        parameter = self._effect_parameter(name)
+        least, most = _possible_range(name, parameter, self._num_rotors)
         if parameter is not None and parameter.kind == "rotor" and (cfg.distribution, cfg.how) != ("integer", "value"):
             raise ConfigError(f"randomize: {name} is the number of a rotor. Give how: value, distribution: integer")
         for low, high in cfg.value_limits(name, declared):
@@ -244,14 +244,14 @@ class RobotDraws:
                 )
 
 
-def _parameters(effect: str, robot: RobotCfg) -> tuple[Parameter, ...]:
+def _effect_parameters(effect: str, robot: RobotCfg) -> tuple[Parameter, ...]:
     """Return the parameters that an effect has on a robot."""
     return (
         EFFECTS.get(effect).bind_robot(robot).parameters if effect in robot.effects else EFFECTS.get(effect).parameters
     )
 
 
-def _limits(name: str, parameter: Parameter | None, num_rotors: int) -> tuple[float, float]:
+def _possible_range(name: str, parameter: Parameter | None, num_rotors: int) -> tuple[float, float]:
     """Return the lowest and highest value of a quantity that is possible, a parameter of an effect or not."""
     if parameter is not None:
         return parameter.low, num_rotors if parameter.kind == "rotor" else parameter.high
@@ -279,10 +279,10 @@ def check_base_draws(randomized: RobotDraws, articulation: "Articulation", param
         return
     corners = torch.tensor(list(product(*ends)), dtype=torch.float64)
     values = corners.new_zeros(len(corners), randomized.width)
-    randomized.neutral(values)
+    randomized.fill_neutral(values)
     values[:, columns] = corners
     rows = (each[:1].to(corners).expand(len(corners), -1) for each in params)
-    links = articulation.to(corners).links(randomized.follow(values, *rows).vehicle)
+    links = articulation.to(corners).links(randomized.apply_draws(values, *rows).vehicle)
     mass, least = links.mass[:, 0].min().item(), torch.linalg.eigvalsh(links.inertia[:, 0]).min().item()
     if not (mass > 0.0 and least > 0.0):
         names, carried = ", ".join(each.name for each in drawn), float(articulation.link_mass.sum())

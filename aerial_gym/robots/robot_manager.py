@@ -110,8 +110,10 @@ class RobotManager:
             self._build_model(),
             self.controller,
             integrator=sim.integrator,
-            ground=self._pushing.ground(),
-            hook=self._pushing.hook(self.tensors.state, sim, mass=self._mass, inertia=self._inertia, com=self._com),
+            ground=self._pushing.make_ground(),
+            hook=self._pushing.make_hook(
+                self.tensors.state, sim, mass=self._mass, inertia=self._inertia, com=self._com
+            ),
             random=random,
         )
         self.backend.prepare(sim.dt)
@@ -135,7 +137,7 @@ class RobotManager:
             assert isinstance(self.tensors.state, ArticulatedState)
             self._joints = JointStates(robot.joints, gtd, self.tensors.state, random)
         self._update = self._make_update()
-        self._begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
+        self._step_begin = StepBegin(self.tensors.actions, self.tensors.prev_actions, self.noticed)
 
     def _declare_model(self) -> None:
         """Declare the parameters of vehicle and effects that differ between environments."""
@@ -200,7 +202,7 @@ class RobotManager:
             key="drawn_parameters", shape=("E", randomized.width), unit="see draws()", frame="-", owner="robot",
             meaning=f"draws of the episode: {names}",
         ))  # fmt: skip
-        randomized.neutral(self._values)
+        randomized.fill_neutral(self._values)
         return randomized
 
     def draws(self) -> dict[str, Tensor]:
@@ -219,7 +221,7 @@ class RobotManager:
         felt = self.felt.pop_rows(rest)
         followed = DrawResult(vehicle=self.declared, params=tuple(rest), gains={})
         if self._randomized is not None and values is not None:
-            followed = self._randomized.follow(values, *rest, vehicle=declared)
+            followed = self._randomized.apply_draws(values, *rest, vehicle=declared)
         model = build_model(
             followed.vehicle,
             [(effect, params) for (effect, _), params in zip(self._effects, followed.params, strict=True)],
@@ -236,7 +238,7 @@ class RobotManager:
         model, followed = self._make_model(*self._parameter_sources(), declared=self.declared)
         if self._allocation is not None:
             self._allocation.follow(model.vehicle)
-        for target, rows in self._rows_of_draws(model, followed):
+        for target, rows in zip(self._targets_of_draws(), self._rows_of_draws(model, followed), strict=True):
             target.copy_(rows)
         if self.imu_errors is not None:
             exact = [(effect, params.double()) for effect, params in model.effects[ImuEffect]]
@@ -263,19 +265,25 @@ class RobotManager:
         drawn = [] if self._randomized is None else self._randomized.random_effects
         return any(isinstance(self._effects[i][0], ImuEffect) for i in drawn)
 
-    def _rows_of_draws(self, model: Model, followed: DrawResult) -> list[tuple[Tensor, Tensor]]:
-        """Return tensors and the rows that follow from draws: of allocation, effects, gains, errors of inertial sensors."""
-        pairs = []
-        if self._allocation is not None:
-            rows = self._allocation.compute_rows(model.vehicle)
-            pairs += [(target, rows[name]) for name, target in self._allocation.rows.items()]
+    def _rows_of_draws(self, model: Model, followed: DrawResult) -> list[Tensor]:
+        """Return allocation, parameters of effects, gains and errors of inertial sensors that follow from draws."""
+        tensors = [] if self._allocation is None else [*self._allocation.compute_rows(model.vehicle).values()]
         if self._randomized is not None:
-            pairs += [(self._effects[i][1], followed.params[i]) for i in self._randomized.random_effects]
-            gains = self.controller.gains_by_name
-            pairs += [(gains[name], followed.gains[name]) for name in self._randomized.random_gains]
+            tensors += [followed.params[i] for i in self._randomized.random_effects]
+            tensors += [followed.gains[name] for name in self._randomized.random_gains]
+        if self._draws_imu_errors:
+            tensors.append(imu_errors(model.effects[ImuEffect]))
+        return tensors
+
+    def _targets_of_draws(self) -> list[Tensor]:
+        """Return the tensors that receive the results of ``_rows_of_draws``, in that order."""
+        tensors = [] if self._allocation is None else [*self._allocation.rows.values()]
+        if self._randomized is not None:
+            tensors += [self._effects[i][1] for i in self._randomized.random_effects]
+            tensors += [self.controller.gains_by_name[name] for name in self._randomized.random_gains]
         if self.imu_errors is not None and self._draws_imu_errors:
-            pairs.append((self.imu_errors, imu_errors(model.effects[ImuEffect])))
-        return pairs
+            tensors.append(self.imu_errors)
+        return tensors
 
     def _make_update(self) -> RowUpdate | None:
         """Return the launch that draws parameters and initial state for a mask; None without random parameters."""
@@ -285,13 +293,14 @@ class RobotManager:
         def rows(*sources: Tensor, declared: Vehicle | None = None) -> tuple[Tensor, ...]:
             model, followed = self._make_model(*sources, declared=declared)
             shown = (getattr(model.vehicle, name) for name in own)
-            follows = (rows.to(target.dtype) for target, rows in self._rows_of_draws(model, followed))
+            follows = (rows.to(dtype) for rows, dtype in zip(self._rows_of_draws(model, followed), types, strict=True))
             return (*shown, *follows, *self.backend.parameter_rows(model))
 
         shown = {"mass": self._mass, "inertia": self._inertia, "com": self._com}
         own = [name for name in shown if not is_shared(getattr(self.model.vehicle, name))]
-        drawn = self._rows_of_draws(*self._make_model(*self._parameter_sources(), declared=self.declared))
-        targets = (*(shown[name] for name in own), *(t for t, _ in drawn), *self.backend.parameter_targets())
+        drawn = self._targets_of_draws()
+        types = [target.dtype for target in drawn]
+        targets = (*(shown[name] for name in own), *drawn, *self.backend.parameter_targets())
         return RowUpdate(
             rows,
             self._parameter_sources(),
@@ -332,7 +341,7 @@ class RobotManager:
                 f"{', '.join(self.action_names)}"
             )
         self.take_writes()
-        self._begin.take(actions)
+        self._step_begin.begin(actions)
         if self.differentiable is not None:
             self.differentiable.act(actions)
         if self._pushing.force is not None:
@@ -347,7 +356,7 @@ class RobotManager:
     def refresh(self, span: float) -> None:
         """Update all quantities derived from the physics; ``span`` [s] is the length of the step."""
         self.tensors.derived.refresh()
-        self._show_load()
+        self._refresh_load()
         if self._joints is not None:
             self._joints.refresh()
         if self._pushing.force is not None:
@@ -362,9 +371,9 @@ class RobotManager:
         if self._joints is not None:
             self._joints.reset()
         self.backend.reset(mask)  # uses the draws
-        self._show_load()
+        self._refresh_load()
 
-    def _show_load(self) -> None:
+    def _refresh_load(self) -> None:
         load = None if self._load is None else self.backend.load()
         if self._load is not None and load is not None:
             self._load.refresh(load)

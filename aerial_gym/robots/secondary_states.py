@@ -82,7 +82,7 @@ def all_finite(rows: wp.array2d[float], e: int) -> bool:
 
 
 @wp.kernel(enable_backward=False)
-def _derive(
+def _derive_states(
     # state
     position: wp.array[wp.vec3],  # (E,) world [m]
     attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
@@ -161,7 +161,7 @@ class SecondaryStates:
             root_state=root_state,
         )
         self._command = ReusableLaunch(
-            _derive,
+            _derive_states,
             dim=state.num_envs,
             inputs=[*state.tensors()[:5], checked.actions, self.arrays, checked.non_finite, checked.crashes],
             device=self._like.device,

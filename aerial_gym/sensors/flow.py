@@ -131,16 +131,16 @@ def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp
 
 def instance_twists(scene: Scene) -> list[wp.array]:
     """Return views of the velocities [m/s] and angular velocities [rad/s] of the instances of a scene, world, (E, A) each."""
-    return _twists("asset", scene.asset_state)
+    return _twist_arrays("asset", scene.asset_state)
 
 
 def link_twists(scene: Scene) -> list[wp.array]:
     """Return the twists of the robot's links as ``instance_twists``, (E, L) each."""
     state = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.robot_state is None else scene.robot_state
-    return _twists("link", state)
+    return _twist_arrays("link", state)
 
 
-def _twists(name: str, state: Tensor) -> list[wp.array]:
+def _twist_arrays(name: str, state: Tensor) -> list[wp.array]:
     shape, columns = (*state.shape[:2], 3), {"velocity": slice(7, 10), "angular velocity": slice(10, 13)}
     return [
         vector_view(f"{name} {quantity}", state[..., at], shape, device=state.device)

@@ -187,6 +187,6 @@ class DelayLine:
         self._started.logical_and_(~mask)
 
 
-def make_zeros_like(images: SensorImages) -> SensorImages:
+def zero_images_like(images: SensorImages) -> SensorImages:
     """Return images of the same shapes."""
     return SensorImages(**{name: torch.zeros_like(image) for name, image in images.items()})

@@ -92,7 +92,7 @@ class ImuOutputs:
 
 
 @wp.func
-def _count(random: RandomArrays, number: int, e: int, out: ImuOutputs) -> wp.uint32:
+def _next_sample_state(random: RandomArrays, number: int, e: int, out: ImuOutputs) -> wp.uint32:
     """Return the random state of an environment's next sample, and count it."""
     sample = out.sample[e]
     out.sample[e] = sample + 1
@@ -100,14 +100,14 @@ def _count(random: RandomArrays, number: int, e: int, out: ImuOutputs) -> wp.uin
 
 
 @wp.func
-def _normal(random: wp.uint32, index: int, std: wp.vec3) -> wp.vec3:
+def _normal_vector(random: wp.uint32, index: int, std: wp.vec3) -> wp.vec3:
     """Return three normal draws; ``index`` tells the quantities of one sample apart."""
     stream = wp.rand_init(int(random), index)
     return wp.cw_mul(std, wp.vec3(wp.randn(stream), wp.randn(stream), wp.randn(stream)))
 
 
 @wp.func
-def _uniform(random: wp.uint32, index: int, bound: wp.vec3) -> wp.vec3:
+def _uniform_vector(random: wp.uint32, index: int, bound: wp.vec3) -> wp.vec3:
     """Return three uniform draws within +- ``bound``; ``index`` likewise."""
     stream = wp.rand_init(int(random), index)
     share = wp.vec3(wp.randf(stream), wp.randf(stream), wp.randf(stream))
@@ -115,7 +115,7 @@ def _uniform(random: wp.uint32, index: int, bound: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def _limit(value: wp.vec3, bound: float) -> wp.vec3:
+def _saturate(value: wp.vec3, bound: float) -> wp.vec3:
     return wp.vec3(
         wp.clamp(value[0], -bound, bound), wp.clamp(value[1], -bound, bound), wp.clamp(value[2], -bound, bound)
     )
@@ -137,7 +137,7 @@ def _apply_errors(motion: ImuMotion, unit: ImuParameters, e: int, first: int, tr
 
 
 @wp.func
-def _write(
+def _write_sample(
     motion: ImuMotion,
     unit: ImuParameters,
     out: ImuOutputs,
@@ -158,21 +158,21 @@ def _write(
     accel = (
         rotate_inverse(mount, _apply_errors(motion, unit, e, 0, force))
         + accel_bias
-        + _normal(random, 0, share * unit.accel_noise)
+        + _normal_vector(random, 0, share * unit.accel_noise)
     )
     gyro = (
         rotate_inverse(mount, _apply_errors(motion, unit, e, 4, ang_vel))
         + gyro_bias
-        + _normal(random, 1, share * unit.gyro_noise)
+        + _normal_vector(random, 1, share * unit.gyro_noise)
     )
     out.bias[e, 0] = accel_bias
     out.bias[e, 1] = gyro_bias
-    out.fresh[e, 0] = _limit(accel, unit.accel_range)
-    out.fresh[e, 1] = _limit(gyro, unit.gyro_range)
+    out.fresh[e, 0] = _saturate(accel, unit.accel_range)
+    out.fresh[e, 1] = _saturate(gyro, unit.gyro_range)
 
 
 @wp.func
-def _deliver(unit: ImuParameters, out: ImuOutputs, e: int):
+def _output_delayed_sample(unit: ImuParameters, out: ImuOutputs, e: int):
     """Output the sample of ``latency`` steps ago, and queue the newest one."""
     place = out.place[e]
     for i in range(2):
@@ -199,17 +199,17 @@ def _measure(motion: ImuMotion, unit: ImuParameters, random: RandomArrays, numbe
     steps = out.steps[e] + 1
     if clock >= unit.due:
         count = float(steps)
-        state = _count(random, number, e, out)
-        accel_bias = out.bias[e, 0] + _normal(state, 2, wp.sqrt(count) * unit.accel_walk)
-        gyro_bias = out.bias[e, 1] + _normal(state, 3, wp.sqrt(count) * unit.gyro_walk)
-        _write(motion, unit, out, e, state, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
+        state = _next_sample_state(random, number, e, out)
+        accel_bias = out.bias[e, 0] + _normal_vector(state, 2, wp.sqrt(count) * unit.accel_walk)
+        gyro_bias = out.bias[e, 1] + _normal_vector(state, 3, wp.sqrt(count) * unit.gyro_walk)
+        _write_sample(motion, unit, out, e, state, out.mount[e], force / count, ang_vel, accel_bias, gyro_bias, count)
         clock -= unit.period
         steps = 0
         force = wp.vec3()
     out.clock[e] = clock
     out.steps[e] = steps
     out.force_sum[e] = force
-    _deliver(unit, out, e)
+    _output_delayed_sample(unit, out, e)
 
 
 @wp.kernel(enable_backward=False)
@@ -221,18 +221,18 @@ def _reset(
     if not mask[e]:
         return
     out.sample[e] = 0
-    state = _count(random, number, e, out)
-    turn = _uniform(state, 4, unit.misalignment)
+    state = _next_sample_state(random, number, e, out)
+    turn = _uniform_vector(state, 4, unit.misalignment)
     yaw_pitch = small_turn(wp.vec3(0.0, 0.0, turn[2])) * small_turn(wp.vec3(0.0, turn[1], 0.0))
     position, nominal = draw_pose(unit.mount, substream(state, 7))
     mount = wp.normalize(nominal * yaw_pitch * small_turn(wp.vec3(turn[0], 0.0, 0.0)))
-    accel_bias = _uniform(state, 5, unit.accel_initial_bias)
-    gyro_bias = _uniform(state, 6, unit.gyro_initial_bias)
+    accel_bias = _uniform_vector(state, 5, unit.accel_initial_bias)
+    gyro_bias = _uniform_vector(state, 6, unit.gyro_initial_bias)
     force = rotate_inverse(motion.attitude[e], wp.vec3(0.0, 0.0, unit.gravity))
     out.position[e] = position
     out.mount[e] = mount
     out.point_vel[e] = _point_velocity(motion, position, e)
-    _write(motion, unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
+    _write_sample(motion, unit, out, e, state, mount, force, motion.ang_vel[e], accel_bias, gyro_bias, 1.0)
     out.clock[e] = 0.0
     out.steps[e] = 0
     out.force_sum[e] = wp.vec3()
@@ -302,7 +302,7 @@ class Imu:
         self._line = torch.zeros(latency, envs, 6, device=device)
         self._random = random or Randomness(envs, device=device)
         self._mask = self._random.mask
-        unit = _make_unit(cfg, pose, dt, gravity)
+        unit = _imu_parameters(cfg, pose, dt, gravity)
         unit.latency, unit.errs = latency, errors is not None
         self.is_drawn = bool(unit.mount.is_drawn)
         """Whether its place differs between episodes."""
@@ -364,7 +364,7 @@ class Imu:
         self._reset_command.launch(self._mask)
 
 
-def _make_unit(cfg: ImuCfg, pose: Pose, dt: float, gravity: float) -> ImuParameters:
+def _imu_parameters(cfg: ImuCfg, pose: Pose, dt: float, gravity: float) -> ImuParameters:
     unit = ImuParameters()
     unit.dt, unit.gravity = dt, gravity
     unit.period = dt if cfg.rate_hz is None else 1.0 / cfg.rate_hz

@@ -54,7 +54,7 @@ class ImuSet:
             measurement = gtd.declare(TensorSpec(
                 key="imu_measurement" if not self.imus else f"{name}_imu_measurement",
                 shape=("E", 6), unit="m/s², rad/s", frame="imu", owner="SensorManager",
-                meaning=_meaning(given.cfg),
+                meaning=_measurement_meaning(given.cfg),
             ))  # fmt: skip
             self.imus[name] = _imu_class()(
                 given.cfg,
@@ -101,7 +101,7 @@ def _imu_class() -> "type[Imu]":
     return Imu
 
 
-def _meaning(cfg: ImuCfg) -> str:
+def _measurement_meaning(cfg: ImuCfg) -> str:
     """Return the line of meaning of an IMU's measurement."""
     period = "the step" if cfg.rate_hz is None else f"its period of {1.0 / cfg.rate_hz:g} s"
     late = f", {cfg.latency_s:g} s late" if cfg.latency_s else ""

@@ -68,7 +68,7 @@ class DistanceNoise:
 
 
 @wp.kernel(enable_backward=False)
-def locate(
+def write_sensor_poses(
     # state
     body_position: wp.array[wp.vec3],  # (E,) world [m]
     body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw

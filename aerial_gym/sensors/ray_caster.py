@@ -25,7 +25,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
 from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
 from aerial_gym.sensors.mounts import Pose
-from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs, locate
+from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs, write_sensor_poses
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
 from aerial_gym.sensors.scan import ColumnScan
@@ -126,18 +126,18 @@ class RayCaster:
         launches: list = [] if self._scan is None else [self._scan.record_placement()]
         if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
-            launches.append(ReusableLaunch(locate, dim=mounts, inputs=pose, outputs=where, device=device))
+            launches.append(ReusableLaunch(write_sensor_poses, dim=mounts, inputs=pose, outputs=where, device=device))
         if scene.num_parts and self._scan is not None:
-            launches.append(self._scan.record_look(self._view, self._reach()))
+            launches.append(self._scan.record_view(self._view, self._largest_range()))
         elif scene.num_parts:
             out = [self._view.rows, self._view.kind]
-            inputs = [scene.arrays, *pose, self._reach()]
+            inputs = [scene.arrays, *pose, self._largest_range()]
             launches.append(
                 ReusableLaunch(view_parts, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device)
             )
         return launches
 
-    def _reach(self) -> float:
+    def _largest_range(self) -> float:
         """Return the largest range limit of all rays [m]."""
         cosine = float(self.direction[..., 0].min()) if self.cfg.kind == "depth" else 1.0
         return self.cfg.max_range / cosine
@@ -171,7 +171,16 @@ class RayCaster:
             frames=self._frames.count > 1,
         )
         images, due = self._make_images(scene), wp.from_torch(self.due)
-        inputs = [self._view, rays, _limits(cfg), self._make_noise(), _light(cfg, scene), self.num_sensors, due, images]
+        inputs = [
+            self._view,
+            rays,
+            _distance_limits(cfg),
+            self._make_noise(),
+            _light_arrays(cfg, scene),
+            self.num_sensors,
+            due,
+            images,
+        ]
         mounts = self._view.kind.shape[0] // self._groups
 
         def record(kernel: wp.Kernel, dim: int, *more: int) -> ReusableLaunch:
@@ -237,7 +246,7 @@ def _twist_views(
     return [vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()]
 
 
-def _limits(cfg: RangeSensorCfg) -> DistanceLimits:
+def _distance_limits(cfg: RangeSensorCfg) -> DistanceLimits:
     limits = DistanceLimits()
     limits.min_range, limits.max_range = cfg.min_range, cfg.max_range
     limits.projected = cfg.kind == "depth"
@@ -250,7 +259,7 @@ def _limits(cfg: RangeSensorCfg) -> DistanceLimits:
     return limits
 
 
-def _light(cfg: RangeSensorCfg, scene: Scene) -> Light:
+def _light_arrays(cfg: RangeSensorCfg, scene: Scene) -> Light:
     light = Light()
     if cfg.light is None:
         return light

@@ -10,7 +10,7 @@ import warp as wp
 from aerial_gym.assets.scene_arrays import MESH
 from aerial_gym.sensors.images import arrays_type
 from aerial_gym.sensors.pixels import DistanceLimits, DistanceNoise, PixelOutputs, make_write_pixel, ray_limit
-from aerial_gym.sensors.sensor_view import SensorView, ballot, least_lane, lowest_bit, part_entry, trace
+from aerial_gym.sensors.sensor_view import SensorView, ballot, least_lane, lowest_bit, part_entry, ray_distance
 from aerial_gym.sensors.shading import Light
 
 
@@ -83,7 +83,7 @@ def make_warp_kernel(outputs: PixelOutputs) -> wp.Kernel:
             while analytic != wp.uint32(0):
                 i = first + lowest_bit(analytic)
                 analytic = analytic & (analytic - wp.uint32(1))
-                distance = trace(view, env, seat, i, ray, nearest)
+                distance = ray_distance(view, env, seat, i, ray, nearest)
                 if distance < nearest:
                     nearest = distance
                     hit = i
@@ -95,7 +95,7 @@ def make_warp_kernel(outputs: PixelOutputs) -> wp.Kernel:
                 meshes = meshes & ~(wp.uint32(1) << wp.uint32(closest))
                 if lane == closest:
                     entry = wp.inf
-                distance = trace(view, env, seat, i, ray, nearest)
+                distance = ray_distance(view, env, seat, i, ray, nearest)
                 if distance < nearest:
                     nearest = distance
                     hit = i
@@ -132,7 +132,7 @@ def make_tile_kernel(outputs: PixelOutputs, num_parts: int) -> wp.Kernel:
             while bits != wp.uint32(0):
                 i = 32 * k + lowest_bit(bits)
                 bits = bits & (bits - wp.uint32(1))
-                distance = trace(view, env, mount, i, ray, nearest)
+                distance = ray_distance(view, env, mount, i, ray, nearest)
                 if distance < nearest:
                     nearest = distance
                     hit = i

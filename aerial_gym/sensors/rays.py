@@ -54,7 +54,7 @@ def pinhole_rays(cfg: CameraCfg, *, device: torch.device) -> Tensor:
     """
     focal = 0.5 * cfg.width / tan(0.5 * radians(cfg.hfov_deg))
     right, down = _pixel_centres(cfg)
-    return _finish(torch.stack((torch.ones_like(right), -right / focal, -down / focal), dim=-1), device)
+    return _unit_float32(torch.stack((torch.ones_like(right), -right / focal, -down / focal), dim=-1), device)
 
 
 def fisheye_rays(cfg: FisheyeCfg, *, device: torch.device) -> Tensor:
@@ -69,7 +69,7 @@ def fisheye_rays(cfg: FisheyeCfg, *, device: torch.device) -> Tensor:
     right, down = _pixel_centres(cfg)
     theta = torch.hypot(right, down) / focal
     beside = torch.sinc(theta / pi) / focal
-    return _finish(torch.stack((torch.cos(theta), -right * beside, -down * beside), dim=-1), device)
+    return _unit_float32(torch.stack((torch.cos(theta), -right * beside, -down * beside), dim=-1), device)
 
 
 def lidar_rays(cfg: LidarCfg, *, device: torch.device) -> Tensor:
@@ -82,17 +82,17 @@ def lidar_rays(cfg: LidarCfg, *, device: torch.device) -> Tensor:
     Source: Derived: spherical coordinates, ``(cos el cos az, cos el sin az, sin el)``.
     """
     half_open = 0.5 if cfg.full_turn or cfg.cells else 0.0
-    azimuth = _steps(cfg.azimuth_high_deg, cfg.azimuth_low_deg, cfg.width, half_open, half_open)
+    azimuth = _uniform_steps(cfg.azimuth_high_deg, cfg.azimuth_low_deg, cfg.width, half_open, half_open)
     if cfg.beam_elevations_deg is not None:
         elevation = torch.tensor(cfg.beam_elevations_deg, dtype=torch.float64)
     else:
         low, high = cfg.elevation_low_deg or 0.0, cfg.elevation_high_deg or 0.0
         open_high, open_low = 0.5 * (high == 90.0 or cfg.cells), 0.5 * (low == -90.0 or cfg.cells)
-        elevation = _steps(high, low, cfg.height, open_high, open_low)
+        elevation = _uniform_steps(high, low, cfg.height, open_high, open_low)
     rows, columns = torch.meshgrid(elevation, azimuth, indexing="ij")
     if cfg.beam_azimuths_deg is not None:
         columns = columns + torch.tensor(cfg.beam_azimuths_deg, dtype=torch.float64).unsqueeze(-1)
-    return _finish(_from_angles(columns, rows), device)
+    return _unit_float32(_directions_from_angles(columns, rows), device)
 
 
 def rosette_rays(cfg: RosetteCfg, *, device: torch.device, frames: int | None = None) -> Tensor:
@@ -106,12 +106,12 @@ def rosette_rays(cfg: RosetteCfg, *, device: torch.device, frames: int | None = 
                 f"{cfg.frames * cfg.width * cfg.height}"
             )
         rays = listed[: count * cfg.width * cfg.height].view(count, cfg.width, cfg.height, 3).transpose(1, 2)
-        return _finish(rays, device)
+        return _unit_float32(rays, device)
     time = (torch.arange(count * cfg.width, dtype=torch.float64) + 1.0) * cfg.column_s
     azimuth, elevation = torch.tensor(cfg.lasers_deg, dtype=torch.float64).unbind(-1)
-    lasers = _from_angles(azimuth, elevation)
+    lasers = _directions_from_angles(azimuth, elevation)
     rows = [through_prisms(cfg.prisms, time, laser) for laser in lasers]
-    return _finish(torch.stack(rows).view(cfg.height, count, cfg.width, 3).transpose(0, 1), device)
+    return _unit_float32(torch.stack(rows).view(cfg.height, count, cfg.width, 3).transpose(0, 1), device)
 
 
 def through_prisms(prisms: Sequence[PrismCfg], time: Tensor, beam: Tensor) -> Tensor:
@@ -158,7 +158,7 @@ def custom_rays(cfg: RayTableCfg, *, device: torch.device) -> Tensor:
     if len(rays) != cfg.height * cfg.width:
         raise ConfigError(f"{cfg.path} has {len(rays)} rays, expected height * width = {cfg.height * cfg.width}")
     rays = rays / rays.abs().amax(dim=-1, keepdim=True)  # squares of very long or short ones would overflow
-    return _finish(rays.view(cfg.height, cfg.width, 3), device)
+    return _unit_float32(rays.view(cfg.height, cfg.width, 3), device)
 
 
 def read_rays(path: str | Path) -> Tensor:
@@ -173,12 +173,13 @@ def read_rays(path: str | Path) -> Tensor:
     if not lines:
         raise ConfigError(f"{path}: has no rays")
     numbers = torch.tensor(
-        [_numbers(line, len(header), f"{path}: line {i}") for i, line in enumerate(lines, start=2)], dtype=torch.float64
+        [_ray_numbers(line, len(header), f"{path}: line {i}") for i, line in enumerate(lines, start=2)],
+        dtype=torch.float64,
     )
-    return numbers if len(header) == 3 else _from_angles(numbers[:, 0], numbers[:, 1])
+    return numbers if len(header) == 3 else _directions_from_angles(numbers[:, 0], numbers[:, 1])
 
 
-def _numbers(cells: list[str], count: int, where: str) -> list[float]:
+def _ray_numbers(cells: list[str], count: int, where: str) -> list[float]:
     try:
         values = [float(cell) for cell in cells]
     except ValueError:
@@ -200,7 +201,7 @@ def _pixel_centres(cfg: RangeSensorCfg) -> tuple[Tensor, Tensor]:
     return beside, below
 
 
-def _steps(first: float, last: float, count: int, open_first: float, open_last: float) -> Tensor:
+def _uniform_steps(first: float, last: float, count: int, open_first: float, open_last: float) -> Tensor:
     """Return equally spaced numbers that keep the given parts of a step from both ends; one number is in the middle."""
     if count == 1:
         return torch.tensor([0.5 * (first + last)], dtype=torch.float64)
@@ -208,14 +209,14 @@ def _steps(first: float, last: float, count: int, open_first: float, open_last: 
     return first + step * (torch.arange(count, dtype=torch.float64) + open_first)
 
 
-def _from_angles(azimuth_deg: Tensor, elevation_deg: Tensor) -> Tensor:
+def _directions_from_angles(azimuth_deg: Tensor, elevation_deg: Tensor) -> Tensor:
     """Return unit directions of azimuth and elevation [deg], (..., 3)."""
     azimuth, elevation = torch.deg2rad(azimuth_deg), torch.deg2rad(elevation_deg)
     level = torch.cos(elevation)
     return torch.stack((level * torch.cos(azimuth), level * torch.sin(azimuth), torch.sin(elevation)), dim=-1)
 
 
-def _finish(rays: Tensor, device: torch.device) -> Tensor:
+def _unit_float32(rays: Tensor, device: torch.device) -> Tensor:
     return (rays / rays.norm(dim=-1, keepdim=True)).to(device=device, dtype=torch.float32)
 
 

@@ -160,7 +160,7 @@ class ColumnScan:
         inputs = [attitude, *self._twist, *mount, self._age, self._link]
         return self._record(place_columns, self.pose[2].shape, inputs, self.pose[2:])
 
-    def record_look(self, view: SensorView, reach: float) -> ReusableLaunch:
+    def record_view(self, view: SensorView, reach: float) -> ReusableLaunch:
         """Record the launch that transforms every part within a reach [m] into the frame of every column group."""
         scene = self._scene
         twists = [*instance_twists(scene), *link_twists(scene)]

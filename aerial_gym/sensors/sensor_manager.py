@@ -17,7 +17,7 @@ from aerial_gym.interop import plain_device, with_usual_settings
 from aerial_gym.math.random import Randomness
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.registry.state import add_prefix
-from aerial_gym.sensors.images import CLOCK_MARGIN, DelayLine, declare_images, latency_steps, make_zeros_like
+from aerial_gym.sensors.images import CLOCK_MARGIN, DelayLine, declare_images, latency_steps, zero_images_like
 from aerial_gym.sensors.mounts import Carrier, Pose
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class SensorManager:
             shape = ("E", "S", "H", "W") if first else ("E", cfg.count, cfg.height, cfg.width)
             seen = declare_images(gtd, cfg, shape, prefix="" if first else f"{name}_", owner=_OWNER)
             steps = latency_steps(cfg.latency_s, self._dt) if self._dt else 0
-            taken = make_zeros_like(seen) if steps else seen
+            taken = zero_images_like(seen) if steps else seen
             if steps:
                 self._delay[name] = DelayLine(taken, seen, steps)
             self.casters[name] = _caster_class()(

@@ -136,7 +136,7 @@ def plane_entry(row: wp.vec4, middle: wp.vec3, spread: wp.vec3) -> float:
 
 
 @wp.func
-def trace(view: SensorView, env: int, mount: int, a: int, ray: wp.vec3, limit: float) -> float:
+def ray_distance(view: SensorView, env: int, mount: int, a: int, ray: wp.vec3, limit: float) -> float:
     """Return the distance along a ray to an instance [m], or ``limit`` if there is none before it."""
     x = view.rows[mount, 3 * a]
     y = view.rows[mount, 3 * a + 1]

@@ -187,7 +187,7 @@ def texture_color(looks: AppearanceArrays, texture: Texture, uv: wp.vec2) -> wp.
 
 
 @wp.func
-def paint(view: SensorView, looks: AppearanceArrays, env: int, part: int, surface: Surface) -> wp.vec3:
+def surface_color(view: SensorView, looks: AppearanceArrays, env: int, part: int, surface: Surface) -> wp.vec3:
     """Return the colour of a surface in white light."""
     row = view.part_shape[env, part]
     look = looks.shape[row]
@@ -240,5 +240,5 @@ def pixel_color(
         for k in range(light.lamp_position.shape[0]):
             lamp = wp.quat_rotate_inv(turn, light.lamp_position[k] - place)
             power += lamplight(view, env, mount, surface, point, lamp, shadows) * light.lamp_power[k]
-    color = wp.cw_mul(power, paint(view, light.looks, env, part, surface))
+    color = wp.cw_mul(power, surface_color(view, light.looks, env, part, surface))
     return wp.min(color, wp.vec3(1.0, 1.0, 1.0))

@@ -18,7 +18,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError, ShapeError
 from aerial_gym.interop import on_device, with_usual_settings
 from aerial_gym.math.random import Purpose, uniform_draw
-from aerial_gym.registry.state import add_prefix, check_state, copy_tensors, identity, restore
+from aerial_gym.registry.state import add_prefix, check_state, config_digests, copy_tensors, restore_tensors
 from aerial_gym.robots.finite_watch import FiniteWatch
 from aerial_gym.task.commands.catalog import make_command
 from aerial_gym.task.commands.command import TARGET
@@ -231,7 +231,7 @@ class Task:
     @property
     def num_non_finite(self) -> int:
         """Number of rows that were not finite since the task was made. Waits for the device."""
-        return self._watch.look(wait=True)
+        return self._watch.count_rows(wait=True)
 
     def dump(self, path: str | Path) -> int:
         """Write the last steps of the first non-finite rows as CSV; return the number of rows. Waits for the device.
@@ -257,8 +257,8 @@ class Task:
         self._begin(self._all)
         if self.values.graph is not None:
             self.detach()
-        self._watch.look()
-        self._watch.forget()
+        self._watch.count_rows()
+        self._watch.clear_steps()
         for name in (SUMS, ARRIVED):
             if name in self.values.own:
                 self.values.own[name].zero_()
@@ -288,7 +288,7 @@ class Task:
         if self.values.graph is None:
             actions = actions.to(torch.float32)  # the caller's default type may be another one
         result = self._step(actions) if self._graph is None else self._graph.replay(actions)
-        self._watch.look()
+        self._watch.count_rows()
         return result
 
     def _step(self, actions: Tensor) -> StepResult:
@@ -301,7 +301,7 @@ class Task:
         info |= {f"{FINAL}{name}": frames.clone() for name, frames in self._images.frames.items()}
         if self.curriculum is not None:
             self.curriculum.count(judged["ended"], judged["success"])
-        self._watch.keep(actions, judged["ended"])
+        self._watch.record_step(actions, judged["ended"])
         self._begin(judged["ended"], counted=True)
         return self._observe(), judged["reward"], judged["terminated"], judged["truncated"], info
 
@@ -406,7 +406,7 @@ class Task:
     def state_tensors(self) -> dict[str, Tensor]:
         """Return everything on which the future depends, by name: tensors that keep their places, and digests."""
         curriculum = {} if self.curriculum is None else self.curriculum.state_tensors()
-        entries = identity(task=self.cfg) | self.env.state_tensors()
+        entries = config_digests(task=self.cfg) | self.env.state_tensors()
         return entries | add_prefix("task", self.values.own.state_tensors()) | add_prefix("curriculum", curriculum)
 
     def save_state(self) -> dict[str, Tensor]:
@@ -424,13 +424,13 @@ class Task:
         """
         check_state(state, self.state_tensors())
         self.env.restore(state)
-        restore(state, self.state_tensors())
+        restore_tensors(state, self.state_tensors())
         if self.values.graph is not None:
             self.values.graph.forget()
 
     def close(self) -> None:
         """Report non-finite rows not yet reported, and release the simulation; a later call raises ``ClosedError``."""
-        self._watch.look(wait=True)
+        self._watch.count_rows(wait=True)
         self._graph, self._capture_at_reset = None, False
         self.env.close()
 

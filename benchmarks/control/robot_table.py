@@ -18,7 +18,7 @@ import warp
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import RobotReport, check_robot
-from aerial_gym.robots.check.flights import make_tail
+from aerial_gym.robots.check.flights import make_tail_servo
 from benchmarks.control.control_flights import different_robots
 from benchmarks.markdown import insert_between_marks, table
 
@@ -62,7 +62,7 @@ def _largest_steps(report: RobotReport) -> str:
         largest = f"none (`{worst.controller}`)"
     else:
         largest = "100 ms or more" if worst.at_least else f"{1e3 * worst.largest_s:.3g} ms (`{worst.controller}`)"
-    moves = robot.joints is None or make_tail(robot, 0.0, STANDARD_GRAVITY) is not None
+    moves = robot.joints is None or make_tail_servo(robot, 0.0, STANDARD_GRAVITY) is not None
     return largest if moves else f"held rigid: {largest}"
 
 

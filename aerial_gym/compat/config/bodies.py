@@ -13,7 +13,7 @@ from aerial_gym.compat.config.fields import Changes, Values, values_equal
 from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, Vec3
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import make_collision, part_shape
+from aerial_gym.robots.importers.file_vehicle import make_collision, part_collision_shape
 
 FOLDER = f"{AERIAL_GYM_DIRECTORY}/resources/robots/quad"
 """URDF folder in a class generated from a robot of this package; it need not exist."""
@@ -84,7 +84,9 @@ def body_changes(values: Values) -> Changes:
             com=_vec3(whole.com),
             source=f"URDF {path.name}, all links at zero joint angles",
         ),
-        "collision": make_collision([part_shape(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"),
+        "collision": make_collision(
+            [part_collision_shape(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"
+        ),
         "summary": f"robot of {path.name}",
     }
 

@@ -34,7 +34,7 @@ from aerial_gym.physics.integrators import (
     to_mass_state,
 )
 from aerial_gym.physics.model import Model
-from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, load
+from aerial_gym.physics.mujoco.bodies import Bodies, body_rows, import_optional
 from aerial_gym.physics.mujoco.mjcf import Floor
 from aerial_gym.physics.mujoco.rollouts import RolloutBodies, RolloutTrees
 from aerial_gym.physics.mujoco.warp_engine import WarpBodies, WarpTrees
@@ -83,9 +83,9 @@ class MujocoBackend(TorchBackend):
         """Return the integrator that passes the wrench to MuJoCo; raise ``MissingDependencyError`` without MuJoCo."""
         del integrator  # MuJoCo has one
         for package in self.packages:
-            load(package.replace("-", "_"), backend=self.name)
+            import_optional(package.replace("-", "_"), backend=self.name)
         self._bodies = self._trees = None
-        return self._move
+        return self._advance_motion
 
     def tree_stepper(self, model: Model, dt: float) -> Callable[..., TreeState]:
         """Return MuJoCo's integrator of trees, with joint efforts at the end of a step as in ``implicit_euler``."""
@@ -97,18 +97,18 @@ class MujocoBackend(TorchBackend):
         return self._trees.move
 
     @torch.no_grad()
-    def _move(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
+    def _advance_motion(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
         """Return the motion after ``dt`` [s]: a ``Stepper``.
 
         In a fluid, MuJoCo applies the impulses of forces and contact between two halves of ``coast``.
         """
         if not model.effects[FluidEffect]:
-            return self._push(model, state, rotor_command, dt)
+            return self._mujoco_step(model, state, rotor_command, dt)
         middle = coast(model, state, 0.5 * dt)
-        end = self._push(model, middle, rotor_command, dt)
+        end = self._mujoco_step(model, middle, rotor_command, dt)
         return coast(model, replace(end, position=middle.position, attitude=middle.attitude), 0.5 * dt)
 
-    def _push(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
+    def _mujoco_step(self, model: Model, state: MassState, rotor_command: RotorCommand, dt: float) -> MassState:
         """Return the motion after MuJoCo's step; in a fluid only its velocities count, and a load is unchanged."""
         rotor_speed, (force, torque) = step_wrench(model, state, rotor_command, dt)
         load, fluid = state.load, bool(model.effects[FluidEffect])
@@ -135,7 +135,7 @@ class MujocoBackend(TorchBackend):
         if bodies is None or bodies.dt != dt or bodies.num_rows != len(rows):
             floor, cfg = _make_floor(self._ground)
             bodies = self._bodies = self._engine(rows, model.vehicle.num_envs, dt, floor=floor, cfg=cfg)
-        bodies.follow(rows)
+        bodies.set_parameters(rows)
         return bodies
 
     def _advance_on_ground(

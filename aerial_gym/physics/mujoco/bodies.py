@@ -27,7 +27,7 @@ MASS, INERTIA, COM, GRAVITY = 0, slice(1, 10), slice(10, 13), 13
 """Columns of ``body_rows``."""
 
 
-def load(module: str, *, backend: str) -> Any:
+def import_optional(module: str, *, backend: str) -> Any:
     """Import an optional module; raise ``MissingDependencyError`` with the backend's extra if it is not installed."""
     try:
         return import_module(module)
@@ -78,7 +78,7 @@ class Bodies(ABC):
     num_rows: int  # Number N of rows of parameters
 
     @abstractmethod
-    def follow(self, rows: Tensor) -> None:
+    def set_parameters(self, rows: Tensor) -> None:
         """Set the parameters of ``body_rows``, (N, 14), which may be unchanged."""
 
     @abstractmethod

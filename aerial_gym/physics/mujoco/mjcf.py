@@ -52,25 +52,29 @@ def add_solids(root: Element, world: Element, solids: Solids, env: int) -> None:
     asset = SubElement(root, "asset")
     for row, solid in enumerate(solids.table):
         if solid.kind == "mesh":
-            SubElement(asset, "mesh", name=f"solid{row}", vertex=numbers(x for point in solid.vertices for x in point))
+            SubElement(
+                asset, "mesh", name=f"solid{row}", vertex=format_numbers(x for point in solid.vertices for x in point)
+            )
     for place, row in enumerate(solids.part[env].tolist()):
         body = SubElement(world, "body", name=f"part{place}")
         if solids.moves:
             body.set("gravcomp", "1")
             SubElement(body, "freejoint", name=f"part{place}")
-            SubElement(body, "inertial", pos="0 0 0", mass=repr(HEAVY), diaginertia=numbers((HEAVY, HEAVY, HEAVY)))
+            SubElement(
+                body, "inertial", pos="0 0 0", mass=repr(HEAVY), diaginertia=format_numbers((HEAVY, HEAVY, HEAVY))
+            )
         else:
             body.set("mocap", "true")
         placeholder = {"type": "sphere", "size": "1", "contype": "0", "conaffinity": "0"}
-        SubElement(body, "geom", _geom(solids.table[row], row) if row >= 0 else placeholder)
+        SubElement(body, "geom", _geom_attributes(solids.table[row], row) if row >= 0 else placeholder)
 
 
-def _geom(solid: Solid, row: int) -> dict[str, str]:
+def _geom_attributes(solid: Solid, row: int) -> dict[str, str]:
     geom = {"type": _TYPES[solid.kind], "contype": ON_LINKS, "conaffinity": "0"}
-    return geom | ({"mesh": f"solid{row}"} if solid.kind == "mesh" else {"size": numbers(solid.size)})
+    return geom | ({"mesh": f"solid{row}"} if solid.kind == "mesh" else {"size": format_numbers(solid.size)})
 
 
-def numbers(values: Iterable[float]) -> str:
+def format_numbers(values: Iterable[float]) -> str:
     """Return numbers as text with all digits."""
     return " ".join(repr(float(value)) for value in values)
 
@@ -124,7 +128,9 @@ def write_mjcf(
     """
     root = Element("mujoco")
     SubElement(root, "compiler", boundmass="0", boundinertia="0", balanceinertia="false")
-    option = SubElement(root, "option", timestep=repr(dt), integrator=integrator, gravity=numbers((0.0, 0.0, -gravity)))
+    option = SubElement(
+        root, "option", timestep=repr(dt), integrator=integrator, gravity=format_numbers((0.0, 0.0, -gravity))
+    )
     flags = {"warmstart": "disable"}  # makes a step depend on its state only
     world = SubElement(root, "worldbody")
     if floor is None:
@@ -132,7 +138,9 @@ def write_mjcf(
     else:
         option.attrib |= {"cone": "elliptic", "impratio": repr(IMPEDANCE_RATIO)}
         if isfinite(floor.height):
-            SubElement(world, "geom", name="ground", type="plane", size="0 0 1", pos=numbers((0.0, 0.0, floor.height)))
+            SubElement(
+                world, "geom", name="ground", type="plane", size="0 0 1", pos=format_numbers((0.0, 0.0, floor.height))
+            )
         _set_friction(root, floor.friction)
     SubElement(option, "flag", flags)
     bodies = [_add_body(world, tree, 0, links, env)]
@@ -156,7 +164,7 @@ def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
     on = floor.on_links
     for place, (x, y, z, radius) in enumerate(floor.spheres):
         body, size = bodies[0 if on is None else on.links[place]], repr(max(radius, LEAST_RADIUS))
-        SubElement(body, "geom", type="sphere", pos=numbers((x, y, z)), size=size, contype="0")
+        SubElement(body, "geom", type="sphere", pos=format_numbers((x, y, z)), size=size, contype="0")
     if on is None:
         return
     for place, shape in enumerate(on.shapes):
@@ -164,14 +172,18 @@ def _add_shapes(root: Element, floor: Floor, bodies: Sequence[Element]) -> None:
         kind, size = ("capsule", (shape.radius, along)) if along else ("sphere", (shape.radius,))
         if not shape.radius:
             kind, size = "box", shape.half
-        attributes = {"pos": numbers(shape.center), "quat": numbers((w, x, y, z)), "size": numbers(size)}
+        attributes = {
+            "pos": format_numbers(shape.center),
+            "quat": format_numbers((w, x, y, z)),
+            "size": format_numbers(size),
+        }
         touches = "0" if on.solids is None else ON_LINKS
         SubElement(
             bodies[shape.link], "geom", attributes, name=f"shape{place}", type=kind, contype="0", conaffinity=touches
         )
     contact = SubElement(root, "contact")
     for one, other in on.pairs:
-        friction = numbers((floor.friction, floor.friction, 0.0, 0.0, 0.0))
+        friction = format_numbers((floor.friction, floor.friction, 0.0, 0.0, 0.0))
         SubElement(contact, "pair", geom1=f"shape{one}", geom2=f"shape{other}", condim="3", friction=friction)
 
 
@@ -190,7 +202,7 @@ def _add_actuators(root: Element, tree: Tree, bodies: Sequence[Element]) -> None
     for link, body in enumerate(bodies):
         SubElement(body, "site", name=f"link{link}")
         for axis in range(6):
-            gear = numbers(float(axis == place) for place in range(6))
+            gear = format_numbers(float(axis == place) for place in range(6))
             SubElement(actuator, "general", site=f"link{link}", gear=gear)
     for k in range(tree.num_joints):
         SubElement(actuator, "general", joint=f"joint{k}")
@@ -203,8 +215,10 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
     if link:
         joint = tree.joints[link - 1]
         x, y, z, w = joint.attitude
-        body.attrib |= {"pos": numbers(joint.position), "quat": numbers((w, x, y, z))}
-        SubElement(body, "joint", name=f"joint{link - 1}", type=_JOINT_TYPES[joint.kind], axis=numbers(joint.axis))
+        body.attrib |= {"pos": format_numbers(joint.position), "quat": format_numbers((w, x, y, z))}
+        SubElement(
+            body, "joint", name=f"joint{link - 1}", type=_JOINT_TYPES[joint.kind], axis=format_numbers(joint.axis)
+        )
     elif tree.floating:
         SubElement(body, "freejoint")
     else:
@@ -213,16 +227,16 @@ def _add_body(parent: Element, tree: Tree, link: int, links: Links, env: int) ->
     SubElement(
         body,
         "inertial",
-        pos=numbers(links.com[env, link].tolist()),
+        pos=format_numbers(links.com[env, link].tolist()),
         mass=repr(float(links.mass[env, link])),
-        fullinertia=numbers((xx, yy, zz, xy, xz, yz)),
+        fullinertia=format_numbers((xx, yy, zz, xy, xz, yz)),
     )
     return body
 
 
 def _set_friction(root: Element, friction: float) -> None:
     """Set the friction of all shapes, without torsional friction; MuJoCo takes the larger value of two in contact."""
-    SubElement(SubElement(root, "default"), "geom", friction=numbers((friction, 0.0, 0.0)), condim="3")
+    SubElement(SubElement(root, "default"), "geom", friction=format_numbers((friction, 0.0, 0.0)), condim="3")
 
 
 LEAST_IMPEDANCE = 1e-4

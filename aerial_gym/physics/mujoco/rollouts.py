@@ -13,9 +13,18 @@ from torch import Tensor
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.physics.articulated.tree import Links, Tree
-from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load, principal_axes
+from aerial_gym.physics.mujoco.bodies import (
+    COM,
+    GRAVITY,
+    INERTIA,
+    MASS,
+    Bodies,
+    compile_body,
+    import_optional,
+    principal_axes,
+)
 from aerial_gym.physics.mujoco.mjcf import Floor, check_solids, solver_numbers
-from aerial_gym.physics.mujoco.trees import MujocoTrees, template
+from aerial_gym.physics.mujoco.trees import MujocoTrees, template_mjcf
 
 
 class Rollouts:
@@ -23,10 +32,10 @@ class Rollouts:
 
     def __init__(self, models: Sequence[Any], num_envs: int, *control: str) -> None:
         """Allocate the rollout of N ``MjModel`` of equal structure; ``control`` are entries of ``mjtState`` in its order."""
-        self.mujoco, rollout = (load(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
+        self.mujoco, rollout = (import_optional(name, backend="mujoco") for name in ("mujoco", "mujoco.rollout"))
         self.models, self._num_envs, xml_model = list(models), num_envs, models[0]
         self._scratch = self.mujoco.MjData(xml_model)
-        self.replace({})
+        self.replace_models({})
         threads = torch.get_num_threads()
         self._data = [self.mujoco.MjData(xml_model) for _ in range(threads)]
         self._rollout = rollout.Rollout(nthread=threads if threads > 1 else 0)  # 0: the calling thread
@@ -57,7 +66,7 @@ class Rollouts:
         """Sensor values at the start of a step, (E, ...)."""
         return torch.from_numpy(self._sensed)[:, 0]
 
-    def replace(self, models: Mapping[int, Any]) -> None:
+    def replace_models(self, models: Mapping[int, Any]) -> None:
         """Replace some models."""
         for k, model in models.items():
             self.models[k] = model
@@ -94,7 +103,7 @@ class Rollouts:
         for k, whole in zip(changed, mass.tolist(), strict=True):
             self.models[k].body_invweight0[places, 0] = 1.0 / whole
 
-    def settle(self, changed: list[int]) -> None:
+    def update_constants(self, changed: list[int]) -> None:
         """Let MuJoCo update the derived constants of some models."""
         for k in changed:
             self.mujoco.mj_setConst(self.models[k], self._scratch)
@@ -108,12 +117,12 @@ class RolloutBodies(Bodies):
     ) -> None:
         """Make the models with the parameters of ``body_rows``, (N, 14), for steps of ``dt`` [s]."""
         self._floor, self.dt, self.num_rows = floor, dt, len(rows)
-        first = compile_body(load("mujoco", backend="mujoco"), floor, cfg, dt)
+        first = compile_body(import_optional("mujoco", backend="mujoco"), floor, cfg, dt)
         self._rollouts = Rollouts([copy(first) for _ in rows], num_envs, "mjSTATE_XFRC_APPLIED")
         self._rows = torch.full_like(rows, torch.nan)
-        self.follow(rows)
+        self.set_parameters(rows)
 
-    def follow(self, rows: Tensor) -> None:
+    def set_parameters(self, rows: Tensor) -> None:
         """Write the changed parameters of (N, 14) into the models."""
         changed = (rows != self._rows).any(dim=-1).nonzero().squeeze(-1).tolist()
         if not changed:
@@ -129,7 +138,7 @@ class RolloutBodies(Bodies):
             centers = np.asarray(self._floor.spheres)[:, :3]
             for k, com in zip(changed, new[:, COM].numpy(), strict=True):
                 self._rollouts.models[k].geom_pos[1:] = centers - com
-        self._rollouts.settle(changed)
+        self._rollouts.update_constants(changed)
 
     def _inputs(self) -> tuple[Tensor, Tensor, Tensor]:
         all_, start = self._rollouts, self._rollouts.start
@@ -164,7 +173,7 @@ class RolloutTrees(MujocoTrees):
 
     def _compile(self, envs: list[int], tree: Tree, dt: float) -> dict[int, Any]:
         """Compile template models of some environments; each kind is compiled once."""
-        mujoco, kinds, models = load("mujoco", backend="mujoco"), {}, {}
+        mujoco, kinds, models = import_optional("mujoco", backend="mujoco"), {}, {}
         for env in envs:
             kind = (
                 ()
@@ -172,7 +181,7 @@ class RolloutTrees(MujocoTrees):
                 else tuple(self._floor.solids.part[env].tolist())
             )
             if kind not in kinds:
-                text = template(tree, dt, floor=self._floor, env=env)
+                text = template_mjcf(tree, dt, floor=self._floor, env=env)
                 model = kinds[kind] = mujoco.MjModel.from_xml_string(text)
                 if self._cfg is not None:
                     numbers = solver_numbers(self._cfg, dt)
@@ -180,23 +189,23 @@ class RolloutTrees(MujocoTrees):
             models[env] = copy(kinds[kind])
         return models
 
-    def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
-        self._renew()
-        super()._follow(links, gravity, armature)
+    def _write_changes(self, links: Links, gravity: float, armature: Tensor) -> None:
+        self._rebuild_models()
+        super()._write_changes(links, gravity, armature)
 
-    def _renew(self) -> None:
+    def _rebuild_models(self) -> None:
         """Rebuild the models of environments with new obstacles."""
         if self._solids is None:
             return
         changed = (self._solids.part != self._part).any(dim=-1).nonzero().squeeze(-1).tolist()
         if changed:
             self._part.copy_(self._solids.part)
-            self._rollouts.replace(self._compile(changed, self._tree, self.dt))
+            self._rollouts.replace_models(self._compile(changed, self._tree, self.dt))
             self._weights[changed] = self._armature[changed] = torch.nan
 
     def _write_links(self, changed: list[int], mass: Tensor, com: Tensor, inertia: Tensor, down: Tensor) -> None:
         self._rollouts.write_bodies(changed, self._places, mass, com, inertia, down)
-        self._rollouts.settle(changed)
+        self._rollouts.update_constants(changed)
         if self._touches:
             self._rollouts.scale_contacts(changed, self._places, mass.sum(dim=-1))
 

@@ -34,7 +34,7 @@ LEAST_MASS = 1e-9
 """Mass [kg] and moments of inertia [kg m²] for links without any, because MuJoCo needs them."""
 
 
-def template(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0) -> str:
+def template_mjcf(tree: Tree, dt: float, *, floor: Floor | None = None, env: int = 0) -> str:
     """Return the template MJCF of a tree with controls, whose links have 1 kg and 1 kg m²."""
     shape = (env + 1, tree.num_links)
     zero, unit = torch.zeros(1).expand(*shape, 3), torch.eye(3).expand(*shape, 3, 3)
@@ -51,7 +51,7 @@ class MujocoTrees(ABC):
     def __init__(
         self, first: Any, tree: Tree, num_envs: int, dt: float, *, solids: Solids | None, touches: bool
     ) -> None:
-        """Find the indices of links, joints and controls in a compiled ``MjModel`` of ``template``."""
+        """Find the indices of links, joints and controls in a compiled ``MjModel`` of ``template_mjcf``."""
         self.dt, self._tree, self._solids, self._touches = dt, tree, solids, touches
         names = [f"joint{k}" for k in range(tree.num_joints)]
         self._joint_pos = [int(first.joint(name).qposadr[0]) for name in names]
@@ -84,7 +84,7 @@ class MujocoTrees(ABC):
         ``start`` is qpos and qvel, (E, nq + nv); ``control`` has controls, positions and attitudes wxyz of M mocap bodies.
         """
 
-    def _follow(self, links: Links, gravity: float, armature: Tensor) -> None:
+    def _write_changes(self, links: Links, gravity: float, armature: Tensor) -> None:
         """Write changed parameters; gravity is the downward acceleration of free fall [m/s²]."""
         down = torch.zeros_like(armature[:, :1]).expand(-1, 3) + torch.tensor(
             (0.0, 0.0, -gravity), dtype=armature.dtype
@@ -130,7 +130,7 @@ class MujocoTrees(ABC):
         if tree is not self._tree or dt != self.dt:
             raise ShapeError(f"MuJoCo's models are of another tree, or of steps of {self.dt:g} s. Make them anew")
         if damping is not None:
-            self._check_held(links, damping)
+            self._check_link_damping(links, damping)
             wrench = wrench + damping.start_wrench(links)
         step = partial(self._step, links, state, gravity, wrench)
         return with_drive(step, laws, drive, friction, state)
@@ -172,7 +172,7 @@ class MujocoTrees(ABC):
         start, places = self._initial_state(state, swings)
         control = torch.cat((wrench.flatten(1).double(), held.double(), places), dim=-1)
         sane = (torch.cat((start, control, armature), dim=-1).abs() < LARGEST).all(dim=-1, keepdim=True)
-        self._follow(links, gravity, torch.where(sane, armature, 0.0))
+        self._write_changes(links, gravity, torch.where(sane, armature, 0.0))
         end, force = self._run(torch.where(sane, start, self._rest[0]), torch.where(sane, control, self._rest[1]))
         if force is not None:
             self.impulse = torch.where(sane, -dt * force, 0.0)
@@ -183,7 +183,7 @@ class MujocoTrees(ABC):
             ang_vel = state.ang_vel + ang_vel - swings.ang_vel
         return advance_state(state, lin_vel, ang_vel, state.joint_vel + end[:, self._joint_vel] - swings.joint_vel, dt)
 
-    def _check_held(self, links: Links, acts: LinkDamping) -> None:
+    def _check_link_damping(self, links: Links, acts: LinkDamping) -> None:
         """Raise ``CapabilityError`` if constant damping over a step would reverse a link's motion.
 
         Below ``D dt = m`` of each link, and likewise for torques, no motion of the tree reverses:

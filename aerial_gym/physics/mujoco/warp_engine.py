@@ -13,9 +13,18 @@ from aerial_gym.config.contact import ContactCfg
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import on_torch_stream, start_warp
 from aerial_gym.physics.articulated.tree import Tree
-from aerial_gym.physics.mujoco.bodies import COM, GRAVITY, INERTIA, MASS, Bodies, compile_body, load, principal_axes
+from aerial_gym.physics.mujoco.bodies import (
+    COM,
+    GRAVITY,
+    INERTIA,
+    MASS,
+    Bodies,
+    compile_body,
+    import_optional,
+    principal_axes,
+)
 from aerial_gym.physics.mujoco.mjcf import Floor
-from aerial_gym.physics.mujoco.trees import MujocoTrees, template
+from aerial_gym.physics.mujoco.trees import MujocoTrees, template_mjcf
 
 _BODY_ARRAYS = ("body_mass", "body_subtreemass", "body_inertia", "body_iquat", "body_invweight0", "geom_pos")
 """Arrays of MuJoCo's model that are written."""
@@ -70,8 +79,8 @@ class WarpBodies(Bodies):
         self, rows: Tensor, num_envs: int, dt: float, *, floor: Floor | None = None, cfg: ContactCfg | None = None
     ) -> None:
         """Make model and data on the device of ``rows``; other arguments as for ``RolloutBodies``."""
-        self._engine = load("mujoco_warp", backend="mujoco_warp")
-        mujoco = load("mujoco", backend="mujoco_warp")
+        self._engine = import_optional("mujoco_warp", backend="mujoco_warp")
+        mujoco = import_optional("mujoco", backend="mujoco_warp")
         logging.getLogger("mujoco_warp").setLevel(logging.WARNING)
         start_warp()
         self.dt, self.num_rows, self._device = dt, len(rows), rows.device
@@ -85,9 +94,9 @@ class WarpBodies(Bodies):
             self._spheres = wp.array(spheres, dtype=wp.vec3)
         self._pose, self._twist = wp.to_torch(self._data.qpos), wp.to_torch(self._data.qvel)
         self._push = wp.to_torch(self._data.xfrc_applied)[:, 1]
-        self.follow(rows)
+        self.set_parameters(rows)
 
-    def follow(self, rows: Tensor) -> None:
+    def set_parameters(self, rows: Tensor) -> None:
         """Write the parameters (N, 14) into the model."""
         rows = rows.float().contiguous()
         with on_torch_stream(rows):
@@ -125,10 +134,10 @@ class WarpTrees(MujocoTrees):
         """Make model and data on the CPU; arguments as for ``RolloutTrees``, but without contact."""
         if floor is not None or cfg is not None:
             raise CapabilityError(f"backend {self.backend}: no contact of a vehicle with joints. Use backend 'mujoco'")
-        self._engine, self._mujoco = (load(name, backend=self.backend) for name in ("mujoco_warp", "mujoco"))
+        self._engine, self._mujoco = (import_optional(name, backend=self.backend) for name in ("mujoco_warp", "mujoco"))
         logging.getLogger("mujoco_warp").setLevel(logging.WARNING)
         start_warp()
-        first = self._mujoco.MjModel.from_xml_string(template(tree, dt))
+        first = self._mujoco.MjModel.from_xml_string(template_mjcf(tree, dt))
         super().__init__(first, tree, num_envs, dt, solids=None, touches=False)
         with wp.ScopedDevice("cpu"):
             self._model = self._engine.put_model(first, dict.fromkeys(_TREE_ARRAYS, num_envs))

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import torch
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.registry.state import check_state, copy_tensors, restore
+from aerial_gym.registry.state import check_state, copy_tensors, restore_tensors
 from aerial_gym.rl_training.learning.graph import IterationGraph
 from aerial_gym.rl_training.learning.learner import SUMS, Learner
 from aerial_gym.rl_training.policies.initial_weights import load_initial_weights
@@ -151,7 +151,7 @@ class NativeTraining(Generic[AnyLearner]):
         if "learner" in state:  # absent for a rank new to the run, which keeps its initial state
             own = self.learner.state_tensors()
             check_state(state["learner"], own)
-            restore(state["learner"], own)
+            restore_tensors(state["learner"], own)
             self.learner.generator.set_state(state["generator"])
             now = self.task.save_state()
             self.task.load_state({name: state["task"].get(name, now[name]) for name in now})

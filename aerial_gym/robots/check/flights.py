@@ -89,10 +89,10 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
         def converges(dt: float) -> bool:
             return _comes_to_rest(robot, controller, dt, loop, gravity)
 
-        largest = _largest_step(lambda dt: loop.is_firm(dt) and converges(dt))
+        largest = _largest_passing_step(lambda dt: loop.is_firm(dt) and converges(dt))
         little_margin = largest is None
         if largest is None:
-            largest = _largest_step(lambda dt: loop.is_stable(dt) and converges(dt))
+            largest = _largest_passing_step(lambda dt: loop.is_stable(dt) and converges(dt))
     except ConfigError as error:
         return StableStep(controller=name, refused=str(error))
     if largest is None:
@@ -101,7 +101,7 @@ def largest_stable_step(robot: RobotCfg, controller: ControllerCfg, *, name: str
     return StableStep(controller=name, largest_s=largest, at_least=at_least, little_margin=little_margin)
 
 
-def _largest_step(holds: Callable[[float], bool]) -> float | None:
+def _largest_passing_step(holds: Callable[[float], bool]) -> float | None:
     """Return the largest time step [s] of ``STEP_RANGE`` that holds; None if the smallest does not."""
     low, high = STEP_RANGE
     if holds(high):
@@ -121,21 +121,21 @@ def _comes_to_rest(robot: RobotCfg, controller: ControllerCfg, dt: float, loop: 
     linearised loop at that time.
     """
     size = torch.tensor(DISTURBANCE).repeat_interleave(3)
-    tail = make_tail(robot, dt, gravity)
+    tail = make_tail_servo(robot, dt, gravity)
     held = (*loop.axes.split(), *(() if tail is None else HEADING))
     kept = torch.tensor([name in held for name in AXES])
-    last = _last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity, tail) / size
+    last = _distances_in_last_tenth(robot, controller, dt, torch.where(kept, size, 0.0), gravity, tail) / size
     apart = last.amax((0, 1)) - last.amin((0, 1))
-    left = SLOW * loop.deviation_bound(dt, 90 * _sample_steps(dt), torch.where(kept, size, 0.0)).float() / size
+    left = SLOW * loop.deviation_bound(dt, 90 * _steps_between_samples(dt), torch.where(kept, size, 0.0)).float() / size
     return bool((apart < left.clamp_min(AT_REST))[kept].all())  # written so that NaN fails as well
 
 
-def _sample_steps(dt: float) -> int:
+def _steps_between_samples(dt: float) -> int:
     """Return the physics steps of a hundredth of a flight."""
     return ceil(0.01 * (SPAN / dt + STEPS))
 
 
-def make_tail(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
+def make_tail_servo(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
     """Return the heading servo of a tricopter at a time step [s]; None without a tail servo."""
     try:
         return tail_servo(robot, dt=dt, gravity=gravity)
@@ -143,14 +143,14 @@ def make_tail(robot: RobotCfg, dt: float, gravity: float) -> TailServo | None:
         return None
 
 
-def _last_tenth(
+def _distances_in_last_tenth(
     robot: RobotCfg, controller: ControllerCfg, dt: float, size: Tensor, gravity: float, tail: TailServo | None
 ) -> Tensor:
     """Return distances from hover at ten moments at the end of flights, (10, E, 12), with starts of a size on ``AXES``."""
     vehicle = vehicle_from_config(robot, num_envs=NUM_FLIGHTS)
     model = build_model(
         vehicle,
-        _in_still_air(robot),
+        _effects_without_wind(robot),
         gravity=gravity,
         ceiling_height=CEILING,
         articulation=None if tail is None else build_articulation(robot, like=vehicle.mass),
@@ -160,10 +160,10 @@ def _last_tenth(
     backend.allocate(model, law, integrator="euler")
     backend.prepare(dt)
     felt = apparent_gravity(robot.control, robot.body.mass, gravity)
-    state = _starts(size, _hover(vehicle, felt))
+    state = _start_states(size, _hover_speeds(vehicle, felt))
     action = torch.zeros(NUM_FLIGHTS, len(law.action_names))
     if tail is not None:
-        action, state = torch.nn.functional.pad(action, (0, 1)), _with_tail(state, tail)
+        action, state = torch.nn.functional.pad(action, (0, 1)), _add_tail_state(state, tail)
 
     def fly(steps: int) -> None:
         if tail is None:
@@ -173,7 +173,7 @@ def _last_tenth(
             action[:, -1] = tail.angle(state.attitude, state.ang_vel, ahead)
             backend.step(state, action, dt, 1)
 
-    ahead, steps, distances = torch.zeros(NUM_FLIGHTS), _sample_steps(dt), []
+    ahead, steps, distances = torch.zeros(NUM_FLIGHTS), _steps_between_samples(dt), []
     fly(90 * steps)
     for _ in range(10):
         fly(steps)
@@ -181,25 +181,25 @@ def _last_tenth(
     return torch.stack(distances)
 
 
-def _hover(vehicle: Vehicle, gravity: float) -> Tensor:
+def _hover_speeds(vehicle: Vehicle, gravity: float) -> Tensor:
     weight = torch.zeros(NUM_FLIGHTS, 6)
     weight[:, 2] = vehicle.mass * gravity
     return Allocation(vehicle, gravity).speed_for_wrench(weight)
 
 
-def _with_tail(state: BodyState, tail: TailServo) -> ArticulatedState:
+def _add_tail_state(state: BodyState, tail: TailServo) -> ArticulatedState:
     """Return the starts with the tail servo at its hover angle."""
     angle = torch.full((NUM_FLIGHTS, 1), tail.trim)
     return ArticulatedState(**vars(state), joint_pos=angle, joint_vel=torch.zeros_like(angle))
 
 
-def _in_still_air(robot: RobotCfg) -> list[EffectParams]:
+def _effects_without_wind(robot: RobotCfg) -> list[EffectParams]:
     cpu = torch.device("cpu")
     effects = robot_effects(robot, num_envs=NUM_FLIGHTS, device=cpu, dtype=torch.float32, rigid=True)
     return [(effect, params) for effect, params in effects if not isinstance(effect, WindEffect)]
 
 
-def _starts(size: Tensor, rotors: Tensor) -> BodyState:
+def _start_states(size: Tensor, rotors: Tensor) -> BodyState:
     """Return the disturbed starts: the corners of a cube, in another order for each quantity."""
     corners = torch.tensor([[1.0 if (i >> axis) & 1 else -1.0 for axis in range(3)] for i in range(NUM_FLIGHTS)])
     place, turn, lin_vel, ang_vel = (part * corners.roll(3 * i, 0) for i, part in enumerate(size.split(3)))

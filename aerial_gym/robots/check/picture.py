@@ -33,9 +33,9 @@ def draw_rotors(robot: RobotCfg, path: str | Path, *, name: str = "") -> None:
         length = sum(a * a for a in mount.axis) ** 0.5
         x, y, z = mount.position
         ax, ay, az = (0.6 * outermost * a / length for a in mount.axis)
-        _disc(above, (-y, x), radius, mount.spin if az >= 0.0 else -mount.spin, colour, str(number))
-        _arrow(above, (-y, x), (-ay, ax), colour)
-        _arrow(side, (x, z), (ax, az), colour)
+        _draw_rotor_disc(above, (-y, x), radius, mount.spin if az >= 0.0 else -mount.spin, colour, str(number))
+        _draw_thrust_arrow(above, (-y, x), (-ay, ax), colour)
+        _draw_thrust_arrow(side, (x, z), (ax, az), colour)
         side.annotate(str(number), (x, z), color=colour, xytext=(4, 4), textcoords="offset points")
     com = robot.body.com
     for axes, (right, up) in ((above, (-com[1], com[0])), (side, (com[0], com[2]))):
@@ -49,7 +49,9 @@ def draw_rotors(robot: RobotCfg, path: str | Path, *, name: str = "") -> None:
     figure.savefig(path, dpi=110)
 
 
-def _disc(axes: "Axes", centre: tuple[float, float], radius: float, turn: int, colour: str, text: str) -> None:
+def _draw_rotor_disc(
+    axes: "Axes", centre: tuple[float, float], radius: float, turn: int, colour: str, text: str
+) -> None:
     """Draw a rotor from above, with its number and an arrow along its turning."""
     from matplotlib.patches import Circle, FancyArrowPatch
 
@@ -64,7 +66,7 @@ def _disc(axes: "Axes", centre: tuple[float, float], radius: float, turn: int, c
     axes.update_datalim([(right - radius, up - radius), (right + radius, up + radius)])
 
 
-def _arrow(axes: "Axes", start: tuple[float, float], along: tuple[float, float], colour: str) -> None:
+def _draw_thrust_arrow(axes: "Axes", start: tuple[float, float], along: tuple[float, float], colour: str) -> None:
     """Draw a direction of thrust, unless it points at the viewer."""
     if along[0] ** 2 + along[1] ** 2 > 1e-6:
         end = (start[0] + along[0], start[1] + along[1])

@@ -94,17 +94,19 @@ def check_robot(
         wrench, ratio = matrix @ hover, allocation.largest_thrust() / weight
         authority, limiting = allocation.wrench_authority(held), allocation.critical_rotors(held).tolist()
     else:
-        asked = tail.unknowns(held)
-        hover, matrix = torch.from_numpy(tail.thrusts(asked)), torch.from_numpy(tail.columns)
+        asked = tail.hover_unknowns(held)
+        hover, matrix = torch.from_numpy(tail.rotor_thrusts(asked)), torch.from_numpy(tail.columns)
         wrench, ratio = tail.wrench(asked), tail.largest_lift() / weight
-        given, limiting = zip((0.0, None), (0.0, None), *(tail.largest(held, axis) for axis in range(4)), strict=True)
+        given, limiting = zip(
+            (0.0, None), (0.0, None), *(tail.control_margin(held, axis) for axis in range(4)), strict=True
+        )
         authority = torch.tensor(given, dtype=matrix.dtype)
     ends = tuple(
         rotor + 1 if given > 0.0 and rotor is not None else None
         for rotor, given in zip(limiting, authority.tolist(), strict=True)
     )
-    problems = (*_problems(hover, low, high, wrench, held, weight), *_find_couplings(matrix))
-    names = _with_gains() if controllers is None else tuple(controllers)
+    problems = (*_hover_problems(hover, low, high, wrench, held, weight), *_problems_of_coupling(matrix))
+    names = _controllers_with_gains() if controllers is None else tuple(controllers)
     steps = []
     for number, controller in enumerate(names if not problems else ()):
         progress(controller, number / len(names))
@@ -128,18 +130,18 @@ def check_robot(
         problems=problems,
         warnings=(
             *(_rigid_warnings(robot) if tail is None else _tail_warnings(tail, held, controllers)),
-            *_warnings(robot),
+            *_plausibility_warnings(robot),
             *_control_warnings(inf if robot.control.buoyancy else ratio, turn.tolist()),
             *_step_warnings(steps),
         ),
     )
 
 
-def _with_gains() -> tuple[str, ...]:
+def _controllers_with_gains() -> tuple[str, ...]:
     return tuple(n for n in CONTROLLERS.names() if CONTROLLERS.get(n).law in LAWS and CONTROLLERS.get(n).gains is None)
 
 
-def _problems(
+def _hover_problems(
     hover: torch.Tensor, low: torch.Tensor, high: torch.Tensor, wrench: torch.Tensor, held: float, weight: float
 ) -> Iterator[str]:
     """Yield the reasons against hover: rotors beyond their limits, or a residual force or torque."""
@@ -159,7 +161,7 @@ def _problems(
             )
 
 
-def _find_couplings(matrix: torch.Tensor) -> Iterator[str]:
+def _problems_of_coupling(matrix: torch.Tensor) -> Iterator[str]:
     """Yield the linearly dependent rows among lift, roll, pitch and yaw of an effectiveness matrix (6, R)."""
     rows, names = matrix[2:], ("lift", "torque about x", "torque about y", "torque about z")
     size = rows.norm(dim=-1, keepdim=True)
@@ -195,7 +197,7 @@ def _rigid_warnings(robot: RobotCfg) -> Iterator[str]:
 
 
 def _tail_warnings(tail: TailRotorModel, held: float, controllers: Sequence[str] | None) -> Iterator[str]:
-    asked = tail.unknowns(held)
+    asked = tail.hover_unknowns(held)
     yield (
         f"its tail leans by {tail.angle(asked):.3g} rad at hover, which takes the torque about z, and the vehicle by "
         f"{tail.roll(asked):.3g} rad about x against the side force"
@@ -204,10 +206,10 @@ def _tail_warnings(tail: TailRotorModel, held: float, controllers: Sequence[str]
         yield "time steps are flown with joints.tail_servo, which holds the heading: controllers command rotors"
 
 
-def _warnings(robot: RobotCfg) -> Iterator[str]:
+def _plausibility_warnings(robot: RobotCfg) -> Iterator[str]:
     """Yield warnings about implausible numbers of the robot file."""
     extent = max(
-        (*(dist(m.position, robot.body.com) for m in robot.mounts.layout), *map(_reach, robot.collision.shapes))
+        (*(dist(m.position, robot.body.com) for m in robot.mounts.layout), *map(_shape_reach, robot.collision.shapes))
     )
     for axis in range(3):
         gyration = sqrt(robot.body.inertia[axis][axis] / robot.body.mass)
@@ -224,10 +226,10 @@ def _warnings(robot: RobotCfg) -> Iterator[str]:
                 f"at {rotor.thrust_range[1]:g} N tips would move at {tip:.0f} m/s, faster than sound: thrust_map is per "
                 "(rad/s)², that per (rev/s)² is divided by (2 pi)²"
             )
-    yield from _overlaps(robot)
+    yield from _propeller_overlaps(robot)
 
 
-def _reach(shape: CollisionShape) -> float:
+def _shape_reach(shape: CollisionShape) -> float:
     """Return the largest distance of a collision shape from the body origin [m]."""
     if isinstance(shape, BoxCfg):
         size = 0.5 * dist(shape.size, (0.0, 0.0, 0.0))
@@ -236,7 +238,7 @@ def _reach(shape: CollisionShape) -> float:
     return dist(shape.center, (0.0, 0.0, 0.0)) + size
 
 
-def _overlaps(robot: RobotCfg) -> Iterator[str]:
+def _propeller_overlaps(robot: RobotCfg) -> Iterator[str]:
     """Yield pairs of propellers that turn in one plane and would touch."""
     mounts = list(enumerate(zip(robot.mounts.layout, robot.rotor_types, strict=True), 1))
     for (one, (a, first)), (other, (b, second)) in combinations(mounts, 2):

@@ -55,11 +55,11 @@ class TailRotorModel:
         self.columns = np.column_stack((matrix, lean))
         self._inverse = np.linalg.pinv(self.columns[2:])
 
-    def unknowns(self, lift: float, torque: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
+    def hover_unknowns(self, lift: float, torque: Sequence[float] = (0.0, 0.0, 0.0)) -> Array:
         """Return the unknowns for a force along z [N] and a torque [N m]: thrusts, the tail's z and -y components [N]."""
         return self._inverse @ np.array([lift, *torque])
 
-    def thrusts(self, unknowns: Array) -> Array:
+    def rotor_thrusts(self, unknowns: Array) -> Array:
         """Return the thrust of each rotor [N], (R,)."""
         values = unknowns[:-1].copy()
         values[self.tail] = hypot(unknowns[self.tail], unknowns[-1])
@@ -80,35 +80,41 @@ class TailRotorModel:
         force = self.columns @ unknowns
         return atan2(force[1], force[2])
 
-    def first_violation(self, unknowns: Array) -> int | None:
+    def first_limited_rotor(self, unknowns: Array) -> int | None:
         """Return the index of the first rotor beyond its limits, for the tail also the servo's; None if all are within."""
-        thrusts = self.thrusts(unknowns)
+        thrusts = self.rotor_thrusts(unknowns)
         beyond = np.flatnonzero((thrusts < self._low) | (thrusts > self._high))
         if beyond.size:
             return int(beyond[0])
         return None if self.angles[0] <= self.angle(unknowns) <= self.angles[1] else self.tail
 
-    def largest(self, lift: float, axis: int) -> tuple[float, int | None]:
+    def control_margin(self, lift: float, axis: int) -> tuple[float, int | None]:
         """Return the symmetric control margin at a lift [N], and the number from 0 of the limiting rotor or its servo.
 
         Axis 0 is the force along z [N], 1 to 3 are the torques about x, y, z [N m].
         """
-        hover, step = self.unknowns(lift), self._inverse[:, axis]
-        return _farthest(
+        hover, step = self.hover_unknowns(lift), self._inverse[:, axis]
+        return _largest_allowed_size(
             lambda size: next(
-                (rotor for way in (1, -1) if (rotor := self.first_violation(hover + way * size * step)) is not None),
+                (
+                    rotor
+                    for way in (1, -1)
+                    if (rotor := self.first_limited_rotor(hover + way * size * step)) is not None
+                ),
                 None,
             )
         )
 
     def largest_lift(self) -> float:
         """Return the largest force along z without torque [N]."""
-        return _farthest(
-            lambda size: next(iter(np.flatnonzero(self.thrusts(self.unknowns(size)) > self._high).tolist()), None)
+        return _largest_allowed_size(
+            lambda size: next(
+                iter(np.flatnonzero(self.rotor_thrusts(self.hover_unknowns(size)) > self._high).tolist()), None
+            )
         )[0]
 
 
-def _farthest(stopped_by: Callable[[float], int | None]) -> tuple[float, int | None]:
+def _largest_allowed_size(stopped_by: Callable[[float], int | None]) -> tuple[float, int | None]:
     """Return the largest size without a violation, and the first violation beyond it."""
     size, ends, last = 0.0, LARGEST, None
     for _ in range(HALVINGS):

@@ -92,7 +92,7 @@ def make_pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> n
     return pose
 
 
-def numbers(text: str | None, count: int, where: str) -> list[float]:
+def parse_numbers(text: str | None, count: int, where: str) -> list[float]:
     """Return the numbers in a text, zeros where there is none; raise ``ConfigError`` unless ``count`` are finite."""
     if text is None or not text.split():
         return [0.0] * count
@@ -107,16 +107,16 @@ def numbers(text: str | None, count: int, where: str) -> list[float]:
     return values
 
 
-def number(text: str | None, default: float, where: str) -> float:
+def parse_number(text: str | None, default: float, where: str) -> float:
     """Return the number in a text, or the default where there is none."""
-    return default if text is None or not text.strip() else numbers(text, 1, where)[0]
+    return default if text is None or not text.strip() else parse_numbers(text, 1, where)[0]
 
 
 ON_AXIS = 1e-3
 """Distance of a thrust line from the axis of a joint [m], and angle between them [rad], below which the rotor spins there."""
 
 
-def tilts(rotor: FileRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
+def moves_thrust_line(rotor: FileRotor, kind: str, axis: np.ndarray, position: np.ndarray) -> bool:
     """Return whether a joint moves the thrust line of a rotor behind it; it does not where its axis is that line."""
     size = float(np.linalg.norm(axis))
     across = np.linalg.norm(np.cross(axis, rotor.axis)) / size if size > 0.0 else 1.0
@@ -137,10 +137,10 @@ def unread_elements(
     Args:
         left_out: Elements that are not used although their tags are.
     """
-    yield from by_kind(_pairs(root, used, root.get("name", ""), left_out, named))
+    yield from group_lines_by_kind(_unread_pairs(root, used, root.get("name", ""), left_out, named))
 
 
-def by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
+def group_lines_by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
     """Yield one line for each kind, with the names of that kind: ``kind: name, name``."""
     names_by_kind: dict[str, dict[str, None]] = {}
     for kind, name in pairs:
@@ -149,7 +149,7 @@ def by_kind(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
         yield f"{kind}: {', '.join(names)}"
 
 
-def _pairs(
+def _unread_pairs(
     element: Element, used: Tags, owner: str, left_out: Container[Element], named: Container[Element]
 ) -> Iterator[tuple[str, str]]:
     for child in element:
@@ -159,7 +159,9 @@ def _pairs(
         if inner is None or child in left_out:
             yield _element_name(child, element, owner)
         else:
-            yield from _pairs(child, inner, child.get("name") or child.get("reference") or owner, left_out, named)
+            yield from _unread_pairs(
+                child, inner, child.get("name") or child.get("reference") or owner, left_out, named
+            )
 
 
 def _element_name(element: Element, parent: Element, owner: str) -> tuple[str, str]:
@@ -171,7 +173,7 @@ def _element_name(element: Element, parent: Element, owner: str) -> tuple[str, s
     return element.tag, name if more in (None, name) else f"{name} ({more})"
 
 
-def part_shape(part: PartCfg) -> CollisionShape:
+def part_collision_shape(part: PartCfg) -> CollisionShape:
     """Return spheres, capsules and boxes unchanged, and the bounding box of a cylinder or mesh."""
     shape = part.shape
     if shape.kind == "sphere":
@@ -229,7 +231,7 @@ def lift_forces(vehicle: FileVehicle, gravity: float) -> Lift:
                 f"link {link}: its gravity compensation adds {-mass:.3g} kg of weight: must be >= 0 kg in all"
             )
         place = sum((part.mass * part.position for part in parts), np.zeros(3)) / mass
-        own = place - _centre(vehicle, link) if vehicle.joints else place
+        own = place - _link_com(vehicle, link) if vehicle.joints else place
         prefix = f"{link}." if vehicle.joints else ""
         force = mass * gravity
         params |= {
@@ -242,7 +244,7 @@ def lift_forces(vehicle: FileVehicle, gravity: float) -> Lift:
     return Lift(total, {kind: params}, f"{total / gravity:.6g} kg without weight in the file, at g = {gravity:g} m/s²")
 
 
-def _centre(vehicle: FileVehicle, link: str) -> np.ndarray:
+def _link_com(vehicle: FileVehicle, link: str) -> np.ndarray:
     """Return the centre of mass of a link of a vehicle with joints [m], (3,)."""
     moving = [(joint.name, joint.link) for joint in vehicle.joints if joint.link is not None]
     if link != BASE:

@@ -52,14 +52,14 @@ class FileJoint:
 
 def make_layout(joints: Sequence[FileJoint]) -> tuple[JointCfg, ...]:
     """Return joints as a robot file has them, parents first."""
-    return tuple(_joint(joint, joints) for joint in joints)
+    return tuple(_joint_cfg(joint, joints) for joint in joints)
 
 
-def _mass(weights: Sequence[Weight]) -> float:
+def _total_mass(weights: Sequence[Weight]) -> float:
     return sum(weight.mass for weight in weights)
 
 
-def _joint(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
+def _joint_cfg(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
     axis = joint.axis / np.linalg.norm(joint.axis)
     spring = None
     if joint.stiffness > 0.0 or joint.damping > 0.0 or joint.friction > 0.0:
@@ -81,14 +81,14 @@ def _joint(joint: FileJoint, joints: Sequence[FileJoint]) -> JointCfg:
         axis=vec3(axis),
         position=vec3(joint.position),
         reference=joint.reference,
-        link=_link(joint.weights),
+        link=_link_cfg(joint.weights),
         spring=spring,
         ends=ends,
     )
 
 
-def _link(weights: Sequence[Weight]) -> LinkCfg | None:
-    if _mass(weights) <= 0.0:
+def _link_cfg(weights: Sequence[Weight]) -> LinkCfg | None:
+    if _total_mass(weights) <= 0.0:
         return None
     body = weld([w.mass for w in weights], [w.pose for w in weights], [w.inertia for w in weights])
     rows = [vec3(row) for row in body.inertia]
@@ -103,7 +103,7 @@ def _joint_inertia(joint: FileJoint, joints: Sequence[FileJoint], axis: np.ndarr
             names.add(other.name)
             weights += other.weights
     if joint.kind == "prismatic":
-        return _mass(weights)
+        return _total_mass(weights)
     total = 0.0
     for weight in weights:
         turn, lever = weight.pose[:3, :3], weight.pose[:3, 3] - joint.position

@@ -20,22 +20,22 @@ from aerial_gym.robots.importers.file_vehicle import (
     FileRotor,
     FileVehicle,
     Weightless,
-    by_kind,
+    group_lines_by_kind,
+    moves_thrust_line,
     roll_pitch_yaw,
-    tilts,
     vec3,
 )
 from aerial_gym.robots.importers.joints import FileJoint, Weight, make_layout
 from aerial_gym.robots.importers.mjcf_actuators import Actuator
 
 
-def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> FileVehicle:
+def read_mjcf(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = False) -> FileVehicle:
     """Return the vehicle of an MJCF file; ``lag`` [s] is for actuators without one, ``joints`` lets hinges and slides move."""
     mujoco, model, where = _load_model(path)
     free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     if len(free) != 1:
         raise ConfigError(f"{where}: has {len(free)} bodies with a free joint: a vehicle is the one of a file")
-    reader = _Reader(mujoco, model, free[0], where)
+    reader = _MjcfReader(mujoco, model, free[0], where)
     if joints:
         reader.find_joints()
     actuators = [Actuator(mujoco, model, i, where) for i in range(model.nu)]
@@ -44,8 +44,12 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     for one in pushing:
         one.check()
     carried = [] if joints else [one for one in own if one.has_force]
-    lines = [(one.thrust_line(reader.site(one.site)), model.site_bodyid[one.site]) for one in carried]
-    tilting = reader.tilt_joints(lines)
+    lines = [(one.thrust_line(reader.site_frame(one.site)), model.site_bodyid[one.site]) for one in carried]
+    tilting = reader.rotors_by_tilting_joint(lines)
+    rotors = [
+        one.rotor(reader.site_frame(one.site), lag, reader.carrier_joint(model.site_bodyid[one.site]))
+        for one in pushing
+    ]
     delays = sorted({one.delay for one in pushing})
     delayed = len(delays) == 1 and delays[0] > 0.0
     left = [one.name for one in actuators if one not in pushing]
@@ -54,21 +58,21 @@ def read(path: Path, lag: float | None, *, take_actuators: bool, joints: bool = 
     )
     return FileVehicle(
         body=reader.body(),
-        rotors=[one.rotor(reader.site(one.site), lag, reader.carrier(model.site_bodyid[one.site])) for one in pushing],
+        rotors=rotors,
         shapes=list(reader.shapes()),
         joints=reader.layout(),
         weightless=list(reader.gravity_free_masses()),
         effects={"actuation_delay": {"delay": delays[0]}} if delayed else {},
         effects_source=f"{where}: delay of its actuators" if delayed else "",
         notes=(
-            *by_kind((note, one.name) for one in pushing for note in one.notes()),
+            *group_lines_by_kind((note, one.name) for one in pushing for note in one.notes()),
             *([f"delays of actuators, which differ: {delays} s"] if len(delays) > 1 else []),
             *([f"{label}: {', '.join(left)}"] if left else []),
             *reader.notes(
                 [one.site for one in pushing], [] if joints else [j for j in reader.joints() if j not in tilting]
             ),
         ),
-        assumed=tuple(by_kind((label, one.name) for one in pushing for label in one.assumptions())),
+        assumed=tuple(group_lines_by_kind((label, one.name) for one in pushing for label in one.assumptions())),
         losses=tuple(reader.losses(tilting)),
     )
 
@@ -86,7 +90,7 @@ def _load_model(path: Path) -> tuple[Any, Any, str]:
         raise ConfigError(f"{where}: cannot be read ({' '.join(str(error).split())})") from None
 
 
-class _Reader:
+class _MjcfReader:
     """One vehicle of a model."""
 
     def __init__(self, mujoco: Any, model: Any, root: int, where: str) -> None:
@@ -95,7 +99,7 @@ class _Reader:
         mujoco.mj_kinematics(model, data)
         self._bodies = [b for b in range(model.nbody) if self.is_part(b)]
         self._armature = float(model.dof_armature[int(model.body_dofadr[root])])
-        self._from_world = np.linalg.inv(_pose(data.xpos[root], data.xmat[root]))
+        self._from_world = np.linalg.inv(_homogeneous_pose(data.xpos[root], data.xmat[root]))
         self._joints: list[FileJoint] = []
         self._on: dict[int, str] = {}
 
@@ -104,7 +108,7 @@ class _Reader:
         m, extra = self._model, self._armature
         return weld(
             [*(float(m.body_mass[b]) for b in self._bodies), extra],
-            [*(self._center(b) for b in self._bodies), np.eye(4)],
+            [*(self._com_frame(b) for b in self._bodies), np.eye(4)],
             [*(np.diag(m.body_inertia[b]) for b in self._bodies), extra * np.eye(3)],
         )
 
@@ -113,34 +117,34 @@ class _Reader:
         for b in self._bodies:
             mass = float(self._model.body_gravcomp[b] * self._model.body_mass[b])
             if mass:
-                yield Weightless(mass=mass, position=self._center(b)[:3, 3], link=self.carrier(b))
+                yield Weightless(mass=mass, position=self._com_frame(b)[:3, 3], link=self.carrier_joint(b))
         if self._armature:
             yield Weightless(mass=self._armature, position=np.zeros(3))
 
-    def _center(self, body: int) -> np.ndarray:
+    def _com_frame(self, body: int) -> np.ndarray:
         """Return the frame of a body's centre of mass in that of the vehicle, (4, 4)."""
-        return self.frame(self._data.xipos[body], self._data.ximat[body])
+        return self.frame_in_vehicle(self._data.xipos[body], self._data.ximat[body])
 
     def find_joints(self) -> None:
         """Find hinges and slides, and the joint that moves each body: of several on one body the last."""
         m, kinds = self._model, self._mujoco.mjtJoint
         for body in self._bodies:  # parents come first
             at = self._on.get(int(m.body_parentid[body]), BASE)
-            own = self._own_joints(body)
-            pose = self._center(body)
+            own = self._joints_of_body(body)
+            pose = self._com_frame(body)
             weight = Weight(mass=float(m.body_mass[body]), pose=pose, inertia=np.diag(m.body_inertia[body]))
             for j in own:
                 if int(m.jnt_type[j]) not in (int(kinds.mjJNT_HINGE), int(kinds.mjJNT_SLIDE)):
                     raise ConfigError(f"{self._where}: joint {m.joint(j).name!r} is a ball: give three hinges")
                 last = j == own[-1]
-                self._joints.append(self._joint(j, at, (weight,) if last else ()))
+                self._joints.append(self._file_joint(j, at, (weight,) if last else ()))
                 at = self._joints[-1].name
             self._on[body] = at
             if not own and at != BASE:
                 place = next(i for i, joint in enumerate(self._joints) if joint.name == at)
                 self._joints[place] = replace(self._joints[place], weights=(*self._joints[place].weights, weight))
 
-    def _joint(self, j: int, parent: str, weights: tuple[Weight, ...]) -> FileJoint:
+    def _file_joint(self, j: int, parent: str, weights: tuple[Weight, ...]) -> FileJoint:
         m, slides = self._model, int(self._model.jnt_type[j]) == int(self._mujoco.mjtJoint.mjJNT_SLIDE)
         place, dof = int(m.jnt_qposadr[j]), int(m.jnt_dofadr[j])
         turn = self._from_world[:3, :3]
@@ -163,7 +167,7 @@ class _Reader:
         """Return the joints as a robot file has them."""
         return make_layout(self._joints)
 
-    def carrier(self, body: int) -> str:
+    def carrier_joint(self, body: int) -> str:
         """Return the joint that moves a body, or the base."""
         return self._on.get(int(body), BASE)
 
@@ -171,28 +175,28 @@ class _Reader:
         """Return whether a body belongs to the vehicle."""
         return int(self._model.body_rootid[body]) == int(self._model.body_rootid[self._root])
 
-    def frame(self, place: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    def frame_in_vehicle(self, place: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Return a world frame relative to the vehicle frame, (4, 4)."""
-        return self._from_world @ _pose(place, turn)
+        return self._from_world @ _homogeneous_pose(place, turn)
 
-    def site(self, site: int) -> np.ndarray:
+    def site_frame(self, site: int) -> np.ndarray:
         """Return the frame of a site relative to the vehicle frame, (4, 4)."""
-        return self.frame(self._data.site_xpos[site], self._data.site_xmat[site])
+        return self.frame_in_vehicle(self._data.site_xpos[site], self._data.site_xmat[site])
 
-    def _own_joints(self, body: int) -> list[int]:
+    def _joints_of_body(self, body: int) -> list[int]:
         first = int(self._model.body_jntadr[body])
         return [] if body == self._root else list(range(first, first + int(self._model.body_jntnum[body])))
 
-    def tilt_joints(self, lines: Sequence[tuple[FileRotor, int]]) -> dict[int, list[str]]:
+    def rotors_by_tilting_joint(self, lines: Sequence[tuple[FileRotor, int]]) -> dict[int, list[str]]:
         """Return the joints that move thrust lines, with their rotors and the bodies that carry them."""
         hinge, rotors_by_joint = int(self._mujoco.mjtJoint.mjJNT_HINGE), {}
         turn, place = self._from_world[:3, :3], self._from_world[:3, 3]
         for rotor, start in lines:
             body = int(start)
             while body != self._root and body > 0:
-                for j in self._own_joints(body):
+                for j in self._joints_of_body(body):
                     kind = "hinge" if int(self._model.jnt_type[j]) == hinge else "other"
-                    if tilts(rotor, kind, turn @ self._data.xaxis[j], turn @ self._data.xanchor[j] + place):
+                    if moves_thrust_line(rotor, kind, turn @ self._data.xaxis[j], turn @ self._data.xanchor[j] + place):
                         rotors_by_joint.setdefault(j, []).append(rotor.name)
                 body = int(self._model.body_parentid[body])
         return rotors_by_joint
@@ -202,11 +206,11 @@ class _Reader:
         m = self._model
         for j, names in tilting.items():
             yield f"joint {m.joint(j).name or f'joint_{j}'}, which moves {', '.join(names)}, is welded"
-        winged = [g for g in self._geoms() if m.geom_fluid[g][0] > 0.0]
+        winged = [g for g in self._vehicle_geoms() if m.geom_fluid[g][0] > 0.0]
         if m.opt.density and winged:
             yield f"lift of {', '.join(m.geom(g).name or f'geom_{g}' for g in winged)} (fluidshape)"
 
-    def _geoms(self) -> list[int]:
+    def _vehicle_geoms(self) -> list[int]:
         return [g for g in range(self._model.ngeom) if self.is_part(int(self._model.geom_bodyid[g]))]
 
     def shapes(self) -> Any:
@@ -215,9 +219,9 @@ class _Reader:
         for geom in range(m.ngeom):
             if not self.is_part(int(m.geom_bodyid[geom])) or not (m.geom_contype[geom] or m.geom_conaffinity[geom]):
                 continue
-            pose = self.frame(self._data.geom_xpos[geom], self._data.geom_xmat[geom])
-            own = _shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
-            yield replace(own, link=self.carrier(m.geom_bodyid[geom]))
+            pose = self.frame_in_vehicle(self._data.geom_xpos[geom], self._data.geom_xmat[geom])
+            own = _collision_shape(kinds, m.geom_type[geom], m.geom_size[geom], m.geom_aabb[geom], pose)
+            yield replace(own, link=self.carrier_joint(m.geom_bodyid[geom]))
 
     def acts_on_vehicle(self, actuator: Actuator) -> bool:
         """Return whether an actuator's target belongs to the vehicle."""
@@ -225,7 +229,7 @@ class _Reader:
 
     def joints(self) -> list[int]:
         """Return the joints of the vehicle but its free one."""
-        return [j for b in self._bodies for j in self._own_joints(b)]
+        return [j for b in self._bodies for j in self._joints_of_body(b)]
 
     def notes(self, sites: Sequence[int], welded: Sequence[int]) -> Iterator[str]:
         """Yield the unused elements other than actuators, a line for each kind; ``welded`` are joints not named elsewhere."""
@@ -254,9 +258,9 @@ class _Reader:
             yield f"wind of the file, {m.opt.wind.tolist()} m/s: give constant_wind as an effect"
         if unused_sites := [s for s in range(m.nsite) if s not in sites]:
             yield f"sites: {', '.join(m.site(s).name or f'site_{s}' for s in unused_sites)}"
-        if unseen := [g for g in self._geoms() if not (m.geom_contype[g] or m.geom_conaffinity[g])]:
+        if unseen := [g for g in self._vehicle_geoms() if not (m.geom_contype[g] or m.geom_conaffinity[g])]:
             yield f"geoms that do not touch: {', '.join(m.geom(g).name or f'geom_{g}' for g in unseen)}"
-        if around := [g for g in range(m.ngeom) if g not in self._geoms()]:
+        if around := [g for g in range(m.ngeom) if g not in self._vehicle_geoms()]:
             yield f"geoms of other bodies: {', '.join(m.geom(g).name or f'geom_{g}' for g in around)}"
         for kind, count, name in _UNREAD_KINDS:
             indices = range(int(getattr(m, count)))
@@ -284,13 +288,13 @@ _UNREAD_KINDS = (
 """Other elements of a model: name, the field with their number, and the accessor."""
 
 
-def _pose(place: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def _homogeneous_pose(place: np.ndarray, turn: np.ndarray) -> np.ndarray:
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.asarray(turn).reshape(3, 3), place
     return pose
 
 
-def _shape(kinds: Any, kind: int, size: np.ndarray, bounds: np.ndarray, pose: np.ndarray) -> CollisionShape:
+def _collision_shape(kinds: Any, kind: int, size: np.ndarray, bounds: np.ndarray, pose: np.ndarray) -> CollisionShape:
     euler = roll_pitch_yaw(pose[:3, :3])
     if kind == kinds.mjGEOM_SPHERE:
         return SphereCfg(center=vec3(pose[:3, 3]), radius=float(size[0]))

@@ -36,7 +36,7 @@ class Actuator:
         self.source = f"{where}: gear, gain, ranges"
         self.site = int(model.actuator_trnid[index][0])
 
-    def _is(self, field: str, enum: str, *names: str) -> bool:
+    def _has_kind(self, field: str, enum: str, *names: str) -> bool:
         kinds = getattr(self.mujoco, enum)
         return int(getattr(self.model, f"actuator_{field}")[self.index]) in [
             int(getattr(kinds, name)) for name in names
@@ -45,15 +45,15 @@ class Actuator:
     @property
     def may_push(self) -> bool:
         """Whether the actuator can act on the whole vehicle: at a site, or at its free joint."""
-        if self._is("trntype", "mjtTrn", "mjTRN_JOINT", "mjTRN_JOINTINPARENT"):
+        if self._has_kind("trntype", "mjtTrn", "mjTRN_JOINT", "mjTRN_JOINTINPARENT"):
             free = int(self.mujoco.mjtJoint.mjJNT_FREE)
             return int(self.model.jnt_type[int(self.model.actuator_trnid[self.index][0])]) == free
-        return self._is("trntype", "mjtTrn", "mjTRN_SITE")
+        return self._has_kind("trntype", "mjtTrn", "mjTRN_SITE")
 
     @property
     def at_site(self) -> bool:
         """Whether the actuator acts at a site."""
-        return self._is("trntype", "mjtTrn", "mjTRN_SITE")
+        return self._has_kind("trntype", "mjtTrn", "mjTRN_SITE")
 
     @property
     def is_enabled(self) -> bool:
@@ -66,7 +66,7 @@ class Actuator:
     @property
     def has_force(self) -> bool:
         """Whether the actuator acts at a site with a force, not a torque alone."""
-        return self.at_site and bool(np.any(self._gear()[0]))
+        return self.at_site and bool(np.any(self._gear_wrench()[0]))
 
     def check(self) -> None:
         """Raise ``ConfigError`` unless the actuator is equivalent to a rotor."""
@@ -76,9 +76,11 @@ class Actuator:
             raise ConfigError(
                 f"{self.at}: its force is relative to a refsite, and a rotor's is along its own body's axes. {WAY_OUT}"
             )
-        known = self._is("gaintype", "mjtGain", "mjGAIN_FIXED", "mjGAIN_AFFINE")
-        known &= self._is("biastype", "mjtBias", "mjBIAS_NONE", "mjBIAS_AFFINE")
-        known &= self._is("dyntype", "mjtDyn", "mjDYN_NONE", "mjDYN_INTEGRATOR", "mjDYN_FILTER", "mjDYN_FILTEREXACT")
+        known = self._has_kind("gaintype", "mjtGain", "mjGAIN_FIXED", "mjGAIN_AFFINE")
+        known &= self._has_kind("biastype", "mjtBias", "mjBIAS_NONE", "mjBIAS_AFFINE")
+        known &= self._has_kind(
+            "dyntype", "mjtDyn", "mjDYN_NONE", "mjDYN_INTEGRATOR", "mjDYN_FILTER", "mjDYN_FILTEREXACT"
+        )
         if not known or int(self.model.actuator_plugin[self.index]) >= 0:
             raise ConfigError(
                 f"{self.at}: gain and bias must be fixed or affine, and dynamics none, integrator, filter or filterexact. "
@@ -90,21 +92,21 @@ class Actuator:
                 f"lacks. {WAY_OUT}"
             )
 
-    def _gear(self) -> tuple[np.ndarray, np.ndarray]:
+    def _gear_wrench(self) -> tuple[np.ndarray, np.ndarray]:
         force, torque = np.split(np.asarray(self.model.actuator_gear[self.index], dtype=float), 2)
         return force, torque
 
     def thrust_line(self, pose: np.ndarray) -> FileRotor:
         """Return position and direction of the thrust, for the frame (4, 4) of the site."""
-        force, torque = (pose[:3, :3] @ part for part in self._gear())
+        force, torque = (pose[:3, :3] @ part for part in self._gear_wrench())
         square = float(force @ force)
         place = pose[:3, 3] + np.cross(force, torque) / square
         return FileRotor(name=self.name, position=place, axis=force / square**0.5)
 
     def rotor(self, pose: np.ndarray, lag: float | None, link: str = BASE) -> FileRotor:
         """Return the equivalent rotor for the frame (4, 4) of its site; ``lag`` [s] is for files without one."""
-        force, torque = self._gear()
-        low, high = self._range()
+        force, torque = self._gear_wrench()
+        low, high = self._force_range()
         line, turned = self.thrust_line(pose), high <= 0.0  # a control below 0 pushes the other way
         if turned:
             low, high = -high, -low
@@ -121,20 +123,20 @@ class Actuator:
     def notes(self) -> Iterator[str]:
         """Yield the unused attributes of this actuator."""
         m, i = self.model, self.index
-        if self._is("biastype", "mjtBias", "mjBIAS_AFFINE") and m.actuator_biasprm[i][2] != 0.0:
+        if self._has_kind("biastype", "mjtBias", "mjBIAS_AFFINE") and m.actuator_biasprm[i][2] != 0.0:
             yield f"biasprm[2] = {m.actuator_biasprm[i][2]:g}, force per velocity along the gear, of actuators"
-        if self._is("gaintype", "mjtGain", "mjGAIN_AFFINE") and m.actuator_gainprm[i][2] != 0.0:
+        if self._has_kind("gaintype", "mjtGain", "mjGAIN_AFFINE") and m.actuator_gainprm[i][2] != 0.0:
             yield f"gainprm[2] = {m.actuator_gainprm[i][2]:g}, gain per velocity along the gear, of actuators"
         if m.actuator_armature[i] or m.actuator_damping[i]:
             yield "armature and damping of actuators"
 
     def assumptions(self) -> Iterator[str]:
         """Yield the attributes of this actuator that the import changes."""
-        force, torque = self._gear()
+        force, torque = self._gear_wrench()
         beside = float(np.linalg.norm(np.cross(force, torque)) / (force @ force))
         if beside > 0.0:
             yield f"thrust {beside:.4g} m beside the site, in place of a torque across it, of actuators"
-        if self._is("dyntype", "mjtDyn", "mjDYN_INTEGRATOR"):
+        if self._has_kind("dyntype", "mjtDyn", "mjDYN_INTEGRATOR"):
             yield "commands of thrust, in place of its rate (dyntype integrator), of actuators"
 
     @property
@@ -142,18 +144,18 @@ class Actuator:
         """Dead time of its control [s]."""
         return float(self.model.actuator_delay[self.index])
 
-    def _range(self) -> tuple[float, float]:
+    def _force_range(self) -> tuple[float, float]:
         """Return lowest and highest scalar force for the activations and forces that the file allows."""
         m, i = self.model, self.index
         clamped = not m.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
         limits = [(-inf, inf)]
-        if m.actuator_ctrllimited[i] and clamped and not self._is("dyntype", "mjtDyn", "mjDYN_INTEGRATOR"):
+        if m.actuator_ctrllimited[i] and clamped and not self._has_kind("dyntype", "mjtDyn", "mjDYN_INTEGRATOR"):
             limits.append(m.actuator_ctrlrange[i])
-        if m.actuator_actlimited[i] and not self._is("dyntype", "mjtDyn", "mjDYN_NONE"):
+        if m.actuator_actlimited[i] and not self._has_kind("dyntype", "mjtDyn", "mjDYN_NONE"):
             limits.append(m.actuator_actrange[i])
         ends = np.array([max(low for low, _ in limits), min(high for _, high in limits)], dtype=float)
         gain = float(m.actuator_gainprm[i][0])
-        bias = float(m.actuator_biasprm[i][0]) if self._is("biastype", "mjtBias", "mjBIAS_AFFINE") else 0.0
+        bias = float(m.actuator_biasprm[i][0]) if self._has_kind("biastype", "mjtBias", "mjBIAS_AFFINE") else 0.0
         if gain == 0.0:
             raise ConfigError(f"{self.at}: its force does not follow its control (gainprm[0] = 0). {WAY_OUT}")
         low, high = sorted((gain * ends + bias).tolist())
@@ -169,7 +171,7 @@ class Actuator:
     def _rotor_type(self, limits: tuple[float, float], ratio: float, lag: float | None) -> RotorCfg:
         own = float(self.model.actuator_dynprm[self.index][0])
         source = self.source
-        if self._is("dyntype", "mjtDyn", "mjDYN_FILTER", "mjDYN_FILTEREXACT") and own > 0.0:
+        if self._has_kind("dyntype", "mjtDyn", "mjDYN_FILTER", "mjDYN_FILTEREXACT") and own > 0.0:
             lag, source = own, f"{source}; lag: dynprm"
         elif lag is None:
             raise ConfigError(
@@ -178,7 +180,7 @@ class Actuator:
             )
         else:
             source = f"{source}; lag of {lag:g} s: given when it was imported"
-        up, down = self._slew(limits)
+        up, down = self._slew_rates(limits)
         return RotorCfg(
             mode="force",
             torque_ratio=ratio,
@@ -190,13 +192,15 @@ class Actuator:
             source=source,
         )
 
-    def _slew(self, limits: tuple[float, float]) -> tuple[float | None, float | None]:
+    def _slew_rates(self, limits: tuple[float, float]) -> tuple[float | None, float | None]:
         """Return the largest rates of thrust [N/s] of an integrator whose control has a limit either way; None elsewhere."""
         m, i = self.model, self.index
-        if not (self._is("dyntype", "mjtDyn", "mjDYN_INTEGRATOR") and m.actuator_ctrllimited[i] and limits[0] >= 0.0):
+        if not (
+            self._has_kind("dyntype", "mjtDyn", "mjDYN_INTEGRATOR") and m.actuator_ctrllimited[i] and limits[0] >= 0.0
+        ):
             return None, None
-        per_control = float(m.actuator_gainprm[i][0]) * float(np.linalg.norm(self._gear()[0]))
-        if self._range()[1] <= 0.0:
+        per_control = float(m.actuator_gainprm[i][0]) * float(np.linalg.norm(self._gear_wrench()[0]))
+        if self._force_range()[1] <= 0.0:
             per_control = -per_control
         low, high = sorted((per_control * np.asarray(m.actuator_ctrlrange[i])).tolist())
         return (high, -low) if low < 0.0 < high else (None, None)

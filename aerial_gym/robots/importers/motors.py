@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 from aerial_gym.config.robot import RotorCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import Tags, by_kind, number
+from aerial_gym.robots.importers.file_vehicle import Tags, group_lines_by_kind, parse_number
 
 SPINS = {"ccw": 1, "cw": -1}
 """Of ``turningDirection``, about z of the link."""
@@ -80,7 +80,7 @@ def force_source(plugin: ElementTree.Element) -> str | None:
 
 def read_motors(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) -> list[Motor]:
     """Return the motors among plugins, each with the scope of its names, in the order of numbers and commands."""
-    motors = [_motor(plugin, scope, where) for scope, plugin in plugins if is_motor(plugin)]
+    motors = [_read_motor(plugin, scope, where) for scope, plugin in plugins if is_motor(plugin)]
     ordered = sorted(motors, key=lambda motor: motor.number)
     for one, other in itertools.pairwise(ordered):
         if one.number == other.number:
@@ -90,7 +90,7 @@ def read_motors(plugins: Iterable[tuple[str, ElementTree.Element]], where: str) 
     return ordered
 
 
-def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
+def _read_motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
     link = scope + (plugin.findtext("linkName") or "").strip()
     at = f"{where}: motor of link {link!r}"
     kind = (plugin.findtext("motorType") or "velocity").strip()
@@ -100,10 +100,10 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
             f"{at}: motorType {kind!r}, turningDirection {turning!r}: only motors whose speed is commanded (velocity) and that "
             "turn one way (ccw or cw) can be imported. Write the robot file by hand (docs/concepts/rotors.md)"
         )
-    order = number(plugin.findtext("motorNumber"), 0.0, f"{at}: motorNumber")
+    order = parse_number(plugin.findtext("motorNumber"), 0.0, f"{at}: motorNumber")
     if not order.is_integer():
         raise ConfigError(f"{at}: motorNumber = {order:g}: must be a whole number")
-    value = {name: number(plugin.findtext(name), default, f"{at}: {name}") for name, default in DEFAULTS.items()}
+    value = {name: parse_number(plugin.findtext(name), default, f"{at}: {name}") for name, default in DEFAULTS.items()}
     silent = [name for name in DEFAULTS if not (plugin.findtext(name) or "").strip()]
     rotor = RotorCfg(
         thrust_map=(0.0, 0.0, value["motorConstant"]),
@@ -129,7 +129,7 @@ def _motor(plugin: ElementTree.Element, scope: str, where: str) -> Motor:
 def motor_assumptions(motors: Sequence[Motor]) -> Iterator[str]:
     """Yield the numbers that are the plugin's own."""
     pairs = ((name, m.link) for m in motors for name in m.silent if name != "rollingMomentCoefficient")  # is left out
-    yield from by_kind((f"{name} = {DEFAULTS[name]:g}, the plugin's own", link) for name, link in pairs)
+    yield from group_lines_by_kind((f"{name} = {DEFAULTS[name]:g}, the plugin's own", link) for name, link in pairs)
 
 
 def sideways_effects(motors: Sequence[Motor]) -> dict[str, dict[str, float]]:

@@ -8,7 +8,7 @@ With speeds w in rad/s and velocities v in body axes that simulator adds:
 - below another vehicle a force ``-dw_coeff_1 (R / 4z)² exp(-d² / 2 (dw_coeff_2 z + dw_coeff_3)²)``: ``downwash`` at one z.
 
 Source: Panerati et al. (2021), Learning to fly; gym-pybullet-drones, BaseAviary.py (``_physics``, ``_groundEffect``,
-``_drag``, ``_downwash``).
+``_drag``, ``_downwash_params``).
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from aerial_gym.config.robot import RotorCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.effects import EFFECTS
-from aerial_gym.robots.importers.file_vehicle import numbers
+from aerial_gym.robots.importers.file_vehicle import parse_numbers
 
 BELOW = 1.0
 """Distance to the vehicle above at which its downwash is taken [m]: the effect has no law of distance."""
@@ -48,7 +48,7 @@ def read_properties(root: Element, mass: float, count: int, lag: float | None, w
     if not count or any(given.get(name) is None for name in ("kf", "km", "thrust2weight")):
         return Properties(notes=_unread_properties(given, set()))
     known = {"kf", "km", "thrust2weight", *(name for _, needed, _ in _EFFECTS for name in needed)} & set(given)
-    value = {name: numbers(given[name], 1, f"{where}: properties: {name}")[0] for name in known}
+    value = {name: parse_numbers(given[name], 1, f"{where}: properties: {name}")[0] for name in known}
     if lag is None:
         raise ConfigError(
             f"{where}: its properties tell thrust and torque of rotors, and no lag. Give one (--lag-s, lag of RotorHints), "
@@ -69,7 +69,7 @@ def read_properties(root: Element, mass: float, count: int, lag: float | None, w
             continue
         params = rule(value)
         used.update(needed)
-        if problem := _out_of_range(name, params):
+        if problem := _range_problem(name, params):
             refused.setdefault(", ".join(needed), problem)
         elif any(params.values()):
             effects[name] = params
@@ -86,7 +86,7 @@ def _unread_properties(given: Mapping[str, str], used: set[str]) -> tuple[str, .
     return (f"properties: {', '.join(rest)}",) if rest else ()
 
 
-def _out_of_range(name: str, params: Mapping[str, float]) -> str | None:
+def _range_problem(name: str, params: Mapping[str, float]) -> str | None:
     """Return the first parameter of an effect outside its bounds, as text; None if all are within."""
     for parameter in EFFECTS.get(name).parameters:
         value = params[parameter.name]
@@ -97,7 +97,7 @@ def _out_of_range(name: str, params: Mapping[str, float]) -> str | None:
     return None
 
 
-def _downwash(value: Mapping[str, float]) -> dict[str, float]:
+def _downwash_params(value: Mapping[str, float]) -> dict[str, float]:
     near = (value["prop_radius"] / (4.0 * BELOW)) ** 2
     return {"force": value["dw_coeff_1"] * near, "sigma": value["dw_coeff_2"] * BELOW + value["dw_coeff_3"]}
 
@@ -110,6 +110,6 @@ _EFFECTS: tuple[tuple[str, tuple[str, ...], _Rule], ...] = (
     ("axial_inflow", ("drag_coeff_z",), lambda value: {"ka": value["drag_coeff_z"]}),
     ("h_force_flapping", ("drag_coeff",), lambda value: {"kh": value["drag_coeff"], "kf": 0.0}),
     ("axial_inflow", ("drag_coeff",), lambda value: {"ka": value["drag_coeff"]}),
-    ("downwash", ("dw_coeff_1", "dw_coeff_2", "dw_coeff_3", "prop_radius"), _downwash),
+    ("downwash", ("dw_coeff_1", "dw_coeff_2", "dw_coeff_3", "prop_radius"), _downwash_params),
 )
 """Effects, the attributes that each needs, and its parameters."""

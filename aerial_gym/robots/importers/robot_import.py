@@ -95,18 +95,18 @@ def read_robot(path: str | Path, hints: RotorHints | None = None, *, gravity: fl
             source=f"{where}: all links, joints welded at zero, by the parallel axis theorem",
         ),
         collision=make_collision(vehicle.shapes, where),
-        joints=_joints(vehicle, where),
+        joints=_joints_cfg(vehicle, where),
         control=ControlCfg(buoyancy=weight.force, source=weight.source) if weight.force else ControlCfg(),
         effects=effects,
         effects_source="; ".join(filter(None, (vehicle.effects_source, weight.source))),
-        **_rotors(vehicle.rotors, hints, where),
+        **_rotor_fields(vehicle.rotors, hints, where),
     )
     return Imported(
         robot, tuple(dict.fromkeys((*vehicle.losses, *vehicle.notes))), assumed=tuple(dict.fromkeys(vehicle.assumed))
     )
 
 
-def _joints(vehicle: FileVehicle, where: str) -> JointsCfg | None:
+def _joints_cfg(vehicle: FileVehicle, where: str) -> JointsCfg | None:
     if not vehicle.joints:
         return None
     return JointsCfg(layout=vehicle.joints, source=f"{where}: its joints but those of rotors; {ENDS}")
@@ -119,19 +119,19 @@ def _read_file(path: Path, hints: RotorHints) -> tuple[str, FileVehicle]:
     if path.suffix == ".xacro" or "xacro" in "".join(child.tag for child in root):
         raise ConfigError(f"{path}: is a xacro. Expand it first: xacro {path.name} > robot.urdf")
     if root.tag == "robot":
-        return "URDF", urdf.read(
+        return "URDF", urdf.read_urdf_vehicle(
             path, hints.rotor_links, hints.lag, take_properties=hints.rotors_of is None, joints=hints.joints
         )
     if root.tag == "mujoco":
-        return "MJCF", mjcf.read(path, hints.lag, take_actuators=hints.rotors_of is None, joints=hints.joints)
+        return "MJCF", mjcf.read_mjcf(path, hints.lag, take_actuators=hints.rotors_of is None, joints=hints.joints)
     if root.tag == "sdf" and hints.joints:
         raise ConfigError(f"{path}: joints of SDF files are welded. Leave out --joints, or give a URDF or MJCF file")
     if root.tag == "sdf":
-        return "SDF", sdf.read(path)
+        return "SDF", sdf.read_sdf(path)
     raise ConfigError(f"{path}: its first tag is <{root.tag}>: must be <robot> (URDF), <mujoco> (MJCF) or <sdf> (SDF)")
 
 
-def _rotors(vehicle: Sequence[FileRotor], hints: RotorHints, where: str) -> dict[str, Any]:
+def _rotor_fields(vehicle: Sequence[FileRotor], hints: RotorHints, where: str) -> dict[str, Any]:
     """Return the fields of ``RobotCfg`` that hold rotors."""
     other = hints.rotors_of
     if not vehicle:

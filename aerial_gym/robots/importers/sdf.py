@@ -19,11 +19,11 @@ from aerial_gym.robots.importers.file_vehicle import (
     FileVehicle,
     Tags,
     Weightless,
-    by_kind,
-    part_shape,
+    group_lines_by_kind,
+    moves_thrust_line,
+    part_collision_shape,
     read_xml,
     roll_pitch_yaw,
-    tilts,
     unread_elements,
     vec3,
 )
@@ -41,11 +41,11 @@ from aerial_gym.robots.importers.motors import motor_assumptions as motors_assum
 from aerial_gym.robots.importers.sdf_inertia import (
     SIZES,
     collision_shape,
-    lengths,
     link_assumptions,
     link_weight,
     load_collision_mesh,
     redundant_values,
+    shape_lengths,
 )
 from aerial_gym.robots.importers.sdf_tree import MODEL, TRUE, Element, Scope, SdfTree
 
@@ -75,18 +75,18 @@ _MODEL["model"] = _MODEL
 """Elements of a model that are read."""
 
 
-def read(path: Path) -> FileVehicle:
+def read_sdf(path: Path) -> FileVehicle:
     """Return the vehicle of an SDF file: the model with motors, or the first one."""
     root = read_xml(path)
-    tree, vehicle = _vehicle(root, path)
+    tree, vehicle = _find_vehicle(root, path)
     weights = {name: link_weight(tree, name) for name in tree.links}
     if not sum(weight.mass for weight in weights.values()) > 0.0:
         raise ConfigError(f"{tree.where}: no link has a mass")
     from_root = np.linalg.inv(tree.pose(tree.root_link))
     poses = [from_root @ weight.pose for weight in weights.values()]
     motors = read_motors(tree.plugins, tree.where)
-    rotors = [_rotor(tree, motor, weights, from_root) for motor in motors]
-    reader = _Reader(tree, from_root, {motor.joint for motor in motors}, rotors)
+    rotors = [_file_rotor(tree, motor, weights, from_root) for motor in motors]
+    reader = _SdfReader(tree, from_root, {motor.joint for motor in motors}, rotors)
     shapes = list(reader.shapes())
     effects = sideways_effects(motors)
     return FileVehicle(
@@ -103,20 +103,20 @@ def read(path: Path) -> FileVehicle:
         notes=(*motor_notes(motors), *reader.notes(), *_unread_elements(root, vehicle, tree)),
         assumed=(
             *motors_assumed(motors),
-            *by_kind((label, name) for name in tree.links for label in link_assumptions(tree, name)),
+            *group_lines_by_kind((label, name) for name in tree.links for label in link_assumptions(tree, name)),
             *reader.loose_links(),
         ),
         losses=tuple(reader.losses()),
     )
 
 
-def _vehicle(root: Element, path: Path) -> tuple[SdfTree, Element]:
+def _find_vehicle(root: Element, path: Path) -> tuple[SdfTree, Element]:
     """Return the model that is the vehicle, and its element: the first one with motors, else the first."""
     known = [child for base in (root, *root.findall("world")) for child in base if child.tag in ("model", "include")]
     models, refusal = [], None
     for element in known:
         try:
-            models.append((_tree(element, path), element))
+            models.append((_read_tree(element, path), element))
         except ConfigError as error:  # a ground plane of a server, beside the vehicle
             refusal = refusal or error
     with_motors = [pair for pair in models if any(is_motor(plugin) for _, plugin in pair[0].plugins)]
@@ -125,20 +125,20 @@ def _vehicle(root: Element, path: Path) -> tuple[SdfTree, Element]:
     return (with_motors or models)[0]
 
 
-def _tree(element: Element, path: Path) -> SdfTree:
+def _read_tree(element: Element, path: Path) -> SdfTree:
     model = element
     if element.tag == "include":
         model = ElementTree.Element("model", name=(element.findtext("name") or element.findtext("uri") or "").strip())
         merged = ElementTree.SubElement(model, "include", {**element.attrib, "merge": "true"})
         merged.extend(element)
     tree = SdfTree(where=f"SDF model {model.get('name')}")
-    tree.take(model, Scope("", MODEL, path.resolve().parent))
+    tree.add_model(model, Scope("", MODEL, path.resolve().parent))
     if not tree.links:
         raise ConfigError(f"{tree.where}: no link has a name")
     return tree
 
 
-def _rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FileRotor:
+def _file_rotor(tree: SdfTree, motor: Motor, weights: dict[str, Weight], from_root: np.ndarray) -> FileRotor:
     """Return position and axis of a motor: centre of mass and z axis of its link."""
     if motor.link not in tree.links or motor.joint not in tree.joints:
         raise ConfigError(
@@ -168,7 +168,7 @@ def _unread_elements(root: Element, vehicle: Element, tree: SdfTree) -> Iterator
 
 
 @dataclass
-class _Reader:
+class _SdfReader:
     """Joints and shapes of a model in the frame of its root link."""
 
     tree: SdfTree
@@ -182,7 +182,7 @@ class _Reader:
         self._ways = self._joints_to_links()
         self._tilting: dict[str, list[str]] = {}
         for rotor in self.rotors:
-            for joint in filter(self._tilts(rotor), self._ways.get(rotor.name, [])):
+            for joint in filter(self._tilt_test(rotor), self._ways.get(rotor.name, [])):
                 self._tilting.setdefault(joint, []).append(rotor.name)
 
     def _joints_to_links(self) -> dict[str, list[str]]:
@@ -196,20 +196,20 @@ class _Reader:
                     waiting.append(other)
         return ways
 
-    def _moves(self, joint: str) -> bool:
+    def _is_moving(self, joint: str) -> bool:
         return self.tree.joints[joint].get("type") != "fixed" and joint not in self.spun
 
-    def _tilts(self, rotor: FileRotor) -> Callable[[str], bool]:
+    def _tilt_test(self, rotor: FileRotor) -> Callable[[str], bool]:
         """Return the test of whether a joint on the way to a rotor moves its thrust line."""
 
         def tilts_rotor(joint: str) -> bool:
             axis, place = (
-                self.from_root[:3, :3] @ self.tree.axis(joint),
+                self.from_root[:3, :3] @ self.tree.joint_axis(joint),
                 (self.from_root @ self.tree.pose(joint))[:3, 3],
             )
-            return tilts(rotor, self.tree.joints[joint].get("type", ""), axis, place)
+            return moves_thrust_line(rotor, self.tree.joints[joint].get("type", ""), axis, place)
 
-        return lambda joint: self._moves(joint) and tilts_rotor(joint)
+        return lambda joint: self._is_moving(joint) and tilts_rotor(joint)
 
     def losses(self) -> Iterator[str]:
         """Yield the wings and joints that the import loses."""
@@ -219,13 +219,15 @@ class _Reader:
 
     def notes(self) -> Iterator[str]:
         """Yield the unused data of joints, links and shapes."""
-        if welded := [joint for joint in self.tree.joints if self._moves(joint) and joint not in self._tilting]:
+        if welded := [joint for joint in self.tree.joints if self._is_moving(joint) and joint not in self._tilting]:
             yield f"joints that are welded: {', '.join(welded)}"
         if held := [joint for joint, ends in self._ends.items() if None in ends]:
             yield f"joints to the world: {', '.join(held)}"
         if self._unread:
             yield f"collision meshes: {', '.join(self._unread)}"
-        yield from by_kind((label, name) for name in self.tree.links for label in redundant_values(self.tree, name))
+        yield from group_lines_by_kind(
+            (label, name) for name in self.tree.links for label in redundant_values(self.tree, name)
+        )
 
     def loose_links(self) -> Iterator[str]:
         """Yield the links that no joint connects with the root."""
@@ -237,40 +239,44 @@ class _Reader:
         for name, link in self.tree.links.items():
             for collision in link.findall("collision"):
                 pose = self.from_root @ self.tree.link_pose(collision, name)
-                shape = self._shape(collision, name, pose)
+                shape = self._collision_shape(collision, name, pose)
                 if shape is not None:
                     yield shape
 
-    def _shape(self, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
+    def _collision_shape(self, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
         geometry = collision_shape(collision)
         at = f"{self.tree.where}: collision of {link}"
         if geometry is None or geometry.tag not in (*SIZES, "mesh"):
             return None
         if geometry.tag == "mesh":
-            return self._around_mesh(geometry, collision, link, pose)
-        sizes = lengths(geometry, at)
+            return self._box_around_mesh(geometry, collision, link, pose)
+        sizes = shape_lengths(geometry, at)
         if geometry.tag in ("ellipsoid", "cone"):
             around = (
                 [2.0 * r for r in sizes] if geometry.tag == "ellipsoid" else [2.0 * sizes[0], 2.0 * sizes[0], sizes[1]]
             )
-            return _box(pose, np.zeros(3), np.array(around))
+            return _box_in_frame(pose, np.zeros(3), np.array(around))
         shape = (
             ShapeCfg(kind="box", size=vec3(sizes))
             if geometry.tag == "box"
             else ShapeCfg(kind=geometry.tag, radius=sizes[0], height=None if geometry.tag == "sphere" else sizes[1])
         )
-        return part_shape(PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3])))
+        return part_collision_shape(
+            PartCfg(shape=shape, position=vec3(pose[:3, 3]), euler=roll_pitch_yaw(pose[:3, :3]))
+        )
 
-    def _around_mesh(self, shape: Element, collision: Element, link: str, pose: np.ndarray) -> CollisionShape | None:
+    def _box_around_mesh(
+        self, shape: Element, collision: Element, link: str, pose: np.ndarray
+    ) -> CollisionShape | None:
         try:
             low, high = load_collision_mesh(self.tree, link, shape).bounds
-            return _box(pose, 0.5 * (low + high), high - low)
+            return _box_in_frame(pose, 0.5 * (low + high), high - low)
         except ConfigError as error:  # the hull of a model is often a file of its own, which is not at hand
             self._unread.append(f"{collision.get('name')} ({error})")
             return None
 
 
-def _box(pose: np.ndarray, center: np.ndarray, size: np.ndarray) -> BoxCfg:
+def _box_in_frame(pose: np.ndarray, center: np.ndarray, size: np.ndarray) -> BoxCfg:
     """Return a box whose centre is given in a frame."""
     place = pose[:3, :3] @ center + pose[:3, 3]
     return BoxCfg(center=vec3(place), size=vec3(size), euler=roll_pitch_yaw(pose[:3, :3]))

@@ -22,7 +22,7 @@ from aerial_gym.assets import load_mesh
 from aerial_gym.assets.mesh_files import is_collada
 from aerial_gym.assets.urdf import weld
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import number, numbers
+from aerial_gym.robots.importers.file_vehicle import parse_number, parse_numbers
 from aerial_gym.robots.importers.joints import Weight
 from aerial_gym.robots.importers.sdf_tree import TRUE, Element, SdfTree
 
@@ -60,10 +60,10 @@ def link_weight(tree: SdfTree, link: str) -> Weight:
     inertial = tree.links[link].find("inertial")
     if inertial is None:
         return Weight(mass=1.0, pose=tree.pose(link), inertia=np.eye(3))
-    if _is_auto(inertial):
-        return _from_shapes(tree, link, inertial)
+    if _is_auto_inertial(inertial):
+        return _weight_from_shapes(tree, link, inertial)
     at = f"{tree.where}: inertial of {link}"
-    mass = number(inertial.findtext("mass"), 1.0, f"{at}: mass")
+    mass = parse_number(inertial.findtext("mass"), 1.0, f"{at}: mass")
     if not mass >= 0.0:
         raise ConfigError(f"{at}: mass = {mass:g} kg: must be >= 0")
     return Weight(mass=mass, pose=tree.link_pose(inertial, link), inertia=_file_inertia(inertial, at))
@@ -73,7 +73,7 @@ def redundant_values(tree: SdfTree, link: str) -> Iterator[str]:
     """Yield the numbers of a link that SDF ignores."""
     element = tree.links[link]
     inertial = element.find("inertial")
-    if inertial is not None and _is_auto(inertial):
+    if inertial is not None and _is_auto_inertial(inertial):
         yield from (
             f"{tag} of an inertial that is auto" for tag in ("pose", "inertia") if inertial.find(tag) is not None
         )
@@ -84,34 +84,34 @@ def redundant_values(tree: SdfTree, link: str) -> Iterator[str]:
 def link_assumptions(tree: SdfTree, link: str) -> Iterator[str]:
     """Yield the numbers of a link that are defaults of SDF."""
     inertial = tree.links[link].find("inertial")
-    if inertial is not None and _is_auto(inertial):
+    if inertial is not None and _is_auto_inertial(inertial):
         return
     for tag, value in (("mass", "1 kg"), ("inertia", "1 kg m² about each axis")):
         if inertial is None or inertial.find(tag) is None:
             yield f"{tag} = {value}, the default of SDF"
 
 
-def _is_auto(inertial: Element) -> bool:
+def _is_auto_inertial(inertial: Element) -> bool:
     return inertial.get("auto", "").strip().lower() in TRUE
 
 
 def _file_inertia(inertial: Element, at: str) -> np.ndarray:
     own = ElementTree.Element("inertia") if inertial.find("inertia") is None else inertial.find("inertia")
     assert own is not None
-    xx, yy, zz = (number(own.findtext(tag), 1.0, f"{at}: {tag}") for tag in ("ixx", "iyy", "izz"))
-    xy, xz, yz = (number(own.findtext(tag), 0.0, f"{at}: {tag}") for tag in ("ixy", "ixz", "iyz"))
+    xx, yy, zz = (parse_number(own.findtext(tag), 1.0, f"{at}: {tag}") for tag in ("ixx", "iyy", "izz"))
+    xy, xz, yz = (parse_number(own.findtext(tag), 0.0, f"{at}: {tag}") for tag in ("ixy", "ixz", "iyz"))
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
+def _weight_from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
     at = f"{tree.where}: inertial of {link}"
-    common = number(inertial.findtext("density"), WATER, f"{at}: density")
+    common = parse_number(inertial.findtext("density"), WATER, f"{at}: density")
     masses, poses, inertias = [], [], []
     for collision in tree.links[link].findall("collision"):
-        solid = _solid(tree, link, collision)
+        solid = _collision_solid(tree, link, collision)
         if solid is None:
             continue
-        density = number(collision.findtext("density"), common, f"{at}: density of {collision.get('name')}")
+        density = parse_number(collision.findtext("density"), common, f"{at}: density of {collision.get('name')}")
         pose = tree.link_pose(collision, link)
         pose[:3, 3] += pose[:3, :3] @ solid.center
         masses.append(density * solid.volume)
@@ -122,7 +122,7 @@ def _from_shapes(tree: SdfTree, link: str, inertial: Element) -> Weight:
             f"{at}: auto needs a collision with a volume and a density > 0. Give one, or mass and inertia"
         )
     body = weld(masses, poses, inertias)
-    share = number(inertial.findtext("mass"), body.mass, f"{at}: mass") / body.mass
+    share = parse_number(inertial.findtext("mass"), body.mass, f"{at}: mass") / body.mass
     pose = np.eye(4)
     pose[:3, 3] = body.com
     return Weight(mass=share * body.mass, pose=pose, inertia=share * body.inertia)
@@ -133,15 +133,15 @@ def collision_shape(collision: Element) -> Element | None:
     return next(iter(collision.find("geometry") or ()), None)
 
 
-def lengths(shape: Element, at: str) -> list[float]:
+def shape_lengths(shape: Element, at: str) -> list[float]:
     """Return sizes of a shape [m], one after the other; ``size`` and ``radii`` have three."""
     sizes: list[float] = []
     for tag in SIZES[shape.tag]:
-        sizes += numbers(shape.findtext(tag), 3 if tag in ("size", "radii") else 1, f"{at}: {tag}")
+        sizes += parse_numbers(shape.findtext(tag), 3 if tag in ("size", "radii") else 1, f"{at}: {tag}")
     return sizes
 
 
-def _solid(tree: SdfTree, link: str, collision: Element) -> _Solid | None:
+def _collision_solid(tree: SdfTree, link: str, collision: Element) -> _Solid | None:
     shape, at = collision_shape(collision), f"{tree.where}: collision of {link}"
     kind = "none" if shape is None else shape.tag
     if shape is None or kind in HOLLOW:
@@ -152,7 +152,7 @@ def _solid(tree: SdfTree, link: str, collision: Element) -> _Solid | None:
         raise ConfigError(
             f"{at}: auto cannot weigh a {kind}: must be {', '.join(_SOLIDS)} or mesh. Give mass and inertia"
         )
-    return _SOLIDS[kind](*lengths(shape, at))
+    return _SOLIDS[kind](*shape_lengths(shape, at))
 
 
 def load_collision_mesh(tree: SdfTree, link: str, shape: Element) -> "trimesh.Trimesh":
@@ -162,7 +162,7 @@ def load_collision_mesh(tree: SdfTree, link: str, shape: Element) -> "trimesh.Tr
         raise ConfigError(f"{at}: a submesh is not read. Give the file of that part alone")
     file = tree.mesh_file((shape.findtext("uri") or "").strip(), link)
     mesh = load_mesh(file, scale=1.0, up="z" if is_collada(file) else None)
-    mesh.apply_transform(np.diag([*numbers(shape.findtext("scale") or "1 1 1", 3, f"{at}: scale"), 1.0]))
+    mesh.apply_transform(np.diag([*parse_numbers(shape.findtext("scale") or "1 1 1", 3, f"{at}: scale"), 1.0]))
     return mesh
 
 
@@ -180,31 +180,31 @@ def _make_solid(volume: float, across: float, other: float, along: float, height
     return _Solid(volume, np.array([0.0, 0.0, height]), volume * np.diag([across, other, along]))
 
 
-def _box(x: float, y: float, z: float) -> _Solid:
+def _solid_box(x: float, y: float, z: float) -> _Solid:
     return _make_solid(x * y * z, (y * y + z * z) / 12.0, (x * x + z * z) / 12.0, (x * x + y * y) / 12.0)
 
 
-def _ellipsoid(a: float, b: float, c: float) -> _Solid:
+def _solid_ellipsoid(a: float, b: float, c: float) -> _Solid:
     return _make_solid(4.0 / 3.0 * pi * a * b * c, (b * b + c * c) / 5.0, (a * a + c * c) / 5.0, (a * a + b * b) / 5.0)
 
 
-def _sphere(radius: float) -> _Solid:
-    return _ellipsoid(radius, radius, radius)
+def _solid_sphere(radius: float) -> _Solid:
+    return _solid_ellipsoid(radius, radius, radius)
 
 
-def _cylinder(radius: float, length: float) -> _Solid:
+def _solid_cylinder(radius: float, length: float) -> _Solid:
     across = (3.0 * radius**2 + length**2) / 12.0
     return _make_solid(pi * radius**2 * length, across, across, 0.5 * radius**2)
 
 
-def _cone(radius: float, length: float) -> _Solid:
+def _solid_cone(radius: float, length: float) -> _Solid:
     across = 3.0 / 80.0 * (4.0 * radius**2 + length**2)
     return _make_solid(pi * radius**2 * length / 3.0, across, across, 0.3 * radius**2, -0.25 * length)
 
 
-def _capsule(radius: float, length: float) -> _Solid:
+def _solid_capsule(radius: float, length: float) -> _Solid:
     """Return a cylinder between two half spheres, whose centres are 3/8 of the radius beyond its ends."""
-    rod, ball = _cylinder(radius, length), _sphere(radius)
+    rod, ball = _solid_cylinder(radius, length), _solid_sphere(radius)
     lever = 0.5 * length + 0.375 * radius
     half = 83.0 / 320.0 * radius**2 * ball.volume  # across, of both halves about their own centres
     across = rod.inertia[0, 0] + half + ball.volume * lever**2
@@ -213,10 +213,10 @@ def _capsule(radius: float, length: float) -> _Solid:
 
 
 _SOLIDS = {
-    "box": _box,
-    "sphere": _sphere,
-    "ellipsoid": _ellipsoid,
-    "cylinder": _cylinder,
-    "capsule": _capsule,
-    "cone": _cone,
+    "box": _solid_box,
+    "sphere": _solid_sphere,
+    "ellipsoid": _solid_ellipsoid,
+    "cylinder": _solid_cylinder,
+    "capsule": _solid_capsule,
+    "cone": _solid_cone,
 }

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import make_pose, numbers, read_xml
+from aerial_gym.robots.importers.file_vehicle import make_pose, parse_numbers, read_xml
 
 Element = ElementTree.Element
 
@@ -37,7 +37,7 @@ class Scope:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _FramePlace:
     base: str  # Frame that it is placed in; none of the outermost model
     pose: np.ndarray
     placement: str | None = None  # Frame of a model to which its pose applies, in place of its own
@@ -54,32 +54,32 @@ class SdfTree:
     scopes: dict[str, Scope] = field(default_factory=dict)  # Of links and joints
     roots: list[Element] = field(default_factory=list)  # Of included files
     _within: list[Path] = field(default_factory=list)  # Files that include the present one
-    _places: dict[str, _Place] = field(default_factory=dict)
+    _places: dict[str, _FramePlace] = field(default_factory=dict)
     _attached: dict[str, str] = field(default_factory=dict)  # Element or canonical link of each frame
 
-    def take(self, model: Element, scope: Scope) -> None:
+    def add_model(self, model: Element, scope: Scope) -> None:
         """Add the content of a model, and its own frame if it has none yet."""
-        self._places.setdefault(scope.frame, _Place("", np.eye(4)))
+        self._places.setdefault(scope.frame, _FramePlace("", np.eye(4)))
         before = list(self.links)
         for child in model:
             name = scope.prefix + child.get("name", "")
             if child.tag == "link":
                 self.links[name], self.scopes[name] = child, scope
-                self._place(name, child, scope, scope.frame)
+                self._add_frame(name, child, scope, scope.frame)
             elif child.tag == "joint":
                 self.joints[name], self.scopes[name] = child, scope
-                self._place(name, child, scope, self.full_name(child.findtext("child"), scope))
+                self._add_frame(name, child, scope, self.full_name(child.findtext("child"), scope))
             elif child.tag == "frame":
                 to = self.full_name(child.get("attached_to") or MODEL, scope)
                 self._attached[name] = to
-                self._place(name, child, scope, to)
+                self._add_frame(name, child, scope, to)
             elif child.tag == "plugin":
                 self.plugins.append((scope.prefix, child))
             elif child.tag == "model":
-                self._nest(child, child, Scope(f"{name}::", name, scope.folder), scope)
+                self._add_nested_model(child, child, Scope(f"{name}::", name, scope.folder), scope)
             elif child.tag == "include":
-                self._include(child, scope)
-        self._attached.setdefault(scope.frame, self._canonical(model, scope, before))
+                self._add_included_model(child, scope)
+        self._attached.setdefault(scope.frame, self._canonical_link(model, scope, before))
 
     def full_name(self, name: str | None, scope: Scope) -> str:
         """Return the full name, in the outermost model, of a name within a scope."""
@@ -88,7 +88,7 @@ class SdfTree:
             return scope.frame
         return scope.prefix + own.removesuffix(f"::{MODEL}")
 
-    def _canonical(self, model: Element, scope: Scope, before: list[str]) -> str:
+    def _canonical_link(self, model: Element, scope: Scope, before: list[str]) -> str:
         """Return the canonical link of a model: the named one, its first own one, or that of a nested model."""
         if model.get("canonical_link"):
             return self.full_name(model.get("canonical_link"), scope)
@@ -96,12 +96,12 @@ class SdfTree:
         own = [name for name in new if "::" not in name.removeprefix(scope.prefix)]
         return next(iter((*own, *new)), "")
 
-    def _nest(self, model: Element, placed: Element, inner: Scope, scope: Scope) -> None:
+    def _add_nested_model(self, model: Element, placed: Element, inner: Scope, scope: Scope) -> None:
         """Add a model nested in another one, at the pose of ``placed``: itself, or the element that includes it."""
-        self._place(inner.frame, placed, scope, scope.frame, _placement(placed, model, inner))
-        self.take(model, inner)
+        self._add_frame(inner.frame, placed, scope, scope.frame, _placement_frame(placed, model, inner))
+        self.add_model(model, inner)
 
-    def _include(self, include: Element, scope: Scope) -> None:
+    def _add_included_model(self, include: Element, scope: Scope) -> None:
         file = _find_file((include.findtext("uri") or "").strip(), scope.folder, self.where)
         root = read_xml(file)
         model = root.find("model")
@@ -115,15 +115,15 @@ class SdfTree:
         inner = Scope(f"{name}::", name, file.parent)
         if include.get("merge") in TRUE:
             inner = Scope(scope.prefix, f"{name}::{MODEL}", file.parent)
-        self._nest(model, include if include.find("pose") is not None else model, inner, scope)
+        self._add_nested_model(model, include if include.find("pose") is not None else model, inner, scope)
         self._within.pop()
         self.plugins += [(inner.prefix, plugin) for plugin in include.findall("plugin")]
 
-    def _place(self, name: str, element: Element, scope: Scope, default: str, placement: str | None = None) -> None:
-        base, pose = self._own(element, name, scope, default)
-        self._places[name] = _Place(base, pose, placement)
+    def _add_frame(self, name: str, element: Element, scope: Scope, default: str, placement: str | None = None) -> None:
+        base, pose = self._own_frame(element, name, scope, default)
+        self._places[name] = _FramePlace(base, pose, placement)
 
-    def _own(self, element: Element, name: str, scope: Scope, default: str) -> tuple[str, np.ndarray]:
+    def _own_frame(self, element: Element, name: str, scope: Scope, default: str) -> tuple[str, np.ndarray]:
         """Return the reference frame of an element and its pose there."""
         pose = element.find("pose")
         if pose is None:
@@ -144,12 +144,12 @@ class SdfTree:
             name = place.base
         return pose
 
-    def _from_placement(self, place: _Place, name: str) -> np.ndarray:
+    def _from_placement(self, place: _FramePlace, name: str) -> np.ndarray:
         return np.eye(4) if place.placement is None else np.linalg.inv(self.pose(place.placement, within=name))
 
     def link_pose(self, element: Element, link: str) -> np.ndarray:
         """Return a collision or inertial frame of a link in the outermost model's, (4, 4)."""
-        base, pose = self._own(element, link, self.scopes[link], link)
+        base, pose = self._own_frame(element, link, self.scopes[link], link)
         return self.pose(base) @ pose
 
     def find_link(self, name: str) -> str | None:
@@ -176,7 +176,7 @@ class SdfTree:
             raise ConfigError(f"{self.where}: no link has a name, or the canonical link is not there")
         return name
 
-    def axis(self, joint: str) -> np.ndarray:
+    def joint_axis(self, joint: str) -> np.ndarray:
         """Return the axis of a joint in the outermost model's frame, (3,)."""
         element, scope, frame = self.joints[joint].find("axis"), self.scopes[joint], joint
         if element is None:
@@ -186,7 +186,7 @@ class SdfTree:
             frame = scope.frame
         elif xyz is not None and xyz.get("expressed_in"):
             frame = self.full_name(xyz.get("expressed_in"), scope)
-        along = numbers("0 0 1" if xyz is None else xyz.text, 3, f"{self.where}: axis of {joint}")
+        along = parse_numbers("0 0 1" if xyz is None else xyz.text, 3, f"{self.where}: axis of {joint}")
         return self.pose(frame)[:3, :3] @ np.array(along)
 
     def mesh_file(self, uri: str, link: str) -> Path:
@@ -194,7 +194,7 @@ class SdfTree:
         return _find_file(uri, self.scopes[link].folder, self.where)
 
 
-def _placement(placed: Element, model: Element, inner: Scope) -> str | None:
+def _placement_frame(placed: Element, model: Element, inner: Scope) -> str | None:
     """Return the frame that a model's pose refers to; None for its own."""
     name = placed.findtext("placement_frame") or model.get("placement_frame")
     return None if name is None or name.strip() == MODEL else inner.prefix + name.strip()
@@ -206,7 +206,7 @@ def read_pose(pose: Element, where: str) -> np.ndarray:
 
     kind, degrees = pose.get("rotation_format", "euler_rpy"), pose.get("degrees", "").lower() in TRUE
     if kind == "quat_xyzw" and not degrees:
-        x, y, z, *quaternion = numbers(pose.text or "0 0 0 0 0 0 1", 7, where)
+        x, y, z, *quaternion = parse_numbers(pose.text or "0 0 0 0 0 0 1", 7, where)
         if not np.linalg.norm(quaternion) > 0.0:
             raise ConfigError(
                 f"{where} = {pose.text!r}: the quaternion is 0: must turn by some angle, 0 0 0 1 for none"
@@ -218,13 +218,13 @@ def read_pose(pose: Element, where: str) -> np.ndarray:
         raise ConfigError(
             f"{where}: rotation_format {kind!r}: must be euler_rpy, in radians or degrees, or quat_xyzw without degrees"
         )
-    values = numbers(pose.text, 6, where)
+    values = parse_numbers(pose.text, 6, where)
     return make_pose(values[:3], [radians(a) for a in values[3:]] if degrees else values[3:])
 
 
 def _find_file(uri: str, folder: Path, where: str) -> Path:
     """Return the file that an address means: of a model, its model.sdf or NAME.sdf."""
-    files = list(_files(uri, folder))
+    files = list(_candidate_files(uri, folder))
     if not files:
         raise ConfigError(
             f"{where}: includes {uri!r}, which is not in {folder.parent}. Put the folder of that model there, or take the "
@@ -233,7 +233,7 @@ def _find_file(uri: str, folder: Path, where: str) -> Path:
     return files[0]
 
 
-def _files(uri: str, folder: Path) -> Iterator[Path]:
+def _candidate_files(uri: str, folder: Path) -> Iterator[Path]:
     base = folder.parent if uri.startswith("model://") else folder
     rest = uri.removeprefix("model://").removeprefix("file://")
     for path in (base / rest, folder.parent / rest, folder / rest):

@@ -22,9 +22,9 @@ from aerial_gym.robots.importers.file_vehicle import (
     FileVehicle,
     Tags,
     Weightless,
-    part_shape,
+    moves_thrust_line,
+    part_collision_shape,
     read_xml,
-    tilts,
     unread_elements,
 )
 from aerial_gym.robots.importers.joints import FileJoint, Weight, link_carriers, make_layout
@@ -52,7 +52,7 @@ _MOVING: Tags = {tag: {} for tag in ("limit", "dynamics")}
 _OFF = ("true", "1")
 
 
-def read(
+def read_urdf_vehicle(
     path: Path, rotor_links: str, lag: float | None, *, take_properties: bool, joints: bool = False
 ) -> FileVehicle:
     """Return the vehicle of a URDF file.
@@ -73,24 +73,24 @@ def read(
     spun |= {joint.name for joint in robot.joint_map.values() if joint.child in names and joint.type == "continuous"}
     moving, on, notes = _find_joints(robot, poses, spun, where) if joints else ([], dict.fromkeys(poses, BASE), [])
     told = read_properties(root, body.mass, len(names) if take_properties else 0, lag, where)
-    rotors = [_motor(motor, robot, poses, on, where) for motor in motors]
+    rotors = [_rotor_of_motor(motor, robot, poses, on, where) for motor in motors]
     rotors += [
-        FileRotor(name=n, position=_hub(robot, [n], poses), axis=poses[n][:3, 2], rotor=told.rotor, link=on[n])
+        FileRotor(name=n, position=_thrust_point(robot, [n], poses), axis=poses[n][:3, 2], rotor=told.rotor, link=on[n])
         for n in names
     ]
     moves = {joint.name for joint in moving}
     held = {"fixed"} if _has_mass_above_floating(robot) else {"fixed", "floating"}
     welded = [j for j in robot.joint_map.values() if j.type not in held and j.name not in spun and j.name not in moves]
     losses = [loss for _, plugin in plugins if (loss := force_source(plugin)) is not None]
-    tilting = {joint.name: _tilt_rotors(joint, rotors, robot, poses) for joint in welded}
+    tilting = {joint.name: _rotors_on_joint(joint, rotors, robot, poses) for joint in welded}
     still = [joint.name for joint in welded if not tilting[joint.name]]
     sideways = sideways_effects(motors)
     return FileVehicle(
         body=body,
         rotors=rotors,
-        shapes=_shapes(path, list(robot.link_map), on),
+        shapes=_collision_shapes(path, list(robot.link_map), on),
         joints=make_layout(moving),
-        weightless=_weightless(root, robot, poses, on),
+        weightless=_links_without_weight(root, robot, poses, on),
         effects={**sideways, **told.effects},
         effects_source=f"{where}: rotorDragCoefficient" if sideways else told.source,
         notes=(
@@ -129,7 +129,7 @@ def _has_mass_above_floating(robot: "URDF") -> bool:
     return any(link.name in children or (link.inertial is not None and link.inertial.mass) for link in parents)
 
 
-def _weightless(
+def _links_without_weight(
     root: ElementTree.Element, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str]
 ) -> list[Weightless]:
     """Return the links whose weight Gazebo leaves out."""
@@ -140,11 +140,13 @@ def _weightless(
         off |= any((e.findtext("gravity") or "1").strip().lower() not in _OFF for e in texts)
         if off and link.inertial is not None and link.inertial.mass:
             mass = float(link.inertial.mass)
-            results.append(Weightless(mass=mass, position=_hub(robot, [name], poses), link=on[name]))
+            results.append(Weightless(mass=mass, position=_thrust_point(robot, [name], poses), link=on[name]))
     return results
 
 
-def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str) -> FileRotor:
+def _rotor_of_motor(
+    motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[str, str], where: str
+) -> FileRotor:
     """Return position and axis of a motor: centre of mass of its link with the links fixed to it, and the link's z axis."""
     if motor.link not in poses or motor.joint not in robot.joint_map:
         raise ConfigError(
@@ -156,7 +158,7 @@ def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[s
         group += [j.child for j in robot.joint_map.values() if j.type == "fixed" and j.parent == link]
     return FileRotor(
         name=motor.link,
-        position=_hub(robot, group, poses),
+        position=_thrust_point(robot, group, poses),
         axis=poses[motor.link][:3, 2],
         spin=motor.spin,
         rotor=motor.rotor,
@@ -164,7 +166,9 @@ def _motor(motor: Motor, robot: "URDF", poses: dict[str, np.ndarray], on: dict[s
     )
 
 
-def _tilt_rotors(joint: "Joint", rotors: Sequence[FileRotor], robot: "URDF", poses: dict[str, np.ndarray]) -> list[str]:
+def _rotors_on_joint(
+    joint: "Joint", rotors: Sequence[FileRotor], robot: "URDF", poses: dict[str, np.ndarray]
+) -> list[str]:
     """Return the rotors whose thrust line a joint would move."""
     above = {other.child: other.parent for other in robot.joint_map.values()}
     axis = poses[joint.child][:3, :3] @ np.asarray(joint.axis, dtype=float)
@@ -173,12 +177,12 @@ def _tilt_rotors(joint: "Joint", rotors: Sequence[FileRotor], robot: "URDF", pos
         link: str | None = rotor.name
         while link is not None and link != joint.child:
             link = above.get(link)
-        if link is not None and tilts(rotor, joint.type, axis, poses[joint.child][:3, 3]):
+        if link is not None and moves_thrust_line(rotor, joint.type, axis, poses[joint.child][:3, 3]):
             results.append(rotor.name)
     return results
 
 
-def _hub(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
+def _thrust_point(robot: "URDF", links: Sequence[str], poses: dict[str, np.ndarray]) -> np.ndarray:
     """Return the centre of mass of links [m], (3,), where simulators apply thrust; without mass the first link's origin."""
     inertials = [(robot.link_map[link].inertial, poses[link]) for link in links]
     frames = [
@@ -223,11 +227,11 @@ def _find_joints(
         joint = next(joint for joint in waiting if on[joint.parent] in placed)
         waiting.remove(joint)
         placed.add(joint.name)
-        results.append(_joint(joint, poses[joint.child], on[joint.parent], weights.get(joint.name, [])))
+        results.append(_file_joint(joint, poses[joint.child], on[joint.parent], weights.get(joint.name, [])))
     return results, on, notes
 
 
-def _joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Weight]) -> FileJoint:
+def _file_joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Weight]) -> FileJoint:
     limit, dynamics = joint.limit, joint.dynamics
     limits = None
     if joint.type != "continuous" and limit is not None and limit.lower is not None and limit.upper is not None:
@@ -245,7 +249,7 @@ def _joint(joint: "Joint", pose: np.ndarray, parent: str, weights: list[Weight])
     )
 
 
-def _shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionShape]:
+def _collision_shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionShape]:
     """Return the collision shapes of all links, each on its link; none of a file without geometry."""
     if all(link == BASE for link in on.values()):
         return _all_shapes(path, {})
@@ -253,17 +257,17 @@ def _shapes(path: Path, names: list[str], on: dict[str, str]) -> list[CollisionS
     for start in range(0, len(names), FIRST_INSTANCE_ID):  # semantic ids tell the links apart
         some = names[start : start + FIRST_INSTANCE_ID]
         ids = {name: k for k, name in enumerate(some)}
-        for part in _parts(path, ids):
+        for part in _geometry_parts(path, ids):
             if part.semantic_id is not None:
-                results.append(replace(part_shape(part), link=on[some[part.semantic_id]]))
+                results.append(replace(part_collision_shape(part), link=on[some[part.semantic_id]]))
     return results
 
 
 def _all_shapes(path: Path, ids: dict[str, int]) -> list[CollisionShape]:
-    return [part_shape(part) for part in _parts(path, ids)]
+    return [part_collision_shape(part) for part in _geometry_parts(path, ids)]
 
 
-def _parts(path: Path, ids: dict[str, int]) -> tuple[PartCfg, ...]:
+def _geometry_parts(path: Path, ids: dict[str, int]) -> tuple[PartCfg, ...]:
     try:
         return load_urdf(path, link_ids=ids).parts or ()
     except ConfigError as error:

@@ -36,7 +36,9 @@ class LinkTensors:
 
     def carriers(self, mounted: Mapping[str, RobotSensor[RangeSensorCfg] | RobotSensor[ImuCfg]]) -> dict[str, Carrier]:
         """Return the carrier link of each sensor by name, without sensors on the base."""
-        return {name: self._carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE}
+        return {
+            name: self._link_carrier(self.names.index(each.link)) for name, each in mounted.items() if each.link != BASE
+        }
 
     def link_shapes(self, collision: CollisionCfg) -> "list[LinkGeometry]":
         """Return the collision shapes of each link except the base."""
@@ -58,7 +60,7 @@ class LinkTensors:
 
         return LinkPlaces(cfg, state, self, trajectory)
 
-    def _carrier(self, number: int) -> Carrier:
+    def _link_carrier(self, number: int) -> Carrier:
         position, attitude, lin_vel, _ = self.state[:, number].split((3, 4, 3, 3), dim=-1)
         return Carrier(
             number=number, position=position, attitude=attitude, lin_vel=lin_vel, ang_vel=self.ang_vel[:, number]

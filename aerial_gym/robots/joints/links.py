@@ -26,7 +26,7 @@ from aerial_gym.robots.joints.link_tensors import LinkTensors
 
 
 @wp.struct
-class _Joints:
+class _JointArrays:
     """The joints, in body axes of the reference pose."""
 
     parent: wp.array[wp.int32]  # (D,) link on which it sits
@@ -37,7 +37,7 @@ class _Joints:
 
 
 @wp.func
-def _place(joints: _Joints, k: int, x: wp.vec3, q: wp.quat, joint_pos: float):
+def _link_pose(joints: _JointArrays, k: int, x: wp.vec3, q: wp.quat, joint_pos: float):
     """Return the pose of joint k's link from that of its parent link."""
     bend = joint_pos - joints.reference[k]
     if joints.slides[k]:
@@ -48,8 +48,8 @@ def _place(joints: _Joints, k: int, x: wp.vec3, q: wp.quat, joint_pos: float):
 
 
 @wp.kernel(enable_backward=False)
-def _follow_links(
-    joints: _Joints,
+def _place_links_in_substeps(
+    joints: _JointArrays,
     # state at the start of a step and after each substep
     position: wp.array2d[wp.vec3],  # (K + 1, E) of the base, world [m]
     attitude: wp.array2d[wp.quat],  # (K + 1, E) base to world, xyzw
@@ -73,14 +73,14 @@ def _follow_links(
     for k in range(joint_pos.shape[2]):
         p = joints.parent[k]
         bend = wp.lerp(joint_pos[first, e, k], joint_pos[last, e, k], share)
-        x, q = _place(joints, k, position_out[i, e, p], attitude_out[i, e, p], bend)
+        x, q = _link_pose(joints, k, position_out[i, e, p], attitude_out[i, e, p], bend)
         position_out[i, e, k + 1] = x
         attitude_out[i, e, k + 1] = q
 
 
 @wp.kernel(enable_backward=False)
 def _place_links(
-    joints: _Joints,
+    joints: _JointArrays,
     # state
     position: wp.array[wp.vec3],  # (E,) of the base, world [m]
     attitude: wp.array[wp.quat],  # (E,) base to world, xyzw
@@ -108,7 +108,7 @@ def _place_links(
         q = attitude_out[e, p]
         axis = wp.quat_rotate(q, joints.axis[k])
         rate = joint_vel[e, k] * axis
-        place, turned = _place(joints, k, x, q, joint_pos[e, k])
+        place, turned = _link_pose(joints, k, x, q, joint_pos[e, k])
         spin = ang_vel_world_out[e, p]
         velocity = lin_vel_out[e, p] + wp.cross(spin, place - x)
         if joints.slides[k]:
@@ -123,8 +123,8 @@ def _place_links(
         ang_vel_out[e, k + 1] = wp.quat_rotate_inv(turned, spin)
 
 
-def _table(cfg: JointsCfg, place: wp.Device) -> _Joints:
-    table = _Joints()
+def _joint_arrays(cfg: JointsCfg, place: wp.Device) -> _JointArrays:
+    table = _JointArrays()
     table.parent = wp.array([cfg.link_number(joint.parent) for joint in cfg.layout], dtype=wp.int32, device=place)
     table.slides = wp.array([joint.kind == "prismatic" for joint in cfg.layout], dtype=wp.bool, device=place)
     table.axis = wp.array([joint.axis for joint in cfg.layout], dtype=wp.vec3, device=place)
@@ -138,7 +138,7 @@ PIECES = 4
 taken to move straight: of a link that turns by 0.3 rad per substep, 0.3 m from its own hinge, it is 0.2 mm off at most."""
 
 
-class LinkTrack:
+class LinkTrajectory:
     """The poses of all links at the start of a step and after each piece of a substep, from a record of base and joints."""
 
     def __init__(self, cfg: JointsCfg, trajectory: Trajectory) -> None:
@@ -157,9 +157,15 @@ class LinkTrack:
         """To the world, xyzw, (K M + 1, E, L, 4)."""
         place = wp.device_from_torch(device)
         self._command = ReusableLaunch(
-            _follow_links,
+            _place_links_in_substeps,
             dim=size[:2],
-            inputs=[_table(cfg, place), trajectory.position, trajectory.attitude, trajectory.joint_pos, self.pieces],
+            inputs=[
+                _joint_arrays(cfg, place),
+                trajectory.position,
+                trajectory.attitude,
+                trajectory.joint_pos,
+                self.pieces,
+            ],
             outputs=[self.position, self.attitude],
             device=place,
             block_dim=BLOCK_DIM,
@@ -178,10 +184,12 @@ class LinkPlaces:
     ) -> None:
         """Take views of the state, which must keep its memory, and of the outputs; follow a trajectory with joints."""
         followed = trajectory is not None and trajectory.joint_pos is not None
-        self.track: LinkTrack | None = LinkTrack(cfg, trajectory) if followed and trajectory is not None else None
+        self.trajectory: LinkTrajectory | None = (
+            LinkTrajectory(cfg, trajectory) if followed and trajectory is not None else None
+        )
         """Link poses after each substep of the last step; None without a record."""
         place = wp.device_from_torch(state.position.device)
-        table = _table(cfg, place)
+        table = _joint_arrays(cfg, place)
         base = (state.position, state.attitude, state.lin_vel, state.ang_vel)
         self._written = links.state
         self._command = ReusableLaunch(

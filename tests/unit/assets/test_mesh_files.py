@@ -13,7 +13,7 @@ from aerial_gym.assets.shapes import ShapeTable
 from aerial_gym.config.environment import ShapeCfg
 from aerial_gym.config.shape import PartCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots.importers.file_vehicle import part_shape
+from aerial_gym.robots.importers.file_vehicle import part_collision_shape
 
 pytest.importorskip("collada", reason="pycollada is not installed: pip install 'aerial-gym[urdf]'")
 
@@ -148,6 +148,8 @@ def test_the_hull_of_a_robot_is_that_of_the_turned_mesh(tmp_path: Path) -> None:
         (gltf(tmp_path, "box.glb"), TURNED["Y_UP"]),
     ):
         low, high = np.array(corners)
-        box = part_shape(PartCfg(shape=ShapeCfg(kind="mesh", path=str(path), scale=0.5), position=(1.0, 2.0, 3.0)))
+        box = part_collision_shape(
+            PartCfg(shape=ShapeCfg(kind="mesh", path=str(path), scale=0.5), position=(1.0, 2.0, 3.0))
+        )
         np.testing.assert_allclose(box.center, 0.25 * (low + high) + (1.0, 2.0, 3.0), rtol=1e-6)
         np.testing.assert_allclose(box.size, 0.5 * (high - low), rtol=1e-6)

@@ -126,7 +126,7 @@ def test_a_step_begins_with_its_action_whatever_its_layout_and_keeps_the_earlier
     views = (numbers.view(3, 2), numbers.view(2, 3).T, numbers[:2].expand(3, 2))
     for given in (*views, numbers.double().view(3, 2).requires_grad_(), actions, before):
         wanted = (last if given is before else given).detach().float().clone()
-        begin.take(given)
+        begin.begin(given)
         assert torch.equal(before, last)
         assert torch.equal(actions, wanted)
         last = wanted

@@ -11,7 +11,7 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.stability import HoverResult
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.range_warnings import hovers_at_ends, report_range_faults
+from aerial_gym.robots.range_warnings import hovers_at_range_ends, report_range_faults
 from tests.builders import simulation
 
 GRAVITY, DT = 9.81, 0.01
@@ -20,7 +20,7 @@ QUAD, LEE = ROBOTS.get("base_quadrotor"), CONTROLLERS.get("lee_position_control"
 
 
 def hovers(randomize: dict[str, RandomizeCfg]) -> list[HoverResult]:
-    return [hover for _, _, hover in hovers_at_ends(QUAD, LEE, randomize, **AT)]
+    return [hover for _, _, hover in hovers_at_range_ends(QUAD, LEE, randomize, **AT)]
 
 
 def test_each_end_of_thrust_and_mass_rests_where_the_equations_say() -> None:
@@ -36,7 +36,7 @@ def test_each_end_of_thrust_and_mass_rests_where_the_equations_say() -> None:
 def test_a_drawn_dead_time_is_judged_at_each_end() -> None:
     late = {"effects.actuation_delay.delay": RandomizeCfg(how="value", low=0.0, high=0.02)}
     robot, law = ROBOTS.get("crazyflie_21"), CONTROLLERS.get("crazyflie_lee_control")
-    low, high = (hover for _, _, hover in hovers_at_ends(robot, law, late, **AT))
+    low, high = (hover for _, _, hover in hovers_at_range_ends(robot, law, late, **AT))
     assert low.stable
     assert not high.stable
 
@@ -46,7 +46,7 @@ def test_wind_is_judged_with_the_drag_that_it_needs() -> None:
     drag = {"effects.rotor_drag.dx": RandomizeCfg(how="value", low=0.0, high=0.2)}
     assert all(hover.holds for hover in hovers(wind | drag))
     robot = ROBOTS.get("base_quadrotor_with_drag")
-    still, windy = (hover for _, _, hover in hovers_at_ends(robot, LEE, wind, **AT))
+    still, windy = (hover for _, _, hover in hovers_at_range_ends(robot, LEE, wind, **AT))
     assert still.holds
     assert not windy.holds
     assert windy.offset[0] > 0.1
@@ -73,6 +73,6 @@ def test_ranges_that_are_followed_are_silent(caplog: pytest.LogCaptureFixture) -
         thrust = CONTROLLERS.get("rotor_speed_control")
         report_range_faults(QUAD, thrust, randomize={"body.mass": RandomizeCfg(low=0.5, high=2.0)}, **AT)
     assert not caplog.records
-    (name, end, hover), *_ = hovers_at_ends(QUAD, LEE, {"body.mass": RandomizeCfg(low=1.0, high=1.0)}, **AT)
+    (name, end, hover), *_ = hovers_at_range_ends(QUAD, LEE, {"body.mass": RandomizeCfg(low=1.0, high=1.0)}, **AT)
     assert (name, end) == ("body.mass", "1")
     assert isclose(hover.distance, 0.0, abs_tol=1e-6)

@@ -18,7 +18,7 @@ from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.quantities import second_moments_scaled
+from aerial_gym.robots.quantities import scale_second_moments
 from tests.builders import simulation
 from tests.physics.vehicles import BATTERY
 
@@ -119,9 +119,10 @@ def as_file(env: EnvManager, i: int) -> RobotCfg:
     draws = {name: values[i] for name, values in env.draws().items()}
     mass = QUAD.body.mass * float(draws["body.mass"])
     inertia = torch.tensor([QUAD.body.inertia], dtype=torch.float64) * float(draws["body.mass"])
-    inertia = second_moments_scaled(inertia, draws["body.inertia"].double().unsqueeze(0))[0]
-    inertia, com = tuple(map(tuple, inertia.tolist())), tuple(draws["body.com"].tolist())
-    body = replace(QUAD.body, mass=mass, inertia=inertia, com=com)
+    inertia = scale_second_moments(inertia, draws["body.inertia"].double().unsqueeze(0))[0]
+    body = replace(
+        QUAD.body, mass=mass, inertia=tuple(map(tuple, inertia.tolist())), com=tuple(draws["body.com"].tolist())
+    )
     rotors, layout = {}, []
     for number, mount in enumerate(QUAD.mounts.layout):
         factor, lag = float(draws["rotor.thrust_map"][number]), float(draws["rotor.time_constant"])
@@ -170,7 +171,7 @@ def test_a_stretched_body_has_the_inertia_of_its_points() -> None:
         return (mass[:, None, None] * (at.square().sum(-1)[:, None, None] * unit - at[:, :, None] * at[:, None])).sum(0)
 
     factor = torch.tensor([[0.8, 1.3, 1.1]], dtype=torch.float64)
-    result = second_moments_scaled(inertia(points).unsqueeze(0), factor)
+    result = scale_second_moments(inertia(points).unsqueeze(0), factor)
     torch.testing.assert_close(result[0], inertia(points * factor[0].sqrt()))
     moments = torch.linalg.eigvalsh(result[0])
     assert moments[2] < moments[0] + moments[1]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.parameter_draws import joint_factor
+from aerial_gym.robots.parameter_draws import correlation_factor
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 from aerial_gym.sim2real.report.ranges import uncertainty_ranges
@@ -25,7 +25,7 @@ def test_correlations_stand_beside_deviations_where_both_are_drawn() -> None:
     ranges = uncertainty_ranges(ROBOTS.get("base_quadrotor"), effects)
     assert list(ranges) == [DX, DY, WIND]
     assert [dict(each.correlation) for each in ranges.values()] == [{}, {DX: -0.8}, {DX: 0.5}]
-    names, factor = joint_factor(ranges)
+    names, factor = correlation_factor(ranges)
     expected = [[1.0, -0.8, 0.5], [-0.8, 1.0, 0.0], [0.5, 0.0, 1.0]]
     assert names == (DX, DY, WIND)
     np.testing.assert_allclose(factor @ factor.T, expected, atol=2e-6)
