@@ -61,11 +61,9 @@ def time_launches(workload: Workload, *, repeats: int, repeat_time_s: float) -> 
 def _calibrate(workload: Workload, repeat_time_s: float) -> int:
     """Return the number of batches that take about ``repeat_time_s`` [s]; warms up on the way."""
     batches, elapsed = 1, _time_batches(workload, 1)  # the first one may compile: not a measurement
-    while True:
-        elapsed = _time_batches(workload, batches)
-        if elapsed >= 0.2 * repeat_time_s:
-            return max(1, round(batches * repeat_time_s / elapsed))
+    while (elapsed := _time_batches(workload, batches)) < 0.2 * repeat_time_s:
         batches *= 4
+    return max(1, round(batches * repeat_time_s / elapsed))
 
 
 def _time_batches(workload: Workload, batches: int) -> float:
@@ -107,9 +105,7 @@ def make_batch(call: Callable[[], None], launches: int, device: torch.device) ->
         with record_graph(graph, device):
             _repeat(call, launches)
 
-    def replay(
-        _kept: Callable[[], None] = call,
-    ) -> None:  # a graph does not keep the memory alive that its launches read
+    def replay(_kept: Callable[[], None] = call) -> None:  # a graph does not keep the memory of its launches alive
         graph.replay()
 
     return replay
@@ -120,9 +116,10 @@ def _repeat(call: Callable[[], None], times: int) -> None:
         call()
 
 
-def rate_range(seconds: list[float], units: float) -> tuple[float, float, float]:
-    """Return median, lowest and highest rate [1/s] of launches that take ``seconds`` and hold ``units`` each."""
-    return units / statistics.median(seconds), units / max(seconds), units / min(seconds)
+def rate_figures(name: str, seconds: list[float], units: float) -> dict[str, float]:
+    """Return median, lowest and highest rate [1/s] of launches that take ``seconds`` and hold ``units`` each, by name."""
+    rates = units / statistics.median(seconds), units / max(seconds), units / min(seconds)
+    return dict(zip((name, f"{name}_min", f"{name}_max"), rates, strict=True))
 
 
 def require_at_least(low: int, **numbers: int) -> None:

@@ -4,6 +4,7 @@ import statistics
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.sensor import CameraCfg, RangeSensorCfg
 from aerial_gym.errors import UnknownNameError
 from aerial_gym.sensors import SensorImages
-from aerial_gym.workloads.measure import rate_range
+from aerial_gym.workloads.measure import rate_figures
 from aerial_gym.workloads.output import format_value
 from aerial_gym.workloads.renderers.catalog import RENDER_PEERS, interpreters
 from aerial_gym.workloads.renderers.runs import (
@@ -49,15 +50,13 @@ class PeerResult:
 
     def row(self, our_frames_per_s: float, num_envs: int) -> dict[str, object]:
         """Return the figures; ``ratio`` above 1: ours is faster."""
-        median, low, high = rate_range(self.seconds, num_envs)
+        rates = rate_figures("frames_per_s", self.seconds, num_envs)
         return {
             "case": "render_beside",
             "name": self.name,
-            "frames_per_s": median,
-            "frames_per_s_min": low,
-            "frames_per_s_max": high,
+            **rates,
             "image_s": statistics.median(self.seconds),
-            "ratio": our_frames_per_s / median,
+            "ratio": our_frames_per_s / rates["frames_per_s"],
             "differing_pixels_share": self.differing,
             **self.more,
         }
@@ -80,14 +79,11 @@ class PeerComparison:
         images: SensorImages,
         direction: Tensor,
         pythons: tuple[str, ...],
-        threads: int,
-        repeats: int,
-        repeat_time_s: float,
+        **timing: Any,
     ) -> None:
-        """Keep the inputs of the peers; ``images`` are those of this package, ``direction`` is the ray table (H, W, 3)."""
+        """Take our ``images``, the ray table ``direction`` (H, W, 3), and ``threads``, ``repeats`` and ``repeat_time_s``."""
         self._scene, self._camera, self._images, self._direction = scene, camera, images, direction
-        self._device, self._pythons = direction.device.type, interpreters(pythons, sys.executable)
-        self._how = {"threads": threads, "repeats": repeats, "repeat_time_s": repeat_time_s}
+        self._device, self._pythons, self._timing = direction.device.type, interpreters(pythons, sys.executable), timing
 
     def refusal(self, name: str) -> str | None:
         """Return the reason against measuring a renderer, with the remedy; None if it can be measured."""
@@ -99,9 +95,9 @@ class PeerComparison:
 
     def measure(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> PeerResult:
         """Draw, compare with our images, and time; ``time`` returns the time of a call in each repeat [s]."""
-        return self._mesh(name, time) if name in MESHES else self._peer(name)
+        return self._measure_mesh(name, time) if name in MESHES else self._measure_peer(name)
 
-    def _mesh(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> PeerResult:
+    def _measure_mesh(self, name: str, time: Callable[[Callable[[], object], Tensor], list[float]]) -> PeerResult:
         meshes = SceneMeshes(self._scene, self._direction, shared=name == "shared_mesh")
         meshes.cast()
         count = DISTINCT if name == "merged" else len(meshes.depth)  # the others repeat these
@@ -111,12 +107,12 @@ class PeerComparison:
         seconds = time(meshes.cast, meshes.depth)
         return PeerResult(name=name, seconds=seconds, differing=differing, more={"triangles": meshes.num_triangles})
 
-    def _peer(self, name: str) -> PeerResult:
+    def _measure_peer(self, name: str) -> PeerResult:
         assert isinstance(self._camera, CameraCfg)
         height = vertical_field_deg(self._camera.hfov_deg, width=self._camera.width, height=self._camera.height)
         ids = self._images.segmentation
         arrays = scene_arrays(self._scene, self._direction, vfov_deg=height, segmentation=ids is not None)
-        images = run_peer(name, self._pythons[name], arrays, device=self._device, **self._how)
+        images = run_peer(name, self._pythons[name], arrays, device=self._device, **self._timing)
         seen = None if images.identity is None else torch.from_numpy(images.identity)
         depth = torch.from_numpy(images.depth)
         differing = mismatch_share(name, self._images.distance, depth, identity=ids, other_identity=seen)

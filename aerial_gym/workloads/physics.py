@@ -39,26 +39,16 @@ class PhysicsBench:
         """Return the figures with everything they depend on."""
         from aerial_gym.interop import resolve_device
         from aerial_gym.workloads.flight import make_flight
-        from aerial_gym.workloads.measure import rate_range, require_at_least, time_launches, torch_threads
+        from aerial_gym.workloads.measure import rate_figures, require_at_least, time_launches, torch_threads
         from aerial_gym.workloads.output import backend_packages, device_name, provenance
 
         require_at_least(1, num_envs=self.num_envs, substeps=self.substeps)
         device = resolve_device(self.device)
-        beside = provenance(*backend_packages(self.backend))
+        versions = provenance(*backend_packages(self.backend))
         with torch_threads(self.threads) as threads:  # no progress bar: its thread would take part of a measured core
-            flight = make_flight(
-                backend=self.backend,
-                robot=self.robot,
-                controller=self.controller,
-                effects=self.effects,
-                integrator=self.integrator,
-                num_envs=self.num_envs,
-                substeps=self.substeps,
-                dt=self.dt_s,
-                device=device,
-            )
+            names = ("backend", "robot", "controller", "effects", "integrator", "num_envs", "substeps")
+            flight = make_flight(**{name: getattr(self, name) for name in names}, dt=self.dt_s, device=device)
             seconds = time_launches(flight, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
-        median, low, high = rate_range(seconds, self.num_envs * self.substeps)
         return {
             "case": "physics",
             "backend": self.backend,
@@ -71,9 +61,7 @@ class PhysicsBench:
             "effects": list(self.effects),
             "dt_s": self.dt_s,
             "threads": threads,
-            "steps_per_s": median,
-            "steps_per_s_min": low,
-            "steps_per_s_max": high,
+            **rate_figures("steps_per_s", seconds, self.num_envs * self.substeps),
             "launch_us": 1e6 * statistics.median(seconds),
-            **beside,
+            **versions,
         }

@@ -4,7 +4,7 @@ import statistics
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import torch
@@ -82,7 +82,7 @@ class RenderBench:
         import torch
 
         from aerial_gym.sensors import RayCaster, SensorImages
-        from aerial_gym.workloads.measure import WorkloadError, rate_range
+        from aerial_gym.workloads.measure import WorkloadError, rate_figures
         from aerial_gym.workloads.output import device_name, provenance
         from aerial_gym.workloads.peers import PeerComparison
         from aerial_gym.workloads.scenes import make_scene
@@ -94,55 +94,44 @@ class RenderBench:
         ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
         images = SensorImages(distance=depth, segmentation=ids)
         ahead = torch.tensor([1.0, 0.0, 0.0], device=device).repeat(self.num_envs, 1)
-        caster = RayCaster(
-            sensor,
-            scene.build(),
-            images,
-            position=scene.position,
-            attitude=scene.attitude,
-            lin_vel=ahead,
-            ang_vel=torch.zeros_like(ahead),
-        )
+        motion: dict[str, Any] = {
+            "position": scene.position,
+            "attitude": scene.attitude,
+            "lin_vel": ahead,
+            "ang_vel": 0.0 * ahead,
+        }
+        caster = RayCaster(sensor, scene.build(), images, **motion)
         seconds = self._time(caster.cast, depth)
         elsewhere = scene.state.clone()
         move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
-        beside = PeerComparison(
-            scene=scene,
-            camera=sensor,
-            images=images,
-            direction=caster.direction,
-            pythons=self.peer_python,
-            threads=threads,
-            repeats=self.repeats,
-            repeat_time_s=self.repeat_time_s,
-        )
+        comparison = PeerComparison(
+            scene=scene, camera=sensor, images=images, direction=caster.direction, pythons=self.peer_python,
+            threads=threads, repeats=self.repeats, repeat_time_s=self.repeat_time_s,
+        )  # fmt: skip
         peer_results, failures = [], []
         for name in names:
-            why = beside.refusal(name)
-            if why is not None:
-                print(why, file=sys.stderr)
+            reason = comparison.refusal(name)
+            if reason is not None:
+                print(reason, file=sys.stderr)
                 continue
             try:
-                peer_results.append(beside.measure(name, self._time))
+                peer_results.append(comparison.measure(name, self._time))
             except WorkloadError as error:
                 failures.append(str(error))
             seconds += self._time(caster.cast, depth)
-        median, low, high = rate_range(seconds, self.num_envs)
+        rates = rate_figures("frames_per_s", seconds, self.num_envs)
+        median, settings = (
+            rates["frames_per_s"],
+            ("num_envs", "width", "height", "segmentation", "lidar", "scan_columns"),
+        )
         own_row = {
             "case": "render",
             "name": "aerial_gym",
             "scene": self.scene,
             "device": device_name(device),
-            "num_envs": self.num_envs,
-            "width": self.width,
-            "height": self.height,
-            "segmentation": self.segmentation,
-            "lidar": self.lidar,
-            "scan_columns": self.scan_columns,
+            **{name: getattr(self, name) for name in settings},
             "threads": threads,
-            "frames_per_s": median,
-            "frames_per_s_min": low,
-            "frames_per_s_max": high,
+            **rates,
             "rays_per_s": median * self.width * self.height,
             "image_s": statistics.median(seconds),
             "move_s": move,
@@ -157,30 +146,13 @@ class RenderBench:
 
         if self.scan_columns is not None and not self.lidar:
             raise ConfigError(f"--scan-columns {self.scan_columns}: needs --lidar; a camera does not turn")
-        if self.lidar:
-            return LidarCfg(
-                summary="benchmark lidar",
-                width=self.width,
-                height=self.height,
-                elevation_low_deg=-22.5,
-                elevation_high_deg=22.5,
-                min_range=0.0,
-                max_range=max_range,
-                segmentation=self.segmentation,
-                scan_s=None if self.scan_columns is None else 0.1,
-                scan_columns=self.scan_columns or 1,
-                source="the angles of os1_64",
-            )
-        return CameraCfg(
-            summary="benchmark camera",
-            width=self.width,
-            height=self.height,
-            hfov_deg=87.0,
-            min_range=0.0,
-            max_range=max_range,
-            segmentation=self.segmentation,
-            source="the depth camera of base_quadrotor_with_camera",
-        )
+        shared = {"width": self.width, "height": self.height, "min_range": 0.0, "max_range": max_range}
+        shared |= {"summary": "sensor of bench render", "segmentation": self.segmentation}
+        if not self.lidar:
+            return CameraCfg(**shared, hfov_deg=87.0, source="the depth camera of base_quadrotor_with_camera")
+        scan = {} if self.scan_columns is None else {"scan_s": 0.1, "scan_columns": self.scan_columns}
+        angles = {"elevation_low_deg": -22.5, "elevation_high_deg": 22.5, "source": "the angles of os1_64"}
+        return LidarCfg(**shared, **scan, **angles)
 
     def _time(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
         """Return the time of one call in each repeat [s]."""

@@ -5,7 +5,9 @@ Frames: world of each environment, z up. Letters: E environments, A instances.
 
 import math
 import random
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -43,19 +45,13 @@ def make_scene(name: str, num_envs: int, *, device: torch.device) -> RenderScene
     if name not in ENVIRONMENTS:
         known = (*sorted(SCENES), *ENVIRONMENTS.names())
         raise UnknownNameError(f"no render scene {name!r}. Known: {', '.join(known)}")
-    return _environment(name, num_envs, device)
+    return _environment_scene(name, num_envs, device)
 
 
-def _environment(name: str, num_envs: int, device: torch.device) -> RenderScene:
+def _environment_scene(name: str, num_envs: int, device: torch.device) -> RenderScene:
     """Return a registered environment, seen by the camera of a quadrotor at its start."""
-    env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name=name,
-        robot_name="base_quadrotor",
-        controller_name="no_control",
-        num_envs=num_envs,
-        device=device,
-    )
+    names: dict[str, Any] = {"sim_name": "base_sim", "robot_name": "base_quadrotor", "controller_name": "no_control"}
+    env = SimBuilder().build_env(**names, env_name=name, num_envs=num_envs, device=device)
     env.reset()
     return RenderScene(
         shapes=(),
@@ -67,7 +63,19 @@ def _environment(name: str, num_envs: int, device: torch.device) -> RenderScene:
     )
 
 
-def _boxes(num_envs: int, device: torch.device, *, turned: bool = True) -> RenderScene:
+def _scene_on_device(
+    shapes: Iterable[ShapeCfg],
+    state: Tensor,
+    position: Tensor,
+    attitude: Tensor,
+    max_range: float,
+    device: torch.device,
+) -> RenderScene:
+    state, position, attitude = (tensor.to(device) for tensor in (state, position, attitude))
+    return RenderScene(shapes=tuple(shapes), state=state, position=position, attitude=attitude, max_range=max_range)
+
+
+def _floor_with_boxes(num_envs: int, device: torch.device, *, turned: bool = True) -> RenderScene:
     """Return a floor and 20 boxes 2 to 8 m ahead of a camera 1 m above the floor; every box turned at random."""
     chance = random.Random(1)
     rows, shapes = [], []
@@ -86,13 +94,7 @@ def _boxes(num_envs: int, device: torch.device, *, turned: bool = True) -> Rende
         state[:, :20, 3:7] = quat_from_euler(angles)
     position, attitude = torch.zeros(num_envs, 3), torch.zeros(num_envs, 4)
     position[:, 2], attitude[:, 3] = 1.0, 1.0
-    return RenderScene(
-        shapes=tuple(shapes),
-        state=state.to(device),
-        position=position.to(device),
-        attitude=attitude.to(device),
-        max_range=50.0,
-    )
+    return _scene_on_device(shapes, state, position, attitude, 50.0, device)
 
 
 def _tree(seed: int) -> ShapeCfg:
@@ -109,18 +111,11 @@ def _tree(seed: int) -> ShapeCfg:
     return ShapeCfg(kind="compound", parts=tuple(parts))
 
 
-def _clutter(num_envs: int, device: torch.device) -> RenderScene:
+def _room_with_obstacles(num_envs: int, device: torch.device) -> RenderScene:
     """Return a room of 6 walls with 12 boxes, 10 spheres, 4 cylinders and 8 trees; cameras anywhere, at any heading."""
     chance, draw = random.Random(2), torch.Generator().manual_seed(2)
-    walls = (
-        (0.2, 10.0, 6.0),
-        (0.2, 10.0, 6.0),
-        (10.0, 0.2, 6.0),
-        (10.0, 0.2, 6.0),
-        (10.0, 10.0, 0.2),
-        (10.0, 10.0, 0.2),
-    )
-    shapes = [ShapeCfg(kind="box", size=size) for size in walls]
+    walls = ((0.2, 10.0, 6.0), (10.0, 0.2, 6.0), (10.0, 10.0, 0.2))
+    shapes = [ShapeCfg(kind="box", size=size) for size in walls for _ in range(2)]
     for _ in range(12):
         a, b, c = (chance.uniform(0.2, 1.0) for _ in range(3))
         shapes.append(ShapeCfg(kind="box", size=(a, b, c)))
@@ -139,16 +134,10 @@ def _clutter(num_envs: int, device: torch.device) -> RenderScene:
     position = torch.tensor([-4.0, -4.0, 1.0]) + torch.rand(num_envs, 3, generator=draw) * torch.tensor([8.0, 8.0, 4.0])
     heading = torch.zeros(num_envs, 3)
     heading[:, 2] = 2.0 * math.pi * torch.rand(num_envs, generator=draw)
-    return RenderScene(
-        shapes=tuple(shapes),
-        state=state.to(device),
-        position=position.to(device),
-        attitude=quat_from_euler(heading).to(device),
-        max_range=20.0,
-    )
+    return _scene_on_device(shapes, state, position, quat_from_euler(heading), 20.0, device)
 
 
-def _many(num_envs: int, device: torch.device, count: int) -> RenderScene:
+def _many_boxes(num_envs: int, device: torch.device, count: int) -> RenderScene:
     """Return ``count`` turned boxes of 20 to 80 cm in the 12 m cube around a camera in its middle."""
     draw = torch.Generator().manual_seed(count)
     edges = 0.2 + 0.6 * torch.rand(count, 3, generator=draw)
@@ -158,17 +147,14 @@ def _many(num_envs: int, device: torch.device, count: int) -> RenderScene:
     state[..., 3:7] = quat_from_euler(2.0 * math.pi * torch.rand(num_envs, count, 3, generator=draw) - math.pi)
     attitude = torch.zeros(num_envs, 4)
     attitude[:, 3] = 1.0
-    position = torch.zeros(num_envs, 3, device=device)
-    return RenderScene(
-        shapes=shapes, state=state.to(device), position=position, attitude=attitude.to(device), max_range=20.0
-    )
+    return _scene_on_device(shapes, state, torch.zeros(num_envs, 3), attitude, 20.0, device)
 
 
 SCENES = {
-    "boxes_100": lambda num_envs, device: _many(num_envs, device, 100),
-    "boxes_1000": lambda num_envs, device: _many(num_envs, device, 1000),
-    "boxes": _boxes,
-    "boxes_aligned": lambda num_envs, device: _boxes(num_envs, device, turned=False),
-    "clutter": _clutter,
+    "boxes_100": lambda num_envs, device: _many_boxes(num_envs, device, 100),
+    "boxes_1000": lambda num_envs, device: _many_boxes(num_envs, device, 1000),
+    "boxes": _floor_with_boxes,
+    "boxes_aligned": lambda num_envs, device: _floor_with_boxes(num_envs, device, turned=False),
+    "clutter": _room_with_obstacles,
 }
 """Scenes by the name that a user chooses."""

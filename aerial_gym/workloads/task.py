@@ -36,23 +36,21 @@ class TaskBench:
         from aerial_gym.interop import resolve_device
         from aerial_gym.task import task_registry
         from aerial_gym.workloads.episodes import Episodes
-        from aerial_gym.workloads.measure import rate_range, time_launches, torch_threads
+        from aerial_gym.workloads.measure import rate_figures, time_launches, torch_threads
         from aerial_gym.workloads.output import backend_packages, device_name, provenance
         from aerial_gym.workloads.step_parts import time_parts
 
         device = resolve_device(self.device)
-        beside = provenance(*backend_packages(self.backend))
+        options = {"num_envs": self.num_envs, "seed": self.seed, "backend": self.backend}
+        versions = provenance(*backend_packages(self.backend))
         with (
             torch_threads(self.threads) as threads,
-            task_registry.make_task(
-                self.task, num_envs=self.num_envs, device=device, seed=self.seed, backend=self.backend
-            ) as task,
+            task_registry.make_task(self.task, **options, device=device) as task,
         ):
             episodes = Episodes(task, seed=self.seed)
             seconds = time_launches(episodes, repeats=self.repeats, repeat_time_s=self.repeat_time_s)
-            captured = bool(getattr(task, "captured", False))
+            captured = task.is_captured
             parts = time_parts(task, episodes.actions, repeats=self.repeats) if self.parts else {}
-        median, low, high = rate_range(seconds, self.num_envs)
         return {
             "case": "task",
             "task": self.task,
@@ -61,10 +59,8 @@ class TaskBench:
             "num_envs": self.num_envs,
             "threads": threads,
             "captured": captured,
-            "env_steps_per_s": median,
-            "env_steps_per_s_min": low,
-            "env_steps_per_s_max": high,
+            **rate_figures("env_steps_per_s", seconds, self.num_envs),
             "step_us": 1e6 * statistics.median(seconds),
             **{f"{name}_us": 1e6 * span for name, span in parts.items()},
-            **beside,
+            **versions,
         }

@@ -13,10 +13,7 @@ from aerial_gym.physics import BodyState, state_at_rest
 from aerial_gym.sensors import RayCaster, SensorImages
 from aerial_gym.workloads.episodes import check_crashes, check_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
-from aerial_gym.workloads.measure import WorkloadError, rate_range, time_launches, torch_threads
-from aerial_gym.workloads.scene_meshes import SceneMeshes
-from aerial_gym.workloads.scenes import make_scene
-from tests.integration.commands import run
+from aerial_gym.workloads.measure import WorkloadError, rate_figures, time_launches, torch_threads
 from tests.physics.vehicles import ON_RIGID
 from tests.repetitions import frequent_values
 
@@ -53,7 +50,7 @@ def test_the_rate_is_that_of_the_launches(capsys: pytest.CaptureFixture[str]) ->
     argv = ("bench", "physics", "--num-envs", "8", "--substeps", "5", "--json", *QUICK)
     result = json.loads(run(capsys, *argv)[1])
     assert result["steps_per_s"] * result["launch_us"] * 1e-6 == pytest.approx(40.0)
-    assert rate_range([0.5, 0.25, 1.0], 2.0) == (4.0, 2.0, 8.0)
+    assert rate_figures("r", [0.5, 0.25, 1.0], 2.0) == {"r": 4.0, "r_min": 2.0, "r_max": 8.0}
 
 
 def test_task_gives_one_object_with_every_key(capsys: pytest.CaptureFixture[str]) -> None:

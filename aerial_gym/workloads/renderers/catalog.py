@@ -18,12 +18,12 @@ class RenderPeer:
 
 RENDER_PEERS: Registry[RenderPeer] = Registry("render peer")
 
-RENDER_PEERS.register("newton", RenderPeer(needs=("newton",), install="newton", devices=("cpu", "cuda")))
-RENDER_PEERS.register("mujoco", RenderPeer(needs=("mujoco",), install="mujoco", devices=("cpu",)))
-RENDER_PEERS.register(
-    "mujoco_warp",
-    RenderPeer(needs=("mujoco_warp", "mujoco"), install="mujoco-warp mujoco", devices=("cpu", "cuda")),
-)
+for _needs, _install, _devices in (
+    (("newton",), "newton", ("cpu", "cuda")),
+    (("mujoco",), "mujoco", ("cpu",)),
+    (("mujoco_warp", "mujoco"), "mujoco-warp mujoco", ("cpu", "cuda")),
+):
+    RENDER_PEERS.register(_needs[0], RenderPeer(needs=_needs, install=_install, devices=_devices))
 
 
 def interpreters(entries: tuple[str, ...], default: str) -> dict[str, str]:
