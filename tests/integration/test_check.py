@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from aerial_gym import CONTROLLERS, ROBOTS
 from aerial_gym.cli.main import main
 from aerial_gym.config.loader import dump_yaml
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.stability import ClosedLoop
-from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import flights
 from tests.unit.robots.importers.files import x500
 

@@ -7,15 +7,12 @@ import pytest
 import torch
 import warp as wp
 
-from aerial_gym import task_registry
+from aerial_gym import EFFECTS, ROBOTS, EnvManager, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop import on_torch_stream
 from aerial_gym.interop.rows.transport import FEW
 from aerial_gym.math.warp_functions import inverse_root, root, unit_quat
-from aerial_gym.physics import EFFECTS
-from aerial_gym.robots import ROBOTS
 from aerial_gym.task import OBSERVATIONS, Task
 from aerial_gym.task.terms.term import Term
 from tests.builders import simulation

@@ -7,11 +7,10 @@ from math import cos, pi
 import pytest
 import torch
 
+from aerial_gym import ROBOTS, SIMS, EnvManager
 from aerial_gym.config.collision import CapsuleCfg, CollisionCfg
 from aerial_gym.config.environment import AssetCfg, PartCfg, ShapeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.env_manager import SIMS, EnvManager
-from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.unit.assets.managers import MIDDLE, box_environment
 

@@ -13,11 +13,10 @@ from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.math.random import Randomness
-from aerial_gym.physics import build_model, vehicle_from_config
+from aerial_gym.physics import WarpBackend, build_model, vehicle_from_config
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.motion import place_links
 from aerial_gym.physics.state import ArticulatedState, state_at_rest
-from aerial_gym.physics.warp_backend import WarpBackend
 from aerial_gym.robots import ROBOTS
 from tests.physics.articulated.trees import random_links, random_tree
 

@@ -9,8 +9,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.env_manager import SIMS
-from aerial_gym.robots import ROBOTS
+from aerial_gym import ROBOTS, SIMS
 from tests.builders import simulation
 
 pytestmark = pytest.mark.slow

@@ -12,10 +12,9 @@ import torch
 
 import tests.conftest  # noqa: F401 - kernels as this test's process has them, and has compiled them
 from aerial_gym.cli.main import main
-from aerial_gym.rl_training import load_settings, settings_for, train
+from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for, train
 from aerial_gym.rl_training.ranks import Ranks, join_ranks
 from aerial_gym.rl_training.run.progress import Progress, Report
-from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.native import NativeTraining
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry

@@ -10,8 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
-from aerial_gym.task import Task
+from aerial_gym import Task, task_registry
 
 ENVS, STEPS = 64, 24
 """Enough for episodes to end by their length: each of 500 steps at a random age."""

@@ -13,12 +13,11 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml
 from aerial_gym.errors import TrainingError
-from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
-from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.robots import ROBOTS
 from tests.repetitions import rare_values
 

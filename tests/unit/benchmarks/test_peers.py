@@ -21,16 +21,12 @@ def make_measurement(name: str, case: str, rate: float, substeps: int | None = N
 
 
 GIVEN = [
-    make_measurement("aerial_gym", "plant", 10.0, 1),
-    make_measurement("crazyflow", "plant", 4.0),
-    make_measurement("aerial_gym", "plant", 30.0, 10),
-    make_measurement("aerial_gym", "plant", 20.0, 1),
-    make_measurement("crazyflow", "plant", 6.0),
-    make_measurement("aerial_gym", "plant", 90.0, 1),
-    make_measurement("crazyflow", "plant", 5.0),
-    make_measurement("aerial_gym", "rk4", 8.0, 1),
+    make_measurement("aerial_gym", "plant", 10.0, 1), make_measurement("crazyflow", "plant", 4.0),
+    make_measurement("aerial_gym", "plant", 30.0, 10), make_measurement("aerial_gym", "plant", 20.0, 1),
+    make_measurement("crazyflow", "plant", 6.0), make_measurement("aerial_gym", "plant", 90.0, 1),
+    make_measurement("crazyflow", "plant", 5.0), make_measurement("aerial_gym", "rk4", 8.0, 1),
     make_measurement("l2f", "rk4", 16.0),
-]
+]  # fmt: skip
 
 
 def test_ratios_are_those_of_the_medians_of_all_rounds() -> None:

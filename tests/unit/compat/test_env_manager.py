@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from aerial_gym.compat import SimBuilder
-from aerial_gym.compat.env_manager import EnvManager
+from aerial_gym import EnvManager, SimBuilder
 from aerial_gym.compat.registries import env_config_registry
 from aerial_gym.errors import ConfigError, ShapeError
 

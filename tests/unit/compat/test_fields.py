@@ -15,16 +15,12 @@ from docs.generate.aerial_gym_names import TABLES
 URDF = '<robot name="post"><link name="post"><collision><geometry><box size="0.2 0.2 1"/></geometry></collision></link></robot>'
 
 CLASSES: dict[str, Any] = {
-    "Sims": sims.BaseSimConfig,
-    "Environments": environments.CLASSES["env_with_obstacles"],
-    "Obstacles": assets.CLASSES["panels"],
-    "Robots": robots.CLASSES["base_quadrotor_with_camera_imu"],
-    "Cameras": sensors.CLASSES["stereo_camera"],
-    "Lidars": sensors.CLASSES["base_lidar"],
-    "IMUs": imus.CLASSES["bmi088"],
-    "Gains of controllers": controllers.control,
+    "Sims": sims.BaseSimConfig, "Environments": environments.CLASSES["env_with_obstacles"],
+    "Obstacles": assets.CLASSES["panels"], "Robots": robots.CLASSES["base_quadrotor_with_camera_imu"],
+    "Cameras": sensors.CLASSES["stereo_camera"], "Lidars": sensors.CLASSES["base_lidar"],
+    "IMUs": imus.CLASSES["bmi088"], "Gains of controllers": controllers.control,
     "Tasks of this package": tasks.task_class_config("navigation_task"),
-}
+}  # fmt: skip
 """A class of each table in which every field has a value."""
 
 OTHER: dict[str, Any] = {
@@ -118,12 +114,8 @@ TOGETHER = {
 }  # fmt: skip
 """Fields that mean something with others alone: ``test_bodies``, ``test_an_imu_of_one_s_own``."""
 
-CASES = [
-    (title, table, field)
-    for title, table in TABLES
-    for field in table.fields
-    if f"{title} {field.script_name}" not in TOGETHER
-]
+CASES = [(title, table, field) for title, table in TABLES for field in table.fields]
+CASES = [case for case in CASES if f"{case[0]} {case[2].script_name}" not in TOGETHER]
 
 
 @pytest.mark.parametrize(("title", "table", "field"), CASES, ids=[f"{t} {f.script_name}" for t, _, f in CASES])

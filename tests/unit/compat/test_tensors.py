@@ -5,8 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from aerial_gym.compat import SimBuilder
-from aerial_gym.compat.env_manager import EnvManager
+from aerial_gym import EnvManager, SimBuilder
 from aerial_gym.compat.tensors import KEYS
 from aerial_gym.errors import OwnershipError, UnknownNameError
 
@@ -39,12 +38,8 @@ SHAPES = {  # parity.md 1.5, with N = E, one body per actor
     "depth_range_pixels": (E, 1, 135, 240), "segmentation_pixels": (E, 1, 135, 240), "imu_measurement": (E, 6),
 }  # fmt: skip
 NUMBERS = {
-    "dt": 0.01,
-    "num_obstacles_in_env": A,
-    "num_robot_actions": 4,
-    "num_env_actions": 6,
-    "dof_control_mode": "none",
-}
+    "dt": 0.01, "num_obstacles_in_env": A, "num_robot_actions": 4, "num_env_actions": 6, "dof_control_mode": "none",
+}  # fmt: skip
 ELSEWHERE = {"robot_contact_force_tensor", "curriculum_level", "rgb_pixels"}
 ELSEWHERE |= {"dof_state_tensor", "unfolded_dof_state_tensor"}
 """Keys of other environments, tasks, cameras and robots."""

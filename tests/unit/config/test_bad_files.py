@@ -5,12 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import ENVIRONMENTS, ROBOTS
 from aerial_gym.config import build, load
 from aerial_gym.config.robot import BodyCfg, RobotCfg
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from tests.builders import simulation
 

@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import ENVIRONMENTS, ROBOTS, SIMS
 from aerial_gym.config import build, dump_yaml, load
 from aerial_gym.config.robot import BodyCfg, InitialStateCfg, MountCfg, RotorCfg
 from aerial_gym.config.sensor import load_sensor
 from aerial_gym.config.sim import SimCfg
-from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots import ROBOTS
 from aerial_gym.sensors import IMUS, SENSORS
 
 BODY = {"mass": 1.0, "inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 1.5e-3]], "source": "test"}

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from aerial_gym import ROBOTS, SENSORS
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.sensor import (
     MODELS,
@@ -22,8 +23,6 @@ from aerial_gym.config.sensor import (
     load_sensor,
 )
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots import ROBOTS
-from aerial_gym.sensors import SENSORS
 from aerial_gym.sensors.rays import ray_table
 
 COMMON = {"summary": "test", "width": 16, "height": 8, "min_range": 0.2, "max_range": 10.0, "source": "test"}
@@ -69,13 +68,8 @@ LIDARS = {
 def test_every_shipped_sensor_is_in_a_table_of_this_test() -> None:
     further_sensors = {"depth_camera_64", "coarse_depth_camera", "coarse_dome_lidar", "base_rgb_camera"}
     further_sensors |= {
-        "base_optical_flow_camera",
-        "st_vl53l5cx",
-        "st_vl53l7cx",
-        "livox_mid40",
-        "livox_mid70",
-        "livox_avia",
-    }
+        "base_optical_flow_camera", "st_vl53l5cx", "st_vl53l7cx", "livox_mid40", "livox_mid70", "livox_avia",
+    }  # fmt: skip
     further_sensors |= {"velodyne_vlp16", "velodyne_vlp32c", "velodyne_hdl32e", "velodyne_hdl64e"}
     assert set(SENSORS.names()) == {*CAMERAS, *LIDARS, *further_sensors}
 

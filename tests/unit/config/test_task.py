@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from aerial_gym import task_registry
-from aerial_gym.config import build, dump_yaml, load
-from aerial_gym.config.loader import to_mapping
+from aerial_gym.config import build, dump_yaml, load, to_mapping
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg, EndRewardCfg, ImageCfg, ObservationCfg, RewardCfg
 from aerial_gym.errors import ConfigError

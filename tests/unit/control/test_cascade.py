@@ -35,12 +35,9 @@ DT = 0.002
 ROBOT = ROBOTS.get("base_quadrotor")
 PID = CONTROLLERS.get("pid_rates_control")
 BUSY = replace(
-    CONTROLLERS.get("pid_velocity_control"),
-    rate_hz=50.0,
-    rate_loop=RateLoopCfg(rate_hz=250.0, derivative=(0.1, 0.2, 0.0), cutoff_hz=40.0),
-    delay=0.014,
-    action_delay=0.006,
-)
+    CONTROLLERS.get("pid_velocity_control"), rate_hz=50.0,
+    rate_loop=RateLoopCfg(rate_hz=250.0, derivative=(0.1, 0.2, 0.0), cutoff_hz=40.0), delay=0.014, action_delay=0.006,
+)  # fmt: skip
 """Everything at once: loop every 2 steps, law every 10, its wish 7 steps late, actions 3."""
 
 
@@ -242,22 +239,17 @@ def change(name: str, **changes: object) -> tuple[ControllerCfg, tuple[str, ...]
     return replace(CONTROLLERS.get(name), **changes), ()
 
 
+QUICK = {"rate_hz": 250.0, "action_delay": 0.004}
 CASES = {
     "everything": (BUSY, ()),
     "with effects": (replace(BUSY, law="attitude"), ("gusts", "actuation_delay", "rotor_drag")),
     "no loop": change("lee_velocity_control", rate_hz=100.0, action_delay=0.004),
     "clamped": change("pid_rates_control", allocation="clamp"),
     "all of Betaflight": change("betaflight_rate_control", **LATE, betaflight=TUNED),
-    "Betaflight without airmode": change(
-        "betaflight_rate_control", betaflight=replace(TUNED, i_yaw=80.0, airmode=False)
-    ),
-    "all of Mellinger": change(
-        "crazyflie_mellinger_control", rate_hz=250.0, action_delay=0.004, mellinger=EVERY_MELLINGER
-    ),
+    "Betaflight, no airmode": change("betaflight_rate_control", betaflight=replace(TUNED, i_yaw=80.0, airmode=False)),
+    "all of Mellinger": change("crazyflie_mellinger_control", **QUICK, mellinger=EVERY_MELLINGER),
     "all of the Crazyflie's PID": change("crazyflie_pid_control", **LATE, crazyflie_pid=EVERY_PID),
-    "all of the Crazyflie's Lee": change(
-        "crazyflie_lee_control", rate_hz=250.0, action_delay=0.004, crazyflie_lee=EVERY_LEE
-    ),
+    "all of the Crazyflie's Lee": change("crazyflie_lee_control", **QUICK, crazyflie_lee=EVERY_LEE),
     "all of Brescianini": change("crazyflie_brescianini_control", **LATE, brescianini=EVERY_BRESCIANINI),
     "all of PX4": change("px4_position_control", **LATE, px4=FILTERED),
     "PX4 with airmode": change("px4_rate_control", delay=0.014, px4=replace(FILTERED, MC_AIRMODE=1, MC_ROLLRATE_P=2.0)),

@@ -29,12 +29,9 @@ def make_tilted_robot() -> RobotCfg:
 
 
 VEHICLES = {
-    "quadrotor": ROBOTS.get("tinyprop"),
-    "hexarotor": hexarotor(),
-    "pusher": with_a_pusher(),
-    "octarotor": ROBOTS.get("omnidirectional_octarotor"),
-    "leaning": make_tilted_robot(),
-}
+    "quadrotor": ROBOTS.get("tinyprop"), "hexarotor": hexarotor(), "pusher": with_a_pusher(),
+    "octarotor": ROBOTS.get("omnidirectional_octarotor"), "leaning": make_tilted_robot(),
+}  # fmt: skip
 
 
 def vehicle_matrix(name: str) -> Tensor:

@@ -37,12 +37,9 @@ def last_ways(robot: str, controller: str, delays: list[float]) -> list[float]:
     backend, turn, weight = TorchBackend(), torch.zeros(rows, 3, dtype=F64), torch.zeros(rows, 6, dtype=F64)
     turn[:, 0], weight[:, 2] = 0.1, cfg.body.mass * GRAVITY
     state = BodyState(
-        position=torch.zeros_like(turn),
-        attitude=quat_exp(turn),
-        lin_vel=0.2 * torch.ones_like(turn),
-        ang_vel=0.2 * torch.ones_like(turn),
-        rotor_speed=Allocation(vehicle, GRAVITY).speed_for_wrench(weight),
-    )
+        position=torch.zeros_like(turn), attitude=quat_exp(turn), lin_vel=0.2 * torch.ones_like(turn),
+        ang_vel=0.2 * torch.ones_like(turn), rotor_speed=Allocation(vehicle, GRAVITY).speed_for_wrench(weight),
+    )  # fmt: skip
     backend.allocate(build_model(vehicle, [late]), law, integrator="euler")
     action = torch.zeros(rows, len(law.action_names), dtype=F64)
     backend.step(state, action, DT, 600)

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 import torch
 
+from aerial_gym import ROBOTS, SIMS
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control import CONTROLLERS, check_closed_loop, linear_loop, make_controller
 from aerial_gym.control.catalog import AERIAL_GYM_GAINS
 from aerial_gym.control.stability import ClosedLoop, largest_stable_dt
-from aerial_gym.env_manager import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS, TorchBackend, build_model, state_at_rest, vehicle_from_config
 from aerial_gym.physics.law_memory import rotor_command_and_memory
-from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
 OWN_GAINS = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).gains is None]

@@ -23,12 +23,8 @@ X500 = ROBOTS.get("x500")
 def vehicles() -> Vehicle:
     vehicle = vehicle_from_config(X500, num_envs=4, dtype=F64)
     turn, slow = torch.tensor([1.0, 2.0, 1.0, 0.7], dtype=F64), torch.tensor([1.0, 1.0, 1.6, 0.5], dtype=F64)
-    return replace(
-        vehicle,
-        inertia=turn[:, None, None] * vehicle.inertia,
-        time_constant_up=slow.unsqueeze(-1) * vehicle.time_constant_down,
-        time_constant_down=slow.unsqueeze(-1) * vehicle.time_constant_down,
-    )
+    lag = slow.unsqueeze(-1) * vehicle.time_constant_down
+    return replace(vehicle, inertia=turn[:, None, None] * vehicle.inertia, time_constant_up=lag, time_constant_down=lag)
 
 
 @pytest.mark.parametrize("damping", [0.5, 0.7, 1.0])

@@ -14,10 +14,9 @@ from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.upside_down import check_starts, sample_attitudes
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_from_euler, quat_to_matrix
-from aerial_gym.physics import state_at_rest, vehicle_from_config
+from aerial_gym.physics import build_model, state_at_rest, vehicle_from_config
 from aerial_gym.physics.integrators import INTEGRATORS, to_body_state, to_mass_state
 from aerial_gym.physics.law_memory import fresh_law_memory, rotor_command_and_memory
-from aerial_gym.physics.model import build_model
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
@@ -33,12 +32,9 @@ CLAMPED = {
 def from_angles(low: float, high: float, *, pitch: float = 0.0, ang_vel: float = 0.0) -> RobotCfg:
     """Return the Crazyflie with a roll between two angles [deg], any yaw, and a pitch within plus and minus one."""
     start = replace(
-        CRAZYFLIE.initial_state,
-        euler_low=(radians(low), -radians(pitch), -pi),
-        euler_high=(radians(high), radians(pitch), pi),
-        ang_vel_low=(-ang_vel,) * 3,
-        ang_vel_high=(ang_vel,) * 3,
-    )
+        CRAZYFLIE.initial_state, euler_low=(radians(low), -radians(pitch), -pi),
+        euler_high=(radians(high), radians(pitch), pi), ang_vel_low=(-ang_vel,) * 3, ang_vel_high=(ang_vel,) * 3,
+    )  # fmt: skip
     return replace(CRAZYFLIE, initial_state=start)
 
 

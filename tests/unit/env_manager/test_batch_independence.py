@@ -7,10 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
+from aerial_gym import EnvManager, Task, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
-from aerial_gym.env_manager import EnvManager
-from aerial_gym.task import Task
 from tests.builders import simulation
 from tests.repetitions import frequent_values
 

@@ -7,10 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import EnvManager, SimBuilder
+from aerial_gym import ROBOTS, EnvManager, SimBuilder
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.robots import ROBOTS
 from tests.physics.rotor_types import three_type_robot
 
 F64 = torch.float64

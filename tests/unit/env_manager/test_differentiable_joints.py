@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import ENVIRONMENTS, EnvManager
+from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.unit.env_manager.test_differentiable import make_objective
 

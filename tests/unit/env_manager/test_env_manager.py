@@ -6,12 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import CONTROLLERS, ROBOTS, SIMS, SimBuilder
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import CONTROLLERS, ENVIRONMENTS, ROBOTS, SIMS, EnvManager, SimBuilder
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.environment import AssetCfg, ShapeCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError, ShapeError, UnknownNameError
 from aerial_gym.math.quaternion import euler_from_quat, quat_rotate, quat_rotate_inverse
 from tests.builders import simulation

@@ -7,14 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym import EFFECTS, ROBOTS, EnvManager, Task
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import BatteryCfg
 from aerial_gym.config.sensor_mount import SensorMountCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.physics import EFFECTS
-from aerial_gym.robots import ROBOTS
-from aerial_gym.task import Task
 from tests.builders import simulation
 from tests.unit.task.hover import begin
 

@@ -6,13 +6,11 @@ from typing import Any
 
 import torch
 
-from aerial_gym.assets.catalog import ENVIRONMENTS
+from aerial_gym import ENVIRONMENTS, Task, task_registry
 from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.export.layout import Layout, policy_layout
+from aerial_gym.rl_training import Policy, TrainingCfg, load_settings, settings_for
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
-from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.settings import TrainingCfg, load_settings, settings_for
-from aerial_gym.task import Task, task_registry
 from tests.unit.task.hover import build_task
 
 HOVER = task_registry.get("position_setpoint_task")

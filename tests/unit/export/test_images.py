@@ -8,7 +8,7 @@ from shutil import which
 import pytest
 import torch
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.export import export
@@ -19,7 +19,6 @@ from aerial_gym.export.pilot import load_exported
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.policy import Policy
 from aerial_gym.sensors.encoder.file import Autoencoder, AutoencoderCfg, Encoder, EncoderImageCfg, load_encoder
-from aerial_gym.task import Task
 from tests.unit.export.policies import training
 from tests.unit.task.hover import build_task
 

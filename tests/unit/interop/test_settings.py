@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import SimBuilder, task_registry
-from aerial_gym.env_manager import EnvManager
+from aerial_gym import EnvManager, SimBuilder, Task, task_registry
 from aerial_gym.errors import ConfigError
 from aerial_gym.export import export_policy, load_exported
 from aerial_gym.interop import record_graph, resolve_device, usual_settings
@@ -17,7 +16,6 @@ from aerial_gym.rl_training import evaluate, load_policy, train
 from aerial_gym.rl_training.encoder.training import train_encoder
 from aerial_gym.sensors import Imu, RayCaster
 from aerial_gym.sensors.encoder.file import load_encoder
-from aerial_gym.task.task import Task
 from tests.builders import simulation
 
 

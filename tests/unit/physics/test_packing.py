@@ -6,8 +6,7 @@ import torch
 
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.physics import BodyState, TorchBackend, WarpBackend, build_model, vehicle_from_config
-from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.physics import BodyState, TorchBackend, Vehicle, WarpBackend, build_model, vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.vehicles import random_state

@@ -1,5 +1,6 @@
 """Warp functions traced from torch functions of one environment."""
 
+from functools import partial
 from math import nan
 from types import SimpleNamespace
 
@@ -27,6 +28,10 @@ def push(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
     force = torch.linalg.cross(body.axes[:, 0], body.velocity) / body.mass.unsqueeze(-1)
     size = 1.0 / body.velocity.norm(dim=-1)
     return force * factor.unsqueeze(-1) + torch.diag_embed(body.velocity)[:, 0], along.clamp(-1.0, 0.5).sum(-1) * size
+
+
+INPUTS, OUTPUTS = {"body": Body, "factor": float}, (wp.vec3, float)
+trace_push = partial(trace_to_warp, "push", INPUTS, push, OUTPUTS)
 
 
 def run(function: wp.Function, velocity: Tensor, axes: Tensor, mass: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
@@ -59,26 +64,14 @@ def test_traced_function_equals_torch(known: bool) -> None:
     velocity, axes, mass, factor = (torch.randn(50, *shape, generator=generator) for shape in ((3,), (2, 3), (), ()))
     if known:
         axes[:] = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
-    function = trace_to_warp(
-        "push",
-        {"body": Body, "factor": float},
-        push,
-        (wp.vec3, float),
-        constants={"body.axes": axes[0]} if known else None,
-    )
+    function = trace_push(constants={"body.axes": axes[0]} if known else None)
     expected = push(SimpleNamespace(velocity=velocity, axes=axes, mass=mass), factor)
     for actual, wanted in zip(run(function, velocity, axes, mass, factor), expected, strict=True):
         torch.testing.assert_close(actual, wanted, rtol=1e-5, atol=1e-5)
 
 
 def test_partly_known_constants_keep_other_entries() -> None:
-    function = trace_to_warp(
-        "push",
-        {"body": Body, "factor": float},
-        push,
-        (wp.vec3, float),
-        constants={"body.axes": torch.tensor([[0.0, 0.0, nan], [1.0, nan, 0.0]])},
-    )
+    function = trace_push(constants={"body.axes": torch.tensor([[0.0, 0.0, nan], [1.0, nan, 0.0]])})
     axes = torch.tensor([[[0.0, 0.0, 2.0], [1.0, 3.0, 0.0]]])
     velocity, one = torch.tensor([[0.3, -0.2, 0.1]]), torch.ones(1)
     expected = push(SimpleNamespace(velocity=velocity, axes=axes, mass=one), one)
@@ -93,4 +86,4 @@ def branch(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
 
 def test_untraceable_code_is_named_with_its_line_and_a_way_out() -> None:
     with pytest.raises(CapabilityError, match=r"branch: .*test_torch_trace\.py:\d+ .*factor\[0\] > 0\.0.*torch\.where"):
-        trace_to_warp("branch", {"body": Body, "factor": float}, branch, (wp.vec3, float))
+        trace_to_warp("branch", INPUTS, branch, OUTPUTS)

@@ -10,10 +10,9 @@ import torch
 from gymnasium.spaces import Box
 
 from aerial_gym.errors import ConfigError, MissingDependencyError, UnknownNameError
-from aerial_gym.rl_training import evaluate, load_policy, load_settings, settings_for
+from aerial_gym.rl_training import TRAINERS, evaluate, load_policy, load_settings, settings_for
 from aerial_gym.rl_training.policies.load import check_fits, policy_from_payload
 from aerial_gym.rl_training.settings import TRAINING_CONFIGS, TrainingCfg
-from aerial_gym.rl_training.trainers.catalog import TRAINERS
 from aerial_gym.task import task_registry
 
 NETWORKS = [(separate, normalize) for separate in (False, True) for normalize in (False, True)]

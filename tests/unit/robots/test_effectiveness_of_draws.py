@@ -9,14 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym import CONTROLLERS, ROBOTS, EnvManager
 from aerial_gym.config.controller import ControlCfg
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.control import CONTROLLERS
 from aerial_gym.control.effectiveness import allocation_matrix, find_actuation
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.physics.rotors import rotor_thrust
-from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.physics.rotor_types import three_type_robot
 from tests.repetitions import rare_values

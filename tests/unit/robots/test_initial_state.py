@@ -14,15 +14,10 @@ from aerial_gym.robots.non_finite_rows import NonFiniteRows
 from aerial_gym.robots.secondary_states import SecondaryStates
 
 CFG = InitialStateCfg(
-    position_ratio_low=(0.1, 0.2, 0.3),
-    position_ratio_high=(0.9, 0.8, 0.3),
-    euler_low=(-0.4, -0.3, -3.0),
-    euler_high=(0.4, 0.3, 3.0),
-    lin_vel_low=(-1.0, 0.0, 2.0),
-    lin_vel_high=(1.0, 0.5, 3.0),
-    ang_vel_low=(-0.1, -0.2, -0.3),
-    ang_vel_high=(0.1, 0.2, 0.3),
-)
+    position_ratio_low=(0.1, 0.2, 0.3), position_ratio_high=(0.9, 0.8, 0.3), euler_low=(-0.4, -0.3, -3.0),
+    euler_high=(0.4, 0.3, 3.0), lin_vel_low=(-1.0, 0.0, 2.0), lin_vel_high=(1.0, 0.5, 3.0),
+    ang_vel_low=(-0.1, -0.2, -0.3), ang_vel_high=(0.1, 0.2, 0.3),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from aerial_gym import EFFECTS, ROBOTS, EnvManager
 from aerial_gym.config.randomize import Randomize, RandomizeCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import OwnershipError
-from aerial_gym.physics import EFFECTS
-from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 from tests.unit.task.hover import begin
 
@@ -31,10 +29,8 @@ OUTPUTS = {
     "imu_measurement",
 }  # fmt: skip
 """Measurements, flags and copies: the step overwrites them."""
-FOR_TASKS = {"env_bounds_min", "env_bounds_max", "sim_steps"}
-"""Terminations read them in every step."""
-AT_RESET = {"num_obstacles_in_env"}
-"""A reset reads it."""
+KEPT = {"env_bounds_min", "env_bounds_max", "sim_steps", "num_obstacles_in_env"}
+"""Terminations read the first three, a reset the last."""
 
 
 def build(backend: str, randomize: Randomize | None = None, env_name: str = "empty_env") -> EnvManager:
@@ -86,7 +82,7 @@ def test_every_key_is_live_or_refuses_or_is_an_output(backend: str) -> None:
         result["live" if changed - {key} else "kept" if changed else "output"].add(key)
     assert result["refused"] == REFUSED
     assert result["output"] == OUTPUTS
-    assert result["kept"] == AT_RESET | FOR_TASKS
+    assert result["kept"] == KEPT
     placed = []
     for none in (False, True):
         env.load_state(start)

@@ -10,15 +10,13 @@ import pytest
 import torch
 from scipy import stats
 
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.loader import build as from_mapping
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import InitialStateCfg, RobotCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
-from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.quantities import scale_second_moments
+from aerial_gym.robots.quantities import second_moments_scaled
 from tests.builders import simulation
 from tests.physics.vehicles import BATTERY
 

@@ -5,14 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import ENVIRONMENTS, ROBOTS, EnvManager
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.config.environment import AssetCfg, EnvironmentCfg, ShapeCfg
 from aerial_gym.config.robot import CollisionCfg, RobotCfg
-from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler
-from aerial_gym.robots import ROBOTS
 from tests.builders import simulation
 
 WALL = AssetCfg(

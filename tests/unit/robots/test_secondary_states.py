@@ -30,13 +30,10 @@ def reference(state: BodyState) -> dict[str, Tensor]:
     x, q, v, w = (t.double() for t in (state.position, state.attitude, state.lin_vel, state.ang_vel))
     turn, level = quat_rotate(q, w), quat_yaw(q)
     return {
-        "ang_vel_world": turn,
-        "lin_vel_body": quat_rotate_inverse(q, v),
-        "vehicle_attitude": level,
-        "vehicle_lin_vel": quat_rotate_inverse(level, v),
-        "euler": euler_from_quat(q),
+        "ang_vel_world": turn, "lin_vel_body": quat_rotate_inverse(q, v), "vehicle_attitude": level,
+        "vehicle_lin_vel": quat_rotate_inverse(level, v), "euler": euler_from_quat(q),
         "root_state": torch.cat((x, q, v, turn), dim=-1),
-    }
+    }  # fmt: skip
 
 
 def compute_states(state: BodyState, *, beside: int) -> dict[str, Tensor]:

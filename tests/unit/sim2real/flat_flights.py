@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
+from aerial_gym.sim2real import LogMapping, read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams

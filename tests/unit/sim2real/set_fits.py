@@ -73,13 +73,26 @@ def make_choice(
     """Return the choice of one set among others, in which nothing else was found."""
     none: dict[str, Any] = {"without": {}, "adds": {}, "hidden": (), "surrogates": {}, "immaterial": {}, "refused": {}}
     return MostProbableSet(
-        named=named or best,
-        best=best,
-        fits=tuple(sorted((best, *rest), key=lambda one: -one.log_posterior)),
-        weights=Weighting(variance=np.ones(1), effective=np.ones(1)),
-        tolerated=np.zeros(1),
-        **none | result,
+        named=named or best, best=best, fits=tuple(sorted((best, *rest), key=lambda one: -one.log_posterior)),
+        weights=Weighting(variance=np.ones(1), effective=np.ones(1)), tolerated=np.zeros(1), **none | result,
+    )  # fmt: skip
+
+
+def make_spread(columns: np.ndarray, plain: np.ndarray, tolerance: np.ndarray, blocks: Any = None) -> Uncertainty:
+    """Return the uncertainty of parameters by 50 blocks of two flights, whose scatter is the plain covariance by default."""
+    scatter = {"blocks": plain if blocks is None else np.array(blocks), "flights": None}
+    return Uncertainty(
+        columns, np.zeros(len(columns)), plain, **scatter, tolerance=tolerance, num_blocks=50, num_flights=2
     )
+
+
+def make_left_out(weights: Weighting, count: Any = (1.0,), flight: Any = (0,), channels=(), tolerated=0.0) -> LeftOut:
+    rows = {
+        "count": np.array(count),
+        "flight": np.array(flight),
+        "tolerated": np.full(len(weights.variance), tolerated),
+    }
+    return LeftOut(**rows, weights=weights, criteria=Criteria(), channels=channels)
 
 
 def make_score(
@@ -88,27 +101,15 @@ def make_score(
     """Return the score of a fit whose parameters of ``effects`` have these variances in units of scale, one by default."""
     size = sum(params.effects[name].size for name in effects)
     moments = Moments(
-        count=np.ones(1),
-        square=np.ones((1, 1)),
-        gradient=np.zeros((1, 1, size)),
-        product=np.eye(size)[None, None],
+        count=np.ones(1), square=np.ones((1, 1)), gradient=np.zeros((1, 1, size)), product=np.eye(size)[None, None],
         flight=np.zeros(1, dtype=np.int64),
-    )
+    )  # fmt: skip
     limit = np.full(size, np.inf)
     fit = ModelFit(
         effects=effects, params=params, moments=moments, low=-limit, high=limit, num_effect_params=size, frozen=frozen
     )
     covariance = np.diag(variance) if len(variance) else np.eye(size)
-    spread = Uncertainty(
-        columns=fit.free_effects,
-        step=np.zeros(size),
-        plain=covariance,
-        blocks=covariance,
-        flights=None,
-        tolerance=np.zeros((size, size)),
-        num_blocks=50,
-        num_flights=2,
-    )
+    spread = make_spread(fit.free_effects, covariance, np.zeros((size, size)))
     return FitScore(fit=fit, spread=spread, left_out=np.ones((1, 1)))
 
 
@@ -118,13 +119,5 @@ def make_selection(
     """Return the selection with a choice; by default no effect is named."""
     chosen = chosen or make_choice(make_fit())
     scored = final or make_score(chosen.named.params, chosen.effects)
-    left_out = CrossValidation(
-        count=np.ones(1),
-        flight=np.zeros(1, dtype=np.int64),
-        weights=chosen.weights,
-        criteria=Criteria(),
-        channels=(),
-        tolerated=np.zeros(1),
-    )
-    defaults = {"not_testable": {}, "left_out": left_out, "criteria": Criteria()}
+    defaults = {"not_testable": {}, "left_out": make_left_out(chosen.weights), "criteria": Criteria()}
     return SelectionResult(declared=scored, final=scored, chosen=chosen, **defaults | more)

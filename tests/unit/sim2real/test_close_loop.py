@@ -15,23 +15,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from aerial_gym import SimBuilder
+from aerial_gym import EFFECTS, SimBuilder
 from aerial_gym.cli.main import main
 from aerial_gym.config import dump_yaml, load
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError, DataError, StorageError
 from aerial_gym.interop import one_thread
-from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.model import check_effects
-from aerial_gym.sim2real import close_loop, replay
+from aerial_gym.sim2real import close_loop, judge_flights, replay
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE
 from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import all_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
-from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.report.run_folder import whole_folder
 from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write

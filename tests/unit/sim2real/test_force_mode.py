@@ -11,22 +11,17 @@ import pytest
 from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.errors import ConfigError, DataError
-from aerial_gym.sim2real import close_loop, replay
+from aerial_gym.sim2real import close_loop, judge_flights, replay
 from aerial_gym.sim2real.logs.inputs import load_train_and_test
-from aerial_gym.sim2real.memory_loop import judge_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 TAU = 0.04
 """Declared lag of the thrusts [s]."""
 
 FORCE = RotorCfg(
-    mode="force",
-    torque_ratio=0.015,
-    time_constant_up=TAU,
-    time_constant_down=TAU,
-    thrust_range=(0.05, 5.0),
+    mode="force", torque_ratio=0.015, time_constant_up=TAU, time_constant_down=TAU, thrust_range=(0.05, 5.0),
     source="invented",
-)
+)  # fmt: skip
 FORCED: RobotCfg = replace(ROBOT, rotor=FORCE)
 NO_SPEED = {"axial_inflow", "battery_sag", "h_force_flapping", "rotor_inertia", "rotor_speed_scale"}
 ROTORS = [f"rotor_{n}" for n in (1, 2, 3, 4)]

@@ -5,8 +5,7 @@ from typing import Any
 
 import torch
 
-from aerial_gym import task_registry
-from aerial_gym.config.robot import RobotCfg
+from aerial_gym import ROBOTS, Task, task_registry
 from aerial_gym.config.sensor_mount import SensorMountCfg
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import (
@@ -18,8 +17,6 @@ from aerial_gym.config.task_terms import (
     RewardCfg,
     TerminationCfg,
 )
-from aerial_gym.robots import ROBOTS
-from aerial_gym.task import Task
 from tests.builders import simulation
 
 
@@ -30,32 +27,11 @@ def make(num_envs: int = 4, *, seed: int = 0, first_env: int = 0, **changes: obj
     return build_task(cfg, num_envs, seed=seed, first_env=first_env)
 
 
-def build_task(
-    cfg: TaskCfg,
-    num_envs: int,
-    *,
-    seed: int = 0,
-    first_env: int = 0,
-    robot: RobotCfg | None = None,
-    device: str = "cpu",
-    capture: bool | None = None,
-    gradients: torch.dtype | None = None,
-) -> Task:
+def build_task(cfg: TaskCfg, num_envs: int, *, robot=None, device="cpu", capture=None, gradients=None, **given) -> Task:
     """Return a task of a configuration, with a robot that need not be registered; ``gradients``: in this float type."""
-    env = simulation(
-        robot or cfg.robot,
-        cfg.controller,
-        sim=cfg.sim,
-        env=cfg.env,
-        num_envs=num_envs,
-        device=device,
-        seed=seed,
-        first_env=first_env,
-        differentiable=gradients is not None,
-        dtype=gradients or torch.float32,
-        randomize=cfg.randomize,
-    )
-    return Task(cfg, env, capture=capture)
+    given |= {"sim": cfg.sim, "env": cfg.env, "num_envs": num_envs, "device": device, "randomize": cfg.randomize}
+    given |= {"differentiable": gradients is not None, "dtype": gradients or torch.float32}
+    return Task(cfg, simulation(robot or cfg.robot, cfg.controller, **given), capture=capture)
 
 
 def begin(name: str, num_envs: int, **given: Any) -> Task:

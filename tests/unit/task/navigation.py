@@ -2,9 +2,8 @@
 
 from dataclasses import replace
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.config.task import TaskCfg
-from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 
 

@@ -7,12 +7,11 @@ from math import copysign
 import pytest
 import torch
 
+from aerial_gym import ROBOTS, task_registry
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import rotor_thrust
-from aerial_gym.robots import ROBOTS
-from aerial_gym.task import task_registry
 from aerial_gym.task.rotor_range import quadrotor_mix, rotor_order, with_rotor_range
 from tests.repetitions import frequent_values
 from tests.unit.task.hover import begin

@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
-from aerial_gym.env_manager import SimBuilder
+from aerial_gym import SimBuilder, task_registry
 from aerial_gym.errors import CapabilityError, ClosedError, ConfigError, ShapeError
 from aerial_gym.rl_training import GymnasiumVectorEnv
 from aerial_gym.task import OBSERVATIONS, REWARDS

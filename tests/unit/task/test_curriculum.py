@@ -5,11 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.config import build
 from aerial_gym.config.task import CurriculumCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.task import Task
 from aerial_gym.task.curriculum import next_level
 from tests.unit.task.hover import begin
 from tests.unit.task.navigation import make

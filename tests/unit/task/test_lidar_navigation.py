@@ -7,12 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
+from aerial_gym import ROBOTS, Task, task_registry
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
-from aerial_gym.robots import ROBOTS
-from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 from tests.unit.task.rewards import term_reward
 from tests.unit.task.test_navigation import scene_distance

@@ -9,14 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
+from aerial_gym import SENSORS, Task, task_registry
 from aerial_gym.assets import ENVIRONMENTS, CollisionTest
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg
 from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.rl_training import evaluate
-from aerial_gym.sensors import SENSORS
-from aerial_gym.task import Task
 from aerial_gym.task.terms.actions import forward_flight
 from aerial_gym.task.terms.observations import direction_vehicle
 from tests.repetitions import rare_values

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym import task_registry
+from aerial_gym import SIMS, task_registry
 from aerial_gym.cli.main import main
-from aerial_gym.env_manager.catalog import SIMS
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.finite_watch import KEPT_STEPS
 from aerial_gym.robots.non_finite_rows import NonFinite

@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym import task_registry
+from aerial_gym import ROBOTS, task_registry
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.settings import settings_for
-from aerial_gym.robots import ROBOTS
 from tests.unit.task.hover import begin
 
 LEVEL = """

@@ -8,9 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 from tests.unit.task.rewards import term_reward
 from tests.unit.task.test_lidar_navigation import CFG as LIDAR

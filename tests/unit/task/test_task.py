@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
-from aerial_gym.task import Task
+from aerial_gym import Task, task_registry
 from tests.unit.task.hover import camera_task, rich
 from tests.unit.task.rewards import term_reward
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.rl_training import load_settings, settings_for
-from aerial_gym.task import Task
 from benchmarks.learning.racing import BenchRacing, _line
 from tests.unit.export.policies import random_policy
 

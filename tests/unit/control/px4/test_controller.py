@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy.optimize import brentq
 
+from aerial_gym import EFFECTS, ROBOTS
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.config.loader import build
@@ -21,9 +22,7 @@ from aerial_gym.control.px4.parameters import thrust_curve, unit_wrench
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics import BodyState, WarpBackend, build_model, state_at_rest, vehicle_from_config
-from aerial_gym.physics.effects import EFFECTS
 from aerial_gym.physics.law_memory import fresh_law_memory
-from aerial_gym.robots import ROBOTS
 
 F64 = torch.float64
 CPU = torch.device("cpu")

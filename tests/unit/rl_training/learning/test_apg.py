@@ -6,16 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.errors import CapabilityError, ConfigError
-from aerial_gym.rl_training import evaluate, load_settings, settings_for
+from aerial_gym.rl_training import TrainingCfg, evaluate, load_settings, settings_for
 from aerial_gym.rl_training.learning.apg import Apg, check_differentiable, window_return
 from aerial_gym.rl_training.learning.objective import clamp_action
 from aerial_gym.rl_training.policies.load import make_network
-from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.apg import ApgTrainer
-from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 
 F64 = torch.float64

@@ -7,18 +7,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training import Policy, TrainingCfg, load_settings, settings_for, train
 from aerial_gym.rl_training.learning.distill import Distill
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.load import load_policy, make_network
-from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.distill import DistillTrainer
-from aerial_gym.rl_training.training import train
-from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 
 SENSED = tuple(ObservationCfg(term=term) for term in ("position_error_world", "attitude"))

@@ -8,13 +8,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training import load_settings, settings_for
+from aerial_gym.rl_training import TrainingCfg, load_settings, settings_for
 from aerial_gym.rl_training.learning import adam
 from aerial_gym.rl_training.learning.adam import FlatAdam
 from aerial_gym.rl_training.learning.objective import bound_excess, generalized_advantages
 from aerial_gym.rl_training.learning.ppo import Ppo, adapt_rate, clipped_objective, squared_error
 from aerial_gym.rl_training.policies.load import make_network
-from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from aerial_gym.task import task_registry
 

@@ -6,11 +6,10 @@ from typing import Any
 import pytest
 import torch
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers import apg, ppo
 from aerial_gym.rl_training.trainers.native import NativeTraining
-from aerial_gym.task import Task
 from tests.repetitions import frequent_values
 from tests.unit.rl_training.learning import test_apg, test_ppo
 

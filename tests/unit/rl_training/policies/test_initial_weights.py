@@ -11,14 +11,11 @@ from torch import Tensor
 from aerial_gym import task_registry
 from aerial_gym.config.task_terms import ObservationCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.rl_training import load_policy, load_settings, settings_for
+from aerial_gym.rl_training import Policy, TrainingCfg, load_policy, load_settings, settings_for, train
 from aerial_gym.rl_training.policies.actor_critic import ActorCritic
 from aerial_gym.rl_training.policies.body import NetworkBodyCfg
 from aerial_gym.rl_training.policies.initial_weights import load_initial_weights
-from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.settings import TrainingCfg
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer
-from aerial_gym.rl_training.training import train
 from tests.unit.task.hover import build_task
 
 

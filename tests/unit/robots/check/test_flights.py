@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from aerial_gym.control import CONTROLLERS
+from aerial_gym import CONTROLLERS, ROBOTS
 from aerial_gym.control.stability import ClosedLoop
-from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import flights, largest_stable_step
 from aerial_gym.robots.check.flights import STEP_RANGE
 

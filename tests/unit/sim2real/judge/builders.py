@@ -57,13 +57,9 @@ def make_setup(
 ) -> LoopSetup:
     """Return a setup with training flights alone, for which a band of 10 Hz was requested."""
     return LoopSetup(
-        stated=robot,
-        robot=robot,
-        params=ModelParams(),
-        train=PredictorStub(robot=robot, flights=train),
-        test=PredictorStub(robot=robot, channels=channels, bandwidth=band),
-        asked_bandwidth=10.0,
-    )
+        stated=robot, robot=robot, params=ModelParams(), train=PredictorStub(robot=robot, flights=train),
+        test=PredictorStub(robot=robot, channels=channels, bandwidth=band), asked_bandwidth=10.0,
+    )  # fmt: skip
 
 
 def make_excess(deviation: np.ndarray | None = None, **more: Any) -> ResidualExcess:

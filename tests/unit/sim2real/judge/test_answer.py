@@ -57,13 +57,9 @@ def test_each_kind_of_verdict_has_its_statements(kind: str, more: dict[str, Any]
 
 def test_a_correction_names_the_largest_gains_and_the_largest_harm() -> None:
     changes = {
-        "specific_force.x": -0.9,
-        "specific_force.y": -0.2,
-        "angular_acceleration.x": 0.3,
-        "angular_acceleration.y": -0.97,
-        "angular_acceleration.z": 0.1,
-        "kinematic_force.x": -0.99,
-    }
+        "specific_force.x": -0.9, "specific_force.y": -0.2, "angular_acceleration.x": 0.3,
+        "angular_acceleration.y": -0.97, "angular_acceleration.z": 0.1, "kinematic_force.x": -0.99,
+    }  # fmt: skip
     became = tuple(outcome(quantity, rise) for quantity, rise in changes.items())
     after = model(0.1, 0.8, 1, 1.3, 0.03, 1.1, 0.01, 1, 1)
     statement = answer_parts(verdict("explained", effects=(EFFECT,), outcomes=became, after=after))

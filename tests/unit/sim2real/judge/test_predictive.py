@@ -11,7 +11,6 @@ from aerial_gym.config.robot import RobotCfg
 from aerial_gym.interop import one_thread
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, NuisanceColumns
-from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import linearise_at_params
 from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
@@ -24,7 +23,7 @@ from aerial_gym.sim2real.predict.tolerances import Tolerances
 from tests.unit.sim2real.flat_flights import ROBOT, flight, make_predictor, uniform_flight
 from tests.unit.sim2real.judge.builders import make_evaluation
 from tests.unit.sim2real.predict.test_scene import hover
-from tests.unit.sim2real.set_fits import make_choice, make_fit, make_score, make_selection
+from tests.unit.sim2real.set_fits import make_choice, make_fit, make_score, make_selection, make_spread
 
 INERTIA = {f"angular_acceleration.{axis}" for axis in "xyz"}
 
@@ -128,17 +127,7 @@ def test_a_parameter_is_no_surer_on_test_flights_than_its_interval(tmp_path) -> 
     selection = replace(selection, left_out=replace(selection.left_out, channels=predictor.channels))
 
     def limit(std: float) -> np.ndarray:
-        zero = np.zeros((1, 1))
-        spread = Uncertainty(
-            columns=np.array([0]),
-            step=np.zeros(3),
-            plain=zero,
-            blocks=zero,
-            flights=None,
-            tolerance=np.array([[std**2]]),
-            num_blocks=50,
-            num_flights=2,
-        )
+        spread = make_spread(np.array([0]), np.zeros((1, 1)), np.array([[std**2]]))
         final = replace(selection.final, fit=fit, spread=spread)
         within, whole = largest_open_squares(predictor, params, replace(selection, final=final))
         np.testing.assert_allclose(within, whole, rtol=1e-9)

@@ -12,13 +12,10 @@ def linear_fit(residual: np.ndarray, jacobian: np.ndarray, *, num_effect_params:
     """Return a fit of one flight of 10 s, its effects' parameters in front."""
     rows, width = residual.shape[0], jacobian.shape[2]
     return ModelFit(
-        effects=("rotor_drag",),
-        params=ModelParams(effects={"rotor_drag": np.full(3, 0.2)}),
+        effects=("rotor_drag",), params=ModelParams(effects={"rotor_drag": np.full(3, 0.2)}),
         moments=block_moments([np.linspace(0.0, 10.0, rows)], [residual], [jacobian], length=1.0),
-        low=np.full(width, -9.0),
-        high=np.full(width, 9.0),
-        num_effect_params=num_effect_params,
-    )
+        low=np.full(width, -9.0), high=np.full(width, 9.0), num_effect_params=num_effect_params,
+    )  # fmt: skip
 
 
 def test_the_model_that_is_judged_has_the_parameters_of_the_robot_file() -> None:

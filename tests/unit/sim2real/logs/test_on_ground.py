@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real import find_mapping, read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.rollout import HORIZONS_S
 from aerial_gym.sim2real.predict.windows import find_windows, longest_windows

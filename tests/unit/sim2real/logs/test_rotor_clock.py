@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock
 from aerial_gym.sim2real.logs.signals import lowpass
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write

@@ -7,9 +7,8 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.recording import FlightLog
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from tests.unit.sim2real.flat_flights import flight, write
 

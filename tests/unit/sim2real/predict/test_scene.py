@@ -9,11 +9,9 @@ import torch
 
 from aerial_gym.errors import CapabilityError, DataError
 from aerial_gym.physics import BACKENDS, build_model, vehicle_from_config
+from aerial_gym.sim2real import LogMapping, find_mapping, judge_flights, read_flight_log
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
-from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.scene import finding_on_absent_scene
 from aerial_gym.sim2real.replay import replay_flights
@@ -30,18 +28,11 @@ def hover(name: str, height: float, **more: object) -> Flight:
     rows = 400
     zeros = np.zeros((rows, 3))
     defaults = {
-        "path": name,
-        "rate": RATE,
-        "time": np.arange(rows) / RATE,
-        "position": zeros + np.array([0.0, 0.0, height]),
-        "attitude": np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)),
-        "lin_vel": zeros,
-        "ang_vel": zeros,
-        "gyro": True,
-        "specific_force": zeros + np.array([0.0, 0.0, G]),
-        "accelerometer": True,
+        "path": name, "rate": RATE, "time": np.arange(rows) / RATE, "position": zeros + np.array([0.0, 0.0, height]),
+        "attitude": np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)), "lin_vel": zeros, "ang_vel": zeros, "gyro": True,
+        "specific_force": zeros + np.array([0.0, 0.0, G]), "accelerometer": True,
         "rotor_speed": np.full((rows, 4), np.sqrt(0.6 * G / 4.0 / 1.2e-6)),
-    }
+    }  # fmt: skip
     return Flight(name=name, **defaults | more)
 
 

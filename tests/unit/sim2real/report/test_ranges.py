@@ -3,11 +3,11 @@
 import numpy as np
 
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.parameter_draws import correlation_factor
-from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
+from aerial_gym.robots.parameter_draws import joint_factor
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 from aerial_gym.sim2real.report.ranges import uncertainty_ranges
 from tests.unit.sim2real.judge.builders import make_named_effect
+from tests.unit.sim2real.set_fits import make_spread
 
 DX, DY, WIND = "effects.rotor_drag.dx", "effects.rotor_drag.dy", "effects.constant_wind.x"
 
@@ -33,14 +33,5 @@ def test_correlations_stand_beside_deviations_where_both_are_drawn() -> None:
 
 def test_the_correlation_of_a_fit_is_that_of_scatter_and_tolerances() -> None:
     """Blocks know the sum best, -3 of 4; the tolerances add 1 to each number alone: -3 of 5."""
-    spread = Uncertainty(
-        columns=np.arange(2),
-        step=np.zeros(2),
-        plain=np.eye(2),
-        blocks=np.array([[4.0, -3.0], [-3.0, 4.0]]),
-        flights=None,
-        tolerance=np.eye(2),
-        num_blocks=50,
-        num_flights=2,
-    )
+    spread = make_spread(np.arange(2), np.eye(2), np.eye(2), blocks=[[4.0, -3.0], [-3.0, 4.0]])
     np.testing.assert_allclose(spread.correlation, [[1.0, -0.6], [-0.6, 1.0]])

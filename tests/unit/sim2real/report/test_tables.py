@@ -31,12 +31,9 @@ def test_every_channel_is_told_once_with_what_became_of_it() -> None:
 
 def test_every_effect_says_how_sure_it_is() -> None:
     offset = make_named_effect(
-        params={"x": 0.004, "y": -0.002, "z": 0.0},
-        std={"x": 1e-4, "y": 2e-4},
-        frozen=("z",),
-        confidence=0.98,
+        params={"x": 0.004, "y": -0.002, "z": 0.0}, std={"x": 1e-4, "y": 2e-4}, frozen=("z",), confidence=0.98,
         ties=("motor_tilt",),
-    )
+    )  # fmt: skip
     gusts = make_named_effect("gusts", params={"std": 0.5}, std={}, confidence=0.999)
     rows = text_rows_of_effects(make_verdict(effects=(offset, gusts)))
     assert rows[0]["parameters"] == "x = 0.004 ± 0.0002 m, y = -0.002 ± 0.00039 m"

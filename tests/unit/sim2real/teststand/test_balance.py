@@ -13,17 +13,10 @@ from scipy import integrate, stats
 from aerial_gym.cli.main import main
 from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import ROBOTS
+from aerial_gym.sim2real import find_mapping, read_flight_log
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.readers.mapping import find_mapping
-from aerial_gym.sim2real.teststand.balance import (
-    Balance,
-    HoverEffort,
-    hover_effort,
-    judge_balance,
-    repeats_by_condition,
-)
-from aerial_gym.sim2real.teststand.causes import candidate_causes, cause_probabilities, experiments_for_causes
+from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
+from aerial_gym.sim2real.teststand.causes import cause_probabilities, causes, tell_apart
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
@@ -58,13 +51,9 @@ def judge_pairs(
     rng = np.random.default_rng(seed)
     repeats = [h for n in range(conditions) for h in hovers(rng, f"other_{n}_log", 2, rng.uniform(0.9, 1.1, 4), size)]
     return judge_balance(
-        hovers(rng, "normal", baselines, np.ones(4), size),
-        hovers(rng, "flight", 1, ratio, size),
-        robot=ROBOT,
-        test=hovers(rng, "test", 1, ratio, size),
-        repeats=repeats,
-        added_mass=added_mass,
-    )
+        hovers(rng, "normal", baselines, np.ones(4), size), hovers(rng, "flight", 1, ratio, size), robot=ROBOT,
+        test=hovers(rng, "test", 1, ratio, size), repeats=repeats, added_mass=added_mass,
+    )  # fmt: skip
 
 
 def fit_values(result: Balance, name: str) -> dict[str, float]:

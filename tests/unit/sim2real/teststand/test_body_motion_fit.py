@@ -18,8 +18,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import JointLimits, Spring
 from aerial_gym.robots import ROBOTS
-from aerial_gym.sim2real import close_loop
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
+from aerial_gym.sim2real import close_loop, read_flight_log
 from aerial_gym.sim2real.logs.signals import edge_rows, uniform_log
 from aerial_gym.sim2real.teststand.joints import joint_simulation
 from aerial_gym.sim2real.teststand.joints.body_motion_fit import JointFitter, fit_hidden_joints

@@ -378,14 +378,11 @@ def hover(seed: int, coefficient: float = 4e-8, *, mass: float = 0.045, drift: f
     share = np.array([0.24, 0.26, 0.27, 0.23]) * mass * force[:, None]
     still = np.zeros((rows, 3))
     return FlightLog(
-        path=f"hover{seed}.csv",
-        time=np.arange(rows) / 100.0,
-        attitude=np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)),
-        lin_vel=still + drift,
-        ang_vel=still,
+        path=f"hover{seed}.csv", time=np.arange(rows) / 100.0, attitude=np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1)),
+        lin_vel=still + drift, ang_vel=still,
         specific_force=np.column_stack((still[:, :2], force + 0.05 * rng.standard_normal(rows))),
         rotor_speed=np.sqrt(share / coefficient) * (1.0 + 0.002 * rng.standard_normal((rows, 4))),
-    )
+    )  # fmt: skip
 
 
 def test_hover_gives_the_thrust_coefficient_by_weight() -> None:

@@ -6,14 +6,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
-from aerial_gym.assets import ENVIRONMENTS
+from aerial_gym import ENVIRONMENTS, Task, task_registry
 from aerial_gym.config.environment import EnvironmentCfg
 from aerial_gym.config.task_terms import CommandCfg, ObservationCfg
 from aerial_gym.config.track import GatePlaceCfg, TrackCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.task import Task
 from aerial_gym.task.commands.gates import crossing
 from aerial_gym.task.terms.gate_path import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, gate_path_direction, gate_path_length
 from tests.unit.task.hover import begin, build_task, make

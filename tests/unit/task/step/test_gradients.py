@@ -7,11 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym import task_registry
+from aerial_gym import Task, task_registry
 from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ActionCfg, CommandCfg, ImageCfg, ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import CapabilityError
-from aerial_gym.task import Task
 from tests.unit.task.hover import build_task
 
 F64 = torch.float64

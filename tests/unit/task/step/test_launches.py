@@ -14,12 +14,11 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from warp._src.context import Launch
 
+from aerial_gym import ROBOTS, Task, task_registry
 from aerial_gym.config.randomize import RandomizeCfg
 from aerial_gym.config.robot import SensorMountCfg
 from aerial_gym.config.task_terms import ActionCfg
 from aerial_gym.interop.rows import RowFunction
-from aerial_gym.robots import ROBOTS
-from aerial_gym.task import Task, task_registry
 from tests.builders import simulation
 from tests.repetitions import rare_values
 from tests.unit.task.hover import begin, build_task, camera_task, rich
@@ -120,24 +119,12 @@ def test_the_mode_sees_what_it_refuses() -> None:
 
 
 LIKE_OTHERS = (
-    "agile_tracking_task",
-    "gust_rejection_task",
-    "lidar_navigation_task",
-    "platform_landing_task",
-    "position_setpoint_task_acceleration_sim2real",
-    "position_setpoint_task_morphy_paper",
-    "position_setpoint_task_morphy_stiff",
-    "position_setpoint_task_reconfigurable",
-    "position_setpoint_task_sim2real",
-    "position_setpoint_task_sim2real_px4",
-    "racing_random_track_task",
-    "racing_split_s_task",
-    "radar_navigation_task",
-    "radar_navigation_task_held",
-    "safe_navigation_task",
-    "smooth_position_setpoint_task",
-    "smooth_tracking_task",
-)
+    "agile_tracking_task", "gust_rejection_task", "lidar_navigation_task", "platform_landing_task",
+    "position_setpoint_task_acceleration_sim2real", "position_setpoint_task_morphy_paper",
+    "position_setpoint_task_morphy_stiff", "position_setpoint_task_reconfigurable", "position_setpoint_task_sim2real",
+    "position_setpoint_task_sim2real_px4", "racing_random_track_task", "racing_split_s_task", "radar_navigation_task",
+    "radar_navigation_task_held", "safe_navigation_task", "smooth_position_setpoint_task", "smooth_tracking_task",
+)  # fmt: skip
 """Their terms are those of ``lidar_navigation_task``, whose rays are others, and of ``position_setpoint_task_morphy``."""
 
 

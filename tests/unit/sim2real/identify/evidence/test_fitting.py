@@ -120,13 +120,9 @@ def test_a_set_is_fitted_again_by_the_derivatives_of_its_own_fit_alone() -> None
 def test_an_effect_on_one_rotor_is_fitted_from_one_start_and_a_pendulum_from_two(name, start, count) -> None:
     size = len(start) - (name == "weak_motor")
     one = Candidate(
-        name=name,
-        named=False,
-        columns=np.arange(size),
-        low=np.full(size, -np.inf),
-        high=np.full(size, np.inf),
+        name=name, named=False, columns=np.arange(size), low=np.full(size, -np.inf), high=np.full(size, np.inf),
         start=np.array(start),
-    )
+    )  # fmt: skip
     moments = cast("Moments", None)
     library = Library(candidates=(one,), moments=moments, weight=np.ones(1), tolerances=np.arange(0))
     rng = np.random.default_rng(5)

@@ -16,13 +16,10 @@ def fit_of_noise() -> ModelFit:
     residuals = [rng.normal(size=(time.size, 2)) for time in times]
     jacobians = [rng.normal(size=(time.size, 2, OWN + TOLERANCES)) for time in times]
     return ModelFit(
-        effects=("rotor_drag",),
-        params=ModelParams(effects={"rotor_drag": np.zeros(3)}),
-        moments=block_moments(times, residuals, jacobians, length=1.0),
-        low=np.full(OWN + TOLERANCES, -0.02),
-        high=np.full(OWN + TOLERANCES, 5.0),
-        num_effect_params=OWN,
-    )
+        effects=("rotor_drag",), params=ModelParams(effects={"rotor_drag": np.zeros(3)}),
+        moments=block_moments(times, residuals, jacobians, length=1.0), low=np.full(OWN + TOLERANCES, -0.02),
+        high=np.full(OWN + TOLERANCES, 5.0), num_effect_params=OWN,
+    )  # fmt: skip
 
 
 def test_each_flight_is_left_out_of_its_own_step() -> None:

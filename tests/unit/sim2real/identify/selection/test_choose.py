@@ -111,13 +111,10 @@ def test_an_effect_beside_a_structure_keeps_its_name(tmp_path: Path) -> None:
 
 
 SIZES = {
-    ("rotor_drag", "payload_mass", "thrust_coefficient"): 1.0,
-    ("payload_mass", "thrust_coefficient"): 1.5,
-    ("rotor_drag", "thrust_coefficient"): 1.02,
-    ("rotor_drag", "payload_mass"): 1.01,
-    ("rotor_drag",): 1.4,
+    ("rotor_drag", "payload_mass", "thrust_coefficient"): 1.0, ("payload_mass", "thrust_coefficient"): 1.5,
+    ("rotor_drag", "thrust_coefficient"): 1.02, ("rotor_drag", "payload_mass"): 1.01, ("rotor_drag",): 1.4,
     ("payload_mass",): 1.6,
-}
+}  # fmt: skip
 """How large a residual sets of effects leave."""
 
 
@@ -227,17 +224,10 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(choose, "observable_candidates", lambda library: [])
     monkeypatch.setattr(choose, "rivals_of_parameters", lambda *_: ())
     view = CandidateView(
-        present=best,
-        fits={best.label: best},
-        own={},
-        fresh={best.label},
-        fitter=fitter,
-        library=None,
-        structures=[],
-        sets=None,
-        guard=None,
-    )
-    refused = chooser.make_result(view).refused
+        present=best, fits={best.label: best}, own={}, fresh={best.label}, fitter=fitter, library=None, structures=[],
+        sets=None, guard=None,
+    )  # fmt: skip
+    refused = chooser.result(view).refused
     assert {name: finding.code for name, finding in refused.items()} == {
         "payload_mass": "flights_disagree",
         "weak_motor": "at_bound",

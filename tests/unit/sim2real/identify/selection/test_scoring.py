@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation
+from aerial_gym.sim2real.identify.selection.scoring import LeftOut
 from aerial_gym.sim2real.predict.channels import Channel
+from tests.unit.sim2real.set_fits import make_left_out
 
 BLOCKS, FLIGHTS = 8, 4
 
@@ -17,14 +18,7 @@ def left_out() -> CrossValidation:
     blocks = BLOCKS * FLIGHTS
     channels = tuple(Channel(kind="specific_force", axis=axis) for axis in "xy")
     weights = Weighting(variance=np.ones(2), effective=np.full(2, 0.5))
-    return CrossValidation(
-        count=np.full(blocks, 60.0),
-        flight=np.repeat(np.arange(FLIGHTS), BLOCKS),
-        weights=weights,
-        criteria=Criteria(),
-        channels=channels,
-        tolerated=np.zeros(2),
-    )
+    return make_left_out(weights, np.full(blocks, 60.0), np.repeat(np.arange(FLIGHTS), BLOCKS), channels)
 
 
 def squares(*factors: float) -> np.ndarray:

@@ -127,15 +127,10 @@ def fly_in_wind(number: int, std: float = 0.0) -> Flight:
     felt = draw_wind(rng, time, std, 1.0) * [0.5, 0.4, 0.3] + 0.02 * rng.standard_normal((time.size, 3))
     zeros = np.zeros((time.size, 3))
     return replace(
-        still,
-        time=time,
-        position=zeros + 1.0,
-        lin_vel=zeros,
-        ang_vel=zeros,
+        still, time=time, position=zeros + 1.0, lin_vel=zeros, ang_vel=zeros,
         attitude=np.tile([0.0, 0.0, 0.0, 1.0], (time.size, 1)),
-        rotor_speed=np.tile(still.rotor_speed[0], (time.size, 1)),
-        specific_force=felt + np.array([0.0, 0.0, 9.81]),
-    )
+        rotor_speed=np.tile(still.rotor_speed[0], (time.size, 1)), specific_force=felt + np.array([0.0, 0.0, 9.81]),
+    )  # fmt: skip
 
 
 def look(flights: list[Flight], params: ModelParams = DRAGGED, **more: object) -> RandomWind:

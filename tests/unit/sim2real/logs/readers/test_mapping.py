@@ -9,23 +9,19 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.config import build
 from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
+from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.ulog import merge_topics
-from aerial_gym.sim2real.logs.recording import FlightLog
+from aerial_gym.sim2real.logs.readers.ulog import topics_table
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 
 BASE = {
-    "summary": "test",
-    "source": "test",
-    "time": {"columns": ["t"]},
-    "attitude": {"columns": ["q_x", "q_y", "q_z", "q_w"]},
-    "ang_vel": {"columns": ["omega_x", "omega_y", "omega_z"]},
-}
+    "summary": "test", "source": "test", "time": {"columns": ["t"]},
+    "attitude": {"columns": ["q_x", "q_y", "q_z", "q_w"]}, "ang_vel": {"columns": ["omega_x", "omega_y", "omega_z"]},
+}  # fmt: skip
 
 
 def layout(**fields: object) -> LogMapping:
@@ -199,11 +195,8 @@ def check_px4(log: FlightLog, table: pd.DataFrame) -> None:
     flown = Rotation.from_quat(rows[["q_x", "q_y", "q_z", "q_w"]])
     assert (flown.inv() * Rotation.from_quat(log.attitude)).magnitude().max() < 1e-3
     sizes = {
-        "position": ("p", 2e-3),
-        "lin_vel": ("v", 2e-2),
-        "ang_vel": ("omega", 2e-2),
-        "specific_force": ("acc", 0.1),
-    }
+        "position": ("p", 2e-3), "lin_vel": ("v", 2e-2), "ang_vel": ("omega", 2e-2), "specific_force": ("acc", 0.1),
+    }  # fmt: skip
     for name, (prefix, size) in sizes.items():
         expected = rows[[f"{prefix}_x", f"{prefix}_y", f"{prefix}_z"]].to_numpy()
         np.testing.assert_allclose(getattr(log, name)[inner], expected[inner], atol=size)

@@ -31,13 +31,9 @@ from tests.unit.sim2real.predict.test_scene import RATE, hover
 
 F64 = torch.float64
 BATTERY = BatteryCfg(
-    nominal_voltage=16.0,
-    full_voltage=16.8,
-    empty_voltage=13.2,
-    internal_resistance=0.03,
-    capacity=4000.0,
+    nominal_voltage=16.0, full_voltage=16.8, empty_voltage=13.2, internal_resistance=0.03, capacity=4000.0,
     source="test",
-)
+)  # fmt: skip
 ROTOR_SPEEDS = [Channel(kind="rotor_speed", axis=str(number)) for number in (1, 2, 3, 4)]
 POWERED = replace(ROBOT, battery=BATTERY)
 TAU_UP, TAU_DOWN = 0.05, 0.03
