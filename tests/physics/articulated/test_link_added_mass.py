@@ -19,6 +19,7 @@ from aerial_gym.physics.articulated.tree import Links, Tree, TreeState
 from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects.link_added_mass import LinkAddedMass
 from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
+from aerial_gym.physics.effects.link_drag import LinkDrag
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
 from aerial_gym.physics.model import build_model, check_effects
 from aerial_gym.physics.state import BodyState
@@ -141,43 +142,105 @@ def test_a_step_with_water_and_drag_is_of_order_one() -> None:
     assert np.log2(errors[1] / errors[2]) == pytest.approx(1.0, abs=0.1)
 
 
-def test_gradients_flow_through_steps() -> None:
-    effects = {
-        "link_added_mass": {"mx": 0.1, "my": 0.3, "left.jx": 1e-3},
-        "constant_wind": {"x": 1.0, "y": 0.5, "z": 0.0},
-    }
-    model, state = make_model(under_water(make_joints(), effects), gravity=G)
-    state, ((law, params), (wind, blows)) = draw_state(state), tuple(model.effects)
+WIND = {"x": 1.0, "y": 0.5, "z": -0.3}
 
-    def end(rows: Tensor, air: Tensor, velocity: Tensor, angle: Tensor, rate: Tensor) -> Tensor:
-        there = replace(model, effects=type(model.effects)([(law, rows), (wind, air)]))
-        after = fly(there, replace(state, lin_vel=velocity, joint_pos=angle, joint_vel=rate), 0.01, 1)
+
+@pytest.mark.parametrize(
+    ("effects", "fields"),
+    [
+        (
+            {"link_drag": {"lx": 0.1, "qx": 0.3, "right.qz": 0.4, "left.az": 0.01, "bz": 0.02}, "constant_wind": WIND},
+            ("joint_pos", "joint_vel"),
+        ),
+        ({"link_buoyancy": {"force": 0.5, "x": 0.01, "slide.force": 2.0, "slide.z": 0.05}}, ("attitude", "joint_pos")),
+        (
+            {"link_added_mass": {"mx": 0.1, "my": 0.3, "left.jx": 1e-3}, "constant_wind": WIND},
+            ("lin_vel", "joint_pos", "joint_vel"),
+        ),
+    ],
+)
+def test_gradients_of_effects_on_links_flow_through_steps(
+    effects: dict[str, dict[str, float]], fields: tuple[str, ...]
+) -> None:
+    model, state = make_model(under_water(make_joints(), effects), gravity=G)
+    state, laws = draw_state(state), list(model.effects)
+
+    def end(*inputs: Tensor) -> Tensor:
+        rows, values = inputs[: len(laws)], inputs[len(laws) :]
+        changed = [(law, own) for (law, _), own in zip(laws, rows, strict=True)]
+        there = replace(model, effects=type(model.effects)(changed))
+        after = fly(there, replace(state, **dict(zip(fields, values, strict=True))), 0.01, 2)
         return torch.cat((after.lin_vel, after.ang_vel, after.joint_vel), dim=-1)
 
-    inputs = (params, blows, state.lin_vel, state.joint_pos, state.joint_vel)
+    inputs = [rows for _, rows in laws] + [getattr(state, name) for name in fields]
     assert torch.autograd.gradcheck(end, tuple(rows.clone().requires_grad_() for rows in inputs))
 
 
-def test_what_cannot_be_is_refused_by_name() -> None:
-    morphy = replace(ROBOTS.get("morphy"), effects_source="test")
-    with pytest.raises(ConfigError, match="elevation_1 has no mass, at whose centre added mass acts"):
-        check_effects(replace(morphy, effects={"link_added_mass": {"elevation_1.mx": 0.1}}))
-    rigid = replace(ROBOTS.get("tinyprop"), effects={"link_added_mass": {"mx": 0.1}}, effects_source="test")
-    with pytest.raises(ConfigError, match="is rigid. Give it added_mass or added_inertia, or joints"):
-        check_effects(rigid)
-    with pytest.raises(
-        ConfigError, match="effect added_mass: is for rigid vehicles.*Give it link_added_mass, or leave out"
-    ):
-        check_effects(replace(morphy, effects={"added_mass": {"x": 1.0, "y": 1.0, "z": 1.0}}))
-    robot = replace(morphy, effects={"link_added_mass": {"mx": 0.1}})
-    for name in ("mujoco", "mujoco_warp"):
-        with pytest.raises(
-            CapabilityError, match=f"{name}: cannot run effect 'link_added_mass'. Use backend 'warp', 'torch'"
-        ):
-            choose_backend(name, needs=robot_needs(robot, torch.device("cpu")))
-    assert choose_backend("auto", needs=robot_needs(robot, torch.device("cpu"))).capabilities.joints
+@pytest.mark.parametrize(
+    ("robot", "effect", "values", "words"),
+    [
+        ("tinyprop", "link_drag", {"qx": 0.1}, "link_drag: is of the links .* this one is rigid. Give it rotor_drag"),
+        (
+            "morphy_stiff",
+            "link_drag",
+            {"qx": 0.1},
+            "link_drag: is of the links .* this one is rigid. Give it rotor_drag",
+        ),
+        ("tinyprop", "link_buoyancy", {"force": 1.0}, "is of the links .* is rigid. Give it buoyancy, or joints"),
+        ("tinyprop", "link_added_mass", {"mx": 0.1}, "is rigid. Give it added_mass or added_inertia, or joints"),
+        (
+            "morphy",
+            "added_mass",
+            dict.fromkeys("xyz", 1.0),
+            "is for rigid vehicles.*Give it link_added_mass, or leave out",
+        ),
+        (
+            "morphy",
+            "link_drag",
+            {"azimut_1.qx": 0.1},
+            r"'azimut_1.qx'. .* \(azimuth_4.lx\). Links: base, elevation_1, ",
+        ),
+        ("morphy", "link_drag", {"qw": 0.1}, "no parameter 'qw'"),
+        ("morphy", "link_drag", {"elevation_1.qx": 0.1}, "link_drag.elevation_1.qx: elevation_1 has no mass"),
+        ("morphy", "link_drag", {"azimuth_1.qx": -1.0}, r"azimuth_1.qx = -1.0: must lie in \[0, 10000\] N s²/m²"),
+        ("morphy", "link_buoyancy", {"azimuth_1.forces": 1.0}, "'azimuth_1.forces'. Give one of force, x, y, z for"),
+        (
+            "morphy",
+            "link_buoyancy",
+            {"elevation_1.force": 1.0},
+            "at whose centre buoyancy acts.*or the buoyancy to a link",
+        ),
+        ("morphy", "link_buoyancy", {"force": -1.0}, r"link_buoyancy.force = -1.0: must lie in \[0, 100000\] N"),
+        (
+            "morphy",
+            "link_added_mass",
+            {"elevation_1.mx": 0.1},
+            "elevation_1 has no mass, at whose centre added mass acts",
+        ),
+    ],
+)
+def test_effects_that_do_not_fit_the_links_are_refused(
+    robot: str, effect: str, values: dict[str, float], words: str
+) -> None:
+    with pytest.raises(ConfigError, match=words):
+        check_effects(replace(ROBOTS.get(robot), effects={effect: values}, effects_source="test"))
+
+
+def test_a_vehicle_has_one_damping_and_one_fluid_of_links() -> None:
+    morphy = ROBOTS.get("morphy")
     vehicle = vehicle_from_config(morphy, num_envs=1, dtype=F64)
-    bends = build_articulation(morphy, like=vehicle.mass)
-    twice = [(LinkAddedMass(), torch.zeros(1, 6, dtype=F64))] * 2
-    with pytest.raises(ConfigError, match="a vehicle has one fluid of links at most"):
-        build_model(vehicle, twice, articulation=bends)
+    for effect, width, label in ((LinkDrag(), 12, "damping"), (LinkAddedMass(), 6, "fluid")):
+        twice = [(effect, torch.zeros(1, width, dtype=F64))] * 2
+        with pytest.raises(ConfigError, match=f"a vehicle has one {label} of links at most"):
+            build_model(vehicle, twice, articulation=build_articulation(morphy, like=vehicle.mass))
+    with pytest.raises(ConfigError, match="this one is rigid"):
+        build_model(vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1, dtype=F64), twice[:1])
+
+
+def test_mujoco_refuses_added_mass_of_links() -> None:
+    robot = replace(ROBOTS.get("morphy"), effects={"link_added_mass": {"mx": 0.1}}, effects_source="test")
+    needs = robot_needs(robot, torch.device("cpu"))
+    for name in ("mujoco", "mujoco_warp"):
+        with pytest.raises(CapabilityError, match=f"{name}: cannot run effect 'link_added_mass'. Use backend 'warp'"):
+            choose_backend(name, needs=needs)
+    assert choose_backend("auto", needs=needs).capabilities.joints

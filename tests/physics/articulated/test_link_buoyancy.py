@@ -2,13 +2,11 @@
 
 from dataclasses import replace
 
-import pytest
 import torch
 from torch import Tensor
 
 from aerial_gym.config.joint import JointCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import equations
@@ -16,7 +14,7 @@ from aerial_gym.physics.articulated.flight import articulated_step, link_wrenche
 from aerial_gym.physics.articulated.tree import TreeState
 from aerial_gym.physics.effects.link_buoyancy import LinkBuoyancy
 from aerial_gym.physics.integrators import semi_implicit_euler, to_body_state, to_mass_state
-from aerial_gym.physics.model import Model, build_model, check_effects
+from aerial_gym.physics.model import Model, build_model
 from aerial_gym.physics.state import ArticulatedState, BodyState
 from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
@@ -122,37 +120,3 @@ def test_a_tree_of_one_link_is_carried_as_a_rigid_hull() -> None:
     tree, state = of_one_link(robot, [(LinkBuoyancy(), row)])
     rigid = build_model(vehicle_from_config(robot, num_envs=3, dtype=F64), [(EFFECTS.get("buoyancy"), row)])
     assert_flies_as_rigid(tree, rigid, state)
-
-
-def test_gradients_flow_through_steps() -> None:
-    """For parameters, attitude and angles, by differences."""
-    model, state = make_model(under_water(make_joints(), {"link_buoyancy": FORCES}), gravity=G)
-    state, ((law, params),) = draw_state(state), tuple(model.effects)
-
-    def end(rows: Tensor, attitude: Tensor, angle: Tensor) -> Tensor:
-        there = replace(model, effects=type(model.effects)([(law, rows)]))
-        after = fly(there, replace(state, attitude=attitude, joint_pos=angle), 0.01, 1)
-        return torch.cat((after.lin_vel, after.ang_vel, after.joint_vel), dim=-1)
-
-    inputs = (params, state.attitude, state.joint_pos)
-    assert torch.autograd.gradcheck(end, tuple(rows.clone().requires_grad_() for rows in inputs))
-
-
-def test_what_cannot_be_is_refused_by_name() -> None:
-    morphy = replace(ROBOTS.get("morphy"), effects_source="test")
-    for values, words in (
-        (
-            {"azimuth_1.forces": 1.0},
-            r"effect link_buoyancy: no parameter 'azimuth_1.forces'. Give one of force, x, y, z for",
-        ),
-        (
-            {"elevation_1.force": 1.0},
-            "elevation_1 has no mass, at whose centre buoyancy acts.*or the buoyancy to a link",
-        ),
-        ({"force": -1.0}, r"link_buoyancy.force = -1.0: must lie in \[0, 100000\] N"),
-    ):
-        with pytest.raises(ConfigError, match=words):
-            check_effects(replace(morphy, effects={"link_buoyancy": values}))
-    rigid = replace(ROBOTS.get("tinyprop"), effects={"link_buoyancy": {"force": 1.0}}, effects_source="test")
-    with pytest.raises(ConfigError, match="link_buoyancy: is of the links .* is rigid. Give it buoyancy, or joints"):
-        check_effects(rigid)

@@ -8,9 +8,7 @@ from torch import Tensor
 
 from aerial_gym.config.joint import JointCfg, JointsCfg, LinkCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix
-from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.articulated.articulation import build_articulation
 from aerial_gym.physics.articulated.dynamics import kinetic_energy, momenta
 from aerial_gym.physics.articulated.flight import articulated_step, link_damping
@@ -220,22 +218,15 @@ def test_links_without_mass_feel_nothing_and_the_base_what_others_do() -> None:
     assert acts.damping[0, :, 0].tolist() == [0.1, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1, 0.0, 0.1]
 
 
-def test_gradients_flow_through_steps() -> None:
-    arms = (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)), arm("right", (0.1, -0.4, 0.0), (0.0, -0.1, 0.0)))
-    drag = {"lx": 0.1, "qx": 0.3, "qy": 0.2, "right.qz": 0.4, "left.az": 0.01, "bz": 0.02}
-    model, state = make_model(make_drag_robot(1.0, arms, drag, constant_wind={"x": 1.0, "y": 0.5, "z": -0.3}))
-    (law, params), (wind, blows) = list(model.effects)
-    assert law.name == "link_drag"
-    inputs = (params, blows, torch.tensor([[0.4, -0.7]], dtype=F64), torch.tensor([[2.0, 1.0]], dtype=F64))
-
-    def end(rows: Tensor, air: Tensor, angle: Tensor, rate: Tensor) -> Tensor:
-        there = replace(model, effects=type(model.effects)([(law, rows), (wind, air)]))
-        after = fly(there, replace(state, joint_pos=angle, joint_vel=rate), 0.01, 3)
-        return torch.cat((after.lin_vel, after.ang_vel, after.joint_vel), dim=-1)
-
-    assert torch.autograd.gradcheck(end, tuple(rows.clone().requires_grad_() for rows in inputs))
-    still = [torch.zeros_like(rows).requires_grad_() for rows in inputs]
-    for slope in torch.autograd.grad(end(*still).sum(), still, allow_unused=True):
+def test_slopes_are_finite_at_rest_in_still_air() -> None:
+    model, state = make_model(
+        make_drag_robot(1.0, (arm("left", (0.0, 0.4, 0.0), (0.0, 0.1, 0.0)),), {"qx": 0.3, "bz": 0.02})
+    )
+    ((law, params),) = model.effects
+    inputs = [torch.zeros_like(rows).requires_grad_() for rows in (params, state.joint_pos, state.joint_vel)]
+    there = replace(model, effects=type(model.effects)([(law, inputs[0])]))
+    after = fly(there, replace(state, joint_pos=inputs[1], joint_vel=inputs[2]), 0.01, 3)
+    for slope in torch.autograd.grad(after.joint_vel.sum(), inputs, allow_unused=True):
         assert slope is None or bool(slope.isfinite().all())
 
 
@@ -253,31 +244,3 @@ def test_environments_have_numbers_of_their_own() -> None:
         end = fly(replace(alone, effects=own), start, 0.01, 10)
         torch.testing.assert_close(end.lin_vel[0], whole.lin_vel[env], rtol=1e-12, atol=1e-14)
     assert len({round(float(value), 6) for value in whole.lin_vel[:, 0]}) == 3
-
-
-def test_what_cannot_be_is_refused_by_name() -> None:
-    morphy = replace(ROBOTS.get("morphy"), effects_source="test")
-    for robot in (replace(ROBOTS.get("tinyprop"), effects_source="test"), ROBOTS.get("morphy_stiff")):
-        rigid = replace(robot, effects={"link_drag": {"qx": 0.1}}, effects_source="test")
-        with pytest.raises(
-            ConfigError, match="effect link_drag: is of the links .* this one is rigid. Give it rotor_drag"
-        ):
-            check_effects(rigid)
-    vehicle = vehicle_from_config(ROBOTS.get("tinyprop"), num_envs=1, dtype=F64)
-    with pytest.raises(ConfigError, match="this one is rigid"):
-        build_model(vehicle, [(EFFECTS.get("link_drag"), torch.zeros(1, 12, dtype=F64))])
-    with pytest.raises(
-        ConfigError, match=r"no parameter 'azimut_1.qx'. .* \(azimuth_4.lx\). Links: base, elevation_1, "
-    ):
-        check_effects(replace(morphy, effects={"link_drag": {"azimut_1.qx": 0.1}}))
-    with pytest.raises(ConfigError, match="no parameter 'qw'"):
-        check_effects(replace(morphy, effects={"link_drag": {"qw": 0.1}}))
-    with pytest.raises(ConfigError, match="link_drag.elevation_1.qx: elevation_1 has no mass"):
-        check_effects(replace(morphy, effects={"link_drag": {"elevation_1.qx": 0.1}}))
-    with pytest.raises(ConfigError, match=r"link_drag.azimuth_1.qx = -1.0: must lie in \[0, 10000\] N s²/m²"):
-        check_effects(replace(morphy, effects={"link_drag": {"azimuth_1.qx": -1.0}}))
-    articulation = build_articulation(morphy, like=vehicle.mass)
-    bends = vehicle_from_config(morphy, num_envs=1, dtype=F64)
-    twice = [(LinkDrag(), torch.zeros(1, 12, dtype=F64))] * 2
-    with pytest.raises(ConfigError, match="a vehicle has one damping of links at most"):
-        build_model(bends, twice, articulation=articulation)
