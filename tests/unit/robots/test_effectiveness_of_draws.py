@@ -36,15 +36,9 @@ MASK = torch.tensor([True, False, True, False, False, True])
 
 
 def make(
-    randomize: Mapping[str, RandomizeCfg],
-    num_envs: int = 6,
-    *,
-    effectiveness: str = "actual",
-    controller: str = "lee_attitude_control",
-    robot: RobotCfg = QUAD,
-    allocation: str = "prioritised",
-    **options,
-) -> EnvManager:
+    randomize: Mapping[str, RandomizeCfg], num_envs: int = 6, *, effectiveness: str = "actual",
+    controller: str = "lee_attitude_control", robot: RobotCfg = QUAD, allocation: str = "prioritised", **options,
+) -> EnvManager:  # fmt: skip
     robot = replace(robot, control=ControlCfg(effectiveness=effectiveness))
     law = replace(CONTROLLERS.get(controller), allocation=allocation)
     env = simulation(

@@ -37,14 +37,9 @@ MANY: dict[str, RandomizeCfg] = {
 
 
 def make(
-    randomize: Mapping[str, RandomizeCfg],
-    num_envs: int = 6,
-    *,
-    robot=QUAD,
-    controller="lee_velocity_control",
-    backend="warp",
-    **options,
-) -> EnvManager:
+    randomize: Mapping[str, RandomizeCfg], num_envs: int = 6, *, robot=QUAD, controller="lee_velocity_control",
+    backend="warp", **options,
+) -> EnvManager:  # fmt: skip
     options |= {"num_envs": num_envs, "seed": 4, "randomize": randomize, "backend": backend}
     env = simulation(robot, controller, **options)
     env.reset()
@@ -271,11 +266,9 @@ def normal(mean: float, std: float, low: float, high: float, **correlation: floa
 
 
 TOGETHER = {
-    DX: normal(0.2, 0.02, 0.0, 1.0),
-    DY: normal(0.1, 0.03, 0.0, 1.0, dx=-0.7),
-    "body.mass": RandomizeCfg(low=0.9, high=1.1),
-    WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.3, dy=0.2),
-}
+    DX: normal(0.2, 0.02, 0.0, 1.0), DY: normal(0.1, 0.03, 0.0, 1.0, dx=-0.7),
+    "body.mass": RandomizeCfg(low=0.9, high=1.1), WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.3, dy=0.2),
+}  # fmt: skip
 
 
 def test_what_is_drawn_together_has_the_covariance_that_was_written() -> None:

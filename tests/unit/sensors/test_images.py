@@ -70,19 +70,10 @@ def test_a_new_image_needs_a_row_and_the_code_that_writes_it(monkeypatch: pytest
 
         @wp.func
         def write_pixel(
-            images: images_type,
-            limits: pixels.DistanceLimits,
-            noise: pixels.DistanceNoise,
-            light: pixels.Light,
-            view: pixels.SensorView,
-            env: int,
-            mount: int,
-            seat: int,
-            pixel: int,
-            ray: wp.vec3,
-            nearest: float,
+            images: images_type, limits: pixels.DistanceLimits, noise: pixels.DistanceNoise, light: pixels.Light,
+            view: pixels.SensorView, env: int, mount: int, seat: int, pixel: int, ray: wp.vec3, nearest: float,
             hit: int,
-        ):
+        ):  # fmt: skip
             write_others(images, limits, noise, light, view, env, mount, seat, pixel, ray, nearest, hit)
             images.heading[mount, pixel] = wp.vec2(ray[0], nearest)
 

@@ -99,9 +99,8 @@ def test_what_cannot_be_is_refused_with_a_way_out() -> None:
 
 
 def test_a_tail_on_a_servo_gives_the_torque_about_z() -> None:
-    """Hover in closed form: ``tan d = k / L``, each front rotor ``T (cos d + k sin d / L)``; the lean takes the side
-    force. What it gives is the optimum of a linear program: thrusts within their limits, the tail within its angles
-    (0.7 rad)."""
+    """Hover in closed form: ``tan d = k / L``, each front rotor ``T (cos d + k sin d / L)``; the lean takes the side force.
+    What it gives is the optimum of a linear program: thrusts within their limits, the tail within its angles (0.7 rad)."""
     report = make_report(ROBOTS.get("tilt_tricopter"))
     arm, ratio, weight = 0.2460732, 0.025, 1.592 * 9.81
     angle = atan(ratio / arm)

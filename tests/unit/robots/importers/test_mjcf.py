@@ -37,22 +37,18 @@ def read(folder: Path, text: str, hints: RotorHints = LAG) -> Imported:
 @pytest.mark.parametrize(
     ("kind", "actuator", "limits"),
     [
-        ("general", 'ctrlrange="0 8" forcerange="0 5"', (0.0, 5.0)),
-        ("general", 'forcerange="-1 5"', (-1.0, 5.0)),
-        ("motor", 'ctrlrange="0.5 8"', (0.5, 8.0)),
-        ("general", 'ctrlrange="0 1" gainprm="7"', (0.0, 7.0)),
+        ("general", 'ctrlrange="0 8" forcerange="0 5"', (0.0, 5.0)), ("general", 'forcerange="-1 5"', (-1.0, 5.0)),
+        ("motor", 'ctrlrange="0.5 8"', (0.5, 8.0)), ("general", 'ctrlrange="0 1" gainprm="7"', (0.0, 7.0)),
         ("general", 'ctrlrange="0 1" gainprm="7" biastype="affine" biasprm="0.5 0 0"', (0.5, 7.5)),
         ("general", 'ctrlrange="0 1" gainprm="7" biastype="affine" biasprm="-.5 -9 -.1" forcerange="0 6"', (0.0, 6.0)),
         ("general", 'ctrlrange="0 1" gaintype="affine" gainprm="7 3 2"', (0.0, 7.0)),
-        ("general", 'ctrlrange="-8 -1"', (1.0, 8.0)),
-        ("general", 'ctrlrange="1 8" gainprm="-1"', (1.0, 8.0)),
-        ("position", 'ctrlrange="0 2" kp="3"', (0.0, 6.0)),
-        ("velocity", 'ctrlrange="0 2" kv="3"', (0.0, 6.0)),
+        ("general", 'ctrlrange="-8 -1"', (1.0, 8.0)), ("general", 'ctrlrange="1 8" gainprm="-1"', (1.0, 8.0)),
+        ("position", 'ctrlrange="0 2" kp="3"', (0.0, 6.0)), ("velocity", 'ctrlrange="0 2" kv="3"', (0.0, 6.0)),
         ("general", 'ctrlrange="0 9" dyntype="filter" dynprm="0.05" actrange="0.2 4"', (0.2, 4.0)),
         ("general", 'ctrlrange="-2 9" dyntype="integrator" actrange="0 6"', (0.0, 6.0)),
         ("general", 'ctrlrange="-9 9" dyntype="integrator" actrange="0 6" gainprm="0.5" forcerange="0 2"', (0.0, 2.0)),
     ],
-)
+)  # fmt: skip
 def test_the_thrust_range_is_what_all_limits_leave(kind: str, actuator: str, limits, tmp_path: Path) -> None:
     rotor = read(tmp_path, vehicle(actuator, kind=kind)).robot.the_rotor("a test")
     assert rotor.thrust_range == pytest.approx(limits)
@@ -120,20 +116,16 @@ def test_equal_delays_are_an_effect(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        vehicle('ctrlrange="0 6" refsite="s0"'),
-        vehicle('ctrlrange="0 6" dyntype="muscle"'),
-        vehicle('ctrlrange="0 6" gaintype="user"'),
-        vehicle('ctrlrange="0 6" biastype="user"'),
-        vehicle('ctrlrange="0 6" gainprm="0"'),
-        vehicle(""),
+        vehicle('ctrlrange="0 6" refsite="s0"'), vehicle('ctrlrange="0 6" dyntype="muscle"'),
+        vehicle('ctrlrange="0 6" gaintype="user"'), vehicle('ctrlrange="0 6" biastype="user"'),
+        vehicle('ctrlrange="0 6" gainprm="0"'), vehicle(""),
         vehicle('ctrlrange="0 6"', head='<option><flag clampctrl="disable"/></option>'),
-        vehicle('ctrlrange="0 8" forcerange="9 10"'),
-        vehicle('dyntype="integrator" ctrlrange="0 6"'),
+        vehicle('ctrlrange="0 8" forcerange="9 10"'), vehicle('dyntype="integrator" ctrlrange="0 6"'),
         vehicle('kv="2" ctrlrange="0 1"', kind="damper"),
         vehicle('ctrlrange="0 6"').replace('site="s0"', 'joint="free"').replace("<freejoint", '<freejoint name="free"'),
         vehicle('ctrlrange="0 6" group="3"', head='<option actuatorgroupdisable="3"/>'),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_rotor_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError):
         read(tmp_path, text)

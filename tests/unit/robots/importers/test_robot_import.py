@@ -205,21 +205,17 @@ INCLUDES = '<sdf><model name="m"><include><uri>model://gone</uri></include></mod
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("<robot", "not valid XML"),
-        ("<html/>", "first tag is <html>: must be <robot>"),
+        ("<robot", "not valid XML"), ("<html/>", "first tag is <html>: must be <robot>"),
         (XACRO, "is a xacro. Expand it first: xacro robot.xml >"),
         ('<robot name="r"><link name="base"/></robot>', "no link has a mass"),
-        ('<sdf version="1.7"/>', "must hold a <model>"),
-        (INCLUDES, "includes 'model://gone', which is not in"),
+        ('<sdf version="1.7"/>', "must hold a <model>"), (INCLUDES, "includes 'model://gone', which is not in"),
         (sdf('<pose relative_to="b"/>'), "frame 'b' is not there"),
         (sdf('<pose relative_to="a"/>'), "is placed in itself: a -> a"),
-        (sdf("<pose>1 2</pose>"), "must be 6 numbers"),
-        (sdf("<pose>1 2 3 4 5 one</pose>"), "must be numbers"),
-        (sdf(""), "there are no rotors in it"),
-        (urdf(mass=9.0), "must give 22.2 N, but its limits"),
+        (sdf("<pose>1 2</pose>"), "must be 6 numbers"), (sdf("<pose>1 2 3 4 5 one</pose>"), "must be numbers"),
+        (sdf(""), "there are no rotors in it"), (urdf(mass=9.0), "must give 22.2 N, but its limits"),
         (urdf().replace('izz="1e-3"', 'izz="9e-3"'), "triangle inequality"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_imported_is_refused_with_the_reason(text: str, message: str, tmp_path: Path) -> None:
     hints = RotorHints(rotors_of=ROBOTS.get("tinyprop"), spins=(1, -1, 1, -1)) if "motor_0" in text else None
     with pytest.raises(ConfigError, match=message):

@@ -20,14 +20,9 @@ ACCEPT = RotorHints(accept_losses=True)
 
 
 def vehicle(
-    base: str = inertial(1.0, 0.01, 0.01, 0.02),
-    more: str = "",
-    *,
-    rotor_more: str = "",
-    axis: str = "0 0 1",
-    parent: str = "base",
-    attributes: str = "",
-) -> str:
+    base: str = inertial(1.0, 0.01, 0.01, 0.02), more: str = "", *, rotor_more: str = "", axis: str = "0 0 1",
+    parent: str = "base", attributes: str = "",
+) -> str:  # fmt: skip
     """Return a quadrotor of a base, whose content is given, and four rotors of 10 g."""
     blade = inertial(0.01, 1e-5, 1e-5, 2e-5)
     rotors = "".join(
@@ -58,9 +53,6 @@ def body_alone(folder: Path, base: str, **kwargs) -> tuple[float, np.ndarray, np
 
     part_inertia = sum(j + shift_inertia(m, r) for m, r, j in weights) + shift_inertia(mass, com)
     return mass, com, np.array(body.inertia) - part_inertia
-
-
-# ------------------------------------------------------------------------------------------------ masses
 
 
 @pytest.mark.parametrize(
@@ -158,14 +150,10 @@ def test_an_automatic_inertial_of_a_mesh_in_its_own_unit(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     "content",
     [
-        "",
-        shape("plane"),
-        shape("polyline", "<point>0 0</point>"),
-        shape("box", BOX, 0.0),
-        shape("mesh", "<uri>gone.dae</uri>"),
-        shape("box", BOX, -5.0),
+        "", shape("plane"), shape("polyline", "<point>0 0</point>"), shape("box", BOX, 0.0),
+        shape("mesh", "<uri>gone.dae</uri>"), shape("box", BOX, -5.0),
     ],
-)
+)  # fmt: skip
 def test_an_automatic_inertial_without_a_volume_is_refused(content: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError):
         read(tmp_path, vehicle('<inertial auto="true"/>' + content))
@@ -178,8 +166,6 @@ def test_a_link_without_gravity_is_carried(tmp_path: Path) -> None:
     assert robot.effects["buoyancy"] == pytest.approx({"force": 0.5 * 9.81, "x": 0.0, "y": 0.1, "z": 0.0})
     assert robot.control.buoyancy == pytest.approx(0.5 * 9.81)
 
-
-# ------------------------------------------------------------------------------------------------ frames and models
 
 SMALL = inertial(0.2, 1e-4, 1e-4, 1e-4)
 
@@ -259,9 +245,6 @@ def test_a_missing_vehicle_is_named_and_not_what_stands_beside_it(tmp_path: Path
         import_robot(write(tmp_path, world=text))
 
 
-# ------------------------------------------------------------------------------------------------ rotors
-
-
 def test_rotors_with_axes_down_push_up(tmp_path: Path) -> None:
     """As Gazebo: along z of the link; the sense of turning is that of turningDirection about it."""
     up, down = (import_robot(write(tmp_path, m=vehicle(axis=axis))).robot for axis in ("0 0 1", "0 0 -1"))
@@ -283,8 +266,6 @@ def test_numbers_that_a_motor_does_not_give_are_the_plugins(tmp_path: Path) -> N
     assert result.robot.effects["h_force_flapping"]["kh"] == 1e-4
     assert len([line for line in result.assumed if "plugin" in line]) == len(IRIS_MOTOR) - 1
 
-
-# ------------------------------------------------------------------------------------------------ losses and names
 
 ARM = '<link name="arm"><inertial><mass>0.1</mass></inertial></link>'
 TILT = f'{ARM}<joint name="tilt" type="revolute"><parent>base</parent><child>arm</child><axis><xyz>{{}}</xyz></axis></joint>'

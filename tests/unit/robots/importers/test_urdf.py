@@ -91,13 +91,10 @@ FIXED_WING = WING.replace("libLiftDragPlugin", "librotors_gazebo_fw_dynamics_plu
 @pytest.mark.parametrize(
     "text",
     [
-        tilt_arm(),
-        tilt_arm(axis="0 0 1"),
-        tilt_arm("prismatic", "0 0 1"),
-        cf2x().replace("</robot>", f"{WING}</robot>"),
-        cf2x().replace("</robot>", f"{FIXED_WING}</robot>"),
+        tilt_arm(), tilt_arm(axis="0 0 1"), tilt_arm("prismatic", "0 0 1"),
+        cf2x().replace("</robot>", f"{WING}</robot>"), cf2x().replace("</robot>", f"{FIXED_WING}</robot>"),
     ],
-)
+)  # fmt: skip
 def test_wings_and_tilting_joints_are_losses(text: str, tmp_path: Path) -> None:
     path, out = tmp_path / "robot.urdf", tmp_path / "robot.yaml"
     path.write_text(text)
