@@ -94,18 +94,6 @@ def test_without_a_lag_arms_rest_under_the_thrust_at_once() -> None:
     torch.testing.assert_close(result, torch.full((1, 4), 0.3 * 2.25 * 0.2, dtype=F64), atol=0.0, rtol=1e-12)
 
 
-def test_one_bent_arm_lifts_its_hub_and_leans_its_thrust_inward() -> None:
-    """The hub at x = 0.2, 0.05 above the origin, bends by h at 0.1: it is then at (0.1 + 0.1 cos h, 0.05 + 0.1 sin h)."""
-    model, h, f = make_model(cross_robot(height=0.05), ("joint_spring", (0.3, 0.02, 0.5))), 0.3, 2.0
-    values = torch.tensor([[0.3, 0.02, 0.5, h, 0.0, 0.0, 0.0]], dtype=F64)
-    result = joint("joint_spring").wrench(make_condition(model, torch.tensor([f, 0.0, 0.0, 0.0], dtype=F64)), values)[0]
-    fx, fz, q = -f * sin(h), f * cos(h), 0.02 * f
-    x, z = 0.1 + 0.1 * cos(h), 0.05 + 0.1 * sin(h)
-    bent = [fx, 0.0, fz, q * sin(h), z * fx - x * fz, -q * cos(h)]  # spin 1: the drag torque is -q a
-    rigid = [0.0, 0.0, f, 0.0, -0.2 * f, -q]
-    torch.testing.assert_close(result, torch.tensor(bent, dtype=F64) - torch.tensor(rigid, dtype=F64))
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_the_wrench_is_that_of_turned_arms(name: str) -> None:
     """Tilted rotors, centre of mass beside the origin, unequal thrusts: against one rotation by scipy for each arm."""
@@ -134,17 +122,6 @@ def test_the_moment_about_the_hinge_does_not_depend_on_the_angle() -> None:
             turn = Rotation.from_rotvec(h * about)
             moment = about @ np.cross(turn.apply((1.0 - hinge) * out), push * turn.apply(axis))
             assert abs(angle - 0.2 * moment) < 1e-12
-
-
-def test_equal_arms_of_a_symmetric_vehicle_only_lose_lift() -> None:
-    """Six alike bend alike: the force is ``sum f cos h`` up, neither force sideways nor torque is left."""
-    model = make_model(cross_robot(6, height=0.03), ("joint_spring", (0.3, 0.02, 0.4)))
-    thrust, h = torch.full((6,), 2.0, dtype=F64), 0.25
-    values = torch.tensor([[0.3, 0.02, 0.4, *[h] * 6]], dtype=F64)
-    result = joint("joint_spring").wrench(make_condition(model, thrust), values)[0]
-    expected = torch.tensor([0.0, 0.0, 12.0 * (cos(h) - 1.0), 0.0, 0.0, 0.0], dtype=F64)
-    torch.testing.assert_close(result, expected, atol=1e-14, rtol=0.0)
-    assert make_memory(model, 0.01).numbers.shape == (1, 6)
 
 
 def test_elements_in_series_add_their_angles() -> None:

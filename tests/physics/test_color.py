@@ -11,7 +11,6 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from aerial_gym.assets import Scene
@@ -119,48 +118,6 @@ def write_square(
         square = trimesh.Trimesh(corners @ Y_UP, [[0, 1, 2], [0, 2, 3]], visual=visual, process=False)
         square.export(folder / "square.glb")
     return str(folder / f"square.{kind}")
-
-
-@pytest.mark.parametrize("kind", ["obj", "glb"])
-@pytest.mark.parametrize("size", [(2, 2), (4, 3)])
-def test_textures_are_those_of_a_bilinear_interpolation_that_repeats(
-    kind: str, size: tuple[int, int], device, tmp_path: Path
-) -> None:
-    """Every pixel against scipy: linear between the middles of the texels, periodic; row 0 of the image is at v = 1."""
-    image = np.random.default_rng(2).integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
-    factor, tiles = (0.6, 1.0, 0.2), 2.5
-    shape = ShapeCfg(kind="mesh", path=write_square(tmp_path, kind, image, factor=factor, tiles=tiles))
-    place, turn = [0.2, 0.1, 0.0], [0.1, -0.2, 0.7]
-    color, points, ids = look(CAMERA, place_shapes([shape], [(place, turn)], device), [0.0, 0.0, 2.0], DOWN)
-    uv = tiles * 0.5 * (own_points(points, place, turn)[ids == 0][:, :2].numpy() + 1.0)
-    rows, columns = (1.0 - uv[:, 1]) * size[1] - 0.5, uv[:, 0] * size[0] - 0.5
-    channels = [map_coordinates(image[..., k] / 255.0, (rows, columns), order=1, mode="grid-wrap") for k in range(3)]
-    rounding = 0.5 / 255 if kind == "glb" else 0.0  # trimesh keeps the factor of a GLB as bytes
-    assert len(uv) > 400
-    np.testing.assert_allclose(color[ids == 0].numpy(), np.stack(channels, 1) * factor, atol=1e-4 + rounding)
-
-
-def test_texels_between_texels_and_beyond_the_border(device, tmp_path: Path) -> None:
-    """A 2 x 2 image on a square of 2 m: single rays onto middles of texels, half way between, and at the corner, where all
-    four meet because the image repeats."""
-    red, green, blue, white = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
-    image = np.array([[red, green], [blue, white]], dtype=np.uint8)
-    shape = ShapeCfg(kind="mesh", path=write_square(tmp_path, "obj", image, factor=(1.0, 1.0, 1.0), tiles=1.0))
-    scene = place_shapes([shape], [([0.0] * 3, [0.0] * 3)], device)
-    pixel = replace(CAMERA, width=1, height=1, hfov_deg=1.0)
-    expected = {
-        (-0.5, 0.5): (1.0, 0.0, 0.0),
-        (0.5, 0.5): (0.0, 1.0, 0.0),
-        (-0.5, -0.5): (0.0, 0.0, 1.0),
-        (0.5, -0.5): (1.0, 1.0, 1.0),
-        (0.0, 0.5): (0.5, 0.5, 0.0),
-        (0.0, 0.0): (0.5, 0.5, 0.5),
-        (-0.999, 0.5): (0.5, 0.5, 0.0),  # half of it is the texel at the other end of the row
-        (-0.999, 0.999): (0.5, 0.5, 0.5),
-    }
-    for (x, y), value in expected.items():
-        color, _, _ = look(pixel, scene, [x, y, 1.0], DOWN)
-        np.testing.assert_allclose(color[0, 0].numpy(), value, atol=2e-3)
 
 
 def test_materials_of_one_file_and_a_shared_file_are_kept_apart_and_stored_once(device, tmp_path: Path) -> None:

@@ -4,15 +4,14 @@ stated."""
 
 from dataclasses import replace
 from itertools import pairwise
-from math import cos, nan, pi, radians, sin, sqrt
+from math import cos, pi, radians, sin, sqrt
 
 import pytest
 import torch
 from torch import Tensor
 
 from aerial_gym.config.imu import ImuCfg
-from aerial_gym.config.robot import InitialStateCfg, RobotCfg
-from aerial_gym.control import CONTROLLERS, make_controller
+from aerial_gym.config.robot import InitialStateCfg
 from aerial_gym.errors import ConfigError, ShapeError
 from aerial_gym.math.quaternion import (
     euler_from_quat,
@@ -24,16 +23,8 @@ from aerial_gym.math.quaternion import (
 )
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics import (
-    BodyState,
-    Model,
-    PhysicsBackend,
-    TorchBackend,
-    WarpBackend,
-    accelerations,
-    build_model,
     effects_from_config,
     state_at_rest,
-    vehicle_from_config,
 )
 from aerial_gym.physics.effects.imu_errors import imu_errors
 from aerial_gym.robots import ROBOTS
@@ -42,8 +33,7 @@ from aerial_gym.robots.secondary_states import SecondaryStates
 from aerial_gym.sensors import Pose
 from aerial_gym.sensors.allan import record_at_rest
 from aerial_gym.sensors.imu import Imu
-from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, ImuRig, spin_about_z, wobble
-from tests.physics.vehicles import asymmetric_robot, random_state
+from tests.physics.imu_rig import IDEAL, NOISY, ZERO, G, ImuRig, spin_about_z
 
 QUADROTOR = ROBOTS.get("base_quadrotor")
 
@@ -52,83 +42,6 @@ def close(result: Tensor, expected: object, atol: float) -> None:
     torch.testing.assert_close(
         result.double(), torch.as_tensor(expected, dtype=torch.float64).expand_as(result), atol=atol, rtol=0.0
     )
-
-
-@pytest.mark.parametrize("moment", ["reset", "step"])
-def test_hover_is_gravity_upwards_in_the_axes_of_the_body(moment: str) -> None:
-    """Level: +g on z. Rolled by a: R^T g z = g (0, sin a, cos a). Pitched by a (nose down): g (-sin a, 0, cos a)."""
-    a = 0.3
-    rig = ImuRig(IDEAL, 3)
-    rig.attitude.copy_(quat_from_euler(torch.tensor([ZERO, (a, 0.0, 1.0), (0.0, a, -2.0)])))
-    rig.reset()
-    if moment == "step":
-        rig.measurement.fill_(nan)
-        rig.imu.measure()
-    close(rig.measurement[:, :3], [[0, 0, G], [0, G * sin(a), G * cos(a)], [-G * sin(a), 0, G * cos(a)]], 2e-6)
-    close(rig.measurement[:, 3:], 0.0, 0.0)
-
-
-@pytest.mark.parametrize("position", [ZERO, (0.3, -0.2, 0.1)])
-def test_specific_force_is_of_second_order_at_the_middle_of_the_step(position: tuple[float, float, float]) -> None:
-    """The root mean square error against the closed form at t - dt/2 falls with dt² as dt is halved."""
-    t, r = torch.linspace(0.5, 2.0, 200), torch.tensor(position)
-    steps, errors = (0.08, 0.04, 0.02), []
-    for dt in steps:
-        rig = ImuRig(replace(IDEAL, position=position), len(t), dt=dt)
-        rig.move(*wobble(t.double() - 2.0 * dt, r)[:3])
-        rig.reset()
-        rig.sample(*wobble(t.double() - dt, r)[:3])
-        results = rig.sample(*wobble(t, r)[:3])
-        errors.append((results[:, :3] - wobble(t.double() - 0.5 * dt, r)[3]).square().mean().sqrt())
-        close(results[:, 3:], wobble(t, r)[2], 1e-6)
-    assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
-
-
-def test_the_mount_turns_the_axes() -> None:
-    dt, f, p = 0.01, 2.0, 1e-3
-    rig = ImuRig(replace(IDEAL, euler=(0.0, 0.0, pi / 2)), dt=dt)
-    rig.reset()
-    results = rig.sample(rig.attitude, torch.tensor([[0.0, f * dt, 0.0]]), torch.tensor([[p, 0.0, 0.0]]))
-    close(results[0], [f, 0.0, G, 0.0, -p, 0.0], G * p * dt)
-    upside_down = ImuRig(replace(IDEAL, euler=(pi, 0.0, 0.0)))
-    close(upside_down.reset()[0, :3], [0.0, 0.0, -G], 2e-6)
-
-
-def point_acceleration(model: Model, state: BodyState, r: Tensor) -> Tensor:
-    felt, w = accelerations(model, state), state.ang_vel
-    lever = r.to(w.dtype).expand_as(w)
-    turning = torch.linalg.cross(felt.ang_acc, lever) + torch.linalg.cross(w, torch.linalg.cross(w, lever))
-    return felt.specific_force + turning
-
-
-def flight_error(backend: PhysicsBackend, robot: RobotCfg, dtype: torch.dtype, r: Tensor, dt: float) -> Tensor:
-    vehicle = vehicle_from_config(robot, num_envs=64, dtype=dtype)
-    model = build_model(vehicle)
-    backend.allocate(model, make_controller(CONTROLLERS.get("rotor_speed_control"), vehicle, G), integrator="rk4")
-    hover = float(vehicle.speed_high[0, 0]) * 0.5
-    motion = random_state(64, rotor_speed=hover)
-    state = BodyState(**{name: tensor.to(dtype) for name, tensor in vars(motion).items()})
-    command = torch.full((64, 4), 1.2 * hover, dtype=dtype)
-    rig = ImuRig(replace(IDEAL, position=tuple(r.tolist())), 64, dt=dt)
-    backend.step(state, command, 0.1 - 0.5 * dt, 1)
-    rig.move(state.attitude, state.lin_vel, state.ang_vel)
-    rig.reset()
-    backend.step(state, command, 0.5 * dt, 1)
-    expected = point_acceleration(model, state, r)
-    backend.step(state, command, 0.5 * dt, 1)
-    results = rig.sample(state.attitude, state.lin_vel, state.ang_vel)
-    return (results[:, :3] - expected).square().mean().sqrt()
-
-
-@pytest.mark.parametrize("position", [ZERO, (0.05, 0.1, -0.15)])
-@pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
-def test_specific_force_agrees_with_the_equations_of_motion(
-    backend: type, position: tuple[float, float, float]
-) -> None:
-    """Force over mass in the middle of a step against the IMU: the error falls with dt², for both backends."""
-    robot, dtype = (asymmetric_robot(), torch.float64) if backend is TorchBackend else (QUADROTOR, torch.float32)
-    errors = [flight_error(backend(), robot, dtype, torch.tensor(position), dt) for dt in (0.02, 0.01, 0.005)]
-    assert [torch.log2(a / b).item() for a, b in pairwise(errors)] == pytest.approx([2.0, 2.0], abs=0.1)
 
 
 def assert_spread(draws: Tensor, std: Tensor) -> None:

@@ -62,35 +62,6 @@ def test_pinhole_rows_and_columns_have_equal_steps_of_the_tangent() -> None:
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "hfov"), [(33, 21, 120.0), (40, 40, 185.0), (64, 20, 340.0), (7, 1, 360.0)]
-)
-def test_fisheye_angle_off_the_axis_is_the_radius_over_the_focal_length(width: int, height: int, hfov: float) -> None:
-    """r = f theta with f = W / hfov, and the ray lies in the plane of the axis and its pixel, on the same side."""
-    rays = table(FisheyeCfg(**COMMON, width=width, height=height, hfov_deg=hfov))
-    row, col = np.mgrid[0:height, 0:width]
-    left, up = 0.5 * (width - 1) - col, 0.5 * (height - 1) - row
-    theta = np.arctan2(np.hypot(rays[..., 1], rays[..., 2]), rays[..., 0])
-    focal = width / radians(hfov)
-    np.testing.assert_allclose(focal * theta, np.hypot(left, up), rtol=0.0, atol=TOLERANCE * focal)
-    off_axis = np.hypot(left, up) > 0.0
-    turn = np.angle((rays[..., 1] + 1j * rays[..., 2]) * (left - 1j * up))[off_axis]
-    # near the axis, and behind near its continuation, the plane of a ray is known to rounding / sin(theta)
-    assert (np.abs(turn) * np.sin(theta)[off_axis] < TOLERANCE).all()
-
-
-def test_fisheye_directions_project_back_to_their_pixels() -> None:
-    """The inverse, for directions chosen by angle: theta = 60 deg at 30 deg from left towards up lies at f theta there."""
-    width, height, hfov = 101, 81, 200.0
-    rays = table(FisheyeCfg(**COMMON, width=width, height=height, hfov_deg=hfov))
-    theta, phi = radians(60.0), radians(30.0)
-    wanted = np.array([cos(theta), sin(theta) * cos(phi), sin(theta) * sin(phi)])
-    radius = width / hfov * 60.0
-    col, row = 50 - radius * cos(phi), 40 - radius * sin(phi)
-    result = np.unravel_index(np.argmax(rays @ wanted), (height, width))
-    assert result == (round(row), round(col))
-
-
-@pytest.mark.parametrize(
     "cfg",
     [
         CameraCfg(**COMMON, width=30, height=17, hfov_deg=87.0),

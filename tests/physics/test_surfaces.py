@@ -83,15 +83,6 @@ def test_each_surface_acts_on_the_rotors_on_its_side(name, blows, floor, roof, a
     assert abs(expected) > 6.0
 
 
-@pytest.mark.parametrize("thrust", [1.5, -1.5])
-def test_a_room_turned_over_is_the_mirror_image(thrust: float) -> None:
-    """Turned over half-way up in a room, with the same rotors, the body feels the same; air has no up."""
-    model = make_model("ground_effect", "ceiling_effect", ceiling_height=0.4)
-    here, there = push(model, body_state(0.15, thrust)), push(model, body_state(0.25, thrust, OVER))
-    torch.testing.assert_close(there, here, rtol=1e-12, atol=1e-12)
-    assert not torch.allclose(push(model, body_state(0.25, thrust)), here, rtol=1e-3)
-
-
 @pytest.mark.parametrize("rotor", [FORCE, REVERSIBLE])
 def test_gains_vanish_where_thrust_passes_through_zero(rotor) -> None:
     """Continuous: what comes to the thrust on either side of zero is proportional to it."""

@@ -183,47 +183,6 @@ def test_the_water_of_base_rov_is_that_of_its_nine_spheres() -> None:
     assert effects["added_inertia"] == pytest.approx(dict.fromkeys("xyz", turned), rel=3e-4)
 
 
-@pytest.mark.parametrize("push", [-2.0, 0.5])
-def test_base_rov_reaches_its_terminal_speed(push: float) -> None:
-    """With P more or less than the weight: ``v = 2 P tanh(k t) / (D + l tanh(k t))``, ``D² = l² + 4 q P``, ``k = D / 2 M``.
-    After 20 s it is the root of ``l v + q v² = P``: up where water carries more than the weight, down where it carries
-    less."""
-    effects = ROBOTS.get("base_rov").effects
-    model = rov(buoyancy={**effects["buoyancy"], "force": 1.1 * G + push})
-    linear, quadratic, mass = effects["hull_drag"]["lz"], effects["hull_drag"]["qz"], 1.1 + effects["added_mass"]["z"]
-    root = sqrt(linear**2 + 4.0 * quadratic * abs(push))
-    for span, steps in ((0.3, 40), (20.0, 400)):
-        grown = tanh(0.5 * root * span / mass)
-        expected = 2.0 * abs(push) * grown / (root + linear * grown)
-        end = propagate(model, make_state(8), span, steps=steps)
-        assert end.lin_vel[0, 2].item() == pytest.approx(expected if push > 0.0 else -expected, rel=1e-8)
-    assert linear * expected + quadratic * expected**2 == pytest.approx(abs(push), rel=1e-8)
-
-
-@pytest.mark.parametrize(("axis", "sign"), [(0, 1.0), (0, -1.0), (1, 1.0)])
-def test_base_rov_is_righted(axis: int, sign: float) -> None:
-    """Heeled by 30 degrees about x or y: ``-B h sin 30° / (J + J_A)``, 10.791 N times 1 cm; neither sinks nor drifts."""
-    euler = tuple(sign * pi / 6 if i == axis else 0.0 for i in range(3))
-    end = propagate(rov(), make_state(8, euler=euler), 1e-6, steps=1)
-    expected = torch.zeros(1, 3, dtype=F64)
-    expected[0, axis] = -sign * 10.791 * 0.01 * 0.5 / (0.048 + 0.024)
-    torch.testing.assert_close(end.ang_vel / 1e-6, expected, rtol=1e-6, atol=1e-8)
-    torch.testing.assert_close(end.lin_vel / 1e-6, torch.zeros_like(expected), rtol=0.0, atol=1e-9)
-
-
-def test_base_rov_drifts_with_a_current() -> None:
-    """From rest, its speed u through water falls as ``u = l / ((l / c + q) exp(l t / M) - q)`` from that of the current c."""
-    current, span = (0.6, 0.0, -0.8), 3.0
-    end = propagate(rov(constant_wind=dict(zip("xyz", current, strict=True))), make_state(8), span, steps=200)
-    linear, quadratic = (ROBOTS.get("base_rov").effects["hull_drag"][name] for name in ("lx", "qx"))
-    for axis, speed in enumerate(current):
-        left = abs(speed) and linear / (
-            (linear / abs(speed) + quadratic) * exp(linear * span / (1.1 + 0.55)) - quadratic
-        )
-        expected = speed - left if speed > 0.0 else speed + left
-        assert end.lin_vel[0, axis].item() == pytest.approx(expected, rel=1e-8, abs=1e-12)
-
-
 ENVS = 24
 
 
