@@ -18,7 +18,7 @@ from aerial_gym.errors import CapabilityError, ConfigError
 from aerial_gym.interop import start_warp
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics import Ground, TorchBackend, WarpBackend
+from aerial_gym.physics import TorchBackend, WarpBackend
 from aerial_gym.physics.contact import POSITION_SHARE, Contacts, _velocity_change
 from aerial_gym.physics.fused.contact import ContactParameters, contact_parameters, make_velocity_change, rows_type
 from aerial_gym.physics.rotors import speed_for_thrust
@@ -414,7 +414,6 @@ def test_impossible_requests_are_refused_by_name() -> None:
         ContactCfg(friction=0.5, sinking=0.0)
     with pytest.raises(ConfigError, match=r"ContactCfg.crash_speed = nan: must be >= 0; .inf for no crash at all"):
         ContactCfg(friction=0.5, crash_speed=float("nan"))
-    assert Ground(height=0.0, spheres=torch.zeros(1, 4), contact=torch.zeros(1, dtype=torch.bool)).cfg is None
 
 
 COUNT, TOUCHES, DT, LIGHT_MASS, MOMENTS = 3, 50_000, 0.01, 0.25, (4.0e-4, 4.0e-4, 8.0e-4)
