@@ -406,6 +406,8 @@ class _ExternalTensors(TorchFunctionMode):
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: dict[str, Any] | None = None
     ) -> Any:
         """Run the function with placeholders for external tensors."""
+        if func in _BRANCHES and self._watch.follows(args[0]):
+            raise UntraceableError(_VALUE)
         args = _map_leaves(args, self._substitute)
         return func(*args, **{name: _map_leaves(value, self._substitute) for name, value in (kwargs or {}).items()})
 
@@ -453,10 +455,14 @@ def _remove_marks(numbers: Tensor) -> Array:
     return np.asarray(first - own * _MARK)
 
 
+_VALUE = "a branch on a value, or a number taken out of a tensor"
+_BRANCHES = Tensor.__bool__, Tensor.__float__, Tensor.__int__, Tensor.item, Tensor.tolist
+
+
 def _refusal(name: str) -> str:
     """Return the reason why an operation cannot be traced."""
     if name == "_local_scalar_dense":
-        return "a branch on a value, or a number taken out of a tensor"
+        return _VALUE
     if name.endswith("_"):
         return f"torch.{name} writes in place"
     return f"torch.{name} is not a supported operation of row kernels"
