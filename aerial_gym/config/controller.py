@@ -180,7 +180,7 @@ class ControllerCfg:
     """One line for people who choose a controller."""
 
     law: str
-    """Name in ``aerial_gym.control.laws.LAWS``."""
+    """Name in ``aerial_gym.control.laws.LAWS`` or ``aerial_gym.control.CONTROL_LAWS``."""
 
     gains: LeeGainsCfg | None = None
     """Explicit gains for any robot; if not given, the robot's own gains (``RobotCfg.control``)."""

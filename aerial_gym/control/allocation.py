@@ -5,8 +5,9 @@ With ``effectiveness: actual`` it comes from the vehicle of each environment (``
 Frames: body is x forward, y left, z up. Letters: E environments, R rotors.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -18,7 +19,8 @@ from aerial_gym.control.effectiveness import (
     pseudo_inverse,
     right_inverse,
 )
-from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED
+from aerial_gym.interop.rows.conditional import compute_if
+from aerial_gym.physics.fused.allocation import NEGLIGIBLE, UNLIMITED, make_thrusts_by_priority
 from aerial_gym.physics.rotors import rotor_thrust, state_for_thrust
 from aerial_gym.physics.vehicle import Vehicle, is_shared, own_rows, share_row
 
@@ -47,49 +49,78 @@ def allot_thrust(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> 
     return allot(inverse, wrench, low, high).thrust
 
 
-def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor) -> Allotment:
-    """Return thrusts [N], (E, R), within their limits: by the pseudo-inverse if possible, else by priority.
-
-    Priorities: first the largest feasible share of roll and pitch torque; then the thrust along body z nearest to the wanted
-    one; then the largest share of yaw torque and lateral force. Each step is the exact optimum, given those before it, within
-    the span of the pseudo-inverse. Yaw torque that allows more thrust is used.
+def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor, *, idle: bool = True) -> Allotment:
+    """Return thrusts [N], (E, R), within their limits: by the pseudo-inverse if possible, else by ``ThrustsByPriority``.
 
     Args:
         inverse: Pseudo-inverse of the allocation matrix, (E, R, 6).
         wrench: Wanted force [N] and torque [N m], body, (E, 6).
         low: Lowest thrusts [N], (E, R).
         high: Highest thrusts [N], (E, R).
+        idle: Whether any rotor has no part in the force along body z.
+    """
+    parts, lift, force = inverse * wrench.unsqueeze(1), inverse[..., 2], wrench[:, 2:3]
+    turn, rest = parts[..., 3] + parts[..., 4], parts[..., 0] + parts[..., 1] + parts[..., 5]
+    plain = lift * force + turn + rest
+    beyond, whole = ~is_within_limits(plain, low, high), torch.ones_like(force)
+    arguments = (lift, turn, rest, force, low, high)
+    return Allotment(*compute_if(beyond, ThrustsByPriority(idle), arguments, (plain, whole, whole)))
+
+
+@dataclass(frozen=True)
+class ThrustsByPriority:
+    """Thrusts within their limits, (E, R), by priority, and the shares of the wanted torque that they give, (E, 1) each.
+
+    Priorities: first the largest feasible share of roll and pitch torque; then the thrust along body z nearest to the wanted
+    one; then the largest share of yaw torque and lateral force. Each step is the exact optimum, given those before it, within
+    the span of the pseudo-inverse. Yaw torque that allows more thrust is used.
 
     Source:
         Derived: linear programs in two unknowns, solved by eliminating one of them between each pair of limits
         (Fourier-Motzkin). The order is that of Faessler, Falanga, Scaramuzza (2017), Thrust mixing, saturation, and body-rate
         control for accurate aggressive quadrotor flight, IEEE RA-L 2(2).
     """
-    parts = inverse * wrench.unsqueeze(1)
-    plain, lift = parts.sum(-1), inverse[..., 2]
-    turn, rest = parts[..., 3] + parts[..., 4], parts[..., 0] + parts[..., 1] + parts[..., 5]
-    carries = lift != 0.0
-    unit = torch.where(carries, lift, 1.0)
-    ends = low / unit, high / unit
-    floor = torch.where(carries, torch.minimum(*ends), -UNLIMITED)
-    ceiling = torch.where(carries, torch.maximum(*ends), UNLIMITED)
-    slope, twist = (torch.where(carries, change / unit, 0.0) for change in (turn, rest))
-    resting = torch.where(carries, 0.0, torch.clamp(torch.zeros_like(low), low, high))
-    idle = torch.where(carries, 0.0, turn)
-    share = torch.minimum(_share_of_pairs(floor, ceiling, slope), _share(resting, idle, low, high))
-    floor, ceiling = floor - share * slope, ceiling - share * slope
-    resting = resting + share * idle
-    other = torch.where(carries, 0.0, rest)
-    most = torch.minimum(_share_of_pairs(floor, ceiling, twist), _share(resting, other, low, high))
-    lowest, highest = -_highest(-floor, -twist, most), _highest(ceiling, twist, most)
-    collective = torch.maximum(torch.minimum(wrench[:, 2:3], highest), lowest)
-    thrust = torch.where(carries, share * turn + collective * lift, resting)
-    rest_share = _share(thrust, rest, low, high)
-    thrust = torch.clamp(thrust + rest_share * rest, low, high)
-    inside = is_within_limits(plain, low, high)
-    return Allotment(
-        torch.where(inside, plain, thrust), torch.where(inside, 1.0, share), torch.where(inside, 1.0, rest_share)
-    )
+
+    idle: bool  # Whether any rotor has no part in the force along body z
+
+    def __call__(
+        self, lift: Tensor, turn: Tensor, rest: Tensor, force: Tensor, low: Tensor, high: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the thrusts and shares.
+
+        Args:
+            lift: Thrusts per force along body z [-], (E, R).
+            turn: Thrusts for the roll and pitch torque [N], (E, R).
+            rest: Thrusts for the yaw torque and the lateral force [N], (E, R).
+            force: Wanted force along body z [N], (E, 1).
+            low: Lowest thrusts [N], (E, R).
+            high: Highest thrusts [N], (E, R).
+        """
+        carries = lift != 0.0
+        unit = torch.where(carries, lift, 1.0)
+        ends = low / unit, high / unit
+        floor = torch.where(carries, torch.minimum(*ends), -UNLIMITED)
+        ceiling = torch.where(carries, torch.maximum(*ends), UNLIMITED)
+        slope, twist = (torch.where(carries, change / unit, 0.0) for change in (turn, rest))
+        resting = torch.where(carries, 0.0, torch.clamp(torch.zeros_like(low), low, high))
+        idle = torch.where(carries, 0.0, turn)
+        share = torch.minimum(_share_of_pairs(floor, ceiling, slope), _share(resting, idle, low, high))
+        floor, ceiling = floor - share * slope, ceiling - share * slope
+        resting = resting + share * idle
+        other = torch.where(carries, 0.0, rest)
+        most = torch.minimum(_share_of_pairs(floor, ceiling, twist), _share(resting, other, low, high))
+        lowest, highest = -_highest(-floor, -twist, most), _highest(ceiling, twist, most)
+        collective = torch.maximum(torch.minimum(force, highest), lowest)
+        thrust = torch.where(carries, share * turn + collective * lift, resting)
+        rest_share = _share(thrust, rest, low, high)
+        return torch.clamp(thrust + rest_share * rest, low, high), share, rest_share
+
+    def make_warp(
+        self, shapes: Sequence[tuple[int, ...]], constants: Mapping[tuple[int, int], float], differentiable: bool
+    ) -> Any:
+        """Return the Warp function."""
+        del constants
+        return make_thrusts_by_priority(shapes[0][0], idle=self.idle, differentiable=differentiable)
 
 
 def is_within_limits(thrust: Tensor, low: Tensor, high: Tensor) -> Tensor:
@@ -161,6 +192,7 @@ class Allocation:
         else:
             self.inverse, self.low, self.high = pseudo_inverse(asked), low, high
         self._matrix, self._gravity, self._dtype = matrix[0].detach(), gravity, matrix.dtype
+        self._rests = bool((self.inverse[:, :, 2] == 0.0).any())
         self._actuation: CommandAxes | None = None
         self._own: tuple[str, ...] = ()
 
@@ -203,19 +235,23 @@ class Allocation:
 
     def speed(self, thrust: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), that give the thrusts [N] after clamping to the limits."""
-        return state_for_thrust(self.vehicle, torch.clamp(thrust, self.low, self.high))
+        return self.speed_within_limits(torch.clamp(thrust, self.low, self.high))
+
+    def speed_within_limits(self, thrust: Tensor) -> Tensor:
+        """Return rotor speeds [rad/s], (E, R), that give thrusts [N] within the limits."""
+        return state_for_thrust(self.vehicle, thrust)
 
     def speed_for_wrench(self, wrench: Tensor) -> Tensor:
         """Return rotor speeds [rad/s], (E, R), for a wrench [N, N m], body, (E, 6), within the limits."""
-        return self.speed(self.allot(wrench).thrust)
+        return self.speed_within_limits(self.allot(wrench).thrust)
 
     def allot(self, wrench: Tensor) -> Allotment:
         """Return thrusts for a wrench [N, N m], body, (E, 6); clamped thrusts count as shares of 0."""
         if self.saturation == "prioritised":
-            return allot(self.inverse, wrench, self.low, self.high)
+            return allot(self.inverse, wrench, self.low, self.high, idle=self.idle)
         thrust = self.thrust(wrench)
         given = is_within_limits(thrust, self.low, self.high).to(thrust.dtype)
-        return Allotment(thrust, given, given)
+        return Allotment(torch.clamp(thrust, self.low, self.high), given, given)
 
     def torque_authority(self, weight: float) -> Tensor:
         """Return the torque authority [N m], (3,): the largest torque both ways about each body axis at a weight [N].
@@ -252,7 +288,7 @@ class Allocation:
     @property
     def idle(self) -> bool:
         """Whether a rotor contributes nothing to the force along body z, or may do so later."""
-        return "allocation" in self._own or bool((self.inverse[:, :, 2] == 0.0).any())
+        return "allocation" in self._own or self._rests
 
     def largest_thrust(self) -> float:
         """Return the largest thrust along body z without torque [N], of the first environment."""

@@ -2,11 +2,9 @@
 
 A law of ``control.lee`` gets unit rate gain and no inertia, so that its torque is the error of its body-rate setpoint. Without
 a rate loop the law commands torque itself; only its own rate and the delay of the action are new.
-Frames: body is x forward, y left, z up. Letters: E environments, R rotors, U entries of an action, S slots of a ring,
-M remembered numbers, P numbers on their way.
+Frames: body is x forward, y left, z up. Letters: E environments, R rotors, U entries of an action, M numbers of memory.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from math import exp, pi
@@ -15,15 +13,12 @@ import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
-from aerial_gym.control import cascade_fused, lee_fused
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import GAINS, loop_spacing, make_gains, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains, thrust_wrench
-from aerial_gym.control.stateful import StatefulController, make_layout
+from aerial_gym.control.stateful import StatefulController
 from aerial_gym.control.timing import make_timing
-from aerial_gym.physics.fused.law import FusedLaw
-from aerial_gym.physics.law_memory import LawMemory
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle, own_rows, share_row
 
@@ -39,7 +34,7 @@ class RateGains:
     integral: Tensor  # [1/s²], (E, 3)
     integral_limit: Tensor  # [rad/s²], (E, 3)
     derivative: Tensor  # [-], (E, 3)
-    smoothing: float  # Low-pass coefficient of one run, `1 - exp(-2 pi f dt)`
+    smoothing: Tensor  # Low-pass coefficient of one run, `1 - exp(-2 pi f dt)`, (E, 1)
 
 
 def rate_gains(
@@ -58,7 +53,7 @@ def rate_gains(
         integral=row(_explicit_or_derived(cfg.integral, (proportional / loop_spacing(phase_margin)) ** 2)),
         integral_limit=row(_explicit_or_derived(cfg.integral_limit, INTEGRAL_SHARE * authority)),
         derivative=row(inertia.new_tensor(cfg.derivative)),
-        smoothing=1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt),
+        smoothing=vehicle.share([1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt)]),
     )
 
 
@@ -68,59 +63,59 @@ def _explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> 
 
 def setpoint_gains(base: LeeGains) -> LeeGains:
     """Return the gains that turn a law's torque into the error of its body-rate setpoint [rad/s]."""
-    moves = base.rate > 0.0
-    attitude = torch.where(moves, base.attitude / torch.where(moves, base.rate, 1.0), 0.0)
-    return replace(base, attitude=attitude, rate=torch.ones_like(base.rate), inertia=torch.zeros_like(base.inertia))
+    rate, num_envs = base.rate[0], len(base.rate)
+    moves = rate > 0.0
+    attitude = torch.where(moves, base.attitude[0] / torch.where(moves, rate, 1.0), 0.0)
+    rows = {"attitude": attitude, "rate": torch.ones_like(rate), "inertia": torch.zeros_like(base.inertia[0])}
+    return replace(base, **{name: share_row(row, num_envs) for name, row in rows.items()})
 
 
-OWN_NUMBERS = 9
+LOOP_NUMBERS = 9
 """Memory of a rate loop: integral (3), derivative (3), angular velocity of the previous run (3)."""
 
 
 class CascadeController(StatefulController):
-    """A law with memory; ``command`` is one physics step of it."""
+    """A law of ``control.laws`` with memory, over a rate loop or alone."""
 
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive the gains from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot settings."""
-        law, loop = LAWS[cfg.law], cfg.rate_loop
-        self.timing = timing = make_timing(cfg, dt)
-        self.action_names, self._law = law.action, law
+        self._law, loop, timing = LAWS[cfg.law], cfg.rate_loop, make_timing(cfg, dt)
+        self.action_names = self._law.action
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         base = make_gains(
-            cfg, control, vehicle, self.allocation, gravity=gravity, dt=timing.loop * dt, extra_lag=timing.extra_lag
+            cfg, control, vehicle, self.allocation, gravity=gravity, dt=timing.loop_span, extra_lag=timing.extra_lag
         )
         self._inertia = vehicle.inertia
         self.gains = base if loop is None else setpoint_gains(base)
         self.rate_gains: RateGains | None = None
         if loop is not None:
-            margin, span = control.phase_margin, timing.loop * dt
+            margin, span = control.phase_margin, timing.loop_span
             self.rate_gains = rate_gains(loop, base, vehicle, self.allocation, phase_margin=margin, dt=span)
-        self._layout = make_layout(
-            timing,
-            own=OWN_NUMBERS if loop is not None else 0,
-            num_rotors=vehicle.num_rotors,
-            num_actions=len(law.action),
-        )
+        inner = 0 if loop is None else LOOP_NUMBERS
+        num_setpoint = None if loop is None else 4
+        self.set_needs(timing, num_rotors=vehicle.num_rotors, inner=inner, num_setpoint=num_setpoint)
 
     @property
-    def _hover_setpoint(self) -> Tensor:
-        return self.gains.mass[0] * self.gains.gravity
+    def hover_setpoint(self) -> Tensor:
+        """Weight [N] and no body rates; with a rate loop."""
+        setpoint = super().hover_setpoint
+        setpoint[0] = self.gains.mass[0] * self.gains.gravity
+        return setpoint
 
-    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        wanted, gains = self._law.wrench(state, action, self.gains), self.rate_gains
+    def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return thrust [N] and body-rate setpoint [rad/s], (E, 4); without a rate loop, the action."""
+        if self.rate_gains is None:
+            return action, memory
+        wrench = self._law.wrench(state, action, self.gains)
+        return torch.cat((wrench[:, 2:3], wrench[:, 3:] + state.ang_vel), dim=-1), memory
+
+    def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rotor speeds (E, R) of the rate loop; without one, of the law for an action."""
+        gains, ang_vel = self.rate_gains, state.ang_vel
         if gains is None:
-            return self.allocation.speed_for_wrench(wanted), memory.numbers[:, :0], sent
-        setpoint = torch.cat((wanted[:, 2:3], wanted[:, 3:] + state.ang_vel), dim=-1)
-        setpoint, sent = self._delay_setpoint(setpoint, sent, memory.since)
-        return *self._run_loop(gains, state.ang_vel, setpoint, memory), sent
-
-    def _run_loop(
-        self, gains: RateGains, ang_vel: Tensor, setpoint: Tensor, memory: LawMemory
-    ) -> tuple[Tensor, Tensor]:
-        """Return rotor speeds (E, R) and the new memory after one run of the rate loop."""
-        integral, slope, before = memory.numbers[:, :9].split(3, dim=-1)
-        span = self.timing.loop * self.timing.dt
-        begins = (memory.since == 0).unsqueeze(-1)
+            return self.allocation.speed_for_wrench(self._law.wrench(state, setpoint, self.gains)), memory
+        integral, slope, before = memory.split(3, dim=-1)
+        span = self.timing.loop_span
         measured = torch.where(begins, 0.0, (ang_vel - before) / span)
         slope = slope + gains.smoothing * (measured - slope)
         error = setpoint[:, 1:] - ang_vel
@@ -132,7 +127,7 @@ class CascadeController(StatefulController):
         grows = (given >= 1.0) | (error * wanted <= 0.0)  # stops while the rotors saturate
         integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
         integral = torch.minimum(torch.maximum(integral, -gains.integral_limit), gains.integral_limit)
-        return self.allocation.speed(allotted.thrust), torch.cat((integral, slope, ang_vel), dim=-1)
+        return self.allocation.speed_within_limits(allotted.thrust), torch.cat((integral, slope, ang_vel), dim=-1)
 
     @property
     def gains_by_name(self) -> dict[str, Tensor]:
@@ -141,28 +136,8 @@ class CascadeController(StatefulController):
         return {name: getattr(self.gains, name) for name in names}
 
     def own_gains(self) -> None:
-        """Give each environment its own writable rows (E, 3); call it before ``fused``."""
+        """Give each environment its own writable rows (E, 3); call it before a backend takes the controller."""
         self.gains = with_own_rows(self.gains)
         if self.rate_gains is not None:
-            rows = {name: own_rows(rows) for name, rows in vars(self.rate_gains).items() if isinstance(rows, Tensor)}
+            rows = {name: own_rows(rows) for name, rows in vars(self.rate_gains).items()}
             self.rate_gains = replace(self.rate_gains, **rows)
-
-    def fused(self) -> FusedLaw | None:
-        """Return the Warp version of the law."""
-        if self._law.fused is None:
-            return None
-        has_loop = self.rate_gains is not None
-        return self._fused(
-            make_stateful_step=cascade_fused.maker(self._law, self.timing, self._layout, has_loop=has_loop),
-            gains_type=cascade_fused.CascadeGains if has_loop else lee_fused.LeeParams,
-            gains=self._fused_gains(),
-        )
-
-    def _fused_gains(self) -> Mapping[str, Tensor]:
-        rows = lee_fused.gain_rows(self.gains)
-        if self.rate_gains is None:
-            return rows
-        of_law = {f"lee.{name}": value for name, value in rows.items()}
-        loop = {name: value for name, value in vars(self.rate_gains).items() if isinstance(value, Tensor)}
-        smoothing = share_row(self.gains.mass.new_tensor(self.rate_gains.smoothing), self._inertia.shape[0])
-        return of_law | loop | {"smoothing": smoothing, "body_inertia": self._inertia}

@@ -3,24 +3,23 @@
 Letters: E environments, R rotors.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, Literal, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
-from aerial_gym.control import lee_fused
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.gains import GAINS, make_gains, with_own_rows
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.timing import remembers
 from aerial_gym.errors import ConfigError
 from aerial_gym.lazy import ImportPath
-from aerial_gym.physics.fused import FusedLaw
 from aerial_gym.physics.state import BodyState
 from aerial_gym.physics.vehicle import Vehicle
+from aerial_gym.registry import Registry
 
 WITH_MEMORY = {
     None: ImportPath("aerial_gym.control.cascade:CascadeController"),
@@ -55,9 +54,9 @@ class Controller(Protocol):
         """Return commanded rotor speeds [rad/s], (E, R)."""
         ...
 
-    def fused(self) -> FusedLaw | None:
-        """Return the law as Warp code for the fused backend; None without one."""
-        ...
+
+CONTROL_LAWS: Registry[Callable[..., Controller]] = Registry("control law")
+"""Laws of other packages by their names in ``ControllerCfg.law``: classes with the arguments of ``WITH_MEMORY``'s."""
 
 
 class ThrustController:
@@ -75,10 +74,6 @@ class ThrustController:
         del state
         return self.allocation.speed(action)
 
-    def fused(self) -> FusedLaw:
-        """Return the clamp and the thrust map."""
-        return _fused("thrust", self.allocation, len(self.action_names))
-
 
 class RotorSpeedController:
     """``rotor_speed_control``: the action is the speed of each rotor [rad/s], in force mode its thrust [N], within limits."""
@@ -95,15 +90,6 @@ class RotorSpeedController:
         """Return the clamped action."""
         del state
         return torch.clamp(action, self._vehicle.speed_low, self._vehicle.speed_high)
-
-    def fused(self) -> FusedLaw:
-        """Return the clamp."""
-        return FusedLaw(
-            output="speed",
-            num_actions=self._vehicle.num_rotors,
-            low=self._vehicle.speed_low,
-            high=self._vehicle.speed_high,
-        )
 
 
 class LeeController:
@@ -129,43 +115,12 @@ class LeeController:
         return {name: getattr(self.gains, name) for name in GAINS}
 
     def own_gains(self) -> None:
-        """Give each environment its own writable rows (E, 3) in ``gains``; call it before ``fused``."""
+        """Give each environment its own writable rows (E, 3) in ``gains``; call it before a backend takes the controller."""
         self.gains = with_own_rows(self.gains)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds that give the wrench of the law, within the rotors' limits."""
         return self.allocation.speed_for_wrench(self._law.wrench(state, action, self.gains))
-
-    def fused(self) -> FusedLaw | None:
-        """Return the Warp version of the law with its gains and allocation."""
-        if self._law.fused is None:
-            return None
-        return _fused(
-            "wrench",
-            self.allocation,
-            len(self.action_names),
-            saturation=self.allocation.saturation,
-            lateral=self._law.lateral,
-            idle=self.allocation.idle,
-            wrench=self._law.fused,
-            prepare=self._law.prepare,
-            gains_type=lee_fused.LeeParams,
-            gains=lee_fused.gain_rows(self.gains),
-        )
-
-
-def _fused(output: Literal["thrust", "wrench"], allocation: Allocation, num_actions: int, **law: Any) -> FusedLaw:
-    return FusedLaw(
-        output=output,
-        num_actions=num_actions,
-        low=allocation.low,
-        high=allocation.high,
-        thrust_map=allocation.vehicle.thrust_map,
-        reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
-        allocation=allocation.inverse if output == "wrench" else None,
-        follow=allocation.compute_rows if allocation.rows else None,
-        **law,
-    )
 
 
 def make_controller(
@@ -191,6 +146,8 @@ def make_controller(
         return ThrustController(vehicle, gravity, control)
     if cfg.law == "rotor_speed":
         return RotorSpeedController(vehicle)
+    if cfg.law in CONTROL_LAWS:
+        return CONTROL_LAWS.get(cfg.law)(cfg, vehicle, gravity, dt=_require_step(cfg, dt), control=control)
     if cfg.law in LAWS and gravity == 0.0:
         raise ConfigError(
             f"gravity = {gravity!r}: the law {cfg.law!r} needs a weight. Without gravity use no_control or "
@@ -205,8 +162,14 @@ def make_controller(
     if cfg.law in LAWS and not remembers(cfg):
         return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:
-        if dt is None:
-            raise ConfigError(f"law {cfg.law!r}: a controller with rates or memory needs a time step. Give dt [s]")
-        return WITH_MEMORY[cfg.autopilot].load()(cfg, vehicle, gravity, dt=dt, control=control)
-    known = ", ".join(("thrust", "rotor_speed", *LAWS))
+        kind = WITH_MEMORY[cfg.autopilot].load()
+        return kind(cfg, vehicle, gravity, dt=_require_step(cfg, dt), control=control)
+    known = ", ".join(("thrust", "rotor_speed", *LAWS, *CONTROL_LAWS.names()))
     raise ConfigError(f"ControllerCfg.law = {cfg.law!r}: unknown. Known: {known}")
+
+
+def _require_step(cfg: ControllerCfg, dt: float | None) -> float:
+    """Return the time step [s]; refuse a missing one."""
+    if dt is None:
+        raise ConfigError(f"law {cfg.law!r}: a controller with rates or memory needs a time step. Give dt [s]")
+    return dt

@@ -3,10 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import warp as wp
 from torch import Tensor
 
-from aerial_gym.control import lee_fused
 from aerial_gym.control.lee import (
     LeeGains,
     acceleration_control,
@@ -27,10 +25,6 @@ class Law:
     wrench: Callable[[BodyState, Tensor, LeeGains], Tensor]
     """State, action (E, 4) and gains to the wanted wrench (E, 6), body."""
 
-    fused: wp.Function | None = None
-    """The same as a ``wp.func`` for ``physics.fused.FusedLaw``; None restricts the law to the torch backend."""
-
-    prepare: wp.Function | None = None  # ``FusedLaw.prepare``
     action: tuple[str, ...]  # Meaning and unit of each entry of the action
     lateral: bool = False  # Whether it commands lateral force, which needs rotors in more than one direction
     trim: str  # Axes of ``control.stability`` that the law controls
@@ -39,51 +33,37 @@ class Law:
 LAWS: dict[str, Law] = {
     "position": Law(
         wrench=position_control,
-        fused=lee_fused.position_control,
-        prepare=lee_fused.prepare_position,
         action=("x [m]", "y [m]", "z [m]", "yaw [rad]"),
         trim="x y z roll pitch yaw vx vy vz p q r",
     ),
     "pose": Law(
         wrench=pose_control,
-        fused=lee_fused.pose_control,
-        prepare=lee_fused.prepare_pose,
         action=("x [m]", "y [m]", "z [m]", "q_x [-]", "q_y [-]", "q_z [-]", "q_w [-]"),
         lateral=True,
         trim="x y z roll pitch yaw vx vy vz p q r",
     ),
     "steering": Law(
         wrench=steering_control,
-        fused=lee_fused.steering_control,
-        prepare=lee_fused.prepare_steering,
         action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw [rad]"),
         trim="roll pitch yaw vx vy vz p q r",
     ),
     "velocity": Law(
         wrench=velocity_control,
-        fused=lee_fused.velocity_control,
-        prepare=lee_fused.prepare_velocity,
         action=("vx [m/s]", "vy [m/s]", "vz [m/s]", "yaw rate [rad/s]"),
         trim="roll pitch vx vy vz p q r",
     ),
     "acceleration": Law(
         wrench=acceleration_control,
-        fused=lee_fused.acceleration_control,
-        prepare=lee_fused.prepare_acceleration,
         action=("ax [m/s²]", "ay [m/s²]", "az [m/s²]", "yaw rate [rad/s]"),
         trim="roll pitch p q r",
     ),
     "attitude": Law(
         wrench=attitude_control,
-        fused=lee_fused.attitude_control,
-        prepare=lee_fused.prepare_attitude,
         action=("thrust - 1 [weights]", "roll [rad]", "pitch [rad]", "yaw rate [rad/s]"),
         trim="roll pitch p q r",
     ),
     "rates": Law(
         wrench=rates_control,
-        fused=lee_fused.rates_control,
-        prepare=lee_fused.prepare_rates,
         action=("thrust - 1 [weights]", "p [rad/s]", "q [rad/s]", "r [rad/s]"),
         trim="p q r",
     ),

@@ -1,22 +1,29 @@
 """Geometric control of multirotors on SE(3): pure functions from state and command to a body wrench.
 
+The laws are computed in body axes: the columns of ``R^T Rd`` are the wanted axes as the body sees them. Euler angles are
+avoided: *up*, the third row of R, is (-sin pitch, sin roll cos pitch, cos roll cos pitch).
 Source: Lee, Leok, McClamroch (2010), Geometric tracking control of a quadrotor UAV on SE(3), eq. 10-16; the split into
 position, velocity, acceleration, attitude and rate control and the command conventions follow the Aerial Gym Simulator.
 Frames: world z up, body x forward, y left, z up; the *vehicle* frame is the world turned by the yaw alone.
 Letters: E environments.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import tan
 
 import torch
 from torch import Tensor
 
-from aerial_gym.math.quaternion import quat_from_yaw, quat_rotate, quat_rotate_inverse, quat_to_matrix, yaw_from_quat
+from aerial_gym.math.quaternion import quat_rotate_inverse, quat_to_matrix, world_up
+from aerial_gym.math.rows import dot, unit_vector
 from aerial_gym.physics.state import BodyState
+from aerial_gym.physics.vehicle import share_row
 
 LEAST_LIFT = 0.1
 """Least upward component of the force setpoint, as a share of the weight, so that the vehicle never turns over."""
+
+SMALLEST_SQUARE = 1e-30
+"""Least square of a length in a quotient, which keeps it finite in float32."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,48 +39,85 @@ class LeeGains:
     gravity: float  # [m/s²]
     max_yaw_rate: float  # [rad/s]
     max_inclination: float  # [rad]
+    weight_per_mass: Tensor = field(init=False)  # Gravity as rows [m/s²], (E,)
+    yaw_rate_limit: Tensor = field(init=False)  # The largest yaw rate as rows [rad/s], (E,)
+    max_slope: Tensor = field(init=False)  # Tangent of the largest inclination, (E,)
+
+    def __post_init__(self) -> None:
+        rows = {
+            "weight_per_mass": self.gravity,
+            "yaw_rate_limit": self.max_yaw_rate,
+            "max_slope": tan(self.max_inclination),
+        }
+        for name, value in rows.items():
+            row = torch.full((), value, dtype=self.mass.dtype, device=self.mass.device)
+            object.__setattr__(self, name, share_row(row, len(self.mass)))
 
 
-def attitude_error(rotation: Tensor, desired: Tensor) -> Tensor:
-    """Return ``vee(Rd^T R - R^T Rd) / 2`` [rad for small errors], body, (E, 3). Source: Lee (2010), eq. 10."""
-    product = desired.transpose(1, 2) @ rotation
-    skew = 0.5 * (product - product.transpose(1, 2))
-    return torch.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), dim=-1)
+def attitude_error(turn: Tensor) -> Tensor:
+    """Return ``vee(Rd^T R - R^T Rd) / 2`` [rad for small errors], body, (E, 3), for ``turn = R^T Rd``, (E, 3, 3).
+
+    Source: Lee (2010), eq. 10.
+    """
+    skew = turn.transpose(1, 2) - turn
+    return 0.5 * torch.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), dim=-1)
 
 
-def body_rates_of_yaw_rate(rotation: Tensor, yaw_rate: Tensor) -> Tensor:
+def body_rates_of_yaw_rate(attitude: Tensor, yaw_rate: Tensor) -> Tensor:
     """Return the body rates [rad/s], (E, 3), of a yaw rate (E,) with roll and pitch held: ``psi' R^T e_z``.
 
-    Source: Diebel (2006), Representing Attitude, eq. 287: ``w = psi' (-sin th, sin ph cos th, cos ph cos th)``, which is the
-    last row of R (E, 3, 3).
+    Source: Diebel (2006), Representing Attitude, eq. 287: ``w = psi' (-sin th, sin ph cos th, cos ph cos th)``.
     """
-    return yaw_rate.unsqueeze(-1) * rotation[:, 2]
+    return yaw_rate.unsqueeze(-1) * world_up(attitude)
 
 
-def attitude_from_force(force: Tensor, yaw: Tensor) -> Tensor:
-    """Return the rotation with body z along ``force`` (E, 3) and body x nearest to heading ``yaw`` (E,), (E, 3, 3).
+def attitude_from_force(force: Tensor, heading: Tensor) -> Tensor:
+    """Return the axes with z along ``force`` (E, 3) and x nearest to ``heading`` (E, 3), as columns, (E, 3, 3).
 
     Source: Lee (2010), eq. 12 and the text after it.
     """
-    b3 = force / force.norm(dim=-1, keepdim=True)
-    heading = torch.stack((torch.cos(yaw), torch.sin(yaw), torch.zeros_like(yaw)), dim=-1)
-    b2 = torch.linalg.cross(b3, heading)
-    b2 = b2 / b2.norm(dim=-1, keepdim=True)
+    b3 = unit_vector(force)
+    b2 = unit_vector(torch.linalg.cross(b3, heading))
     return torch.stack((torch.linalg.cross(b2, b3), b2, b3), dim=-1)
 
 
-def attitude_torque(gains: LeeGains, rotation: Tensor, desired: Tensor, ang_vel: Tensor, rate: Tensor) -> Tensor:
+def heading_of_yaw(attitude: Tensor, yaw: Tensor) -> Tensor:
+    """Return the horizontal unit vector of a yaw (E,) in body axes, (E, 3)."""
+    return quat_rotate_inverse(attitude, torch.stack((torch.cos(yaw), torch.sin(yaw), torch.zeros_like(yaw)), dim=-1))
+
+
+def inverse_cos_pitch(up: Tensor) -> Tensor:
+    """Return ``1 / cos pitch``, (E,), finite at a pitch of 90 degrees, from world z in body axes (E, 3)."""
+    return 1.0 / (up[:, 1] * up[:, 1] + up[:, 2] * up[:, 2]).clamp_min(SMALLEST_SQUARE).sqrt()
+
+
+def heading_axis(up: Tensor) -> Tensor:
+    """Return vehicle x in body axes, (E, 3): (cos pitch, sin roll sin pitch, cos roll sin pitch)."""
+    inverse = inverse_cos_pitch(up)
+    slope = -up[:, 0] * inverse
+    cosine = (up[:, 1] * up[:, 1] + up[:, 2] * up[:, 2]) * inverse
+    return torch.stack((cosine, slope * up[:, 1], slope * up[:, 2]), dim=-1)
+
+
+def from_vehicle_frame(attitude: Tensor, vector: Tensor) -> Tensor:
+    """Return a vector (E, 3) of the vehicle frame in the world, (E, 3)."""
+    (qx, qy, qz, qw), (x, y, z) = attitude.unbind(-1), vector.unbind(-1)
+    inverse = inverse_cos_pitch(world_up(attitude))
+    cosine = inverse * (1.0 - 2.0 * (qy * qy + qz * qz))
+    sine = inverse * 2.0 * (qx * qy + qw * qz)
+    return torch.stack((cosine * x - sine * y, sine * x + cosine * y, z), dim=-1)
+
+
+def attitude_torque(gains: LeeGains, turn: Tensor, ang_vel: Tensor, rate: Tensor) -> Tensor:
     """Return ``-K_R e_R - K_w e_w + w x J w`` [N m], body, (E, 3). Source: Lee (2010), eq. 16 without feed-forward.
 
     Args:
-        rotation: Body to world R, (E, 3, 3).
-        desired: Wanted body to world Rd, (E, 3, 3).
+        turn: ``R^T Rd``, wanted to actual body axes, (E, 3, 3).
         ang_vel: Angular velocity w [rad/s], body, (E, 3).
         rate: Wanted angular velocity [rad/s], in the wanted body frame, (E, 3).
     """
-    wanted = (rotation.transpose(1, 2) @ desired @ rate.unsqueeze(-1)).squeeze(-1)
-    error = attitude_error(rotation, desired)
-    return rate_torque(gains, ang_vel, wanted) - gains.attitude * error
+    wanted = (turn * rate.unsqueeze(1)).sum(-1)
+    return rate_torque(gains, ang_vel, wanted) - gains.attitude * attitude_error(turn)
 
 
 def rate_torque(gains: LeeGains, ang_vel: Tensor, rate: Tensor) -> Tensor:
@@ -82,13 +126,34 @@ def rate_torque(gains: LeeGains, ang_vel: Tensor, rate: Tensor) -> Tensor:
     return torch.linalg.cross(ang_vel, momentum) - gains.rate * (ang_vel - rate)
 
 
-def limit_inclination(force: Tensor, minimum: Tensor, max_inclination: float) -> Tensor:
-    """Return the force (E, 3) with z at least ``minimum`` (E,) [N] and tilted at most ``max_inclination`` [rad]."""
-    up = torch.maximum(force[:, 2], minimum)
-    lateral = force[:, :2]
-    largest = up * tan(max_inclination)
-    shrink = torch.clamp(largest / lateral.norm(dim=-1).clamp_min(1e-9), max=1.0)
-    return torch.cat((lateral * shrink.unsqueeze(-1), up.unsqueeze(-1)), dim=-1)
+def limit_inclination(force: Tensor, minimum: Tensor, max_slope: Tensor | float) -> Tensor:
+    """Return the force (E, 3) with z at least ``minimum`` (E,) [N] and a slope, tan of its inclination, within its limit."""
+    x, y, z = force.unbind(-1)
+    up = torch.maximum(z, minimum)
+    shrink = (max_slope * up / (x * x + y * y).clamp_min(1e-18).sqrt()).clamp_max(1.0)
+    return torch.stack((shrink * x, shrink * y, up), dim=-1)
+
+
+def force_within_inclination(acceleration: Tensor, gains: LeeGains) -> Tensor:
+    """Return the force ``m (a - g)`` [N], world, (E, 3), of an acceleration [m/s²] (E, 3), within the inclination."""
+    weight = gains.mass * gains.weight_per_mass
+    x, y, z = (gains.mass.unsqueeze(-1) * acceleration).unbind(-1)
+    return limit_inclination(torch.stack((x, y, z + weight), dim=-1), LEAST_LIFT * weight, gains.max_slope)
+
+
+def force_wrench(state: BodyState, force: Tensor, heading: Tensor, yaw_rate: Tensor | None, gains: LeeGains) -> Tensor:
+    """Return the wrench (E, 6), body: the part of a force along body z, and the torque that turns body z along the force.
+
+    Args:
+        force: [N], world, (E, 3).
+        heading: Wanted direction of body x, body, (E, 3).
+        yaw_rate: Rate at which the heading turns [rad/s], within its limits, (E,); None if it does not.
+    """
+    along = quat_rotate_inverse(state.attitude, force)
+    turn = attitude_from_force(along, heading)
+    still = torch.zeros_like(state.ang_vel)
+    rate = still if yaw_rate is None else body_rates_of_yaw_rate(state.attitude, yaw_rate)
+    return thrust_wrench(along[:, 2], attitude_torque(gains, turn, state.ang_vel, rate))
 
 
 def acceleration_wrench(
@@ -101,20 +166,14 @@ def acceleration_wrench(
         yaw: Wanted heading [rad], (E,).
         yaw_rate: Rate at which the heading turns [rad/s], (E,); None if it does not.
     """
-    weight = gains.mass * gains.gravity
-    lateral, up = acceleration[:, :2], acceleration[:, 2:] + gains.gravity
-    force = gains.mass.unsqueeze(-1) * torch.cat((lateral, up), dim=-1)
-    force = limit_inclination(force, LEAST_LIFT * weight, gains.max_inclination)
-    rotation = quat_to_matrix(state.attitude)
-    thrust = (force * rotation[:, :, 2]).sum(-1)
-    still = torch.zeros_like(state.ang_vel)
-    rate = still if yaw_rate is None else body_rates_of_yaw_rate(rotation, _clamp_rate(gains.max_yaw_rate, yaw_rate))
-    torque = attitude_torque(gains, rotation, attitude_from_force(force, yaw), state.ang_vel, rate)
-    return thrust_wrench(thrust, torque)
+    heading, force = heading_of_yaw(state.attitude, yaw), force_within_inclination(acceleration, gains)
+    rate = None if yaw_rate is None else yaw_rate_within_limits(yaw_rate, gains)
+    return force_wrench(state, force, heading, rate, gains)
 
 
-def _clamp_rate(largest: float, rate: Tensor) -> Tensor:
-    return rate.clamp(-largest, largest)
+def yaw_rate_within_limits(yaw_rate: Tensor, gains: LeeGains) -> Tensor:
+    """Return the yaw rate [rad/s], (E,), within its limits."""
+    return yaw_rate.clamp(-gains.yaw_rate_limit, gains.yaw_rate_limit)
 
 
 def thrust_wrench(thrust: Tensor, torque: Tensor) -> Tensor:
@@ -135,63 +194,64 @@ def pose_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     The force ``F = R^T m (K_p e_p - K_v v - g)`` has any direction, and the torque controls attitude. A quaternion of zeros
     stands for the identity.
     """
-    acceleration = gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel
-    force = gains.mass.unsqueeze(-1) * torch.cat((acceleration[:, :2], acceleration[:, 2:] + gains.gravity), dim=-1)
-    size = action[:, 3:].norm(dim=-1, keepdim=True)
-    level = torch.zeros_like(action[:, 3:])
-    level[:, 3] = 1.0
-    desired = quat_to_matrix(torch.where(size > 0.0, action[:, 3:] / torch.where(size > 0.0, size, 1.0), level))
-    rotation, still = quat_to_matrix(state.attitude), torch.zeros_like(state.ang_vel)
-    torque = attitude_torque(gains, rotation, desired, state.ang_vel, still)
-    return torch.cat((quat_rotate_inverse(state.attitude, force), torque), dim=-1)
+    x, y, z = (gains.position * (action[:, :3] - state.position) - gains.velocity * state.lin_vel).unbind(-1)
+    acceleration = torch.stack((x, y, z + gains.weight_per_mass), dim=-1)
+    force = gains.mass.unsqueeze(-1) * quat_rotate_inverse(state.attitude, acceleration)
+    size = dot(action[:, 3:], action[:, 3:]).unsqueeze(-1).sqrt()
+    level = torch.zeros_like(action[:, 3:]) + action.new_tensor((0.0, 0.0, 0.0, 1.0))
+    wanted = quat_to_matrix(torch.where(size > 0.0, action[:, 3:] / torch.where(size > 0.0, size, 1.0), level))
+    d1, d2 = (quat_rotate_inverse(state.attitude, wanted[:, :, k]) for k in (0, 1))
+    turn = torch.stack((d1, d2, torch.linalg.cross(d1, d2)), dim=-1)
+    return torch.cat((force, attitude_torque(gains, turn, state.ang_vel, torch.zeros_like(state.ang_vel))), dim=-1)
 
 
 def steering_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw [rad], action (E, 4)."""
-    wanted = quat_rotate(quat_from_yaw(yaw_from_quat(state.attitude)), action[:, :3])
+    wanted = from_vehicle_frame(state.attitude, action[:, :3])
     return acceleration_wrench(state, gains.velocity * (wanted - state.lin_vel), action[:, 3], None, gains)
 
 
 def velocity_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for vx, vy, vz [m/s, vehicle frame] and yaw rate [rad/s], action (E, 4)."""
-    yaw = yaw_from_quat(state.attitude)
-    wanted = quat_rotate(quat_from_yaw(yaw), action[:, :3])
-    return acceleration_wrench(state, gains.velocity * (wanted - state.lin_vel), yaw, action[:, 3], gains)
+    wanted, heading = from_vehicle_frame(state.attitude, action[:, :3]), heading_axis(world_up(state.attitude))
+    force = force_within_inclination(gains.velocity * (wanted - state.lin_vel), gains)
+    return force_wrench(state, force, heading, yaw_rate_within_limits(action[:, 3], gains), gains)
 
 
 def acceleration_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for ax, ay, az [m/s², world] and yaw rate [rad/s], action (E, 4)."""
-    return acceleration_wrench(state, action[:, :3], yaw_from_quat(state.attitude), action[:, 3], gains)
+    heading, force = heading_axis(world_up(state.attitude)), force_within_inclination(action[:, :3], gains)
+    return force_wrench(state, force, heading, yaw_rate_within_limits(action[:, 3], gains), gains)
 
 
 def attitude_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
-    """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad], yaw rate [rad/s], action (E, 4)."""
-    rotation = quat_to_matrix(state.attitude)
-    desired = matrix_from_euler(action[:, 1], action[:, 2], yaw_from_quat(state.attitude))
-    rate = body_rates_of_yaw_rate(rotation, _clamp_rate(gains.max_yaw_rate, action[:, 3]))
-    torque = attitude_torque(gains, rotation, desired, state.ang_vel, rate)
-    return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
+    """Return the wrench for thrust [multiples of weight, 0 is hover], roll, pitch [rad], yaw rate [rad/s], action (E, 4).
+
+    The wanted attitude has the heading of the body.
+    """
+    up = world_up(state.attitude)
+    turn = axes_of_tilt(up, action[:, 1], action[:, 2])
+    rate = body_rates_of_yaw_rate(state.attitude, yaw_rate_within_limits(action[:, 3], gains))
+    torque = attitude_torque(gains, turn, state.ang_vel, rate)
+    return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.weight_per_mass, torque)
 
 
 def rates_control(state: BodyState, action: Tensor, gains: LeeGains) -> Tensor:
     """Return the wrench for thrust [multiples of weight, 0 is hover] and body rates p, q, r [rad/s], action (E, 4)."""
     torque = rate_torque(gains, state.ang_vel, action[:, 1:4])
-    return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.gravity, torque)
+    return thrust_wrench((action[:, 0] + 1.0) * gains.mass * gains.weight_per_mass, torque)
 
 
-def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
-    """Return ``Rz(yaw) Ry(pitch) Rx(roll)``, (E, 3, 3). Source: Diebel (2006), eq. 67."""
-    sr, cr, sp, cp = torch.sin(roll), torch.cos(roll), torch.sin(pitch), torch.cos(pitch)
-    sy, cy = torch.sin(yaw), torch.cos(yaw)
-    rows = (
-        cy * cp,
-        cy * sp * sr - sy * cr,
-        cy * sp * cr + sy * sr,
-        sy * cp,
-        sy * sp * sr + cy * cr,
-        sy * sp * cr - cy * sr,
-        -sp,
-        cp * sr,
-        cp * cr,
-    )
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+def axes_of_tilt(up: Tensor, roll: Tensor, pitch: Tensor) -> Tensor:
+    """Return the axes, as columns in body axes, (E, 3, 3), of a body with the same heading at a roll and pitch [rad], (E,).
+
+    The axes of the vehicle frame are turned by the pitch about y, then by the roll about x.
+
+    Args:
+        up: World z in body axes, (E, 3).
+    """
+    (sr, cr), (sp, cp) = ((torch.sin(a).unsqueeze(-1), torch.cos(a).unsqueeze(-1)) for a in (roll, pitch))
+    ahead, inverse = heading_axis(up), inverse_cos_pitch(up)
+    left = torch.stack((torch.zeros_like(inverse), up[:, 2] * inverse, -up[:, 1] * inverse), dim=-1)
+    raised = sp * ahead + cp * up
+    return torch.stack((cp * ahead - sp * up, sr * raised + cr * left, cr * raised - sr * left), dim=-1)

@@ -35,6 +35,11 @@ def up_axis(like: Tensor) -> Tensor:
     return like.new_tensor((0.0, 0.0, 1.0)).expand(len(like), 3)
 
 
+def forward_axis(like: Tensor) -> Tensor:
+    """Return a unit vector along x for every row, (E, 3)."""
+    return like.new_tensor((1.0, 0.0, 0.0)).expand(len(like), 3)
+
+
 def tilt_first_error(attitude: Tensor, wanted: Tensor, yaw_share: Tensor) -> Tensor:
     """Return the vector part of the error quaternion, body, (E, 3): shortest rotation of body z, then a share of the heading.
 

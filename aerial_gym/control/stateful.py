@@ -1,81 +1,91 @@
-"""Base class of controllers with memory: delayed actions, delayed setpoints of the law, a held rotor command.
+"""Base class of controllers with memory: timing, delays and memory around two pure functions.
 
-    action --(action delay)--> law --(delay, held)--> rate loop --> allocation --(held)--> rotors
+    action --(action delay)--> outer --(delay, held)--> inner --(held)--> rotors
 
+``outer`` is the law, for example of position; ``inner`` is the loop below it, for example of body rates, with the allocation.
+A law of one level leaves ``outer`` out. Torch calls both functions; the fused backend traces them.
 Letters: E environments, R rotors, U entries of an action, S slots of a ring, M numbers of memory, P delayed numbers.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
 
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.timing import Timing
-from aerial_gym.physics.fused.law import FusedLaw
-from aerial_gym.physics.law_memory import LawMemory, LawNeeds, fresh_law_memory
+from aerial_gym.physics.law_memory import LawMemory, LawNeeds, Timing, fresh_law_memory
 from aerial_gym.physics.state import BodyState
 
 
-@dataclass(frozen=True)
-class MemoryLayout:
-    """Offsets into a controller's memory."""
-
-    held: int  # First held rotor command, of R numbers
-    width: int  # M
-    actions: int  # First number of the ring of actions, after that of setpoints
-    past: int  # P
-
-
-def make_layout(timing: Timing, *, own: int, num_rotors: int, num_actions: int) -> MemoryLayout:
-    """Return the offsets for ``own`` numbers of the controller, then the held command (R)."""
-    actions = 4 * timing.setpoint_slots
-    return MemoryLayout(
-        own, own + (num_rotors if timing.loop > 1 else 0), actions, actions + timing.action_slots * num_actions
-    )
-
-
 class StatefulController(ABC):
-    """A controller with memory; ``command`` is one physics step of it.
-
-    A subclass has a timing, a layout and an allocation, and defines one run with its own memory.
-    """
+    """A controller with memory; ``command`` is one physics step of it."""
 
     action_names: tuple[str, ...]  # Meaning and unit of each entry of an action
     allocation: Allocation  # Allocation of wrenches to thrusts
-    timing: Timing  # Timing of its levels
+    needs: LawNeeds  # Timing and memory
 
-    _layout: MemoryLayout
+    gains_by_name: Mapping[str, Tensor] = MappingProxyType({})
+    """Gains by their names in ``randomize:``; empty if all environments share one set."""
+
+    def outer(self, state: BodyState, action: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the setpoint (E, S) of an action (E, U) and the new memory; by default the action.
+
+        Args:
+            memory: Its numbers, ``needs.outer`` of them, (E, M); zeros after a reset.
+            begins: Whether this is the first run after a reset, bool (E, 1).
+        """
+        del state, begins
+        return action, memory
+
+    @abstractmethod
+    def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+        """Return rotor speeds [rad/s], (E, R), for a setpoint (E, S) and the new memory; arguments as for ``outer``."""
+
+    def set_needs(
+        self, timing: Timing, *, num_rotors: int, inner: int = 0, outer: int = 0, num_setpoint: int | None = None
+    ) -> None:
+        """Set timing and memory of the levels; ``action_names`` must be set.
+
+        Args:
+            inner: Numbers of memory of the inner level.
+            outer: Numbers of memory of the outer level.
+            num_setpoint: Entries of a setpoint; as many as of an action if not given.
+        """
+        num_actions = len(self.action_names)
+        self.needs = LawNeeds(
+            timing=timing,
+            inner=inner,
+            outer=outer,
+            num_rotors=num_rotors,
+            num_setpoint=num_actions if num_setpoint is None else num_setpoint,
+            num_actions=num_actions,
+        )
 
     @property
-    def needs(self) -> LawNeeds:
-        """Memory that it needs."""
-        return LawNeeds(width=self._layout.width, past=self._layout.past, dt=self.timing.dt)
+    def timing(self) -> Timing:
+        """Timing of its levels."""
+        return self.needs.timing
 
     @property
     def period(self) -> int:
         """Physics steps after which the pattern of runs repeats."""
         return self.timing.law
 
-    @abstractmethod
-    def _run(self, state: BodyState, action: Tensor, memory: LawMemory, sent: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the rotor commands (E, R) of one run, its new memory, and the delayed setpoints."""
-
     @property
-    @abstractmethod
-    def _hover_setpoint(self) -> Tensor:
-        """Thrust setpoint of the rate loop at hover, of the first environment, in the loop's unit."""
+    def hover_setpoint(self) -> Tensor:
+        """Setpoint of the inner level at hover, of the first environment, (S,); zeros by default."""
+        return self.allocation.inverse.new_zeros(self.needs.num_setpoint)
 
     def rest_memory(self, thrust: Tensor) -> Tensor:
         """Return the memory of the first environment at rest under thrusts [N], (R,): numbers and setpoints."""
-        numbers, sent = thrust.new_zeros(self._layout.width), thrust.new_zeros(self._layout.actions)
+        needs = self.needs
+        numbers = thrust.new_zeros(needs.width)
         if self.timing.loop > 1:
             like = self.allocation.inverse
-            numbers[self._layout.held :] = self.allocation.speed(thrust.to(like).expand(len(like), -1))[0]
-        sent[::4] = self._hover_setpoint.to(thrust)
-        return torch.cat((numbers, sent))
+            numbers[needs.command_offset :] = self.allocation.speed(thrust.to(like).expand(len(like), -1))[0]
+        return torch.cat((numbers, self.hover_setpoint.to(thrust).repeat(self.timing.setpoint_slots)))
 
     def phase(self, step: int) -> tuple[bool, bool, int]:
         """Return the phase of a step in its period: the levels that run, and the age of the setpoint that has arrived.
@@ -87,22 +97,23 @@ class StatefulController(ABC):
 
     def restore_memory(self, remembered: Tensor, step: int) -> LawMemory:
         """Return the memory with numbers and setpoints (E, ...) as ``rest_memory`` gives them, long after a reset."""
-        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
-        actions = sent.new_zeros(len(sent), self._layout.past - self._layout.actions)
+        needs = self.needs
+        numbers, sent = remembered.split((needs.width, needs.action_offset), dim=-1)
+        actions = sent.new_zeros(len(sent), needs.ring_width - needs.action_offset)
         long_ago = 1000 * self.period * max(self.timing.setpoint_slots, 1) + step
         since = torch.full((len(sent),), long_ago, dtype=torch.int32, device=sent.device)
         return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
 
     def flatten_memory(self, memory: LawMemory) -> Tensor:
         """Return the numbers and setpoints of a memory, the inverse of ``restore_memory``."""
-        return torch.cat((memory.numbers, memory.past[:, : self._layout.actions]), dim=-1)
+        return torch.cat((memory.numbers, memory.past[:, : self.needs.action_offset]), dim=-1)
 
     def rotate_ring(self, remembered: Tensor) -> Tensor:
         """Rotate the ring of setpoints (..., N) by a period, so that equal slots have equal age."""
-        numbers, sent = remembered.split((self._layout.width, self._layout.actions), dim=-1)
+        numbers, sent = remembered.split((self.needs.width, self.needs.action_offset), dim=-1)
         slots = self.timing.setpoint_slots
         if slots:
-            sent = sent.unflatten(-1, (slots, 4)).roll(-1, dims=1).flatten(1)
+            sent = sent.unflatten(-1, (slots, -1)).roll(-1, dims=1).flatten(1)
         return torch.cat((numbers, sent), dim=-1)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
@@ -111,40 +122,29 @@ class StatefulController(ABC):
 
     def command(self, state: BodyState, action: Tensor, memory: LawMemory) -> tuple[Tensor, LawMemory]:
         """Return commanded rotor speeds [rad/s], (E, R), of one physics step, and the memory after it."""
-        layout, timing, since = self._layout, self.timing, memory.since
-        sent, actions = memory.past[:, : layout.actions], memory.past[:, layout.actions :]
+        needs, timing, since = self.needs, self.timing, memory.since
+        sent, actions = memory.past[:, : needs.action_offset], memory.past[:, needs.action_offset :]
         if timing.action_delay:
             actions = write_ring(actions, action, since, timing.action_slots)
             action = read_ring(actions, (since - timing.action_delay).clamp_min(0), timing.action_slots)
-        command, numbers, sent = self._run(state, action, memory, sent)
+        inner, outer, held = memory.numbers.split(
+            (needs.inner, needs.outer, needs.width - needs.command_offset), dim=-1
+        )
+        begins = (since == 0).unsqueeze(-1)
+        setpoint, after = self.outer(state, action, outer, begins)
+        if timing.law > 1:
+            after = torch.where((since % timing.law == 0).unsqueeze(-1), after, outer)
+        setpoint, sent = self._delay_setpoint(setpoint, sent, since)
+        command, inner_after = self.inner(state, setpoint, inner, begins)
         if timing.loop > 1:
             due = (since % timing.loop == 0).unsqueeze(-1)
-            command = torch.where(due, command, memory.numbers[:, layout.held :])
-            numbers = torch.where(due, numbers, memory.numbers[:, : layout.held])
-            numbers = torch.cat((numbers, command), dim=-1)
+            command, inner_after = torch.where(due, command, held), torch.where(due, inner_after, inner)
+            held = command
+        numbers = torch.cat((inner_after, after, held), dim=-1)
         return command, LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since + 1)
 
-    def _fused(self, **law: Any) -> FusedLaw:
-        """Return the Warp law with this allocation and memory, and the given gains and code."""
-        allocation = self.allocation
-        return FusedLaw(
-            output="wrench",
-            num_actions=len(self.action_names),
-            low=allocation.low,
-            high=allocation.high,
-            thrust_map=allocation.vehicle.thrust_map,
-            reverse_thrust_map=allocation.vehicle.reverse_thrust_map,
-            allocation=allocation.inverse,
-            follow=allocation.compute_rows if allocation.rows else None,
-            saturation=allocation.saturation,
-            lateral=False,
-            idle=allocation.idle,
-            needs=self.needs,
-            **law,
-        )
-
     def _delay_setpoint(self, setpoint: Tensor, sent: Tensor, since: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the delayed thrust and body rates (E, 4), and the updated ring of setpoints."""
+        """Return the delayed setpoint (E, S), and the updated ring of setpoints."""
         timing = self.timing
         if not timing.setpoint_slots:
             return setpoint, sent

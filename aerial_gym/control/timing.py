@@ -1,40 +1,11 @@
 """Timing of the levels of a controller in whole physics steps; other rates are refused."""
 
-from dataclasses import dataclass
-
 from aerial_gym.config.controller import ControllerCfg
 from aerial_gym.errors import ConfigError
+from aerial_gym.physics.law_memory import Timing
 
 WHOLE = 1e-6
 """Relative tolerance of whole ratios, because rates and time steps are decimal fractions."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Timing:
-    """Periods and delays of the levels, in physics steps."""
-
-    dt: float  # Physics step [s]
-    law: int  # Period of the law; a multiple of `loop`
-    loop: int  # Period of the rate loop; that of the law without one
-    delay: int  # Delay from the law to the rate loop
-    action_delay: int  # Delay of the action to the law
-
-    @property
-    def setpoint_slots(self) -> int:
-        """Number of setpoints in the ring."""
-        if self.delay:
-            return self.delay // self.law + 2
-        return int(self.law > self.loop)
-
-    @property
-    def action_slots(self) -> int:
-        """Number of actions in the ring."""
-        return self.action_delay + 1 if self.action_delay else 0
-
-    @property
-    def extra_lag(self) -> float:
-        """Delay between law and rate loop beyond one run of the loop [s]."""
-        return (self.law - self.loop + self.delay) * self.dt
 
 
 def make_timing(cfg: ControllerCfg, dt: float) -> Timing:

@@ -98,6 +98,11 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     return reduce(torch.add, (x * y for x, y in zip(a.unbind(-1), b.unbind(-1), strict=True)))
 
 
+def unit_vector(a: Tensor) -> Tensor:
+    """Return ``a / |a|``, (..., K), or zero for zero."""
+    return a / dot(a, a).clamp_min(1e-30).sqrt().unsqueeze(-1)
+
+
 def inverse_3x3(matrix: Tensor) -> Tensor:
     """Return the inverse of regular matrices, (..., 3, 3), as adjugate over determinant, without a blocking factorisation."""
     a, b, c = matrix.unbind(-2)

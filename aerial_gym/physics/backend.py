@@ -9,7 +9,6 @@ from torch import Tensor
 
 from aerial_gym.math.random import Randomness
 from aerial_gym.physics.effects import EFFECTS, Effect, LearnedResidual
-from aerial_gym.physics.fused.law import FusedLaw
 from aerial_gym.physics.ground import Ground
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
@@ -52,12 +51,15 @@ class EffectSet(Collection[str]):
 class ControlLaw(Protocol):
     """Control law: it turns an action into rotor commands, once per physics step. All controllers implement it."""
 
-    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
-        """Return commanded rotor speeds [rad/s], (E, R), for actions (E, number of actions)."""
-        ...
+    action_names: tuple[str, ...]
+    """Meaning and unit of each entry of an action."""
 
-    def fused(self) -> FusedLaw | None:
-        """Return the law as Warp code; None restricts it to the torch backend."""
+    def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
+        """Return commanded rotor speeds [rad/s], (E, R), for actions (E, number of actions).
+
+        The fused backend traces it, so it must be the same arithmetic in every environment. A law with memory has ``needs``,
+        ``outer`` and ``inner`` too (``control.stateful``).
+        """
         ...
 
 

@@ -16,12 +16,81 @@ from aerial_gym.physics.state import BodyState
 
 
 @dataclass(frozen=True, kw_only=True)
-class LawNeeds:
-    """Memory that a law needs."""
+class Timing:
+    """Periods and delays of the levels of a law, in physics steps."""
 
-    width: int  # Numbers M; all are zero after a reset
-    past: int  # Numbers P of delayed commands in rings; never cleared, because `since` excludes old ones
-    dt: float  # Time step [s] for which the law was built
+    dt: float  # Physics step [s]
+    law: int = 1  # Period of the outer level; a multiple of `loop`
+    loop: int = 1  # Period of the inner level; that of the outer one without a rate loop
+    delay: int = 0  # Delay from the outer to the inner level
+    action_delay: int = 0  # Delay of the action to the outer level
+
+    @property
+    def setpoint_slots(self) -> int:
+        """Number of setpoints in the ring."""
+        if self.delay:
+            return self.delay // self.law + 2
+        return int(self.law > self.loop)
+
+    @property
+    def action_slots(self) -> int:
+        """Number of actions in the ring."""
+        return self.action_delay + 1 if self.action_delay else 0
+
+    @property
+    def extra_lag(self) -> float:
+        """Delay between the levels beyond one run of the inner one [s]."""
+        return (self.law - self.loop + self.delay) * self.dt
+
+    @property
+    def law_span(self) -> float:
+        """Period of the outer level [s]."""
+        return self.law * self.dt
+
+    @property
+    def loop_span(self) -> float:
+        """Period of the inner level [s]."""
+        return self.loop * self.dt
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawNeeds:
+    """Timing and memory of a law.
+
+    Its numbers are those of the inner and outer level and the held rotor command; its rings are those of setpoints and actions.
+    """
+
+    timing: Timing
+    inner: int  # Numbers of the inner level; all numbers are zero after a reset
+    outer: int  # Numbers of the outer level
+    num_rotors: int
+    num_setpoint: int  # Entries of a setpoint
+    num_actions: int
+
+    @property
+    def dt(self) -> float:
+        """Time step [s] for which the law was built."""
+        return self.timing.dt
+
+    @property
+    def command_offset(self) -> int:
+        """Offset of the held rotor command, of R numbers."""
+        return self.inner + self.outer
+
+    @property
+    def width(self) -> int:
+        """Number of numbers M."""
+        return self.command_offset + (self.num_rotors if self.timing.loop > 1 else 0)
+
+    @property
+    def action_offset(self) -> int:
+        """Offset of the ring of actions, after that of setpoints."""
+        return self.num_setpoint * self.timing.setpoint_slots
+
+    @property
+    def ring_width(self) -> int:
+        """Numbers P of the rings; never cleared, because `since` excludes old ones."""
+        return self.action_offset + self.timing.action_slots * self.num_actions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +115,7 @@ def fresh_law_memory(needs: LawNeeds, num_envs: int, like: Tensor) -> LawMemory:
     """Return the memory of environments after a reset, with float type and device of ``like``."""
     return LawMemory(
         numbers=like.new_zeros(num_envs, needs.width),
-        past=like.new_zeros(num_envs, needs.past),
+        past=like.new_zeros(num_envs, needs.ring_width),
         since=torch.zeros(num_envs, dtype=torch.int32, device=like.device),
     )
 

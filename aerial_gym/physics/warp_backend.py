@@ -33,20 +33,22 @@ from aerial_gym.physics.fused.dynamics import STAGES
 from aerial_gym.physics.fused.gradient import Rollout
 from aerial_gym.physics.fused.hook import NoHook
 from aerial_gym.physics.fused.kernel import make_kernel
-from aerial_gym.physics.fused.memory import LawArrays, MemoryArrays, memory_type
+from aerial_gym.physics.fused.law import fuse_law
+from aerial_gym.physics.fused.memory import MemoryArrays, memory_type
 from aerial_gym.physics.fused.packing import (
     Numbers,
     Packing,
     arrange,
     collect_numbers,
+    law_rows,
     make_structs,
     model_types,
     pack_rows,
     parameter_rows,
 )
-from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.fused.types import LawArrays, rotor_types
 from aerial_gym.physics.ground import Ground
-from aerial_gym.physics.law_memory import LawMemory, check_law_step, fresh_law_memory
+from aerial_gym.physics.law_memory import LawMemory, check_law_step, fresh_law_memory, law_needs
 from aerial_gym.physics.memory import Memory, make_memory, num_past_commands
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.state import BodyState
@@ -144,10 +146,7 @@ class WarpBackend:
             check_jointed(integrator, ground, self.capabilities)
         if isinstance(model.ceiling_height, torch.Tensor):
             raise CapabilityError("backend warp: one height of the ceiling for all. Use backend 'torch'.")
-        law = control.fused()
-        if law is None:
-            raise CapabilityError(f"backend warp: {type(control).__name__} has no Warp law. Use backend 'torch'.")
-        if law.needs is not None and self._differentiable:
+        if law_needs(control) is not None and self._differentiable:
             raise CapabilityError(
                 f"backend warp: a differentiable rollout cannot run {type(control).__name__}, which has memory. "
                 "Use backend 'torch'."
@@ -161,6 +160,7 @@ class WarpBackend:
         if hook is not None and self._differentiable:
             raise CapabilityError("backend warp: a differentiable rollout follows no obstacles. Use backend 'torch'.")
         start_warp()
+        law = fuse_law(control, model.vehicle.num_envs, model.vehicle.num_rotors, differentiable=self._differentiable)
         self._law, self._control, self._integrator, self._model = law, control, integrator, model
         self._given_ground, self._hook, self._random = ground, hook, random
         self._device = model.vehicle.mass.device
@@ -256,8 +256,8 @@ class WarpBackend:
         if self.law_memory is not None:
             self.law_memory.numbers.masked_fill_(mask, 0.0)
             self.law_memory.since.masked_fill_(mask, 0)
-        if self._packing.gains is not None and self._dt != 0.0:
-            self._write_gains(self._packing.gains)
+        if self._packing.law and self._dt != 0.0:
+            self._write_gains()
 
     def take_ground_heights(self) -> None:
         """Write the ground heights into the packed tensor."""
@@ -286,25 +286,24 @@ class WarpBackend:
 
     def parameter_rows(self, model: Model) -> tuple[Tensor, ...]:
         """Return the packed numbers of the vehicle and of a law that follows it, (E, n), and of the effects, (E, m)."""
-        follow = self._law.follow
-        law = self._law if follow is None else replace(self._law, **follow(model.vehicle))
+        law = self._law.follow_vehicle(model.vehicle)
         numbers = collect_numbers(model, law, STAGES[self._integrator] * self._dt)
-        return parameter_rows(self._packing, numbers, command=follow is not None)
+        return parameter_rows(self._packing, numbers, followed=law.follow is not None)
 
     def parameter_targets(self) -> tuple[Tensor, ...]:
         """Return their memory in the packed tensor (N, E)."""
         width = sum(rows.shape[1] for rows in self._numbers(self._dt).effects)
         packing = self._packing
-        first = packing.vehicle_end if self._law.follow is None else packing.command_end
+        first = packing.vehicle_end if self._law.follow is None else packing.law_start
         return tuple(
             rows.T for rows in (self._packed[:first], self._packed[self._packing.effects :][:width]) if len(rows)
         )
 
     @torch.no_grad()
-    def _write_gains(self, first: int) -> None:
-        """Write the control law's gains of every environment."""
-        rows = torch.cat([field.rows().T for field in self._numbers(self._dt).gains])
-        self._packed[first : first + len(rows)].copy_(rows)
+    def _write_gains(self) -> None:
+        """Write the control law's own numbers of every environment, such as gains."""
+        rows = torch.cat([rows.T for rows in law_rows(self._packing, self._numbers(self._dt))])
+        self._packed[self._packing.law_start : self._packing.law_start + len(rows)].copy_(rows)
 
     @torch.no_grad()
     def _write_packed(self) -> None:
@@ -347,9 +346,12 @@ class WarpBackend:
             return None
         check_law_step(needs, dt)
         if self.law_memory is None:
-            height = replace(needs, width=max(needs.width, 1), past=max(needs.past, 1))
-            fresh = fresh_law_memory(height, self._num_envs, self._model.vehicle.mass)
-            self.law_memory = replace(fresh, numbers=fresh.numbers.T.contiguous(), past=fresh.past.T.contiguous())
+            fresh = fresh_law_memory(needs, self._num_envs, self._model.vehicle.mass)
+            rows = {"numbers": fresh.numbers, "past": fresh.past}
+            rows = {
+                name: memory if memory.numel() else memory.new_zeros(self._num_envs, 1) for name, memory in rows.items()
+            }
+            self.law_memory = replace(fresh, **{name: memory.T.contiguous() for name, memory in rows.items()})
         return make_struct(LawArrays, **self.law_memory.tensors())
 
     def step(self, state: BodyState, command: Tensor, dt: float, substeps: int) -> None:

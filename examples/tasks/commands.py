@@ -22,7 +22,7 @@ def command(controller: str, law: LeeController, state: BodyState, wanted: Tenso
     quickness = gains.attitude / gains.rate  # [1/s]: of the closed attitude loop
     turn = -quickness[:, 2:] * yaw.unsqueeze(-1)
     force = torch.cat((wanted[:, :2], wanted[:, 2:] + gains.gravity), dim=-1) / gains.gravity  # in weights
-    force = limit_inclination(force, torch.full_like(yaw, 0.1), gains.max_inclination)
+    force = limit_inclination(force, torch.full_like(yaw, 0.1), gains.max_slope)
     x, y, z = quat_rotate_inverse(state.attitude, force).split(1, dim=-1)  # body
     match controller:
         case "no_control":

@@ -380,14 +380,13 @@ def vehicle_with_mass(model: Model, factor: float) -> Tensor:
     return (factor * mass[:1]).as_strided(mass.shape, (0,))
 
 
-class TorchLaw:
+class LawWithBranch:
+    """A control law with a branch on a value."""
+
     action_names = ("nothing",)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
-        return action
-
-    def fused(self) -> None:
-        return None
+        return action if action[0, 0] > 0.0 else -action
 
 
 def test_what_it_cannot_run_is_refused_by_name() -> None:
@@ -395,8 +394,8 @@ def test_what_it_cannot_run_is_refused_by_name() -> None:
     model, law = build(robot, CONTROLLERS.get("no_control"), 2, torch.float32)
     with pytest.raises(CapabilityError, match=r"no integrator 'rk5'. Known: euler, rk4"):
         WarpBackend().allocate(model, law, integrator="rk5")
-    with pytest.raises(CapabilityError, match="TorchLaw has no Warp law"):
-        WarpBackend().allocate(model, TorchLaw(), integrator="euler")
+    with pytest.raises(CapabilityError, match=r"LawWithBranch.rotor_command: .*action\[0, 0\] > 0.0.*torch.where"):
+        WarpBackend().allocate(model, LawWithBranch(), integrator="euler")
     doubles, law64 = build(robot, CONTROLLERS.get("no_control"), 2, torch.float64)
     with pytest.raises(CapabilityError, match=r"float32 only, not torch.float64"):
         WarpBackend().allocate(doubles, law64, integrator="euler")

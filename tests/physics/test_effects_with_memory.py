@@ -35,7 +35,7 @@ from tests.physics.vehicles import (
     BATTERY,
     CEILING,
     F64,
-    DirectSpeed,
+    SpeedControl,
     asymmetric_robot,
     make_effects,
     random_state,
@@ -86,7 +86,7 @@ def test_the_kernel_delays_each_environment_by_its_own_delay(integrator: str) ->
     vehicle = vehicle_from_config(asymmetric_robot(), num_envs=4)
     backend, state = WarpBackend(), single(rest_state(4, rotor_speed=[500.0] * 4))
     model = build_model(vehicle, [(EFFECTS.get("actuation_delay"), delays)])
-    backend.allocate(model, DirectSpeed(), integrator=integrator)
+    backend.allocate(model, SpeedControl(), integrator=integrator)
     action, levels = torch.zeros(4, 4), [900.0, 300.0, 700.0, 650.0]
     commands = [(0.03 * k, level) for k, level in enumerate(levels)]
     for step in range(22):
@@ -192,7 +192,7 @@ def gust_flight(backend, seed: int, num_envs: int = 4, steps: int = 5) -> Tensor
     rows = [(EFFECTS.get("gusts"), torch.tensor([3.0, 0.1]).expand(num_envs, -1))]
     rows.append((EFFECTS.get("rotor_drag"), torch.ones(num_envs, 3)))
     backend.allocate(
-        build_model(vehicle, rows, gravity=0.0), DirectSpeed(), integrator="euler",
+        build_model(vehicle, rows, gravity=0.0), SpeedControl(), integrator="euler",
         random=Randomness(num_envs, seed=seed),
     )  # fmt: skip
     state = single(rest_state(num_envs))
@@ -234,7 +234,9 @@ def test_a_random_force_pushes_along_the_world_alike_on_both_backends(backend) -
     vehicle = vehicle_from_config(asymmetric_robot(), num_envs=num)
     rows = [(EFFECTS.get("random_force"), torch.tensor([0.0, 0.0, largest, hold]).expand(num, -1))]
     stepper = backend()
-    stepper.allocate(build_model(vehicle, rows, gravity=0.0), DirectSpeed(), integrator="euler", random=Randomness(num))
+    stepper.allocate(
+        build_model(vehicle, rows, gravity=0.0), SpeedControl(), integrator="euler", random=Randomness(num)
+    )
     state = single(rest_state(num, attitude=quat_from_euler(torch.tensor([[0.4, -0.7, 1.0]], dtype=F64))[0].tolist()))
     stepper.step(state, torch.zeros(num, 4), hold, steps)
     assert state.lin_vel[:, :2].abs().max() < 1e-6
@@ -266,7 +268,7 @@ def run_all_effects(
     robot = asymmetric_robot()
     rows = strong_effects((*REMEMBERING, "rotor_drag"), robot, num_envs, dtype=dtype, share=0.7)
     vehicle = vehicle_from_config(robot, num_envs=num_envs, dtype=dtype)
-    backend.allocate(build_model(vehicle, rows), DirectSpeed(), integrator="euler", random=random)
+    backend.allocate(build_model(vehicle, rows), SpeedControl(), integrator="euler", random=random)
     return BodyState(**{name: tensor.to(dtype) for name, tensor in vars(random_state(num_envs)).items()})
 
 
@@ -383,7 +385,7 @@ def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
         rows += [(EFFECTS.get("gusts"), torch.tensor([[std, 0.5]] * 2)) for std in gusts]
         stepper, state = backend(), single(random_state(2))
         model = build_model(vehicle_from_config(asymmetric_robot(), num_envs=2), rows)
-        stepper.allocate(model, DirectSpeed(), integrator="rk4")
+        stepper.allocate(model, SpeedControl(), integrator="rk4")
         for _ in range(4):
             stepper.step(state, torch.full((2, 4), 800.0), 0.01, 3)
         ends.append(state.lin_vel)
@@ -392,7 +394,7 @@ def test_an_effect_that_is_given_twice_acts_twice(backend) -> None:
 
 def test_a_model_without_such_effects_remembers_nothing() -> None:
     backend, state = TorchBackend(), random_state(2)
-    backend.allocate(make_model({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), DirectSpeed(), integrator="rk4")
+    backend.allocate(make_model({"rotor_drag": {"dx": 0.1, "dy": 0.1, "dz": 0.1}}, 2), SpeedControl(), integrator="rk4")
     backend.step(state, torch.full((2, 4), 800.0, dtype=F64), 0.01, 2)
     assert backend._memory is None
 

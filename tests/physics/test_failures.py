@@ -12,7 +12,7 @@ from aerial_gym.physics.vehicle import vehicle_from_config
 from aerial_gym.robots import ROBOTS
 from tests.physics.swing import fly_remembering
 from tests.physics.test_effects_with_memory import TAU_DOWN, TAU_UP
-from tests.physics.vehicles import F64, DirectSpeed, asymmetric_robot, rest_state, single
+from tests.physics.vehicles import F64, SpeedControl, asymmetric_robot, rest_state, single
 
 TOLD, START = 900.0, 500.0
 """Speeds [rad/s]."""
@@ -86,7 +86,7 @@ def test_speeds_are_those_of_the_lag_from_moment_to_moment(name: str, integrator
 def test_the_kernel_does_the_same(name: str) -> None:
     rows, expected = CASES[name]
     backend, state, told = WarpBackend(), single(rest_state(4, rotor_speed=[START] * 4)), torch.full((4, 4), TOLD)
-    backend.allocate(make_model(name, rows, torch.float32), DirectSpeed(), integrator="euler")
+    backend.allocate(make_model(name, rows, torch.float32), SpeedControl(), integrator="euler")
     for step in range(1, 9):
         backend.step(state, told, 0.005, 5)
         torch.testing.assert_close(state.rotor_speed.double(), expected(0.025 * step), atol=2e-3, rtol=0.0)
@@ -95,7 +95,7 @@ def test_the_kernel_does_the_same(name: str) -> None:
 @pytest.mark.parametrize("backend", [pytest.param(TorchBackend, marks=pytest.mark.slow), WarpBackend])
 def test_a_stuck_rotor_keeps_its_speed_whatever_it_is_told(backend: type) -> None:
     used, state = backend(), single(rest_state(4, rotor_speed=[START] * 4))
-    used.allocate(make_model("stuck_rotor", [(2.0, 0.05)] * 4, torch.float32), DirectSpeed(), integrator="euler")
+    used.allocate(make_model("stuck_rotor", [(2.0, 0.05)] * 4, torch.float32), SpeedControl(), integrator="euler")
     used.step(state, torch.full((4, 4), TOLD), 0.005, 10)
     kept = state.rotor_speed[:, 1].clone()
     for told in (0.0, TOLD, 300.0):
@@ -111,7 +111,7 @@ def test_a_stuck_rotor_comes_back_to_its_speed_after_a_brown_out(backend: type) 
     rows = {"stuck_rotor": (2.0, 0.05), "brown_out": (0.5, 0.1, 2.0)}
     effects = [(EFFECTS.get(name), torch.tensor([row])) for name, row in rows.items()]
     used, state = backend(), single(rest_state(rotor_speed=[START] * 4))
-    used.allocate(build_model(vehicle, effects), DirectSpeed(), integrator="euler")
+    used.allocate(build_model(vehicle, effects), SpeedControl(), integrator="euler")
     result = []
     for span in (0.05, 2.0, 2.0):
         used.step(state, torch.full((1, 4), TOLD), 0.005, round(span / 0.005))
@@ -130,7 +130,7 @@ def test_a_reset_mends_the_masked_rows_until_their_moment(name: str, backend: ty
     kept, reset = backend(), backend()
     flown, begun = (single(rest_state(4, rotor_speed=[START] * 4)) for _ in range(2))
     for each in (kept, reset):
-        each.allocate(make_model(name, rows, torch.float32), DirectSpeed(), integrator="euler")
+        each.allocate(make_model(name, rows, torch.float32), SpeedControl(), integrator="euler")
     for _ in range(6):
         kept.step(flown, told, 0.005, 5)
         reset.step(begun, told, 0.005, 5)

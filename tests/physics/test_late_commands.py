@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.physics import EFFECTS, INTEGRATORS, WarpBackend, advance, build_model, vehicle_from_config
 from aerial_gym.physics.memory import make_memory
 from aerial_gym.physics.rotor_lag import CommandSwitch, follow_command, slew_limited_lag, stage_rates
@@ -69,7 +68,7 @@ def test_the_kernel_delays_signed_and_limited_rotors(integrator: str) -> None:
     backend, state = WarpBackend(), single(rest_state(4, rotor_speed=[300.0, 400.0, 1.0, -300.0]))
     exact, start = vehicle_from_config(robot, num_envs=1, dtype=F64), state.rotor_speed[:1].double()
     backend.allocate(
-        build_model(vehicle, [(EFFECTS.get("actuation_delay"), delays)]), DirectState(vehicle), integrator=integrator
+        build_model(vehicle, [(EFFECTS.get("actuation_delay"), delays)]), SpeedControl(), integrator=integrator
     )
     expected = [shift_commands(exact, start, n, 20) for n in late]
     for step in range(20):
@@ -77,15 +76,6 @@ def test_the_kernel_delays_signed_and_limited_rotors(integrator: str) -> None:
         for env in range(4):
             near = (state.rotor_speed[env].double() - expected[env][step][0]).abs()
             assert (near < torch.tensor([2e-3, 2e-3, 1e-5, 2e-3])).all(), (step, env)
-
-
-class DirectState(SpeedControl):
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._law = make_controller(CONTROLLERS.get("no_control"), vehicle, 9.81)
-
-    def fused(self):
-        law, wide = self._law.fused(), torch.full((4,), 1e4).expand(self._law.fused().low.shape[0], 4)
-        return replace(law, output="speed", low=-wide, high=wide)
 
 
 def test_a_rotor_reverses_late_along_its_closed_form() -> None:

@@ -11,7 +11,6 @@ from aerial_gym.config.robot import BatteryCfg, BodyCfg, CollisionCfg, MountCfg,
 from aerial_gym.math.quaternion import quat_normalize
 from aerial_gym.physics import EFFECTS, BodyState, effects_from_config, state_at_rest
 from aerial_gym.physics.effects import Effect, EffectParams
-from aerial_gym.physics.fused.law import FusedLaw
 
 F64 = torch.float64
 
@@ -67,16 +66,10 @@ def random_state(num_envs: int, *, seed: int = 0, rotor_speed: float = 800.0) ->
 class SpeedControl:
     """The action is the rotor command."""
 
+    action_names = ("first", "second", "third", "fourth")
+
     def rotor_command(self, state: BodyState, action: torch.Tensor) -> torch.Tensor:
         return action
-
-
-class DirectSpeed(SpeedControl):
-    """The same, also in a kernel."""
-
-    def fused(self):
-        low, high = torch.zeros(4).expand(2, 4), torch.full((4,), 1e4).expand(2, 4)  # shared rows
-        return FusedLaw(output="speed", num_actions=4, low=low, high=high)
 
 
 def make_effects(values: dict[str, dict[str, float]], num_envs: int) -> list[tuple[Effect, torch.Tensor]]:

@@ -9,6 +9,7 @@ There, thrust, attitude and rate setpoint run at 100 Hz, the torque at 500 Hz.
 """
 
 from dataclasses import dataclass
+from math import tan
 
 import torch
 from torch import Tensor
@@ -61,7 +62,7 @@ def outer_loop(
     weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
     wanted = gains.position * error + gains.velocity * drift + weight
     if max_inclination is not None:
-        wanted = limit_inclination(wanted, torch.full_like(wanted[:, 2], LEAST_LIFT * gravity), max_inclination)
+        wanted = limit_inclination(wanted, torch.full_like(wanted[:, 2], LEAST_LIFT * gravity), tan(max_inclination))
     up = up_axis(wanted)
     collective = wanted[:, 2:] / quat_rotate(state.attitude, up)[:, 2:]
     collective = torch.minimum(torch.maximum(collective, gains.least_thrust), gains.most_thrust)

@@ -8,6 +8,8 @@ Source: outputs of the firmware's power distribution (``tests/cross/firmware``);
 change 1147 (github.com/bitcraze/crazyflie-firmware).
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -53,10 +55,14 @@ def rotor_signs(law: str, vehicle: Vehicle, allocation: Allocation, gravity: flo
     return signs
 
 
-def rotor_counts(thrust: Tensor, moment: Tensor, signs: Tensor) -> Tensor:
-    """Return the counts of each rotor, (E, R), for a thrust (E, 1) and moments (E, 3), all in counts."""
+def rotor_counts(thrust: Tensor, moment: Tensor, signs: Sequence[Sequence[float]]) -> Tensor:
+    """Return the counts of each rotor, (E, R), for a thrust (E, 1) and moments (E, 3), all in counts.
+
+    Args:
+        signs: Those of ``rotor_signs``, as numbers.
+    """
     parts = moment * moment.new_tensor(SHARES)
-    counts = thrust + parts @ signs.to(moment).T
+    counts = thrust + (parts.unsqueeze(1) * moment.new_tensor(signs)).sum(-1)
     excess = (counts.amax(-1, keepdim=True) - MOST_COUNTS).clamp_min(0.0)
     return (counts - excess).clamp_min(0.0)
 

@@ -13,14 +13,14 @@ from torch import Tensor
 
 from aerial_gym.control.crazyflie.mellinger import FlatTarget
 from aerial_gym.control.lee import (
-    LEAST_LIFT,
     LeeGains,
     attitude_error,
     attitude_from_force,
     attitude_torque,
-    limit_inclination,
+    force_within_inclination,
+    heading_of_yaw,
 )
-from aerial_gym.math.quaternion import quat_to_matrix
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.state import BodyState
 
 WIDTH = 6
@@ -56,14 +56,13 @@ def geometric_control(
     error, drift = target.position - state.position, target.velocity - state.lin_vel
     far = _clamp(far + error * dt, gains.position_limit)
     wanted = lee.position * error + lee.velocity * drift + gains.position_integral * far + target.acceleration
-    force = lee.mass.unsqueeze(-1) * (wanted + wanted.new_tensor((0.0, 0.0, lee.gravity)))
-    force = limit_inclination(force, LEAST_LIFT * lee.mass * lee.gravity, lee.max_inclination)
-    rotation = quat_to_matrix(state.attitude)
-    desired = attitude_from_force(force, target.yaw)
-    turned = _clamp(turned + attitude_error(rotation, desired) * dt, gains.attitude_limit)
-    torque = attitude_torque(lee, rotation, desired, state.ang_vel, torch.zeros_like(state.ang_vel))
+    force = force_within_inclination(wanted, lee)
+    along = quat_rotate_inverse(state.attitude, force)
+    turn = attitude_from_force(along, heading_of_yaw(state.attitude, target.yaw))
+    turned = _clamp(turned + attitude_error(turn) * dt, gains.attitude_limit)
+    torque = attitude_torque(lee, turn, state.ang_vel, torch.zeros_like(state.ang_vel))
     torque = torque - gains.attitude_integral * turned
-    return (force * rotation[:, :, 2]).sum(-1), torque, torch.cat((far, turned), dim=-1)
+    return along[:, 2], torque, torch.cat((far, turned), dim=-1)
 
 
 def _clamp(values: Tensor, limit: Tensor) -> Tensor:

@@ -6,12 +6,13 @@ Crazyflie's additions (integrals, rate difference), units, gains and rate of 500
 """
 
 from dataclasses import dataclass
+from math import tan
 
 import torch
 from torch import Tensor
 
-from aerial_gym.control.lee import LEAST_LIFT, attitude_error, attitude_from_force, limit_inclination
-from aerial_gym.math.quaternion import quat_to_matrix
+from aerial_gym.control.lee import LEAST_LIFT, attitude_error, attitude_from_force, heading_of_yaw, limit_inclination
+from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.state import BodyState
 
 MOST_COUNTS = 32000.0
@@ -78,10 +79,10 @@ def mellinger_control(
     weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
     force = gains.position * error + gains.velocity * drift + gains.position_integral * far + gains.mass * weight
     if max_inclination is not None:
-        force = limit_inclination(force, LEAST_LIFT * gravity * gains.mass[:, 0], max_inclination)
-    rotation = quat_to_matrix(state.attitude)
-    thrust = (force * rotation[:, :, 2]).sum(-1, keepdim=True)
-    turn = 2.0 * attitude_error(rotation, attitude_from_force(force, target.yaw))
+        force = limit_inclination(force, LEAST_LIFT * gravity * gains.mass[:, 0], tan(max_inclination))
+    along = quat_rotate_inverse(state.attitude, force)
+    thrust = along[:, 2:]
+    turn = 2.0 * attitude_error(attitude_from_force(along, heading_of_yaw(state.attitude, target.yaw)))
     turned = _clamp(turned - turn * dt, gains.attitude_limit)
     excess = state.ang_vel - target.rates
     moment = gains.attitude_integral * turned - gains.attitude * turn - gains.rate * excess

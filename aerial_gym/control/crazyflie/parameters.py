@@ -17,7 +17,7 @@ from aerial_gym.config.autopilots.crazyflie import BrescianiniCfg, CrazyflieLeeC
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.crazyflie.brescianini import BrescianiniGains
-from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, torque_per_count
+from aerial_gym.control.crazyflie.distribution import MOST_COUNTS, rotor_signs, torque_per_count
 from aerial_gym.control.crazyflie.geometric import IntegralGains
 from aerial_gym.control.crazyflie.mellinger import MellingerGains
 from aerial_gym.control.crazyflie.pid import MOST_MOMENT, THRUST_PER_OUTPUT, PidGains, PidLevel
@@ -67,10 +67,12 @@ class CountGains(NominalGains):
     """Derived gains with torques in counts."""
 
     def __init__(
-        self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, signs: Tensor, *,
-        gravity: float, timing: Timing,
+        self, cfg: ControllerCfg, control: ControlCfg, vehicle: Vehicle, allocation: Allocation, *, gravity: float,
+        timing: Timing,
     ) -> None:  # fmt: skip
         super().__init__(cfg, control, vehicle, allocation, gravity=gravity, timing=timing)
+        signs = rotor_signs(cfg.law, vehicle, allocation, gravity)
+        self.signs: list[list[float]] = signs.tolist()  # equal in all environments: constants of the fused kernel
         unit = torque_per_count(vehicle, allocation, signs, gravity)
         self.per_newton = MOST_COUNTS / float(allocation.high[0].sum())
         self.attitude, self.rate = self.attitude / unit, self.rate / unit  # counts per rad, per rad/s

@@ -9,8 +9,9 @@ Source: Brescianini, Hehn, D'Andrea (2013), Nonlinear quadrocopter attitude cont
 import torch
 from torch import Tensor
 
-from aerial_gym.control.reduced_attitude import tilt_first_error, up_axis
-from aerial_gym.math.quaternion import quat_rotate_inverse
+from aerial_gym.control.reduced_attitude import tilt_first_error
+from aerial_gym.math.quaternion import world_up
+from aerial_gym.math.rows import unit_vector
 
 
 def rate_setpoint(
@@ -30,21 +31,20 @@ def rate_setpoint(
     """
     error = tilt_first_error(attitude, wanted, yaw_weight)
     scaled = torch.cat((gain[:, :2], gain[:, 2:] / yaw_weight), dim=-1)
-    rates = 2.0 * scaled * error + yaw_rate.unsqueeze(-1) * quat_rotate_inverse(attitude, up_axis(attitude))
+    rates = 2.0 * scaled * error + yaw_rate.unsqueeze(-1) * world_up(attitude)
     return torch.minimum(torch.maximum(rates, -limit), limit)
 
 
-def attitude_from_thrust(thrust: Tensor, yaw: Tensor) -> Tensor:
-    """Return the attitude (E, 4) with body z along a thrust (E, 3), world, and body x in the vertical plane of a yaw (E,).
+def attitude_from_thrust(thrust: Tensor, heading: Tensor) -> Tensor:
+    """Return the attitude (E, 4) with body z along a thrust (E, 3) and body x in the vertical plane of a heading (E, 3).
 
-    Lee's law takes the axis nearest to the heading instead. Thrusts point upwards.
+    Lee's law takes the axis nearest to the heading instead. Thrusts point upwards, headings are horizontal; both in the world.
 
     Source: PX4, ``ControlMath::bodyzToAttitude``.
     """
-    b3 = thrust / thrust.norm(dim=-1, keepdim=True)
-    left = torch.stack((-torch.sin(yaw), torch.cos(yaw), torch.zeros_like(yaw)), dim=-1)
-    b1 = torch.linalg.cross(left, b3)
-    b1 = b1 / b1.norm(dim=-1, keepdim=True)
+    b3 = unit_vector(thrust)
+    left = torch.stack((-heading[:, 1], heading[:, 0], torch.zeros_like(heading[:, 0])), dim=-1)
+    b1 = unit_vector(torch.linalg.cross(left, b3))
     return quat_from_axes(b1, torch.linalg.cross(b3, b1), b3)
 
 
@@ -62,7 +62,8 @@ def quat_from_axes(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
         torch.stack((e, f, 1.0 - xx - yy + zz, c), dim=-1),
         torch.stack((a, b, c, 1.0 + xx + yy + zz), dim=-1),
     )
-    stacked = torch.stack(forms, dim=1)
-    size = torch.stack([form[:, i] for i, form in enumerate(forms)], dim=-1)
-    best = stacked.gather(1, size.argmax(-1)[:, None, None].expand(-1, 1, 4)).squeeze(1)
-    return best / best.norm(dim=-1, keepdim=True)
+    best, divisor = forms[0], forms[0][:, :1]
+    for k, form in enumerate(forms[1:], start=1):
+        better = form[:, k : k + 1] > divisor
+        best, divisor = torch.where(better, form, best), torch.maximum(form[:, k : k + 1], divisor)
+    return unit_vector(best)

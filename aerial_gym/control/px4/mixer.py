@@ -9,14 +9,14 @@ Letters: E environments, R rotors.
 Source: PX4 Autopilot 1.14, ``ControlAllocationSequentialDesaturation``.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import torch
-import warp as wp
 from torch import Tensor
 
+from aerial_gym.interop.rows.conditional import compute_if
 from aerial_gym.physics.fused.allocation import NEGLIGIBLE
-from aerial_gym.physics.fused.types import rotor_types
 
 ROLL, PITCH, YAW, THRUST = range(4)
 """Columns of the mixing matrix."""
@@ -46,22 +46,39 @@ def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> MixerO
         low: Lowest signals, (E, R); the highest are 1.
         airmode: MC_AIRMODE: 0, 1 or 2.
     """
-    given, high = wanted.clone(), torch.ones_like(low)
+    level = (columns * _without_yaw(wanted).unsqueeze(1)).sum(-1)
+    plain = level + columns[..., YAW] * wanted[:, YAW : YAW + 1]
+    beyond = ((torch.minimum(plain, level) < low) | (torch.maximum(plain, level) > 1.0)).any(-1, keepdim=True)
+    return MixerOutput(
+        *compute_if(
+            beyond, partial(desaturate, airmode), (columns, wanted, low), (plain, torch.zeros_like(wanted[:, :3]))
+        )
+    )
+
+
+def _without_yaw(wanted: Tensor) -> Tensor:
+    zero = torch.zeros_like(wanted[:, YAW : YAW + 1])
+    return torch.cat((wanted[:, :YAW], zero, wanted[:, THRUST:]), dim=-1)
+
+
+def desaturate(airmode: int, columns: Tensor, wanted: Tensor, low: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the fields of ``MixerOutput`` by PX4's sequence of reductions; arguments as for ``mix``."""
+    high, parts = torch.ones_like(low), columns.unbind(-1)
+    given = list(wanted.split(1, dim=-1))
 
     def make_room(signal: Tensor, axis: int, top: Tensor, *, only_less: bool = False) -> Tensor:
-        column = columns[..., axis]
-        first = _desaturation_gain(signal, column, low, top)
+        first = _desaturation_gain(signal, parts[axis], low, top)
         if only_less:
             first = torch.where(first > 0.0, 0.0, first)
-        moved = signal + first * column
-        second = 0.5 * _desaturation_gain(moved, column, low, top)
+        moved = signal + first * parts[axis]
+        second = 0.5 * _desaturation_gain(moved, parts[axis], low, top)
         if only_less:
             second = torch.where(first == 0.0, 0.0, second)
-        given[:, axis : axis + 1] += first + second
-        return moved + second * column
+        given[axis] = given[axis] + first + second
+        return moved + second * parts[axis]
 
-    yaw, first = columns[..., YAW] * wanted[:, YAW : YAW + 1], [ROLL, PITCH, THRUST]
-    signal = (columns[..., first] * wanted[:, None, first]).sum(-1)
+    yaw = parts[YAW] * wanted[:, YAW : YAW + 1]
+    signal = (columns * _without_yaw(wanted).unsqueeze(1)).sum(-1)
     if airmode == 2:
         signal = make_room(make_room(signal + yaw, THRUST, high), YAW, high)
     else:
@@ -72,8 +89,8 @@ def mix(columns: Tensor, wanted: Tensor, low: Tensor, *, airmode: int) -> MixerO
         signal = make_room(signal, THRUST, high, only_less=True)
     cut = torch.minimum(torch.maximum(signal, low), high)
     within = ((cut - signal).abs() <= NEGLIGIBLE).all(-1, keepdim=True)
-    lost = torch.where(within, wanted - given, wanted)[:, :3]
-    return MixerOutput(cut, torch.where(lost.abs() > NEGLIGIBLE, lost.sign(), 0.0))
+    lost = torch.where(within, wanted - torch.cat(given, dim=-1), wanted)[:, :3]
+    return cut, torch.where(lost.abs() > NEGLIGIBLE, lost.sign(), 0.0)
 
 
 def _desaturation_gain(signal: Tensor, column: Tensor, low: Tensor, high: Tensor) -> Tensor:
@@ -82,91 +99,3 @@ def _desaturation_gain(signal: Tensor, column: Tensor, low: Tensor, high: Tensor
     strong = column.abs() >= WEAK
     steps = torch.where(strong, beyond / torch.where(strong, column, 1.0), 0.0)
     return steps.amin(-1, keepdim=True).clamp_max(0.0) + steps.amax(-1, keepdim=True).clamp_min(0.0)
-
-
-def make_mixer(num_rotors: int, general: bool, airmode: int) -> wp.Function:
-    """Return the Warp version of ``mix``, from units of torque [N m] and thrust [N] and normalised commands to thrusts [N].
-
-    Args:
-        general: Whether to support every kind of rotor.
-    """
-    types = rotor_types(num_rotors, general)
-    command_type, vector = types.command, types.vector
-    columns_type = wp.types.matrix(shape=(4, num_rotors), dtype=wp.float32)
-
-    @wp.func
-    def desaturation_gain(signal: vector, column: vector, low: vector, margin: float) -> float:
-        least = wp.float32(0.0)
-        most = wp.float32(0.0)
-        for i in range(wp.static(num_rotors)):
-            beyond = wp.clamp(signal[i], low[i], 1.0 + margin * (1.0 - low[i])) - signal[i]
-            if wp.abs(column[i]) >= wp.static(WEAK):
-                least = wp.min(least, beyond / column[i])
-                most = wp.max(most, beyond / column[i])
-        return least + most
-
-    @wp.func
-    def desaturation_step(signal: vector, column: vector, low: vector, margin: float, only_less: bool) -> float:
-        first = desaturation_gain(signal, column, low, margin)
-        if only_less and first >= 0.0:
-            return 0.0
-        return first + 0.5 * desaturation_gain(signal + first * column, column, low, margin)
-
-    @wp.func
-    def desaturate(columns: columns_type, low: vector, wanted: wp.vec4):
-        signal = vector()
-        moved = wp.vec4()
-        for axis in range(4):
-            if wp.static(airmode == 2) or axis != wp.static(YAW):
-                signal += wanted[axis] * columns[axis]
-        moved[THRUST] = desaturation_step(signal, columns[THRUST], low, 0.0, wp.static(airmode == 0))
-        signal += moved[THRUST] * columns[THRUST]
-        if wp.static(airmode == 0):
-            for axis in range(2):
-                moved[axis] = desaturation_step(signal, columns[axis], low, 0.0, False)
-                signal += moved[axis] * columns[axis]
-        margin = 0.0
-        if wp.static(airmode != 2):
-            signal += wanted[YAW] * columns[YAW]
-            margin = wp.static(YAW_MARGIN)
-        moved[YAW] = desaturation_step(signal, columns[YAW], low, margin, False)
-        signal += moved[YAW] * columns[YAW]
-        if wp.static(airmode != 2):
-            signal += desaturation_step(signal, columns[THRUST], low, 0.0, True) * columns[THRUST]
-        return signal, moved
-
-    @wp.func
-    def mixer(params: command_type, unit_torque: wp.vec3, unit_thrust: float, torque: wp.vec3, collective: float):
-        columns = columns_type()
-        low = vector()
-        unit = wp.vec4(unit_torque[0], unit_torque[1], unit_torque[2], unit_thrust)
-        wanted = wp.vec4(torque[0], torque[1], torque[2], collective)
-        for i in range(wp.static(num_rotors)):
-            row = params.allocation[i]
-            part = wp.vec4(row[3], row[4], row[5], row[2])
-            low[i] = params.low[i] / params.high[i]
-            for axis in range(4):
-                columns[axis, i] = part[axis] * unit[axis] / params.high[i]
-        level = wanted[ROLL] * columns[ROLL] + wanted[PITCH] * columns[PITCH] + wanted[THRUST] * columns[THRUST]
-        signal = level + wanted[YAW] * columns[YAW]
-        inside = bool(True)  # noqa: UP018
-        for i in range(wp.static(num_rotors)):
-            if wp.min(signal[i], level[i]) < low[i] or wp.max(signal[i], level[i]) > 1.0:
-                inside = False
-        short = wp.vec3()
-        if not inside:
-            signal, moved = desaturate(columns, low, wanted)
-            cut = bool(False)  # noqa: UP018
-            for i in range(wp.static(num_rotors)):
-                if wp.abs(wp.clamp(signal[i], low[i], 1.0) - signal[i]) > NEGLIGIBLE:
-                    cut = True
-            for axis in range(3):
-                lost = wp.where(cut, wanted[axis], -moved[axis])
-                if wp.abs(lost) > NEGLIGIBLE:
-                    short[axis] = wp.sign(lost)
-        thrust = vector()
-        for i in range(wp.static(num_rotors)):
-            thrust[i] = wp.clamp(signal[i], low[i], 1.0) * params.high[i]
-        return thrust, short
-
-    return mixer

@@ -7,7 +7,8 @@ Letters: B rows of the trace.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -17,8 +18,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
 
+from aerial_gym.interop.rows.conditional import ConditionalCall, RowsFunction, recorders
 from aerial_gym.interop.rows.operations import COMPOSED, IN_PLACE, INTO_ZEROS, MOVES, POINTWISE, REDUCTIONS
 from aerial_gym.interop.rows.simplification import simplify
 
@@ -67,6 +69,8 @@ class Trace:
     lifted: list[Tensor] = field(default_factory=list)
     """Tensors from elsewhere, (E, ...), or (...) if shared, which become inputs after the function's own."""
 
+    sources: list[Tensor] = field(default_factory=list)  # The same with all rows (E, ...), by their order
+    calls: list[ConditionalCall] = field(default_factory=list)  # Functions of the scalars of kind ``call:i``
     simplifies: bool = False  # Whether products with 0 and 1, sums with 0 and operations on constants are replaced
     _numbers: dict[tuple[str, str | tuple[Any, ...], torch.dtype], int] = field(default_factory=dict)
 
@@ -93,6 +97,7 @@ def trace(
     lifts: bool = False,
     fixes: bool = False,
     constants: Mapping[tuple[int, int], float] | None = None,
+    known: Callable[[Tensor], Mapping[int, float]] | None = None,
 ) -> Trace:
     """Trace a function on one row.
 
@@ -103,19 +108,25 @@ def trace(
         lifts: Whether tensors (E, ...) from elsewhere become inputs; else they are refused.
         fixes: Whether tensors from elsewhere become constants.
         constants: Known values of entries of inputs, by position and entry. With it, arithmetic on constants is simplified
-            as if all numbers were finite.
+            as if all numbers were finite, and ``compute_if`` records conditional work.
+        known: Function from a tensor from elsewhere to the known entries of its rows, which become constants.
 
     Raises:
         UntraceableError: If it cannot be computed row by row with the operations of ``operations.py``.
     """
     into = Trace(simplifies=constants is not None)
-    watch = _Recorder(into, constants or {})
+    watch = _Recorder(into, dict(constants or {}))
     num_rows = next((tensor.shape[0] for tensor in inputs if tensor.ndim), 0)
     rows = [
         watch.input(position, tensor, rows=tensor.shape[:1] == (num_rows,)) for position, tensor in enumerate(inputs)
     ]
     try:
-        with torch.no_grad(), watch, _ExternalTensors(watch, len(inputs), num_rows if lifts else None, fixes):
+        with (
+            torch.no_grad(),
+            _recording(watch if into.simplifies else None),
+            watch,
+            _ExternalTensors(watch, len(inputs), num_rows if lifts else None, fixes=fixes, known=known),
+        ):
             results = function(*rows)
     except UntraceableError:
         raise
@@ -127,6 +138,17 @@ def trace(
         numbers = watch.find_scalars(result, result.dtype).one
         into.outputs.append((numbers.ravel().tolist(), tuple(result.shape[1:]), result.dtype))
     return into
+
+
+@contextmanager
+def _recording(watch: "_Recorder | None") -> Iterator[None]:
+    """Let ``compute_if`` record into a trace, or compute all rows for None."""
+    outer = recorders[:]
+    recorders[:] = [*outer, watch] if watch is not None else []
+    try:
+        yield
+    finally:
+        recorders[:] = outer
 
 
 class _Scalars:
@@ -204,9 +226,9 @@ def _broadcast(make: Callable[..., int], given: Sequence[_Scalars], shape: torch
 class _Recorder(TorchDispatchMode):
     """Dispatch mode that runs every torch operation and records its effect on scalars."""
 
-    def __init__(self, into: Trace, constants: Mapping[tuple[int, int], float]) -> None:
+    def __init__(self, into: Trace, constants: dict[tuple[int, int], float]) -> None:
         super().__init__()
-        self.into, self._constants = into, constants
+        self.into, self.constants = into, constants
         # by id of a kept tensor; None: a constant whose numbers may still change
         self._scalars: dict[int, tuple[Tensor, _Scalars | None]] = {}
         self._owners: dict[int, Trace] = {}  # of tensors that depend on an input
@@ -227,13 +249,42 @@ class _Recorder(TorchDispatchMode):
             return large
         self.into.widths[position] = shape.numel()
         numbers = [
-            self.into.number("constant", (self._constants[position, i],), tensor.dtype)
-            if (position, i) in self._constants
+            self.into.number("constant", (self.constants[position, i],), tensor.dtype)
+            if (position, i) in self.constants
             else self.into.number(kind, (position, i), tensor.dtype)
             for i in range(shape.numel())
         ]
         scalars = _Scalars(np.array(numbers, dtype=np.int64).reshape(tuple(shape)), rows=rows)
         return self._note(torch.zeros(first + tuple(shape), dtype=tensor.dtype), scalars)
+
+    def record_conditional(
+        self, condition: Tensor, function: RowsFunction, arguments: Sequence[Tensor], otherwise: Sequence[Tensor]
+    ) -> tuple[Tensor, ...]:
+        """Record a function that is called only where a condition (E, 1) holds; return placeholders of its results."""
+        copies = [tensor.clone() for tensor in (condition, *otherwise, *arguments)]  # the trace sees each of them
+        with torch._C.DisableTorchFunction(), _disable_current_modes():
+            given = [self.find_scalars(tensor) for tensor in copies]
+        rows = [each.one if each.rows else each.one[0] for each in given]
+        inputs = rows[1 + len(otherwise) :]
+        known = {
+            (position, entry): float(scalar.args[0])
+            for position, numbers in enumerate(inputs)
+            for entry, n in enumerate(numbers.ravel().tolist())
+            if (scalar := self.into.scalars[n]).kind == "constant"
+        }
+        shapes = [tuple(numbers.shape) for numbers in rows]
+        call = ConditionalCall(
+            function, tuple(shapes[1 + len(otherwise) :]), known, tuple(shapes[1 : 1 + len(otherwise)])
+        )
+        kind, dtype = f"call:{len(self.into.calls)}", otherwise[0].dtype
+        self.into.calls.append(call)
+        number = self.into.number(kind, tuple(n for numbers in rows for n in numbers.ravel().tolist()), dtype)
+        results = []
+        for k, (shape, other) in enumerate(zip(call.results, copies[1:], strict=False)):
+            made = [self.into.number(f"result:{k}:{i}", (number,), dtype) for i in range(math.prod(shape))]
+            scalars = _Scalars(np.array(made, dtype=np.int64).reshape(shape), rows=True)
+            results.append(self._note(other.clone(), scalars))
+        return tuple(results)
 
     def knows(self, tensor: Tensor) -> bool:
         """Return whether the tensor is an input or results from inputs and constants."""
@@ -396,10 +447,18 @@ class _Recorder(TorchDispatchMode):
 class _ExternalTensors(TorchFunctionMode):
     """Function mode that refuses tensors from elsewhere, which may change between calls, or lifts them to inputs."""
 
-    def __init__(self, watch: _Recorder, num_inputs: int, num_rows: int | None, fixes: bool) -> None:
-        """Store the number of inputs, and of rows if tensors are lifted."""
+    def __init__(
+        self,
+        watch: _Recorder,
+        num_inputs: int,
+        num_rows: int | None,
+        *,
+        fixes: bool,
+        known: Callable[[Tensor], Mapping[int, float]] | None,
+    ) -> None:
+        """Store the number of inputs, and of rows if tensors are lifted, and the function of their known entries."""
         super().__init__()
-        self._watch, self._next, self._num_rows, self._fixes = watch, num_inputs, num_rows, fixes
+        self._watch, self._next, self._num_rows, self._fixes, self._known = watch, num_inputs, num_rows, fixes, known
         self._lifted: dict[int, tuple[Tensor, Tensor]] = {}  # placeholders by id of a kept tensor
 
     def __torch_function__(
@@ -422,12 +481,16 @@ class _ExternalTensors(TorchFunctionMode):
     def _lift(self, tensor: Tensor) -> Tensor:
         if self._fixes:
             return self._watch.constant(tensor)
-        if self._num_rows is None or tensor.shape[:1] != (self._num_rows,) or tensor.requires_grad:
+        refused = tensor.requires_grad and not self._watch.into.simplifies
+        if self._num_rows is None or tensor.shape[:1] != (self._num_rows,) or refused:
             raise UntraceableError("it reads a tensor that is not among its arguments")
         own = tensor.stride(0) != 0 or self._num_rows == 1
         kept = tensor if own else tensor[0]
+        if self._known is not None:
+            self._watch.constants.update({(self._next, i): value for i, value in self._known(tensor).items()})
         placeholder = self._watch.input(self._next, kept, rows=own)
         self._watch.into.lifted.append(kept)
+        self._watch.into.sources.append(tensor)
         self._next += 1
         return placeholder if own else placeholder.expand(ROWS, *placeholder.shape)
 

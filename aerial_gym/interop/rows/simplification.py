@@ -41,6 +41,11 @@ def simplify(trace: "Trace", kind: str, args: tuple[Any, ...], dtype: torch.dtyp
         return trace.number("constant", (result,), dtype)
     if kind == "where" and values[0] is not None:
         return args[1] if values[0] else args[2]
+    if kind == "where" and args[1] == args[2]:
+        return args[1]
+    if kind == "where" and (argument := _argument_of_safe_root(trace, args)) is not None:
+        zero = trace.number("constant", (0.0,), dtype)
+        return trace.number("sqrt", (trace.number("maximum", (argument, zero), dtype),), dtype)
     if kind == "div" and dtype == torch.float32 and values[1] is None:
         return trace.number("mul", (args[0], trace.number("reciprocal", args[1:], dtype)), dtype)
     if kind == "reciprocal" and dtype == torch.float32 and scalars[0].kind == "sqrt":
@@ -50,6 +55,17 @@ def simplify(trace: "Trace", kind: str, args: tuple[Any, ...], dtype: torch.dtyp
     if kind == "sub" and args[0] == args[1]:
         return trace.number("constant", (torch.zeros((), dtype=dtype).item(),), dtype)
     return _neutral(trace, kind, args, values, dtype) if dtype.is_floating_point else None
+
+
+def _argument_of_safe_root(trace: "Trace", args: tuple[Any, ...]) -> int | None:
+    """Return x of ``where(x <= 0, 0, sqrt(where(x <= 0, 1, x)))``, torch's form of a root with a finite gradient at 0."""
+    condition, yes, no = (trace.scalars[n] for n in args)
+    if condition.kind != "le" or (yes.kind, yes.args) != ("constant", (0.0,)) or no.kind != "sqrt":
+        return None
+    inner, limit = trace.scalars[int(no.args[0])], trace.scalars[int(condition.args[1])]
+    x = int(condition.args[0])
+    fits = inner.kind == "where" and int(inner.args[0]) == args[0] and int(inner.args[2]) == x
+    return x if fits and (limit.kind, limit.args) == ("constant", (0.0,)) else None
 
 
 def _neutral(trace: "Trace", kind: str, args: tuple[Any, ...], values: list[Any], dtype: torch.dtype) -> int | None:

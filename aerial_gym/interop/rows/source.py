@@ -85,8 +85,12 @@ _BESIDE = """\
 """
 
 
-def dependencies(trace: Trace, ends: Iterable[int]) -> list[int]:
-    """Return the numbers of the scalars on which ``ends`` depend, and of these themselves, in order."""
+def dependencies(trace: Trace, ends: Iterable[int], *, known: Container[int] = ()) -> list[int]:
+    """Return the numbers of the scalars on which ``ends`` depend, and of these themselves, in order.
+
+    Args:
+        known: Scalars without further dependencies.
+    """
     needed: set[int] = set()
     ahead = list(ends)
     while ahead:
@@ -94,7 +98,7 @@ def dependencies(trace: Trace, ends: Iterable[int]) -> list[int]:
         if number not in needed:
             needed.add(number)
             scalar = trace.scalars[number]
-            if scalar.kind not in ("input", "shared", "constant"):
+            if number not in known and scalar.kind not in ("input", "shared", "constant"):
                 ahead += [int(n) for n in scalar.args]
     return sorted(needed)
 

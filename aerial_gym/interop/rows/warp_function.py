@@ -3,7 +3,8 @@
 Arithmetic is that of physics kernels: quotients and roots have one instruction on a GPU, and limits drop NaN like Warp's own.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from math import prod
 
 import torch
 
@@ -27,6 +28,9 @@ QUICK = {
 def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], str]) -> list[str]:
     """Return the lines that compute the scalars ``needed``, named ``v0``, ``v1``, ... by their numbers.
 
+    Conditional work calls functions ``call_0``, ..., with arguments of types ``call_0_argument_0``, ... and results of types
+    ``call_0_result_0``, ...
+
     Args:
         read: Function from position and entry of an input to its code.
     """
@@ -35,6 +39,11 @@ def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], s
 
 def _lines(trace: Trace, n: int, read: Callable[[int, int], str]) -> list[str]:
     scalar = trace.scalars[n]
+    if scalar.kind.startswith("call:"):
+        return _call_lines(trace, n)
+    if scalar.kind.startswith("result:"):
+        _, k, entry = scalar.kind.split(":")
+        return [f"    v{n} = v{scalar.args[0]}_{k}[{entry}]"]
     kind, _, body = scalar.kind.partition(" ")
     names = [f"v{a}" for a in scalar.args]
     if kind == "call":
@@ -45,6 +54,24 @@ def _lines(trace: Trace, n: int, read: Callable[[int, int], str]) -> list[str]:
     return [f"    v{n} = {_code(trace, scalar, read)}"]
 
 
+def _call_lines(trace: Trace, number: int) -> list[str]:
+    """Return the lines of a conditional call, whose results are ``v1_0``, ``v1_1``, ... for number 1."""
+    scalar = trace.scalars[number]
+    index = int(scalar.kind.split(":")[1])
+    call, name = trace.calls[index], f"call_{index}"
+    (condition, *numbers), parts = (int(n) for n in scalar.args), []
+    for shape in (*call.results, *call.shapes):
+        parts.append(", ".join(f"v{n}" for n in numbers[: prod(shape)]))
+        numbers = numbers[prod(shape) :]
+    results = [f"v{number}_{k}" for k in range(len(call.results))]
+    lines = [
+        f"    {result} = {name}_result_{k}({part})"
+        for k, (result, part) in enumerate(zip(results, parts, strict=False))
+    ]
+    arguments = [f"{name}_argument_{k}({part})" for k, part in enumerate(parts[len(results) :])]
+    return [*lines, f"    if v{condition}:", f"        {', '.join(results)} = {name}({', '.join(arguments)})"]
+
+
 def function_lines(trace: Trace, read: Callable[[int, int], str], returns: Sequence[str]) -> list[str]:
     """Return the body of the function: all scalars of the outputs and the return statement.
 
@@ -52,12 +79,62 @@ def function_lines(trace: Trace, read: Callable[[int, int], str], returns: Seque
         read: Function from position and entry of an input to its code.
         returns: Constructor of each output, or empty for a single number.
     """
+    ends = [n for numbers, _, _ in trace.outputs for n in numbers]
+    return [*body_lines(trace, dependencies(trace, ends), read), return_line(trace, returns)]
+
+
+def split_lines(
+    trace: Trace, read: Callable[[int, int], str], returns: Sequence[str], early: Collection[int], late: Collection[int]
+) -> tuple[list[str], list[str], int]:
+    """Return the bodies of two functions, the first of which needs no late inputs, and the number of its results.
+
+    The first computes the scalars that depend on early inputs and not on late ones, as far as the second
+    needs them; the second reads them as ``prepared[0]``, ``prepared[1]``, ...
+    The first returns a ``prepared_type``. Scalars of other inputs alone are in both.
+
+    Args:
+        early: Positions of inputs of the first function.
+        late: Positions of inputs of the second function only.
+    """
+    ends = [n for numbers, _, _ in trace.outputs for n in numbers]
+    needed = dependencies(trace, ends)
+    depends: dict[int, set[bool]] = {}  # True: on early inputs; False: on late ones
+    for n in needed:
+        scalar = trace.scalars[n]
+        if scalar.kind in ("input", "shared"):
+            depends[n] = {True} if scalar.args[0] in early else {False} if scalar.args[0] in late else set()
+        else:
+            depends[n] = set().union(*(depends[int(a)] for a in scalar.args if scalar.kind != "constant"))
+    ahead = {n for n in needed if depends[n] == {True} and _is_kept(trace.scalars[n])}
+    used = {
+        int(a) for n in needed if n not in ahead and _has_arguments(trace.scalars[n]) for a in trace.scalars[n].args
+    }
+    frontier = [n for n in needed if n in ahead and n in used | set(ends)]
+    first = [*body_lines(trace, dependencies(trace, frontier), read)]
+    first.append(f"    return prepared_type({', '.join(f'v{n}' for n in frontier)})")
+    kept = dependencies(trace, ends, known=frontier)
+    read_back = [f"    v{n} = prepared[{i}]" for i, n in enumerate(frontier)]
+    rest = [n for n in kept if n not in set(frontier)]
+    return first, [*read_back, *body_lines(trace, rest, read), return_line(trace, returns)], len(frontier)
+
+
+def return_line(trace: Trace, returns: Sequence[str]) -> str:
+    """Return the return statement; ``returns`` has the constructor of each output, or empty for a single number."""
     results = [
         f"{made}({', '.join(f'v{n}' for n in numbers)})" if made else f"v{numbers[0]}"
         for (numbers, _, _), made in zip(trace.outputs, returns, strict=True)
     ]
-    ends = [n for numbers, _, _ in trace.outputs for n in numbers]
-    return [*body_lines(trace, dependencies(trace, ends), read), f"    return {', '.join(results)}"]
+    return f"    return {', '.join(results)}"
+
+
+def _is_kept(scalar: Scalar) -> bool:
+    """Return whether a prepared scalar is kept for the second function; the others are recomputed from kept ones."""
+    return scalar.dtype == torch.float32 and scalar.kind != "neg" and not scalar.kind.startswith("call:")
+
+
+def _has_arguments(scalar: Scalar) -> bool:
+    """Return whether the arguments of a scalar are numbers of other scalars."""
+    return scalar.kind not in ("input", "shared", "constant")
 
 
 def _code(trace: Trace, scalar: Scalar, read: Callable[[int, int], str]) -> str:
@@ -65,21 +142,14 @@ def _code(trace: Trace, scalar: Scalar, read: Callable[[int, int], str]) -> str:
         return read(int(scalar.args[0]), int(scalar.args[1]))
     if scalar.dtype != torch.float32 or scalar.kind not in QUICK:
         return operation_code(scalar)
-    if scalar.kind in ("div", "reciprocal"):
-        return _quotient(trace, scalar)
+    if scalar.kind == "div" and (divisor := trace.scalars[int(scalar.args[1])]).kind == "constant":
+        return _quotient_by_constant(int(scalar.args[0]), divisor)
     return QUICK[scalar.kind].format(*(f"v{n}" for n in scalar.args))
 
 
-def _quotient(trace: Trace, scalar: Scalar) -> str:
-    """Return the code of a quotient: a product with a constant, an inverse root or a reciprocal."""
-    *above, below = (int(n) for n in scalar.args)
-    divisor = trace.scalars[below]
-    if divisor.kind == "constant":
-        inverse = constant_code(torch.tensor(1.0 / divisor.args[0], dtype=scalar.dtype).item(), scalar.dtype)
-    else:
-        inverse = f"inverse_root(v{divisor.args[0]})" if divisor.kind == "sqrt" else f"reciprocal(v{below})"
-    is_one = not above or (trace.scalars[above[0]].kind, trace.scalars[above[0]].args) == ("constant", (1.0,))
-    return inverse if is_one else f"v{above[0]} * {inverse}"
+def _quotient_by_constant(above: int, divisor: Scalar) -> str:
+    inverse = torch.tensor(1.0 / divisor.args[0], dtype=divisor.dtype).item()
+    return f"v{above} * {constant_code(inverse, divisor.dtype)}"
 
 
 assert QUICK.keys() <= CODE.keys()

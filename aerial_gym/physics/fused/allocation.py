@@ -1,11 +1,11 @@
-"""Allocation of a wrench to thrusts with rotor limits: the Warp version of ``control.allocation.allot``.
+"""Thrusts of a wrench where rotors are at their limits: a hand-written Warp function with loops over pairs of rotors.
 
 Letters: R rotors.
 """
 
 import warp as wp
 
-from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.math.warp_functions import vector_type
 
 NEGLIGIBLE = wp.constant(1.0e-6)
 """Relative size of round-off: of differences to their sum, and of entries of the pseudo-inverse times the largest entry of the
@@ -15,83 +15,45 @@ UNLIMITED = wp.constant(1.0e9)
 """Thrust limit along body z [N] of a rotor without part in it; finite, for finite gradients."""
 
 
-def make_allot_thrust(
-    num_rotors: int, general: bool = False, *, idle: bool, lateral: bool, differentiable: bool = False
-) -> wp.Function:
-    """Return the Warp version of ``control.allocation.allot``, from parameters and wrench to thrusts [N] and two shares.
+def make_thrusts_by_priority(num_rotors: int, *, idle: bool, differentiable: bool) -> wp.Function:
+    """Return the Warp version of ``control.allocation.ThrustsByPriority``, with its arguments and results.
 
-    In the usual case without saturation it is the product with the pseudo-inverse and 2 R comparisons.
+    Traced, its pairs of rotors would be unrolled and would need more GPU registers than the rest of a kernel. A loop step that
+    the compiler does not know keeps its loops. An adjoint needs the values of every iteration, which Warp keeps for unrolled
+    loops only; there the step is known.
 
     Args:
-        general: Whether to support every kind of rotor.
         idle: Whether any rotor has no part in the force along body z.
-        lateral: Whether wrenches have lateral force.
         differentiable: Whether the adjoint is needed.
     """
-    types = rotor_types(num_rotors, general)
-    command_type, vector = types.command, types.vector
-    turn_of, rest_of = _make_parts(lateral)
-    spread = _make_spread(num_rotors, general, idle=idle, lateral=lateral, differentiable=differentiable)
-
-    @wp.func
-    def allot_thrust(params: command_type, wanted: wp.spatial_vector):
-        thrust = vector()
-        for i in range(wp.static(num_rotors)):
-            row = params.allocation[i]
-            thrust[i] = row[2] * wanted[2] + turn_of(row, wanted) + rest_of(row, wanted)
-        turn = wp.float32(1.0)
-        rest = wp.float32(1.0)
-        inside = bool(True)  # noqa: UP018
-        for i in range(wp.static(num_rotors)):
-            if not (thrust[i] >= params.low[i] and thrust[i] <= params.high[i]):
-                inside = False
-        if not inside:
-            thrust, turn, rest = spread(params, wanted)
-        return thrust, turn, rest
-
-    return allot_thrust
-
-
-def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, differentiable: bool) -> wp.Function:
-    """Return the rare path with a saturated rotor, which treats pairs of rotors as in torch.
-
-    Unrolled, it would need more GPU registers than the rest of a kernel. A loop step that the compiler does not know keeps its
-    loops. An adjoint needs the values of every iteration, which Warp keeps for unrolled loops only; there the step is known.
-    """
-    types = rotor_types(num_rotors, general)
-    command_type, vector = types.command, types.vector
-    turn_of, rest_of = _make_parts(lateral)
+    vector, one_type = vector_type(num_rotors), vector_type(1)
     table_type = wp.types.matrix(shape=(num_rotors, 4), dtype=wp.float32)
 
     @wp.func
-    def spread(params: command_type, wanted: wp.spatial_vector):
+    def thrusts_by_priority(
+        lift: vector, turn: vector, rest: vector, force: one_type, lowest: vector, highest: vector
+    ):  # fmt: skip
         one = 1
         if wp.static(not differentiable):
-            one = 1 + int(0.0 * params.high[0])
+            one = 1 + int(0.0 * highest[0])
         table = table_type()
         thrust = vector()
         for i in range(0, wp.static(num_rotors), one):
-            row = params.allocation[i]
-            if row[2] == 0.0:
+            if lift[i] == 0.0:
                 table[i] = wp.vec4(-UNLIMITED, UNLIMITED, 0.0, 0.0)
-                thrust[i] = wp.clamp(0.0, params.low[i], params.high[i])
+                thrust[i] = wp.clamp(0.0, lowest[i], highest[i])
             else:
-                low = params.low[i] / row[2]
-                high = params.high[i] / row[2]
-                table[i] = wp.vec4(
-                    wp.min(low, high), wp.max(low, high), turn_of(row, wanted) / row[2], rest_of(row, wanted) / row[2]
-                )
+                low = lowest[i] / lift[i]
+                high = highest[i] / lift[i]
+                table[i] = wp.vec4(wp.min(low, high), wp.max(low, high), turn[i] / lift[i], rest[i] / lift[i])
         shares = wp.vec2()
         for stage in range(0, 2, one):  # roll and pitch, then yaw and lateral force
             share = wp.float32(1.0)
             for i in range(0, wp.static(num_rotors), one):
                 if wp.static(idle):
-                    row = params.allocation[i]
-                    change = wp.where(stage == 0, turn_of(row, wanted), rest_of(row, wanted))
-                    if row[2] == 0.0:
-                        share = limit_share(
-                            share, thrust_margin(params.low[i], params.high[i], thrust[i], change), change
-                        )
+                    change = wp.where(stage == 0, turn[i], rest[i])
+                    if lift[i] == 0.0:
+                        share = limit_share(share, thrust_margin(lowest[i], highest[i], thrust[i], change), change)
                 for j in range(0, wp.static(num_rotors), one):
                     upper = table[j, SLOPE + stage]
                     lower = table[i, SLOPE + stage]
@@ -103,11 +65,9 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
                 for i in range(0, wp.static(num_rotors), one):
                     table[i, FLOOR] -= share * table[i, SLOPE]
                     table[i, CEILING] -= share * table[i, SLOPE]
-                    if wp.static(idle):
-                        row = params.allocation[i]
-                        if row[2] == 0.0:
-                            thrust[i] += share * turn_of(row, wanted)
-        collective = float(wanted[2])
+                    if wp.static(idle) and lift[i] == 0.0:
+                        thrust[i] += share * turn[i]
+        collective = float(force[0])
         for side in range(0, 2, one):  # from below to the ceiling, then from above to the floor
             sign = 1.0 - 2.0 * float(side)
             edge = sign * collective
@@ -122,40 +82,20 @@ def _make_spread(num_rotors: int, general: bool, *, idle: bool, lateral: bool, d
             collective = sign * edge
         rest_share = wp.float32(1.0)
         for i in range(0, wp.static(num_rotors), one):
-            row = params.allocation[i]
-            if row[2] != 0.0:
-                thrust[i] = shares[0] * turn_of(row, wanted) + collective * row[2]
-            rest = rest_of(row, wanted)
-            rest_share = limit_share(rest_share, thrust_margin(params.low[i], params.high[i], thrust[i], rest), rest)
+            if lift[i] != 0.0:
+                thrust[i] = shares[0] * turn[i] + collective * lift[i]
+            rest_share = limit_share(rest_share, thrust_margin(lowest[i], highest[i], thrust[i], rest[i]), rest[i])
         allowed = vector()
         for i in range(0, wp.static(num_rotors), one):
-            given = thrust[i] + rest_share * rest_of(params.allocation[i], wanted)
-            allowed[i] = wp.clamp(given, params.low[i], params.high[i])
-        return allowed, shares[0], rest_share
+            allowed[i] = wp.clamp(thrust[i] + rest_share * rest[i], lowest[i], highest[i])
+        return allowed, one_type(shares[0]), one_type(rest_share)
 
-    return spread
+    return thrusts_by_priority
 
 
 FLOOR, CEILING, SLOPE, TWIST = (wp.constant(column) for column in range(4))
 """Columns of the table of lifting rotors: limits of the force along body z, and the shares of roll and pitch, and of yaw and
 lateral force, in it."""
-
-
-def _make_parts(lateral: bool) -> tuple[wp.Function, wp.Function]:
-    """Return the functions of a rotor's thrust for roll and pitch torque, and for yaw torque and lateral force."""
-
-    @wp.func
-    def tilt_thrust(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
-        return row[3] * wanted[3] + row[4] * wanted[4]
-
-    @wp.func
-    def yaw_thrust(row: wp.spatial_vector, wanted: wp.spatial_vector) -> float:
-        rest = row[5] * wanted[5]
-        if wp.static(lateral):
-            rest += row[0] * wanted[0] + row[1] * wanted[1]
-        return rest
-
-    return tilt_thrust, yaw_thrust
 
 
 @wp.func

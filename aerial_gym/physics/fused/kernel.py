@@ -10,14 +10,13 @@ import warp as wp
 
 from aerial_gym.math.warp_functions import load_quat, load_vec4, rotate, store_quat, store_vec4, vector_type
 from aerial_gym.physics.effects import LoadEffect
-from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters, make_push_off_ground
 from aerial_gym.physics.fused.dynamics import make_stepper
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
-from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
+from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
-from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
+from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band
 from aerial_gym.physics.fused.row_model import structure_constants
 from aerial_gym.physics.model import Model
@@ -65,23 +64,16 @@ def make_kernel(
     stop = make_dead_band(num_rotors) if general else None
     constants = {} if differentiable else structure_constants(collect_numbers(model, law, 1.0).vehicle)
     vector, action_type, params_type = types.vector, vector_type(law.num_actions), values_type(model)
-    prepare, prepared_type = preparation(law.prepare, law.num_actions), vector_type(law.num_prepared)
+    prepare, prepared_type = preparation(law), vector_type(law.num_prepared)
     remembers, num_loads = bool(model.effects.names_with_memory), 6 * len(model.effects[LoadEffect])
     any_load = num_loads > 0
     begin = make_begin(model) if remembers else None
-    law_remembers = law.make_stateful_step is not None
+    law_remembers, command_of, law_type = law.needs is not None, law.command, law.struct
     memories_type = memory_type(effects=remembers, law=law_remembers)
-    remembered_command = (
-        law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
-    )
-    vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
-    step, command_of = (
-        make_stepper(model, integrator, constants),
-        make_command(law, num_rotors, general, differentiable=differentiable),
-    )
+    vehicle_type = types.vehicle
+    step = make_stepper(model, integrator, constants)
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
-    read_command = make_command_reader(types, packing.command, packing.command_entries)
-    read_gains = make_gains_reader(law, packing.gains)
+    read_law = make_completion(law_type, {**packing.followed, **packing.law}, {})
     read_params = make_reader(params_type, num_params, 0)
     first_param = packing.effects
     follows, hook_type = hook is not None, NoHook if hook is None else hook.struct
@@ -94,8 +86,7 @@ def make_kernel(
     @wp.func
     def step_once(
         vehicle: vehicle_type,
-        command_params: command_type,
-        gains: gains_type,
+        law: law_type,
         params: params_type,
         gravity: float,
         x: wp.vec3,
@@ -116,9 +107,9 @@ def make_kernel(
             origin = x - rotate(q, vehicle.com)
             origin_vel = v - rotate(q, wp.cross(w, vehicle.com))
         if wp.static(law_remembers):
-            command = remembered_command(command_params, gains, origin, q, origin_vel, w, u, memory.law, env, dt)
+            command = command_of(origin, q, origin_vel, w, n, law, u, memory.law, env)
         else:
-            command = command_of(command_params, gains, origin, q, origin_vel, w, u)
+            command = command_of(origin, q, origin_vel, w, n, law, u)
         if wp.static(general):
             command = stop(vehicle, command)
         values = params
@@ -142,8 +133,7 @@ def make_kernel(
         action: wp.array[action_type],  # (E,)
         # params
         shared_vehicle: vehicle_type,
-        shared_command: command_type,
-        shared_gains: gains_type,
+        shared_law: law_type,
         packed: wp.array2d[float],  # (N, E)
         spheres: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
         ground_height: float,  # [m] world
@@ -166,15 +156,14 @@ def make_kernel(
         """Advance one environment; its state stays in registers over the substeps."""
         env = wp.tid() + first
         vehicle = read_vehicle(shared_vehicle, packed, env)
-        command_params = read_command(shared_command, packed, env)
-        gains = read_gains(shared_gains, packed, env)
+        law_numbers = read_law(shared_law, packed, env)
         params = read_params(packed, wp.static(first_param), env)
         x = position[env]
         q = get_quat(attitude, env)
         v = lin_vel[env]
         w = ang_vel[env]
         n = get_rotors(rotor_speed, env)
-        u = prepare(get_action(action, env), gains)
+        u = prepare(get_action(action, env), law_numbers)
         if wp.static(com_offset):
             x = x + rotate(q, vehicle.com)
             v = v + rotate(q, wp.cross(w, vehicle.com))
@@ -193,7 +182,7 @@ def make_kernel(
                 load[i] = effects.numbers[wp.static(num_memory - num_loads) + i, env]
         if wp.static(differentiable):  # no loop, because its adjoint would need the intermediate states
             x, q, v, w, n, load, params = step_once(
-                vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env, since, dt
+                vehicle, law_numbers, params, gravity, x, q, v, w, n, load, u, memory, env, since, dt
             )
             substeps = 0
         total = wp.vec3()
@@ -203,7 +192,7 @@ def make_kernel(
             first_v = v
             first_w = w
             x, q, v, w, n, load, params = step_once(
-                vehicle, command_params, gains, params, gravity, x, q, v, w, n, load, u, memory, env,
+                vehicle, law_numbers, params, gravity, x, q, v, w, n, load, u, memory, env,
                 since + k, dt,
             )  # fmt: skip
             if wp.static(num_spheres > 0 and compliant):

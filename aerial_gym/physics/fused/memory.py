@@ -12,7 +12,7 @@ from aerial_gym.math.random import Purpose
 from aerial_gym.physics.effects import DelayEffect
 from aerial_gym.physics.fused.formulas import make_delay, make_lead, make_remember
 from aerial_gym.physics.fused.packing import model_types, values_type
-from aerial_gym.physics.fused.types import RotorTypes
+from aerial_gym.physics.fused.types import LawArrays, RotorTypes
 from aerial_gym.physics.model import Model
 
 
@@ -32,15 +32,6 @@ class NoMemory:
     """In place of ``MemoryArrays`` without memory: short arguments make a launch cheaper."""
 
     slots: int  # 0
-
-
-@wp.struct
-class LawArrays:
-    """Memory of the control law in all environments: ``law_memory.LawMemory``."""
-
-    numbers: wp.array2d[float]  # (M, E)
-    past: wp.array2d[float]  # (P, E)
-    since: wp.array[int]  # (E,)
 
 
 @wp.struct

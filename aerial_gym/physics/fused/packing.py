@@ -9,14 +9,13 @@ Letters: E environments, R rotors, N packed numbers, P parameters and M remember
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from aerial_gym.math.warp_functions import vector_type
-from aerial_gym.physics.fused.law import FusedLaw, NoGains
+from aerial_gym.physics.fused.law import FusedLaw, LawField
 from aerial_gym.physics.fused.types import RotorTypes, rotor_types
 from aerial_gym.physics.model import Model
 from aerial_gym.physics.rotor_lag import FASTEST, SHORTEST
@@ -101,27 +100,18 @@ def _vehicle_fields(model: Model, stage: float) -> list[StructField]:
     return fields
 
 
-def _command_fields(law: FusedLaw, plain: bool) -> list[StructField]:
-    """Return the fields of the command."""
+def _law_fields(law: FusedLaw, followed: bool) -> list[StructField]:
+    """Return the fields of the law whose tensors follow the vehicle of each environment, or all others."""
 
-    def speed_map(thrust_map: Tensor) -> Tensor:
-        """Complete the square of ``c0 + c1 w + c2 w² = T``."""
-        c0, c1, c2 = thrust_map.unbind(-1)
-        vertex = c1 / (2.0 * c2)
-        return torch.stack((vertex * vertex - c0 / c2, 1.0 / c2, vertex), dim=-1)
+    def entry_picker(field: LawField) -> Callable[[Tensor], Tensor]:
+        def pick(tensor: Tensor) -> Tensor:
+            rows = _same(tensor).flatten(1)
+            return torch.stack([rows[:, i] for i in field.entries], dim=1)
 
-    fields = [StructField("low", (law.low,), _same), StructField("high", (law.high,), _same)]
-    if law.thrust_map is not None and plain:
-        fields.append(StructField("speed_map", (law.thrust_map,), speed_map))
-    if law.thrust_map is not None and not plain:
-        backwards = law.thrust_map if law.reverse_thrust_map is None else law.reverse_thrust_map
-        fields += [
-            StructField("thrust_map", (law.thrust_map,), _same),
-            StructField("reverse_thrust_map", (backwards,), _same),
-        ]
-    if law.allocation is not None:
-        fields.append(StructField("allocation", (law.allocation,), _same))
-    return fields
+        return pick
+
+    fields = (field for field in law.fields if (field.name in law.followed) == followed)
+    return [StructField(field.name, (field.tensor,), entry_picker(field)) for field in fields]
 
 
 @dataclass(frozen=True)
@@ -129,25 +119,19 @@ class Numbers:
     """All numbers of a model and a control law, by the struct that takes them."""
 
     vehicle: list[StructField]
-    command: list[StructField]
-    gains: list[StructField]  # All of them differ between environments, or none
-    lateral: bool  # Whether the law commands lateral force
+    followed: list[StructField]  # Of the law, if their tensors follow the vehicle
+    law: list[StructField]  # Of the law: all others
     effects: list[Tensor]  # Parameters (E, P) of the effects that act in a step, in the order of `forces`; packed
 
 
 def collect_numbers(model: Model, law: FusedLaw, stage: float) -> Numbers:
     """Return all numbers; ``stage`` as for the fields of the vehicle."""
-    gains = [StructField(name, (rows,), _same) for name, rows in law.gains.items()]
     effects = [params for _, params in model.effects.forces]
-    command = _command_fields(law, model.vehicle.plain)
-    return Numbers(_vehicle_fields(model, stage), command, gains, law.lateral, effects)
+    return Numbers(_vehicle_fields(model, stage), _law_fields(law, True), _law_fields(law, False), effects)
 
 
 SYMMETRIC = (0, 1, 2, 4, 5, 8)
 """Independent entries of a symmetric 3 x 3 matrix."""
-
-COMMAND_COLUMNS = {"allocation": range(2, 6), "speed_map": range(1, 2)}
-"""Columns of a field of the command that can be non-zero if the others are not needed."""
 
 
 @dataclass(frozen=True)
@@ -157,35 +141,24 @@ class Packing:
     vehicle: Mapping[str, int]
     entries: Mapping[str, tuple[int, ...]]  # Packed entries of partly packed fields of the vehicle
     twins: frozenset[str]  # Fields of the vehicle whose rows are those of an earlier field
-    command: Mapping[str, int]
-    command_entries: Mapping[str, tuple[int, ...]]  # The same for fields of the command
-    gains: int | None  # Row of the first gain; None for shared gains
+    followed: Mapping[str, int]
+    law: Mapping[str, int]
+    vehicle_end: int  # First row after those of the vehicle
+    law_start: int  # First row of `law`
     effects: int
     total: int  # N
-
-    @property
-    def vehicle_end(self) -> int:
-        """First row after those of the vehicle."""
-        return min([*self.command.values(), self.command_end])
-
-    @property
-    def command_end(self) -> int:
-        """First row after those of the vehicle and the command."""
-        return self.effects if self.gains is None else self.gains
 
     def fits(self, numbers: Numbers) -> bool:
         """Return whether the packed entries of each field still determine it."""
         return (
             self.entries.keys() <= find_entries(numbers.vehicle).keys()
             and self.twins <= find_twins(numbers.vehicle).keys()
-            and self.command_entries.keys() <= find_command_entries(numbers).keys()
         )
 
 
 def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
     """Return the rows of all numbers that differ between environments, or of all numbers with ``all_packed``."""
     first, few = 0, {} if all_packed else find_entries(numbers.vehicle)
-    few_of_command = {} if all_packed else find_command_entries(numbers)
     twins = {} if all_packed else find_twins(numbers.vehicle)
 
     def place(
@@ -201,15 +174,15 @@ def arrange(numbers: Numbers, *, all_packed: bool) -> Packing:
                 first += len(few.get(field.name, field.row()))
         return rows
 
-    vehicle, command, gains = place(numbers.vehicle, few, twins), place(numbers.command, few_of_command, {}), None
-    if numbers.gains and (all_packed or not all(field.is_common for field in numbers.gains)):
-        gains = first
-        first += sum(len(field.row()) for field in numbers.gains)
+    vehicle = place(numbers.vehicle, few, twins)
+    vehicle_end = first
+    followed = place(numbers.followed, {}, {})
+    law_start = first
+    law = place(numbers.law, {}, {})
     few = {name: entries for name, entries in few.items() if name in vehicle}
-    few_of_command = {name: entries for name, entries in few_of_command.items() if name in command}
     written = frozenset(twins) & vehicle.keys()
     last = first + sum(params.shape[1] for params in numbers.effects)
-    return Packing(vehicle, few, written, command, few_of_command, gains, first, last)
+    return Packing(vehicle, few, written, followed, law, vehicle_end, law_start, first, last)
 
 
 def find_entries(vehicle: list[StructField]) -> dict[str, tuple[int, ...]]:
@@ -231,22 +204,6 @@ def find_twins(vehicle: list[StructField]) -> dict[str, str]:
     return {name: other for name, other in result.items() if name != other}
 
 
-def find_command_entries(numbers: Numbers) -> dict[str, tuple[int, ...]]:
-    """Return the necessary entries of the command.
-
-    The allocation needs no columns of lateral force unless a law commands it. A speed map of purely quadratic thrust needs
-    ``1 / c2`` alone.
-    """
-    result = {}
-    for field in numbers.command:
-        if (field.name == "allocation" and not numbers.lateral) or (
-            field.name == "speed_map" and is_pure_square(field)
-        ):
-            columns, width = COMMAND_COLUMNS[field.name], len(field.row()) // field.sources[0].shape[1]
-            result[field.name] = tuple(i for i in range(len(field.row())) if i % width in columns)
-    return result
-
-
 def is_pure_square(field: StructField) -> bool:
     """Return whether a field of maps (E, R, 3) is purely quadratic in the speed."""
     return not bool(field.sources[0][..., :2].any())
@@ -254,10 +211,12 @@ def is_pure_square(field: StructField) -> bool:
 
 def pack_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     """Return the packed numbers, each (E, n), in the order of their rows."""
-    packed = vehicle_rows(packing, numbers) + command_rows(packing, numbers)
-    if packing.gains is not None:
-        packed += [field.rows() for field in numbers.gains]
-    return packed + numbers.effects
+    return [
+        *vehicle_rows(packing, numbers),
+        *rows_of_vehicle_followers(packing, numbers),
+        *law_rows(packing, numbers),
+        *numbers.effects,
+    ]
 
 
 def vehicle_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
@@ -266,28 +225,30 @@ def vehicle_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
     return [field.rows(packing.entries.get(field.name)) for field in packed]
 
 
-def command_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
-    """Return the packed numbers of the command."""
-    packed = (field for field in numbers.command if field.name in packing.command)
-    return [field.rows(packing.command_entries.get(field.name)) for field in packed]
+def rows_of_vehicle_followers(packing: Packing, numbers: Numbers) -> list[Tensor]:
+    """Return the packed numbers of the law that follow the vehicle."""
+    return [field.rows() for field in numbers.followed if field.name in packing.followed]
 
 
-def parameter_rows(packing: Packing, numbers: Numbers, *, command: bool = False) -> tuple[Tensor, ...]:
+def law_rows(packing: Packing, numbers: Numbers) -> list[Tensor]:
+    """Return the other packed numbers of the law."""
+    return [field.rows() for field in numbers.law if field.name in packing.law]
+
+
+def parameter_rows(packing: Packing, numbers: Numbers, *, followed: bool = False) -> tuple[Tensor, ...]:
     """Return the packed numbers of the vehicle, (E, n), and the parameters of the effects, (E, m), unless empty.
 
-    With ``command``, those of the command follow the vehicle's.
+    With ``followed``, those of the law that follow the vehicle come after the vehicle's.
     """
-    drawn = vehicle_rows(packing, numbers) + (command_rows(packing, numbers) if command else [])
+    drawn = vehicle_rows(packing, numbers) + (rows_of_vehicle_followers(packing, numbers) if followed else [])
     return tuple(torch.cat(rows, dim=1) for rows in (drawn, numbers.effects) if rows)
 
 
 def make_structs(packing: Packing, numbers: Numbers, law: FusedLaw, types: RotorTypes) -> list[Any]:
-    """Return the structs of vehicle, command and gains with their shared numbers; packed fields are zero."""
-    gains = numbers.gains if packing.gains is None else []
+    """Return the structs of vehicle and law with their shared numbers; packed fields are zero."""
     return [
         _struct(types.vehicle, numbers.vehicle, packing.vehicle),
-        _struct(types.command, numbers.command, packing.command),
-        _struct(law.gains_type or NoGains, gains, {}),
+        _struct(law.struct, [*numbers.followed, *numbers.law], {**packing.followed, **packing.law}),
     ]
 
 
@@ -295,10 +256,8 @@ def _struct(struct_type: Any, fields: list[StructField], packed: Mapping[str, in
     struct = struct_type()
     for field in fields:
         if field.name not in packed:
-            *outer, name = field.name.split(".")
-            part = reduce(getattr, outer, struct)
-            value, numbers = getattr(part, name), field.row()
-            setattr(part, name, numbers[0] if isinstance(value, (int, float)) else type(value)(*numbers))
+            value, numbers = getattr(struct, field.name), field.row()
+            setattr(struct, field.name, numbers[0] if isinstance(value, (int, float)) else type(value)(*numbers))
     return struct
 
 

@@ -7,13 +7,10 @@ import linecache
 from collections.abc import Mapping
 from functools import cache
 from itertools import count
-from math import prod
 from typing import Any
 
 import warp as wp
 
-from aerial_gym.physics.fused.law import FusedLaw, NoGains
-from aerial_gym.physics.fused.packing import COMMAND_COLUMNS
 from aerial_gym.physics.fused.types import RotorTypes
 
 
@@ -75,16 +72,6 @@ def make_vehicle_reader(
     return make_completion(types.vehicle, packed, few)
 
 
-def make_command_reader(
-    types: RotorTypes, packed: Mapping[str, int], entries: Mapping[str, tuple[int, ...]]
-) -> wp.Function:
-    """Return the function that completes the shared command parameters with an environment's own numbers."""
-    kinds, num_rotors = types.command.cls.__annotations__, types.vector._length_
-    columns = {name: COMMAND_COLUMNS[name] for name in entries}
-    few = {name: make_column_reader(kinds[name], num_rotors, c.start, len(c)) for name, c in columns.items()}
-    return make_completion(types.command, packed, few)
-
-
 def make_completion(struct: Any, packed: Mapping[str, int], few: Mapping[str, wp.Function]) -> wp.Function:
     """Return ``wp.func`` (shared struct, packed tensor, environment) -> the struct with its packed fields in place.
 
@@ -112,28 +99,6 @@ def read_number(source: wp.array2d[float], first: int, env: int) -> float:
     return source[first, env]
 
 
-def num_entries(kind: Any) -> int:
-    """Return the number of floats in a float, vector, matrix or struct of those."""
-    if hasattr(kind, "cls"):
-        return sum(map(num_entries, kind.cls.__annotations__.values()))
-    return 1 if kind is float else prod(kind._shape_)
-
-
-@cache
-def make_struct_reader(struct: Any) -> wp.Function:
-    """Return ``wp.func`` (packed tensor, first row, environment) -> struct; its fields are packed in their order."""
-    at, names, lines = 0, {"struct": struct}, []
-    for name, kind in struct.cls.__annotations__.items():
-        names[f"make_{name}"] = make_struct_reader(kind) if hasattr(kind, "cls") else kind
-        size = num_entries(kind)
-        numbers = ", ".join(f"source[first + {at + i}, env]" for i in range(size))
-        given = f"source, first + {at}, env" if hasattr(kind, "cls") else numbers
-        lines.append(f"    value.{name} = " + (numbers if kind is float else f"make_{name}({given})"))
-        at += size
-    head = "def read(source: wp.array2d[float], first: int, env: int) -> struct:\n    value = struct()\n"
-    return compile_source("read", head + "\n".join([*lines, "    return value"]), names)
-
-
 def compile_source(name: str, code: str, names: Mapping[str, Any]) -> wp.Function:
     """Compile a source that may call ``names``, and return its ``wp.func``."""
     file = f"<{__name__} {next(_number)}>"
@@ -144,22 +109,3 @@ def compile_source(name: str, code: str, names: Mapping[str, Any]) -> wp.Functio
 
 
 _number = count()
-
-
-def make_gains_reader(law: FusedLaw, first: int | None) -> wp.Function:
-    """Return the function of an environment's gains; ``first`` is their row, None for shared gains."""
-    gains_type = law.gains_type or NoGains
-
-    @wp.func
-    def common_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
-        return shared
-
-    if first is None:
-        return common_gains
-    load = make_struct_reader(gains_type)
-
-    @wp.func
-    def own_gains(shared: gains_type, source: wp.array2d[float], env: int) -> gains_type:
-        return load(source, wp.static(first), env)
-
-    return own_gains

@@ -6,8 +6,8 @@ attributes for a ``wp.struct``. It is traced once; the result is straight-line c
 
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import partial
-from math import prod
+from dataclasses import dataclass
+from math import nan, prod
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,9 +18,10 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.rows import UntraceableError, row_trace, trace
+from aerial_gym.interop.rows.conditional import hand_written
 from aerial_gym.interop.rows.row_trace import Trace
 from aerial_gym.interop.rows.warp_function import function_lines
-from aerial_gym.math.warp_functions import inverse_root, reciprocal, root
+from aerial_gym.math.warp_functions import inverse_root, reciprocal, root, vector_type
 from aerial_gym.physics.fused.readers import compile_source
 
 QUICK_FUNCTIONS = {"inverse_root": inverse_root, "reciprocal": reciprocal, "root": root}
@@ -28,6 +29,9 @@ QUICK_FUNCTIONS = {"inverse_root": inverse_root, "reciprocal": reciprocal, "root
 
 Input = tuple[str, tuple[int, ...], torch.dtype]
 """Path, row shape and type of an input of a trace."""
+
+RowsOfArguments = Callable[..., Tensor | tuple[Tensor, ...]]
+"""Torch function of rows, with the arguments of a Warp function."""
 
 WAY_OUT = (
     "A Warp function needs the same arithmetic in every environment: replace branches on values by torch.where, and "
@@ -49,11 +53,12 @@ DTYPES = {
 def trace_to_warp(
     name: str,
     arguments: Mapping[str, Any],
-    function: Callable[..., Tensor | tuple[Tensor, ...]],
+    function: RowsOfArguments,
     returns: Sequence[Any],
     *,
     constants: Mapping[str, Tensor] | None = None,
     shared: Collection[str] = (),
+    differentiable: bool = False,
 ) -> wp.Function:
     """Return a ``wp.func`` that computes a torch function for one environment.
 
@@ -65,28 +70,70 @@ def trace_to_warp(
         constants: Known numbers of fields, by path such as ``at.rotor_axis``, in the shape of one row; NaN where unknown.
             Arithmetic with them is simplified as if all other numbers were finite.
         shared: Paths of numbers that the torch function takes without rows, as tensors of no dimension.
+        differentiable: Whether the adjoint is needed; see ``compile_traced``.
 
     Raises:
         CapabilityError: If it cannot be traced; the text states the cause and its place in the source.
     """
+    traced = trace_arguments(name, arguments, function, constants=constants, shared=shared)
+    lines = function_lines(traced.trace, traced.read, constructors(returns))
+    return compile_traced(name, arguments, returns, lines, traced.trace, differentiable=differentiable)
+
+
+@dataclass(frozen=True)
+class ArgumentsTrace:
+    """A trace of a function of arguments, with the code of its inputs."""
+
+    trace: Trace
+    inputs: list[Input]
+
+    def read(self, position: int, entry: int) -> str:
+        """Return the code of an entry of an argument; bits of random states are computed in 64 bits, as in torch."""
+        path, shape, dtype = self.inputs[position]
+        code = path + _index(shape, entry)
+        return f"wp.int64({code})" if dtype == torch.int64 else code
+
+    def positions(self, arguments: Sequence[str]) -> set[int]:
+        """Return the positions of the inputs of some arguments."""
+        return {i for i, (path, _, _) in enumerate(self.inputs) if path.split(".")[0] in arguments}
+
+
+def trace_arguments(
+    name: str,
+    arguments: Mapping[str, Any],
+    function: RowsOfArguments,
+    *,
+    constants: Mapping[str, Tensor] | None = None,
+    shared: Collection[str] = (),
+    num_envs: int = 2,
+    lifts: bool = False,
+    known: Callable[[Tensor], Mapping[int, float]] | None = None,
+) -> ArgumentsTrace:
+    """Return the trace of a function; arguments as for ``trace_to_warp``.
+
+    Args:
+        num_envs: Number of rows E of tensors from elsewhere.
+        lifts: Whether the function may read tensors (E, ...) from elsewhere, which become further inputs.
+        known: As for ``trace``.
+    """
     inputs = [entry for argument, kind in arguments.items() for entry in _flatten(argument, kind)]
-    tensors = {path: torch.zeros(() if path in shared else (2, *shape), dtype=dtype) for path, shape, dtype in inputs}
+    tensors = {
+        path: torch.zeros((), dtype=dtype).expand(() if path in shared else (num_envs, *shape))
+        for path, shape, dtype in inputs
+    }
 
     def from_rows(*rows: Tensor) -> Tensor | tuple[Tensor, ...]:
         by_path = dict(zip(tensors, rows, strict=True))
         return function(**{argument: _assemble(argument, kind, by_path) for argument, kind in arguments.items()})
 
+    entries = _constants_by_entry(list(tensors), constants or {})
     try:
-        traced = trace(
-            from_rows,
-            list(tensors.values()),
-            fixes=True,
-            constants=_constants_by_entry(list(tensors), constants or {}),
+        return ArgumentsTrace(
+            trace(from_rows, list(tensors.values()), lifts=lifts, fixes=not lifts, constants=entries, known=known),
+            inputs,
         )
     except UntraceableError as error:
         raise CapabilityError(f"{_owner(error) or name}: {error}, at {_place(error)}. {WAY_OUT}") from error
-    lines = function_lines(traced, partial(_entry_code, inputs), _constructors(returns))
-    return _compile(name, arguments, returns, lines, _bodies(name, traced))
 
 
 def _bodies(name: str, traced: Trace) -> dict[str, wp.Function]:
@@ -96,15 +143,8 @@ def _bodies(name: str, traced: Trace) -> dict[str, wp.Function]:
         count = len(body.widths)
         lines = function_lines(body, lambda position, _: f"x{position}", [""])
         arguments = {f"x{i}": float for i in range(count)}
-        result[f"body_{k}"] = _compile(f"{name}_{k}", arguments, (float,), lines, _bodies(f"{name}_{k}", body))
+        result[f"body_{k}"] = compile_traced(f"{name}_{k}", arguments, (float,), lines, body, differentiable=False)
     return result
-
-
-def _entry_code(inputs: Sequence[Input], position: int, entry: int) -> str:
-    """Return the code of an entry of an input; bits of random states are computed in 64 bits, as in torch."""
-    path, shape, dtype = inputs[position]
-    code = path + _index(shape, entry)
-    return f"wp.int64({code})" if dtype == torch.int64 else code
 
 
 def _place(error: BaseException) -> str:
@@ -125,20 +165,64 @@ def _owner(error: BaseException) -> str:
 _TRACER = (str(Path(torch.__file__).parent), str(Path(row_trace.__file__).parent), __file__)
 
 
-def _compile(
+def compile_traced(
     name: str,
     arguments: Mapping[str, Any],
     returns: Sequence[Any],
     lines: Sequence[str],
+    trace: Trace,
+    *,
+    differentiable: bool,
     names: Mapping[str, Any] | None = None,
 ) -> wp.Function:
+    """Return the ``wp.func`` with the given body.
+
+    Args:
+        trace: Its trace, with the functions that it calls.
+        differentiable: Whether the adjoint is needed, for functions with a hand-written Warp version.
+        names: Further names in the body.
+    """
     kinds = {f"{argument}_type": kind for argument, kind in arguments.items()}
     made = {f"result_{i}": kind for i, kind in enumerate(returns)}
+    called = {key: value for i in range(len(trace.calls)) for key, value in _call_names(name, trace, i, differentiable)}
     head = f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in arguments)}):\n"
-    return compile_source(name, head + "\n".join(lines) + "\n", {**kinds, **made, **(names or {}), **QUICK_FUNCTIONS})
+    body = head + "\n".join(lines) + "\n"
+    more = called | _bodies(name, trace) | dict(names or {})
+    return compile_source(name, body, {**kinds, **made, **more, **QUICK_FUNCTIONS})
 
 
-def _constructors(returns: Sequence[Any]) -> list[str]:
+def _call_names(name: str, trace: Trace, index: int, differentiable: bool) -> Iterator[tuple[str, Any]]:
+    """Yield the names of a conditional call: the function and the types of its arguments and results."""
+    call = trace.calls[index]
+    arguments = {f"argument_{k}": _kind_of_shape(shape) for k, shape in enumerate(call.shapes)}
+    results = [_kind_of_shape(shape) for shape in call.results]
+    make = hand_written(call.function)
+    if make is not None:
+        function = make(call.shapes, call.constants, differentiable)
+    else:
+        known = [torch.full((prod(shape),), nan, dtype=torch.float64) for shape in call.shapes]
+        for (position, entry), value in call.constants.items():
+            known[position][entry] = value
+        function = trace_to_warp(
+            f"{name}_{index}",
+            arguments,
+            lambda **rows: call.function(*rows.values()),
+            results,
+            constants=dict(zip(arguments, known, strict=True)),
+            differentiable=differentiable,
+        )
+    yield f"call_{index}", function
+    yield from ((f"call_{index}_{argument}", kind) for argument, kind in arguments.items())
+    yield from ((f"call_{index}_result_{k}", kind) for k, kind in enumerate(results))
+
+
+def _kind_of_shape(shape: tuple[int, ...]) -> Any:
+    """Return the Warp type of a float row, a vector or a matrix."""
+    return vector_type(*shape) if len(shape) == 1 else wp.types.matrix(shape=shape, dtype=wp.float32)
+
+
+def constructors(returns: Sequence[Any]) -> list[str]:
+    """Return the names of the constructors of results in the generated code; empty for single numbers."""
     return ["" if kind in DTYPES else f"result_{i}" for i, kind in enumerate(returns)]
 
 

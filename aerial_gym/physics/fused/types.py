@@ -18,11 +18,18 @@ class RotorTypes:
 
     vector: Any  # One number per rotor
     rows: Any  # Three numbers per rotor, (R, 3)
-    allocation: Any  # (R, 6)
     vehicle: Any  # `wp.struct` of the vehicle in the equations of motion
-    command: Any  # `wp.struct` of allocation and thrust maps, from a control law to commanded rotor speeds
     succession: Any  # `wp.struct` of two commands in one step: `rotor_lag.Succession` for one environment
     moment: Any  # `wp.struct` of the start of a substep: `effects.Moment` for one environment
+
+
+@wp.struct
+class LawArrays:
+    """Memory of the control law in all environments: ``law_memory.LawMemory``."""
+
+    numbers: wp.array2d[float]  # (M, E)
+    past: wp.array2d[float]  # (P, E)
+    since: wp.array[int]  # (E,)
 
 
 def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:
@@ -34,7 +41,6 @@ def rotor_types(num_rotors: int, general: bool = False) -> RotorTypes:
 def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
     vector = vector_type(num_rotors)
     rows = wp.types.matrix(shape=(num_rotors, 3), dtype=wp.float32)
-    matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
     six = vector_type(6)
 
     vehicle = {
@@ -70,15 +76,6 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         "ground_height": float,  # [m], world, if it differs between environments
         "other_position": wp.vec3,  # another vehicle [m], world
     }
-    command = {
-        "low": vector,  # [rad/s] or [N]
-        "high": vector,
-        "allocation": matrix,  # from force and torque to thrusts
-    }
-    if general:
-        command |= {"thrust_map": rows, "reverse_thrust_map": rows}  # from thrusts to states
-    else:
-        command |= {"speed_map": rows}  # a, b, c of the speed sqrt(a + b T) - c [rad/s] of a thrust T [N]
 
     @wp.struct
     class KernelCommandSwitch:
@@ -93,8 +90,8 @@ def _rotor_types(num_rotors: int, general: bool) -> RotorTypes:
         random: wp.uint32
         dt: float  # [s]
 
-    vehicle_type, command_type = _struct("VehicleParameters", vehicle), _struct("CommandParameters", command)
-    return RotorTypes(vector, rows, matrix, vehicle_type, command_type, KernelCommandSwitch, KernelMoment)
+    vehicle_type = _struct("VehicleParameters", vehicle)
+    return RotorTypes(vector, rows, vehicle_type, KernelCommandSwitch, KernelMoment)
 
 
 def _struct(name: str, fields: dict[str, Any]) -> Any:

@@ -88,7 +88,8 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
         error = limit_velocity(torch.where(is_velocity > 0.5, goal, position * (goal - at)), actual) - moving
         sizes.append((velocity * error).abs().amax(-1, keepdim=True) + integral.abs().amax(-1, keepdim=True) + 1.0)
         acceleration, thrust, integral = velocity_control(error, integral, measured, actual, dt)
-        result.append((acceleration, thrust, canonical(attitude_from_thrust(thrust, -yaw[:, 0]))))
+        heading = torch.stack((torch.cos(yaw[:, 0]), -torch.sin(yaw[:, 0]), torch.zeros_like(yaw[:, 0])), dim=-1)
+        result.append((acceleration, thrust, canonical(attitude_from_thrust(thrust, heading))))
     reference = vectors["position"].transpose(0, 1)
     parts = (
         flip_axes(reference[..., :3]),

@@ -1,4 +1,4 @@
-"""Allocation where rotors are at their limits, against linear programs and the fused twin."""
+"""Allocation where rotors are at their limits, against linear programs, and in Warp."""
 
 from dataclasses import replace
 from math import cos, pi, sin
@@ -16,9 +16,9 @@ from aerial_gym.control import CONTROLLERS, make_controller
 from aerial_gym.control.allocation import Allocation, allocation_matrix, allot_thrust
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import start_warp
+from aerial_gym.math.warp_functions import vector_type
 from aerial_gym.physics import vehicle_from_config
-from aerial_gym.physics.fused.allocation import make_allot_thrust
-from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.robots import ROBOTS
 from tests.repetitions import rare_values
 
@@ -145,33 +145,40 @@ def test_gradients_flow_through_limits_and_are_those_of_differences() -> None:
     assert torch.autograd.gradcheck(thrust, (wanted,), atol=1e-6)
 
 
-def launch_params(kind: type, allocation: Allocation) -> Any:
-    params = kind()
-    for field, rows in (("low", allocation.low), ("high", allocation.high), ("allocation", allocation.inverse)):
-        setattr(params, field, type(getattr(params, field))(*rows[0].flatten().tolist()))
-    return params
+def argument_types(num_rotors: int) -> dict[str, Any]:
+    """Return the Warp types of the arguments of ``allot_thrust``."""
+    vector = vector_type(num_rotors)
+    matrix = wp.types.matrix(shape=(num_rotors, 6), dtype=wp.float32)
+    return {"inverse": matrix, "wrench": vector_type(6), "low": vector, "high": vector}
 
 
 @pytest.mark.parametrize("name", rare_values(VEHICLES, ["hexarotor"]))
-def test_the_fused_twin_gives_the_same_thrusts(name: str) -> None:
+def test_warp_gives_the_same_thrusts(name: str) -> None:
     robot = VEHICLES[name]
     start_warp()
-    types = rotor_types(robot.num_rotors)
-    twin = make_allot_thrust(robot.num_rotors, idle=name == "pusher", lateral=True)
-    command_type, vector = types.command, types.vector
+    kinds = argument_types(robot.num_rotors)
+    matrix, wrench_type, vector, _ = kinds.values()
+    allotted = trace_to_warp("allot", kinds, allot_thrust, (vector,))
 
     @wp.kernel(module="unique", enable_backward=False)
-    def spread(params: command_type, wanted: wp.array[wp.spatial_vector], thrust_out: wp.array[vector]):
+    def spread(inverse: matrix, low: vector, high: vector, wanted: wp.array[wrench_type], thrust_out: wp.array[vector]):
         env = wp.tid()
-        thrust, _turn, _rest = twin(params, wanted[env])
-        thrust_out[env] = thrust
+        thrust_out[env] = allotted(inverse, wanted[env], low, high)
 
     exact = make_allocation(robot, 200)
     wanted = torch.cat([wrenches(robot, 100, size) for size in (0.3, 3.0)])
-    params = launch_params(command_type, exact)
+    numbers = [
+        kind(*rows[0].flatten().tolist())
+        for kind, rows in ((matrix, exact.inverse), (vector, exact.low), (vector, exact.high))
+    ]
     result = torch.full((200, robot.num_rotors), torch.nan)
-    inputs = [params, wp.from_torch(wanted.float(), dtype=wp.spatial_vector)]
-    wp.launch(spread, dim=200, inputs=inputs, outputs=[wp.from_torch(result, dtype=vector)], device="cpu")
+    wp.launch(
+        spread,
+        dim=200,
+        inputs=[*numbers, wp.from_torch(wanted.float(), dtype=wrench_type)],
+        outputs=[wp.from_torch(result, dtype=vector)],
+        device="cpu",
+    )
     expected = torch.clamp(allot_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
     size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
     torch.testing.assert_close(result.double(), expected, atol=float(size) * 4e-6, rtol=0)
@@ -186,27 +193,34 @@ def test_a_vehicle_without_weight_has_an_allocation_but_no_geometric_law() -> No
 
 
 @pytest.mark.slow
-def test_gradients_of_the_fused_twin_are_those_of_torch() -> None:
+def test_gradients_in_warp_are_those_of_torch() -> None:
+    """Of a weighted sum of thrusts by the wrench, on a hexarotor, at limits of every kind."""
     robot = VEHICLES["hexarotor"]
     start_warp()
-    types, twin = rotor_types(6), make_allot_thrust(6, idle=False, lateral=True, differentiable=True)
-    command_type, vector = types.command, types.vector
+    kinds = argument_types(6)
+    matrix, wrench_type, vector, _ = kinds.values()
+    allotted = trace_to_warp("allot", kinds, allot_thrust, (vector,), differentiable=True)
 
     @wp.kernel(module="unique", enable_backward=True, module_options={"optimization_level": 0})  # compiles in a third
-    def weigh(params: command_type, wanted: wp.array[wp.spatial_vector], weight: vector, sum_out: wp.array[float]):
+    def weigh(
+        inverse: matrix, low: vector, high: vector, wanted: wp.array[wrench_type], weight: vector,
+        sum_out: wp.array[float],
+    ):  # fmt: skip
         env = wp.tid()
-        thrust, _turn, _rest = twin(params, wanted[env])
-        sum_out[env] = wp.dot(weight, thrust)
+        sum_out[env] = wp.dot(weight, allotted(inverse, wanted[env], low, high))
 
     exact, wanted = make_allocation(robot, 60), wrenches(robot, 60, 1.0).requires_grad_()
     weight = torch.linspace(-1.0, 2.0, 6, dtype=F64)
     thrust = allot_thrust(exact.inverse, wanted, exact.low, exact.high)
     (expected,) = torch.autograd.grad((thrust @ weight).sum(), wanted)
-    params = launch_params(command_type, exact)
-    single = wp.from_torch(wanted.detach().float(), dtype=wp.spatial_vector, requires_grad=True)
+    numbers = [
+        kind(*rows[0].flatten().tolist())
+        for kind, rows in ((matrix, exact.inverse), (vector, exact.low), (vector, exact.high))
+    ]
+    single = wp.from_torch(wanted.detach().float(), dtype=wrench_type, requires_grad=True)
     total = wp.zeros(60, dtype=wp.float32, device="cpu", requires_grad=True)
     with wp.Tape() as tape:
-        wp.launch(weigh, dim=60, inputs=[params, single, vector(*weight.tolist())], outputs=[total], device="cpu")
+        wp.launch(weigh, dim=60, inputs=[*numbers, single, vector(*weight.tolist())], outputs=[total], device="cpu")
     tape.backward(grads={total: wp.full(60, 1.0, dtype=wp.float32, device="cpu")})
     result = wp.to_torch(tape.gradients[single]).view(60, 6).double()
     assert (~has_margin(exact, wanted.detach())).sum() > 20

@@ -20,14 +20,13 @@ from aerial_gym.physics.articulated.fused.inertia import Inertia, center_of_mass
 from aerial_gym.physics.articulated.fused.link_effects import effect_links, make_on_links
 from aerial_gym.physics.articulated.fused.recursion import joint_types, make_recursion
 from aerial_gym.physics.effects import DelayEffect, WrenchEffect
-from aerial_gym.physics.fused.command import make_command
 from aerial_gym.physics.fused.contact import ContactParameters
 from aerial_gym.physics.fused.formulas import make_loads, make_wind
 from aerial_gym.physics.fused.hook import FusedHook, NoHook, Substep
-from aerial_gym.physics.fused.law import FusedLaw, NoGains, preparation
+from aerial_gym.physics.fused.law import FusedLaw, preparation
 from aerial_gym.physics.fused.memory import make_begin, memory_type
 from aerial_gym.physics.fused.packing import Packing, collect_numbers, model_types, num_values, values_type
-from aerial_gym.physics.fused.readers import make_command_reader, make_gains_reader, make_reader, make_vehicle_reader
+from aerial_gym.physics.fused.readers import make_completion, make_reader, make_vehicle_reader
 from aerial_gym.physics.fused.rotors import make_dead_band, make_follow
 from aerial_gym.physics.fused.row_model import structure_constants
 from aerial_gym.physics.model import Model
@@ -104,16 +103,12 @@ def make_jointed_kernel(
     vector, params_type, joint_vector = types.vector, values_type(model), joints.vector
     action_type = vector_type(law.num_actions + articulation.num_driven)
     drive_type = vector_type(max(articulation.num_driven, 1))
-    prepare = preparation(law.prepare, law.num_actions)
+    prepare, command_of, law_type = preparation(law), law.command, law.struct
     law_part, drive_part = _make_split(law.num_actions, articulation.num_driven)
-    remembers, law_remembers = bool(model.effects.names_with_memory), law.make_stateful_step is not None
+    remembers, law_remembers = bool(model.effects.names_with_memory), law.needs is not None
     begin = make_begin(model) if remembers else None
     memories_type = memory_type(effects=remembers, law=law_remembers)
-    remembered_command = (
-        law.make_stateful_step(law, num_rotors, general) if law.make_stateful_step is not None else None
-    )
-    vehicle_type, command_type, gains_type = types.vehicle, types.command, law.gains_type or NoGains
-    command_of = make_command(law, num_rotors, general)
+    vehicle_type = types.vehicle
     stop = make_dead_band(num_rotors) if general else None
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
@@ -131,8 +126,7 @@ def make_jointed_kernel(
     num_joints, held_type = articulation.num_joints, joints.held
     dashpot_type = vector_type(max(num_creep * num_joints, 1))
     read_vehicle = make_vehicle_reader(types, packing.vehicle, packing.entries)
-    read_command = make_command_reader(types, packing.command, packing.command_entries)
-    read_gains = make_gains_reader(law, packing.gains)
+    read_law = make_completion(law_type, {**packing.followed, **packing.law}, {})
     read_params = make_reader(params_type, num_params, 0)
     first_param = packing.effects
     follows, hook_type = hook is not None, NoHook if hook is None else hook.struct
@@ -289,8 +283,7 @@ def make_jointed_kernel(
         action: wp.array[action_type],  # (E,)
         # params
         shared_vehicle: vehicle_type,
-        shared_command: command_type,
-        shared_gains: gains_type,
+        shared_law: law_type,
         packed: wp.array2d[float],  # (N, E)
         spheres: wp.array[wp.vec4],  # (C,) centre in the body frame, radius [m]
         ground_height: float,  # [m] world
@@ -316,8 +309,7 @@ def make_jointed_kernel(
         """Advance one environment."""
         env = wp.tid() + first
         vehicle = read_vehicle(shared_vehicle, packed, env)
-        command_params = read_command(shared_command, packed, env)
-        gains = read_gains(shared_gains, packed, env)
+        law_numbers = read_law(shared_law, packed, env)
         params = read_params(packed, wp.static(first_param), env)
         x = position[env]
         q = attitude[env]
@@ -329,7 +321,7 @@ def make_jointed_kernel(
         if wp.static(not floating):
             v = wp.vec3()
             w = wp.vec3()
-        u = prepare(law_part(action[env]), gains)
+        u = prepare(law_part(action[env]), law_numbers)
         drives = drive_part(action[env])
         crept = dashpot_type()
         for i in range(wp.static(num_creep * num_joints)):
@@ -347,9 +339,9 @@ def make_jointed_kernel(
                 params[wp.static(num_params) + i] = effects.numbers[i, env]
         for k in range(substeps):
             if wp.static(law_remembers):
-                command = remembered_command(command_params, gains, x, q, v, w, u, memory.law, env, dt)
+                command = command_of(x, q, v, w, n, law_numbers, u, memory.law, env)
             else:
-                command = command_of(command_params, gains, x, q, v, w, u)
+                command = command_of(x, q, v, w, n, law_numbers, u)
             if wp.static(general):
                 command = stop(vehicle, command)
             if wp.static(remembers):

@@ -1,22 +1,21 @@
-"""What gives way where PX4's motors are at their limits: numbers of its unit tests, what the integral is told, the Warp
-twin. PX4's own code is laid beside it in ``tests/cross/test_px4.py``."""
+"""What gives way where PX4's motors are at their limits: numbers of its unit tests, and what the integral is told.
+
+PX4's own code is laid beside it in ``tests/cross/test_px4.py``.
+"""
 
 from dataclasses import replace
 
 import pytest
 import torch
-import warp as wp
 from torch import Tensor
 
 from aerial_gym.config.autopilots.px4 import Px4Cfg
 from aerial_gym.control import CONTROLLERS, make_controller
-from aerial_gym.control.px4.mixer import MixerOutput, make_mixer, mix
+from aerial_gym.control.px4.mixer import MixerOutput, mix
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import state_at_rest, vehicle_from_config
-from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.law_memory import fresh_law_memory
 from aerial_gym.robots import ROBOTS
-from tests.repetitions import rare_values
 
 F64 = torch.float64
 UNIT_TEST = torch.tensor(
@@ -60,44 +59,6 @@ def test_the_integral_waits_for_the_torque_that_airmode_would_give() -> None:
             _, memory = law.command(state, torch.tensor([[-0.95, 0.3, 0.0, 0.0]], dtype=F64), memory)
         grown.append(float(memory.numbers[0, 0]))
     assert grown[1] == pytest.approx(10.0 * grown[0])  # told one run late
-
-
-@pytest.mark.parametrize(
-    ("airmode", "num_rotors"), rare_values([(a, n) for n in (4, 6) for a in (0, 1, 2)], ((0, 4), (2, 4), (1, 6)))
-)
-def test_the_warp_twin_mixes_alike(airmode: int, num_rotors: int) -> None:
-    g = torch.Generator().manual_seed(num_rotors)
-    columns = QUADROTOR.to(F64)
-    if num_rotors == 6:
-        columns = torch.cat((torch.rand(6, 3, generator=g, dtype=F64) * 2 - 1, torch.ones(6, 1, dtype=F64)), dim=-1)
-    draws = torch.rand(1000, 4, generator=g, dtype=F64) * torch.tensor([1.0, 1, 1, 1.1])
-    wanted = (draws - torch.tensor([0.5, 0.5, 0.5, 0])).float().to(F64)
-    columns = columns.float().to(F64)
-    exact = mix(columns.expand(1000, -1, -1), wanted, torch.full((1000, num_rotors), 0.05, dtype=F64), airmode=airmode)
-    types, mixer = rotor_types(num_rotors, False), make_mixer(num_rotors, False, airmode)
-    command_type, vector = types.command, types.vector
-    params, full = command_type(), 8.0
-    params.low, params.high = vector(*[0.05 * full] * num_rotors), vector(*[full] * num_rotors)
-    rows = torch.zeros(num_rotors, 6, dtype=F64)
-    rows[:, 2:] = full * columns[:, [3, 0, 1, 2]]
-    params.allocation = type(params.allocation)(*rows.flatten().tolist())
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def mix_all(
-        params: command_type, wanted: wp.array[wp.vec4], thrust: wp.array[vector], signs: wp.array[wp.vec3]
-    ):  # pragma: no cover
-        k = wp.tid()
-        torque = wp.vec3(wanted[k][0], wanted[k][1], wanted[k][2])
-        result, missing = mixer(params, wp.vec3(1.0, 1.0, 1.0), 1.0, torque, wanted[k][3])
-        thrust[k] = result
-        signs[k] = missing
-
-    thrust, signs = wp.zeros(1000, dtype=vector, device="cpu"), wp.zeros(1000, dtype=wp.vec3, device="cpu")
-    inputs = [params, wp.array(wanted.numpy(), dtype=wp.vec4, device="cpu"), thrust, signs]
-    wp.launch(mix_all, 1000, inputs, device="cpu")
-    torch.testing.assert_close(wp.to_torch(thrust).to(F64) / full, exact.signal, atol=2e-6, rtol=0)
-    assert ((wp.to_torch(signs).to(F64) - exact.short).abs().amax(-1) > 0).sum() <= 2  # at an edge rounding decides
-    assert (exact.short != 0.0).any(-1).double().mean() > 0.2
 
 
 def test_another_airmode_is_refused() -> None:
