@@ -8,7 +8,7 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.stages import declare, select
+from aerial_gym.sim2real.identify.stages import prepare_comparison, select_from_setup
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
 from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
 from aerial_gym.sim2real.logs.flights import Flight

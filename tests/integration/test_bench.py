@@ -14,6 +14,9 @@ from aerial_gym.sensors import RayCaster, SensorImages
 from aerial_gym.workloads.episodes import check_crashes, check_step
 from aerial_gym.workloads.flight import HoverFlight, check_flying, check_moved, make_flight
 from aerial_gym.workloads.measure import WorkloadError, rate_figures, time_launches, torch_threads
+from aerial_gym.workloads.scene_meshes import SceneMeshes
+from aerial_gym.workloads.scenes import make_scene
+from tests.integration.commands import run
 from tests.physics.vehicles import ON_RIGID
 from tests.repetitions import frequent_values
 

@@ -12,7 +12,13 @@ import pytest
 from aerial_gym.cli.main import main
 from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real import find_mapping, read_flight_log
-from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
+from aerial_gym.sim2real.teststand.balance import (
+    Balance,
+    HoverEffort,
+    hover_effort,
+    judge_balance,
+    repeats_by_condition,
+)
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "crazypad"
 

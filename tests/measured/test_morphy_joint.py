@@ -13,7 +13,13 @@ from scipy.interpolate import CubicHermiteSpline
 from aerial_gym import ENVIRONMENTS, ROBOTS, SIMS
 from aerial_gym.config.joint import CreepCfg, SpringCfg
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.sim2real.teststand.joints.record import Release, alternate_blocks, creep_elements, fit_rows
+from aerial_gym.sim2real.teststand.joints.record import (
+    LAWS,
+    Release,
+    alternate_blocks,
+    creep_elements,
+    fit_curve_of_law,
+)
 from tests.builders import simulation
 
 RECORD = Path(__file__).parents[2].parent / "shared" / "data" / "bench" / "morphy_joint_step.csv"

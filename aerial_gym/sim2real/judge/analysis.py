@@ -12,7 +12,7 @@ from aerial_gym.sim2real.findings import Finding, unit_key
 from aerial_gym.sim2real.identify.learned import add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import FARTHEST_DEVIATION
 from aerial_gym.sim2real.identify.selection.select import SelectionResult
-from aerial_gym.sim2real.identify.stages import LoopSetup, model_with_effects
+from aerial_gym.sim2real.identify.stages import LoopSetup, final_model
 from aerial_gym.sim2real.judge.ablation import ablations_of_effects
 from aerial_gym.sim2real.judge.breakdown import active_regime, errors_by_flight
 from aerial_gym.sim2real.judge.decision import Decision, verdict_decision
@@ -35,7 +35,7 @@ from aerial_gym.sim2real.judge.verdict import (
     notes_on_materiality,
 )
 from aerial_gym.sim2real.judge.whiteness import whiteness_of_channels
-from aerial_gym.sim2real.logs.flights import merge_notes, rigid_notes
+from aerial_gym.sim2real.logs.flights import merge_findings_of_flights, rigid_notes
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
@@ -63,7 +63,7 @@ def judge_on_test_flights(
 
     progress("the noise floor of the test flights", 0.7)
     floors = noise_floors_in_declared_wind(declared, model)
-    still = of_all_flights(floors)
+    still = rms_of_noise_floors(floors)
     progress("rollouts of the declared and the corrected model", 0.8)
     pair = (declared.params, model) if selection.effect_names else (declared.params,)
     evaluations = evaluate_models(declared.robot, tested, pair, floor=still, seed=seed)
@@ -130,7 +130,7 @@ def noise_floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> l
     """Return each test flight's noise floors (C,), with the declared random wind; None where the log shows none."""
     test = declared.test
     wind = random_wind_in_file(declared.robot).channel_rms(test, params)
-    floors = [floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
+    floors = [noise_floor_of_flight(declared.robot, f, params, test.channels, test.bandwidth) for f in test.flights]
     return noise_floors_with_wind(floors, wind)
 
 

@@ -15,7 +15,7 @@ from aerial_gym.sim2real.identify.least_squares.moments import time_block_of_row
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, gap_closed
 from aerial_gym.sim2real.judge.outcome import Outcome
-from aerial_gym.sim2real.logs.flights import Flight, common_values
+from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 from aerial_gym.sim2real.predict.rollout import QUANTITIES
@@ -78,7 +78,7 @@ def errors_by_flight(
     for index, flight in enumerate(predictor.flights):
         floor = floors[index]
         level = [None] * len(predictor.channels) if floor is None else floor.tolist()
-        changes = _rms_and_rises(before[index], after[index], time_groups([predictor.times[index]]), seed)
+        changes = _rms_and_rises(before[index], after[index], time_block_of_rows([predictor.times[index]]), seed)
         results[flight.name] = [
             FlightError(channel.unit, *rms, own, Outcome(quantity=channel.name, rise=rise, least=least))
             for channel, own, (rms, rise) in zip(predictor.channels, level, changes, strict=True)

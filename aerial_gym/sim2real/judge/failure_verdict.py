@@ -20,7 +20,7 @@ def result_with_failures(judged: LoopResult, failures: Sequence[Failure], flight
     """
     if not failures:
         return judged
-    every, verdict, robot = same_in_all(failures, flights), judged.verdict, judged.corrected
+    every, verdict, robot = failure_of_all_flights(failures, flights), judged.verdict, judged.corrected
     effect = None if every is None else _failure_as_effect(every, judged.declared.stated)
     if effect is None:
         advice = tuple(_training_advice(failure) for failure in failures)

@@ -64,7 +64,7 @@ def error_outcomes(
 ) -> tuple[Outcome, ...]:
     """Return the outcome of every channel and every rollout from the declared to the corrected model."""
     before, after = (np.concatenate(predictor.residuals(model)) for model in models)
-    rises = rise_with_interval(after, before, time_groups(predictor.times), flight_of_rows(predictor.times))
+    rises = rise_with_interval(after, before, time_block_of_rows(predictor.times), flight_of_rows(predictor.times))
     results = [Outcome(quantity=c.name, rise=r, least=least) for c, r in zip(predictor.channels, rises, strict=True)]
     old, new = (evaluation.rollouts for evaluation in evaluations)
     for variant, errors in new.items():

@@ -82,7 +82,7 @@ def parameter_evidence(
     predicted = predictor.predict(params)
     jacobian = np.concatenate(effect_jacobian(predictor, params, (effect,), predicted)) * np.sqrt(weight)[:, None]
     left = np.concatenate([m - p for m, p in zip(predictor.measured, predicted, strict=True)]) * np.sqrt(weight)
-    group, scale = time_groups(predictor.times), scales((effect,))
+    group, scale = time_block_of_rows(predictor.times), parameter_scales((effect,))
     results = []
     for k, parameter in enumerate(EFFECTS.get(effect).parameters):
         if parameter.kind != "number" or parameter.name in untold:

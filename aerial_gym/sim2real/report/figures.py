@@ -112,10 +112,10 @@ def residuals_to_plot(judged: LoopResult) -> list[tuple[Channel, list[plots.Flig
         parts = []
         for predictor, residuals in left:
             for flight, time, residual in zip(predictor.flights, predictor.times, residuals, strict=True):
-                turned = world_forces(flight, time, residual, channels)
+                turned = rotate_forces_to_world(flight, time, residual, channels)
                 against = {"time [s]": time, **profile_quantities(flight, time, vehicle, judged.declared.bandwidth)}
                 if flight.position is not None:
-                    x, y, _ = flight.position[flight_rows(flight, time)].T
+                    x, y, _ = flight.position[rows_at_times(flight, time)].T
                     against |= {"x [m]": x, "y [m]": y}
                 parts.append(plots.FlightResidual(time, residual[:, place], turned[:, place], against))
         results.append((channels[place], parts))

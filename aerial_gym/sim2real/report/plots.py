@@ -7,7 +7,7 @@ import numpy as np
 
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
-from aerial_gym.sim2real.logs.flights import common_values
+from aerial_gym.sim2real.logs.flights import values_in_all_mappings
 from aerial_gym.sim2real.logs.signals import welch
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.model_params import ModelParams

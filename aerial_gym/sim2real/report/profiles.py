@@ -77,7 +77,9 @@ def mean_residual_profiles(predictor: Predictor, models: Mapping[str, ModelParam
     group, by_name = time_block_of_rows(predictor.times), []
     vehicle = vehicle_from_config(predictor.robot, num_envs=1, dtype=torch.float64)
     pairs = zip(predictor.flights, predictor.times, strict=True)
-    own = common_values([profile_quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs])
+    own = values_in_all_mappings(
+        [profile_quantities(flight, time, vehicle, predictor.bandwidth) for flight, time in pairs]
+    )
     residuals = {name: np.concatenate(predictor.residuals(params)) for name, params in models.items()}
     for name, parts in own.items():
         values = np.concatenate(parts)

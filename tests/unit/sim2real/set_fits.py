@@ -86,13 +86,15 @@ def make_spread(columns: np.ndarray, plain: np.ndarray, tolerance: np.ndarray, b
     )
 
 
-def make_left_out(weights: Weighting, count: Any = (1.0,), flight: Any = (0,), channels=(), tolerated=0.0) -> LeftOut:
+def make_left_out(
+    weights: Weighting, count: Any = (1.0,), flight: Any = (0,), channels=(), tolerated=0.0
+) -> CrossValidation:
     rows = {
         "count": np.array(count),
         "flight": np.array(flight),
         "tolerated": np.full(len(weights.variance), tolerated),
     }
-    return LeftOut(**rows, weights=weights, criteria=Criteria(), channels=channels)
+    return CrossValidation(**rows, weights=weights, criteria=Criteria(), channels=channels)
 
 
 def make_score(

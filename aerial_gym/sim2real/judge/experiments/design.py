@@ -17,7 +17,6 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.identify.candidates.library import starts_of_effect
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
@@ -100,7 +99,7 @@ class ManoeuvreCatalogue:
 
         Its best-determined parameter has a change of one scale. Other effects and the tolerances are fitted too.
         """
-        params = starts(name, final, declared, self.predictor.robot)[0]
+        params = starts_of_effect(name, final, declared, self.predictor.robot)[0]
         fit = self._linear_fit(self.predictor.predict(params), params, (*effects, name))
         own = [k for k in fit.effect_columns(name) if is_number(*fit.owners[k])]
         scores = []
@@ -146,7 +145,7 @@ def manoeuvre_for_ties(
 def effects_to_show(selection: SelectionResult, robot: RobotCfg, flights: Sequence[Flight]) -> list[str]:
     """Return the effects that these flights do not show, but other flights of this vehicle could."""
     unseen = [name for name in selection.not_testable if name not in selection.effect_names]
-    possible = (name for name in unseen if not lacks(name, robot, flights))
+    possible = (name for name in unseen if not finding_on_untestable_effect(name, robot, flights))
     return [name for name in possible if can_have_effect(name, selection, robot)]
 
 

@@ -107,7 +107,7 @@ def manoeuvre_flight(name: str, robot: RobotCfg, like: Flight, *, rate: float) -
     force = _band_limited_derivative(velocity, rate) + AT_REST
     turn = _flat_attitude(force, heading)
     attitude = continuous_quaternion(turn.as_quat())
-    ang_vel = body_rate(attitude, rate, BAND_HZ)
+    ang_vel = body_rate_from_attitude(attitude, rate, BAND_HZ)
     thrust = _rotor_thrusts(robot, np.linalg.norm(force, axis=1), ang_vel, rate)
     kept = (time >= 0.0) & (time < SPAN_S - 0.5 / rate)
     low, high = np.array([rotor.thrust_range for rotor in robot.rotor_types]).T  # each (R,)

@@ -27,7 +27,7 @@ from aerial_gym.sim2real.judge.random_wind.ornstein_uhlenbeck import (
     std_of_logarithms,
 )
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT, NamedEffect, parameters_in_file
-from aerial_gym.sim2real.logs.flights import Flight, common_values
+from aerial_gym.sim2real.logs.flights import Flight, values_in_all_mappings
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
 

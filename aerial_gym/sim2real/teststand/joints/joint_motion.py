@@ -64,7 +64,7 @@ def read_joint_motion(path: Path, robot: RobotCfg, *, bandwidth: float) -> Joint
     angles = np.asarray(table[columns].apply(pd.to_numeric, errors="coerce"), dtype=float)
     if not np.isfinite(angles).all():
         raise DataError(f"{path}: joint angles have empty or non-numeric fields; cut the log, or fill them")
-    return joint_motion(robot, log, interpolate(log.time, time, angles), bandwidth=bandwidth)
+    return joint_motion(robot, log, interpolate_columns(log.time, time, angles), bandwidth=bandwidth)
 
 
 def joint_motion(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: float) -> JointMotion:

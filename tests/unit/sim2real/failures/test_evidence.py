@@ -20,7 +20,7 @@ LEAST, SHARE, LENGTH = 0.003, 0.7, 0.1
 def make_work(seed: int, blocks: int = 24, rotors: int = 3, columns: int = 2) -> RotorOutput:
     rng = np.random.default_rng(seed)
     own = 1.0 + 0.2 * rng.standard_normal((blocks, rotors))
-    return RotorWork(
+    return RotorOutput(
         quantity="speed", driven_by="command", time=LENGTH * np.arange(blocks), length=LENGTH, lag=0.03,
         done=own + 0.02 * rng.standard_normal((blocks, rotors)), expected=own, own=own,
         beside=rng.standard_normal((blocks, rotors, columns)),

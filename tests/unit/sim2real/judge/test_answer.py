@@ -6,7 +6,7 @@ import pytest
 
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.candidates.structure import Structure
-from aerial_gym.sim2real.identify.selection.partial_rivals import RivalInPart
+from aerial_gym.sim2real.identify.selection.partial_rivals import ParameterRival
 from aerial_gym.sim2real.judge.answer import answer_parts, trust_findings
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation
 from aerial_gym.sim2real.judge.experiments.design import Advice

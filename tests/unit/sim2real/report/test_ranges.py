@@ -3,7 +3,7 @@
 import numpy as np
 
 from aerial_gym.robots import ROBOTS
-from aerial_gym.robots.parameter_draws import joint_factor
+from aerial_gym.robots.parameter_draws import correlation_factor
 from aerial_gym.sim2real.judge.verdict import NamedEffect
 from aerial_gym.sim2real.report.ranges import uncertainty_ranges
 from tests.unit.sim2real.judge.builders import make_named_effect

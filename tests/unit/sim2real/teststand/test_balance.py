@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
+from aerial_gym.sim2real.teststand.candidate_causes import candidate_causes, cause_probabilities, experiments_for_causes
 from scipy import integrate, stats
 
 from aerial_gym.cli.main import main
@@ -15,8 +16,13 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.robots.catalog import ROBOTS
 from aerial_gym.sim2real import find_mapping, read_flight_log
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.teststand.balance import Balance, HoverEffort, group_repeats, hover_effort, judge_balance
-from aerial_gym.sim2real.teststand.causes import cause_probabilities, causes, tell_apart
+from aerial_gym.sim2real.teststand.balance import (
+    Balance,
+    HoverEffort,
+    hover_effort,
+    judge_balance,
+    repeats_by_condition,
+)
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
@@ -235,7 +241,7 @@ def test_a_weight_at_a_hub_and_a_propeller_of_more_drag_tie_until_the_vehicle_is
     results = judge_pairs(5, ratio)
     both = ("payload_mass + com_offset", "weak_motor 3 + torque_ratio")
     assert (results.verdict, results.candidates) == ("ambiguous", both)
-    assert results.tell_apart[0] == Finding("weigh_vehicle")
+    assert results.experiments_for_causes[0] == Finding("weigh_vehicle")
     weighed = judge_pairs(5, ratio, added_mass=0.0)
     assert (weighed.verdict, weighed.candidates) == ("explained", ("weak_motor 3 + torque_ratio",))
     heavy = judge_pairs(5, ratio, added_mass=0.1 * MASS)

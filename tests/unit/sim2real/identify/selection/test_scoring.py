@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.selection.scoring import LeftOut
+from aerial_gym.sim2real.identify.selection.scoring import CrossValidation
 from aerial_gym.sim2real.predict.channels import Channel
 from tests.unit.sim2real.set_fits import make_left_out
 

@@ -50,7 +50,7 @@ def make_view(
         present=sets[0], fits={label: sets[0]}, own={label: fitter} if fitter is None else {}, fresh=set(),
         fitter=fitter or Singles(*sets),
         library=Library(candidates=candidates, moments=None, weight=np.ones(1), tolerances=none), structures=[],
-        sets=Sets(candidates=linear_candidates(*[0] * len(NAMES)), normal=None, log_posterior=promised),
+        sets=SetPosterior(candidates=linear_candidates(*[0] * len(NAMES)), normal=None, log_posterior=promised),
         guard=GuardStub(keeps=keeps),
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.checks.conventions import check_log
-from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, kinematic_errors
+from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, imu_errors_from_kinematics
 from aerial_gym.sim2real.logs.signals import uniform_log
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 

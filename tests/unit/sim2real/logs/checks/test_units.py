@@ -9,7 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import find_mapping, read_flight_log
-from aerial_gym.sim2real.logs.checks.units import check_growth, check_units, relate
+from aerial_gym.sim2real.logs.checks.units import (
+    axis_relation,
+    check_units_against_accelerometer,
+    check_units_of_velocity_and_position,
+)
 from tests.repetitions import thin_values
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 

@@ -11,7 +11,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real import FlightLog, find_mapping, read_flight_log
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import load_flights, resample_log
-from aerial_gym.sim2real.logs.readers.ulog import topics_table
+from aerial_gym.sim2real.logs.readers.ulog import merge_topics
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, write
 from tests.unit.sim2real.ulog_files import topics, write_ulog
 

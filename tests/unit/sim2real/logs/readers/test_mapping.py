@@ -12,7 +12,7 @@ from aerial_gym.errors import ConfigError, DataError, MissingDependencyError
 from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
-from aerial_gym.sim2real.logs.readers.ulog import topics_table
+from aerial_gym.sim2real.logs.readers.ulog import merge_topics
 from aerial_gym.sim2real.logs.signals import uniform_log
 from aerial_gym.sim2real.predict.channels import find_channels
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
