@@ -12,7 +12,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
-from aerial_gym.sim2real.logs.flights import Flight, load_flights, merge_notes, rigid_notes
+from aerial_gym.sim2real.logs.flights import Flight, findings_on_rigid_joints, load_flights, merge_findings_of_flights
 from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
@@ -42,7 +42,11 @@ class Replay:
     def notes(self) -> list[Finding]:
         """Findings on the vehicle, the logs and missing rollouts."""
         missing = reason_against_rollouts(self.flights)
-        return [*rigid_notes(self.robot), *merge_notes(self.flights), *([] if missing is None else [missing])]
+        return [
+            *findings_on_rigid_joints(self.robot),
+            *merge_findings_of_flights(self.flights),
+            *([] if missing is None else [missing]),
+        ]
 
     def as_mapping(self) -> dict[str, object]:
         """Return the results for JSON."""

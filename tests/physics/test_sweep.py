@@ -24,7 +24,7 @@ from aerial_gym.math.random import Randomness
 from aerial_gym.physics import Trajectory
 from aerial_gym.registry import GlobalTensorDictionary
 from aerial_gym.robots.joints.link_tensors import declare_links
-from aerial_gym.robots.joints.links import LinkTrack
+from aerial_gym.robots.joints.links import LinkTrajectory
 
 Array = NDArray[np.float64]
 
@@ -394,7 +394,7 @@ def crash_flags_of_links(
         x, q = base.pose(0, float(row))
         record.position[row], record.attitude[row] = tensor(x), tensor(q.as_quat())
         record.joint_pos[row] = tensor(first + row * rate * DT)
-    track = LinkTrack(CHAIN, record)
+    track = LinkTrajectory(CHAIN, record)
     track.refresh()
     gtd = GlobalTensorDictionary(device=torch.device("cpu"), sizes={"E": n})
     links = declare_links(gtd, CHAIN)

@@ -35,7 +35,7 @@ from aerial_gym.sim2real.judge.verdict import (
     notes_on_materiality,
 )
 from aerial_gym.sim2real.judge.whiteness import whiteness_of_channels
-from aerial_gym.sim2real.logs.flights import merge_findings_of_flights, rigid_notes
+from aerial_gym.sim2real.logs.flights import findings_on_rigid_joints, merge_findings_of_flights
 from aerial_gym.sim2real.predict.channels import UNITS
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_of_noise_floors
@@ -199,7 +199,7 @@ def verdict_notes(
     """
     open_channels = list(unexplained.left_open)
     return (
-        *rigid_notes(declared.stated),
+        *findings_on_rigid_joints(declared.stated),
         *notes_on_doubt(selection),
         *([Finding("left_open_note", "", {"channels": open_channels})] if open_channels else []),
         *unexplained.wind.notes,
@@ -250,7 +250,7 @@ def absent_tolerances(declared: LoopSetup, params: ModelParams) -> set[str]:
 def notes_on_surrogates_and_offsets(selection: SelectionResult) -> list[Finding]:
     """Return notes on effects that follow a structure, and on offsets of flights: neither belongs to the vehicle."""
     results = [Finding("stands_in", name, {"structure": kind}) for name, kind in selection.surrogates.items()]
-    offsets = selection.chosen.best.own
+    offsets = selection.chosen.best.flight_offsets
     sizes = [{"channel": o.channel, f"rms_{unit_key(UNITS[o.channel.split('.')[0]])}": o.size} for o in offsets]
     return [*results, *([Finding("offsets_sizes", "", {"offsets": sizes})] if sizes else [])]
 

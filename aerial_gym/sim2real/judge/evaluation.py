@@ -69,7 +69,7 @@ def evaluate_models(
     residuals = [np.concatenate(predictor.residuals(one)) for one in models]
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not reason_against_rollouts(flights):
-        links, variants = [predictor.links(one) for one in models], {"free": False, "given_attitude": True}
+        links, variants = [predictor.load_links(one) for one in models], {"free": False, "given_attitude": True}
         rollouts = rollout_errors_of_models(
             robot, flights, models, variants, links=links, tolerances=predictor.tolerances
         )

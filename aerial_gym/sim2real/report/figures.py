@@ -45,7 +45,7 @@ def evidence_of_effects(judged: LoopResult) -> dict[str, list[ParameterEvidence]
     declared, selection = judged.declared, judged.selection
     models = dict.fromkeys(selection.effect_names, judged.within)
     for fitted in () if models else most_probable_single_effects(selection):
-        models.setdefault(fitted.effects[0], fitted.model_in_tolerances)
+        models.setdefault(fitted.effects[0], fitted.model_with_deviations)
     untold = {effect.name: effect.frozen for effect in judged.verdict.effects}
     weight, results = selection.weights.weight, {}
     for name, params in models.items():

@@ -2,7 +2,6 @@
 
 import pytest
 import torch
-from aerial_gym.physics.mujoco.warp.warp_trees import WarpTrees
 
 from aerial_gym.config.contact import ContactCfg
 from aerial_gym.control import CONTROLLERS
@@ -12,6 +11,7 @@ from aerial_gym.physics import BACKENDS, TorchBackend
 from aerial_gym.physics.articulated.steppers import implicit_euler
 from aerial_gym.physics.articulated.tree import Links, TreeState
 from aerial_gym.physics.mujoco.mjcf import Floor
+from aerial_gym.physics.mujoco.warp_engine import WarpTrees
 from tests.cross.mujoco.test_bending import DT, G, assert_same, flies_as_on_torch, no_wrench, on_a_stand, spring
 from tests.cross.mujoco.test_environments import WEIGHT, put_down
 from tests.cross.mujoco.test_flight import by_env

@@ -13,7 +13,7 @@ from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.robots.tune import tune_robot
 from aerial_gym.sim2real.identify.selection.select import select_effects
-from aerial_gym.sim2real.judge.analysis import correct_robot, not_testable
+from aerial_gym.sim2real.judge.analysis import correct_robot, untestable_effects
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from tests.unit.sim2real.judge.builders import make_excess, make_setup
 from tests.unit.sim2real.predict.test_scene import hover
@@ -51,10 +51,10 @@ def test_what_takes_it_as_rigid_leaves_drag_of_links_out(drag_robot: RobotCfg) -
 
 def test_the_loop_lists_it_as_not_testable_and_keeps_it(drag_robot: RobotCfg) -> None:
     selection, air = make_selection(), make_excess()
-    told = not_testable(selection, drag_robot, air)
+    told = untestable_effects(selection, drag_robot, air)
     acting = dict.fromkeys(("link_drag", "link_buoyancy", "link_added_mass"), "acts_on_links")
     assert {name: finding.code for name, finding in told.items()} == acting
-    assert not_testable(selection, ROBOTS.get("tinyprop"), air) == {}
+    assert untestable_effects(selection, ROBOTS.get("tinyprop"), air) == {}
     params = params_from_robot(drag_robot).with_effect("rotor_drag", torch.tensor([0.1, 0.2, 0.3]).numpy())
     result = correct_robot(make_setup([hover("f", 1.0)], robot=drag_robot), params, ["rotor_drag"])
     assert set(result.effects) == {"link_drag", "quadratic_drag", "rotor_drag"}

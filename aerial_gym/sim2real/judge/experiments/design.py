@@ -17,6 +17,7 @@ from aerial_gym.physics import EFFECTS
 from aerial_gym.physics.effects.arm_joint import ArmJoint
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.candidates.library import starts_of_effect
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian, tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
@@ -101,7 +102,7 @@ class ManoeuvreCatalogue:
         """
         params = starts_of_effect(name, final, declared, self.predictor.robot)[0]
         fit = self._linear_fit(self.predictor.predict(params), params, (*effects, name))
-        own = [k for k in fit.effect_columns(name) if is_number(*fit.owners[k])]
+        own = [k for k in fit.effect_columns(name) if is_number(*fit.parameter_owners[k])]
         scores = []
         for index in range(len(self.flights)):
             product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))

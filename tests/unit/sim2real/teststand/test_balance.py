@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pandas as pd
 import pytest
-from aerial_gym.sim2real.teststand.candidate_causes import candidate_causes, cause_probabilities, experiments_for_causes
 from scipy import integrate, stats
 
 from aerial_gym.cli.main import main
@@ -23,6 +22,7 @@ from aerial_gym.sim2real.teststand.balance import (
     judge_balance,
     repeats_by_condition,
 )
+from aerial_gym.sim2real.teststand.causes import candidate_causes, cause_probabilities, experiments_for_causes
 from aerial_gym.sim2real.teststand.scatter import fit_scatter, log_evidence, pool_scatter
 
 ROBOT = ROBOTS.get("crazyflie_21")
