@@ -72,7 +72,8 @@ def begin_substep(
         dt: Its length [s].
     """
     random = split_state(memory.random.stream(Purpose.EFFECTS), memory.since)
-    moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=dt, vehicle=model.vehicle)
+    span = torch.tensor(dt, dtype=torch.float64)  # on the CPU: an argument of any device's operations
+    moment = Moment(rotor_speed=rotor_speed, since=memory.since, random=random, dt=span, vehicle=model.vehicle)
     places = model.effects.places(rotor_speed.shape[1])
     numbers = [
         place.effect.remember(moment, torch.cat((params, memory.numbers[:, place.memory]), dim=-1))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from aerial_gym.math.rows import choose
 from aerial_gym.physics.rotors import lag_acceleration, lag_speed
 from aerial_gym.physics.vehicle import Vehicle
 
@@ -90,8 +91,22 @@ def state_rate(vehicle: Vehicle, state: Tensor, command: Tensor, jump: Tensor, d
     lag = vehicle.time_constant_up, vehicle.time_constant_down
     if not vehicle.traits & {"reversible", "slew"}:
         return lag_acceleration(state, command, *lag, jump, dt)
+    return slew_limited_rate(state, command, *lag, vehicle.slew_rate, vehicle.slew_rate_down, jump, dt)
+
+
+def slew_limited_rate(
+    state: Tensor,
+    command: Tensor,
+    tau_up: Tensor,
+    tau_down: Tensor,
+    slew_up: Tensor,
+    slew_down: Tensor,
+    jump: Tensor,
+    dt: float | Tensor,
+) -> Tensor:
+    """Return ``clip((c - x) / tau, -S, S)``, (E, R), and without lag ``jump / dt`` in place of the quotient."""
     falls = state * (command - state) < 0.0
-    tau, slew = torch.where(falls, lag[1], lag[0]), torch.where(falls, vehicle.slew_rate_down, vehicle.slew_rate)
+    tau, slew = torch.where(falls, tau_down, tau_up), torch.where(falls, slew_down, slew_up)
     lags = tau > 0.0
     rate = torch.where(lags, (command - state) / torch.where(lags, tau, 1.0), jump / dt)
     return torch.maximum(torch.minimum(rate, slew), -slew)
@@ -132,9 +147,17 @@ def slew_limited_lag(
     falls = state * way < 0.0
     crosses = falls & (command * way > 0.0)
     beyond = torch.where(crosses, command.abs(), 1.0)
-    until_zero = _fall_time(torch.where(crosses, distance, 1.0), beyond, tau_down, slew_down)
     span = torch.zeros_like(distance) + dt  # of their float type, which a bare number would not have
-    falling = torch.minimum(torch.where(crosses, until_zero, torch.where(falls, span, 0.0)), span)
+    until_zero = choose(
+        crosses,
+        _fall_time,
+        torch.where(falls, span, 0.0),
+        torch.where(crosses, distance, 1.0),
+        beyond,
+        tau_down,
+        slew_down,
+    )
+    falling = torch.minimum(until_zero, span)
     distance = _distance_left(distance, tau_down, slew_down, falling)
     return command - way * _distance_left(distance, tau_up, slew_up, span - falling)
 

@@ -38,7 +38,7 @@ class DuctEffect(RotorEffect, WrenchEffect):
 
     def remember(self, moment: Moment, values: Tensor) -> Tensor:
         mean = moment.rotor_speed.mean(dim=1, keepdim=True)
-        return mean + (values[:, 2:] - mean) * float(np.exp(-moment.dt / TAU))
+        return mean + (values[:, 2:] - mean) * torch.exp(-moment.dt / TAU)
 
     def replay(self, track: FlightTrack, params: Tensor) -> Tensor:
         rest = track.rotor_speed.mean(dim=1, keepdim=True).numpy()

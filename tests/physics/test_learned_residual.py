@@ -108,7 +108,7 @@ def test_force_and_torque_are_those_by_hand(cfg: LearnedResidualCfg) -> None:
 
 
 @pytest.mark.parametrize("cfg", NETWORKS)
-def test_the_warp_twin_gives_the_force_by_hand(cfg: LearnedResidualCfg) -> None:
+def test_kernel_gives_the_force_by_hand(cfg: LearnedResidualCfg) -> None:
     """One Euler step with held rotor speeds changes the momentum by ``R F dt`` and the spin by ``J^-1 tau dt``. Networks are
     constants of the kernel: one after the other in a process, each must come with its own."""
     dt, states = 0.05, []

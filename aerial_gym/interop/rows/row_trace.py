@@ -519,7 +519,15 @@ def _remove_marks(numbers: Tensor) -> Array:
 
 
 _VALUE = "a branch on a value, or a number taken out of a tensor"
-_BRANCHES = Tensor.__bool__, Tensor.__float__, Tensor.__int__, Tensor.item, Tensor.tolist
+_BRANCHES = (
+    Tensor.__bool__,
+    Tensor.__float__,
+    Tensor.__int__,
+    Tensor.__array__,
+    Tensor.item,
+    Tensor.numpy,
+    Tensor.tolist,
+)
 
 
 def _refusal(name: str) -> str:

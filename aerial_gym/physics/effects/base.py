@@ -35,7 +35,7 @@ class Moment:
     rotor_speed: Tensor  # Rotor speeds [rad/s], (E, R)
     since: Tensor  # Substeps since the environment was reset, int, (E,)
     random: Tensor  # Random states of this substep, for ``math.random.normal_draws``, (E,)
-    dt: float  # Length of the substep [s]
+    dt: Tensor  # Length of the substep [s], ()
     vehicle: Vehicle  # Vehicle with the effects on its parameters applied
 
 

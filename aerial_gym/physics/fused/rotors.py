@@ -9,7 +9,9 @@ from typing import Any
 
 import warp as wp
 
+from aerial_gym.physics.fused.torch_trace import trace_to_warp
 from aerial_gym.physics.fused.types import rotor_types
+from aerial_gym.physics.rotor_lag import slew_limited_lag, slew_limited_rate
 
 
 @wp.func
@@ -27,45 +29,21 @@ def lag_speed(speed: float, command: float, decay_up: float, decay_down: float) 
     return command + (speed - command) * wp.where(command > speed, decay_up, decay_down)
 
 
+_LIMITS = ("state", "command", "tau_up", "tau_down", "slew_up", "slew_down")
+
+
 @cache
 def make_limited_lag(real: Any) -> wp.Function:
-    """Return the Warp version of ``rotor_lag.slew_limited_lag`` for one rotor in a given precision."""
-
-    @wp.func
-    def distance_left(distance: real, tau: real, slew: real, span: real) -> real:
-        """Return the remaining part of a distance >= 0 after a span [s]: slew rate first, then exponential decay."""
-        linear = wp.min(slew * span, wp.max(distance - slew * tau, real(0.0)))
-        return (distance - linear) * wp.exp(-wp.max(span - linear / slew, real(0.0)) / tau)
-
-    @wp.func
-    def fall_time(distance: real, less: real, tau: real, slew: real) -> real:
-        """Return the time [s] in which a distance shrinks to ``less`` > 0."""
-        linear = wp.min(wp.max(distance - slew * tau, real(0.0)), distance - less)
-        return linear / slew + tau * wp.log((distance - linear) / less)
-
-    @wp.func
-    def slew_limited_lag(
-        state: real, command: real, tau_up: real, tau_down: real, slew_up: real, slew_down: real, span: real
-    ) -> real:
-        way = wp.where(command < state, real(-1.0), real(1.0))
-        distance = wp.abs(command - state)
-        falling = wp.where(state * way < real(0.0), span, real(0.0))
-        if falling > real(0.0) and command * way > real(0.0):
-            falling = wp.min(fall_time(distance, wp.abs(command), tau_down, slew_down), span)
-        left = distance_left(distance, tau_down, slew_down, falling)
-        return command - way * distance_left(left, tau_up, slew_up, span - falling)
-
-    return slew_limited_lag
+    """Return ``rotor_lag.slew_limited_lag`` of one rotor in a given precision."""
+    arguments = dict.fromkeys((*_LIMITS, "dt"), real)
+    return trace_to_warp("slew_limited_lag", arguments, slew_limited_lag, [real], constants={})
 
 
-@wp.func
-def slew_limited_rate(
-    speed: float, command: float, tau_up: float, tau_down: float, slew_up: float, slew_down: float
-) -> float:
-    """Return the Warp version of ``rotor_lag.state_rate`` for one rotor; without lag it is the slew rate."""
-    falls = speed * (command - speed) < 0.0
-    slew = wp.where(falls, slew_down, slew_up)
-    return wp.clamp((command - speed) / wp.where(falls, tau_down, tau_up), -slew, slew)
+@cache
+def _make_limited_rate() -> wp.Function:
+    """Return ``rotor_lag.slew_limited_rate`` of one rotor."""
+    arguments = dict.fromkeys((*_LIMITS, "jump", "dt"), float)
+    return trace_to_warp("slew_limited_rate", arguments, slew_limited_rate, [float], constants={})
 
 
 @cache
@@ -124,7 +102,7 @@ def make_follow(num_rotors: int, general: bool, late: bool = False, *, stages: i
 @cache
 def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.Function:
     """Return the Warp version of ``rotor_lag.stage_rates``, (vehicle, three states, commands, step [s]) -> three rates."""
-    types = rotor_types(num_rotors, general)
+    types, limited_rate = rotor_types(num_rotors, general), _make_limited_rate()
     vehicle_type, vector, succession = types.vehicle, types.vector, types.succession
 
     @wp.func
@@ -133,7 +111,9 @@ def make_stage_rates(num_rotors: int, general: bool, late: bool = False) -> wp.F
 
     @wp.func
     def general_law(plant: vehicle_type, i: int, n: float, command: float, jump: float, dt: float) -> float:
-        return slew_limited_rate(n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i])
+        return limited_rate(
+            n, command, plant.tau_up[i], plant.tau_down[i], plant.slew_up[i], plant.slew_down[i], jump, dt
+        )
 
     one = general_law if general else plain
 

@@ -142,8 +142,9 @@ def _bodies(name: str, traced: Trace) -> dict[str, wp.Function]:
     for k, body in enumerate(traced.bodies):
         count = len(body.widths)
         lines = function_lines(body, lambda position, _: f"x{position}", [""])
-        arguments = {f"x{i}": float for i in range(count)}
-        result[f"body_{k}"] = compile_traced(f"{name}_{k}", arguments, (float,), lines, body, differentiable=False)
+        real = wp.float64 if body.outputs[0][2] == torch.float64 else float
+        arguments = dict.fromkeys((f"x{i}" for i in range(count)), real)
+        result[f"body_{k}"] = compile_traced(f"{name}_{k}", arguments, (real,), lines, body, differentiable=False)
     return result
 
 

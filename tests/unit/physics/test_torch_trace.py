@@ -11,6 +11,8 @@ from torch import Tensor
 
 from aerial_gym.errors import CapabilityError
 from aerial_gym.interop.streams import start_warp
+from aerial_gym.math.random import uniform_draws
+from aerial_gym.math.rows import by_element, choose
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
 
 MATRIX = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
@@ -87,3 +89,39 @@ def branch(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
 def test_untraceable_code_is_named_with_its_line_and_a_way_out() -> None:
     with pytest.raises(CapabilityError, match=r"branch: .*test_torch_trace\.py:\d+ .*factor\[0\] > 0\.0.*torch\.where"):
         trace_to_warp("branch", INPUTS, branch, OUTPUTS)
+
+
+def search(x: Tensor, y: Tensor) -> Tensor:
+    """Return a number by a loop that runs where x > 0 only."""
+
+    def halve(high: Tensor) -> Tensor:
+        for _ in range(3):
+            high = torch.where(high > 1.0, 0.5 * high, high + 1.0)
+        return high
+
+    return y * choose(x > 0.0, halve, y, x + 1.0)
+
+
+def element_function(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
+    """Return rows by a function of elements, and a number by bits, a small exponential and a choice of columns."""
+    state = (1000.0 * factor).to(torch.int64)
+    noise = uniform_draws(state, 3, 3, dtype=torch.float32) - 0.5
+    chosen = body.velocity.index_select(1, torch.tensor([2, 0, 0]))
+    return by_element(search, body.velocity, body.mass.unsqueeze(-1)) + noise, torch.expm1(1e-4 * chosen).sum(-1)
+
+
+def test_functions_of_elements_and_integers_equal_torch() -> None:
+    generator = torch.Generator().manual_seed(4)
+    velocity, axes, mass, factor = (torch.randn(50, *shape, generator=generator) for shape in ((3,), (2, 3), (), ()))
+    function = trace_to_warp("elements", INPUTS, element_function, OUTPUTS, constants={})
+    expected = element_function(SimpleNamespace(velocity=velocity, mass=mass), factor)
+    for actual, wanted in zip(run(function, velocity, axes, mass, factor), expected, strict=True):
+        torch.testing.assert_close(actual, wanted, rtol=2e-6, atol=1e-9)
+
+
+def test_function_of_elements_that_reads_other_numbers_is_refused() -> None:
+    def closure(body: SimpleNamespace, factor: Tensor) -> tuple[Tensor, Tensor]:
+        return by_element(lambda v: v * body.mass, body.velocity), factor
+
+    with pytest.raises(CapabilityError, match="not among its arguments"):
+        trace_to_warp("closure", INPUTS, closure, OUTPUTS, constants={})

@@ -146,7 +146,7 @@ REFUSED: dict[str, tuple[Callable[[Tensor], object], str]] = {
     "cumsum": (lambda a: a.cumsum(0), "torch.cumsum is not a supported operation"),
     "random": (lambda a: a + torch.rand(3), "torch.rand draws random numbers"),
     "elsewhere": (lambda a: a * ELSEWHERE, "not among its arguments"),
-    "in place": (lambda a: a.add_(1.0), "torch.add_ is not a supported operation"),
+    "in place": (lambda a: a.add_(1.0), "torch.add_ writes in place"),
     "rounded division": (lambda a: torch.div(a, 2.0, rounding_mode="floor"), "rounding_mode"),
     "no rows": (lambda a: torch.ones(3), "does not have a row"),
     "error": (lambda a: a.nothing, "AttributeError"),
