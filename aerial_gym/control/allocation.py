@@ -61,7 +61,7 @@ def allot(inverse: Tensor, wrench: Tensor, low: Tensor, high: Tensor, *, idle: b
     """
     parts, lift, force = inverse * wrench.unsqueeze(1), inverse[..., 2], wrench[:, 2:3]
     turn, rest = parts[..., 3] + parts[..., 4], parts[..., 0] + parts[..., 1] + parts[..., 5]
-    plain = lift * force + turn + rest
+    plain = parts.sum(-1)
     beyond, whole = ~is_within_limits(plain, low, high), torch.ones_like(force)
     arguments = (lift, turn, rest, force, low, high)
     return Allotment(*compute_if(beyond, ThrustsByPriority(idle), arguments, (plain, whole, whole)))

@@ -209,7 +209,7 @@ def power_pair(vectors: dict[str, Tensor]) -> Pair:
     vehicle = vehicle_from_config(ROBOTS.get("crazyflie_21"), num_envs=1, dtype=torch.float64)
     signs = rotor_signs("position", vehicle, Allocation(vehicle, GRAVITY), GRAVITY)
     counts = _nose_down(torch.from_numpy(made.power_states()).double())
-    return rotor_counts(counts[:, :1], counts[:, 1:], signs), vectors["power"]
+    return rotor_counts(counts[:, :1], counts[:, 1:], signs.tolist()), vectors["power"]
 
 
 def default_pid_gains(num_envs: int) -> PidGains:
