@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from benchmarks.robustness.fuzz.__main__ import Fuzz
 from benchmarks.robustness.kill_runs import await_exit, begin
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
@@ -31,3 +32,9 @@ def test_a_process_that_goes_on_is_told_and_killed() -> None:
     process = begin(SLEEP)
     assert not await_exit(process, 0.2)
     assert process.returncode == -signal.SIGKILL
+
+
+def test_a_few_mutated_inputs_of_each_kind_work_or_are_refused(tmp_path, capsys) -> None:
+    pytest.importorskip("yourdfpy")
+    status = Fuzz(count=88, seed=7, out=tmp_path).run()
+    assert status == 0, capsys.readouterr().out

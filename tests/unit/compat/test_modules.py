@@ -1,11 +1,13 @@
-"""Module paths of the Aerial Gym Simulator: each of the table gives its names, each that is gone says what to do."""
+"""Module paths and helpers of the Aerial Gym Simulator: each gives its names, each that is gone says what to do."""
 
 import subprocess
 import sys
 from importlib import import_module
 
 import pytest
+import torch
 
+from aerial_gym.compat import math as helpers
 from aerial_gym.compat.modules import GONE, MODULES
 from docs.generate.aerial_gym_names import METHODS
 
@@ -55,3 +57,64 @@ def test_every_method_is_there(path: str) -> None:
     for name in members.split("."):
         member = getattr(member, name)
     assert member.__doc__
+
+
+HALF = 0.5**0.5
+
+
+def test_every_helper_is_there() -> None:
+    space: dict[str, object] = {}
+    exec("from aerial_gym.utils.math import *", space)
+    assert all(space[name] is getattr(helpers, name) for name in helpers.__all__)
+
+
+def test_euler_angles_and_axes() -> None:
+    q = helpers.quat_from_euler_xyz(torch.zeros(1), torch.zeros(1), torch.full((1,), torch.pi / 2))
+    torch.testing.assert_close(q, torch.tensor([[0.0, 0.0, HALF, HALF]]))
+    torch.testing.assert_close(helpers.quat_axis(q, 0), torch.tensor([[0.0, 1.0, 0.0]]), atol=1e-6, rtol=0.0)
+    angles = torch.tensor([[0.3, -0.4, 1.2]], dtype=torch.float64)
+    turned = helpers.quat_from_euler_xyz_tensor(angles)
+    torch.testing.assert_close(helpers.get_euler_xyz_tensor(turned), angles)
+    torch.testing.assert_close(torch.stack(helpers.get_euler_xyz(turned), dim=-1), angles)
+    matrix = helpers.quat_to_rotation_matrix(turned)
+    torch.testing.assert_close(helpers.matrix_to_euler_zyx(matrix), angles.flip(-1))
+    yaw_only = helpers.get_euler_xyz_tensor(helpers.vehicle_frame_quat_from_quat(turned))
+    torch.testing.assert_close(yaw_only, torch.tensor([[0.0, 0.0, 1.2]], dtype=torch.float64))
+
+
+def test_vee_is_the_inverse_of_the_cross_product_matrix() -> None:
+    v, w = torch.tensor([1.0, 2.0, 3.0]), torch.tensor([-0.5, 0.4, 0.7])
+    matrix = torch.stack([torch.linalg.cross(v, unit) for unit in torch.eye(3)], dim=-1)
+    torch.testing.assert_close(helpers.compute_vee_map(matrix), v)
+    torch.testing.assert_close(matrix @ w, torch.linalg.cross(v, w))
+
+
+@pytest.mark.parametrize(
+    ("angle", "wrapped"), [(3.5, 3.5 - 2 * torch.pi), (-3.5, 2 * torch.pi - 3.5), (7.0, 7.0 - 2 * torch.pi)]
+)
+def test_ssa_wraps_into_half_a_turn(angle: float, wrapped: float) -> None:
+    assert helpers.ssa(torch.tensor([angle])).item() == pytest.approx(wrapped, abs=1e-5)
+
+
+def test_draws_lie_between_their_limits_and_follow_torch_s_seed() -> None:
+    low, high = torch.tensor([[0.0, 5.0]]).repeat(1000, 1), torch.tensor([[1.0, 5.5]]).repeat(1000, 1)
+    torch.manual_seed(1)
+    first = helpers.torch_rand_float_tensor(low, high)
+    torch.manual_seed(1)
+    assert torch.equal(first, helpers.torch_rand_float_tensor(low, high))
+    assert ((first >= low) & (first <= high)).all()
+    assert helpers.torch_rand_float(-1.0, 1.0, (5, 2), "cpu").abs().max() <= 1.0
+
+
+def test_small_formulas() -> None:
+    low, high = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[2.0, 4.0, 6.0]])
+    state = torch.full((1, 13), 0.5)
+    assert helpers.torch_interpolate_ratio(low, high, state).tolist() == [[1.0, 2.0, 3.0]]
+    assert helpers.exponential_reward_function(2.0, 3.0, torch.zeros(1)).item() == 2.0
+    assert helpers.exponential_penalty_function(2.0, 3.0, torch.zeros(1)).item() == 0.0
+    assert helpers.exponential_penalty_function(2.0, 3.0, torch.full((1,), 10.0)).item() == pytest.approx(-2.0)
+    assert helpers.pd_control(torch.ones(1), torch.ones(1), 2.0, 3.0).item() == 5.0
+    assert helpers.copysign(2.0, torch.tensor([-1.0, 3.0])).tolist() == [-2.0, 2.0]
+    assert helpers.tensor_clamp(torch.tensor([5.0]), torch.tensor([0.0]), torch.tensor([1.0])).tolist() == [1.0]
+    assert helpers.normalize(torch.tensor([3.0, 4.0])).tolist() == pytest.approx([0.6, 0.8])
+    assert helpers.to_torch([1, 2]).dtype == torch.float32

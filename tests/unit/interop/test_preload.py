@@ -1,12 +1,23 @@
-"""Libraries and a GPU's context are loaded beside the imports, or not at all."""
+"""What happens beside imports and compilation: libraries, messages of Warp, threads, and caches that cannot be written."""
 
 import ctypes
+import os
 import subprocess
 import sys
+from functools import partial
+from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+import warp as wp
+from scipy.linalg import solve_triangular
+from threadpoolctl import threadpool_info
 
+from aerial_gym.errors import StorageError
+from aerial_gym.interop import one_thread, start_warp
 from aerial_gym.interop import preload as module
+from aerial_gym.interop.kernel_log import KernelLog
 
 
 class Driver:
@@ -69,3 +80,81 @@ def test_what_is_imported_beside_does_not_import_torch() -> None:
         "assert 'warp' in sys.modules and 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+CODE = """
+import torch
+from aerial_gym.interop.rows import RowFunction
+RowFunction(lambda a: 2.0 * a, (torch.zeros(2, 3),))(torch.zeros(2, 3))
+"""
+
+
+@pytest.mark.slow
+def test_a_compilation_is_told_once_per_machine(tmp_path: Path) -> None:
+    environment = {"WARP_CACHE_PATH": str(tmp_path), "PATH": "", "PYTHONPATH": ":".join(sys.path)}
+    run = partial(subprocess.run, capture_output=True, text=True, env=environment, check=True)
+    said = [run([sys.executable, "-c", CODE]) for _ in range(2)]
+    lines = said[0].stderr.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("compiled aerial_gym_rows_")
+    assert " for cpu in " in lines[0]
+    assert f"kept in {tmp_path}" in lines[0]
+    assert [each.stdout for each in said] == ["", ""]
+    assert said[1].stderr == ""
+
+
+def test_what_is_no_compilation_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
+    log = KernelLog()
+    for message in ("Warp 1.19.0 initialized:", "Module a 1234abc load on device 'cpu' took 3.00 ms  (cached)"):
+        log.info(message)
+    assert caplog.text == ""
+    log.info("Module a 1234abc load on device 'cuda:0' took 1250.00 ms  (compiled)")
+    log.info("    Module b 1234abc load on device 'cuda:0' took 250.00 ms  (compiled)")
+    assert "compiled a for cuda:0 in 1.2 s; once for this machine, kept in" in caplog.text
+    assert caplog.messages[1] == "compiled b for cuda:0 in 0.2 s"
+
+
+def threads() -> list[int]:
+    """Return the number of threads of each linear-algebra library, and of torch as the last."""
+    return [library["num_threads"] for library in threadpool_info()] + [torch.get_num_threads()]
+
+
+def test_torch_and_linear_algebra_run_on_one_thread_inside_and_as_before_after_it() -> None:
+    np.testing.assert_allclose(solve_triangular(np.eye(2), np.ones(2)), 1.0)
+    torch.set_num_threads(2)
+    before = threads()
+    try:
+        with one_thread():
+            assert set(threads()) == {1}
+            raise KeyError
+    except KeyError:
+        pass
+    assert len(before) >= 3
+    assert threads() == before
+
+
+def test_a_home_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> None:
+        raise PermissionError(13, "Permission denied", "/home/x/.cache/warp")
+
+    monkeypatch.setattr(wp, "init", refuse)
+    with pytest.raises(StorageError, match="/home/x/.cache/warp.*WARP_CACHE_PATH"):
+        start_warp()
+
+
+def test_a_cache_that_is_empty_and_read_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    start_warp()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(StorageError, match="WARP_CACHE_PATH"):
+        start_warp()
+    (tmp_path / "wm_kernels").mkdir()  # compiled before, on an image that is read-only now
+    start_warp()
+
+
+def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("WARP_CACHE_PATH", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    with pytest.raises(StorageError, match="WARP_CACHE_PATH"):
+        start_warp()

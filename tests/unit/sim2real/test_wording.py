@@ -1,16 +1,20 @@
 """Every code has one template and is used; the golden file holds all sentences, which are short."""
 
 import ast
+import json
 import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import aerial_gym.sim2real
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.findings import CODES, Finding, unit_key
+from aerial_gym.sim2real.json_values import plain, select_fields, write_json
+from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.wording import TEMPLATES, finding_rows, render_findings, text
 from aerial_gym.sim2real.wording.effects import EFFECT_TEMPLATES
 from aerial_gym.sim2real.wording.words import half_width_text, value_text
@@ -119,3 +123,21 @@ def test_a_direction_is_named_only_if_its_interval_holds_no_zero(x: float, words
 def test_a_weak_and_a_strong_rotor_have_their_sign_in_words(scale: float, word: str) -> None:
     sentence = text(effect("weak_motor", "front left", motor=(3.0, 1.0, None), scale=(scale, 1.0, 0.002)))
     assert f"Rotor 3 (front left) gives 4.0 % {word} thrust" in sentence
+
+
+def test_a_finding_is_plain_through_all_levels() -> None:
+    result = {"error": Rms(value=1.0, low=0.5, high=2.0), "place": (np.array([1.0, 2.0]), None)}
+    assert plain(result) == {"error": {"rms": 1.0, "interval": [0.5, 2.0]}, "place": [[1.0, 2.0], None]}
+
+
+def test_fields_come_in_the_order_in_which_they_are_named() -> None:
+    rms = Rms(value=1.0, low=0.5, high=2.0)
+    assert list(select_fields(rms, "high", "value").items()) == [("high", 2.0), ("value", 1.0)]
+
+
+def test_json_holds_signs_as_they_are_and_no_number_that_is_none(tmp_path: Path) -> None:
+    write_json(tmp_path / "found.json", {"unit": "m/s²"})
+    assert "m/s²" in (tmp_path / "found.json").read_text(encoding="utf-8")
+    assert json.loads((tmp_path / "found.json").read_text(encoding="utf-8")) == {"unit": "m/s²"}
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "none.json", {"value": np.nan})

@@ -1,4 +1,6 @@
-"""platform_landing_task: where its target is, what a touchdown is, and that both backends feel the same platform."""
+"""platform_landing_task, payload_task, motor_failure_task and racing_split_s_task."""
+
+from math import exp
 
 import pytest
 import torch
@@ -6,7 +8,8 @@ from torch import Tensor
 
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.task import Task
+from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
+from aerial_gym.task import OBSERVATIONS, REWARDS, TERMINATIONS, Task, task_registry
 from aerial_gym.task.terms.terminations import missed_touchdown, touchdown
 from tests.unit.task.hover import begin
 from tests.unit.task.hover import make as make_hover
@@ -87,3 +90,176 @@ def test_an_environment_is_the_same_alone_and_among_others_and_on_both_backends(
     share = k * (0.0635 / (4.0 * 0.25)) ** 2
     lifted = 9.81 * share / (1.0 - share) * 0.01**2 * 10 * 11 / 2
     torch.testing.assert_close(many[:, 2] - (STANDS + 0.05), lifted, rtol=0.02, atol=1e-6)
+
+
+PAYLOAD_TASK = "payload_task"
+
+
+def test_the_vehicle_belongs_a_link_above_the_place_of_the_load() -> None:
+    with task_registry.make_task(PAYLOAD_TASK, num_envs=500, device="cpu", seed=0) as task:
+        obs, _ = task.reset()
+        mass, length, _ = task.env.gtd["effect_slung_payload"].unbind(-1)
+        assert 0.02 <= mass.min() < 0.03 < 0.09 < mass.max() <= 0.1
+        assert 0.3 <= length.min() < 0.35 < 0.95 < length.max() <= 1.0
+        above = task.target_position - task.values["load_target"]
+        torch.testing.assert_close(above, torch.stack((0.0 * length, 0.0 * length, length), dim=-1))
+        assert (task.values["load_target"][:, 0] >= 0.5 - 1e-6).all()  # 0.75 of bounds of +-1 m
+        seen = obs["observations"]
+        assert seen.shape == (500, 21)
+        torch.testing.assert_close(seen[:, 15:18], torch.stack((0.0 * length, 0.0 * length, -length), dim=-1))
+        before = task.target_position.clone()
+        task._begin(torch.arange(500) < 250, counted=False)
+        assert torch.equal(before[250:], task.target_position[250:])
+
+
+def test_terms_of_the_load_are_their_formulas() -> None:
+    place, target = torch.tensor([[0.0, 0.3, 0.0], [0.0, 0.0, 0.05]]), torch.zeros(2, 3)
+    velocity, own = torch.tensor([[0.0, 0.0, 0.2], [0.09, 0.0, 0.0]]), torch.tensor([[0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    result = REWARDS.get("load_distance_bell").value(target, place, height=3.0, width=8.0)
+    torch.testing.assert_close(result, 3.0 * torch.tensor([-8.0 * 0.09, -8.0 * 0.0025]).exp())
+    result = REWARDS.get("load_slow").value(velocity, height=1.0, width=2.0)
+    torch.testing.assert_close(result, torch.tensor([-2.0 * 0.04, -2.0 * 0.0081]).exp())
+    held = TERMINATIONS.get("load_at_rest").value(target, place, velocity, distance=0.1, speed=0.1)
+    assert held.tolist() == [False, True]
+    away = OBSERVATIONS.get("load_offset_world").value(place, own)
+    torch.testing.assert_close(away, torch.tensor([[0.0, 0.2, 0.0], [0.0, 0.0, 0.05]]))
+    relative = OBSERVATIONS.get("load_vel_world").value(velocity, own)
+    torch.testing.assert_close(relative, torch.tensor([[0.0, -0.1, 0.2], [0.09, 0.0, 0.0]]))
+
+
+def test_a_robot_without_a_load_is_refused_and_so_are_shares_beyond_the_bounds() -> None:
+    ends = {"low": (0.1, 0.1, 0.1), "high": (0.9, 0.9, 0.9)}
+    with pytest.raises(ConfigError, match="command load_point: nothing hangs on the robot"):
+        make_hover(2, command=CommandCfg(generator="load_point", params=ends))
+    with pytest.raises(ConfigError, match="command drawn_point: low = .*: needs 0 <= low <= high <= 1"):
+        make_hover(2, command=CommandCfg(generator="drawn_point", params={**ends, "high": (0.9, 0.9, 1.1)}))
+
+
+FAILURE_TASK, HOVER = "motor_failure_task", -0.387
+"""The action for 0.613 N of each rotor, a quarter of the weight."""
+
+
+def draws(task: Task) -> list[torch.Tensor]:
+    return [task.env.draws()[f"effects.motor_failure.{key}"].flatten().clone() for key in ("motor", "scale", "time")]
+
+
+def test_a_drawn_rotor_keeps_a_drawn_part_of_its_speed_from_a_drawn_moment() -> None:
+    """Told the same, rotors turn alike before; 0.3 s after, seven time constants, one has its share, to exp(-7.5)."""
+    with begin(FAILURE_TASK, 200) as task:
+        motor, scale, moment = draws(task)
+        gtd, first, told = task.env.gtd, torch.ones(200, dtype=torch.bool), torch.full((200, 4), HOVER)
+        whole, broken = torch.zeros(200, dtype=torch.bool), torch.zeros(200, dtype=torch.bool)
+        for step in range(1, 361):
+            _, _, terminated, truncated, _ = task.step(told)
+            first &= ~(terminated | truncated)
+            speed, time = gtd["rotor_speed"], 0.01 * step
+            sought = speed.gather(1, motor.long().unsqueeze(1) - 1)[:, 0]
+            share = sought / speed.max(dim=1).values
+            before, after = first & (time <= moment - 0.01) & (time > 0.5), first & (time >= moment + 0.31)
+            assert (share[before] > 1.0 - 1e-4).all()
+            torch.testing.assert_close(share[after], scale[after], atol=1e-3, rtol=0.0)
+            whole |= before
+            broken |= after
+        assert whole.all()
+        assert broken.float().mean() > 0.8  # the others had drifted 8 m away before
+
+
+def test_the_drag_of_its_rotors_brakes_a_spin_as_that_of_the_source() -> None:
+    """At hover ``r = r0 exp(-c t)`` with ``c = g M L² / (m l² Izz)``: g = 2.75e-3 N m s of m = 0.5 kg with arms l = 0.17 m."""
+    with begin(FAILURE_TASK, 2) as task:
+        state, body = task.env.robot_manager.tensors.state, task.env.robot_manager.cfg.body
+        arm = sum(x * x for x in task.env.robot_manager.cfg.mounts.layout[0].position)
+        rate = 2.75e-3 * body.mass * arm / (0.5 * 0.17**2 * body.inertia[2][2])
+        for _ in range(30):  # rotors come to hover
+            task.step(torch.full((2, 4), HOVER))
+        state.ang_vel.copy_(torch.tensor([[0.0, 0.0, 5.0], [0.0, 0.0, -5.0]]))
+        for _ in range(50):
+            task.step(torch.full((2, 4), HOVER))
+        expected = 5.0 * exp(-0.5 * rate)
+        assert 0.2 < expected / 5.0 < 0.8
+        torch.testing.assert_close(state.ang_vel[:, 2], torch.tensor([expected, -expected]), rtol=0.02, atol=0.0)
+
+
+def test_up_is_told_in_the_body() -> None:
+    turn = torch.nn.functional.normalize(torch.randn(50, 4, generator=torch.Generator().manual_seed(0)), dim=-1)
+    expected = quat_rotate_inverse(turn, torch.tensor([[0.0, 0.0, 1.0]]).expand(50, 3))
+    torch.testing.assert_close(OBSERVATIONS.get("up_body").value(turn), expected)
+
+
+SPLIT_S_TASK, UPPER, LOWER = "racing_split_s_task", 3, 4
+"""Numbers of the gates that stand one over the other."""
+
+
+def at_gate(task: Task, number: int) -> None:
+    gate = torch.tensor(task.cfg.command.params["centers"])[number]
+    yaw = torch.tensor(task.cfg.command.params["yaws"])[number]
+    own, count = task.values.own, task.num_envs
+    own["target_index"].fill_(number)
+    own["target_position"].copy_(gate.expand(count, 3))
+    own["target_direction"].copy_(torch.stack((yaw.cos(), yaw.sin())).expand(count, 2))
+
+
+def put_beside_gates(task: Task, x: float, z: float) -> None:
+    state = task.env.robot_manager.tensors.state
+    state.position.copy_(torch.tensor([x, -6.0, z]))
+    state.lin_vel.zero_()
+
+
+def move_robot(task: Task, x: float, z: float) -> dict[str, torch.Tensor]:
+    put_beside_gates(task, x, z)
+    *_, info = task.step(torch.tensor([[-0.375, 0.0, 0.0, 0.0]]).expand(task.num_envs, -1))  # the weight
+    return info
+
+
+def test_one_over_the_other_is_flown_through_back_and_forth() -> None:
+    with begin(SPLIT_S_TASK, 2) as task:
+        at_gate(task, UPPER)
+        put_beside_gates(task, -4.4, 3.5)
+        task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 3.5]))
+        assert move_robot(task, -4.6, 3.5)["gate_passed"].all()
+        assert (task.values["target_index"] == LOWER).all()
+        assert task.target_position[0].tolist() == torch.tensor([-4.5, -6.0, 0.8]).tolist()
+        torch.testing.assert_close(task.values["target_direction"][0], torch.tensor([1.0, 0.0]))
+        torch.testing.assert_close(task.values["following_position"][0], torch.tensor([4.75, -0.9, 1.2]))
+        assert not move_robot(task, -4.6, 0.8)["gate_passed"].any()  # down behind both
+        assert move_robot(task, -4.4, 0.8)["gate_passed"].all()
+        assert (task.values["target_index"] == LOWER + 1).all()
+
+
+def test_the_lower_one_is_not_passed_backwards_nor_at_the_height_of_the_upper_one() -> None:
+    with begin(SPLIT_S_TASK, 2) as task:
+        at_gate(task, LOWER)
+        task.values.own["previous_position"].copy_(torch.tensor([-4.4, -6.0, 0.8]))
+        info = move_robot(task, -4.6, 0.8)
+        assert not info["gate_passed"].any()
+        assert not info["crashes"].any()
+        info = move_robot(task, -4.4, 3.5)
+        assert not info["gate_passed"].any()
+        assert info["crashes"].all()  # beside the opening
+
+
+def test_the_way_through_a_gate_is_told_three_ways_alike() -> None:
+    with begin(SPLIT_S_TASK, 7) as task:
+        task.values.own["first_gate"].copy_(torch.arange(7))
+        result = task._command.next_values({**dict(task.values), "begun": torch.ones(7, dtype=torch.bool)})
+    ahead = quat_rotate(result["target_orientation"], torch.tensor([1.0, 0.0, 0.0]).expand(7, 3))
+    torch.testing.assert_close(ahead[:, :2], result["target_direction"], atol=1e-6, rtol=0.0)
+    torch.testing.assert_close(ahead[:, 2], torch.zeros(7))
+    assert torch.equal(result["following_position"][:-1], result["target_position"][1:])
+    assert torch.equal(result["following_direction"][:-1], result["target_direction"][1:])
+    assert torch.equal(result["following_position"][-1], result["target_position"][-1])  # the last one stays
+
+
+def test_episodes_of_a_training_begin_behind_any_gate_but_the_last_and_those_of_an_evaluation_do_not() -> None:
+    with begin(SPLIT_S_TASK, 2000) as task:
+        assert (task.values["target_index"] == 0).all()
+        task.practise()
+        task.reset()
+        first = task.values["target_index"]
+        counts = torch.bincount(first.long(), minlength=7)
+        assert (counts[1:] - 2000 * 0.7 / 6).abs().max() < 5.0 * (2000 * 0.7 / 6) ** 0.5
+        centers = torch.tensor(task.cfg.command.params["centers"])
+        behind = first > 0
+        away = task.env.gtd["robot_position"][behind] - centers[first[behind].long() - 1]
+        assert away.norm(dim=-1).max() < (0.5**2 + 2 * 0.4**2) ** 0.5 + 1e-3
+        assert task.env.gtd["robot_linvel"][behind].norm(dim=-1).max() <= 4.0 + 1e-5

@@ -1,11 +1,14 @@
-"""The tables of ``benchmarks.control.control_table``: what stands in their cells, and what is written to a page."""
+"""Benchmarks of control: which robots fly, what drives are told, and the cells of tables."""
 
 import json
 from dataclasses import replace
-from math import inf, nan
+from math import inf, nan, pi
 
+import torch
+
+from aerial_gym.robots import ROBOTS
 from benchmarks.control import control_table
-from benchmarks.control.control_flights import ControlFlight
+from benchmarks.control.control_flights import ControlFlight, Drives, different_robots, figures, holds_shape
 from benchmarks.control.control_table import (
     BEGIN,
     END,
@@ -18,6 +21,7 @@ from benchmarks.control.control_table import (
     steps_table,
     wind_table,
 )
+from benchmarks.control.robot_table import table_robots
 
 FLIGHT = ControlFlight(
     robot="magpie", controller="magpie_position_control", law="position", sim="base_sim", error=0.0058, settling_s=4.7,
@@ -101,3 +105,32 @@ def test_the_page_is_written_between_its_marks(tmp_path, monkeypatch, capsys) ->
     row = json.loads(capsys.readouterr().out.partition("\n")[0])
     assert (row["limit_error"], row["limit_settling_s"]) == (180.0, None)
     assert (tmp_path / "control_steps.png").stat().st_size > 10_000
+
+
+LEVEL = {"robot_orientation": torch.tensor([[0.0, 0.0, 0.0, 1.0]]), "robot_body_angvel": torch.zeros(1, 3)}
+
+
+def drive_commands(robot: str) -> list[float]:
+    actions = torch.zeros(1, 9)
+    Drives(ROBOTS.get(robot), 0.01).hold(LEVEL, actions)
+    return actions[0].tolist()
+
+
+def test_drives_hold_the_reference_pose_and_a_tail_what_turns_it_by_nothing() -> None:
+    turned = [0.0, 0.0, 0.0, pi / 2, 0.0, pi / 2, 0.0, pi / 2, 0.0]
+    torch.testing.assert_close(drive_commands("snakey_position"), turned, rtol=1e-6, atol=0)
+    torch.testing.assert_close(drive_commands("tilt_tricopter"), [*[0.0] * 8, 0.1012477], rtol=1e-5, atol=0)
+    assert drive_commands("morphy") == drive_commands("x500") == [0.0] * 9
+
+
+def test_robots_that_bend_fly_beside_rigid_ones_but_not_on_a_stand() -> None:
+    bend = different_robots(bend=True)
+    assert not set(bend) & set(different_robots())
+    assert "morphy_fixed_base" not in bend
+    assert [name for name in bend if not holds_shape(ROBOTS.get(name))][:2] == ["snakey", "snakey_effort"]
+    assert table_robots()[-5:] == ["tilt_tricopter", "morphy", "snakey", "snakey5", "snakey6"]
+
+
+def test_a_response_with_nan_has_not_settled() -> None:
+    assert figures([0.5, 1.0, 1.1, 1.0]) == (0.08, 0.10000000000000009)
+    assert figures([0.5, 1.0, nan, nan]) == (inf, inf)

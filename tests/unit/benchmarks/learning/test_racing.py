@@ -1,4 +1,4 @@
-"""The protocol of the racing benchmark: what is printed of 20 runs, and of more."""
+"""Benchmarks of learning: the racing protocol, flights that end with their episodes, and curves of trainings."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,9 +6,12 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+import torch
 
 from aerial_gym import Task, task_registry
+from aerial_gym.cli.main import main as aerial_gym
 from aerial_gym.rl_training import load_settings, settings_for
+from benchmarks.learning import flights, run_curves
 from benchmarks.learning.racing import BenchRacing, _line
 from tests.unit.export.policies import random_policy
 
@@ -42,3 +45,51 @@ def test_a_row_tells_share_and_time() -> None:
     row = {"level": "level2", "runs": 20, "complete": 19, "complete_low": 0.751, "complete_high": 0.999}
     row |= {"gates_passed_mean": 3.9, "crash_rate": 0.05, "lap_time_mean_s": 4.125}
     assert _line(row) == "| level2 | 20 | 19 | 75.1% to 99.9% | 3.90 | 5.0% | 4.12 s |"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("run") / "hover"
+    given = ["--max-env-steps", "4096", "--num-envs", "64", "--device", "cpu", "--out", str(out)]
+    assert aerial_gym(["train", "--task", "position_setpoint_task", *given]) == 0
+    return str(out)
+
+
+def test_flights_end_with_their_episodes(run: str) -> None:
+    result = flights.fly(run, 8)
+    known = ~result.offset[..., 0].isnan()
+    assert bool((known[:, 1:] <= known[:, :-1]).all())
+    assert torch.equal(known, ~result.speed.isnan())
+    assert result.dt == pytest.approx(0.01)
+    assert bool((known.sum(1)[result.crashed] < 500).all())
+    assert float(result.offset[:, 0].norm(dim=-1).max()) < 8.0
+
+
+def test_a_row_for_each_run(run: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flights, "SHOWN", 2)
+    flights.main([str(tmp_path / "out.png"), f"A={run}", f"B={run}", "--flights", "3"])
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+ROWS = """time_s,env_steps,reward_per_step,episode_return,episode_length,env_steps_per_s
+1.0,1000000,,,,0
+2.0,2000000,0.1,5.5,50,10
+3.0,4000000,0.1,7.5,50,10
+"""
+
+
+def test_a_curve_begins_with_the_first_episode_that_ended(tmp_path: Path) -> None:
+    (tmp_path / "curve.csv").write_text(ROWS)
+    assert run_curves.curve(tmp_path) == ([2.0, 4.0], [5.5, 7.5])
+
+
+def test_every_name_gets_a_panel(tmp_path: Path) -> None:
+    (tmp_path / "curve.csv").write_text(ROWS)
+    run_curves.main(str(tmp_path / "out.png"), *(f"{name}={tmp_path} {tmp_path}" for name in "abcd"))
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_return_far_from_all_others_does_not_set_the_scale() -> None:
+    rising = [-20.0 + 0.1 * step for step in range(401)]
+    assert run_curves.span(rising) == (rising[0], rising[-1])
+    assert run_curves.span([*rising, -2400.0]) == (rising[0], rising[-1])

@@ -1,10 +1,13 @@
-"""The judgement of findings against what was hidden, and the tables of it."""
+"""The judgement of failures and jumps against what was hidden, and its tables."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from aerial_gym.sim2real.logs.recording import FlightLog
 from benchmarks.scores.score_failures import KINDS, SIZES, draw_failure, score_finding, tables
+from benchmarks.scores.score_jumps import Score, jump_notes, jumps_streamed, largest_share, stops_streamed
 from benchmarks.undeclared import PlantFailure
 from tests.unit.sim2real.failures.test_flight_event import failure
 
@@ -58,3 +61,62 @@ def test_a_stuck_rotor_has_its_speed_as_its_size_and_late_names_do_not_count_as_
     lines = tables(rows, []).splitlines()
     assert lines[2].startswith("| `stuck_rotor` | 2 of 2 | 1 |")
     assert lines[6].startswith("| `stuck_rotor` | 4, 5 rad/s | 1 of 2 |")
+
+
+def swing(seconds: float = 16.0, rate: float = 100.0) -> FlightLog:
+    """Return a flight with noise of 1 mm and 1 mm/s that swings about a place."""
+    rng, time = np.random.default_rng(0), np.arange(round(seconds * rate)) / rate
+    way, speed = np.sin(time)[:, None] * (1.0, 0.5, 0.2), np.cos(time)[:, None] * (1.0, 0.5, 0.2)
+    return FlightLog(
+        path="swing",
+        time=time,
+        attitude=np.stack((np.sin(0.1 * np.sin(time)), 0.0 * time, 0.0 * time, np.cos(0.1 * np.sin(time))), axis=1),
+        position=way + 1e-3 * rng.standard_normal((time.size, 3)),
+        lin_vel=speed + 1e-3 * rng.standard_normal((time.size, 3)),
+    )
+
+
+def test_a_flight_counts_as_told_in_time_only_if_all_of_it_is() -> None:
+    score = Score()
+    score.add([(1.5, 0.01), (10.0, 0.03)], inserted=2, reported=2)
+    score.add([(1.0, 0.02), (10.5, 0.02)], inserted=2, reported=3)
+    score.add([(2.0, 0.5)], inserted=2, reported=1)
+    assert score.row("jump") == "| jump | 3 | 2 | 1 | 2.00, 10.50 | 0.020, 0.500 | 1 |"
+
+
+def test_what_has_no_size_has_no_error() -> None:
+    score = Score()
+    score.add([(0.5, None)], inserted=1, reported=1)
+    score.add([], inserted=1, reported=0)
+    assert score.row("stop") == "| stop | 2 | 1 | 1 | 0.50, 0.50 | - | 0 |"
+
+
+def test_jumps_and_stops_of_a_quiet_flight_are_told_in_time() -> None:
+    """A fix that moves by 1 m and returns, known to the noise of half seconds; a position that repeats itself."""
+    jumps = jumps_streamed([swing()], 1.0, np.random.default_rng(1))
+    assert (jumps.flights, jumps.complete, jumps.soon, jumps.false) == (1, 1, 1, 0)
+    assert len(jumps.errors) == 2
+    assert max(jumps.errors) < 5e-3
+    stays = jumps_streamed([swing()], 1.0, np.random.default_rng(1), returns=False)
+    assert (stays.complete, stays.soon, stays.false) == (1, 1, 0)
+    assert len(stays.errors) == 1
+    stops = stops_streamed([swing()], "position", np.random.default_rng(1))
+    assert (stops.complete, stops.soon, stops.false) == (1, 1, 0)
+    assert stops_streamed([swing()], "specific_force", np.random.default_rng(1)).flights == 0
+
+
+def test_the_largest_difference_passes_one_where_a_jump_is_told() -> None:
+    """Noise of 1 cm makes differences of some 3 mm: a jump of 12 cm is 40 times that, one of 1 m 300 times."""
+    log, noise = swing(), 0.01 * np.random.default_rng(3).standard_normal((1600, 3))
+    assert largest_share(log) == 0.0
+    for size, whether in ((1.0, True), (0.12, False)):
+        moved = replace(log, position=log.position + noise + (log.time > 8.0)[:, None] * (size, 0.0, 0.0))
+        assert largest_share(moved) > 0.2
+        assert (largest_share(moved) > 1.0) == bool(jump_notes(moved)) == whether
+
+
+@pytest.mark.parametrize("delay", [9.99, 10.0])
+def test_ten_seconds_are_in_time(delay: float) -> None:
+    score = Score()
+    score.add([(delay, None)], inserted=1, reported=1)
+    assert score.soon == 1

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from aerial_gym.interop.rows import RowFunction, UntraceableError, row_trace, trace
+from aerial_gym.interop.rows import DifferentiableRows, RowFunction, UntraceableError, row_trace, trace
 from aerial_gym.math.quaternion import euler_from_quat, quat_from_euler, quat_multiply, quat_rotate_inverse, quat_yaw
 
 ROWS = 5
@@ -172,3 +172,80 @@ def test_what_is_not_done_row_by_row_is_refused(name: str) -> None:
 def test_a_number_below_zero_is_no_scalar(shape: tuple[int, ...]) -> None:
     with pytest.raises(UntraceableError, match="mixes rows"):
         row_trace._remove_marks(torch.full(shape, -1))
+
+
+@pytest.fixture
+def draw_rows() -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    a, b = (0.9 * torch.rand(ROWS, 3, generator=generator) + 0.05 for _ in range(2))  # slopes of all are finite
+    a[2] *= -1.0
+    a[1, 1] = b[1, 1]  # where functions have a corner, as torch decides
+    return a.requires_grad_(), b.requires_grad_()
+
+
+def test_gradients_are_those_of_torch(draw_rows: tuple[Tensor, Tensor]) -> None:
+    without = ("sums", "constants")  # a product has none in a kernel, and a factor is infinite
+    table = {name: function for name, function in {**POINTWISE, **MOVING}.items() if name not in without}
+    table = {name: function for name, function in table.items() if function(*draw_rows).requires_grad}
+    assert len(table) > 20
+
+    def call_all(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+        return tuple(function(a, b) for function in table.values())
+
+    results = DifferentiableRows(call_all, draw_rows)(*draw_rows)
+    generator = torch.Generator().manual_seed(2)
+    for name, result in zip(table, results, strict=True):
+        expected = table[name](*draw_rows)
+        seed = torch.randn(expected.shape, generator=generator)
+        actual = torch.autograd.grad(result, draw_rows, seed, retain_graph=True)
+        reference = torch.autograd.grad(expected, draw_rows, seed, allow_unused=True)
+        for local, other in zip(actual, reference, strict=True):
+            other = torch.zeros_like(local) if other is None else other
+            torch.testing.assert_close(local, other, atol=1e-5, rtol=1e-5, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def test_tensors_from_elsewhere_are_read_at_every_call(draw_rows: tuple[Tensor, Tensor]) -> None:
+    """One row for all (stride 0) and a row for each; written in place, they are seen; no gradient goes to them."""
+    shared = torch.tensor([1.0, 2.0, 3.0]).as_strided((ROWS, 3), (0, 1))
+    own = torch.arange(1.0, ROWS + 1.0)
+
+    def function(a: Tensor, b: Tensor) -> tuple[Tensor, ...]:
+        return (a * a * shared + b * own.unsqueeze(-1),)
+
+    actual = DifferentiableRows(function, draw_rows, lifts=True)
+    for _ in range(2):
+        (results,), (expected,) = actual(*draw_rows), function(*draw_rows)
+        torch.testing.assert_close(results, expected)
+        grads = torch.autograd.grad(results.sum(), draw_rows, retain_graph=True)
+        for local, reference in zip(grads, torch.autograd.grad(expected.sum(), draw_rows), strict=True):
+            torch.testing.assert_close(local, reference)
+        shared[0] *= 2.0
+        own += 1.0
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        results.sum().backward()
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "lifts"),
+    [(torch.ones(ROWS, 3), False), (torch.ones(4), True), (torch.ones(ROWS, 3, requires_grad=True), True)],
+    ids=["not lifted", "without rows", "with a gradient of its own"],
+)
+def test_other_tensors_from_elsewhere_are_refused(
+    elsewhere: Tensor, lifts: bool, draw_rows: tuple[Tensor, Tensor]
+) -> None:
+    with pytest.raises(UntraceableError, match="not among its arguments"):
+        DifferentiableRows(lambda a, b: (a * b * elsewhere.sum(),), draw_rows, lifts=lifts)
+
+
+def test_numbers_that_are_no_floats_have_no_gradient(draw_rows: tuple[Tensor, Tensor]) -> None:
+    steps, level = torch.arange(ROWS, dtype=torch.int32), torch.tensor(0.5)
+
+    def function(a: Tensor, steps: Tensor, level: Tensor) -> tuple[Tensor, ...]:
+        return a * level * steps.unsqueeze(-1), steps + 1, a[:, 0] > 0.0
+
+    scaled, more, above = DifferentiableRows(function, (draw_rows[0], steps, level))(draw_rows[0], steps, level)
+    (results,) = torch.autograd.grad(scaled.sum(), draw_rows[0])
+    assert torch.equal(results, (0.5 * steps.float()).unsqueeze(-1).expand(ROWS, 3))
+    assert more.tolist() == [1, 2, 3, 4, 5]
+    assert not more.requires_grad
+    assert not above.requires_grad

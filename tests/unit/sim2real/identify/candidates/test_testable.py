@@ -1,14 +1,24 @@
-"""What flights can test: effects that need torques, and where parameters end."""
+"""What flights can test, what is each flight's own, and structures of what remains."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.identify.candidates.nuisance import (
+    _flight_offset_columns,
+    flight_offsets,
+    largest_flight_offsets,
+)
+from aerial_gym.sim2real.identify.candidates.structure import find_structure
 from aerial_gym.sim2real.identify.candidates.testable import finding_on_untestable_effect, parameters_at_bounds
-from aerial_gym.sim2real.predict.model_params import ModelParams
-from tests.unit.sim2real.flat_flights import ROBOT
+from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian, tolerance_rms
+from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.channels import Channel
+from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot
+from tests.unit.sim2real.flat_flights import ROBOT, flight, load_tables, make_predictor, uniform_flight
 from tests.unit.sim2real.predict.test_scene import hover
 
 
@@ -56,3 +66,93 @@ def test_a_parameter_that_ends_where_physics_does_is_told() -> None:
     params = ModelParams(effects={"inertia_error": np.array([0.1, 1.0, 10.0]), "rotor_drag": np.array([0.2, 0.0, 0.1])})
     assert parameters_at_bounds("inertia_error", params, neutral, ROBOT) == ["sx", "sz"]
     assert parameters_at_bounds("rotor_drag", params, np.zeros(3), ROBOT) == []
+
+
+CHANNELS = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+MEANS = np.array([[0.1, 3.0, 0.2], [-0.1, -3.0, 0.2], [0.3, 0.0, 0.2]])
+"""Of three flights in each channel; the last one does not differ."""
+
+
+def residuals() -> list[np.ndarray]:
+    waves = [np.sin(np.linspace(0.0, 2.0 * np.pi * 4.0, 40, endpoint=False)) for _ in MEANS]
+    return [mean + wave[:, None] for mean, wave in zip(MEANS, waves, strict=True)]
+
+
+def test_an_offset_of_a_flight_is_a_constant_of_that_flight_as_large_as_flights_differ_and_no_larger_than_they_may() -> (
+    None
+):
+    result = _flight_offset_columns(CHANNELS, residuals(), np.array([1.0, 0.5, 1.0]))
+    assert [one.name for one in result] == ["flight in specific_force.x", "flight in specific_force.y"]
+    x, y = result
+    assert x.is_flight_offset
+    assert x.size == pytest.approx(0.2)
+    assert y.size == 0.5
+    for number, columns in enumerate(x.columns):
+        expected = np.zeros((40, 3))
+        expected[:, number] = 0.2
+        np.testing.assert_allclose(columns.dense_columns((0,))[:, 0], expected, rtol=1e-6)
+        assert not columns.dense_columns((1,)).any()
+        assert columns.values.shape == (40, 1, 1)  # no zeros are kept
+    weight = np.array([1.0, 2.0, 3.0])
+    own = flight_offsets(result, CHANNELS, weight)
+    np.testing.assert_allclose(own.size, [0.2, 0.5, 0.0])
+    np.testing.assert_allclose(own.most, [1.0, 0.5, 0.0])
+
+
+def test_one_flight_alone_has_no_offset_of_its_own() -> None:
+    assert _flight_offset_columns(CHANNELS, residuals()[:1], np.ones(3)) == []
+
+
+def test_a_force_that_no_sensor_has_felt_has_none(tmp_path) -> None:
+    """With an accelerometer 0.1 m/s² and what tolerances make; derived from the velocity nothing, beside a gyro that stays."""
+    tables = {"felt": flight(3), "derived": flight(3).drop(columns=["acc_x", "acc_y", "acc_z"])}
+    sizes = {}
+    for name, table in tables.items():
+        flown = uniform_flight(table, tmp_path, name)
+        predictor = make_predictor([flown])
+        channels = predictor.channels
+        tolerance = tolerance_jacobian(predictor, params_from_robot(ROBOT))
+        result = largest_flight_offsets(predictor, tolerance_rms(tolerance, ROBOT.num_rotors))
+        sizes[name] = dict(zip((channel.name for channel in channels), result, strict=True))
+    assert 0.1 < sizes["felt"]["specific_force.x"] < 0.2
+    assert sizes["derived"]["specific_force.x"] == 0.0
+    turned = "angular_acceleration.x"
+    assert sizes["derived"][turned] == pytest.approx(sizes["felt"][turned], rel=1e-6)
+    assert sizes["felt"]["angular_acceleration.x"] > 0.0
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
+    tables = [flight(20 + n, noise=1.0, seconds=8.0, rate=100.0) for n in range(4)]
+    return load_tables(tmp_path_factory.mktemp("flights"), tables)
+
+
+@pytest.mark.parametrize("kind", ["position", "time", "periodic", "heading", "velocity", "none"])
+def test_the_kind_of_a_remaining_structure(kind: str, flights: list[Flight]) -> None:
+    rng = np.random.default_rng(0)
+    channels = [Channel(kind="specific_force", axis=axis) for axis in "xyz"]
+    times, residuals = [], []
+    for one in flights:
+        turn = Rotation.from_quat(one.attitude[20:-20:3])
+        ahead, forward = turn.apply([1.0, 0.0, 0.0]), turn.apply(one.lin_vel[20:-20:3], inverse=True)[:, 0]
+        time = one.time[20:-20:3]
+        height = one.position[20:-20:3, 2]
+        left = 0.02 * rng.standard_normal((time.size, 3))
+        left[:, 2] += {
+            "position": 0.3 * np.exp(-(height - height.min()) / 0.3),
+            "time": -0.03 * time,
+            "periodic": 0.1 * np.sin(2.0 * np.pi * 7.0 * time + rng.uniform(0.0, 6.0)),
+            "heading": 0.1 * ahead[:, 0] / np.hypot(ahead[:, 0], ahead[:, 1]),
+            "velocity": 0.2 * forward * np.abs(forward),
+            "none": 0.0,
+        }[kind]
+        times.append(time)
+        residuals.append(left)
+    result = find_structure(flights, times, residuals, channels, [2])
+    assert result.kind == kind
+    assert (result.freq_hz is None) == (kind != "periodic")
+    if kind == "heading":  # an attitude that is the integral of a gyro has none
+        drifting = [replace(one, attitude_integrated=True) for one in flights]
+        assert find_structure(drifting, times, residuals, channels, [2]).kind != "heading"
+    if kind == "periodic":
+        assert result.freq_hz == pytest.approx(7.0, abs=0.3)

@@ -1,4 +1,4 @@
-"""Time stamps: bad ones cost their own rows, a clock that was set back or wrapped goes on, and nothing is sorted."""
+"""Time stamps: bad ones cost their own rows, clocks are corrected, and blocks that were written late are put in order."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import DataError
+from aerial_gym.sim2real.logs.readers.late_blocks import find_disordered_blocks
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import correct_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, correct_stamps, stamp_seconds
 
 ROWS, STEP = 2000, 0.0025
 TRUE = 5.0 + STEP * np.arange(ROWS)
@@ -159,3 +160,156 @@ def test_bad_stamps_near_a_step_of_the_clock_cost_no_other_row(beside: list[int]
     np.testing.assert_array_equal(np.flatnonzero(~result.kept), bad)
     np.testing.assert_allclose(result.time, np.delete(TRUE, bad), atol=1e-9)
     assert len(result.steps) == 1
+
+
+LATE_ROWS, LATE_STEP = 3000, 0.0025
+SIZES = [2, 9, 35, 300]
+
+
+def true_time(jitter: float = 0.0, seed: int = 0) -> np.ndarray:
+    return 5.0 + LATE_STEP * (np.arange(LATE_ROWS) + jitter * np.random.default_rng(seed).uniform(-1.0, 1.0, LATE_ROWS))
+
+
+def swap_blocks(start: int, first: int, second: int, order: np.ndarray | None = None) -> np.ndarray:
+    """Return the order of rows in which the block of ``first`` rows from ``start`` on stands after the next ``second``."""
+    result = np.arange(LATE_ROWS) if order is None else order.copy()
+    middle, end = start + first, start + first + second
+    result[start:end] = np.concatenate((result[middle:end], result[start:middle]))
+    return result
+
+
+def live(stamps: np.ndarray) -> tuple[np.ndarray, LiveStamps]:
+    """Return the rows of a stream that pass the reader, each with time and number, and the reader."""
+    reader = LiveStamps()
+    rows = [row for number, stamp in enumerate(stamps) for row in reader.add_row(np.array([stamp, number]), 0)]
+    reader.reject_pending_rows(0)
+    return np.array(rows), reader
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.3])
+@pytest.mark.parametrize("start", [0, 700, -1], ids=["start", "middle", "end"])
+@pytest.mark.parametrize("second", SIZES)
+@pytest.mark.parametrize("first", SIZES)
+def test_two_exchanged_blocks_are_put_in_order(first: int, second: int, start: int, jitter: float) -> None:
+    true = true_time(jitter)
+    start = LATE_ROWS - first - second if start < 0 else start
+    order = swap_blocks(start, first, second)
+    result = correct_stamps(true[order], "a")
+    np.testing.assert_array_equal(result.time, true)
+    np.testing.assert_array_equal(order[result.order], np.arange(LATE_ROWS))
+    assert result.kept.all()
+    assert result.steps == ()
+    assert result.late.tolist() == [start + second]
+
+
+def test_several_exchanges_and_bad_stamps_among_them() -> None:
+    true = true_time(0.2)
+    order = swap_blocks(2400, 35, 35, swap_blocks(1000, 300, 40, swap_blocks(200, 20, 2)))
+    stamps = true[order]
+    bad = [300, 1010, 1150, 2410]
+    stamps[bad] = 0.0, np.nan, 77.0, -5.0
+    result = correct_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.time, np.delete(true, order[bad]))
+    np.testing.assert_array_equal(np.sort(result.order[~result.kept]), bad)
+    assert result.late.size == 3
+
+
+def test_three_blocks_in_any_order_are_put_in_order() -> None:
+    true, rows = true_time(), np.arange(LATE_ROWS)
+    for blocks in ((1, 2, 0), (2, 0, 1), (2, 1, 0)):
+        middle = [rows[900 + 40 * b : 940 + 40 * b] for b in blocks]
+        order = np.concatenate((rows[:900], *middle, rows[1020:]))
+        np.testing.assert_array_equal(correct_stamps(true[order], "a").time, true)
+
+
+def test_a_late_block_after_lost_rows_is_put_in_order() -> None:
+    true = true_time()
+    kept = np.r_[:720, 740:820, 840:LATE_ROWS]
+    order = swap_blocks(700, 100, 100)
+    stamps = true[order][np.isin(order, kept)]
+    result = correct_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.time, true[kept])
+    assert result.late.size == 1
+
+
+@pytest.mark.parametrize("ahead", [0, 100, 700])
+@pytest.mark.parametrize("back", [10.5, 41.0, 300.0, 400.0, 1e4])
+def test_a_clock_that_was_set_back_is_not_sorted(back: float, ahead: int) -> None:
+    """By ``back`` steps at row 1500, also where it was set ahead 200 rows before."""
+    stamps = true_time() + LATE_STEP * (ahead * (np.arange(LATE_ROWS) >= 1300) - back * (np.arange(LATE_ROWS) >= 1500))
+    result = correct_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.order, np.arange(LATE_ROWS))
+    assert [step.row for step in result.steps] == [1500]
+
+
+@pytest.mark.parametrize("first", [20, 1000])
+@pytest.mark.parametrize("size", [2, 35, 300])
+@pytest.mark.parametrize("by", [-700.5, -20.0, 20.0, 700.5, 1e6])
+def test_a_block_with_wrong_stamps_is_left_out(by: float, size: int, first: int) -> None:
+    true, block = true_time(0.3), np.arange(first, first + size)
+    stamps = true.copy()
+    stamps[block] += LATE_STEP * by
+    result = correct_stamps(stamps, "a")
+    np.testing.assert_array_equal(np.flatnonzero(~result.kept), block)
+    np.testing.assert_array_equal(result.time, np.delete(true, block))
+    assert result.steps == ()
+
+
+@pytest.mark.parametrize("period", [60.0, 65.536])
+def test_two_halves_of_a_whole_turn_of_a_counter_are_a_wrap(period: float) -> None:
+    step = period / LATE_ROWS
+    stamps = (step * (np.arange(LATE_ROWS) + 0.5 * LATE_ROWS)) % period
+    result = correct_stamps(stamps, "a")
+    np.testing.assert_array_equal(result.order, np.arange(LATE_ROWS))
+    assert len(result.steps) == 1
+    assert result.steps[0].shift == period
+
+
+@pytest.mark.parametrize("counter", ["32 bits of 1 us", "32 bits of 1 ms", "16 bits of 1 ms"])
+@pytest.mark.parametrize(("lost", "doubt"), [(0, False), (2, False), (9, True), (30, True)])
+def test_a_wrap_with_lost_rows_may_be_a_restart(counter: str, lost: int, doubt: bool) -> None:
+    period = COUNTERS_S[counter]
+    stamps = period + LATE_STEP * (np.arange(LATE_ROWS) - 900.5 + lost * (np.arange(LATE_ROWS) >= 900))
+    result = correct_stamps(stamps % period, "a")
+    assert [(step.counter, step.may_be_restart) for step in result.steps] == [(counter, doubt)]
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_random_exchanges_are_put_in_order(seed: int) -> None:
+    rng, order = np.random.default_rng(seed), np.arange(LATE_ROWS)
+    for start in range(0, LATE_ROWS, 1000):
+        first, second = rng.integers(2, 300, size=2)
+        order = swap_blocks(start + int(rng.integers(400)), int(first), int(second), order)
+    true = true_time(0.4, seed)
+    result = correct_stamps(true[order], "a")
+    np.testing.assert_array_equal(result.time, true)
+
+
+def test_an_order_is_kept_where_no_clock_comes_back() -> None:
+    stamps = true_time()
+    stamps[[7, 900, 901]] = np.nan, 0.0, 0.0
+    np.testing.assert_array_equal(find_disordered_blocks(stamps).order, np.arange(LATE_ROWS))
+
+
+@pytest.mark.parametrize("start", [0, 700, -1], ids=["start", "middle", "end"])
+@pytest.mark.parametrize("second", SIZES)
+@pytest.mark.parametrize("first", SIZES)
+def test_a_stream_leaves_out_the_late_block(first: int, second: int, start: int) -> None:
+    """Up to 9 rows before a late block at the very start are themselves not confirmed yet."""
+    true = true_time()
+    start = LATE_ROWS - first - second if start < 0 else start
+    order = swap_blocks(start, first, second)
+    rows, reader = live(true[order])
+    np.testing.assert_array_equal(rows[:, 0], true[order][rows[:, 1].astype(int)])
+    assert (np.diff(rows[:, 0]) > 0.0).all()
+    assert reader.steps == 0
+    assert len(reader.bad) + len(rows) == LATE_ROWS
+    assert len(reader.bad) <= max(first, second if start == 0 else 0)
+
+
+@pytest.mark.parametrize("back", [10.5, 41.0, 300.0, 1e4])
+def test_a_stream_whose_clock_was_set_back_continues(back: float) -> None:
+    number = np.arange(LATE_ROWS)
+    rows, reader = live(true_time() + LATE_STEP * (100.0 * (number >= 1300) - back * (number >= 1500)))
+    assert (len(rows), reader.steps, reader.bad) == (LATE_ROWS, 1, [])
+    np.testing.assert_allclose(np.diff(rows[:, 0])[1400:], LATE_STEP, atol=1e-9)
