@@ -80,10 +80,9 @@ def make_choice(
 
 def make_spread(columns: np.ndarray, plain: np.ndarray, tolerance: np.ndarray, blocks: Any = None) -> Uncertainty:
     """Return the uncertainty of parameters by 50 blocks of two flights, whose scatter is the plain covariance by default."""
-    scatter = {"blocks": plain if blocks is None else np.array(blocks), "flights": None}
-    return Uncertainty(
-        columns, np.zeros(len(columns)), plain, **scatter, tolerance=tolerance, num_blocks=50, num_flights=2
-    )
+    known = {"columns": columns, "step": np.zeros(len(columns)), "plain": plain, "tolerance": tolerance, "flights": None}
+    scatter = plain if blocks is None else np.array(blocks)
+    return Uncertainty(**known, blocks=scatter, num_blocks=50, num_flights=2)
 
 
 def make_left_out(
