@@ -82,23 +82,20 @@ def test_people_get_a_table_with_every_key(capsys: pytest.CaptureFixture[str]) -
     assert "effects          none" in out
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (("physics", "--controller", "lee_position_contrl"), "Did you mean 'lee_position_control'?"),
-        (("physics", "--backend", "wrp"), "no physics backend 'wrp'"),
-        (("physics", "--effects", "rotor_drg"), "no effect 'rotor_drg'"),
-        (("physics", "--robot", "base_quadrotr"), "no robot 'base_quadrotr'"),
-        (("physics", "--integrator", "rk5"), "no integrator 'rk5'. Known: euler, rk4"),
-        (("physics", "--num-envs", "0"), "--num-envs = 0: must be at least 1"),
-        (("physics", "--threads", "0"), "--threads = 0: must be at least 1"),
-        (("physics", "--dt-s", "0"), "--dt-s = 0.0: must be > 0"),
-        (("physics", "--repeat-time-s", "nan"), "--repeat-time-s = nan: must be > 0"),
-        (("physics", "--device", "tpu9"), "must be auto, cpu, cuda"),
-        (("task", "--task", "position_setpoint_tsk"), "Did you mean 'position_setpoint_task'"),
-        (("task", "--repeats", "0"), "--repeats = 0: must be at least 1"),
-    ],
-)
+@pytest.mark.parametrize(("argv", "message"), [
+    (("physics", "--controller", "lee_position_contrl"), "Did you mean 'lee_position_control'?"),
+    (("physics", "--backend", "wrp"), "no physics backend 'wrp'"),
+    (("physics", "--effects", "rotor_drg"), "no effect 'rotor_drg'"),
+    (("physics", "--robot", "base_quadrotr"), "no robot 'base_quadrotr'"),
+    (("physics", "--integrator", "rk5"), "no integrator 'rk5'. Known: euler, rk4"),
+    (("physics", "--num-envs", "0"), "--num-envs = 0: must be at least 1"),
+    (("physics", "--threads", "0"), "--threads = 0: must be at least 1"),
+    (("physics", "--dt-s", "0"), "--dt-s = 0.0: must be > 0"),
+    (("physics", "--repeat-time-s", "nan"), "--repeat-time-s = nan: must be > 0"),
+    (("physics", "--device", "tpu9"), "must be auto, cpu, cuda"),
+    (("task", "--task", "position_setpoint_tsk"), "Did you mean 'position_setpoint_task'"),
+    (("task", "--repeats", "0"), "--repeats = 0: must be at least 1"),
+])  # fmt: skip
 def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
     device = () if "--device" in argv else ("--device", "cpu")
     status, out, err = run(capsys, "bench", *argv, *device)
@@ -148,16 +145,13 @@ def test_a_stretch_begins_where_it_was_put_back() -> None:
     assert all(torch.equal(a, b) for a, b in zip(start, flight.state.tensors(), strict=True))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("position", float("nan"), "position is not finite in 1 environments"),
-        ("rotor_speed", float("inf"), "rotor_speed is not finite in 1 environments"),
-        ("position", 2000.0, "distance from the origin reached"),
-        ("lin_vel", 200.0, "speed reached"),
-        ("attitude", 0.6, "norm error of the quaternion reached"),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "message"), [
+    ("position", float("nan"), "position is not finite in 1 environments"),
+    ("rotor_speed", float("inf"), "rotor_speed is not finite in 1 environments"),
+    ("position", 2000.0, "distance from the origin reached"),
+    ("lin_vel", 200.0, "speed reached"),
+    ("attitude", 0.6, "norm error of the quaternion reached"),
+])  # fmt: skip
 def test_a_broken_state_gives_no_figure(name: str, value: float, message: str) -> None:
     state = hover_state()
     check_flying(state)

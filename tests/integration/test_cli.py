@@ -95,17 +95,14 @@ def test_list_of_one_kind_is_a_table_with_units_intact(capsys: pytest.CaptureFix
     assert "[m]" in out
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [
-        ("observation-terms", "position_error_world"),
-        ("reward-terms", "distance_bell"),
-        ("termination-terms", "contact"),
-        ("task-buffers", "previous_distance"),
-        ("commands", "drawn_point"),
-        ("actions", "forward_flight"),
-    ],
-)
+@pytest.mark.parametrize(("kind", "name"), [
+    ("observation-terms", "position_error_world"),
+    ("reward-terms", "distance_bell"),
+    ("termination-terms", "contact"),
+    ("task-buffers", "previous_distance"),
+    ("commands", "drawn_point"),
+    ("actions", "forward_flight"),
+])  # fmt: skip
 def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "list", kind, "--json")
     assert status == 0
@@ -117,22 +114,16 @@ def test_parts_of_tasks_are_listed_with_a_line_each(kind: str, name: str, capsys
 LOGS = ("--train", "a.csv", "--test", "b.csv", "--out", "never")
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, train"),
-        (("list", "robts"), "no kind 'robts'. Known: sims"),
-        (
-            ("train", "--task", "position_setpoint_tsk"),
-            "'position_setpoint_tsk'. Did you mean 'position_setpoint_task'",
-        ),
-        (("train", "--device", "tpu9"), "device 'tpu9': must be auto, cpu, cuda"),
-        (("evaluate", "--policy", "nowhere"), "nowhere"),
-        (("replay", "tinyprp", "flight.csv"), "no robot 'tinyprp'. Did you mean 'tinyprop'"),
-        (("replay", "tinyprop", "flight.csv"), "flight.csv: no such file"),
-        (("close-loop", "--robot", "missing.yaml", *LOGS), "missing.yaml: no such file"),
-    ],
-)
+@pytest.mark.parametrize(("argv", "message"), [
+    (("lst",), "no command 'lst'. Known: list, robot import, robot check, robot tune, train"),
+    (("list", "robts"), "no kind 'robts'. Known: sims"),
+    (("train", "--task", "position_setpoint_tsk"), "'position_setpoint_tsk'. Did you mean 'position_setpoint_task'"),
+    (("train", "--device", "tpu9"), "device 'tpu9': must be auto, cpu, cuda"),
+    (("evaluate", "--policy", "nowhere"), "nowhere"),
+    (("replay", "tinyprp", "flight.csv"), "no robot 'tinyprp'. Did you mean 'tinyprop'"),
+    (("replay", "tinyprop", "flight.csv"), "flight.csv: no such file"),
+    (("close-loop", "--robot", "missing.yaml", *LOGS), "missing.yaml: no such file"),
+])  # fmt: skip
 def test_wrong_requests_end_with_status_2_and_one_sentence(argv, message, capsys) -> None:
     status, out, err = run(capsys, *argv)
     assert status == 2

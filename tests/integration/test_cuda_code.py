@@ -60,13 +60,10 @@ ONE_OF_EACH_KIND = ("rotor_drag", "gusts", "ground_effect", "battery_sag", "actu
 """They push, blow, change thrust and commands, delay and hang: the stepper meets each kind, with memory and without."""
 
 
-@pytest.mark.parametrize(
-    ("controller", "integrator", "names"),
-    [
-        pytest.param("rotor_speed_control", "euler", ON_RIGID, id="euler-all_effects"),
-        pytest.param("lee_velocity_control", "rk4", ONE_OF_EACH_KIND, id="rk4-each_kind", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("controller", "integrator", "names"), [
+    pytest.param("rotor_speed_control", "euler", ON_RIGID, id="euler-all_effects"),
+    pytest.param("lee_velocity_control", "rk4", ONE_OF_EACH_KIND, id="rk4-each_kind", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_physics_kernels_compile(controller: str, integrator: str, names: Sequence[str]) -> None:
     robot = ROBOTS.get("base_quadrotor")
     vehicle = vehicle_from_config(robot, num_envs=2)

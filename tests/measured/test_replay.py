@@ -12,16 +12,13 @@ DATA = Path(__file__).parents[2].parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not on this machine: {DATA}")
 
 
-@pytest.mark.parametrize(
-    ("robot", "flight", "bandwidth", "channels"),
-    [
-        ("crazyflie_21", "nanobench_cf21/B3_figure8_fast_rep1.csv", 4.0, 6),
-        ("neural_fly_quad", "neural_fly/baseline_70wind.csv", 5.0, 3),
-        ("crazyflie_21", "neural_swarm/takeoff_cf50.csv", 8.0, 6),
-        pytest.param("crazyflie_2x_arpl", "arpl_crazyflie_imu/log15.csv", 10.0, 6, marks=pytest.mark.slow),
-        ("crazyflie_21_brushless", "idsia_nanodrone/square_run2.csv", 10.0, 12),
-    ],
-)
+@pytest.mark.parametrize(("robot", "flight", "bandwidth", "channels"), [
+    ("crazyflie_21", "nanobench_cf21/B3_figure8_fast_rep1.csv", 4.0, 6),
+    ("neural_fly_quad", "neural_fly/baseline_70wind.csv", 5.0, 3),
+    ("crazyflie_21", "neural_swarm/takeoff_cf50.csv", 8.0, 6),
+    pytest.param("crazyflie_2x_arpl", "arpl_crazyflie_imu/log15.csv", 10.0, 6, marks=pytest.mark.slow),
+    ("crazyflie_21_brushless", "idsia_nanodrone/square_run2.csv", 10.0, 12),
+])  # fmt: skip
 def test_one_flight_of_each_set_is_replayed(robot: str, flight: str, bandwidth: float, channels: int) -> None:
     result = replay(robot, [DATA / flight], mapping=flight.split("/")[0], bandwidth=bandwidth)
     assert len(result.evaluation.channels) == channels

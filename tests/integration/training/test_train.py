@@ -100,17 +100,14 @@ def test_a_run_is_neither_overwritten_nor_resumed_from_nothing(tmp_path, capsys)
     assert "holds no run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (("--trainer", "rlgames"), "no trainer 'rlgames'. Did you mean 'rl_games'? Known: apg, distill, ppo"),
-        (("--task", "hover"), "no task 'hover'"),
-        (("--robot", "tinyprp"), "no robot 'tinyprp'"),
-        (("--num-envs", "0"), "num_envs"),
-        (("--trainer", "rl_games", "--config", str(settings_for("ppo", "tracking_task"))), "are of ppo. Leave one out"),
-        (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
-    ],
-)
+@pytest.mark.parametrize(("more", "message"), [
+    (("--trainer", "rlgames"), "no trainer 'rlgames'. Did you mean 'rl_games'? Known: apg, distill, ppo"),
+    (("--task", "hover"), "no task 'hover'"),
+    (("--robot", "tinyprp"), "no robot 'tinyprp'"),
+    (("--num-envs", "0"), "num_envs"),
+    (("--trainer", "rl_games", "--config", str(settings_for("ppo", "tracking_task"))), "are of ppo. Leave one out"),
+    (("--task", "navigation_task", "--encoder", "collision_40x24", "--device", "cpu"), "Choose the robot of its"),
+])  # fmt: skip
 def test_wrong_trainings_end_with_status_2_and_leave_nothing(more, message, tmp_path, capsys) -> None:
     out = tmp_path / "run"
     assert main(["train", "--out", str(out), *more]) == 2
@@ -154,13 +151,10 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(trainer, tmp_path, c
     assert f"The last checkpoint is {saved[0]}" in said
 
 
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (("--task", "tracking_task"), "--task tracking_task: the run in {out} is of position_setpoint_task"),
-        (("--trainer", "rl_games"), "--trainer rl_games: the run in {out} is of ppo"),
-    ],
-)
+@pytest.mark.parametrize(("more", "message"), [
+    (("--task", "tracking_task"), "--task tracking_task: the run in {out} is of position_setpoint_task"),
+    (("--trainer", "rl_games"), "--trainer rl_games: the run in {out} is of ppo"),
+])  # fmt: skip
 def test_a_resumed_run_refuses_another_task_and_trainer(more, message, tmp_path, capsys) -> None:
     RunFolder(tmp_path).create(load_settings(settings_for("ppo", "position_setpoint_task", device="cpu")))
     again = ("train", "--out", str(tmp_path), "--resume", "--num-envs", "7")
@@ -180,15 +174,12 @@ def test_a_resumed_run_refuses_a_checkpoint_of_another_network(trainer, tmp_path
     assert f"checkpoint {path}: does not fit the settings of its run" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("given", "limits"),
-    [
-        ((), (120.0, None)),
-        (("--max-env-steps", "5000"), (None, 5000)),
-        (("--max-time-s", "7"), (7.0, None)),
-        (("--max-env-steps", "5000", "--max-time-s", "7"), (7.0, 5000)),
-    ],
-)
+@pytest.mark.parametrize(("given", "limits"), [
+    ((), (120.0, None)),
+    (("--max-env-steps", "5000"), (None, 5000)),
+    (("--max-time-s", "7"), (7.0, None)),
+    (("--max-env-steps", "5000", "--max-time-s", "7"), (7.0, 5000)),
+])  # fmt: skip
 def test_limits_on_the_command_line_replace_those_of_the_settings(given, limits, tmp_path, monkeypatch) -> None:
     settings = tmp_path / "settings.yaml"
     cfg = load_settings(settings_for("ppo", "position_setpoint_task", device="cpu"))

@@ -160,14 +160,11 @@ def test_an_asset_takes_its_shapes_from_a_family() -> None:
     assert len(scene.shape_index.unique()) > 1
 
 
-@pytest.mark.parametrize(
-    ("name", "ranges", "message"),
-    [
-        ("tree", {}, r"no family 'tree'. Did you mean 'trees'\? Known: boxes, corr"),
-        ("trees", {"heigth": (1.0, 2.0)}, r"family 'trees': there is no number 'heigth'. Known: height, trunk_radius"),
-        ("trees", {"height": (0.0, 0.0)}, r"family 'trees' with .*ShapeCfg.height = 0.0: must be > 0 and finite"),
-    ],
-)
+@pytest.mark.parametrize(("name", "ranges", "message"), [
+    ("tree", {}, r"no family 'tree'. Did you mean 'trees'\? Known: boxes, corr"),
+    ("trees", {"heigth": (1.0, 2.0)}, r"family 'trees': there is no number 'heigth'. Known: height, trunk_radius"),
+    ("trees", {"height": (0.0, 0.0)}, r"family 'trees' with .*ShapeCfg.height = 0.0: must be > 0 and finite"),
+])  # fmt: skip
 def test_families_that_cannot_be_made_are_refused(name: str, ranges: dict, message: str) -> None:
     with pytest.raises((ConfigError, UnknownNameError), match=message):
         make_scene(replace(ASSET, family=FamilyCfg(name=name, variants=1, ranges=ranges)))
@@ -248,28 +245,25 @@ def test_an_environment_file_can_hold_a_urdf(lamp: Path) -> None:
     assert scene.arrays.semantic_id.numpy().tolist() == [[8, 30, 30, 30] * 2]
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("</robot>", "", r"lamp.urdf: not valid XML"),
-        ('robot name="lamp"', 'model name="lamp"', r"lamp.urdf: (not valid XML|must hold a <robot>)"),
-        ("shade.stl", "none.stl", r"lamp.urdf: link 'shade': mesh none.stl: no such file"),
-        ('scale="0.5 0.5 0.5"', 'scale="0.5 0.5 1"', r"link 'shade': mesh shade.stl: scale .* differs by axis"),
-        ('scale="0.5 0.5 0.5"', 'scale="1 1 1 1"', r"'shade': mesh shade.stl: scale .* must be one number, or three"),
-        ('filename="shade.stl"', "", r"lamp.urdf: (link 'shade': a mesh has no filename|cannot be read)"),
-        ("shade.stl", "package://lamp/../../../etc/passwd", r"(leads out of the folder|no such file)"),
-        ("shade.stl", "package://etc/passwd", r"mesh package://etc/passwd: no such file"),
-        ('radius="0.02"', 'radius="-1"', r"lamp.urdf: link 'pole': ShapeCfg.radius = -1.0: must be > 0"),
-        ('xyz="0.1 0 0"', 'xyz="nan 0 0"', r"lamp.urdf: link 'shade': an origin is not finite"),
-        ('xyz="0.1 0 0"', 'xyz="a 0 0"', r"lamp.urdf: cannot be read"),
-        ('link name="shade"', 'link name="bulb"', r"lamp.urdf: link 'bulb': every link needs a name of its own"),
-        ('child link="shade"', 'child link="shad"', r"lamp.urdf: joint 'c': there is no link 'shad'. Known: base"),
-        ('child link="shade"', 'child link="bulb"', r"lamp.urdf: link 'bulb' has two parents: 'pole' and 'bulb'"),
-        ('parent link="base"', 'parent link="bulb"', r"lamp.urdf: link 'pole' is its own ancestor"),
-        ('type="revolute"', 'type="loose"', r"lamp.urdf: joint 'b': type 'loose' must be one of fixed, revolute"),
-        (URDF[URDF.index('  <joint name="c"') : URDF.index("</robot>")], "", r"2 links have no parent \(base, shade\)"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("</robot>", "", r"lamp.urdf: not valid XML"),
+    ('robot name="lamp"', 'model name="lamp"', r"lamp.urdf: (not valid XML|must hold a <robot>)"),
+    ("shade.stl", "none.stl", r"lamp.urdf: link 'shade': mesh none.stl: no such file"),
+    ('scale="0.5 0.5 0.5"', 'scale="0.5 0.5 1"', r"link 'shade': mesh shade.stl: scale .* differs by axis"),
+    ('scale="0.5 0.5 0.5"', 'scale="1 1 1 1"', r"'shade': mesh shade.stl: scale .* must be one number, or three"),
+    ('filename="shade.stl"', "", r"lamp.urdf: (link 'shade': a mesh has no filename|cannot be read)"),
+    ("shade.stl", "package://lamp/../../../etc/passwd", r"(leads out of the folder|no such file)"),
+    ("shade.stl", "package://etc/passwd", r"mesh package://etc/passwd: no such file"),
+    ('radius="0.02"', 'radius="-1"', r"lamp.urdf: link 'pole': ShapeCfg.radius = -1.0: must be > 0"),
+    ('xyz="0.1 0 0"', 'xyz="nan 0 0"', r"lamp.urdf: link 'shade': an origin is not finite"),
+    ('xyz="0.1 0 0"', 'xyz="a 0 0"', r"lamp.urdf: cannot be read"),
+    ('link name="shade"', 'link name="bulb"', r"lamp.urdf: link 'bulb': every link needs a name of its own"),
+    ('child link="shade"', 'child link="shad"', r"lamp.urdf: joint 'c': there is no link 'shad'. Known: base"),
+    ('child link="shade"', 'child link="bulb"', r"lamp.urdf: link 'bulb' has two parents: 'pole' and 'bulb'"),
+    ('parent link="base"', 'parent link="bulb"', r"lamp.urdf: link 'pole' is its own ancestor"),
+    ('type="revolute"', 'type="loose"', r"lamp.urdf: joint 'b': type 'loose' must be one of fixed, revolute"),
+    (URDF[URDF.index('  <joint name="c"') : URDF.index("</robot>")], "", r"2 links have no parent \(base, shade\)"),
+])  # fmt: skip
 def test_bad_urdf_files_are_refused_by_name(lamp: Path, old: str, new: str, message: str) -> None:
     pytest.importorskip("yourdfpy")
     lamp.write_text(URDF.replace(old, new), encoding="utf-8")

@@ -75,17 +75,14 @@ def bounds_in_urdf(folder: Path, mesh: Path, **kwargs) -> np.ndarray:
     return np.array([row["center"] - row["half"], row["center"] + row["half"]])
 
 
-@pytest.mark.parametrize(
-    ("unit", "per_metre"),
-    [
-        ('<unit name="millimeter" meter="0.001"/>', 1000.0),
-        ('<unit name="centimeter" meter="0.01"/>', 100.0),
-        ('<unit name="inch" meter="0.0254"/>', 1.0 / 0.0254),
-        ('<unit meter="1e-2"/>', 100.0),
-        ('<unit name="meter"/>', 1.0),
-        ("", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("unit", "per_metre"), [
+    ('<unit name="millimeter" meter="0.001"/>', 1000.0),
+    ('<unit name="centimeter" meter="0.01"/>', 100.0),
+    ('<unit name="inch" meter="0.0254"/>', 1.0 / 0.0254),
+    ('<unit meter="1e-2"/>', 100.0),
+    ('<unit name="meter"/>', 1.0),
+    ("", 1.0),
+])  # fmt: skip
 def test_the_unit_of_a_collada_file_counts(unit: str, per_metre: float, tmp_path: Path) -> None:
     """Coordinates times ``meter`` are metres; without the element, or the attribute, one is a metre (COLLADA 1.4.1)."""
     path = collada(tmp_path, unit=unit, per_metre=per_metre)

@@ -203,19 +203,16 @@ def test_wrong_env_actions_are_refused() -> None:
         still.step(torch.zeros(2, 4), env_actions=torch.zeros(2, 44, 6))
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"kind": "twisted"}, r"MotionCfg.kind = 'twisted': must be one of none, twist, waypoints"),
-        ({"kind": "twist", "at_bounds": "stop"}, r"at_bounds = 'stop': must be one of pass, bounce, wrap"),
-        ({"kind": "twist", "speed": [1.0, 2.0]}, r"speed = \(1.0, 2.0\): motion 'twist' does not use it"),
-        ({"lin_vel_high": [1.0, 0.0, 0.0]}, r"lin_vel_high = .*: motion 'none' does not use it"),
-        ({"kind": "waypoints", "speed": [2.0, 1.0]}, r"speed = \(2.0, 1.0\): needs 0 <= low <= high"),
-        ({"kind": "twist", "ang_vel_low": [1.0, 0.0, 0.0]}, r"ang_vel_low = .* must not exceed ang_vel_high"),
-        ({"kind": "twist", "lin_vel_high": [float("nan"), 0.0, 0.0]}, r"lin_vel_high = .*: must be finite"),
-        ({"kindd": "twist"}, r"unknown field 'kindd'. Did you mean 'kind'"),
-    ],
-)
+@pytest.mark.parametrize(("fields", "message"), [
+    ({"kind": "twisted"}, r"MotionCfg.kind = 'twisted': must be one of none, twist, waypoints"),
+    ({"kind": "twist", "at_bounds": "stop"}, r"at_bounds = 'stop': must be one of pass, bounce, wrap"),
+    ({"kind": "twist", "speed": [1.0, 2.0]}, r"speed = \(1.0, 2.0\): motion 'twist' does not use it"),
+    ({"lin_vel_high": [1.0, 0.0, 0.0]}, r"lin_vel_high = .*: motion 'none' does not use it"),
+    ({"kind": "waypoints", "speed": [2.0, 1.0]}, r"speed = \(2.0, 1.0\): needs 0 <= low <= high"),
+    ({"kind": "twist", "ang_vel_low": [1.0, 0.0, 0.0]}, r"ang_vel_low = .* must not exceed ang_vel_high"),
+    ({"kind": "twist", "lin_vel_high": [float("nan"), 0.0, 0.0]}, r"lin_vel_high = .*: must be finite"),
+    ({"kindd": "twist"}, r"unknown field 'kindd'. Did you mean 'kind'"),
+])  # fmt: skip
 def test_impossible_motions_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         build(MotionCfg, fields, where="test")

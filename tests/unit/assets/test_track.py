@@ -134,19 +134,16 @@ def put(env: EnvManager, gate: tuple[float, float, float]) -> None:
     state.ang_vel.zero_()
 
 
-@pytest.mark.parametrize(
-    ("place", "clearance"),
-    [
-        ((0.0, 0.0, 0.0), hypot(0.025, 0.165) - 0.035),  # bars begin 20 cm to the sides, and 1 cm ahead and behind
-        ((0.0, 0.1, 0.0), hypot(0.025, 0.065) - 0.035),
-        ((0.0, 0.0, -0.1), hypot(0.025, 0.1) - 0.035),
-        ((0.0, 0.15, 0.0), hypot(0.025, 0.015) - 0.035),  # a side bar: negative
-        ((0.0, 0.0, 0.28), None),  # in the middle of the upper bar
-        ((0.2, 0.0, -0.8), 0.2 - 0.07 - 0.05),  # before the stand, 10 cm wide
-        ((0.0, 0.0, -0.8), None),
-        ((0.0, 0.6, 0.0), hypot(0.025, 0.6 - 0.36 - 0.035) - 0.035),  # beside the frame
-    ],
-)
+@pytest.mark.parametrize(("place", "clearance"), [
+    ((0.0, 0.0, 0.0), hypot(0.025, 0.165) - 0.035),  # bars begin 20 cm to the sides, and 1 cm ahead and behind
+    ((0.0, 0.1, 0.0), hypot(0.025, 0.065) - 0.035),
+    ((0.0, 0.0, -0.1), hypot(0.025, 0.1) - 0.035),
+    ((0.0, 0.15, 0.0), hypot(0.025, 0.015) - 0.035),  # a side bar: negative
+    ((0.0, 0.0, 0.28), None),  # in the middle of the upper bar
+    ((0.2, 0.0, -0.8), 0.2 - 0.07 - 0.05),  # before the stand, 10 cm wide
+    ((0.0, 0.0, -0.8), None),
+    ((0.0, 0.6, 0.0), hypot(0.025, 0.6 - 0.36 - 0.035) - 0.035),  # beside the frame
+])  # fmt: skip
 def test_frame_and_stand_can_be_touched_and_the_opening_not(place, clearance) -> None:
     """Distances of spheres of 3.5 cm at 3.5 cm from both axes; a hover of one step moves the vehicle by less than 1 mm."""
     env = simulate(straight(), 3)
@@ -173,18 +170,15 @@ UNIT = LayoutCfg(lower=(0.0, 0.0), upper=(1.0, 1.0))
 GATE = GatePlaceCfg(position=(0.0, 0.0, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: TrackCfg(gates=()), "TrackCfg.gates = .*: needs at least one"),
-        (lambda: straight(gate_euler_low=(0.1, 0.0, 0.0)), r"gate_euler_low = .* must not exceed"),
-        (lambda: replace(UNIT, upper=(1.0, -1.0)), "must not exceed"),
-        (lambda: replace(UNIT, yaw_range=4.0), "yaw_range = 4.0: must be 0 to pi"),
-        (lambda: replace(RACE, assets=()), r"needs gates \(count: 4, keep: true\), poles"),
-        (lambda: replace(RACE, assets=RACE.assets[::-1]), "its gates and poles are the first assets"),
-        (lambda: TrackCfg(gates=(GATE,), poles=((0.0, 0.0, 1.0),) * 2, layout=UNIT), "2 poles and 1 gates"),
-    ],
-)
+@pytest.mark.parametrize(("make", "message"), [
+    (lambda: TrackCfg(gates=()), "TrackCfg.gates = .*: needs at least one"),
+    (lambda: straight(gate_euler_low=(0.1, 0.0, 0.0)), r"gate_euler_low = .* must not exceed"),
+    (lambda: replace(UNIT, upper=(1.0, -1.0)), "must not exceed"),
+    (lambda: replace(UNIT, yaw_range=4.0), "yaw_range = 4.0: must be 0 to pi"),
+    (lambda: replace(RACE, assets=()), r"needs gates \(count: 4, keep: true\), poles"),
+    (lambda: replace(RACE, assets=RACE.assets[::-1]), "its gates and poles are the first assets"),
+    (lambda: TrackCfg(gates=(GATE,), poles=((0.0, 0.0, 1.0),) * 2, layout=UNIT), "2 poles and 1 gates"),
+])  # fmt: skip
 def test_tracks_that_cannot_be_are_refused(make, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make()

@@ -23,22 +23,19 @@ from tests.builders import simulation
 SIM = "summary: s\ndt: {}\nsubsteps: 1\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("dt: 2024-13-45", "holds a value that YAML cannot read"),
-        ("dt: " + "9" * 400, "dt = 999.*must be a finite number"),
-        ("dt: " + "9" * 5000, "holds a value that YAML cannot read"),
-        ("dt: 0x" + "f" * 5000, "must be a finite number"),
-        ("dt: " + "[" * 5000, "nested too deeply|not valid YAML"),
-        ("dt: " + "[" * 5000 + "]" * 5000, "nested too deeply|not valid YAML|too long to show"),
-        ("dt: &a [*a]", "an alias refers to a node that contains it"),
-        ("dt: &a {b: [1, *a]}", "an alias refers to a node that contains it"),
-        ("dt: [&a [1], *a, *a]", "must be float"),
-        ("? [1, 2]\n: 3", "not valid YAML|unknown field"),
-        ("", "must hold a mapping"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("dt: 2024-13-45", "holds a value that YAML cannot read"),
+    ("dt: " + "9" * 400, "dt = 999.*must be a finite number"),
+    ("dt: " + "9" * 5000, "holds a value that YAML cannot read"),
+    ("dt: 0x" + "f" * 5000, "must be a finite number"),
+    ("dt: " + "[" * 5000, "nested too deeply|not valid YAML"),
+    ("dt: " + "[" * 5000 + "]" * 5000, "nested too deeply|not valid YAML|too long to show"),
+    ("dt: &a [*a]", "an alias refers to a node that contains it"),
+    ("dt: &a {b: [1, *a]}", "an alias refers to a node that contains it"),
+    ("dt: [&a [1], *a, *a]", "must be float"),
+    ("? [1, 2]\n: 3", "not valid YAML|unknown field"),
+    ("", "must hold a mapping"),
+])  # fmt: skip
 def test_bad_yaml_is_one_sentence(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "sim.yaml"
     file.write_text(text)
@@ -56,15 +53,12 @@ def test_numbers_that_no_check_can_compute_with_are_refused() -> None:
         replace(ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=10**10)
 
 
-@pytest.mark.parametrize(
-    ("part", "changes", "message"),
-    [
-        ("body", {"mass": 1e300}, "robot: mass = inf: is beyond float32"),
-        ("body", {"mass": 1e-300}, "robot: mass is zero in float32"),
-        ("body", {"com": (1e200, 0.0, 0.0)}, "robot: com = .*is beyond float32"),
-        ("body", {"inertia": ((1e-30, 0, 0), (0, 1e-30, 0), (0, 0, 1e-30))}, "no inverse|too far apart|is unstable"),
-    ],
-)
+@pytest.mark.parametrize(("part", "changes", "message"), [
+    ("body", {"mass": 1e300}, "robot: mass = inf: is beyond float32"),
+    ("body", {"mass": 1e-300}, "robot: mass is zero in float32"),
+    ("body", {"com": (1e200, 0.0, 0.0)}, "robot: com = .*is beyond float32"),
+    ("body", {"inertia": ((1e-30, 0, 0), (0, 1e-30, 0), (0, 0, 1e-30))}, "no inverse|too far apart|is unstable"),
+])  # fmt: skip
 def test_extreme_robots_are_refused_by_name(part: str, changes: dict[str, object], message: str) -> None:
     robot = ROBOTS.get("base_quadrotor")
     robot = replace(robot, **{part: replace(getattr(robot, part), **changes)})
@@ -81,16 +75,13 @@ def test_a_companion_is_a_name_beside_the_log() -> None:
     assert isinstance(replace(layout, companion={"a": "b"}), LogMapping)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "text", "shown"),
-    [
-        ("ascii", "3 m/s² ± 5 % → 90° ü 日", "3 m/s2 +- 5 % -> 90deg u ?"),
-        ("gbk", "m/s² 日", "m/s2 日"),
-        ("cp932", "m/s² ± ü", "m/s2 ± u"),
-        ("utf-8", "m/s² → 日", "m/s² → 日"),
-        ("utf-8", "fl\udcfcg", "fl?g"),
-    ],
-)
+@pytest.mark.parametrize(("encoding", "text", "shown"), [
+    ("ascii", "3 m/s² ± 5 % → 90° ü 日", "3 m/s2 +- 5 % -> 90deg u ?"),
+    ("gbk", "m/s² 日", "m/s2 日"),
+    ("cp932", "m/s² ± ü", "m/s2 ± u"),
+    ("utf-8", "m/s² → 日", "m/s² → 日"),
+    ("utf-8", "fl\udcfcg", "fl?g"),
+])  # fmt: skip
 def test_a_console_shows_plain_letters_for_what_it_lacks(encoding, text, shown, monkeypatch) -> None:
     stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     monkeypatch.setattr(sys, "stdout", stream)
@@ -153,19 +144,16 @@ def test_paths_are_relative_to_the_file_that_names_them_and_a_saved_robot_needs_
     assert load(RobotCfg, write_file(tmp_path / "elsewhere" / "saved.yaml", dump_yaml(robot))) == robot
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("extends: base_quadroto", "'base_quadroto': no such file in the package.* Did you mean 'base_quadrotor'"),
-        ("extends: ../up/none.yaml", "none.yaml: no such file"),
-        ("extends: [a, b]", "extends = .'a', 'b'.: must be one name"),
-        ("extends: mine.yaml", r"extends itself \(mine.yaml -> mine.yaml\)"),
-        ("extends: other.yaml", r"extends itself \(mine.yaml -> other.yaml -> mine.yaml\)"),
-        ("extends: base_quadrotor\nmas: 1.0", "mine.yaml: unknown field 'mas'"),
-        ("extends: morphy\njoints: {layout: {elevation_9: {}}}", "layout: the base has nothing named 'elevation_9'"),
-        ("extends: base_quadrotor\nmounts: {layout: {front: {spin: 1}}}", "layout: entries of this list have no names"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("extends: base_quadroto", "'base_quadroto': no such file in the package.* Did you mean 'base_quadrotor'"),
+    ("extends: ../up/none.yaml", "none.yaml: no such file"),
+    ("extends: [a, b]", "extends = .'a', 'b'.: must be one name"),
+    ("extends: mine.yaml", r"extends itself \(mine.yaml -> mine.yaml\)"),
+    ("extends: other.yaml", r"extends itself \(mine.yaml -> other.yaml -> mine.yaml\)"),
+    ("extends: base_quadrotor\nmas: 1.0", "mine.yaml: unknown field 'mas'"),
+    ("extends: morphy\njoints: {layout: {elevation_9: {}}}", "layout: the base has nothing named 'elevation_9'"),
+    ("extends: base_quadrotor\nmounts: {layout: {front: {spin: 1}}}", "layout: entries of this list have no names"),
+])  # fmt: skip
 def test_what_cannot_be_extended_is_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
     write_file(tmp_path / "other.yaml", "extends: mine.yaml\n")
     with pytest.raises(ConfigError, match=message):

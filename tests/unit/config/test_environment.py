@@ -116,14 +116,11 @@ NO_ENVIRONMENTS: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("make", "fields", "message"),
-    [
-        *((ShapeCfg, *case) for case in NO_SHAPES),
-        *((partial(replace, ASSET), *case) for case in NO_ASSETS),
-        *((partial(replace, ENVIRONMENTS.get("empty_env")), *case) for case in NO_ENVIRONMENTS),
-    ],
-)
+@pytest.mark.parametrize(("make", "fields", "message"), [
+    *((ShapeCfg, *case) for case in NO_SHAPES),
+    *((partial(replace, ASSET), *case) for case in NO_ASSETS),
+    *((partial(replace, ENVIRONMENTS.get("empty_env")), *case) for case in NO_ENVIRONMENTS),
+])  # fmt: skip
 def test_impossible_environments_assets_and_shapes_are_refused(make: Callable, fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make(**fields)

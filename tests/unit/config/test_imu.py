@@ -40,24 +40,21 @@ def test_unknown_names_list_what_exists() -> None:
         IMUS.get("vn10")
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"accel_range": 0.0}, r"ImuCfg.accel_range = 0.0: must be > 0 and finite"),
-        ({"gyro_range": inf}, r"ImuCfg.gyro_range = inf: must be > 0 and finite"),
-        ({"position": (0.0, nan, 0.0)}, r"ImuCfg.position = .*: must be finite"),
-        ({"euler": (0.0, 90.0, 0.0)}, r"ImuCfg.euler = .*: must lie within \+-2 pi. Angles are in radians"),
-        ({"euler": (nan, 0.0, 0.0)}, r"ImuCfg.euler = "),
-        ({"misalignment_deg": (0.0, 46.0, 0.0)}, r"ImuCfg.misalignment_deg = .*: must lie within 0 and 45 degrees"),
-        ({"misalignment_deg": (0.0, -1.0, 0.0)}, r"ImuCfg.misalignment_deg"),
-        *(
-            ({f"{kind}_{name}": (0.0, bad, 0.0)}, rf"ImuCfg.{kind}_{name} = .*: must be >= 0 and finite")
-            for kind in ("accel", "gyro")
-            for name in ("noise_density", "bias_walk", "initial_bias")
-            for bad in (-1e-9, nan, inf)
-        ),
-    ],
-)
+@pytest.mark.parametrize(("fields", "message"), [
+    ({"accel_range": 0.0}, r"ImuCfg.accel_range = 0.0: must be > 0 and finite"),
+    ({"gyro_range": inf}, r"ImuCfg.gyro_range = inf: must be > 0 and finite"),
+    ({"position": (0.0, nan, 0.0)}, r"ImuCfg.position = .*: must be finite"),
+    ({"euler": (0.0, 90.0, 0.0)}, r"ImuCfg.euler = .*: must lie within \+-2 pi. Angles are in radians"),
+    ({"euler": (nan, 0.0, 0.0)}, r"ImuCfg.euler = "),
+    ({"misalignment_deg": (0.0, 46.0, 0.0)}, r"ImuCfg.misalignment_deg = .*: must lie within 0 and 45 degrees"),
+    ({"misalignment_deg": (0.0, -1.0, 0.0)}, r"ImuCfg.misalignment_deg"),
+    *(
+        ({f"{kind}_{name}": (0.0, bad, 0.0)}, rf"ImuCfg.{kind}_{name} = .*: must be >= 0 and finite")
+        for kind in ("accel", "gyro")
+        for name in ("noise_density", "bias_walk", "initial_bias")
+        for bad in (-1e-9, nan, inf)
+    ),
+])  # fmt: skip
 def test_impossible_imus_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         replace(IMUS.get("vn100"), **fields)

@@ -57,43 +57,37 @@ def test_numbers_written_with_an_exponent_and_no_point_are_numbers(tmp_path: Pat
     assert load(SimCfg, path).dt == 0.01
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mass": 0.0}, "BodyCfg.mass = 0.0: must be > 0 and finite"),
-        ({"mass": float("nan")}, "BodyCfg.mass = nan: must be > 0 and finite"),
-        ({"mass": "heavy"}, "here: mass = 'heavy': must be float"),
-        ({"inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 5e-3]]}, "violate the triangle inequality"),
-        ({"inertia": [[1e-3, 0, 0], [0, -1e-3, 0], [0, 0, 1e-3]]}, "principal moments must be > 0"),
-        ({"inertia": [[1e-3, 1e-4, 0], [0, 1e-3, 0], [0, 0, 1e-3]]}, "must be symmetric"),
-        ({"inertia": [[1e-3, 0, 0], [0, 1e-3, 0]]}, "must have 3 entries"),
-        ({"inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, float("inf")]]}, "must be finite"),
-        ({"masss": 1.0}, "here: unknown field 'masss'. Did you mean 'mass'\\? Known: mass, inertia, com, source"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"mass": 0.0}, "BodyCfg.mass = 0.0: must be > 0 and finite"),
+    ({"mass": float("nan")}, "BodyCfg.mass = nan: must be > 0 and finite"),
+    ({"mass": "heavy"}, "here: mass = 'heavy': must be float"),
+    ({"inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 5e-3]]}, "violate the triangle inequality"),
+    ({"inertia": [[1e-3, 0, 0], [0, -1e-3, 0], [0, 0, 1e-3]]}, "principal moments must be > 0"),
+    ({"inertia": [[1e-3, 1e-4, 0], [0, 1e-3, 0], [0, 0, 1e-3]]}, "must be symmetric"),
+    ({"inertia": [[1e-3, 0, 0], [0, 1e-3, 0]]}, "must have 3 entries"),
+    ({"inertia": [[1e-3, 0, 0], [0, 1e-3, 0], [0, 0, float("inf")]]}, "must be finite"),
+    ({"masss": 1.0}, "here: unknown field 'masss'. Did you mean 'mass'\\? Known: mass, inertia, com, source"),
+])  # fmt: skip
 def test_impossible_bodies_are_refused_by_name(change: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         build(BodyCfg, {**BODY, **change}, where="here")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"time_constant_up": -0.1}, "RotorCfg.time_constant_up = -0.1"),
-        ({"thrust_range": [2.0, 1.0]}, "needs low < high, and high > 0"),
-        ({"thrust_range": [-2.0, -1.0]}, "needs low < high, and high > 0"),
-        ({"dead_band": -1.0}, "RotorCfg.dead_band = -1.0"),
-        ({"slew_rate": 0.0}, "RotorCfg.slew_rate = 0.0"),
-        ({"mode": "torque"}, "must be one of speed, force"),
-        ({"mode": "force"}, "in force mode the state is the thrust; leave it out"),
-        ({"reverse_thrust_map": [0.0, 0.0, 1e-6]}, "only for a reversible rotor"),
-        ({"thrust_range": [-1.0, 1.0], "thrust_map": [0.1, 0.0, 1e-6]}, "is 0 without speed"),
-        ({"thrust_map": [0.0, 1.0, 0.0]}, "the coefficient of w² must be > 0"),
-        ({"torque_map": [0.0, 0.0, 1e-8]}, "exactly one of torque_ratio and torque_map"),
-        ({"torque_ratio": None}, "exactly one of torque_ratio and torque_map"),
-        ({"torque_ratio": -1.0}, "RotorCfg.torque_ratio = -1.0"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    ({"time_constant_up": -0.1}, "RotorCfg.time_constant_up = -0.1"),
+    ({"thrust_range": [2.0, 1.0]}, "needs low < high, and high > 0"),
+    ({"thrust_range": [-2.0, -1.0]}, "needs low < high, and high > 0"),
+    ({"dead_band": -1.0}, "RotorCfg.dead_band = -1.0"),
+    ({"slew_rate": 0.0}, "RotorCfg.slew_rate = 0.0"),
+    ({"mode": "torque"}, "must be one of speed, force"),
+    ({"mode": "force"}, "in force mode the state is the thrust; leave it out"),
+    ({"reverse_thrust_map": [0.0, 0.0, 1e-6]}, "only for a reversible rotor"),
+    ({"thrust_range": [-1.0, 1.0], "thrust_map": [0.1, 0.0, 1e-6]}, "is 0 without speed"),
+    ({"thrust_map": [0.0, 1.0, 0.0]}, "the coefficient of w² must be > 0"),
+    ({"torque_map": [0.0, 0.0, 1e-8]}, "exactly one of torque_ratio and torque_map"),
+    ({"torque_ratio": None}, "exactly one of torque_ratio and torque_map"),
+    ({"torque_ratio": -1.0}, "RotorCfg.torque_ratio = -1.0"),
+])  # fmt: skip
 def test_impossible_rotors_are_refused_by_name(change: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         build(RotorCfg, {**ROTOR, **change}, where="here")
@@ -110,14 +104,11 @@ def test_other_impossible_parts_are_refused() -> None:
         replace(ROBOTS.get("tinyprop"), effects={"rotor_drag": {"dx": float("nan")}})
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("a: [1, 2", "not valid YAML"),
-        ("- 1\n- 2\n", "must hold a mapping of fields, found list"),
-        ("summary: s\n", "field 'dt' is missing"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("a: [1, 2", "not valid YAML"),
+    ("- 1\n- 2\n", "must hold a mapping of fields, found list"),
+    ("summary: s\n", "field 'dt' is missing"),
+])  # fmt: skip
 def test_unreadable_files_are_named(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     with pytest.raises(ConfigError, match="no such file"):

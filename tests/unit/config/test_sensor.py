@@ -148,15 +148,12 @@ def test_the_path_of_a_ray_table_is_relative_to_its_file(tmp_path: Path) -> None
     assert loaded.path == str(tmp_path.resolve() / "rays" / "list.csv")
 
 
-@pytest.mark.parametrize(
-    ("robot", "sensor"),
-    [
-        ("base_quadrotor_with_camera", "base_depth_camera"),
-        ("base_quadrotor_with_lidar", "base_lidar"),
-        ("base_quadrotor_with_stereo_camera", "stereo_camera"),
-        ("base_quadrotor_with_faceid_normal_camera", "base_normal_face_id_camera"),
-    ],
-)
+@pytest.mark.parametrize(("robot", "sensor"), [
+    ("base_quadrotor_with_camera", "base_depth_camera"),
+    ("base_quadrotor_with_lidar", "base_lidar"),
+    ("base_quadrotor_with_stereo_camera", "stereo_camera"),
+    ("base_quadrotor_with_faceid_normal_camera", "base_normal_face_id_camera"),
+])  # fmt: skip
 def test_robots_with_a_sensor_are_the_base_quadrotor_otherwise(robot: str, sensor: str) -> None:
     base, cfg = ROBOTS.get("base_quadrotor"), ROBOTS.get(robot)
     assert cfg.sensors == (sensor,)
@@ -184,16 +181,13 @@ def test_noise_is_off_if_absent_or_switched_off() -> None:
     assert replace(CAMERA, noise=noise, noise_enabled=False).active_noise is None
 
 
-@pytest.mark.parametrize(
-    ("noise", "worst"),
-    [
-        (NoiseCfg(std_a=1.0, std_b=-4.0, std_c=5.0), 2.0),  # (r - 2)² + 1
-        (NoiseCfg(std_a=1.0, std_b=-40.0, std_c=500.0), 10.0),  # vertex at 20 m, beyond
-        (NoiseCfg(std_a=1.0, std_b=4.0, std_c=5.0), 0.2),  # vertex at -2 m, before
-        (NoiseCfg(std_a=-1.0, std_b=10.0, std_c=5.0), 10.0),  # concave: at an end
-        (NoiseCfg(std_b=0.01), 0.2),
-    ],
-)
+@pytest.mark.parametrize(("noise", "worst"), [
+    (NoiseCfg(std_a=1.0, std_b=-4.0, std_c=5.0), 2.0),  # (r - 2)² + 1
+    (NoiseCfg(std_a=1.0, std_b=-40.0, std_c=500.0), 10.0),  # vertex at 20 m, beyond
+    (NoiseCfg(std_a=1.0, std_b=4.0, std_c=5.0), 0.2),  # vertex at -2 m, before
+    (NoiseCfg(std_a=-1.0, std_b=10.0, std_c=5.0), 10.0),  # concave: at an end
+    (NoiseCfg(std_b=0.01), 0.2),
+])  # fmt: skip
 def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, worst: float) -> None:
     assert noise.least_std_distance(0.2, 10.0) == pytest.approx(worst)
     grid = [0.2 + 9.8 * i / 1000 for i in range(1001)]
@@ -204,49 +198,43 @@ def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, w
 
 
 @pytest.mark.parametrize("cfg", [CAMERA, STEREO, FISHEYE, LIDAR], ids=lambda c: c.model)
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"width": 0}, r"width = 0: must be >= 1"),
-        ({"width": 2.5}, r"width = 2.5: must be whole"),
-        ({"height": -3}, r"height = -3: must be >= 1"),
-        ({"min_range": 10.0}, r"min_range = 10.0: must be >= 0 and below max_range = 10.0"),
-        ({"min_range": -0.1}, r"min_range = .*: must be >= 0 and below max_range"),
-        ({"min_range": nan}, r"min_range = .*: must be >= 0 and below max_range"),
-        ({"max_range": inf}, r"min_range = .*: must be >= 0 and below max_range"),
-        ({"kind": "depht"}, r"kind = 'depht': must be one of depth, range"),
-        ({"model": "pinole"}, r"model = 'pinole': must be '\w+'; another model is another class"),
-        ({"points": "body"}, r"points = 'body': must be one of world, sensor, or None"),
-        ({"normals": "camera"}, r"normals = 'camera': must be one of world, sensor, or None"),
-        ({"count": 0}, r"count = 0: must be >= 1"),
-        ({"count": 1.5}, r"count = 1.5: must be whole"),
-        ({"position": (inf, 0.0, 0.0)}, r"position = .*: must be finite"),
-        ({"euler": (0.0, nan, 0.0)}, r"euler = .*: must be finite"),
-        ({"euler": (0.0, 90.0, 0.0)}, r"euler = .*: must lie within \+-2 pi. Angles are in radians"),
-        ({"position_low": (0.0, 0.0, 0.0)}, r": give both position_low and position_high, or neither"),
-        ({"euler_high": (0.0, 0.0, 0.0)}, r": give both euler_low and euler_high, or neither"),
-        (
-            {"position_low": (0.0, 0.1, 0.0), "position_high": (0.0, -0.1, 0.0)},
-            r": position_low = .* exceed position_h",
-        ),
-        ({"position_low": (0.1, 0.0, 0.0), "position_high": (0.2, 0.0, 0.0)}, r": position_low = .* exceed position "),
-        ({"euler_low": (-0.2, 0.0, 0.0), "euler_high": (-0.1, 0.0, 0.0)}, r": euler = .* must not exceed euler_high"),
-        ({"euler_low": (0.0, 0.0, -5.0), "euler_high": (0.0, 0.0, 90.0)}, r"euler_high = .*: must lie within \+-2 pi"),
-        ({"position_low": (nan, 0.0, 0.0), "position_high": (0.0, 0.0, 0.0)}, r"position_low = .*: must be finite"),
-        ({"rate_hz": 0.0}, r"rate_hz = 0.0: must be > 0 and finite"),
-        ({"rate_hz": nan}, r"rate_hz = nan: must be > 0"),
-        ({"latency_s": -0.01}, r"latency_s = -0.01: must be >= 0 and finite"),
-        ({"latency_s": inf}, r"latency_s = inf: must be >= 0 and finite"),
-        ({"far_out_of_range_value": nan}, r"far_out_of_range_value = nan: must be finite"),
-        ({"near_out_of_range_value": inf}, r"near_out_of_range_value = inf: must be finite"),
-        ({"noise": NoiseCfg(std_c=-0.01)}, r"noise = .*standard deviation is -0.01 m at 0.2 m: must be >= 0"),
-        ({"noise": NoiseCfg(std_a=-1e-3)}, r"noise: standard deviation -0.1 m at 10 m"),
-        (
-            {"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False},
-            r"noise: standard deviation -0.1 m at 2 m",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("fields", "message"), [
+    ({"width": 0}, r"width = 0: must be >= 1"),
+    ({"width": 2.5}, r"width = 2.5: must be whole"),
+    ({"height": -3}, r"height = -3: must be >= 1"),
+    ({"min_range": 10.0}, r"min_range = 10.0: must be >= 0 and below max_range = 10.0"),
+    ({"min_range": -0.1}, r"min_range = .*: must be >= 0 and below max_range"),
+    ({"min_range": nan}, r"min_range = .*: must be >= 0 and below max_range"),
+    ({"max_range": inf}, r"min_range = .*: must be >= 0 and below max_range"),
+    ({"kind": "depht"}, r"kind = 'depht': must be one of depth, range"),
+    ({"model": "pinole"}, r"model = 'pinole': must be '\w+'; another model is another class"),
+    ({"points": "body"}, r"points = 'body': must be one of world, sensor, or None"),
+    ({"normals": "camera"}, r"normals = 'camera': must be one of world, sensor, or None"),
+    ({"count": 0}, r"count = 0: must be >= 1"),
+    ({"count": 1.5}, r"count = 1.5: must be whole"),
+    ({"position": (inf, 0.0, 0.0)}, r"position = .*: must be finite"),
+    ({"euler": (0.0, nan, 0.0)}, r"euler = .*: must be finite"),
+    ({"euler": (0.0, 90.0, 0.0)}, r"euler = .*: must lie within \+-2 pi. Angles are in radians"),
+    ({"position_low": (0.0, 0.0, 0.0)}, r": give both position_low and position_high, or neither"),
+    ({"euler_high": (0.0, 0.0, 0.0)}, r": give both euler_low and euler_high, or neither"),
+    ({"position_low": (0.0, 0.1, 0.0), "position_high": (0.0, -0.1, 0.0)}, r": position_low = .* exceed position_h"),
+    ({"position_low": (0.1, 0.0, 0.0), "position_high": (0.2, 0.0, 0.0)}, r": position_low = .* exceed position "),
+    ({"euler_low": (-0.2, 0.0, 0.0), "euler_high": (-0.1, 0.0, 0.0)}, r": euler = .* must not exceed euler_high"),
+    ({"euler_low": (0.0, 0.0, -5.0), "euler_high": (0.0, 0.0, 90.0)}, r"euler_high = .*: must lie within \+-2 pi"),
+    ({"position_low": (nan, 0.0, 0.0), "position_high": (0.0, 0.0, 0.0)}, r"position_low = .*: must be finite"),
+    ({"rate_hz": 0.0}, r"rate_hz = 0.0: must be > 0 and finite"),
+    ({"rate_hz": nan}, r"rate_hz = nan: must be > 0"),
+    ({"latency_s": -0.01}, r"latency_s = -0.01: must be >= 0 and finite"),
+    ({"latency_s": inf}, r"latency_s = inf: must be >= 0 and finite"),
+    ({"far_out_of_range_value": nan}, r"far_out_of_range_value = nan: must be finite"),
+    ({"near_out_of_range_value": inf}, r"near_out_of_range_value = inf: must be finite"),
+    ({"noise": NoiseCfg(std_c=-0.01)}, r"noise = .*standard deviation is -0.01 m at 0.2 m: must be >= 0"),
+    ({"noise": NoiseCfg(std_a=-1e-3)}, r"noise: standard deviation -0.1 m at 10 m"),
+    (
+        {"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False},
+        r"noise: standard deviation -0.1 m at 2 m",
+    ),
+])  # fmt: skip
 def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=rf"{type(cfg).__name__}\.?{message}"):
         replace(cfg, **fields)
@@ -265,67 +253,58 @@ def test_a_dropout_is_a_probability(dropout: float) -> None:
         NoiseCfg(dropout=dropout)
 
 
-@pytest.mark.parametrize(
-    ("cfg", "fields", "message"),
-    [
-        (CAMERA, {"hfov_deg": 180.0}, r"CameraCfg.hfov_deg = 180.0: must lie between 0 and 180 degrees. A fisheye"),
-        (CAMERA, {"hfov_deg": 0.0}, r"CameraCfg.hfov_deg = 0.0: must lie between"),
-        (STEREO, {"hfov_deg": nan}, r"StereoCfg.hfov_deg = nan: must lie between"),
-        (STEREO, {"baseline": 0.0}, r"StereoCfg.baseline = 0.0: must be finite and not 0. Left is positive"),
-        (STEREO, {"baseline": nan}, r"StereoCfg.baseline = nan: must be finite and not 0"),
-        (FISHEYE, {"hfov_deg": 0.0}, r"FisheyeCfg.hfov_deg = 0.0: must be > 0 and at most 360 degrees"),
-        (FISHEYE, {"hfov_deg": 361.0}, r"FisheyeCfg.hfov_deg = 361.0: must be > 0 and at most 360 degrees"),
-        (FISHEYE, {"hfov_deg": nan}, r"FisheyeCfg.hfov_deg = nan: must be > 0"),
-        (FISHEYE, {"width": 64, "height": 64, "hfov_deg": 300.0}, r"looks 208.8 degrees off the axis: must be less th"),
-        (LIDAR, {"azimuth_low_deg": 180.0}, r"LidarCfg.azimuth_low_deg = 180.0: with azimuth_high_deg = 180.0 needs"),
-        (LIDAR, {"azimuth_high_deg": 190.0}, r"at most one turn between them"),
-        (LIDAR, {"azimuth_low_deg": nan}, r"azimuth_low_deg = nan"),
-        (LIDAR, {"azimuth_low_deg": 170.0, "azimuth_high_deg": 400.0}, r"needs -360 <= low < high <= 360"),
-        (LIDAR, {"elevation_high_deg": 91.0}, r"elevation_high_deg = 91.0 needs -90 <= low < high <= 90"),
-        (LIDAR, {"elevation_low_deg": -90.5}, r"elevation_low_deg = -90.5"),
-        (LIDAR, {"elevation_low_deg": 45.0}, r"elevation_low_deg = 45.0: with elevation_high_deg = 45.0 needs -90 "),
-        (LIDAR, {"elevation_low_deg": nan}, r"elevation_low_deg = nan"),
-        (LIDAR, {"elevation_low_deg": None}, r"give elevation_low_deg and elevation_high_deg, or beam_elevations_deg"),
-        (LIDAR, {"beam_elevations_deg": (1.0,)}, r"LidarCfg: give elevation limits or beam_elevations_deg, not both"),
-        (LIDAR, {"scan_s": 0.0}, r"LidarCfg.scan_s = 0.0: must be > 0 and finite"),
-        (LIDAR, {"scan_s": nan}, r"LidarCfg.scan_s = nan: must be > 0 and finite"),
-        (TABLE, {"path": "rays.csv"}, r"RayTableCfg: give exactly one of path and rays"),
-        (TABLE, {"rays": None}, r"RayTableCfg: give exactly one of path and rays"),
-        (TABLE, {"width": 3}, r"RayTableCfg.rays has 2 rays, expected height \* width = 3"),
-        (TABLE, {"rays": ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))}, r"RayTableCfg.rays\[1\] = .*: must not be zero"),
-        (TABLE, {"rays": ((1.0, 0.0, 0.0), (nan, 0.0, 0.0))}, r"RayTableCfg.rays = .*: must be finite"),
-    ],
-)
+@pytest.mark.parametrize(("cfg", "fields", "message"), [
+    (CAMERA, {"hfov_deg": 180.0}, r"CameraCfg.hfov_deg = 180.0: must lie between 0 and 180 degrees. A fisheye"),
+    (CAMERA, {"hfov_deg": 0.0}, r"CameraCfg.hfov_deg = 0.0: must lie between"),
+    (STEREO, {"hfov_deg": nan}, r"StereoCfg.hfov_deg = nan: must lie between"),
+    (STEREO, {"baseline": 0.0}, r"StereoCfg.baseline = 0.0: must be finite and not 0. Left is positive"),
+    (STEREO, {"baseline": nan}, r"StereoCfg.baseline = nan: must be finite and not 0"),
+    (FISHEYE, {"hfov_deg": 0.0}, r"FisheyeCfg.hfov_deg = 0.0: must be > 0 and at most 360 degrees"),
+    (FISHEYE, {"hfov_deg": 361.0}, r"FisheyeCfg.hfov_deg = 361.0: must be > 0 and at most 360 degrees"),
+    (FISHEYE, {"hfov_deg": nan}, r"FisheyeCfg.hfov_deg = nan: must be > 0"),
+    (FISHEYE, {"width": 64, "height": 64, "hfov_deg": 300.0}, r"looks 208.8 degrees off the axis: must be less th"),
+    (LIDAR, {"azimuth_low_deg": 180.0}, r"LidarCfg.azimuth_low_deg = 180.0: with azimuth_high_deg = 180.0 needs"),
+    (LIDAR, {"azimuth_high_deg": 190.0}, r"at most one turn between them"),
+    (LIDAR, {"azimuth_low_deg": nan}, r"azimuth_low_deg = nan"),
+    (LIDAR, {"azimuth_low_deg": 170.0, "azimuth_high_deg": 400.0}, r"needs -360 <= low < high <= 360"),
+    (LIDAR, {"elevation_high_deg": 91.0}, r"elevation_high_deg = 91.0 needs -90 <= low < high <= 90"),
+    (LIDAR, {"elevation_low_deg": -90.5}, r"elevation_low_deg = -90.5"),
+    (LIDAR, {"elevation_low_deg": 45.0}, r"elevation_low_deg = 45.0: with elevation_high_deg = 45.0 needs -90 "),
+    (LIDAR, {"elevation_low_deg": nan}, r"elevation_low_deg = nan"),
+    (LIDAR, {"elevation_low_deg": None}, r"give elevation_low_deg and elevation_high_deg, or beam_elevations_deg"),
+    (LIDAR, {"beam_elevations_deg": (1.0,)}, r"LidarCfg: give elevation limits or beam_elevations_deg, not both"),
+    (LIDAR, {"scan_s": 0.0}, r"LidarCfg.scan_s = 0.0: must be > 0 and finite"),
+    (LIDAR, {"scan_s": nan}, r"LidarCfg.scan_s = nan: must be > 0 and finite"),
+    (TABLE, {"path": "rays.csv"}, r"RayTableCfg: give exactly one of path and rays"),
+    (TABLE, {"rays": None}, r"RayTableCfg: give exactly one of path and rays"),
+    (TABLE, {"width": 3}, r"RayTableCfg.rays has 2 rays, expected height \* width = 3"),
+    (TABLE, {"rays": ((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))}, r"RayTableCfg.rays\[1\] = .*: must not be zero"),
+    (TABLE, {"rays": ((1.0, 0.0, 0.0), (nan, 0.0, 0.0))}, r"RayTableCfg.rays = .*: must be finite"),
+])  # fmt: skip
 def test_impossible_models_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         replace(cfg, **fields)
 
 
-@pytest.mark.parametrize(
-    ("beams", "message"),
-    [
-        ((10.0, 0.0), r"LidarCfg.beam_elevations_deg = .*: needs height = 3"),
-        ((10.0, 0.0, -91.0), r"must lie within \+-90 degrees"),
-        ((10.0, nan, -10.0), r"must lie within \+-90 degrees"),
-        ((-10.0, 0.0, 10.0), r"must fall from entry to entry, row 0 is on top"),
-        ((10.0, 0.0, 0.0), r"must fall from entry to entry"),
-    ],
-)
+@pytest.mark.parametrize(("beams", "message"), [
+    ((10.0, 0.0), r"LidarCfg.beam_elevations_deg = .*: needs height = 3"),
+    ((10.0, 0.0, -91.0), r"must lie within \+-90 degrees"),
+    ((10.0, nan, -10.0), r"must lie within \+-90 degrees"),
+    ((-10.0, 0.0, 10.0), r"must fall from entry to entry, row 0 is on top"),
+    ((10.0, 0.0, 0.0), r"must fall from entry to entry"),
+])  # fmt: skip
 def test_impossible_beams_are_refused(beams: tuple[float, ...], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         LidarCfg(**{**COMMON, "height": 3}, beam_elevations_deg=beams)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("model: pinole\n", r"model = 'pinole': must be one of pinhole, .* Did you mean 'pinhole'"),
-        ("summary: no model\n", r"model = None: must be one of pinhole, stereo, fisheye, lidar, ray_table"),
-        ("model: lidar\nhfov_deg: 90.0\n", r"sensor.yaml: unknown field 'hfov_deg'"),
-        ("model: fisheye\nhfov: 90.0\n", r"unknown field 'hfov'. Did you mean 'hfov_deg'"),
-        ("model: lidar\nnoise: {std: 0.1}\n", r"noise: unknown field 'std'"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("model: pinole\n", r"model = 'pinole': must be one of pinhole, .* Did you mean 'pinhole'"),
+    ("summary: no model\n", r"model = None: must be one of pinhole, stereo, fisheye, lidar, ray_table"),
+    ("model: lidar\nhfov_deg: 90.0\n", r"sensor.yaml: unknown field 'hfov_deg'"),
+    ("model: fisheye\nhfov: 90.0\n", r"unknown field 'hfov'. Did you mean 'hfov_deg'"),
+    ("model: lidar\nnoise: {std: 0.1}\n", r"noise: unknown field 'std'"),
+])  # fmt: skip
 def test_a_sensor_file_with_an_unknown_word_is_refused(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "sensor.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=message):

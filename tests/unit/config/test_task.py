@@ -23,19 +23,16 @@ def test_a_task_is_written_and_read_again(name: str, tmp_path: Path) -> None:
     assert load(TaskCfg, tmp_path / "task.yaml") == cfg
 
 
-@pytest.mark.parametrize(
-    ("field", "way_out"),
-    [
-        ("reward", "give rewards: "),
-        ("reward_params", "each of the rewards has params of its own; that of a crash is crash_reward"),
-        ("max_distance", "term: far_from_target, kind: crash"),
-        ("success_radius", "term: at_target, kind: success, when: at_end"),
-        ("target", "generator: point"),
-        ("target_ratio_low", "generator: drawn_point"),
-        ("target_ratio_high", "generator: drawn_point"),
-        ("action_params", "action: {transform: NAME"),
-    ],
-)
+@pytest.mark.parametrize(("field", "way_out"), [
+    ("reward", "give rewards: "),
+    ("reward_params", "each of the rewards has params of its own; that of a crash is crash_reward"),
+    ("max_distance", "term: far_from_target, kind: crash"),
+    ("success_radius", "term: at_target, kind: success, when: at_end"),
+    ("target", "generator: point"),
+    ("target_ratio_low", "generator: drawn_point"),
+    ("target_ratio_high", "generator: drawn_point"),
+    ("action_params", "action: {transform: NAME"),
+])  # fmt: skip
 def test_a_field_of_an_earlier_version_names_the_way_out(field: str, way_out: str) -> None:
     fields = to_mapping(task_registry.get("position_setpoint_task"))
     with pytest.raises(ConfigError, match=f"my.yaml: field {field!r} is gone: .*{way_out}"):
@@ -54,25 +51,22 @@ def test_forms_of_an_earlier_version_say_what_they_must_be() -> None:
 OBSERVATION = partial(ObservationCfg, term="attitude")
 
 
-@pytest.mark.parametrize(
-    ("make", "given", "message"),
-    [
-        (OBSERVATION, {"noise_std": -0.1}, "noise_std = -0.1: must be >= 0"),
-        (OBSERVATION, {"dropout": 1.0}, "dropout = 1.0: must be a probability, 0 <= dropout < 1"),
-        (OBSERVATION, {"dropout_value": float("inf")}, "dropout_value = inf: must be finite"),
-        (OBSERVATION, {"hold_steps": 3}, "hold_steps = 3: must be >= 0, and needs a dropout"),
-        (OBSERVATION, {"delay_steps": -1}, "delay_steps = -1: must be >= 0"),
-        (OBSERVATION, {"delay_steps": (3, 1)}, r"delay_steps = \(3, 1\): must be >= 0, or the fewest and the most"),
-        (OBSERVATION, {"history": 0}, "history = 0: must be >= 1"),
-        (OBSERVATION, {"scale": 0.0}, "scale = 0.0: must be finite and not 0"),
-        (OBSERVATION, {"scale": float("nan")}, "scale = nan"),
-        (ActionCfg, {"noise_std": -0.1}, "ActionCfg.noise_std = -0.1: must be >= 0"),
-        (ActionCfg, {"filter_time_s": -1.0}, "ActionCfg.filter_time_s = -1.0"),
-        (ActionCfg, {"delay_steps": -1}, "ActionCfg.delay_steps = -1"),
-        (ImageCfg, {"dtype": "int8"}, "ImageCfg.dtype = 'int8': must be uint8, float16, float32"),
-        (ImageCfg, {"largest": 0.0}, "ImageCfg.largest = 0.0"),
-    ],
-)
+@pytest.mark.parametrize(("make", "given", "message"), [
+    (OBSERVATION, {"noise_std": -0.1}, "noise_std = -0.1: must be >= 0"),
+    (OBSERVATION, {"dropout": 1.0}, "dropout = 1.0: must be a probability, 0 <= dropout < 1"),
+    (OBSERVATION, {"dropout_value": float("inf")}, "dropout_value = inf: must be finite"),
+    (OBSERVATION, {"hold_steps": 3}, "hold_steps = 3: must be >= 0, and needs a dropout"),
+    (OBSERVATION, {"delay_steps": -1}, "delay_steps = -1: must be >= 0"),
+    (OBSERVATION, {"delay_steps": (3, 1)}, r"delay_steps = \(3, 1\): must be >= 0, or the fewest and the most"),
+    (OBSERVATION, {"history": 0}, "history = 0: must be >= 1"),
+    (OBSERVATION, {"scale": 0.0}, "scale = 0.0: must be finite and not 0"),
+    (OBSERVATION, {"scale": float("nan")}, "scale = nan"),
+    (ActionCfg, {"noise_std": -0.1}, "ActionCfg.noise_std = -0.1: must be >= 0"),
+    (ActionCfg, {"filter_time_s": -1.0}, "ActionCfg.filter_time_s = -1.0"),
+    (ActionCfg, {"delay_steps": -1}, "ActionCfg.delay_steps = -1"),
+    (ImageCfg, {"dtype": "int8"}, "ImageCfg.dtype = 'int8': must be uint8, float16, float32"),
+    (ImageCfg, {"largest": 0.0}, "ImageCfg.largest = 0.0"),
+])  # fmt: skip
 def test_numbers_of_a_task_are_checked(make: Callable, given: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make(**given)

@@ -183,13 +183,10 @@ def last_ways(robot: str, controller: str, delays: list[float]) -> list[float]:
     return (state.position - before).norm(dim=-1).tolist()
 
 
-@pytest.mark.parametrize(
-    ("robot", "controller", "held", "lost"),
-    [
-        ("crazyflie_21", "crazyflie_lee_control", [0.0, 0.005], [0.01]),
-        ("magpie", "pid_velocity_control", [0.0, 0.005], [0.01]),
-    ],
-)
+@pytest.mark.parametrize(("robot", "controller", "held", "lost"), [
+    ("crazyflie_21", "crazyflie_lee_control", [0.0, 0.005], [0.01]),
+    ("magpie", "pid_velocity_control", [0.0, 0.005], [0.01]),
+])  # fmt: skip
 def test_what_flies_away_is_refused_and_what_hovers_is_not(robot, controller, held, lost) -> None:
     """Dead times [s] on both sides of the limit; the first two robots were 17 and 29 m away with 10 ms."""
     ways = last_ways(robot, controller, held + lost)

@@ -106,14 +106,11 @@ def test_clamped_rotors_give_no_torque_to_a_law_that_asks_for_negative_thrust() 
     check(from_angles(-180.0, 180.0), CLAMPED["lee_attitude_control"])
 
 
-@pytest.mark.parametrize(
-    ("cfg", "rolls", "over"),
-    [
-        (CONTROLLERS.get("crazyflie_mellinger_control"), [80.0, 100.0, 170.0], [True, False, False]),
-        (CLAMPED["lee_position_control"], [170.0], [False]),
-        (CONTROLLERS.get("crazyflie_lee_control"), [100.0, 150.0], [True, True]),
-    ],
-)
+@pytest.mark.parametrize(("cfg", "rolls", "over"), [
+    (CONTROLLERS.get("crazyflie_mellinger_control"), [80.0, 100.0, 170.0], [True, False, False]),
+    (CLAMPED["lee_position_control"], [170.0], [False]),
+    (CONTROLLERS.get("crazyflie_lee_control"), [100.0, 150.0], [True, True]),
+])  # fmt: skip
 def test_the_verdict_is_that_of_a_flight(cfg: ControllerCfg, rolls: list[float], over: list[bool]) -> None:
     """After 0.4 s a vehicle points up, or falls at a body rate of 0; a start at that roll is accepted, or refused."""
     turned, rates = fall(cfg, rolls)

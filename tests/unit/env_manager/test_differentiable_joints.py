@@ -43,15 +43,12 @@ def make_actions(env: EnvManager, low: float, high: float) -> Tensor:
     return low + (high - low) * torch.rand(shape, dtype=F64, generator=g)
 
 
-@pytest.mark.parametrize(
-    ("robot", "low", "high"),
-    [
-        pytest.param(bend("morphy", effects=DRAG), 0.2, 1.5, id="springs and ends"),
-        pytest.param(bend("morphy_fixed_base", effects=DRAG), 0.2, 1.5, id="on a stand"),
-        pytest.param(bend("snakey", effects=DRAG), -0.9, 0.9, id="driven to rates"),
-        pytest.param(bend("morphy_creeping", friction=0.05), 0.2, 1.5, id="creep and friction"),
-    ],
-)
+@pytest.mark.parametrize(("robot", "low", "high"), [
+    pytest.param(bend("morphy", effects=DRAG), 0.2, 1.5, id="springs and ends"),
+    pytest.param(bend("morphy_fixed_base", effects=DRAG), 0.2, 1.5, id="on a stand"),
+    pytest.param(bend("snakey", effects=DRAG), -0.9, 0.9, id="driven to rates"),
+    pytest.param(bend("morphy_creeping", friction=0.05), 0.2, 1.5, id="creep and friction"),
+])  # fmt: skip
 def test_gradients_of_a_flight_are_its_differences(robot: RobotCfg, low: float, high: float) -> None:
     """Of every state in every step with respect to every action before it, to the accuracy of central differences.
     Joints begin beyond their ends, and drives come to their limits in some steps."""

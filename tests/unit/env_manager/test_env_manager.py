@@ -32,15 +32,12 @@ OFTEN = ("dynamic_env", "empty_env", "forest_env", "landing_env")
 """Of each kind one: obstacles that move, none, obstacles that stand, and a ground."""
 
 
-@pytest.mark.parametrize(
-    ("env_name", "robot_name"),
-    [
-        *frequent_values(
-            ((name, "base_quadrotor") for name in ENVIRONMENTS.names()), [(n, "base_quadrotor") for n in OFTEN]
-        ),
-        pytest.param("empty_env", "morphy", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("env_name", "robot_name"), [
+    *frequent_values(
+        ((name, "base_quadrotor") for name in ENVIRONMENTS.names()), [(n, "base_quadrotor") for n in OFTEN]
+    ),
+    pytest.param("empty_env", "morphy", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_all_states_belong_to_the_same_instant(env_name: str, robot_name: str) -> None:
     env = build(env_name=env_name, robot_name=robot_name)
     fly(env)

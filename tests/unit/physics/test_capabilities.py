@@ -25,34 +25,28 @@ ALL = "'warp', 'torch', 'mujoco', 'mujoco_warp'"
 GPU, META = torch.device("cuda"), torch.device("meta")
 
 
-@pytest.mark.parametrize(
-    ("needs", "message"),
-    [
-        ({"device": META}, r"cannot run on meta \(devices: cpu, cuda\). No registered backend can"),
-        ({"dtype": torch.float64}, r"cannot compute in torch.float64 .*. Use backend 'torch'"),
-        ({"integrator": "rk4"}, r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp', 'torch'.$"),
-        ({"effects": ("rotor_drag",)}, f"cannot run effect 'rotor_drag'. Use backend {ALL}"),
-        ({"rotors": frozenset({"reversible"})}, f"cannot run reversible rotors. Use backend {ALL}"),
-        ({"rotors": frozenset({"force"})}, r"cannot run rotors in force mode"),
-        ({"rotors": frozenset({"slew"})}, r"cannot run rotors with a slew rate"),
-        ({"contact": True}, r"cannot push back at a contact. Use backend 'warp', 'torch', 'mujoco'"),
-        ({"gradients": True}, r"cannot pass gradients through a step. Use backend 'torch'"),
-        ({"joints": True}, r"cannot move joints. Use backend 'warp', 'torch', 'mujoco'"),
-    ],
-)
+@pytest.mark.parametrize(("needs", "message"), [
+    ({"device": META}, r"cannot run on meta \(devices: cpu, cuda\). No registered backend can"),
+    ({"dtype": torch.float64}, r"cannot compute in torch.float64 .*. Use backend 'torch'"),
+    ({"integrator": "rk4"}, r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp', 'torch'.$"),
+    ({"effects": ("rotor_drag",)}, f"cannot run effect 'rotor_drag'. Use backend {ALL}"),
+    ({"rotors": frozenset({"reversible"})}, f"cannot run reversible rotors. Use backend {ALL}"),
+    ({"rotors": frozenset({"force"})}, r"cannot run rotors in force mode"),
+    ({"rotors": frozenset({"slew"})}, r"cannot run rotors with a slew rate"),
+    ({"contact": True}, r"cannot push back at a contact. Use backend 'warp', 'torch', 'mujoco'"),
+    ({"gradients": True}, r"cannot pass gradients through a step. Use backend 'torch'"),
+    ({"joints": True}, r"cannot move joints. Use backend 'warp', 'torch', 'mujoco'"),
+])  # fmt: skip
 def test_a_lack_is_refused_by_name_with_the_way_out(needs: dict[str, object], message: str) -> None:
     with pytest.raises(CapabilityError, match=f"backend plain: {message}"):
         require(Plain(), Needs(**{"device": CPU} | needs), name="plain")
 
 
-@pytest.mark.parametrize(
-    ("needs", "message"),
-    [
-        ({"device": GPU}, r"cannot run on cuda \(devices: cpu\). Use backend 'warp', 'torch'.$"),
-        ({"integrator": "rk4"}, r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp'"),
-        ({"gradients": True}, r"cannot pass gradients through a step. Use backend 'torch'.$"),
-    ],
-)
+@pytest.mark.parametrize(("needs", "message"), [
+    ({"device": GPU}, r"cannot run on cuda \(devices: cpu\). Use backend 'warp', 'torch'.$"),
+    ({"integrator": "rk4"}, r"cannot run integrator 'rk4' \(integrators: euler\). Use backend 'warp'"),
+    ({"gradients": True}, r"cannot pass gradients through a step. Use backend 'torch'.$"),
+])  # fmt: skip
 def test_what_mujoco_cannot_is_refused_by_name(needs: dict[str, object], message: str) -> None:
     with pytest.raises(CapabilityError, match=f"backend mujoco: {message}"):
         choose_backend("mujoco", needs=Needs(**{"device": CPU} | needs))

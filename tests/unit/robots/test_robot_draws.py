@@ -202,39 +202,33 @@ def test_names_and_ranges_come_from_files(tmp_path) -> None:
     torch.testing.assert_close(env.gtd["robot_mass"], torch.full((2,), 0.3))
 
 
-@pytest.mark.parametrize(
-    ("cfg", "message"),
-    [
-        ({"body.mas": RandomizeCfg(low=1.0, high=1.0)}, "no quantity 'body.mas'. Did you mean 'body.mass'"),
-        ({"effects.rotor_drag.dw": RandomizeCfg(low=1.0, high=1.0)}, "Did you mean 'effects.rotor_drag.d"),
-        ({"battery.capacity": RandomizeCfg(low=1.0, high=1.0)}, "no quantity 'battery.capacity'"),
-        ({"sensors.eye.position": RandomizeCfg(how="offset", low=0.0, high=1.0)}, "no quantity 'sensors.eye.position'"),
-        ({"body.mass": RandomizeCfg(how="offset", low=-1.0, high=0.0)}, "body.mass reaches -0.75 to 0.25"),
-        ({"effects.rotor_drag.dx": RandomizeCfg(how="value", low=-1.0, high=0.0)}, "must stay within"),
-        ({"body.com": RandomizeCfg(how="offset", low=(0.0, 0.0), high=1.0)}, "needs one number, or 3"),
-        ({"rotor.thrust_map": RandomizeCfg(how="value", low=0.0, high=1.0)}, "how = 'value' must be one of scale"),
-        ({"body.mass": RandomizeCfg(low=1.0, high=1.0, each_rotor=True)}, "each_rotor is for quantities of all rotors"),
-    ],
-)
+@pytest.mark.parametrize(("cfg", "message"), [
+    ({"body.mas": RandomizeCfg(low=1.0, high=1.0)}, "no quantity 'body.mas'. Did you mean 'body.mass'"),
+    ({"effects.rotor_drag.dw": RandomizeCfg(low=1.0, high=1.0)}, "Did you mean 'effects.rotor_drag.d"),
+    ({"battery.capacity": RandomizeCfg(low=1.0, high=1.0)}, "no quantity 'battery.capacity'"),
+    ({"sensors.eye.position": RandomizeCfg(how="offset", low=0.0, high=1.0)}, "no quantity 'sensors.eye.position'"),
+    ({"body.mass": RandomizeCfg(how="offset", low=-1.0, high=0.0)}, "body.mass reaches -0.75 to 0.25"),
+    ({"effects.rotor_drag.dx": RandomizeCfg(how="value", low=-1.0, high=0.0)}, "must stay within"),
+    ({"body.com": RandomizeCfg(how="offset", low=(0.0, 0.0), high=1.0)}, "needs one number, or 3"),
+    ({"rotor.thrust_map": RandomizeCfg(how="value", low=0.0, high=1.0)}, "how = 'value' must be one of scale"),
+    ({"body.mass": RandomizeCfg(low=1.0, high=1.0, each_rotor=True)}, "each_rotor is for quantities of all rotors"),
+])  # fmt: skip
 def test_impossible_requests_are_refused_by_name(cfg: dict[str, RandomizeCfg], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make(cfg)
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"low": 1.0}, "a uniform distribution needs low and high"),
-        ({"low": 2.0, "high": 1.0}, "needs low <= high"),
-        ({"low": float("nan"), "high": 1.0}, "needs low <= high"),
-        ({"low": -1.0, "high": 1.0}, "a factor needs a lowest value >= 0"),
-        ({"low": 0.0, "high": 1.0, "distribution": "log_uniform"}, "needs 0 < low"),
-        ({"mean": 1.0, "std": 0.0, "distribution": "normal", "low": 0.0}, "0 < std < inf"),
-        ({"mean": 1.0, "std": 0.1, "distribution": "normal", "low": 2.0}, "hardly anything lies in"),
-        ({"low": 1.0, "high": 1.0, "how": "factor"}, "must be one of scale, offset, value"),
-        ({"low": 1.0, "high": 1.0, "mean": 1.0}, "a uniform distribution has none"),
-    ],
-)
+@pytest.mark.parametrize(("fields", "message"), [
+    ({"low": 1.0}, "a uniform distribution needs low and high"),
+    ({"low": 2.0, "high": 1.0}, "needs low <= high"),
+    ({"low": float("nan"), "high": 1.0}, "needs low <= high"),
+    ({"low": -1.0, "high": 1.0}, "a factor needs a lowest value >= 0"),
+    ({"low": 0.0, "high": 1.0, "distribution": "log_uniform"}, "needs 0 < low"),
+    ({"mean": 1.0, "std": 0.0, "distribution": "normal", "low": 0.0}, "0 < std < inf"),
+    ({"mean": 1.0, "std": 0.1, "distribution": "normal", "low": 2.0}, "hardly anything lies in"),
+    ({"low": 1.0, "high": 1.0, "how": "factor"}, "must be one of scale, offset, value"),
+    ({"low": 1.0, "high": 1.0, "mean": 1.0}, "a uniform distribution has none"),
+])  # fmt: skip
 def test_impossible_distributions_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         RandomizeCfg(**fields)
@@ -295,15 +289,12 @@ def test_a_sum_that_alone_is_known_is_drawn_as_certain_as_it_is() -> None:
     assert float(draws[DX].std()) > 0.01
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({DX: normal(0.2, 0.02, 0.0, 1.0, dz=0.5)}, "dz', which is not drawn"),
-        ({DX: normal(0.2, 0.02, 0.0, 1.0, mass=0.5)}, "body.mass must be a normal distribution of one number"),
-        ({DX: normal(0.2, 0.02, 0.0, 1.0, wind=0.3)}, "give each pair of two quantities once"),
-        ({WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.9, dy=0.9)}, "contradict each other"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({DX: normal(0.2, 0.02, 0.0, 1.0, dz=0.5)}, "dz', which is not drawn"),
+    ({DX: normal(0.2, 0.02, 0.0, 1.0, mass=0.5)}, "body.mass must be a normal distribution of one number"),
+    ({DX: normal(0.2, 0.02, 0.0, 1.0, wind=0.3)}, "give each pair of two quantities once"),
+    ({WIND: normal(3.0, 0.5, -10.0, 10.0, dx=0.9, dy=0.9)}, "contradict each other"),
+])  # fmt: skip
 def test_a_correlation_that_cannot_be_drawn_is_refused(changes: Mapping[str, RandomizeCfg], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make({**TOGETHER, **changes}, 2)
@@ -341,15 +332,12 @@ def test_integers_are_drawn_equally_often_and_name_rotors() -> None:
     assert stats.chisquare(counts[1:].numpy()).pvalue > 1e-4
 
 
-@pytest.mark.parametrize(
-    ("how", "message"),
-    [
-        ({"low": 1.0, "high": 4.0}, "is the number of a rotor. Give how: value, distribution: integer"),
-        ({"how": "offset", "distribution": "integer", "low": 0, "high": 3}, "is the number of a rotor"),
-        ({"distribution": "integer", "low": 1, "high": 5}, r"reaches 1 to 5: must stay within \[1, 4\]"),
-        ({"distribution": "integer", "low": 1.5, "high": 4.0}, "an integer distribution needs whole numbers"),
-    ],
-)
+@pytest.mark.parametrize(("how", "message"), [
+    ({"low": 1.0, "high": 4.0}, "is the number of a rotor. Give how: value, distribution: integer"),
+    ({"how": "offset", "distribution": "integer", "low": 0, "high": 3}, "is the number of a rotor"),
+    ({"distribution": "integer", "low": 1, "high": 5}, r"reaches 1 to 5: must stay within \[1, 4\]"),
+    ({"distribution": "integer", "low": 1.5, "high": 4.0}, "an integer distribution needs whole numbers"),
+])  # fmt: skip
 def test_the_number_of_a_rotor_is_drawn_among_those_that_there_are(how: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make({"effects.weak_motor.motor": RandomizeCfg(**{"how": "value"} | how)})

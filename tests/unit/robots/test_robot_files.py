@@ -104,16 +104,13 @@ def _check_whole(robot: RobotCfg, headings: np.ndarray) -> None:
     assert robot.body.mass == pytest.approx(0.30625 * len(headings), rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("robot", "speed"),
-    [
-        ("lmf1", 742.97),  # 1.235 9.81 / 4 = 3.02884 N = 5.487e-6 w²
-        ("lmf2", 2.0 * pi * 470.12),  # 1.24 9.81 / 4 = 3.0411 N = 1.376e-5 n², n in rev/s
-        ("lmf2_with_camera", 2.0 * pi * 470.12),
-        ("lmf2_radar", 2.0 * pi * 470.12),
-        ("magpie", 2.0 * pi * 470.12),
-    ],
-)
+@pytest.mark.parametrize(("robot", "speed"), [
+    ("lmf1", 742.97),  # 1.235 9.81 / 4 = 3.02884 N = 5.487e-6 w²
+    ("lmf2", 2.0 * pi * 470.12),  # 1.24 9.81 / 4 = 3.0411 N = 1.376e-5 n², n in rev/s
+    ("lmf2_with_camera", 2.0 * pi * 470.12),
+    ("lmf2_radar", 2.0 * pi * 470.12),
+    ("magpie", 2.0 * pi * 470.12),
+])  # fmt: skip
 def test_each_hovers_at_the_speed_worked_out_by_hand(robot: str, speed: float) -> None:
     cfg = ROBOTS.get(robot)
     vehicle = vehicle_from_config(cfg, num_envs=1, dtype=torch.float64)

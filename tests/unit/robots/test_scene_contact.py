@@ -101,14 +101,11 @@ def land(robot: str, backend: str) -> tuple[torch.Tensor, torch.Tensor, torch.Te
     return tilt, gtd["robot_linvel"].norm(dim=1), gtd["robot_body_angvel"].norm(dim=1)
 
 
-@pytest.mark.parametrize(
-    ("robot", "backend"),
-    [
-        ("base_quadrotor_on_skids", "warp"),
-        pytest.param("base_quadrotor_on_skids", "torch", marks=pytest.mark.slow),
-        pytest.param("crazyflie_21", "warp", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("robot", "backend"), [
+    ("base_quadrotor_on_skids", "warp"),
+    pytest.param("base_quadrotor_on_skids", "torch", marks=pytest.mark.slow),
+    pytest.param("crazyflie_21", "warp", marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_robot_with_a_flat_shape_stands_where_it_lands(robot: str, backend: str) -> None:
     tilt, speed, turn = land(robot, backend)
     assert tilt.max() < 0.02

@@ -74,18 +74,15 @@ sensors:
     assert load_robot(again) == robot
 
 
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"name": "Front Camera"}, r"'Front Camera': must be snake_case"),
-        ({"euler": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}, r"give this or quaternion, not both"),
-        ({"euler": (90.0, 0.0, 0.0)}, r"must lie within \+-2 pi"),
-        ({"quaternion": (0.0, 0.0, 0.0, 0.0)}, r"must not be zero"),
-        ({"position": (float("nan"), 0.0, 0.0)}, r"must be finite"),
-        ({"rate_hz": 0.0}, r"rate_hz = 0.0: must be > 0"),
-        ({"latency_s": -0.1}, r"latency_s = -0.1: must be >= 0"),
-    ],
-)
+@pytest.mark.parametrize(("fields", "message"), [
+    ({"name": "Front Camera"}, r"'Front Camera': must be snake_case"),
+    ({"euler": (0.0, 0.0, 0.0), "quaternion": (0.0, 0.0, 0.0, 1.0)}, r"give this or quaternion, not both"),
+    ({"euler": (90.0, 0.0, 0.0)}, r"must lie within \+-2 pi"),
+    ({"quaternion": (0.0, 0.0, 0.0, 0.0)}, r"must not be zero"),
+    ({"position": (float("nan"), 0.0, 0.0)}, r"must be finite"),
+    ({"rate_hz": 0.0}, r"rate_hz = 0.0: must be > 0"),
+    ({"latency_s": -0.1}, r"latency_s = -0.1: must be >= 0"),
+])  # fmt: skip
 def test_impossible_mounts_are_refused(fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SensorMountCfg(sensor="base_lidar", **fields)

@@ -80,7 +80,13 @@ def make_choice(
 
 def make_spread(columns: np.ndarray, plain: np.ndarray, tolerance: np.ndarray, blocks: Any = None) -> Uncertainty:
     """Return the uncertainty of parameters by 50 blocks of two flights, whose scatter is the plain covariance by default."""
-    known = {"columns": columns, "step": np.zeros(len(columns)), "plain": plain, "tolerance": tolerance, "flights": None}
+    known = {
+        "columns": columns,
+        "step": np.zeros(len(columns)),
+        "plain": plain,
+        "tolerance": tolerance,
+        "flights": None,
+    }
     scatter = plain if blocks is None else np.array(blocks)
     return Uncertainty(**known, blocks=scatter, num_blocks=50, num_flights=2)
 

@@ -49,14 +49,11 @@ def run_loop(folder: Path, **hidden: float) -> dict:
     return json.loads((folder / "out" / "verdict.json").read_text())
 
 
-@pytest.mark.parametrize(
-    ("hidden", "name", "params"),
-    [
-        ({"tau": 0.1}, "motor_time_constant", {"tau": 0.1}),
-        pytest.param({"drag": 0.25}, "rotor_drag", {"dx": 0.25, "dy": 0.25}, marks=pytest.mark.slow),
-        pytest.param({"scale": 1.1}, "thrust_coefficient", {"scale": 1.1}, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("hidden", "name", "params"), [
+    ({"tau": 0.1}, "motor_time_constant", {"tau": 0.1}),
+    pytest.param({"drag": 0.25}, "rotor_drag", {"dx": 0.25, "dy": 0.25}, marks=pytest.mark.slow),
+    pytest.param({"scale": 1.1}, "thrust_coefficient", {"scale": 1.1}, marks=pytest.mark.slow),
+])  # fmt: skip
 @pytest.mark.slow
 def test_the_hidden_effect_is_named(hidden, name, params, tmp_path) -> None:
     verdict = run_loop(tmp_path, **hidden)

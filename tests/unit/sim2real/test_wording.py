@@ -97,16 +97,13 @@ def test_units_end_keys(unit: str, key: str) -> None:
     assert unit_key(unit) == key
 
 
-@pytest.mark.parametrize(
-    ("value", "half_width", "shown"),
-    [
-        (5.513, 0.61, "5.5 ± 0.6"),
-        (5.513, 0.14, "5.51 ± 0.14"),
-        (1234.0, 30.0, "1234 ± 30"),
-        (0.04, 0.002, "0.040 ± 0.002"),
-        (-0.01, 0.5, "0.0 ± 0.5"),
-    ],
-)
+@pytest.mark.parametrize(("value", "half_width", "shown"), [
+    (5.513, 0.61, "5.5 ± 0.6"),
+    (5.513, 0.14, "5.51 ± 0.14"),
+    (1234.0, 30.0, "1234 ± 30"),
+    (0.04, 0.002, "0.040 ± 0.002"),
+    (-0.01, 0.5, "0.0 ± 0.5"),
+])  # fmt: skip
 def test_values_have_the_digits_that_their_intervals_allow(value: float, half_width: float, shown: str) -> None:
     assert f"{value_text(value, half_width)} {half_width_text(half_width, '')}" == shown
 

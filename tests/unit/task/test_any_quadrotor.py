@@ -19,14 +19,11 @@ from tests.unit.task.hover import begin
 NAME = "any_quadrotor_task"
 
 
-@pytest.mark.parametrize(
-    ("robot", "controller", "low", "high"),
-    [
-        (None, None, 0.0, (2.0 / 3.485449e-7) ** 0.5),  # 2 N [rad/s]
-        ("tinyprop", None, (0.2 / 3.25852e-7) ** 0.5, (1.2 / 3.25852e-7) ** 0.5),
-        ("x500", "no_control", 0.0, 20.0),  # N
-    ],
-)
+@pytest.mark.parametrize(("robot", "controller", "low", "high"), [
+    (None, None, 0.0, (2.0 / 3.485449e-7) ** 0.5),  # 2 N [rad/s]
+    ("tinyprop", None, (0.2 / 3.25852e-7) ** 0.5, (1.2 / 3.25852e-7) ** 0.5),
+    ("x500", "no_control", 0.0, 20.0),  # N
+])  # fmt: skip
 def test_an_action_is_a_share_of_what_the_rotors_can_be_told(robot, controller, low, high) -> None:
     with begin(NAME, 2, robot=robot, controller=controller) as task:
         for action, expected in ((-1.0, low), (0.0, 0.5 * (low + high)), (1.0, high)):

@@ -61,15 +61,12 @@ def test_a_file_may_bring_terms_of_its_own(tmp_path: Path) -> None:
         task_registry.get(str(file))
 
 
-@pytest.mark.parametrize(
-    ("name", "error", "message"),
-    [
-        ("nowhere.yaml", ConfigError, "nowhere.yaml: no such file"),
-        ("no_such_module:Task", UnknownNameError, "no_such_module:Task.*No module named"),
-        ("json:Task", UnknownNameError, "has no attribute 'Task'. Give it as module:Name"),
-        ("json:JSONDecoder", ConfigError, "must be a TaskCfg, or a subclass of Task that has one as its cfg"),
-    ],
-)
+@pytest.mark.parametrize(("name", "error", "message"), [
+    ("nowhere.yaml", ConfigError, "nowhere.yaml: no such file"),
+    ("no_such_module:Task", UnknownNameError, "no_such_module:Task.*No module named"),
+    ("json:Task", UnknownNameError, "has no attribute 'Task'. Give it as module:Name"),
+    ("json:JSONDecoder", ConfigError, "must be a TaskCfg, or a subclass of Task that has one as its cfg"),
+])  # fmt: skip
 def test_what_is_no_task_is_refused(name: str, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         task_registry.get(name)

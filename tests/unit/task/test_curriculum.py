@@ -23,22 +23,19 @@ def decide(level: int, finished: int, succeeded: int, cfg: CurriculumCfg = CFG) 
     return level_now, finished_now, succeeded_now
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        ((17, 10, 8), (19, 0, 0)),  # 80 %: up by 2
-        ((17, 10, 7), (17, 0, 0)),  # exactly 70 %: stays
-        ((17, 10, 6), (17, 0, 0)),  # exactly 60 %: stays
-        ((17, 10, 5), (16, 0, 0)),  # 50 %: down by 1
-        ((17, 12, 9), (19, 0, 0)),  # several episodes ended in one step
-        ((17, 9, 9), (17, 9, 9)),  # not yet
-        ((17, 9, 0), (17, 9, 0)),
-        ((17, 0, 0), (17, 0, 0)),
-        ((19, 10, 10), (20, 0, 0)),  # the highest
-        ((20, 10, 10), (20, 0, 0)),
-        ((15, 10, 0), (15, 0, 0)),  # the lowest
-    ],
-)
+@pytest.mark.parametrize(("before", "after"), [
+    ((17, 10, 8), (19, 0, 0)),  # 80 %: up by 2
+    ((17, 10, 7), (17, 0, 0)),  # exactly 70 %: stays
+    ((17, 10, 6), (17, 0, 0)),  # exactly 60 %: stays
+    ((17, 10, 5), (16, 0, 0)),  # 50 %: down by 1
+    ((17, 12, 9), (19, 0, 0)),  # several episodes ended in one step
+    ((17, 9, 9), (17, 9, 9)),  # not yet
+    ((17, 9, 0), (17, 9, 0)),
+    ((17, 0, 0), (17, 0, 0)),
+    ((19, 10, 10), (20, 0, 0)),  # the highest
+    ((20, 10, 10), (20, 0, 0)),
+    ((15, 10, 0), (15, 0, 0)),  # the lowest
+])  # fmt: skip
 def test_the_level_moves_at_its_thresholds_and_stays_in_its_limits(before, after) -> None:
     assert decide(*before) == after
 
@@ -129,20 +126,17 @@ def test_a_level_of_the_users_own_is_held() -> None:
         task_registry.make_task("position_setpoint_task", level=3)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"min_level": 20}, "min_level = 20: must be >= 0 and below max_level = 20"),
-        ({"min_level": -1}, "min_level = -1"),
-        ({"check_after": 0}, "CurriculumCfg.check_after = 0: must be >= 1"),
-        ({"lower_below": 0.8}, "lower_below = 0.8: must be 0 to raise_above = 0.7"),
-        ({"raise_above": float("nan")}, "raise_above = nan"),
-        ({"raise_above": 1.1}, "raise_above = 1.1"),
-        ({"raise_by": -1}, "CurriculumCfg.raise_by = -1: must be >= 0"),
-        ({"lower_by": -2}, "CurriculumCfg.lower_by = -2: must be >= 0"),
-        ({"start_level": 14}, "CurriculumCfg.start_level = 14: must lie in 15 to 20"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"min_level": 20}, "min_level = 20: must be >= 0 and below max_level = 20"),
+    ({"min_level": -1}, "min_level = -1"),
+    ({"check_after": 0}, "CurriculumCfg.check_after = 0: must be >= 1"),
+    ({"lower_below": 0.8}, "lower_below = 0.8: must be 0 to raise_above = 0.7"),
+    ({"raise_above": float("nan")}, "raise_above = nan"),
+    ({"raise_above": 1.1}, "raise_above = 1.1"),
+    ({"raise_by": -1}, "CurriculumCfg.raise_by = -1: must be >= 0"),
+    ({"lower_by": -2}, "CurriculumCfg.lower_by = -2: must be >= 0"),
+    ({"start_level": 14}, "CurriculumCfg.start_level = 14: must lie in 15 to 20"),
+])  # fmt: skip
 def test_impossible_curricula_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         replace(CFG, **changes)

@@ -131,27 +131,24 @@ def at_the_goal(**changes: list[float]) -> dict[str, Tensor]:
 SAME = [2.0, 0.0, 1.0, 0.5]
 
 
-@pytest.mark.parametrize(
-    ("state", "free", "hard"),
-    [
-        # all that counts at the goal: 3 + 5 + 20/20 + 2 1.5 + 2 + 4 + 1.5
-        (at_the_goal(), 19.5, 58.5),
-        # the same command as before: sizes 0.1 (exp(-1.2) - 1), 0.15 (exp(-1) - 1), 0.15 (exp(-0.5) - 1), times c k
-        (at_the_goal(robot_actions=SAME, robot_prev_actions=SAME), 19.5, 58.5 - 3.0 * 0.2237191),
-        # another one: 0.3 (exp(-5 du²) - 1) for changes by 0.5 and -1, and the size of 0.5
-        (
-            at_the_goal(robot_actions=[0.0, 0.5, 0.0, 0.0], robot_prev_actions=[0.0, 0.0, 1.0, 0.0]),
-            19.5 - 0.2140486 - 0.2979786,
-            58.5 - 3.0 * (0.2140486 + 0.2979786 + 0.1 * (1.0 - exp(-0.075))),
-        ),
-        # 6 m away, straight to it at 2 m/s, backwards: 2 + 14/20, and what distances leave: nothing
-        (at_the_goal(robot_position=[6.0, 0.0, 0.0], robot_linvel=[-2.0, 0.0, 0.0]), 2.7, 8.1),
-        # the same nose first: 2 (exp(-32) - 1)
-        (at_the_goal(robot_position=[-6.0, 0.0, 0.0], robot_linvel=[2.0, 0.0, 0.0]), 0.7, 2.1),
-        # beside it at 4 m/s: -0.2 + 0.7 + 2 (exp(-2) - 1)
-        (at_the_goal(robot_position=[6.0, 0.0, 0.0], robot_linvel=[0.0, 4.0, 0.0]), -1.2293294, -3.6879883),
-    ],
-)
+@pytest.mark.parametrize(("state", "free", "hard"), [
+    # all that counts at the goal: 3 + 5 + 20/20 + 2 1.5 + 2 + 4 + 1.5
+    (at_the_goal(), 19.5, 58.5),
+    # the same command as before: sizes 0.1 (exp(-1.2) - 1), 0.15 (exp(-1) - 1), 0.15 (exp(-0.5) - 1), times c k
+    (at_the_goal(robot_actions=SAME, robot_prev_actions=SAME), 19.5, 58.5 - 3.0 * 0.2237191),
+    # another one: 0.3 (exp(-5 du²) - 1) for changes by 0.5 and -1, and the size of 0.5
+    (
+        at_the_goal(robot_actions=[0.0, 0.5, 0.0, 0.0], robot_prev_actions=[0.0, 0.0, 1.0, 0.0]),
+        19.5 - 0.2140486 - 0.2979786,
+        58.5 - 3.0 * (0.2140486 + 0.2979786 + 0.1 * (1.0 - exp(-0.075))),
+    ),
+    # 6 m away, straight to it at 2 m/s, backwards: 2 + 14/20, and what distances leave: nothing
+    (at_the_goal(robot_position=[6.0, 0.0, 0.0], robot_linvel=[-2.0, 0.0, 0.0]), 2.7, 8.1),
+    # the same nose first: 2 (exp(-32) - 1)
+    (at_the_goal(robot_position=[-6.0, 0.0, 0.0], robot_linvel=[2.0, 0.0, 0.0]), 0.7, 2.1),
+    # beside it at 4 m/s: -0.2 + 0.7 + 2 (exp(-2) - 1)
+    (at_the_goal(robot_position=[6.0, 0.0, 0.0], robot_linvel=[0.0, 4.0, 0.0]), -1.2293294, -3.6879883),
+])  # fmt: skip
 def test_the_reward_is_the_published_formula(state: dict[str, Tensor], free: float, hard: float) -> None:
     """By hand, at the lowest and the highest level; sizes of commands count c k = c (1 + 2 c), all else k."""
     task = make(1)

@@ -58,44 +58,38 @@ def bells(d: float) -> float:
     return 5.0 * exp(-d * d / 3.5) + 5.0 * exp(-2.0 * d * d)
 
 
-@pytest.mark.parametrize(
-    ("state", "expected"),
-    [
-        # at the goal, nothing moved, level 0: 5 + 5 + 20/20
-        (make_state([0.0, 0.0, 0.0], prev_distance=0.0), 11.0),
-        # half a metre away and 0.2 m closer than before: + 10 * 0.2
-        (make_state([0.3, 0.0, -0.4], prev_distance=0.7), bells(0.5) + 2.0 + 19.5 / 20),
-        # 0.2 m further than before: - 20 * 0.2
-        (make_state([0.3, 0.0, -0.4], prev_distance=0.3), bells(0.5) - 4.0 + 19.5 / 20),
-        # the same at the highest level: three times
-        (make_state([0.3, 0.0, -0.4], prev_distance=0.3, difficulty=1.0), 3.0 * (bells(0.5) - 4.0 + 19.5 / 20)),
-        # forward velocity changed by 1, upward by -1, yaw rate by 0.5, sideways does not count; level 0
-        (
-            make_state([0.0] * 3, prev_distance=0.0, actions=[2.0, 9.0, 0.0, 0.5], prev_actions=[1.0, 0.0, 1.0, 0.0]),
-            11.0 + 0.8 * (exp(-3.333) + exp(-5.0) + exp(-3.33 / 4) - 3.0),
-        ),
-        # half way up the levels: k = 2, and half of the penalties of the command's own size
-        (
-            make_state([0.0, 0.0, 0.0], prev_distance=0.0, actions=[1.0, 9.0, -1.0, 0.5], difficulty=0.5),
-            2.0 * 11.0 + 0.5 * (0.1 * (exp(-0.3) - 1.0) + 1.5 * (exp(-1.0) - 1.0) + 1.5 * (exp(-0.5) - 1.0)),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("state", "expected"), [
+    # at the goal, nothing moved, level 0: 5 + 5 + 20/20
+    (make_state([0.0, 0.0, 0.0], prev_distance=0.0), 11.0),
+    # half a metre away and 0.2 m closer than before: + 10 * 0.2
+    (make_state([0.3, 0.0, -0.4], prev_distance=0.7), bells(0.5) + 2.0 + 19.5 / 20),
+    # 0.2 m further than before: - 20 * 0.2
+    (make_state([0.3, 0.0, -0.4], prev_distance=0.3), bells(0.5) - 4.0 + 19.5 / 20),
+    # the same at the highest level: three times
+    (make_state([0.3, 0.0, -0.4], prev_distance=0.3, difficulty=1.0), 3.0 * (bells(0.5) - 4.0 + 19.5 / 20)),
+    # forward velocity changed by 1, upward by -1, yaw rate by 0.5, sideways does not count; level 0
+    (
+        make_state([0.0] * 3, prev_distance=0.0, actions=[2.0, 9.0, 0.0, 0.5], prev_actions=[1.0, 0.0, 1.0, 0.0]),
+        11.0 + 0.8 * (exp(-3.333) + exp(-5.0) + exp(-3.33 / 4) - 3.0),
+    ),
+    # half way up the levels: k = 2, and half of the penalties of the command's own size
+    (
+        make_state([0.0, 0.0, 0.0], prev_distance=0.0, actions=[1.0, 9.0, -1.0, 0.5], difficulty=0.5),
+        2.0 * 11.0 + 0.5 * (0.1 * (exp(-0.3) - 1.0) + 1.5 * (exp(-1.0) - 1.0) + 1.5 * (exp(-0.5) - 1.0)),
+    ),
+])  # fmt: skip
 def test_reward_is_the_published_formula(state: dict[str, Tensor], expected: float) -> None:
     task = make(1)
     assert term_reward(task, state).item() == pytest.approx(expected, rel=1e-6)  # 1/3.5 has 7 digits in the file
     assert term_reward(task, state, crash=torch.tensor([True])).item() == -100.0
 
 
-@pytest.mark.parametrize(
-    ("action", "command"),
-    [
-        ([-1.0, 0.7, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]),  # no speed
-        ([1.0, 0.0, 0.0, -0.5], [2.0, 0.0, 0.0, 0.0]),
-        ([0.0, 1.0, -1.0, 0.0], [sqrt(0.5), 0.0, sqrt(0.5), -pi / 3]),  # 1 m/s, 45 degrees up, to the right
-        ([5.0, -2.0, 3.0, 0.0], [sqrt(2.0), 0.0, -sqrt(2.0), pi / 3]),  # clamped
-    ],
-)
+@pytest.mark.parametrize(("action", "command"), [
+    ([-1.0, 0.7, 0.0, 0.5], [0.0, 0.0, 0.0, 0.0]),  # no speed
+    ([1.0, 0.0, 0.0, -0.5], [2.0, 0.0, 0.0, 0.0]),
+    ([0.0, 1.0, -1.0, 0.0], [sqrt(0.5), 0.0, sqrt(0.5), -pi / 3]),  # 1 m/s, 45 degrees up, to the right
+    ([5.0, -2.0, 3.0, 0.0], [sqrt(2.0), 0.0, -sqrt(2.0), pi / 3]),  # clamped
+])  # fmt: skip
 def test_actions_are_speed_inclination_and_yaw_rate(action: list[float], command: list[float]) -> None:
     result = forward_flight(torch.tensor([action]), **CFG.action.params)
     torch.testing.assert_close(result, torch.tensor([command]), rtol=1e-6, atol=1e-6)

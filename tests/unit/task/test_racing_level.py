@@ -151,23 +151,20 @@ def test_a_level_has_settings_of_a_race(tmp_path: Path) -> None:
     assert settings_for("ppo", level(tmp_path), device="cpu").name == "ppo_racing_cpu.yaml"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("cf21B_500", "cf2x_L250", "sim.drone_model = 'cf2x_L250': only cf21B_500 is known"),
-        ("freq = 500", "freq = 400", "sim.freq = 400: no sim has this frequency. Known: 100, 500, 250 Hz"),
-        ("freq = 100", "freq = 150", "env.freq = 150: must divide sim.freq = 500"),
-        ('fn = "uniform"', 'fn = "normal"', "drone_pos.fn = 'normal': must be 'uniform'"),
-        ("randomizations.drone_pos", "randomizations.drone_place", "drone_place: unknown. Known: drone_pos"),
-        ("sensor_range = 0.9", "", "field 'sensor_range' is missing"),
-        ("[sim]", "[sim", "no level can be read"),
-        ("minval = [-0.1, -0.2, -0.3]", "minval = [-0.1, -0.2]", "level.toml: "),
-        (DRAWN, f"[env.disturbances.wind]\n{DRAWN}", "wind: unknown"),
-        (DRAWN, DISTURBANCES.replace("0.1, 0.2, 0.3", "0.1, 0.2, 0.4"), "dynamics: minval = .* must be opposite"),
-        (DRAWN, DISTURBANCES.replace('"normal"', '"uniform"'), "action.fn = 'uniform': must be 'normal'"),
-        (DRAWN, DISTURBANCES.replace('"uniform"', '"normal"', 1), "dynamics.fn = 'normal': must be 'uniform'"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("cf21B_500", "cf2x_L250", "sim.drone_model = 'cf2x_L250': only cf21B_500 is known"),
+    ("freq = 500", "freq = 400", "sim.freq = 400: no sim has this frequency. Known: 100, 500, 250 Hz"),
+    ("freq = 100", "freq = 150", "env.freq = 150: must divide sim.freq = 500"),
+    ('fn = "uniform"', 'fn = "normal"', "drone_pos.fn = 'normal': must be 'uniform'"),
+    ("randomizations.drone_pos", "randomizations.drone_place", "drone_place: unknown. Known: drone_pos"),
+    ("sensor_range = 0.9", "", "field 'sensor_range' is missing"),
+    ("[sim]", "[sim", "no level can be read"),
+    ("minval = [-0.1, -0.2, -0.3]", "minval = [-0.1, -0.2]", "level.toml: "),
+    (DRAWN, f"[env.disturbances.wind]\n{DRAWN}", "wind: unknown"),
+    (DRAWN, DISTURBANCES.replace("0.1, 0.2, 0.3", "0.1, 0.2, 0.4"), "dynamics: minval = .* must be opposite"),
+    (DRAWN, DISTURBANCES.replace('"normal"', '"uniform"'), "action.fn = 'uniform': must be 'normal'"),
+    (DRAWN, DISTURBANCES.replace('"uniform"', '"normal"', 1), "dynamics.fn = 'normal': must be 'uniform'"),
+])  # fmt: skip
 def test_levels_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         task_registry.get(level(tmp_path, (old, new)))

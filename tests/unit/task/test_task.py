@@ -108,19 +108,16 @@ ROLLED = [0.5**0.5, 0.0, 0.0, 0.5**0.5]
 """By 90 degrees: body z is horizontal, R33 = 0."""
 
 
-@pytest.mark.parametrize(
-    ("position", "attitude", "ang_vel", "expected"),
-    [
-        # at the target, level, still: 5 + 20/40 + 5 (0.2/0.1 + 3)
-        ([0.0, 0.0, 0.0], LEVEL, [0.0, 0.0, 0.0], 5.0 + 0.5 + 5.0 * 5.0),
-        # half a metre away: pos = 3 exp(-2) + 2 exp(-1), linear part 19.5/40
-        ([0.3, 0.4, 0.0], LEVEL, [0.0, 0.0, 0.0], (3 * exp(-2) + 2 * exp(-1)) * 6.0 + 19.5 / 40),
-        # on its side: up = 0.2 / 1.1
-        ([0.0, 0.0, 0.0], ROLLED, [0.0, 0.0, 0.0], 5.0 + 0.5 + 5.0 * (0.2 / 1.1 + 3.0)),
-        # turning with |w|² = 2: spin = 1
-        ([0.0, 0.0, 0.0], LEVEL, [1.0, 0.0, -1.0], 5.0 + 0.5 + 5.0 * (2.0 + 1.0)),
-    ],
-)
+@pytest.mark.parametrize(("position", "attitude", "ang_vel", "expected"), [
+    # at the target, level, still: 5 + 20/40 + 5 (0.2/0.1 + 3)
+    ([0.0, 0.0, 0.0], LEVEL, [0.0, 0.0, 0.0], 5.0 + 0.5 + 5.0 * 5.0),
+    # half a metre away: pos = 3 exp(-2) + 2 exp(-1), linear part 19.5/40
+    ([0.3, 0.4, 0.0], LEVEL, [0.0, 0.0, 0.0], (3 * exp(-2) + 2 * exp(-1)) * 6.0 + 19.5 / 40),
+    # on its side: up = 0.2 / 1.1
+    ([0.0, 0.0, 0.0], ROLLED, [0.0, 0.0, 0.0], 5.0 + 0.5 + 5.0 * (0.2 / 1.1 + 3.0)),
+    # turning with |w|² = 2: spin = 1
+    ([0.0, 0.0, 0.0], LEVEL, [1.0, 0.0, -1.0], 5.0 + 0.5 + 5.0 * (2.0 + 1.0)),
+])  # fmt: skip
 def test_reward_is_the_published_formula(position, attitude, ang_vel, expected) -> None:
     task, state = make(1), make_state(position, attitude=attitude, ang_vel=ang_vel)
     assert term_reward(task, state).item() == pytest.approx(expected, rel=1e-12)

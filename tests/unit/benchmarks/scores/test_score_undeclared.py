@@ -24,23 +24,20 @@ def verdict(kind: str, **params: dict[str, tuple[float, float]]) -> dict:
     return {"verdict": kind, "effects": effects, "candidates": [], "not_testable": [], "before": CLEAN, "after": CLEAN}
 
 
-@pytest.mark.parametrize(
-    ("hidden", "kind", "named", "expected"),
-    [
-        (["com_offset"], "explained", ["com_offset"], "right"),
-        (["com_offset"], "unexplained", ["com_offset"], "near"),
-        (["com_offset"], "explained", ["com_offset", "motor_tilt"], "near"),
-        (["com_offset"], "explained", ["actuation_delay"], "wrong"),
-        (["com_offset"], "unexplained", [], "missed"),
-        (["com_offset"], "unexplained", ["learned_residual"], "missed"),
-        (["com_offset", "constant_wind"], "explained", ["constant_wind", "com_offset"], "right"),
-        (["com_offset", "constant_wind"], "explained", ["com_offset"], "near"),
-        ([], "none", [], "quiet"),
-        ([], "explained", ["payload_mass"], "false alarm"),
-        (["unknown_time"], "unexplained", ["learned_residual"], "held back"),
-        (["unknown_time"], "explained", ["thrust_coefficient"], "given a name"),
-    ],
-)
+@pytest.mark.parametrize(("hidden", "kind", "named", "expected"), [
+    (["com_offset"], "explained", ["com_offset"], "right"),
+    (["com_offset"], "unexplained", ["com_offset"], "near"),
+    (["com_offset"], "explained", ["com_offset", "motor_tilt"], "near"),
+    (["com_offset"], "explained", ["actuation_delay"], "wrong"),
+    (["com_offset"], "unexplained", [], "missed"),
+    (["com_offset"], "unexplained", ["learned_residual"], "missed"),
+    (["com_offset", "constant_wind"], "explained", ["constant_wind", "com_offset"], "right"),
+    (["com_offset", "constant_wind"], "explained", ["com_offset"], "near"),
+    ([], "none", [], "quiet"),
+    ([], "explained", ["payload_mass"], "false alarm"),
+    (["unknown_time"], "unexplained", ["learned_residual"], "held back"),
+    (["unknown_time"], "explained", ["thrust_coefficient"], "given a name"),
+])  # fmt: skip
 def test_verdicts_are_judged(hidden: list[str], kind: str, named: list[str], expected: str) -> None:
     result = judge(verdict(kind, **{name: {} for name in named}), {name: {} for name in hidden})
     assert result["judgement"] == expected

@@ -381,18 +381,15 @@ def test_shear_flights_have_heights_that_differ() -> None:
     assert max(heights[4:]) / min(heights[4:]) > 10.0
 
 
-@pytest.mark.parametrize(
-    ("effects", "features", "message"),
-    [
-        ({"rotor_dragg": "small"}, (), "no effect 'rotor_dragg'. Known: rotor_drag"),
-        ({"com_offset": "huge"}, (), "com_offset: no size 'huge'"),
-        ({"com_offset": {"w": 1.0}}, (), r"com_offset: no parameter \['w'\]"),
-        ({"thrust_coefficient": {}}, (), "thrust_coefficient.scale = None: must be given"),
-        ({"weak_motor": {"motor": 5, "scale": 0.9}}, (), "motor = 5.0: must be a whole number from 1 to 4"),
-        ({"actuation_delay": {"delay": 0.0101}}, (), "delay = 0.0101: must be a multiple of 0.0005 s"),
-        ({}, ("lowest",), r"no feature \['lowest'\]. Known: battery"),
-    ],
-)
+@pytest.mark.parametrize(("effects", "features", "message"), [
+    ({"rotor_dragg": "small"}, (), "no effect 'rotor_dragg'. Known: rotor_drag"),
+    ({"com_offset": "huge"}, (), "com_offset: no size 'huge'"),
+    ({"com_offset": {"w": 1.0}}, (), r"com_offset: no parameter \['w'\]"),
+    ({"thrust_coefficient": {}}, (), "thrust_coefficient.scale = None: must be given"),
+    ({"weak_motor": {"motor": 5, "scale": 0.9}}, (), "motor = 5.0: must be a whole number from 1 to 4"),
+    ({"actuation_delay": {"delay": 0.0101}}, (), "delay = 0.0101: must be a multiple of 0.0005 s"),
+    ({}, ("lowest",), r"no feature \['lowest'\]. Known: battery"),
+])  # fmt: skip
 def test_wrong_requests_are_refused(effects: dict, features: tuple[str, ...], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
         make_case(tmp_path, effects=effects, seed=0, features=features)

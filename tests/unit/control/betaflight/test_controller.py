@@ -163,23 +163,20 @@ def test_windup_slows_the_integral_of_yaw_alone_and_integrals_have_a_limit() -> 
     assert float(memory.numbers[0, 0]) == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize(
-    ("throttle", "mix", "signal"),
-    [
-        # zero throttle: corrections count half, and the throttle rises to 0.1 so that none is cut
-        (0.0, (0.3, -0.1, 0.0, -0.2), (0.25, 0.05, 0.1, 0.0)),
-        # throttle 0.1: a share of 0.6; the throttle rises to 0.12
-        (0.1, (0.3, -0.1, 0.0, -0.2), (0.30, 0.06, 0.12, 0.0)),
-        # throttle 0.25: a share of 0.75, and nothing else to do
-        (0.25, (0.2, -0.2, 0.1, -0.1), (0.40, 0.10, 0.325, 0.175)),
-        # half throttle: corrections keep their size
-        (0.5, (0.2, -0.2, 0.1, -0.1), (0.70, 0.30, 0.60, 0.40)),
-        # range 2 at zero throttle: a half of the range scaled to 1; the throttle rises to 0.25
-        (0.0, (1.0, -1.0, 0.0, 0.0), (0.5, 0.0, 0.25, 0.25)),
-        # near full throttle it gives way
-        (0.9, (0.2, -0.2, 0.1, -0.1), (1.0, 0.6, 0.9, 0.7)),
-    ],
-)
+@pytest.mark.parametrize(("throttle", "mix", "signal"), [
+    # zero throttle: corrections count half, and the throttle rises to 0.1 so that none is cut
+    (0.0, (0.3, -0.1, 0.0, -0.2), (0.25, 0.05, 0.1, 0.0)),
+    # throttle 0.1: a share of 0.6; the throttle rises to 0.12
+    (0.1, (0.3, -0.1, 0.0, -0.2), (0.30, 0.06, 0.12, 0.0)),
+    # throttle 0.25: a share of 0.75, and nothing else to do
+    (0.25, (0.2, -0.2, 0.1, -0.1), (0.40, 0.10, 0.325, 0.175)),
+    # half throttle: corrections keep their size
+    (0.5, (0.2, -0.2, 0.1, -0.1), (0.70, 0.30, 0.60, 0.40)),
+    # range 2 at zero throttle: a half of the range scaled to 1; the throttle rises to 0.25
+    (0.0, (1.0, -1.0, 0.0, 0.0), (0.5, 0.0, 0.25, 0.25)),
+    # near full throttle it gives way
+    (0.9, (0.2, -0.2, 0.1, -0.1), (1.0, 0.6, 0.9, 0.7)),
+])  # fmt: skip
 def test_without_airmode_corrections_shrink_below_half_throttle(throttle, mix, signal) -> None:
     """Worked by hand from ``applyMixerAdjustment`` of Betaflight 4.3 to 4.5."""
     result, used = mix_signals(torch.full((1, 4), throttle, dtype=F64), torch.tensor([mix], dtype=F64), airmode=False)

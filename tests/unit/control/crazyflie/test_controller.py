@@ -118,13 +118,10 @@ def test_a_crazyflie_flies_with_its_own_numbers(name: str) -> None:
         assert law.gains.rates.limit[0].tolist() == [33.3, 33.3, 166.7]
 
 
-@pytest.mark.parametrize(
-    ("changes", "ends"),
-    [
-        ({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 2.0))}, True),
-        pytest.param({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 0.0))}, False, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("changes", "ends"), [
+    ({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 2.0))}, True),
+    pytest.param({"crazyflie_pid": CrazyfliePidCfg(velocity_ki=(0.0, 0.0, 0.0))}, False, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_integrals_hold_a_weight_that_nobody_declared(changes: dict, ends: bool) -> None:
     """3 % more weight: ``K_v K_p e = 0.03 g`` of lift stays without the integral."""
     law = make_law(PID, dt=0.02, **changes)
@@ -136,13 +133,10 @@ def test_integrals_hold_a_weight_that_nobody_declared(changes: dict, ends: bool)
         assert sunk == pytest.approx(0.03 * float(law.gains.thrust_base[0]) / unit, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        (MELLINGER, {"mellinger": MellingerCfg(kd_omega_rp=20.0)}),
-        (PID, {"crazyflie_pid": CrazyfliePidCfg(rate_kd=(2.5, 2.5, 1.0), attitude_kd=(0.3, 0.3, 0.3))}),
-    ],
-)
+@pytest.mark.parametrize(("name", "changes"), [
+    (MELLINGER, {"mellinger": MellingerCfg(kd_omega_rp=20.0)}),
+    (PID, {"crazyflie_pid": CrazyfliePidCfg(rate_kd=(2.5, 2.5, 1.0), attitude_kd=(0.3, 0.3, 0.3))}),
+])  # fmt: skip
 def test_a_reset_gives_no_kick(name: str, changes: dict) -> None:
     """The first command of a body that leans and turns is that without differences; the next one is not."""
     state, action = at_rest((0.05, 0.02, 0.3), (0.3, -0.2, 0.1)), [0.0, 0.0, 0.0, 0.0]

@@ -32,17 +32,14 @@ def mix_row(wanted: list[float], airmode: int, columns: Tensor = QUADROTOR, *, l
     return mix(rows, torch.tensor([wanted], dtype=F64), torch.full(rows.shape[:2], low, dtype=F64), airmode=airmode)
 
 
-@pytest.mark.parametrize(
-    ("wanted", "airmode", "short"),
-    [
-        ([0.1, -0.1, 0.1, 0.5], 0, [0, 0, 0]),
-        ([-0.4, 0.0, 0.0, 0.1], 0, [-1, 0, 0]),
-        ([-0.4, 0.0, 0.0, 0.1], 1, [0, 0, 0]),
-        ([0.0, 0.0, -0.4, 0.1], 1, [0, 0, -1]),
-        ([0.0, 0.0, -0.4, 0.1], 2, [0, 0, 0]),
-        ([0.0, 1.2, 0.1, 0.5], 1, [0, 1, 1]),
-    ],
-)
+@pytest.mark.parametrize(("wanted", "airmode", "short"), [
+    ([0.1, -0.1, 0.1, 0.5], 0, [0, 0, 0]),
+    ([-0.4, 0.0, 0.0, 0.1], 0, [-1, 0, 0]),
+    ([-0.4, 0.0, 0.0, 0.1], 1, [0, 0, 0]),
+    ([0.0, 0.0, -0.4, 0.1], 1, [0, 0, -1]),
+    ([0.0, 0.0, -0.4, 0.1], 2, [0, 0, 0]),
+    ([0.0, 1.2, 0.1, 0.5], 1, [0, 1, 1]),
+])  # fmt: skip
 def test_it_tells_which_torque_is_not_given(wanted: list[float], airmode: int, short: list[int]) -> None:
     torch.testing.assert_close(mix_row(wanted, airmode).short, torch.tensor([short], dtype=F64))
 

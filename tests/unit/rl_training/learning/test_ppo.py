@@ -56,16 +56,13 @@ def test_a_truncated_episode_is_worth_what_follows_and_a_terminated_one_is_not()
     torch.testing.assert_close((truncated, crashed), (torch.tensor([[3.5]]), torch.tensor([[-1.0]])))
 
 
-@pytest.mark.parametrize(
-    ("ratio", "advantage", "objective", "slope"),
-    [
-        (1.1, 2.0, 2.2, 2.2),  # inside: r A, and d(r A)/d(log r) = r A
-        (1.5, 2.0, 2.4, 0.0),  # a good action is favoured no further than 1 + e
-        (0.5, 2.0, 1.0, 1.0),  # a good action that became rare is still made likelier
-        (0.5, -2.0, -1.6, 0.0),  # a bad action is avoided no further than 1 - e
-        (1.5, -2.0, -3.0, -3.0),  # a bad action that became likelier is still made rarer
-    ],
-)
+@pytest.mark.parametrize(("ratio", "advantage", "objective", "slope"), [
+    (1.1, 2.0, 2.2, 2.2),  # inside: r A, and d(r A)/d(log r) = r A
+    (1.5, 2.0, 2.4, 0.0),  # a good action is favoured no further than 1 + e
+    (0.5, 2.0, 1.0, 1.0),  # a good action that became rare is still made likelier
+    (0.5, -2.0, -1.6, 0.0),  # a bad action is avoided no further than 1 - e
+    (1.5, -2.0, -3.0, -3.0),  # a bad action that became likelier is still made rarer
+])  # fmt: skip
 def test_the_objective_is_clipped_on_the_side_that_would_gain(ratio, advantage, objective, slope) -> None:
     log_ratio = torch.tensor(ratio).log().requires_grad_()
     result = clipped_objective(log_ratio, torch.tensor(advantage), clip_range=0.2)

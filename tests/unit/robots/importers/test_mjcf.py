@@ -55,16 +55,13 @@ def test_the_thrust_range_is_what_all_limits_leave(kind: str, actuator: str, lim
     assert rotor.torque_ratio == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize(
-    ("actuator", "lag"),
-    [
-        ('ctrlrange="0 6"', 0.04),
-        ('ctrlrange="0 6" dyntype="filter" dynprm="0.07"', 0.07),
-        ('ctrlrange="0 6" dyntype="filterexact" dynprm="0.07"', 0.07),
-        ('ctrlrange="0 6" dyntype="filterexact" dynprm="0"', 0.04),
-        ('ctrlrange="-1 6" dyntype="integrator" actrange="0 6"', 0.04),
-    ],
-)
+@pytest.mark.parametrize(("actuator", "lag"), [
+    ('ctrlrange="0 6"', 0.04),
+    ('ctrlrange="0 6" dyntype="filter" dynprm="0.07"', 0.07),
+    ('ctrlrange="0 6" dyntype="filterexact" dynprm="0.07"', 0.07),
+    ('ctrlrange="0 6" dyntype="filterexact" dynprm="0"', 0.04),
+    ('ctrlrange="-1 6" dyntype="integrator" actrange="0 6"', 0.04),
+])  # fmt: skip
 def test_the_lag_is_that_of_the_file_or_the_given_one(actuator: str, lag: float, tmp_path: Path) -> None:
     rotor = read(tmp_path, vehicle(actuator)).robot.the_rotor("a test")
     assert (rotor.time_constant_up, rotor.time_constant_down) == (lag, lag)
@@ -137,17 +134,14 @@ def on_arm(joint: str, **kwargs) -> str:
     return vehicle(more=arm, **kwargs).replace(site, "", 1)
 
 
-@pytest.mark.parametrize(
-    ("joint", "tilts"),
-    [
-        ('<joint name="j" axis="1 0 0"/>', True),
-        ('<joint name="j" axis="0 0 1"/>', True),
-        ('<joint name="j" axis="0 0 1" pos="0.14 -0.18 0.3"/>', False),  # spins about its own axis
-        ('<joint name="j" type="slide" axis="0 0 1"/>', True),
-        ('<joint name="j" type="ball"/>', True),
-        ("", False),
-    ],
-)
+@pytest.mark.parametrize(("joint", "tilts"), [
+    ('<joint name="j" axis="1 0 0"/>', True),
+    ('<joint name="j" axis="0 0 1"/>', True),
+    ('<joint name="j" axis="0 0 1" pos="0.14 -0.18 0.3"/>', False),  # spins about its own axis
+    ('<joint name="j" type="slide" axis="0 0 1"/>', True),
+    ('<joint name="j" type="ball"/>', True),
+    ("", False),
+])  # fmt: skip
 def test_a_joint_that_moves_a_thrust_line_is_a_loss(joint: str, tilts: bool, tmp_path: Path) -> None:
     text = on_arm(joint)
     if tilts:

@@ -55,17 +55,14 @@ def body_alone(folder: Path, base: str, **kwargs) -> tuple[float, np.ndarray, np
     return mass, com, np.array(body.inertia) - part_inertia
 
 
-@pytest.mark.parametrize(
-    ("base", "mass", "moments"),
-    [
-        ("", 1.0, (1.0, 1.0, 1.0)),
-        ("<inertial/>", 1.0, (1.0, 1.0, 1.0)),
-        ("<inertial><mass>2.5</mass></inertial>", 2.5, (1.0, 1.0, 1.0)),
-        ("<inertial><inertia><ixx>0.7</ixx><izz>0.8</izz></inertia></inertial>", 1.0, (0.7, 1.0, 0.8)),
-        ('<inertial auto="false"><mass>2</mass></inertial>', 2.0, (1.0, 1.0, 1.0)),
-        ("<inertial><mass> </mass></inertial>", 1.0, (1.0, 1.0, 1.0)),
-    ],
-)
+@pytest.mark.parametrize(("base", "mass", "moments"), [
+    ("", 1.0, (1.0, 1.0, 1.0)),
+    ("<inertial/>", 1.0, (1.0, 1.0, 1.0)),
+    ("<inertial><mass>2.5</mass></inertial>", 2.5, (1.0, 1.0, 1.0)),
+    ("<inertial><inertia><ixx>0.7</ixx><izz>0.8</izz></inertia></inertial>", 1.0, (0.7, 1.0, 0.8)),
+    ('<inertial auto="false"><mass>2</mass></inertial>', 2.0, (1.0, 1.0, 1.0)),
+    ("<inertial><mass> </mass></inertial>", 1.0, (1.0, 1.0, 1.0)),
+])  # fmt: skip
 def test_absent_numbers_are_the_defaults_of_the_format(base: str, mass: float, moments, tmp_path: Path) -> None:
     """SDF's own: 1 kg, and 1 kg m² about each axis."""
     result = body_alone(tmp_path, base)
@@ -114,17 +111,14 @@ def test_solids_weigh_what_their_slices_weigh(kind: str, tmp_path: Path) -> None
 BOX = "<size>0.3 0.3 0.1</size>"
 
 
-@pytest.mark.parametrize(
-    ("inertial_tag", "density", "mass"),
-    [
-        ('<inertial auto="true"/>', 500.0, 4.5),
-        ('<inertial auto="true"/>', None, 9.0),
-        ('<inertial auto="1"><density>200</density></inertial>', None, 1.8),
-        ('<inertial auto="true"><density>200</density></inertial>', 500.0, 4.5),
-        ('<inertial auto="true"><mass>0.7</mass></inertial>', 500.0, 0.7),
-        ('<inertial auto="true"><mass>0.7</mass><pose>1 1 1 0 0 0</pose></inertial>', None, 0.7),
-    ],
-)
+@pytest.mark.parametrize(("inertial_tag", "density", "mass"), [
+    ('<inertial auto="true"/>', 500.0, 4.5),
+    ('<inertial auto="true"/>', None, 9.0),
+    ('<inertial auto="1"><density>200</density></inertial>', None, 1.8),
+    ('<inertial auto="true"><density>200</density></inertial>', 500.0, 4.5),
+    ('<inertial auto="true"><mass>0.7</mass></inertial>', 500.0, 0.7),
+    ('<inertial auto="true"><mass>0.7</mass><pose>1 1 1 0 0 0</pose></inertial>', None, 0.7),
+])  # fmt: skip
 def test_an_automatic_inertial_takes_density_and_mass(inertial_tag, density, mass, tmp_path) -> None:
     """A box of 9 litres: of its own density, else of the inertial's, else of water; a given mass scales it."""
     result = body_alone(tmp_path, inertial_tag + shape("box", BOX, density))
@@ -186,19 +180,16 @@ def nest_model(content: str, more: str = "") -> str:
     return f'<model name="n" {more}><pose>0 .2 0 0 0 0</pose>{content}</model>'
 
 
-@pytest.mark.parametrize(
-    ("more", "place"),
-    [
-        (P.format('relative_to="base"'), (0.1, 0.0, 0.0)),
-        (P.format('rotation_format="quat_xyzw"').replace("0 0 0</pose>", "0 0 0 1</pose>", 1), (0.1, 0.0, 0.0)),
-        (frame("0 0 .1 0 0 0", 'attached_to="base"') + P.format('relative_to="f"'), (0.1, 0.0, 0.1)),
-        (frame("0 0 0 0 0 90", degrees='degrees="true"') + P.format('relative_to="f"'), (0.0, 0.1, 0.0)),
-        (ON_JOINT + P.format('relative_to="j"'), (0.1, 0.2, 0.0)),
-        (nest_model(P.format("")), (0.1, 0.2, 0.0)),
-        (nest_model(P.format(""), 'placement_frame="p"'), (0.0, 0.2, 0.0)),
-        (nest_model(frame("0 0 .3 0 0 0") + HEAVY) + P.format('relative_to="n::f"'), (0.1, 0.2, 0.3)),
-    ],
-)
+@pytest.mark.parametrize(("more", "place"), [
+    (P.format('relative_to="base"'), (0.1, 0.0, 0.0)),
+    (P.format('rotation_format="quat_xyzw"').replace("0 0 0</pose>", "0 0 0 1</pose>", 1), (0.1, 0.0, 0.0)),
+    (frame("0 0 .1 0 0 0", 'attached_to="base"') + P.format('relative_to="f"'), (0.1, 0.0, 0.1)),
+    (frame("0 0 0 0 0 90", degrees='degrees="true"') + P.format('relative_to="f"'), (0.0, 0.1, 0.0)),
+    (ON_JOINT + P.format('relative_to="j"'), (0.1, 0.2, 0.0)),
+    (nest_model(P.format("")), (0.1, 0.2, 0.0)),
+    (nest_model(P.format(""), 'placement_frame="p"'), (0.0, 0.2, 0.0)),
+    (nest_model(frame("0 0 .3 0 0 0") + HEAVY) + P.format('relative_to="n::f"'), (0.1, 0.2, 0.3)),
+])  # fmt: skip
 def test_a_link_stands_where_its_frames_put_it(more: str, place, tmp_path: Path) -> None:
     """The centre of mass of base, rotors (0.06 m up) and a link of 0.2 kg: the first moments over 1.24 kg."""
     body = read(tmp_path, vehicle(more=more)).robot.body
@@ -276,20 +267,17 @@ GIMBAL = (
 )
 
 
-@pytest.mark.parametrize(
-    ("more", "parent"),
-    [
-        (TILT.format("0 1 0"), "arm"),
-        (TILT.format("0 0 1"), "arm"),  # a rotor off its axis goes round it
-        (TILT.format("0 0 1").replace("revolute", "prismatic"), "arm"),
-        (TILT.format("0 1 0").replace("<parent>base</parent><child>arm", "<parent>arm</parent><child>base"), "arm"),
-        (WING.format("gz::sim::systems::LiftDrag"), "base"),
-        (WING.format("left_wing").replace("gz-sim-lift-drag-system", "libLiftDragPlugin.so"), "base"),
-        (WING.format("gz::sim::systems::AdvancedLiftDrag"), "base"),
-        (WING.format("gz::sim::systems::Thruster").replace("lift-drag", "thruster"), "base"),
-        (WING.format("gz::sim::systems::LighterThanAir").replace("lift-drag", "lighter_than_air"), "base"),
-    ],
-)
+@pytest.mark.parametrize(("more", "parent"), [
+    (TILT.format("0 1 0"), "arm"),
+    (TILT.format("0 0 1"), "arm"),  # a rotor off its axis goes round it
+    (TILT.format("0 0 1").replace("revolute", "prismatic"), "arm"),
+    (TILT.format("0 1 0").replace("<parent>base</parent><child>arm", "<parent>arm</parent><child>base"), "arm"),
+    (WING.format("gz::sim::systems::LiftDrag"), "base"),
+    (WING.format("left_wing").replace("gz-sim-lift-drag-system", "libLiftDragPlugin.so"), "base"),
+    (WING.format("gz::sim::systems::AdvancedLiftDrag"), "base"),
+    (WING.format("gz::sim::systems::Thruster").replace("lift-drag", "thruster"), "base"),
+    (WING.format("gz::sim::systems::LighterThanAir").replace("lift-drag", "lighter_than_air"), "base"),
+])  # fmt: skip
 def test_wings_and_tilting_joints_are_losses(more, parent, tmp_path, capsys) -> None:
     """Refused with status 2 and nothing written, unless the loss is accepted."""
     path, out = write(tmp_path, m=vehicle(more=more, parent=parent)), tmp_path / "m.yaml"
@@ -330,25 +318,22 @@ def test_what_is_not_used_is_named_once_on_stderr_and_in_the_file(tmp_path, caps
 INCLUDE = '<sdf version="1.9"><model name="{}"><include><uri>model://{}</uri></include></model></sdf>'
 
 
-@pytest.mark.parametrize(
-    "models",
-    [
-        {"one": INCLUDE.format("one", "one")},
-        {"one": INCLUDE.format("one", "two"), "two": INCLUDE.format("two", "one")},
-        {"two": "<sdf", "one": INCLUDE.format("one", "two")},
-        {"two": '<?xml version="1.0" encoding="none"?><sdf/>', "one": INCLUDE.format("one", "two")},
-        {"one": vehicle().replace("<motorNumber>0", "<motorNumber>nan")},
-        {"one": vehicle().replace("<motorNumber>0", "<motorNumber>0.5")},
-        {"one": vehicle("<inertial><mass>-1</mass></inertial>")},
-        {"one": vehicle("<inertial><mass>nan</mass></inertial>")},
-        {"one": vehicle("<pose>0 0 inf 0 0 0</pose>")},
-        {"one": vehicle().replace("0.174", "1e300")},
-        {"one": vehicle('<pose rotation_format="quat_xyzw">0 0 0 0 0 0 0</pose>')},
-        {"one": vehicle('<pose rotation_format="quat_xyzw" degrees="true">0 0 0 0 0 0 1</pose>')},
-        {"one": vehicle('<pose rotation_format="other">0 0 0 0 0 0</pose>')},
-        {"one": vehicle(attributes='canonical_link="none"')},
-    ],
-)
+@pytest.mark.parametrize("models", [
+    {"one": INCLUDE.format("one", "one")},
+    {"one": INCLUDE.format("one", "two"), "two": INCLUDE.format("two", "one")},
+    {"two": "<sdf", "one": INCLUDE.format("one", "two")},
+    {"two": '<?xml version="1.0" encoding="none"?><sdf/>', "one": INCLUDE.format("one", "two")},
+    {"one": vehicle().replace("<motorNumber>0", "<motorNumber>nan")},
+    {"one": vehicle().replace("<motorNumber>0", "<motorNumber>0.5")},
+    {"one": vehicle("<inertial><mass>-1</mass></inertial>")},
+    {"one": vehicle("<inertial><mass>nan</mass></inertial>")},
+    {"one": vehicle("<pose>0 0 inf 0 0 0</pose>")},
+    {"one": vehicle().replace("0.174", "1e300")},
+    {"one": vehicle('<pose rotation_format="quat_xyzw">0 0 0 0 0 0 0</pose>')},
+    {"one": vehicle('<pose rotation_format="quat_xyzw" degrees="true">0 0 0 0 0 0 1</pose>')},
+    {"one": vehicle('<pose rotation_format="other">0 0 0 0 0 0</pose>')},
+    {"one": vehicle(attributes='canonical_link="none"')},
+])  # fmt: skip
 def test_broken_files_are_refused(models: dict[str, str], tmp_path: Path) -> None:
     path = write(tmp_path, **models)
     if "two" in models:

@@ -41,15 +41,12 @@ def test_properties_become_effects(tmp_path: Path) -> None:
     assert not any("drag_coeff" in note or "gnd_eff" in note for note in result.notes)
 
 
-@pytest.mark.parametrize(
-    ("attributes", "named"),
-    [
-        (OLD, ("drag_coeff", "gnd_eff_coeff")),  # beyond the range of the effect; without a radius
-        ('gnd_eff_coeff="10"', ("gnd_eff_coeff",)),
-        ('gnd_eff_coeff="40" prop_radius="0.02"', ("gnd_eff_coeff",)),
-        ('dw_coeff_1="2000" dw_coeff_2="0.1" prop_radius="0.02"', ("dw_coeff_1", "dw_coeff_2")),
-    ],
-)
+@pytest.mark.parametrize(("attributes", "named"), [
+    (OLD, ("drag_coeff", "gnd_eff_coeff")),  # beyond the range of the effect; without a radius
+    ('gnd_eff_coeff="10"', ("gnd_eff_coeff",)),
+    ('gnd_eff_coeff="40" prop_radius="0.02"', ("gnd_eff_coeff",)),
+    ('dw_coeff_1="2000" dw_coeff_2="0.1" prop_radius="0.02"', ("dw_coeff_1", "dw_coeff_2")),
+])  # fmt: skip
 def test_properties_that_are_no_effect_are_named(attributes: str, named, tmp_path: Path) -> None:
     result = read(tmp_path, cf2x().replace(OLD, attributes))
     assert result.robot.effects == {}

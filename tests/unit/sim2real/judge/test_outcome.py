@@ -18,19 +18,16 @@ from tests.unit.sim2real.predict.test_scene import hover
 from tests.unit.sim2real.set_fits import make_fit
 
 
-@pytest.mark.parametrize(
-    ("rise", "state", "suspect"),
-    [
-        ((0.62, 0.4, 0.9), "worse", False),
-        ((0.09, -0.16, 0.37), "not shown", True),
-        ((-0.09, -0.37, 0.16), "not shown", False),
-        ((-0.3, -0.4, -0.1), "better", False),
-        ((0.01, 0.002, 0.02), "same", False),  # certain, and a trifle
-        ((0.0, 0.0, 0.0), "same", False),
-        ((0.04, 0.01, 0.08), "worse", False),
-        ((0.2, -1.0, np.inf), "not shown", True),
-    ],
-)
+@pytest.mark.parametrize(("rise", "state", "suspect"), [
+    ((0.62, 0.4, 0.9), "worse", False),
+    ((0.09, -0.16, 0.37), "not shown", True),
+    ((-0.09, -0.37, 0.16), "not shown", False),
+    ((-0.3, -0.4, -0.1), "better", False),
+    ((0.01, 0.002, 0.02), "same", False),  # certain, and a trifle
+    ((0.0, 0.0, 0.0), "same", False),
+    ((0.04, 0.01, 0.08), "worse", False),
+    ((0.2, -1.0, np.inf), "not shown", True),
+])  # fmt: skip
 def test_a_change_is_called_what_its_interval_shows(rise: tuple, state: str, suspect: bool) -> None:
     result = make_outcome("x", *rise)
     assert (result.state, result.is_possibly_worse) == (state, suspect)
@@ -99,16 +96,13 @@ def worth(residual: tuple[float, float, float], rollout: tuple[float, float, flo
     )
 
 
-@pytest.mark.parametrize(
-    ("residual", "rollout", "material"),
-    [
-        ((0.08, 0.06, 0.1), (0.0, 0.0, 0.0), True),
-        ((0.0, 0.0, 0.0), (0.08, 0.05, 0.1), True),
-        ((0.03, 0.02, 0.04), (0.03, 0.02, 0.04), False),
-        ((0.09, -0.16, 0.37), (0.0, 0.0, 0.0), None),
-        ((0.02, -0.1, 0.2), (0.0, 0.0, 0.0), None),
-    ],
-)
+@pytest.mark.parametrize(("residual", "rollout", "material"), [
+    ((0.08, 0.06, 0.1), (0.0, 0.0, 0.0), True),
+    ((0.0, 0.0, 0.0), (0.08, 0.05, 0.1), True),
+    ((0.03, 0.02, 0.04), (0.03, 0.02, 0.04), False),
+    ((0.09, -0.16, 0.37), (0.0, 0.0, 0.0), None),
+    ((0.02, -0.1, 0.2), (0.0, 0.0, 0.0), None),
+])  # fmt: skip
 def test_an_effect_is_material_if_the_interval_of_a_rise_shows_it(residual, rollout, material) -> None:
     result = worth(residual, rollout)
     assert result.material is material
@@ -137,15 +131,12 @@ def test_an_effect_is_solid_up_to_the_first_octave_that_it_leaves_as_it_is(octav
     assert highest_reliable_frequency(octaves, 10.0, 0.05) == edge
 
 
-@pytest.mark.parametrize(
-    ("log_odds", "wider", "because"),
-    [
-        (-3.5, False, Finding("rival_less_probable", "wind_shear", {"log_odds": -3.5})),
-        (-3.5, True, Finding("rival_less_probable", "wind_shear", {"log_odds": -3.5})),
-        (1.0, True, Finding("rival_wider", "wind_shear", {"effect": "constant_wind"})),
-        (-2.5, False, Finding("rival_not_rejected", "wind_shear", {"effect": "constant_wind"})),
-    ],
-)
+@pytest.mark.parametrize(("log_odds", "wider", "because"), [
+    (-3.5, False, Finding("rival_less_probable", "wind_shear", {"log_odds": -3.5})),
+    (-3.5, True, Finding("rival_less_probable", "wind_shear", {"log_odds": -3.5})),
+    (1.0, True, Finding("rival_wider", "wind_shear", {"effect": "constant_wind"})),
+    (-2.5, False, Finding("rival_not_rejected", "wind_shear", {"effect": "constant_wind"})),
+])  # fmt: skip
 def test_why_a_rival_is_not_the_one_is_said(log_odds: float, wider: bool, because: Finding) -> None:
     rival = Rival(effect="wind_shear", fitted=make_fit("wind_shear"), log_odds=log_odds, wider=wider)
     assert reason_against_rival("constant_wind", rival) == because

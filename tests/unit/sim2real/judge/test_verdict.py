@@ -115,22 +115,19 @@ def test_doubt_about_one_effect_is_not_put_on_the_others() -> None:
     assert (rest.code, rest.values) == ("remains_unexplained", {"channels": ["rotor_speed.1"]})
 
 
-@pytest.mark.parametrize(
-    ("effects", "remains", "kind", "expected"),
-    [
-        (DRAG, {}, "explained", ["remains_near_floor"]),
-        (DRAG, {"left_open": X}, "explained", ["left_open"]),
-        (DRAG, {"of_flights": X}, "explained", ["offsets_of_flights", "remains_near_floor"]),
-        (DRAG, {"unexplained": X}, "unexplained", ["remains_unexplained"]),
-        (DRAG, {"unexplained": X, "open_to": ("gusts",)}, "ambiguous", ["remains_unexplained", "effects_open"]),
-        (DRAG, {"floor_known": False}, "explained", ["floor_unknown"]),
-        ((), {}, "none", []),
-        ((), {"of_flights": X}, "none", ["offsets_of_flights"]),
-        ((), {"left_open": Z}, "not shown", ["left_open"]),
-        ((), {"unexplained": X}, "unexplained", ["remains_unexplained"]),
-        ((), {"floor_known": False}, "none", ["floor_unknown"]),
-    ],
-)
+@pytest.mark.parametrize(("effects", "remains", "kind", "expected"), [
+    (DRAG, {}, "explained", ["remains_near_floor"]),
+    (DRAG, {"left_open": X}, "explained", ["left_open"]),
+    (DRAG, {"of_flights": X}, "explained", ["offsets_of_flights", "remains_near_floor"]),
+    (DRAG, {"unexplained": X}, "unexplained", ["remains_unexplained"]),
+    (DRAG, {"unexplained": X, "open_to": ("gusts",)}, "ambiguous", ["remains_unexplained", "effects_open"]),
+    (DRAG, {"floor_known": False}, "explained", ["floor_unknown"]),
+    ((), {}, "none", []),
+    ((), {"of_flights": X}, "none", ["offsets_of_flights"]),
+    ((), {"left_open": Z}, "not shown", ["left_open"]),
+    ((), {"unexplained": X}, "unexplained", ["remains_unexplained"]),
+    ((), {"floor_known": False}, "none", ["floor_unknown"]),
+])  # fmt: skip
 def test_kind_and_open_points_follow_from_what_remains(effects, remains, kind, expected) -> None:
     given = {"unexplained": (), "floor_known": True} | remains
     decision = verdict_decision(dict.fromkeys(effects, ()), **given)
@@ -164,15 +161,12 @@ def test_of_a_strained_tolerance_it_is_said_what_it_changes(left, changed) -> No
     assert mass_notes(2.0, left) == []
 
 
-@pytest.mark.parametrize(
-    ("count", "band", "told"),
-    [
-        (3, 10.0, {}),
-        (3, 10.0 - 1e-9, {"band_limited": {"band_hz": 10.0 - 1e-9, "slowest_hz": 50.0}}),
-        (2, 10.0, {"few_flights": {"flights": 2}}),
-        (1, 5.0, {"band_limited": {"band_hz": 5.0, "slowest_hz": 50.0}, "few_flights": {"flights": 1}}),
-    ],
-)
+@pytest.mark.parametrize(("count", "band", "told"), [
+    (3, 10.0, {}),
+    (3, 10.0 - 1e-9, {"band_limited": {"band_hz": 10.0 - 1e-9, "slowest_hz": 50.0}}),
+    (2, 10.0, {"few_flights": {"flights": 2}}),
+    (1, 5.0, {"band_limited": {"band_hz": 5.0, "slowest_hz": 50.0}, "few_flights": {"flights": 1}}),
+])  # fmt: skip
 def test_slow_logs_and_few_flights_are_told(count: int, band: float, told: dict[str, dict]) -> None:
     flights = [hover(f"f{n}", 5.0, rate=50.0 + n) for n in range(count)]
     assert {note.code: note.values for note in notes_on_logs(make_setup(flights, band=band))} == told
@@ -221,14 +215,11 @@ def make_failure(name: str, params: dict[str, float]) -> Failure:
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "params", "trains"),
-    [
-        ("motor_failure", {"motor": 2.0, "scale": 0.5, "time": 3.0}, {"motor": 2.0, "scale": 0.5, "time": 3.0}),
-        # A propeller that gives 0.81 of its thrust, as at 0.9 of its speed: the effect has no onset.
-        ("weak_motor", {"motor": 1.0, "scale": 0.81, "time": 4.0}, {"motor": 1.0, "scale": 0.9, "time": 4.0}),
-    ],
-)
+@pytest.mark.parametrize(("name", "params", "trains"), [
+    ("motor_failure", {"motor": 2.0, "scale": 0.5, "time": 3.0}, {"motor": 2.0, "scale": 0.5, "time": 3.0}),
+    # A propeller that gives 0.81 of its thrust, as at 0.9 of its speed: the effect has no onset.
+    ("weak_motor", {"motor": 1.0, "scale": 0.81, "time": 4.0}, {"motor": 1.0, "scale": 0.9, "time": 4.0}),
+])  # fmt: skip
 def test_a_failure_of_one_flight_is_noted_with_the_effect_that_trains_with_it(name, params, trains) -> None:
     failure = make_failure(name, params)
     told = failure_verdict.result_with_failures(make_result(), [failure], 2).verdict

@@ -112,16 +112,13 @@ def make_offset(x: float, y: float, z: float, *, std: float = 0.001) -> Position
     return PositionOffset(size=np.array((x, y, z)), variance=np.full(3, std**2))
 
 
-@pytest.mark.parametrize(
-    ("offset", "told"),
-    [
-        (PositionOffset(), False),
-        (make_offset(0.11, -0.11, 0.11), True),
-        (make_offset(-0.11, 0.11, -0.11), False),
-        (make_offset(0.22, -0.22, 0.22), False),
-        (make_offset(0.11, -0.11, 0.11, std=0.004), False),
-    ],
-)
+@pytest.mark.parametrize(("offset", "told"), [
+    (PositionOffset(), False),
+    (make_offset(0.11, -0.11, 0.11), True),
+    (make_offset(-0.11, 0.11, -0.11), False),
+    (make_offset(0.22, -0.22, 0.22), False),
+    (make_offset(0.11, -0.11, 0.11, std=0.004), False),
+])  # fmt: skip
 def test_a_jump_that_takes_back_what_jumped_is_told_where_none_would_be(offset: PositionOffset, told: bool) -> None:
     rng = np.random.default_rng(1)
     left = 0.006 * rng.standard_normal((1000, 3))

@@ -54,14 +54,11 @@ def residual(result: Flight, params: ModelParams) -> np.ndarray:
     return make_predictor([result]).residuals(params)[0]
 
 
-@pytest.mark.parametrize(
-    ("flown", "effects"),
-    [
-        ({}, {}),
-        ({"drag": 0.25}, {"rotor_drag": np.full(3, 0.25)}),
-        ({"thrust_scale": 1.07}, {"thrust_coefficient": np.array([1.07])}),
-    ],
-)
+@pytest.mark.parametrize(("flown", "effects"), [
+    ({}, {}),
+    ({"drag": 0.25}, {"rotor_drag": np.full(3, 0.25)}),
+    ({"thrust_scale": 1.07}, {"thrust_coefficient": np.array([1.07])}),
+])  # fmt: skip
 def test_an_exact_flight_is_predicted_exactly_by_the_effect_that_was_flown(flown, effects, tmp_path) -> None:
     """Forces to 2e-3 of g, angular acceleration to 0.5 % of its size: what the filters leave at the ends."""
     results = load(tmp_path, **flown)
@@ -477,14 +474,11 @@ def test_an_attitude_that_is_off_within_its_tolerance_is_turned_back(tmp_path: P
     np.testing.assert_allclose(rotate_ring[:, places], as_seen, atol=2e-3)
 
 
-@pytest.mark.parametrize(
-    "params",
-    [
-        {"rotor_drag": np.array([0.5, 0.0, 0.0])},
-        {"constant_wind": np.array([3.0, -2.0, 1.0]), "quadratic_drag": np.array([0.3, 0.0, 0.1])},
-        {"slung_payload": np.array([0.05, 0.4, 0.1])},
-    ],
-)
+@pytest.mark.parametrize("params", [
+    {"rotor_drag": np.array([0.5, 0.0, 0.0])},
+    {"constant_wind": np.array([3.0, -2.0, 1.0]), "quadratic_drag": np.array([0.3, 0.0, 0.1])},
+    {"slung_payload": np.array([0.05, 0.4, 0.1])},
+])  # fmt: skip
 def test_an_attitude_that_is_off_turns_the_airspeed_and_what_hangs(tmp_path, params) -> None:
     aligned, off = turn_attitude(flight(3, drag=0.2), Rotation.from_euler("xyz", [0.0, 0.02, -0.01]), tmp_path)
     params, back = ModelParams(effects=params), ModelParams(effects=params, deviation=two_and_one())

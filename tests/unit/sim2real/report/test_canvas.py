@@ -60,14 +60,11 @@ def test_what_is_not_known_is_a_gap() -> None:
     ElementTree.fromstring(f"<svg>{panel.svg(panel.x_values)}</svg>")
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
-        (-0.1, 1.05, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
-        (-7.3, 7.0, [-5.0, -2.5, 0.0, 2.5, 5.0]),
-        (97.0, 103.0, range(97, 104)),
-    ],
-)
+@pytest.mark.parametrize(("low", "high", "expected"), [
+    (-0.1, 1.05, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+    (-7.3, 7.0, [-5.0, -2.5, 0.0, 2.5, 5.0]),
+    (97.0, 103.0, range(97, 104)),
+])  # fmt: skip
 def test_numbers_of_an_axis_are_round(low: float, high: float, expected: list[float]) -> None:
     """Steps of 1, 2, 2.5 or 5 times a power of ten, within the axis."""
     np.testing.assert_allclose(ticks(low, high), list(expected), atol=1e-12)

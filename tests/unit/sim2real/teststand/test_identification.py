@@ -154,18 +154,15 @@ def test_no_term_is_added_that_does_not_pay(tmp_path: Path) -> None:
     assert chosen.count("w²") >= 12
 
 
-@pytest.mark.parametrize(
-    ("column", "factor", "name", "units"),
-    [
-        ("omega", 30.0 / np.pi, "RPM", {}),
-        ("omega", 30.0 / np.pi, "omega", {"speed": "rpm"}),
-        ("omega", 0.5 / np.pi, "rps", {}),
-        ("thrust_N", 1.0 / 9.80665e-3, "thrust_gf", {}),
-        ("thrust_N", 1e3, "force", {"thrust": "mN"}),
-        ("torque_Nm", 1e3, "torque_mNm", {}),
-        ("torque_Nm", 1.0 / 9.80665e-5, "moment", {"torque": "gf cm"}),
-    ],
-)
+@pytest.mark.parametrize(("column", "factor", "name", "units"), [
+    ("omega", 30.0 / np.pi, "RPM", {}),
+    ("omega", 30.0 / np.pi, "omega", {"speed": "rpm"}),
+    ("omega", 0.5 / np.pi, "rps", {}),
+    ("thrust_N", 1.0 / 9.80665e-3, "thrust_gf", {}),
+    ("thrust_N", 1e3, "force", {"thrust": "mN"}),
+    ("torque_Nm", 1e3, "torque_mNm", {}),
+    ("torque_Nm", 1.0 / 9.80665e-5, "moment", {"torque": "gf cm"}),
+])  # fmt: skip
 def test_units_do_not_change_the_map(tmp_path, column, factor, name, units) -> None:
     table = static_table(np.random.default_rng(4), 0.01)
     plain = single_fit(table, tmp_path)
@@ -175,18 +172,15 @@ def test_units_do_not_change_the_map(tmp_path, column, factor, name, units) -> N
     assert other.torque_ratio.value == pytest.approx(plain.torque_ratio.value, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.assign(omega=t["omega"] * 60 / 6.28), r"must lie in \[0, 12000\].*--units speed rpm"),
-        (lambda t: t.assign(torque_Nm=t["torque_Nm"] * 1e3), r"a unit is wrong. It would fit with .*torque in mN m"),
-        (lambda t: t.assign(thrust_N=-t["thrust_N"]), r"thrust at the highest speed is .*invert its sign"),
-        (lambda t: t.rename(columns={"thrust_N": "lift"}).drop(columns="torque_Nm"), r"no column for the thrust"),
-        (lambda t: t[:5], r"has 5 different speeds, needs at least 6"),
-        (lambda t: t.rename(columns={"thrust_N": "thrust_total_N"}), r"of several motors; say how many"),
-        (lambda t: t.assign(torque_Nm="x"), r"line 2: torque_Nm = x is no number"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: t.assign(omega=t["omega"] * 60 / 6.28), r"must lie in \[0, 12000\].*--units speed rpm"),
+    (lambda t: t.assign(torque_Nm=t["torque_Nm"] * 1e3), r"a unit is wrong. It would fit with .*torque in mN m"),
+    (lambda t: t.assign(thrust_N=-t["thrust_N"]), r"thrust at the highest speed is .*invert its sign"),
+    (lambda t: t.rename(columns={"thrust_N": "lift"}).drop(columns="torque_Nm"), r"no column for the thrust"),
+    (lambda t: t[:5], r"has 5 different speeds, needs at least 6"),
+    (lambda t: t.rename(columns={"thrust_N": "thrust_total_N"}), r"of several motors; say how many"),
+    (lambda t: t.assign(torque_Nm="x"), r"line 2: torque_Nm = x is no number"),
+])  # fmt: skip
 def test_tables_that_are_not_what_they_claim(tmp_path: Path, change: object, message: str) -> None:
     table = change(static_table(np.random.default_rng(5), 0.01))
     with pytest.raises(DataError, match=message):
@@ -230,16 +224,13 @@ def step_table(params: dict[str, float], *, noise: float, seed: int = 0, rate: f
     return table.assign(speed_meas=course + noise * np.random.default_rng(seed).standard_normal(time.size))
 
 
-@pytest.mark.parametrize(
-    ("params", "law"),
-    [
-        ({"tau": 0.04}, "one time constant"),
-        pytest.param({"tau_up": 0.03, "tau_down": 0.06}, "up and down", marks=pytest.mark.slow),
-        ({"tau_up": 0.03, "tau_down": 0.06, "delay": 0.012}, "up and down, delay"),
-        pytest.param({"tau": 0.03, "slew_down": 2e4}, "one time constant, slew limit down", marks=pytest.mark.slow),
-        ({"tau": 0.03, "slew_up": 3e4, "slew_down": 2e4}, "one time constant, slew limits"),
-    ],
-)
+@pytest.mark.parametrize(("params", "law"), [
+    ({"tau": 0.04}, "one time constant"),
+    pytest.param({"tau_up": 0.03, "tau_down": 0.06}, "up and down", marks=pytest.mark.slow),
+    ({"tau_up": 0.03, "tau_down": 0.06, "delay": 0.012}, "up and down, delay"),
+    pytest.param({"tau": 0.03, "slew_down": 2e4}, "one time constant, slew limit down", marks=pytest.mark.slow),
+    ({"tau": 0.03, "slew_up": 3e4, "slew_down": 2e4}, "one time constant, slew limits"),
+])  # fmt: skip
 def test_steps_name_the_law_that_made_them(tmp_path: Path, params: dict[str, float], law: str) -> None:
     fit = fit_steps([step_record(bench(step_table(params, noise=4.0), tmp_path))])
     assert fit.chosen == law
@@ -264,14 +255,11 @@ def test_a_slew_limit_that_no_step_reaches_is_only_bounded_from_one_side(tmp_pat
     assert slew.low >= 1500.0 / 0.045
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.assign(speed_cmd=np.linspace(0, 2000, len(t))), r"needs at least two steps of 5 rows"),
-        (lambda t: t.assign(t=0.0), r"time does not increase"),
-        (lambda t: t.drop(columns="speed_meas"), r"no column for the measured"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: t.assign(speed_cmd=np.linspace(0, 2000, len(t))), r"needs at least two steps of 5 rows"),
+    (lambda t: t.assign(t=0.0), r"time does not increase"),
+    (lambda t: t.drop(columns="speed_meas"), r"no column for the measured"),
+])  # fmt: skip
 def test_records_that_show_no_steps(tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
         step_record(bench(change(step_table({"tau": 0.04}, noise=1.0)), tmp_path))
@@ -441,17 +429,14 @@ def test_the_command_writes_a_robot_that_loads(tmp_path: Path, capsys: pytest.Ca
         assert (out / name).stat().st_size > 500
 
 
-@pytest.mark.parametrize(
-    ("argv", "message"),
-    [
-        (("motor", "no.csv"), "no.csv: no such file"),
-        (("motor", "no.csv", "--units", "spede", "rpm"), "no quantity 'spede'. Known: speed, thrust"),
-        (("motor", "no.csv", "--num-motors", "0"), "num_motors = 0: must be at least 1"),
-        (("hover", "no.csv"), "identify hover needs a mass: give --robot or --mass-kg"),
-        (("hover", "no.csv", "--mass-kg", "1"), "no.csv: no such file"),
-        (("joint", "no.csv"), "no.csv: no such file"),
-    ],
-)
+@pytest.mark.parametrize(("argv", "message"), [
+    (("motor", "no.csv"), "no.csv: no such file"),
+    (("motor", "no.csv", "--units", "spede", "rpm"), "no quantity 'spede'. Known: speed, thrust"),
+    (("motor", "no.csv", "--num-motors", "0"), "num_motors = 0: must be at least 1"),
+    (("hover", "no.csv"), "identify hover needs a mass: give --robot or --mass-kg"),
+    (("hover", "no.csv", "--mass-kg", "1"), "no.csv: no such file"),
+    (("joint", "no.csv"), "no.csv: no such file"),
+])  # fmt: skip
 def test_wrong_requests_are_one_sentence(argv, message, capsys) -> None:
     assert main(["identify", *argv]) == 2
     assert message in capsys.readouterr().err

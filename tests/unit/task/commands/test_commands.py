@@ -171,21 +171,18 @@ def test_gates_are_passed_in_their_direction_through_their_opening() -> None:
     torch.testing.assert_close(task.values["target_direction"][2], torch.tensor([0.0, 1.0]), atol=1e-6, rtol=0.0)
 
 
-@pytest.mark.parametrize(
-    ("generator", "params", "message"),
-    [
-        ("points", {}, "no command generator 'points'. Did you mean 'point'"),
-        ("point", {"place": 1.0}, "command point: no parameter 'place'. .*takes position"),
-        ("point", {"position": (1.0, 2.0)}, "position = .*: must have 3 entries"),
-        ("sequence", {"points": ()}, "parameter 'radius' is missing"),
-        ("sequence", {"points": (), "radius": 1.0}, "needs at least one point"),
-        ("sequence", {"points": POINTS, "radius": 0.0}, "radius = 0.0: must be > 0"),
-        ("gates", {**GATES, "yaws": (0.0,)}, "2 centers and 1 yaws: needs one of each"),
-        ("gates", {**GATES, "width": -1.0}, "width = -1.0, height = 0.6: must be > 0"),
-        ("trajectory", {"curve": "square", "size": (1.0,) * 3, "period": 1.0}, "no curve 'square'. Known: circle, lem"),
-        ("trajectory", {"curve": "circle", "size": (1.0,) * 3, "period": 0.0}, "period = 0.0: must be > 0"),
-    ],
-)
+@pytest.mark.parametrize(("generator", "params", "message"), [
+    ("points", {}, "no command generator 'points'. Did you mean 'point'"),
+    ("point", {"place": 1.0}, "command point: no parameter 'place'. .*takes position"),
+    ("point", {"position": (1.0, 2.0)}, "position = .*: must have 3 entries"),
+    ("sequence", {"points": ()}, "parameter 'radius' is missing"),
+    ("sequence", {"points": (), "radius": 1.0}, "needs at least one point"),
+    ("sequence", {"points": POINTS, "radius": 0.0}, "radius = 0.0: must be > 0"),
+    ("gates", {**GATES, "yaws": (0.0,)}, "2 centers and 1 yaws: needs one of each"),
+    ("gates", {**GATES, "width": -1.0}, "width = -1.0, height = 0.6: must be > 0"),
+    ("trajectory", {"curve": "square", "size": (1.0,) * 3, "period": 1.0}, "no curve 'square'. Known: circle, lem"),
+    ("trajectory", {"curve": "circle", "size": (1.0,) * 3, "period": 0.0}, "period = 0.0: must be > 0"),
+])  # fmt: skip
 def test_generators_that_cannot_be_are_refused(generator: str, params: dict[str, object], message: str) -> None:
     with pytest.raises((ConfigError, UnknownNameError), match=message):
         make(1, command=CommandCfg(generator=generator, params=params))

@@ -107,15 +107,12 @@ def test_points_are_drawn_in_the_box_by_mask_and_by_environment() -> None:
     assert (again[mask] != knots[mask]).all()
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"points": 1}, "points = 1: must be 2 to 10"),
-        ({"max_speed": 0.0}, "max_speed = 0.0: must be > 0 and finite"),
-        ({"max_acceleration": float("nan")}, "max_acceleration = nan"),
-        ({"size": [0.0, 0.0, 0.0]}, "and not all 0"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"points": 1}, "points = 1: must be 2 to 10"),
+    ({"max_speed": 0.0}, "max_speed = 0.0: must be > 0 and finite"),
+    ({"max_acceleration": float("nan")}, "max_acceleration = nan"),
+    ({"size": [0.0, 0.0, 0.0]}, "and not all 0"),
+])  # fmt: skip
 def test_tracks_that_cannot_be_are_refused(changes: dict[str, object], message: str) -> None:
     params = {"size": [1.0, 1.0, 1.0], **LIMITS, **changes}
     with pytest.raises(ConfigError, match=f"command polynomial: .*{message}"):

@@ -37,22 +37,19 @@ def put(task: Task, position: Tensor) -> None:
     state.lin_vel.zero_()
 
 
-@pytest.mark.parametrize(
-    ("before", "now", "expected"),
-    [
-        ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (True, True)),
-        ((-0.1, 0.0, 0.0), (0.0, 0.0, 0.0), (True, True)),  # onto the plane
-        ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (False, False)),  # from the plane: it was crossed before
-        ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), (False, False)),  # from behind
-        ((-0.2, 0.0, 0.0), (-0.1, 0.0, 0.0), (False, False)),  # not yet
-        ((-0.1, 0.0, 0.0), (0.1, 0.8, 0.0), (True, False)),  # crosses at y = 0.4
-        ((-0.3, 0.0, 0.0), (0.1, 0.8, 0.0), (True, False)),  # at y = 0.6
-        ((-0.1, 0.0, 0.0), (0.3, 0.8, 0.0), (True, True)),  # at y = 0.2
-        ((-0.1, 0.0, -0.1), (0.1, 0.0, -0.3), (True, False)),  # at z = -0.2, of 0.15
-        ((-0.1, -0.3, 0.2), (0.1, -0.3, 0.0), (True, False)),  # at y = -0.3
-        ((-0.1, -0.25, 0.2), (0.1, -0.15, 0.0), (True, True)),
-    ],
-)
+@pytest.mark.parametrize(("before", "now", "expected"), [
+    ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (True, True)),
+    ((-0.1, 0.0, 0.0), (0.0, 0.0, 0.0), (True, True)),  # onto the plane
+    ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (False, False)),  # from the plane: it was crossed before
+    ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), (False, False)),  # from behind
+    ((-0.2, 0.0, 0.0), (-0.1, 0.0, 0.0), (False, False)),  # not yet
+    ((-0.1, 0.0, 0.0), (0.1, 0.8, 0.0), (True, False)),  # crosses at y = 0.4
+    ((-0.3, 0.0, 0.0), (0.1, 0.8, 0.0), (True, False)),  # at y = 0.6
+    ((-0.1, 0.0, 0.0), (0.3, 0.8, 0.0), (True, True)),  # at y = 0.2
+    ((-0.1, 0.0, -0.1), (0.1, 0.0, -0.3), (True, False)),  # at z = -0.2, of 0.15
+    ((-0.1, -0.3, 0.2), (0.1, -0.3, 0.0), (True, False)),  # at y = -0.3
+    ((-0.1, -0.25, 0.2), (0.1, -0.15, 0.0), (True, True)),
+])  # fmt: skip
 def test_a_crossing_is_that_of_the_straight_line(before, now, expected) -> None:
     result = crossing(torch.tensor([before]), torch.tensor([now]), half=(0.25, 0.15))
     assert tuple(bool(each) for each in result) == expected
@@ -75,15 +72,12 @@ def test_every_drawn_gate_is_passed_where_it_stands() -> None:
     assert task.values["target_index"].tolist() == [0] * 50  # in a new episode
 
 
-@pytest.mark.parametrize(
-    ("before", "place", "passed", "missed"),
-    [
-        ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), False, False),
-        ((-0.1, 0.5, 0.0), (0.1, 0.5, 0.0), False, True),
-        ((-0.1, 0.0, 0.5), (0.1, 0.0, 0.5), False, True),
-        ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), True, False),
-    ],
-)
+@pytest.mark.parametrize(("before", "place", "passed", "missed"), [
+    ((0.1, 0.0, 0.0), (-0.1, 0.0, 0.0), False, False),
+    ((-0.1, 0.5, 0.0), (0.1, 0.5, 0.0), False, True),
+    ((-0.1, 0.0, 0.5), (0.1, 0.0, 0.5), False, True),
+    ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), True, False),
+])  # fmt: skip
 def test_from_behind_and_beside_is_no_passage(before, place, passed, missed) -> None:
     task = race(20)
     task.values["previous_position"].copy_(in_gate(task, 0, before))
@@ -133,17 +127,14 @@ def test_poles_are_told_nearest_first() -> None:
             torch.testing.assert_close(told, quat_rotate_inverse(turn, flat)[:, :2], atol=1e-5, rtol=0.0)
 
 
-@pytest.mark.parametrize(
-    ("place", "length"),
-    [
-        ((-WAY_STRAIGHT - 0.3, 0.4, 0.0), 0.5 + WAY_STRAIGHT),  # 3-4-5 to the axis, then along it
-        ((-0.2, 0.0, 0.1), 0.3),
-        ((-3.0, 0.0, 0.0), 3.0),
-        ((0.0, 0.0, 0.0), 0.0),
-        ((0.3, 0.0, WAY_AROUND + 0.4), 0.5 + WAY_AROUND),  # behind, outside of the circle
-        ((0.3, WAY_AROUND - 0.4, 0.0), 0.5 + WAY_AROUND),  # behind, inside of it
-    ],
-)
+@pytest.mark.parametrize(("place", "length"), [
+    ((-WAY_STRAIGHT - 0.3, 0.4, 0.0), 0.5 + WAY_STRAIGHT),  # 3-4-5 to the axis, then along it
+    ((-0.2, 0.0, 0.1), 0.3),
+    ((-3.0, 0.0, 0.0), 3.0),
+    ((0.0, 0.0, 0.0), 0.0),
+    ((0.3, 0.0, WAY_AROUND + 0.4), 0.5 + WAY_AROUND),  # behind, outside of the circle
+    ((0.3, WAY_AROUND - 0.4, 0.0), 0.5 + WAY_AROUND),  # behind, inside of it
+])  # fmt: skip
 def test_the_way_through_a_gate_by_hand(place: tuple[float, float, float], length: float) -> None:
     turn = torch.nn.functional.normalize(torch.tensor([[0.1, -0.2, 0.3, 0.9]]), dim=-1)
     middle = torch.tensor([[1.0, 2.0, 3.0]])
@@ -284,13 +275,10 @@ def test_a_track_of_one_gate_has_no_earlier_gate() -> None:
 PARAMS = {"width": 0.45, "height": 0.45, "sensor_range": 0.7}
 
 
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({**PARAMS, "width": 0.0}, "width = 0.0, height = 0.45: must be > 0"),
-        ({**PARAMS, "practice_share": 1.5}, "practice_share = 1.5: must be 0 to 1"),
-    ],
-)
+@pytest.mark.parametrize(("params", "message"), [
+    ({**PARAMS, "width": 0.0}, "width = 0.0, height = 0.45: must be > 0"),
+    ({**PARAMS, "practice_share": 1.5}, "practice_share = 1.5: must be 0 to 1"),
+])  # fmt: skip
 def test_commands_that_cannot_be_are_refused(params: dict[str, object], message: str) -> None:
     command = CommandCfg(generator="track_gates", params=params)
     with pytest.raises(ConfigError, match=message):

@@ -67,14 +67,11 @@ def test_noise_of_a_command_is_white_and_of_its_deviation() -> None:
     assert torch.equal(again, noise[:, :3])  # whoever else flies
 
 
-@pytest.mark.parametrize(
-    ("transform", "low", "message"),
-    [
-        ("affine", (0.0,) * 3, "action affine: low has 3 numbers, but this robot takes 4. Choose a robot"),
-        ("tenth", (), "action tenth: cannot be computed .IndexError"),
-        ("half", (), r"action half: returns \(1, 2\) for actions \(1, 4\); the controller takes \(E, U\) = \(1, 4\)"),
-    ],
-)
+@pytest.mark.parametrize(("transform", "low", "message"), [
+    ("affine", (0.0,) * 3, "action affine: low has 3 numbers, but this robot takes 4. Choose a robot"),
+    ("tenth", (), "action tenth: cannot be computed .IndexError"),
+    ("half", (), r"action half: returns \(1, 2\) for actions \(1, 4\); the controller takes \(E, U\) = \(1, 4\)"),
+])  # fmt: skip
 def test_a_transform_that_gives_no_command_is_refused(transform, low, message, monkeypatch) -> None:
     monkeypatch.setitem(ACTIONS._entries, "half", Action(value=lambda actions: actions[:, :2]))
     monkeypatch.setitem(ACTIONS._entries, "tenth", Action(value=lambda actions: actions.unbind(-1)[9]))

@@ -198,26 +198,23 @@ def test_frames_of_links_are_refused_by_name(key: str) -> None:
         build_task(cfg, 2, gradients=torch.float32)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"rewards": {"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}},
-            r"reward 'clear' \(clearance_penalty\): reads robot_clearance, which has no gradient",
-        ),
-        (
-            {
-                "rewards": {"there": RewardCfg(term="target_reached")},
-                "command": CommandCfg(generator="sequence", params={"points": [[0.0, 0.0, 0.0]], "radius": 0.1}),
-            },
-            r"reward 'there' \(target_reached\): reads target_reached",
-        ),
-        (
-            {"observations": {"policy": (ObservationCfg(term="robot_state_tensor"),)}},
-            "observation term 'robot_state_tensor': reads robot_state_tensor",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    (
+        {"rewards": {"clear": RewardCfg(term="clearance_penalty", params={"distance": 1.0})}},
+        r"reward 'clear' \(clearance_penalty\): reads robot_clearance, which has no gradient",
+    ),
+    (
+        {
+            "rewards": {"there": RewardCfg(term="target_reached")},
+            "command": CommandCfg(generator="sequence", params={"points": [[0.0, 0.0, 0.0]], "radius": 0.1}),
+        },
+        r"reward 'there' \(target_reached\): reads target_reached",
+    ),
+    (
+        {"observations": {"policy": (ObservationCfg(term="robot_state_tensor"),)}},
+        "observation term 'robot_state_tensor': reads robot_state_tensor",
+    ),
+])  # fmt: skip
 def test_terms_without_gradient_are_refused_by_name(changes: dict[str, object], message: str) -> None:
     cfg = replace(task_registry.get("position_setpoint_task"), **changes)
     build_task(cfg, 2)

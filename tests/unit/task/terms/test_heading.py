@@ -38,15 +38,12 @@ def yaw_attitude(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> Tensor:
     return quat_from_euler(row(roll, pitch, yaw))
 
 
-@pytest.mark.parametrize(
-    ("target", "yaw", "error"),
-    [
-        (1.2, 0.7, 0.5),  # to the left
-        (0.7, 1.2, -0.5),
-        (-3.0, 3.0, 2.0 * pi - 6.0),  # the short way, to the left through pi
-        (3.0, -3.0, 6.0 - 2.0 * pi),
-    ],
-)
+@pytest.mark.parametrize(("target", "yaw", "error"), [
+    (1.2, 0.7, 0.5),  # to the left
+    (0.7, 1.2, -0.5),
+    (-3.0, 3.0, 2.0 * pi - 6.0),  # the short way, to the left through pi
+    (3.0, -3.0, 6.0 - 2.0 * pi),
+])  # fmt: skip
 def test_the_heading_error_is_the_short_turn_from_the_robot_to_the_target(target, yaw, error) -> None:
     for tilt in (0.0, 0.3):
         result = heading_error(number(target), yaw_attitude(yaw, tilt, -tilt))
@@ -69,19 +66,16 @@ def test_to_be_there_counts_with_the_heading() -> None:
     assert result.item() == pytest.approx(0.4104250, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("position", "velocity", "expected"),
-    [
-        (SIX_METRES, (1.0, 3.0**0.5, 0.0), 1.0),  # 2 m/s, 60 degrees off: 0.5 2
-        (SIX_METRES, (1.0, 0.0, 0.0), 0.2706706),  # straight, 1 m/s too slow: 2 exp(-2)
-        (SIX_METRES, (3.0, 0.0, 0.0), 0.2706706),
-        (SIX_METRES, (-2.0, 0.0, 0.0), -0.2),
-        (SIX_METRES, (0.0, 0.0, 0.0), -0.2),  # no way is flown
-        (0.25 * SIX_METRES, (2.0, 0.0, 0.0), 1.0),  # at 1.5 m: half
-        (0.25 * SIX_METRES, (-2.0, 0.0, 0.0), -0.1),
-        (ORIGIN, (2.0, 0.0, 0.0), 0.0),
-    ],
-)
+@pytest.mark.parametrize(("position", "velocity", "expected"), [
+    (SIX_METRES, (1.0, 3.0**0.5, 0.0), 1.0),  # 2 m/s, 60 degrees off: 0.5 2
+    (SIX_METRES, (1.0, 0.0, 0.0), 0.2706706),  # straight, 1 m/s too slow: 2 exp(-2)
+    (SIX_METRES, (3.0, 0.0, 0.0), 0.2706706),
+    (SIX_METRES, (-2.0, 0.0, 0.0), -0.2),
+    (SIX_METRES, (0.0, 0.0, 0.0), -0.2),  # no way is flown
+    (0.25 * SIX_METRES, (2.0, 0.0, 0.0), 1.0),  # at 1.5 m: half
+    (0.25 * SIX_METRES, (-2.0, 0.0, 0.0), -0.1),
+    (ORIGIN, (2.0, 0.0, 0.0), 0.0),
+])  # fmt: skip
 def test_flight_to_the_target_counts_by_its_direction_and_speed(position, velocity, expected) -> None:
     result = flight_to_target(ORIGIN, position, row(*velocity), speed=2.0, height=2.0, width=2.0, away=-0.2, near=3.0)
     assert result.item() == pytest.approx(expected, abs=1e-7)
@@ -107,15 +101,12 @@ def test_speed_costs_above_its_limit(speed: float, expected: float) -> None:
     assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("velocity", "expected"),
-    [
-        ((0.0, 0.5, 0.0), -1.4952901),  # ahead: 2 (exp(-8 0.25) - 1) (1 - exp(-2))
-        ((0.0, -0.5, 0.0), 0.0),  # backwards
-        ((-0.5, 0.0, 0.0), 0.0),  # to the left
-        ((0.0, 0.0, 5.0), 0.0),  # up
-    ],
-)
+@pytest.mark.parametrize(("velocity", "expected"), [
+    ((0.0, 0.5, 0.0), -1.4952901),  # ahead: 2 (exp(-8 0.25) - 1) (1 - exp(-2))
+    ((0.0, -0.5, 0.0), 0.0),  # backwards
+    ((-0.5, 0.0, 0.0), 0.0),  # to the left
+    ((0.0, 0.0, 5.0), 0.0),  # up
+])  # fmt: skip
 def test_flight_costs_to_where_the_robot_does_not_look(velocity: tuple[float, float, float], expected: float) -> None:
     """Facing world y and looking back, one metre from the target; nose down makes no difference, looking ahead mirrors it."""
     params = {"height": 2.0, "width": 8.0, "near_width": 2.0}
@@ -135,17 +126,14 @@ def test_a_large_command_costs_by_the_difficulty() -> None:
         assert result.item() == pytest.approx(expected, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("before", "now", "expected"),
-    [
-        (1.2, 1.0, -2.6474907),  # 2 m/s and 1 m: half a second, -3 exp(-2 0.5⁴)
-        (0.3, 0.2, -2.9904153),  # 1 m/s and 0.2 m: 0.2 s, -3 exp(-2 0.2⁴)
-        (1.0, 1.2, 0.0),
-        (1.0, 1.0, 0.0),
-        (0.1, -0.01, -3.0),  # it is there
-        (inf, inf, 0.0),  # nothing anywhere
-    ],
-)
+@pytest.mark.parametrize(("before", "now", "expected"), [
+    (1.2, 1.0, -2.6474907),  # 2 m/s and 1 m: half a second, -3 exp(-2 0.5⁴)
+    (0.3, 0.2, -2.9904153),  # 1 m/s and 0.2 m: 0.2 s, -3 exp(-2 0.2⁴)
+    (1.0, 1.2, 0.0),
+    (1.0, 1.0, 0.0),
+    (0.1, -0.01, -3.0),  # it is there
+    (inf, inf, 0.0),  # nothing anywhere
+])  # fmt: skip
 def test_a_collision_soon_costs_by_the_time_to_it(before: float, now: float, expected: float) -> None:
     result = collision_soon(number(now), number(before), torch.tensor(0.1, dtype=torch.float64), height=3.0, width=2.0)
     assert result.item() == pytest.approx(expected, abs=1e-7)

@@ -31,15 +31,12 @@ def test_a_signature_says_what_is_read_and_taken() -> None:
     assert bound.evaluate({"robot_position": torch.tensor([[1.0, 3.0, 0.0]])}).tolist() == [6.0]
 
 
-@pytest.mark.parametrize(
-    ("params", "message"),
-    [
-        ({}, "it: parameter 'by' is missing. It takes by, axis"),
-        ({"by": 1.0, "axes": 1}, "it: no parameter 'axes'. Did you mean 'axis'"),
-        ({"by": "far"}, "it: by = 'far': must be float"),
-        ({"by": 1.0, "axis": 1.5}, "it: axis = 1.5: must be int"),
-    ],
-)
+@pytest.mark.parametrize(("params", "message"), [
+    ({}, "it: parameter 'by' is missing. It takes by, axis"),
+    ({"by": 1.0, "axes": 1}, "it: no parameter 'axes'. Did you mean 'axis'"),
+    ({"by": "far"}, "it: by = 'far': must be float"),
+    ({"by": 1.0, "axis": 1.5}, "it: axis = 1.5: must be int"),
+])  # fmt: skip
 def test_numbers_that_do_not_fit_are_told(params: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         bind(Term(name="stretched", value=stretch), params, "it")

@@ -55,27 +55,21 @@ def add_ground_push(table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-@pytest.mark.parametrize(
-    ("scale", "change", "named", "surrogates"),
-    [
-        (1.0, fade_thrust, (), {"thrust_coefficient": "time"}),
-        pytest.param(0.9, add_ground_push, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
-        pytest.param(0.9, lambda table: table, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("scale", "change", "named", "surrogates"), [
+    (1.0, fade_thrust, (), {"thrust_coefficient": "time"}),
+    pytest.param(0.9, add_ground_push, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
+    pytest.param(0.9, lambda table: table, ("thrust_coefficient",), {}, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_a_name_holds_or_only_substitutes(scale, change, named, surrogates, tmp_path) -> None:
     result = select_hidden(tmp_path, ("thrust_coefficient", "rotor_drag"), change=change, thrust_scale=scale)
     assert result.effect_names == named
     assert result.surrogates == surrogates
 
 
-@pytest.mark.parametrize(
-    ("gyro", "candidates"),
-    [
-        (True, {"thrust_coefficient"}),
-        pytest.param(False, {"thrust_coefficient", "payload_mass"}, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize(("gyro", "candidates"), [
+    (True, {"thrust_coefficient"}),
+    pytest.param(False, {"thrust_coefficient", "payload_mass"}, marks=pytest.mark.slow),
+])  # fmt: skip
 def test_thrust_and_mass_are_told_by_torques_as_far_as_the_inertia_is_known(gyro, candidates, tmp_path) -> None:
     """5 % less thrust: a mass in its place needs an inertia off by 2.6 deviations about all axes; forces alone do not tell."""
 

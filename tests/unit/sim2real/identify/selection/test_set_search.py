@@ -113,15 +113,12 @@ class SearchStub(SetSearch):
         self.gone.append("all" if self.fit_rival_sets in ways else "likely")
 
 
-@pytest.mark.parametrize(
-    ("weights", "gone"),
-    [
-        ((1.0, 1.1), ["start", "likely", "all"]),
-        ((1.0, 2.0, 2.1), ["start", "likely", "start", "likely", "all"]),
-        ((1.0, 1.1, 2.0, 2.1), ["start", "likely", "all", "start", "all"]),
-        (tuple(2.0**k for k in range(9)), ["start", *["likely", "start"] * 2, "likely", *["all", "start"] * 2, "all"]),
-    ],
-)
+@pytest.mark.parametrize(("weights", "gone"), [
+    ((1.0, 1.1), ["start", "likely", "all"]),
+    ((1.0, 2.0, 2.1), ["start", "likely", "start", "likely", "all"]),
+    ((1.0, 1.1, 2.0, 2.1), ["start", "likely", "all", "start", "all"]),
+    (tuple(2.0**k for k in range(9)), ["start", *["likely", "start"] * 2, "likely", *["all", "start"] * 2, "all"]),
+])  # fmt: skip
 def test_rivals_are_fitted_once_weights_have_settled(weights: tuple[float, ...], gone: list[str]) -> None:
     climber = SearchStub(*weights)
     climber.find_best_set()
@@ -193,15 +190,12 @@ def squares(*factors: float) -> np.ndarray:
     return result
 
 
-@pytest.mark.parametrize(
-    ("factors", "share"),
-    [
-        ((0.2, 0.2, 0.2, 0.2), 1.0),
-        ((0.2, 0.2, 1.01, 1.01), 1.0),  # still air shows no drag: a change of 1 % says nothing
-        ((0.2, 0.2, 1.2, 1.2), 0.5),
-        ((0.2, 1.01, 1.01, 1.01), 0.25),  # one flight alone is no evidence
-    ],
-)
+@pytest.mark.parametrize(("factors", "share"), [
+    ((0.2, 0.2, 0.2, 0.2), 1.0),
+    ((0.2, 0.2, 1.01, 1.01), 1.0),  # still air shows no drag: a change of 1 % says nothing
+    ((0.2, 0.2, 1.2, 1.2), 0.5),
+    ((0.2, 1.01, 1.01, 1.01), 0.25),  # one flight alone is no evidence
+])  # fmt: skip
 def test_a_flight_that_does_not_show_an_effect_does_not_speak_against_it(factors, share) -> None:
     assert left_out().gain(squares(1.0, 1.0, 1.0, 1.0), squares(*factors)).flights_better == share
 
@@ -212,16 +206,13 @@ def test_the_fall_of_a_channel_is_that_of_its_rms() -> None:
     assert gain.score == pytest.approx(0.5 * 60 * BLOCKS * FLIGHTS * 0.5 * np.log(4.0))
 
 
-@pytest.mark.parametrize(
-    ("gained", "lost", "harmful"),
-    [
-        (0.25, 1.02, False),  # 1 % of the rms is no harm
-        (0.25, 1.12, False),  # 4 log 2 are gained for each log 1.12 that is lost
-        (0.25, 1.2, True),  # more than a tenth of the gain
-        (0.9, 1.12, True),
-        (1.0, 1.12, True),
-    ],
-)
+@pytest.mark.parametrize(("gained", "lost", "harmful"), [
+    (0.25, 1.02, False),  # 1 % of the rms is no harm
+    (0.25, 1.12, False),  # 4 log 2 are gained for each log 1.12 that is lost
+    (0.25, 1.2, True),  # more than a tenth of the gain
+    (0.9, 1.12, True),
+    (1.0, 1.12, True),
+])  # fmt: skip
 def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(gained, lost, harmful) -> None:
     more = squares(*[gained] * FLIGHTS)
     more[:, 1] = lost
@@ -232,20 +223,17 @@ def test_what_a_channel_loses_is_harm_unless_others_gain_ten_times_as_much(gaine
     assert bool(judge.findings_on_harm(result)) is harmful
 
 
-@pytest.mark.parametrize(
-    ("factors", "tolerated", "said"),
-    [
-        ((0.2, 0.2, 0.2, 0.2), 0.0, []),
-        ((0.2, 0.2, 0.2, 0.2), 2.0, [("gain_small", 0.553)]),
-        ((0.2, 0.2, 1.2, 1.2), 0.0, [("few_flights_better", 0.5), ("channel_worse_in_flights", 0.5)]),
-        ((1.0, 1.0, 1.0, 1.0), 0.0, [("gain_by_chance", None), ("few_flights_better", 0.0), ("gain_small", 0.0)]),
-        (
-            (1.3, 1.3, 1.3, 1.3),
-            0.0,
-            [("gain_by_chance", None), ("few_flights_better", 0.0), ("gain_small", 0.0), ("channel_worse", 0.14)],
-        ),
-    ],
-)
+@pytest.mark.parametrize(("factors", "tolerated", "said"), [
+    ((0.2, 0.2, 0.2, 0.2), 0.0, []),
+    ((0.2, 0.2, 0.2, 0.2), 2.0, [("gain_small", 0.553)]),
+    ((0.2, 0.2, 1.2, 1.2), 0.0, [("few_flights_better", 0.5), ("channel_worse_in_flights", 0.5)]),
+    ((1.0, 1.0, 1.0, 1.0), 0.0, [("gain_by_chance", None), ("few_flights_better", 0.0), ("gain_small", 0.0)]),
+    (
+        (1.3, 1.3, 1.3, 1.3),
+        0.0,
+        [("gain_by_chance", None), ("few_flights_better", 0.0), ("gain_small", 0.0), ("channel_worse", 0.14)],
+    ),
+])  # fmt: skip
 def test_why_a_gain_on_flights_left_out_does_not_count(factors: tuple, tolerated: float, said: list[tuple]) -> None:
     """A fall of the mean square to a fifth is one of the rms by 1 - sqrt(0.2); a rise to 1.3 one by sqrt(1.3) - 1."""
     judge = replace(left_out(), tolerated=np.full(2, tolerated))

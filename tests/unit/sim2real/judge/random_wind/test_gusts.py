@@ -96,19 +96,13 @@ def test_wind_alone_raises_no_objection_and_is_no_noise() -> None:
     assert p_value_of_noise(quiet, fit_process(quiet)) > 0.01
 
 
-@pytest.mark.parametrize(
-    ("reason", "change"),
-    [
-        ("line", lambda f: 0.3 * np.sin(2.0 * np.pi * 3.1 * TIME + f)[:, None] * [1.0, 0.0, 0.0]),
-        ("axes", lambda f: draw_wind(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
-        ("flights", lambda f: (f == 2) * draw_wind(np.random.default_rng(9), TIME, 4.0, 1.0)),
-        ("shape", lambda f: 6.0 * (np.abs(TIME - 4.0 - f) < 0.06)[:, None] * [1.0, 1.0, 1.0]),
-        (
-            "memory",
-            lambda f: 3.0 * np.sin(np.outer(2.0 * TIME, [1.0, 1.3, 1.7]) + 5.0 * np.sin(0.7 * TIME + f)[:, None]),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("reason", "change"), [
+    ("line", lambda f: 0.3 * np.sin(2.0 * np.pi * 3.1 * TIME + f)[:, None] * [1.0, 0.0, 0.0]),
+    ("axes", lambda f: draw_wind(np.random.default_rng(9 + f), TIME, 3.0, 1.0) * [1.0, 0.0, 0.0]),
+    ("flights", lambda f: (f == 2) * draw_wind(np.random.default_rng(9), TIME, 4.0, 1.0)),
+    ("shape", lambda f: 6.0 * (np.abs(TIME - 4.0 - f) < 0.06)[:, None] * [1.0, 1.0, 1.0]),
+    ("memory", lambda f: 3.0 * np.sin(np.outer(2.0 * TIME, [1.0, 1.3, 1.7]) + 5.0 * np.sin(0.7 * TIME + f)[:, None])),
+])  # fmt: skip
 def test_what_is_no_random_wind_is_told_apart(reason: str, change: Callable[[int], np.ndarray]) -> None:
     wind = series(change)
     assert p_values_of_rivals(wind, fit_process(wind))[reason] < 0.001

@@ -97,48 +97,45 @@ def turn_heading(table: pd.DataFrame, angle: float) -> pd.DataFrame:
     return result
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda t: replace_columns(t, Q, t[["q_w", "q_x", "q_y", "q_z"]]),
-            r"attitude .* and omega contradict each other .*the quaternion is stored w first",
-        ),
-        (lambda t: replace_columns(t, Q, body_to_world(t).inv().as_quat()), r"the quaternion turns world into body"),
-        (lambda t: replace_columns(t, OMEGA, np.rad2deg(t[OMEGA])), r"omega is in degrees per second"),
-        (lambda t: scale(t, OMEGA, (1, -1, -1)), r"omega is in axes x forward, y right, z down"),
-        (lambda t: scale(t, ACC, -1), r"gravity has the wrong sign: .*\+9\.81 on z at hover.*invert the signs of acc"),
-        (lambda t: scale(t, ACC, 1 / 9.81), r"multiples of g: multiply by 9\.81"),
-        (
-            lambda t: replace_columns(t, ACC, t[ACC] - body_to_world(t).apply([0, 0, G], inverse=True)),
-            r"gravity was taken out",
-        ),
-        (lambda t: turn(t, ACC), r"acc_x.*agrees with the motion in world axes"),
-        (lambda t: turn(t, V, inverse=True), r"it looks as if v is in body axes"),
-        (frd, r"acc_z is -1\d\.\d+ m/s² on average.*give body_frame: frd in a mapping file"),
-        (lambda t: ned(frd(t)), r"gravity has the wrong sign.*give body_frame: frd and world_frame: ned in a mapping"),
-        (
-            lambda t: ned(frd(t)).drop(columns=V),
-            r"if only its signs are inverted, invert them; if body and world .*body_frame: frd and world_frame: ned",
-        ),
-        (ned, r"world axes are north, east, down: give world_frame: ned"),
-        (lambda t: turn(t, ACC).drop(columns=[*V, *P]), r"acc_x.*agrees with thrust in world axes, not in body axes"),
-        (lambda t: turn(t, V, inverse=True).drop(columns=P), r"velocity .* contradicts acc .*as if v is in body axes"),
-        (mirror, r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
-        (lambda t: mirror(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
-        (lambda t: turn_heading(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the att"),
-        (lambda t: scale(t, V, 1000.0), r"velocity .* and the derivative of position .* in mm/s"),
-        (lambda t: scale(t, ROTORS, 60 / (2 * np.pi)), r"it looks like rpm: convert to rad/s"),
-        (lambda t: scale(t, ROTORS, 1 / 3000), r"it looks like a fraction of full throttle"),
-        (lambda t: scale(t, Q, 1.2), r"line 2 \(t = 0 s\): the attitude quaternion .* has norm 1\.2, must be 1"),
-        (lambda t: t.assign(omega_y=0.01), r"ang_vel 2 is 0\.01 in every row; leave a sensor that did not work empty"),
-        (lambda t: t.assign(rotor_3=0.0), r"rotor_speed 3 is 0 in every row"),
-        (lambda t: t[:150], r"lasts 1\.49 s, needs at least 2 s"),
-        (lambda t: t[::10], r"has 10 rows per second, needs at least 20"),
-        (lambda t: t.drop(columns="rotor_4"), r"has 3 rotor columns, the robot has 4 rotors"),
-        (lambda t: t.drop(index=range(200, 300)), r"line 202 .*: 1\.01 s .* where 0\.01 s are usual; cut the log"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (
+        lambda t: replace_columns(t, Q, t[["q_w", "q_x", "q_y", "q_z"]]),
+        r"attitude .* and omega contradict each other .*the quaternion is stored w first",
+    ),
+    (lambda t: replace_columns(t, Q, body_to_world(t).inv().as_quat()), r"the quaternion turns world into body"),
+    (lambda t: replace_columns(t, OMEGA, np.rad2deg(t[OMEGA])), r"omega is in degrees per second"),
+    (lambda t: scale(t, OMEGA, (1, -1, -1)), r"omega is in axes x forward, y right, z down"),
+    (lambda t: scale(t, ACC, -1), r"gravity has the wrong sign: .*\+9\.81 on z at hover.*invert the signs of acc"),
+    (lambda t: scale(t, ACC, 1 / 9.81), r"multiples of g: multiply by 9\.81"),
+    (
+        lambda t: replace_columns(t, ACC, t[ACC] - body_to_world(t).apply([0, 0, G], inverse=True)),
+        r"gravity was taken out",
+    ),
+    (lambda t: turn(t, ACC), r"acc_x.*agrees with the motion in world axes"),
+    (lambda t: turn(t, V, inverse=True), r"it looks as if v is in body axes"),
+    (frd, r"acc_z is -1\d\.\d+ m/s² on average.*give body_frame: frd in a mapping file"),
+    (lambda t: ned(frd(t)), r"gravity has the wrong sign.*give body_frame: frd and world_frame: ned in a mapping"),
+    (
+        lambda t: ned(frd(t)).drop(columns=V),
+        r"if only its signs are inverted, invert them; if body and world .*body_frame: frd and world_frame: ned",
+    ),
+    (ned, r"world axes are north, east, down: give world_frame: ned"),
+    (lambda t: turn(t, ACC).drop(columns=[*V, *P]), r"acc_x.*agrees with thrust in world axes, not in body axes"),
+    (lambda t: turn(t, V, inverse=True).drop(columns=P), r"velocity .* contradicts acc .*as if v is in body axes"),
+    (mirror, r"velocity .* contradicts acc .*looks as if world axes there are north, east, down"),
+    (lambda t: mirror(t).drop(columns=V), r"position .* contradicts acc .*there are north, east, down"),
+    (lambda t: turn_heading(t, 90.0), r"x and y there must be turned by -90 deg about z to be those of the att"),
+    (lambda t: scale(t, V, 1000.0), r"velocity .* and the derivative of position .* in mm/s"),
+    (lambda t: scale(t, ROTORS, 60 / (2 * np.pi)), r"it looks like rpm: convert to rad/s"),
+    (lambda t: scale(t, ROTORS, 1 / 3000), r"it looks like a fraction of full throttle"),
+    (lambda t: scale(t, Q, 1.2), r"line 2 \(t = 0 s\): the attitude quaternion .* has norm 1\.2, must be 1"),
+    (lambda t: t.assign(omega_y=0.01), r"ang_vel 2 is 0\.01 in every row; leave a sensor that did not work empty"),
+    (lambda t: t.assign(rotor_3=0.0), r"rotor_speed 3 is 0 in every row"),
+    (lambda t: t[:150], r"lasts 1\.49 s, needs at least 2 s"),
+    (lambda t: t[::10], r"has 10 rows per second, needs at least 20"),
+    (lambda t: t.drop(columns="rotor_4"), r"has 3 rotor columns, the robot has 4 rotors"),
+    (lambda t: t.drop(index=range(200, 300)), r"line 202 .*: 1\.01 s .* where 0\.01 s are usual; cut the log"),
+])  # fmt: skip
 def test_a_log_that_is_not_what_it_claims(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
         check(change(table), tmp_path)
@@ -163,16 +160,13 @@ def test_jitter_and_a_late_start_are_no_defect_of_the_time(table: pd.DataFrame, 
     assert load_flight(path, ROBOT, mapping=None, bandwidth=10.0).time[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.drop(index=range(200, 300)), r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are u"),
-        (lambda t: t.assign(t=1e3 * t["t"]), r"0\.1 rows per second, .*time unit: ms"),
-        (lambda t: t.assign(t=1e-3 * t["t"]), r"lasts 0\.00799 s, .*is t in seconds"),
-        (lambda t: t.assign(t=1e6 * t["t"]), r"0\.0001 rows per second, .*time unit: us"),
-        (lambda t: t.assign(t=1e9 * t["t"]), r"1e-07 rows per second, .*time unit: ns"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: t.drop(index=range(200, 300)), r"line 202 .*: 1\.01 s after the row before, where 0\.01 s are u"),
+    (lambda t: t.assign(t=1e3 * t["t"]), r"0\.1 rows per second, .*time unit: ms"),
+    (lambda t: t.assign(t=1e-3 * t["t"]), r"lasts 0\.00799 s, .*is t in seconds"),
+    (lambda t: t.assign(t=1e6 * t["t"]), r"0\.0001 rows per second, .*time unit: us"),
+    (lambda t: t.assign(t=1e9 * t["t"]), r"1e-07 rows per second, .*time unit: ns"),
+])  # fmt: skip
 def test_a_defect_of_the_time_is_not_taken_for_a_frozen_sensor(table, tmp_path, change, message) -> None:
     slow = table.copy()
     slow.loc[[200, 300], P] = slow.loc[[199, 199], P].to_numpy()
@@ -194,18 +188,15 @@ def test_the_rate_of_a_steady_turn_is_its_rate() -> None:
     np.testing.assert_allclose(inner, np.tile([0.0, 0.0, 1.4], (len(inner), 1)), atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("change", "share"),
-    [
-        (lambda t: t, "100%"),
-        (lambda t: t.assign(t=t["t"] + 1.7e9), "100%"),
-        (lambda t: t[250:600].assign(t=t["t"] - 2.5), "100%"),
-        (lambda t: t[::2], "100%"),
-        (lambda t: t.drop(columns=["v_x", "v_y", "v_z", "acc_x", "acc_y", "acc_z"]), "100%"),
-        (lambda t: t[list(t.columns[::-1])].assign(vbat=11.1), "100%"),
-        (lambda t: pd.concat((t[400:], flight(2, seconds=4.0, rate=100.0).assign(t=lambda f: f["t"] + 8.0))), "50%"),
-    ],
-)
+@pytest.mark.parametrize(("change", "share"), [
+    (lambda t: t, "100%"),
+    (lambda t: t.assign(t=t["t"] + 1.7e9), "100%"),
+    (lambda t: t[250:600].assign(t=t["t"] - 2.5), "100%"),
+    (lambda t: t[::2], "100%"),
+    (lambda t: t.drop(columns=["v_x", "v_y", "v_z", "acc_x", "acc_y", "acc_z"]), "100%"),
+    (lambda t: t[list(t.columns[::-1])].assign(vbat=11.1), "100%"),
+    (lambda t: pd.concat((t[400:], flight(2, seconds=4.0, rate=100.0).assign(t=lambda f: f["t"] + 8.0))), "50%"),
+])  # fmt: skip
 def test_a_copy_is_refused(table: pd.DataFrame, tmp_path: Path, change: object, share: str) -> None:
     first, second = write(table, tmp_path / "a.csv"), tmp_path / "b.csv"
     write(change(table), second)

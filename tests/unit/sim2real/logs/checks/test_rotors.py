@@ -31,13 +31,10 @@ def test_good_columns_stay(table: pd.DataFrame, tmp_path: Path) -> None:
     assert result.notes == ()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: t.assign(rotor_2=-t["rotor_2"]), r"rotor_2 is negative .*without sign: .*robot file \(spin\)"),
-        (lambda t: t.assign(cmd_4=-t["cmd_4"]), r"cmd_4 is negative"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: t.assign(rotor_2=-t["rotor_2"]), r"rotor_2 is negative .*without sign: .*robot file \(spin\)"),
+    (lambda t: t.assign(cmd_4=-t["cmd_4"]), r"cmd_4 is negative"),
+])  # fmt: skip
 def test_columns_that_cannot_be(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message):
         load_log(change(table), tmp_path)

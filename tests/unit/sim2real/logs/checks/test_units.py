@@ -75,29 +75,26 @@ def test_the_unit_of_velocity_is_named_and_the_way_out_mends_it(table, tmp_path,
     np.testing.assert_allclose(mended.lin_vel, right.lin_vel, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda t: scale(t, P, 1 / 0.3048), r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft"),
-        (lambda t: scale(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
-        (lambda t: scale(t, V, 1.6), r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_v"),
-        (lambda t: scale(t, P, (-1, 1, 1)), r"it looks as if p_x have the wrong sign: multiply each column by -1"),
-        (lambda t: scale(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
-        (lambda t: scale(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),
-        (lambda t: swap_columns(t, V), r"the axes of v were exchanged: name its columns in the order y, x, z"),
-        (lambda t: swap_columns(t, P), r"the axes of p were exchanged: name its columns in the order y, x, z"),
-        (
-            lambda t: scale(scale(t, V, 1 / 0.3048), P, 1 / 0.3048),
-            r"the change of velocity and position contradicts acc .* v_z were in ft/s .*unit: ft/s.*p_z were in ft .*unit: ft",
-        ),
-        (lambda t: scale(t, V, 1 / 0.44704).drop(columns=P), r"the change of velocity .* v_x, v_y, v_z were in mph"),
-        (lambda t: scale(t, P, 1 / 0.3048).drop(columns=V), r"the change of position .* p_x, p_y, p_z were in ft "),
-        (
-            lambda t: scale(scale(t, V, (1, -1, 1)), P, (1, -1, 1)),
-            r"contradict acc and attitude; it looks as if v_y and p_y have the wrong sign: multiply the columns by -1",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: scale(t, P, 1 / 0.3048), r"if p_x, p_y, p_z were in ft \(factor 0\.3.*give position unit: ft"),
+    (lambda t: scale(t, P, 1e3), r"if p_x, p_y, p_z were in mm .*give position unit: mm"),
+    (lambda t: scale(t, V, 1.6), r"v_x, v_y, v_z need a factor of 0\.62.*, which is no known unit: give lin_v"),
+    (lambda t: scale(t, P, (-1, 1, 1)), r"it looks as if p_x have the wrong sign: multiply each column by -1"),
+    (lambda t: scale(t, V, (1, 1, -1)), r"it looks as if v_z have the wrong sign"),
+    (lambda t: scale(t, V, (1, 1, -1)).drop(columns=ACC), r"it looks as if v_z or p_z have the wrong sign"),
+    (lambda t: swap_columns(t, V), r"the axes of v were exchanged: name its columns in the order y, x, z"),
+    (lambda t: swap_columns(t, P), r"the axes of p were exchanged: name its columns in the order y, x, z"),
+    (
+        lambda t: scale(scale(t, V, 1 / 0.3048), P, 1 / 0.3048),
+        r"the change of velocity and position contradicts acc .* v_z were in ft/s .*unit: ft/s.*p_z were in ft .*unit: ft",
+    ),
+    (lambda t: scale(t, V, 1 / 0.44704).drop(columns=P), r"the change of velocity .* v_x, v_y, v_z were in mph"),
+    (lambda t: scale(t, P, 1 / 0.3048).drop(columns=V), r"the change of position .* p_x, p_y, p_z were in ft "),
+    (
+        lambda t: scale(scale(t, V, (1, -1, 1)), P, (1, -1, 1)),
+        r"contradict acc and attitude; it looks as if v_y and p_y have the wrong sign: multiply the columns by -1",
+    ),
+])  # fmt: skip
 def test_other_units_signs_and_orders(table: pd.DataFrame, tmp_path: Path, change: object, message: str) -> None:
     with pytest.raises(DataError, match=message) as refused:
         check(change(table), tmp_path)

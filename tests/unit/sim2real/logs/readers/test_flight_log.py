@@ -44,34 +44,28 @@ def test_empty_columns_are_a_sensor_that_was_not_there(table: pd.DataFrame, tmp_
     assert log.rotor_command is None
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]).assign(roll=0.0, pitch=0.0, yaw=0.0),
-            r"column 'q_x' is missing.*Euler angles are no quaternion: write q = qz\(yaw\) qy\(pitch\) qx\(roll\)",
-        ),
-        (
-            lambda t: t.rename(columns={f"rotor_{n}": f"motor_{n}" for n in range(1, 5)}),
-            r"needs the columns rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or .* mapping file",
-        ),
-        (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
-        (lambda t: t.drop(columns="acc_y"), r"column 'acc_y' is missing or empty while 'acc_x' is there; add it"),
-        (lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]), r"column 'q_x' is missing or empty.*mapping"),
-        (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
-        (lambda t: t.assign(t=t["t"].round(1)), r"t is the same in \d+ rows as in the row before; its digits are"),
-        (lambda t: t.assign(t=-t["t"]), r"time does not increase .*in the order in which they were measured"),
-        (
-            lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
-            r"line 9: omega_x is empty \(NaN\) for 6 rows while other rows have it; cut the flight there",
-        ),
-        (
-            lambda t: t.assign(acc_z=t["acc_z"].where(t.index % 2 == 0, np.inf)),
-            r"line 3: acc_z = inf .* in 50% of the r",
-        ),
-        (lambda t: t[:0], r"holds no rows"),
-    ],
-)
+@pytest.mark.parametrize(("change", "message"), [
+    (
+        lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]).assign(roll=0.0, pitch=0.0, yaw=0.0),
+        r"column 'q_x' is missing.*Euler angles are no quaternion: write q = qz\(yaw\) qy\(pitch\) qx\(roll\)",
+    ),
+    (
+        lambda t: t.rename(columns={f"rotor_{n}": f"motor_{n}" for n in range(1, 5)}),
+        r"needs the columns rotor_\{n\} or cmd_\{n\}; they are missing or empty\. Rename the columns, or .* mapping file",
+    ),
+    (lambda t: t.drop(columns="t"), r"a\.csv: column 't' is missing or empty"),
+    (lambda t: t.drop(columns="acc_y"), r"column 'acc_y' is missing or empty while 'acc_x' is there; add it"),
+    (lambda t: t.drop(columns=["q_x", "q_y", "q_z", "q_w"]), r"column 'q_x' is missing or empty.*mapping"),
+    (lambda t: t.assign(cmd_1=900.0, cmd_2=900.0), r"has 4 rotor speeds and 2 commands"),
+    (lambda t: t.assign(t=t["t"].round(1)), r"t is the same in \d+ rows as in the row before; its digits are"),
+    (lambda t: t.assign(t=-t["t"]), r"time does not increase .*in the order in which they were measured"),
+    (
+        lambda t: t.assign(omega_x=t["omega_x"].where((t.index < 7) | (t.index > 12))),
+        r"line 9: omega_x is empty \(NaN\) for 6 rows while other rows have it; cut the flight there",
+    ),
+    (lambda t: t.assign(acc_z=t["acc_z"].where(t.index % 2 == 0, np.inf)), r"line 3: acc_z = inf .* in 50% of the r"),
+    (lambda t: t[:0], r"holds no rows"),
+])  # fmt: skip
 def test_a_bad_table_is_refused_with_the_place_and_the_way_out(table, tmp_path, change, message) -> None:
     with pytest.raises(DataError, match=message):
         read_flight_log(write(change(table), tmp_path / "a.csv"))

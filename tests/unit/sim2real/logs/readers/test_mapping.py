@@ -164,16 +164,13 @@ def test_the_lowest_place_of_a_flight_is_no_ground(table: pd.DataFrame, tmp_path
         layout(lift_off_m=-0.1)
 
 
-@pytest.mark.parametrize(
-    ("command", "error", "message"),
-    [
-        ({"columns": ["pwm{n}"], "times": "volt"}, DataError, r"column 'volt' is missing"),
-        ({"columns": ["pwm{n}"], "over": "zero"}, DataError, r"line 2: zero = 0, must be > 0"),
-        ({"columns": ["pwm{n}"], "gain": 0.0}, ConfigError, r"gain = 0.0 .*must not be 0"),
-        ({"columns": ["pwm{n}"], "power": float("nan")}, ConfigError, r"power = nan: must be finite"),
-        ({"columns": ["a", "b"], "repeat": 4}, ConfigError, r"repeat = 4: must be >= 1, and 1 for more than one"),
-    ],
-)
+@pytest.mark.parametrize(("command", "error", "message"), [
+    ({"columns": ["pwm{n}"], "times": "volt"}, DataError, r"column 'volt' is missing"),
+    ({"columns": ["pwm{n}"], "over": "zero"}, DataError, r"line 2: zero = 0, must be > 0"),
+    ({"columns": ["pwm{n}"], "gain": 0.0}, ConfigError, r"gain = 0.0 .*must not be 0"),
+    ({"columns": ["pwm{n}"], "power": float("nan")}, ConfigError, r"power = nan: must be finite"),
+    ({"columns": ["a", "b"], "repeat": 4}, ConfigError, r"repeat = 4: must be >= 1, and 1 for more than one"),
+])  # fmt: skip
 def test_conversions_that_cannot_be(table, tmp_path, command, error, message) -> None:
     with pytest.raises(error, match=message):
         read(table.assign(pwm1=0.5, zero=0.0), tmp_path, layout(rotor_command=command))
