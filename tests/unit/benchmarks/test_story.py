@@ -40,9 +40,8 @@ def recorder() -> RecordingPolicy:
 
 def reference(position: np.ndarray) -> Reference:
     empty = np.zeros((1, len(position), 3))
-    rates = dict.fromkeys(("velocity", "acceleration", "jerk"), empty) | dict.fromkeys(
-        ("yaw", "yaw_rate"), empty[..., 0]
-    )
+    rates = dict.fromkeys(("velocity", "acceleration", "jerk"), empty)
+    rates |= dict.fromkeys(("yaw", "yaw_rate"), empty[..., 0])
     return Reference(position=position[None], excite=np.zeros((1, len(position), 4)), **rates)
 
 

@@ -23,12 +23,10 @@ from aerial_gym.config import family_files
 from aerial_gym.errors import CapabilityError, ConfigError, DuplicateNameError, UnknownNameError
 
 GETTERS: dict[str, Callable[[str], object]] = {
-    "sim": sim_config_registry.get_sim_config,
-    "environment": env_config_registry.get_env_config,
-    "robot": robot_registry.get_robot_config,
-    "controller": controller_registry.get_controller_config,
+    "sim": sim_config_registry.get_sim_config, "environment": env_config_registry.get_env_config,
+    "robot": robot_registry.get_robot_config, "controller": controller_registry.get_controller_config,
     "task": task_registry.get_task_config,
-}
+}  # fmt: skip
 
 
 REGISTERED_THERE = {

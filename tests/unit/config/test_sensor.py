@@ -230,10 +230,7 @@ def test_the_least_standard_deviation_is_found_in_closed_form(noise: NoiseCfg, w
     ({"near_out_of_range_value": inf}, r"near_out_of_range_value = inf: must be finite"),
     ({"noise": NoiseCfg(std_c=-0.01)}, r"noise = .*standard deviation is -0.01 m at 0.2 m: must be >= 0"),
     ({"noise": NoiseCfg(std_a=-1e-3)}, r"noise: standard deviation -0.1 m at 10 m"),
-    (
-        {"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False},
-        r"noise: standard deviation -0.1 m at 2 m",
-    ),
+    ({"noise": NoiseCfg(std_a=1.0, std_b=-4.0, std_c=3.9), "noise_enabled": False}, r"noise: .* deviation -0.1 m at 2 m"),
 ])  # fmt: skip
 def test_impossible_range_sensors_are_refused(cfg: RangeSensorCfg, fields: dict, message: str) -> None:
     with pytest.raises(ConfigError, match=rf"{type(cfg).__name__}\.?{message}"):

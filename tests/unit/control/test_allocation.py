@@ -173,12 +173,9 @@ def test_warp_gives_the_same_thrusts(name: str) -> None:
     ]
     result = torch.full((200, robot.num_rotors), torch.nan)
     wp.launch(
-        spread,
-        dim=200,
-        inputs=[*numbers, wp.from_torch(wanted.float(), dtype=wrench_type)],
-        outputs=[wp.from_torch(result, dtype=vector)],
-        device="cpu",
-    )
+        spread, dim=200, inputs=[*numbers, wp.from_torch(wanted.float(), dtype=wrench_type)],
+        outputs=[wp.from_torch(result, dtype=vector)], device="cpu",
+    )  # fmt: skip
     expected = torch.clamp(allot_thrust(exact.inverse, wanted, exact.low, exact.high), exact.low, exact.high)
     size = 1.0 + wanted.abs().max() * exact.inverse.abs().max()
     torch.testing.assert_close(result.double(), expected, atol=float(size) * 4e-6, rtol=0)

@@ -28,14 +28,13 @@ def fly(env: EnvManager, steps: int = 5) -> None:
         env.step(torch.tensor([1.0, 0.2 * i, 0.1, 0.3]).expand(env.num_envs, 4))
 
 
+QUAD = "base_quadrotor"
 OFTEN = ("dynamic_env", "empty_env", "forest_env", "landing_env")
 """Of each kind one: obstacles that move, none, obstacles that stand, and a ground."""
 
 
 @pytest.mark.parametrize(("env_name", "robot_name"), [
-    *frequent_values(
-        ((name, "base_quadrotor") for name in ENVIRONMENTS.names()), [(n, "base_quadrotor") for n in OFTEN]
-    ),
+    *frequent_values(((name, QUAD) for name in ENVIRONMENTS.names()), [(name, QUAD) for name in OFTEN]),
     pytest.param("empty_env", "morphy", marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_all_states_belong_to_the_same_instant(env_name: str, robot_name: str) -> None:
@@ -157,11 +156,9 @@ def test_an_environment_can_be_a_file(tmp_path) -> None:
 
 def test_configurations_stand_in_place_of_names() -> None:
     configurations = {
-        "sim_name": SIMS.get("base_sim"),
-        "env_name": ENVIRONMENTS.get("empty_env"),
-        "robot_name": ROBOTS.get("base_quadrotor"),
-        "controller_name": CONTROLLERS.get("lee_velocity_control"),
-    }
+        "sim_name": SIMS.get("base_sim"), "env_name": ENVIRONMENTS.get("empty_env"),
+        "robot_name": ROBOTS.get("base_quadrotor"), "controller_name": CONTROLLERS.get("lee_velocity_control"),
+    }  # fmt: skip
     slow = replace(SIMS.get("base_sim"), dt=0.02)
     assert build(**configurations | {"sim_name": slow}).dt == pytest.approx(0.02)
     named, same = build(), build(**configurations)

@@ -58,19 +58,10 @@ def sines(time: Array, rng: np.random.Generator, sizes: tuple[float, ...], *, sl
 
 
 def flight(
-    seed: int,
-    *,
-    drag: float = 0.0,
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    cubic: float = 0.0,
-    spring: float = 0.0,
-    thrust_scale: float = 1.0,
-    fading: float = 0.0,
-    outside: Array | float = 0.0,
-    noise: float = 0.0,
-    seconds: float = 12.0,
-    rate: float = 200.0,
-) -> pd.DataFrame:
+    seed: int, *, drag: float = 0.0, wind: tuple[float, float, float] = (0.0, 0.0, 0.0), cubic: float = 0.0,
+    spring: float = 0.0, thrust_scale: float = 1.0, fading: float = 0.0, outside: Array | float = 0.0,
+    noise: float = 0.0, seconds: float = 12.0, rate: float = 200.0,
+) -> pd.DataFrame:  # fmt: skip
     """Return the log of a flight with linear drag [N s/m] along all axes through a wind [m/s], world. In the columns of
     the contract, without commands. ``cubic`` is a drag ``-c |v|² v`` [N s³/m³], ``spring`` a pull ``-k x`` along the
     world's x [N/m], ``fading`` the share of their thrust that rotors lose evenly up to the end of the flight: no effect
@@ -141,15 +132,10 @@ class PredictorStub(Predictor):
     """Predictor of a model that a test writes down, at 30 Hz; by default it has neither flights nor rows."""
 
     def __init__(
-        self,
-        predict: Callable[[ModelParams], list[Array]] | None = None,
-        measured: Sequence[Array] = (),
-        *,
-        robot: RobotCfg = ROBOT,
-        flights: Sequence[Flight] = (),
-        channels: Sequence[Channel] = (),
+        self, predict: Callable[[ModelParams], list[Array]] | None = None, measured: Sequence[Array] = (), *,
+        robot: RobotCfg = ROBOT, flights: Sequence[Flight] = (), channels: Sequence[Channel] = (),
         bandwidth: float = 10.0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.robot, self.flights, self.channels, self.bandwidth = robot, tuple(flights), tuple(channels), bandwidth
         self.measured, self.times = list(measured), [np.arange(len(rows)) / 30.0 for rows in measured]
         self.tolerances, self.model, self.calls = Tolerances(), predict, 0

@@ -11,13 +11,8 @@ from aerial_gym.sim2real.predict.rollout import RolloutErrors, rollout_errors_of
 
 
 def roll_out(
-    robot: RobotCfg,
-    flights: Sequence[Flight],
-    params: ModelParams,
-    *,
-    links: Sequence[LoadLink] | None = None,
-    given_attitude: bool = False,
-    **options: Any,
-) -> RolloutErrors:
+    robot: RobotCfg, flights: Sequence[Flight], params: ModelParams, *, links: Sequence[LoadLink] | None = None,
+    given_attitude: bool = False, **options: Any,
+) -> RolloutErrors:  # fmt: skip
     (result,) = rollout_errors_of_models(robot, flights, [params], {"": given_attitude}, links=[links], **options)
     return result[""]

@@ -23,14 +23,10 @@ PLACE = NuisanceColumns(kind="position", channel="specific_force.x", columns=[],
 
 
 def make_fit(
-    *effects: str,
-    log: float = 0.0,
-    fits: float | None = None,
-    structures: tuple[NuisanceColumns, ...] = (),
-    overdispersion: float = 1.0,
-    odds: Mapping[str, float] | None = None,
+    *effects: str, log: float = 0.0, fits: float | None = None, structures: tuple[NuisanceColumns, ...] = (),
+    overdispersion: float = 1.0, odds: Mapping[str, float] | None = None,
     params: Mapping[str, Sequence[float]] | None = None,
-) -> EffectSetFit:
+) -> EffectSetFit:  # fmt: skip
     """Return a fitted set of a log posterior, at neutral but for ``params``; each effect holds by 10, or by its
     ``odds``. ``fits`` is its log likelihood; the log posterior if None."""
     values = {name: np.array((params or {}).get(name, EFFECTS.get(name).neutral(ROBOT)), float) for name in effects}
@@ -80,25 +76,16 @@ def make_choice(
 
 def make_spread(columns: np.ndarray, plain: np.ndarray, tolerance: np.ndarray, blocks: Any = None) -> Uncertainty:
     """Return the uncertainty of parameters by 50 blocks of two flights, whose scatter is the plain covariance by default."""
-    known = {
-        "columns": columns,
-        "step": np.zeros(len(columns)),
-        "plain": plain,
-        "tolerance": tolerance,
-        "flights": None,
-    }
+    own = {"columns": columns, "step": np.zeros(len(columns)), "plain": plain, "tolerance": tolerance, "flights": None}
     scatter = plain if blocks is None else np.array(blocks)
-    return Uncertainty(**known, blocks=scatter, num_blocks=50, num_flights=2)
+    return Uncertainty(**own, blocks=scatter, num_blocks=50, num_flights=2)
 
 
 def make_left_out(
     weights: Weighting, count: Any = (1.0,), flight: Any = (0,), channels=(), tolerated=0.0
 ) -> CrossValidation:
-    rows = {
-        "count": np.array(count),
-        "flight": np.array(flight),
-        "tolerated": np.full(len(weights.variance), tolerated),
-    }
+    size = len(weights.variance)
+    rows = {"count": np.array(count), "flight": np.array(flight), "tolerated": np.full(size, tolerated)}
     return CrossValidation(**rows, weights=weights, criteria=Criteria(), channels=channels)
 
 

@@ -108,9 +108,7 @@ def test_values_have_the_digits_that_their_intervals_allow(value: float, half_wi
     assert f"{value_text(value, half_width)} {half_width_text(half_width, '')}" == shown
 
 
-@pytest.mark.parametrize(
-    ("x", "words"), [(0.004, "4.0 mm ahead of"), (-0.004, "4.0 mm behind"), (0.0003, "not certain")]
-)
+@pytest.mark.parametrize(("x", "words"), [(0.004, "4.0 mm ahead of"), (-0.004, "4.0 mm behind"), (3e-4, "not certain")])
 def test_a_direction_is_named_only_if_its_interval_holds_no_zero(x: float, words: str) -> None:
     assert words in text(effect("com_offset", x=(x, 0.0, 0.0005)))
     assert "left" not in text(effect("com_offset", x=(x, 0.0, 0.0005), y=(0.0004, 0.0, 0.0005)))

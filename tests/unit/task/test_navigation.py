@@ -32,14 +32,10 @@ def noiseless() -> dict[str, object]:
 
 
 def make_state(
-    position: list[float],
-    *,
-    prev_distance: float,
-    actions: list[float] | None = None,
-    prev_actions: list[float] | None = None,
-    difficulty: float = 0.0,
+    position: list[float], *, prev_distance: float, actions: list[float] | None = None,
+    prev_actions: list[float] | None = None, difficulty: float = 0.0,
     euler: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> dict[str, Tensor]:
+) -> dict[str, Tensor]:  # fmt: skip
     def row(values: list[float]) -> Tensor:
         return torch.tensor([values], dtype=torch.float64)
 

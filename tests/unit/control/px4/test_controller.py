@@ -35,13 +35,9 @@ PX4_DEFAULTS = replace(GAZEBO.control.px4, IMU_GYRO_CUTOFF=40.0)
 
 
 def make_law(
-    name: str,
-    robot: RobotCfg = X500,
-    *,
-    px4: Px4Cfg | None = None,
-    dt: float = 0.002,
+    name: str, robot: RobotCfg = X500, *, px4: Px4Cfg | None = None, dt: float = 0.002,
     control: ControlCfg | None = None,
-) -> Px4Controller:
+) -> Px4Controller:  # fmt: skip
     cfg = CONTROLLERS.get(name)
     cfg = cfg if px4 is None else replace(cfg, px4=px4)
     return make_controller(cfg, vehicle_from_config(robot, num_envs=1, dtype=F64), 9.81, dt=dt, control=control)

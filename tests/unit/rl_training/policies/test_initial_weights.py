@@ -79,9 +79,8 @@ def test_a_training_begins_where_another_one_ended(tmp_path: Path) -> None:
 
     task = task_registry.get("position_setpoint_task")
     terms = (*task.observations["policy"], ObservationCfg(term="lin_vel_body"))
-    training = PpoTrainer().make_training(
-        cfg, build_task(replace(task, observations={**task.observations, "policy": terms}), 64)
-    )
+    given = replace(task, observations={**task.observations, "policy": terms})
+    training = PpoTrainer().make_training(cfg, build_task(given, 64))
     training.load_initial_weights(cfg.initial)
     wide, narrow = training.learner.network.actor, draw_observations(first.shapes["observations"][0])
     result = wide({"observations": torch.cat((narrow, draw_observations(3)), dim=1)})

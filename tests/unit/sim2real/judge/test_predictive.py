@@ -55,16 +55,10 @@ def test_the_quantile_allows_for_a_size_that_is_estimated() -> None:
 
 
 def judge_flight(
-    folder,
-    inertia: float,
-    *,
-    still: bool,
-    drag: float = 0.0,
-    looked_for: tuple[str, ...] = tuple(EFFECTS),
-    own: Mapping[str, float] = MappingProxyType({}),
-    most: float = 0.15,
+    folder, inertia: float, *, still: bool, drag: float = 0.0, looked_for: tuple[str, ...] = tuple(EFFECTS),
+    own: Mapping[str, float] = MappingProxyType({}), most: float = 0.15,
     more: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> ResidualExcess:
+) -> ResidualExcess:  # fmt: skip
     """Return the residual excess of a test flight with drag after training flights without it; the inertia is off by a
     factor. ``own``: how large offsets of single flights seem, and ``most`` may be; ``more`` is felt along x in the
     last, at a time [s]."""

@@ -57,11 +57,9 @@ ROWS, CHANNELS, PARAMETERS = 12, 2, 3
 
 def make_remainder(jacobian: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> ResidualSums:
     return ResidualSums(
-        square=(residual**2).sum(axis=0),
-        gradient=np.einsum("rck,rc->ck", jacobian, residual),
-        product=np.einsum("rck,rcl->ckl", jacobian, jacobian),
-        precision=precision,
-    )
+        square=(residual**2).sum(axis=0), gradient=np.einsum("rck,rc->ck", jacobian, residual),
+        product=np.einsum("rck,rcl->ckl", jacobian, jacobian), precision=precision,
+    )  # fmt: skip
 
 
 def test_the_density_is_that_of_a_normal_residual_with_unknown_parameters() -> None:

@@ -239,11 +239,8 @@ def test_what_looks_like_a_failure_is_noted_and_changes_nothing_else() -> None:
     assert failure_verdict.result_with_suspicions(judged, []) is judged
 
 
-CHANNELS = tuple(
-    Channel(kind=kind, axis=axis)
-    for kind in ("specific_force", "angular_acceleration", "kinematic_force")
-    for axis in "xyz"
-)
+KINDS = ("specific_force", "angular_acceleration", "kinematic_force")
+CHANNELS = tuple(Channel(kind=kind, axis=axis) for kind in KINDS for axis in "xyz")
 EFFECT, TIED = make_named_effect(), make_named_effect(ties=("weak_motor",))
 
 
@@ -311,12 +308,8 @@ def test_an_unexplained_error_leads_with_its_size_over_the_noise_floor() -> None
     structure = Structure(kind="position", channel="specific_force.z", share=0.6)
     rest = {"open_points": (point,), "unexplained": ("specific_force.z",), "structure": structure}
     statement = answer_parts(unit_verdict("unexplained", after=model(1, 1, 0.31, *[1] * 6), **rest))
-    assert statement_codes(statement) == [
-        ["remains_unexplained", "effects_none"],
-        [],
-        ["structure_found"],
-        ["fly_structure"],
-    ]
+    expected = [["remains_unexplained", "effects_none"], [], ["structure_found"], ["fly_structure"]]
+    assert statement_codes(statement) == expected
     (error,) = statement["result"][0].values["errors"]
     assert error == {"channel": "specific_force.z", "rms_m_s2": 0.31, "floor_m_s2": 0.1}
 

@@ -27,12 +27,10 @@ def fly(seed: int, *, noise: float = 0.01, bias: float = 0.05, seconds: float = 
     velocity = np.gradient(way, 1.0 / RATE, axis=0) + bias + 0.02 * rng.standard_normal((time.size, 3))
     heading = 0.5 * (0.2 * turn + 0.001 * rng.standard_normal(time.size))
     return FlightLog(
-        path="log.csv",
-        time=time,
+        path="log.csv", time=time,
         attitude=np.column_stack((np.zeros((time.size, 2)), np.sin(heading), np.cos(heading))),
-        position=way + noise * rng.standard_normal((time.size, 3)),
-        lin_vel=velocity,
-    )
+        position=way + noise * rng.standard_normal((time.size, 3)), lin_vel=velocity,
+    )  # fmt: skip
 
 
 def with_steps(log: FlightLog, steps: dict[float, tuple[float, float, float]]) -> FlightLog:

@@ -150,10 +150,8 @@ def test_thinned_rows_predict_what_all_rows_do(tmp_path: Path) -> None:
     results = load(tmp_path, rate=500.0, noise=1.0)
     thin, full = (make_predictor([results], every_row=every) for every in (False, True))
     place = np.round((thin.times[0] - full.times[0][0]) * results.rate).astype(int)
-    for some, every in (
-        (thin.predict(ModelParams())[0], full.predict(ModelParams())[0]),
-        (thin.measured[0], full.measured[0]),
-    ):
+    predicted = (each.predict(ModelParams())[0] for each in (thin, full))
+    for some, every in (predicted, (thin.measured[0], full.measured[0])):
         np.testing.assert_allclose(some, every[place], atol=2e-3 * np.abs(every).max())
 
 
@@ -653,7 +651,7 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(t
 
 
 @pytest.mark.parametrize(
-    ("rate", "bandwidth", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
+    ("rate", "band", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
 )
-def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, bandwidth: float, rows: int) -> None:
+def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, band: float, rows: int) -> None:
     assert row_stride(hover("a", 1.0, rate=rate), bandwidth) == rows

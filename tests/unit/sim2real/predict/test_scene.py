@@ -49,10 +49,8 @@ def gain(k: float, distance: float) -> float:
 
 
 def test_each_flight_has_its_own_ceiling_and_ground() -> None:
-    flights = [
-        hover("low", 1.0, ceiling_height=1.11, ground_height=0.81),
-        hover("high", 1.0, ceiling_height=1.31, ground_height=-5.0),
-    ]
+    flights = [hover("low", 1.0, ceiling_height=1.11, ground_height=0.81)]
+    flights += [hover("high", 1.0, ceiling_height=1.31, ground_height=-5.0)]
     for effect, rooms in (("ceiling_effect", (0.1, 0.3)), ("ground_effect", (0.2, 6.01))):
         for result, room in zip(lift(flights, effect, [1.5]), rooms, strict=True):
             np.testing.assert_allclose(result, G * gain(1.5, room), rtol=1e-9, atol=1e-9)
@@ -80,10 +78,8 @@ def test_a_rollout_feels_its_surroundings(effect: str) -> None:
     """From rest, to first order: z = a t² / 2 with the acceleration at the start; the second flight has another one."""
     other = np.column_stack((np.full(400, 0.2), np.zeros(400), np.full(400, 3.0)))
     far = other + np.array([9.0, 0.0, 0.0])
-    flights = [
-        hover("near", 1.0, ceiling_height=1.31, other_position=other),
-        hover("far", 1.0, ceiling_height=9.0, other_position=far),
-    ]
+    flights = [hover("near", 1.0, ceiling_height=1.31, other_position=other)]
+    flights += [hover("far", 1.0, ceiling_height=9.0, other_position=far)]
     params, acc = {
         "ceiling_effect": ([1.5], (G * gain(1.5, 0.3), G * gain(1.5, 7.99))),
         "downwash": ([0.6, 0.3], (-np.exp(-0.5 * (0.2 / 0.3) ** 2), 0.0)),

@@ -84,12 +84,10 @@ def test_every_effect_that_is_not_named_has_a_reason() -> None:
     ]
     expected = [
         Finding("follows_structure", "weak_motor", {"structure": "time"}),
-        Finding("trifle", "motor_tilt", {"rise": 0.02}),
-        Finding("only_linear", "com_offset"),
-        Finding("at_bound", "imu_bias", {"parameters": ["ax"]}),
-        Finding("less_probable", "payload_mass"),
+        Finding("trifle", "motor_tilt", {"rise": 0.02}), Finding("only_linear", "com_offset"),
+        Finding("at_bound", "imu_bias", {"parameters": ["ax"]}), Finding("less_probable", "payload_mass"),
         Finding("acts_on_links", "downwash"),
-    ]
+    ]  # fmt: skip
     assert [row["because"] for row in rows] == [text(finding) for finding in expected]
 
 
@@ -144,10 +142,8 @@ def test_the_line_is_that_of_all_points_and_each_channel_says_what_it_needs(ligh
     slope = (clue.fitted - clue.neutral) / clue.scale
     assert slope == pytest.approx(float(adds @ beyond / (adds @ adds)), abs=2e-3)
     alone = {cloud.channel.name: cloud for cloud in clue.clouds}
-    for name, truth in (
-        ("specific_force.z", SCALE),
-        *((f"angular_acceleration.{axis}", SCALE * lighter) for axis in "xy"),
-    ):
+    truths = {f"angular_acceleration.{axis}": SCALE * lighter for axis in "xy"} | {"specific_force.z": SCALE}
+    for name, truth in truths.items():
         assert alone[name].alone == pytest.approx(truth, abs=4.0 * alone[name].std)
         assert alone[name].std < 0.02
     assert clue.channels_to_plot[0].channel.name == max(alone, key=lambda name: alone[name].adds @ alone[name].adds)

@@ -45,14 +45,9 @@ def hovers(rng: np.random.Generator, name: str, count: int, ratio: np.ndarray, s
 
 
 def judge_pairs(
-    seed: int,
-    ratio: np.ndarray,
-    *,
-    size: float = 1.0,
-    conditions: int = 9,
-    baselines: int = 2,
+    seed: int, ratio: np.ndarray, *, size: float = 1.0, conditions: int = 9, baselines: int = 2,
     added_mass: float | None = None,
-) -> Balance:
+) -> Balance:  # fmt: skip
     """Baselines, one flight and one test, and pairs under other conditions, as the measured set has them."""
     rng = np.random.default_rng(seed)
     repeats = [h for n in range(conditions) for h in hovers(rng, f"other_{n}_log", 2, rng.uniform(0.9, 1.1, 4), size)]

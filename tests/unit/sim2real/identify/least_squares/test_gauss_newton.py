@@ -46,13 +46,11 @@ def linear_fit(
         times.append(np.arange(ROWS) / RATE)
     size = NUM_PARAMS + NUM_TOLERANCES
     return ModelFit(
-        effects=(EFFECT,),
-        params=ModelParams(effects={EFFECT: np.zeros(NUM_PARAMS)}),
+        effects=(EFFECT,), params=ModelParams(effects={EFFECT: np.zeros(NUM_PARAMS)}),
         moments=block_moments(times, residuals, jacobians),
-        low=np.concatenate((np.full(NUM_PARAMS, low), np.full(NUM_TOLERANCES, -3.0))),
-        high=np.full(size, np.inf),
+        low=np.concatenate((np.full(NUM_PARAMS, low), np.full(NUM_TOLERANCES, -3.0))), high=np.full(size, np.inf),
         num_effect_params=NUM_PARAMS,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("colour", [pytest.param(15.0, marks=pytest.mark.slow), 2.0])

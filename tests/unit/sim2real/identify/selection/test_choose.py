@@ -21,16 +21,8 @@ from tests.unit.sim2real.flat_flights import ROBOT, PredictorStub, flight, load_
 from tests.unit.sim2real.set_fits import PLACE, FitStub, make_fit
 
 NAMES = (
-    *(
-        "rotor_drag",
-        "quadratic_drag",
-        "thrust_coefficient",
-        "payload_mass",
-        "constant_wind",
-        "com_offset",
-        "weak_motor",
-    ),
-)
+    "rotor_drag", "quadratic_drag", "thrust_coefficient", "payload_mass", "constant_wind", "com_offset", "weak_motor",
+)  # fmt: skip
 FEW = ("rotor_drag", "thrust_coefficient", "payload_mass", "constant_wind")
 MATERIAL = Criteria().material
 

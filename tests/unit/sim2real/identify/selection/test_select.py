@@ -27,14 +27,9 @@ ROTORS = ["rotor_1", "rotor_2", "rotor_3", "rotor_4"]
 
 
 def select_hidden(
-    folder: Path,
-    candidates: tuple[str, ...],
-    *,
-    change: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table,
-    robot: RobotCfg = ROBOT,
-    seconds: float = 12.0,
-    **hidden: Any,
-) -> SelectionResult:
+    folder: Path, candidates: tuple[str, ...], *, change: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table,
+    robot: RobotCfg = ROBOT, seconds: float = 12.0, **hidden: Any,
+) -> SelectionResult:  # fmt: skip
     """Return the effects selected from four flights with sensor noise, among some candidates."""
     logs = [change(flight(seed, seconds=seconds, rate=100.0, noise=1.0, **hidden)) for seed in range(4)]
     predictor = make_predictor(load_tables(folder, logs, robot), robot)
