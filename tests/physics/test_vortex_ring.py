@@ -1,4 +1,4 @@
-"""Loss of thrust in fast descent against closed forms."""
+"""Loss of thrust in fast descent: closed forms, continuity at both ends, sideways flow, the other direction of thrust."""
 
 from dataclasses import replace
 from math import pi, sqrt
@@ -7,9 +7,7 @@ import pytest
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import BodyState, accelerations, build_model, vehicle_from_config
-from aerial_gym.physics.effects.induced_flow import (
-    AIR_DENSITY,
-)
+from aerial_gym.physics.effects.induced_flow import AIR_DENSITY
 from aerial_gym.physics.model import check_effects
 from aerial_gym.robots import ROBOTS
 from tests.physics.vehicles import F64, make_effects, rest_state
