@@ -129,15 +129,13 @@ def test_rows_tell_a_wrong_density_from_a_right_one() -> None:
     cfg = IMUS.get("bmi088")
     fast, slow = (AllanRecord.simulate(cfg, dt=dt, num_sensors=32, num_samples=1024, seed=3) for dt in (0.01, 0.5))
     right = compare("bmi088", cfg, fast, slow)
-    assert [(row.sensor, row.axis) for row in right[:4]] == [
-        ("accel", "x"), ("accel", "y"), ("accel", "z"), ("gyro", "x"),
-    ]  # fmt: skip
+    assert [row["sensor"] + row["axis"] for row in right[:4]] == ["accelx", "accely", "accelz", "gyrox"]
     for row in right:
         for name in ("noise", "walk", "lowest"):
-            configured, low, high = (getattr(row, f"{name}_{label}") for label in ("configured", "low", "high"))
+            configured, low, high = (row[f"{name}_{label}"] for label in ("configured", "low", "high"))
             assert low - (high - low) <= configured <= high + (high - low), (row, name)  # 6 standard errors
     wrong = compare("bmi088", IMUS.get("vn100"), fast, slow)
-    assert not wrong[3].noise_low <= wrong[3].noise_configured <= wrong[3].noise_high
+    assert not wrong[3]["noise_low"] <= wrong[3]["noise_configured"] <= wrong[3]["noise_high"]
 
 
 def test_the_command_prints_rows_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
