@@ -1,4 +1,4 @@
-"""Type aliases of arrays; shapes and units are stated where an array is used."""
+"""Type aliases of arrays, with shapes and units where an array is used, and a fast test for nonzero numbers."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,3 +6,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
+
+
+def has_nonzero(table: NDArray[np.floating], axis: int | tuple[int, ...]) -> Flags:
+    """Return ``(table != 0).any(axis)``, NaN included, by a much faster test of the bits."""
+    bits = np.bitwise_or.reduce(table.view(f"u{table.itemsize}"), axis=axis)
+    return bits << 1 != 0  # without the sign bit

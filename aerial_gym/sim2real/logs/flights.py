@@ -21,17 +21,19 @@ from aerial_gym.sim2real.logs.checks.conventions import (
     without_bad_quaternions,
 )
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
-from aerial_gym.sim2real.logs.checks.rotor_law import check_rotor_law
-from aerial_gym.sim2real.logs.checks.rotor_order import check_rotor_order
-from aerial_gym.sim2real.logs.checks.rotors import without_copied_commands
+from aerial_gym.sim2real.logs.checks.rotors import check_rotor_law, check_rotor_order, without_copied_commands
 from aerial_gym.sim2real.logs.checks.time_courses import check_for_alternating_flights
-from aerial_gym.sim2real.logs.clock_offset import commands_share_clock, shift_rotor_log
+from aerial_gym.sim2real.logs.clock_offset import (
+    check_rotor_clock,
+    commands_share_clock,
+    rotor_clock_offsets,
+    shift_rotor_log,
+)
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
-from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock, rotor_clock_offsets
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, lowpass, uniform_log

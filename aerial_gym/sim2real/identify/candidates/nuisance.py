@@ -23,8 +23,7 @@ from aerial_gym.sim2real.identify.candidates.structure import (
 )
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
 from aerial_gym.sim2real.identify.least_squares.derivatives import to_single_precision
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Weighting
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.predictor import Predictor

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from aerial_gym.sim2real.arrays import Array, Indices
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, concatenate_flights
-from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets, no_offsets
-from aerial_gym.sim2real.predict.nonzero import has_nonzero
+from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, concatenate_flights, no_offsets
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,13 @@ from aerial_gym.sim2real.arrays import Array, Indices
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import DerivativeColumns, NuisanceSums, sum_of_products
 from aerial_gym.sim2real.identify.least_squares.derivatives import Derivatives, correct_derivatives, effect_jacobian
-from aerial_gym.sim2real.identify.least_squares.moments import Moments, block_length, block_moments, concatenate_flights
-from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
+from aerial_gym.sim2real.identify.least_squares.moments import (
+    FlightOffsets,
+    Moments,
+    block_length,
+    block_moments,
+    concatenate_flights,
+)
 from aerial_gym.sim2real.identify.least_squares.parameters import (
     is_number,
     parameter_bounds,
@@ -260,3 +265,19 @@ def least_weighted_squares(beside: NuisanceSums, residuals: Sequence[Array]) -> 
     product, far = beside.whole + np.eye(beside.width), np.full(beside.width, FARTHEST_DEVIATION)
     step = minimise_in_bounds(product, gradient, -far, far) if far.size else gradient
     return square - 2.0 * float(gradient @ step) + float(step @ product @ step)
+
+
+def leave_out_steps(fit: ModelFit, weight: Array, free: Indices, label: Indices) -> Array:
+    """Return for each block the best step from the blocks of all other labels, (B, K); ``label`` is (B,)."""
+    place = np.unique(label, return_inverse=True)[1]
+    steps = [
+        solve_bounded_step(fit, product, gradient, free) for product, gradient in _complement_sums(fit, weight, place)
+    ]
+    return np.stack(steps)[place]
+
+
+def _complement_sums(fit: ModelFit, weight: Array, place: Indices) -> list[tuple[Array, Array]]:
+    """Return the normal equations without the blocks of each label 0, 1, ...; ``place``: label of each block, (B,)."""
+    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(int(place.max()) + 1)]
+    product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
+    return [(product - own, gradient - pull) for own, pull in parts]

@@ -3,10 +3,11 @@
 Every named effect must be supported despite the scatter between flights, and must be material.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from aerial_gym.physics import EFFECTS
 from aerial_gym.sim2real.arrays import Array
@@ -16,7 +17,6 @@ from aerial_gym.sim2real.identify.candidates.nuisance import OF_FLIGHTS, Nuisanc
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter, set_label
 from aerial_gym.sim2real.identify.evidence.laplace import Posterior, posterior
 from aerial_gym.sim2real.identify.evidence.linear import linearise_about_fit
-from aerial_gym.sim2real.identify.evidence.probabilities import inclusion_probabilities, set_probabilities
 from aerial_gym.sim2real.identify.least_squares.derivatives import effect_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import fit_of_moments
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, flight_of_rows, time_block_of_rows
@@ -296,3 +296,23 @@ def _is_special_case(one: EffectSetFit, other: EffectSetFit) -> bool:
     new, gone = set(one.effects) - set(other.effects), set(other.effects) - set(one.effects)
     same = [structure.name for structure in one.structures] == [structure.name for structure in other.structures]
     return same and len(new) == len(gone) == 1 and new <= {case for wide in gone for case in EFFECTS.get(wide).contains}
+
+
+def set_probabilities(fits: Iterable[EffectSetFit], *, overdispersion: float) -> dict[tuple[str, ...], float]:
+    """Return the probability of each set, summed over structures, the most probable first, with overdispersion (guard.py)."""
+    inclusion: dict[tuple[str, ...], float] = {}
+    for fitted in fits:
+        key = tuple(sorted(fitted.effects))
+        inclusion[key] = float(np.logaddexp(inclusion.get(key, -np.inf), fitted.log_posterior / overdispersion))
+    logs = np.array(list(inclusion.values()))
+    shares = np.exp(logs - logsumexp(logs)).tolist()
+    return dict(sorted(zip(inclusion, shares, strict=True), key=lambda item: -item[1]))
+
+
+def inclusion_probabilities(sets: Mapping[tuple[str, ...], float]) -> dict[str, float]:
+    """Return the posterior inclusion probability of each effect, the highest first."""
+    inclusion: dict[str, float] = {}
+    for names, probability in sets.items():
+        for name in names:
+            inclusion[name] = inclusion.get(name, 0.0) + probability
+    return dict(sorted(inclusion.items(), key=lambda item: -item[1]))

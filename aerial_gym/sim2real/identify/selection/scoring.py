@@ -12,8 +12,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.least_squares.covariance import Uncertainty
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit
-from aerial_gym.sim2real.identify.least_squares.leave_out import leave_out_steps
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, leave_out_steps
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting, cross_validation_folds
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.statistics import student_tail

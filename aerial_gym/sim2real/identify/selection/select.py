@@ -16,8 +16,7 @@ from aerial_gym.sim2real.identify.least_squares.covariance import is_identifiabl
 from aerial_gym.sim2real.identify.least_squares.derivative_sums import NuisanceSums
 from aerial_gym.sim2real.identify.least_squares.derivatives import tolerance_jacobian
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen, ModelFit, fit_effects, linearise_at_params
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Weighting
 from aerial_gym.sim2real.identify.selection.choose import MostProbableSet, choose_effects
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, CrossValidation, FitScore
 from aerial_gym.sim2real.logs.flights import Flight

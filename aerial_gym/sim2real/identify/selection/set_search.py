@@ -4,7 +4,7 @@ Candidates are linearised about the present set, and the posterior over sets ran
 with the full model; the best becomes the present set, until no fit is better.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,15 +28,18 @@ from aerial_gym.sim2real.identify.evidence.guard import Guard, num_parts_per_fli
 from aerial_gym.sim2real.identify.evidence.laplace import Model
 from aerial_gym.sim2real.identify.evidence.linear import make_candidates, make_normal_equations
 from aerial_gym.sim2real.identify.evidence.search import search_sets
-from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives
+from aerial_gym.sim2real.identify.least_squares.derivative_sums import SparseDerivatives, weighted_moments
 from aerial_gym.sim2real.identify.least_squares.derivatives import (
     Derivatives,
+    correct_derivatives,
+    directional_change,
     to_single_precision,
     tolerance_jacobian,
     tolerance_rms,
 )
-from aerial_gym.sim2real.identify.least_squares.moments import Weighting
-from aerial_gym.sim2real.identify.least_squares.weighting import iterate_channel_weights
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import UNIT, best_step, fit_of_moments
+from aerial_gym.sim2real.identify.least_squares.moments import Weighting, inverse_variance_weights
+from aerial_gym.sim2real.identify.least_squares.parameters import parameter_row, parameter_scales, replace_params
 from aerial_gym.sim2real.identify.selection.candidate_view import (
     CandidateView,
     Way,
@@ -309,3 +312,41 @@ def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
     for gone in (k for k in view.present_set if not candidates[k].structure):
         models = [tuple(sorted((*(k for k in view.present_set if k != gone), other))) for other in excluded]
         yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))
+
+
+def iterate_channel_weights(
+    predictor: Predictor,
+    start: ModelParams,
+    effects: tuple[str, ...],
+    own: Sequence[Array],
+    linear: Sequence[Derivatives],
+    *,
+    beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
+) -> Weighting:
+    """Return the channel weights from the residual that no candidate effect explains.
+
+    Effects, ``linear`` columns (rows, C, any) and tolerances are fitted three times, with weights from the last residual or
+    ``beyond`` it. ``own``: derivatives by the effects, (rows, C, P), updated in place.
+    """
+    params = start
+    predicted = predictor.predict(params)
+    weights = inverse_variance_weights([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
+    ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
+    for _ in range(3):
+        residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+        flights = list(zip(own, *linear, strict=True))
+        moments = weighted_moments(predictor.times, residuals, flights, weights.weight)
+        give_back_memory()
+        fit = fit_of_moments(predictor.robot, effects, params, moments)
+        step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
+        left = residuals
+        for part, along in zip((own, *linear), (step, *steps), strict=True):
+            left = [r - directional_change(columns, along) for r, columns in zip(left, part, strict=True)]
+        if not all(np.isfinite(part).all() for part in left):
+            break  # step beyond a pendulum's range: keep the previous weights
+        weights = inverse_variance_weights(left if beyond is None else beyond(left, weights))
+        here = parameter_row(params, effects)
+        params = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * step)
+        before, predicted = predicted, predictor.predict(params)
+        correct_derivatives(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
+    return weights

@@ -14,7 +14,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, imu_errors_from_kinematics
+from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, WORST_AGREEMENT, imu_errors_from_kinematics
 from aerial_gym.sim2real.logs.checks.rotors import check_rotor_columns
 from aerial_gym.sim2real.logs.checks.units import (
     check_units_against_accelerometer,
@@ -27,7 +27,7 @@ from aerial_gym.sim2real.logs.signals import lowpass
 
 SHORTEST_S = 2.0
 LOWEST_RATE_HZ = 20.0
-WORST_AGREEMENT = 0.7  # Largest relative difference between two measurements of the same quantity
+
 QUIET_RATE = 0.1  # Below this RMS angular velocity [rad/s] the comparison with the attitude is skipped
 QUIET_SPEED = 0.3  # Below this RMS velocity [m/s] the comparison with the position is skipped
 QUIET_FORCE = 0.5  # Least reference [m/s²] for the relative error of the acceleration

@@ -16,6 +16,7 @@ from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
 from aerial_gym.sim2real.statistics import student_quantile
 
 CHECK_BANDWIDTH_HZ = 4.0  # Low-pass frequency of the comparison [Hz], below the limits of all logs
+WORST_AGREEMENT = 0.7  # Largest relative difference between two measurements of the same quantity
 BLOCK_S = 0.5  # Length of blocks [s] whose residuals count as independent
 
 FEWEST_BLOCKS = 8

@@ -1,20 +1,31 @@
-"""Check that rotor and command columns hold rotor speeds [rad/s], or thrusts [N] in force mode.
+"""Check number, unit, sign, order and thrust slope of rotor and command columns.
 
-Letters: T rows, R rotors.
+They hold rotor speeds [rad/s], or thrusts [N] in force mode. A pulse width, a duty cycle or a thrust in place of a speed may
+give the right hover thrust, with 1.5 to 3, 1/2 and 2 times the declared slope. Letters: T rows, R rotors, N orders.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.arrays import Array
+from aerial_gym.physics import vehicle_from_config
+from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
+from aerial_gym.sim2real.arrays import Array, Flags, Indices
 from aerial_gym.sim2real.findings import Finding
+from aerial_gym.sim2real.logs.checks.kinematics import CHECK_BANDWIDTH_HZ, WORST_AGREEMENT
+from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
-from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
+from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
+from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
+from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+from aerial_gym.sim2real.statistics import student_quantile
 
 
 def check_rotor_columns(log: FlightLog, robot: RobotCfg) -> None:
@@ -81,3 +92,109 @@ def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
         f"{log.path}: {name}_1..{values.shape[1]} (90th percentile {np.percentile(values, 90.0):.4g}) would give {ratio:.3g} "
         f"times the weight of the declared robot; {guess}"
     )
+
+
+MOST_ROTORS = 6  # More rotors have too many orders to try
+BETTER = 0.4  # Another order is accepted if its residual is less than this share of the declared order's
+
+
+def check_rotor_order(log: FlightLog, robot: RobotCfg) -> None:
+    """Raise ``DataError`` if another order of the rotor columns predicts the angular acceleration much better."""
+    if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
+        return
+    rate = sample_rate(log)
+    edge, stride = edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
+
+    def slow(values: Array, *, derivative: bool = False) -> Array:
+        filtered = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride]
+        return filtered - filtered.mean(axis=0)
+
+    inertia = np.array(robot.body.inertia)
+    turning = slow(log.ang_vel, derivative=True)
+    turning = turning + slow(np.cross(log.ang_vel, log.ang_vel @ inertia)) @ np.linalg.inv(inertia)
+    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
+        if values is None:
+            continue
+        orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
+        misses = _residuals_of_rotor_orders(robot, turning, slow, values, orders, inertia)
+        best = int(np.argmin(misses))
+        if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
+            columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
+            raise DataError(
+                f"{log.path}: {name}_1..{robot.num_rotors} in the declared order predict the angular acceleration with an "
+                f"error of {misses[0]:.0%}; the probable order is {columns}: reorder the columns or the robot's mounts"
+            )
+
+
+def _residuals_of_rotor_orders(
+    robot: RobotCfg,
+    turning: Array,
+    slow: Callable[[Array], Array],
+    values: Array,
+    orders: Indices,
+    inertia: Array,
+) -> Array:
+    """Return the relative residual of the angular acceleration under each order, mean over axes, (N,)."""
+    one, count = vehicle_from_config(robot, num_envs=1, dtype=torch.float64), robot.num_rotors
+    single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
+    lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))
+    speed = torch.from_numpy(values)
+    thrust, drag = (slow(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
+    torque = np.einsum("tnr,rk->ntk", thrust[:, orders], lever) + np.einsum("tnr,rk->ntk", drag[:, orders], reaction)
+    left = np.mean((turning - torque @ np.linalg.inv(inertia)) ** 2, axis=1)
+    return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=1))
+
+
+WINDOW_S = 0.25  # Length of the averaging windows [s]
+FEWEST_WINDOWS = 8  # Least surplus of windows over fitted coefficients
+WRONG_SLOPE = float(
+    np.sqrt(2.0)
+)  # Ratio beyond which a slope is nearer to 2 or 1/2, those of a mistaken column, than to 1
+
+
+def check_rotor_law(log: FlightLog, robot: RobotCfg, on_ground: Flags | None) -> None:
+    """Raise ``DataError`` if the interval of the relative slope lies outside 1 / WRONG_SLOPE to WRONG_SLOPE."""
+    for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
+        if values is None or log.specific_force is None:
+            continue
+        states = values if name == "rotor" else simulate_lag(robot, values, sample_rate(log))
+        low, high = interval_of_thrust_slope(log, total_rotor_force(robot, states), on_ground)
+        if high >= 1.0 / WRONG_SLOPE and low <= WRONG_SLOPE:
+            continue
+        unit = "N" if "force" in robot.rotor_traits else "rad/s"
+        grows = f"{low:.2g} to {high:.2g} times as steeply with {name}_1..{values.shape[1]}"
+        raise DataError(
+            f"{log.path}: the measured force rises {grows} as the robot file declares; the columns probably hold not {unit} "
+            "but a pulse width, a duty cycle or a thrust: convert them in a mapping file (power, gain, offset), or empty them"
+        )
+
+
+def interval_of_thrust_slope(log: FlightLog, thrust: Array, on_ground: Flags | None) -> tuple[float, float]:
+    """Return the interval of ``d ln |f| / d ln T``, between both regressions (see ``units``); 0 to infinity: not observable."""
+    assert log.specific_force is not None
+    rows = max(1, round(WINDOW_S * sample_rate(log)))
+    count = len(thrust) // rows
+
+    def means(values: Array) -> Array:
+        return values[: count * rows].reshape(count, rows, -1).mean(axis=1)
+
+    regressors = [np.ones((count, 1))]
+    if log.lin_vel is not None:
+        speed = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)
+        regressors += [means(speed[:, 2:]), means(np.sum(speed[:, :2] ** 2, axis=1))]
+    flies = np.full(count, True) if on_ground is None else means(on_ground.astype(float))[:, 0] == 0.0
+    causes = np.concatenate(regressors, axis=1)[flies]
+    pair = np.column_stack((np.linalg.norm(means(log.specific_force), axis=1), means(thrust)))[flies]
+    free = len(pair) - causes.shape[1] - 1
+    if free < FEWEST_WINDOWS:
+        return 0.0, np.inf
+    left = pair - causes @ np.linalg.lstsq(causes, pair, rcond=None)[0]
+    spread = np.sqrt(np.mean(left**2, axis=0))
+    if not np.all(spread > 0.0):
+        return 0.0, np.inf
+    share = float(np.mean(left[:, 0] * left[:, 1]) / np.prod(spread))
+    error = -float(student_quantile(SURE, free)) * np.sqrt(max(1.0 - share**2, 0.0) / free) / max(abs(share), 1e-12)
+    if error >= 1.0 or share < 0.0:
+        return 0.0, np.inf
+    size = float(spread[0] / spread[1] * pair[:, 1].mean() / pair[:, 0].mean())
+    return share * size / np.exp(error), size / share * np.exp(error)

@@ -3,7 +3,7 @@
 from statistics import median
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.logs.readers.late_blocks import SPLIT_STEPS
+from aerial_gym.sim2real.logs.readers.stamps import SPLIT_STEPS
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, longest_bridgeable_gap
 
 LATE_START_S = 2.0  # Time before the first accepted row in which a late block may lie [s]

@@ -13,12 +13,11 @@ from torch import Tensor
 
 from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.math.quaternion import quat_rotate_inverse
-from aerial_gym.sim2real.arrays import Array, Indices
+from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
 from aerial_gym.sim2real.predict.channels import Channel
-from aerial_gym.sim2real.predict.nonzero import has_nonzero
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 

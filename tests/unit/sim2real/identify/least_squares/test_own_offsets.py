@@ -3,11 +3,7 @@
 import numpy as np
 
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step
-from aerial_gym.sim2real.identify.least_squares.leave_out import leave_out_steps
-from aerial_gym.sim2real.identify.least_squares.moments import block_moments
-from aerial_gym.sim2real.identify.least_squares.own_offsets import FlightOffsets
-from aerial_gym.sim2real.predict.model_params import ModelParams
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
 
 
 def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.checks.rotor_law import interval_of_thrust_slope
+from aerial_gym.sim2real.logs.checks.rotors import interval_of_thrust_slope
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.predict.nonzero import has_nonzero
+from aerial_gym.sim2real.arrays import has_nonzero
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
