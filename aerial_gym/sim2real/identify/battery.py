@@ -13,9 +13,9 @@ from scipy.optimize import lsq_linear
 from aerial_gym.config.robot import BatteryCfg, RobotCfg
 from aerial_gym.physics import EFFECTS, build_model, vehicle_from_config
 from aerial_gym.sim2real.arrays import Array, Flags
+from aerial_gym.sim2real.identify.candidates.testable import finding_on_steady_voltage
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.rotor_model import rotor_drag_torques
-from aerial_gym.sim2real.predict.replay.rotor_commands import finding_on_absent_quantity, finding_on_steady_voltage
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.statistics import fit_line
 
@@ -37,9 +37,9 @@ def add_battery_estimate(robot: RobotCfg, flights: Sequence[Flight]) -> RobotCfg
     voltage.
     """
     sag = EFFECTS.get("battery_sag")
-    if robot.battery is not None or finding_on_absent_quantity(sag, flights) or finding_on_steady_voltage(sag, flights):
+    if robot.battery is not None or any(f.battery is None or f.rotor_command is None for f in flights):
         return robot
-    if any(flight.rotor_command is None for flight in flights):
+    if finding_on_steady_voltage(sag, flights):
         return robot
     nominal, how = _nominal_voltage(robot, flights)
     numbers = {"nominal_voltage": nominal, **_fit_discharge(robot, flights)}

@@ -42,7 +42,6 @@ class ResidualFit:
     cfg: LearnedResidualCfg | None  # Network for the robot file; None if rejected
     objections: tuple[Finding, ...]  # Reasons for the rejection; empty if accepted
     gain: Gain | None = None  # Improvement over the named effects on left-out training flights
-    decay: float = 0.0  # Weight decay with the least error on left-out flights
     gaps: dict[str, float | None] = field(default_factory=dict)  # Explained share above the noise floor on test flights
     rows: int = 0  # Number of compared rows of the test flights
     rows_outside: int = 0  # Number of these rows outside the training data
@@ -100,8 +99,8 @@ def train_residual(
         decay, _ = trainer.best_decay()
     gain = trainer.gain(decay)
     if objections := left_out.objections(gain):
-        return ResidualFit(cfg=None, objections=tuple(objections), gain=gain, decay=decay)
-    return ResidualFit(cfg=trainer.network_config(trainer.train(decay)), objections=(), gain=gain, decay=decay)
+        return ResidualFit(cfg=None, objections=tuple(objections), gain=gain)
+    return ResidualFit(cfg=trainer.network_config(trainer.train(decay)), objections=(), gain=gain)
 
 
 def add_test_shares(

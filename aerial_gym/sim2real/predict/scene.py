@@ -13,7 +13,6 @@ from torch import Tensor
 
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import WindEffect
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight, flight_names
@@ -37,17 +36,11 @@ class SurfaceHeights(TypedDict):
 
 def finding_on_absent_scene(name: str, flights: Sequence[Flight]) -> Finding | None:
     """Return a finding on surroundings that an effect needs and flights lack; None if all are there."""
-    return _finding_on_absent_data(name, EFFECTS.get(name).needs, flights)
+    return finding_on_absent_data(name, EFFECTS.get(name).needs, flights)
 
 
-def finding_on_absent_velocity(name: str, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding if an aerodynamic effect needs a velocity that logs lack: hub velocities alone would mislead a fit."""
-    effect = EFFECTS.get(name)
-    airborne = isinstance(effect, WindEffect) or "velocity" in effect.follows
-    return _finding_on_absent_data(name, ("lin_vel",) if airborne else (), flights)
-
-
-def _finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
+def finding_on_absent_data(name: str, needs: Sequence[str], flights: Sequence[Flight]) -> Finding | None:
+    """Return a finding on the first quantity that an effect needs and flights lack; None if all are there."""
     for need in needs:
         without = [flight for flight in flights if getattr(flight, need) is None]
         if without:

@@ -150,14 +150,11 @@ class SensorDeviation:
 def sensor_deviation(tolerances: Tolerances, deviation: Tensor) -> SensorDeviation:
     """Return the sensor errors of deviations (N,) in standard deviations."""
     off = split_deviations(deviation)
+    names = ("acc_bias", "gyro_bias", "acc_scale", "imu_place", "attitude")
     return SensorDeviation(
-        acc_bias=tolerances.acc_bias * off["acc_bias"],
-        gyro_bias=tolerances.gyro_bias * off["gyro_bias"],
-        acc_scale=tolerances.acc_scale * off["acc_scale"],
-        imu_place=tolerances.imu_place * off["imu_place"],
+        **{name: getattr(tolerances, name) * off[name] for name in names},
         rotor_motion=off["rotor_motion"],
         answered_noise=off["answered_noise"],
-        attitude=tolerances.attitude * off["attitude"],
         delays=tolerances.sensor_delay * off["sensor_delay"],
     )
 

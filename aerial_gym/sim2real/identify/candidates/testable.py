@@ -2,21 +2,21 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics import EFFECTS
-from aerial_gym.physics.effects import ImuEffect
+from aerial_gym.physics.effects import Effect, ImuEffect, VehicleEffect, WindEffect
+from aerial_gym.physics.effects.one_rotor import nominal_lag
 from aerial_gym.physics.model import check_joints, check_rotors
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
-from aerial_gym.sim2real.predict.replay.rotor_commands import (
-    finding_on_absent_quantity,
-    finding_on_slow_commands,
-    finding_on_steady_voltage,
-)
-from aerial_gym.sim2real.predict.scene import finding_on_absent_scene, finding_on_absent_velocity
+from aerial_gym.sim2real.predict.scene import finding_on_absent_data
+
+LEAST_VARIATION = 0.01  # Least relative variation of the voltage that is distinguishable from a constant factor
 
 
 def finding_on_untestable_effect(
@@ -28,13 +28,11 @@ def finding_on_untestable_effect(
         return Finding("no_inertial_sensor", name)
     if effect.told_by_torques and not all(flight.gyro for flight in flights):
         return Finding("torques_not_compared", name)
-    if (
-        reason := finding_on_absent_quantity(effect, flights)
-        or finding_on_absent_scene(name, flights)
-        or finding_on_absent_velocity(name, flights)
-    ):
-        return reason
-    if reason := finding_on_steady_voltage(effect, train) or finding_on_slow_commands(effect, robot, train):
+    needs = (*effect.logged, *effect.needs)
+    if isinstance(effect, WindEffect) or "velocity" in effect.follows:
+        needs += ("lin_vel",)  # hub velocities alone would attribute other errors to the air
+    reason = finding_on_absent_data(name, needs, flights) or finding_on_steady_voltage(effect, train)
+    if reason := reason or _finding_on_slow_commands(effect, robot, train):
         return reason
     try:
         check_rotors(effect, robot.rotor_traits)
@@ -55,3 +53,25 @@ def parameters_at_bounds(name: str, params: ModelParams, neutral: Array, robot: 
         if parameter.kind == "number" and ends and abs(start - ends[0]) > near:
             reasons.append(parameter.name)
     return reasons
+
+
+def finding_on_steady_voltage(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
+    """Return a finding if the voltage of all flights varies too little to identify an effect; else None."""
+    if "battery" not in effect.logged:
+        return None
+    voltage = np.concatenate([flight.battery for flight in flights if flight.battery is not None])
+    low, middle, high = np.percentile(voltage, (2, 50, 98))
+    if high - low >= LEAST_VARIATION * middle:
+        return None
+    return Finding("voltage_too_steady", effect.name, {"share": float((high - low) / middle)})
+
+
+def _finding_on_slow_commands(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
+    """Return a finding if commands are slower than the rotor lag, which would compensate for those between rows."""
+    rates = [flight.rate for flight in flights if flight.rotor_command is not None]
+    if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
+        return None
+    row, lag = 1.0 / min(rates), min(nominal_lag(robot))
+    return (
+        None if row < lag else Finding("commands_too_coarse", effect.name, {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag})
+    )

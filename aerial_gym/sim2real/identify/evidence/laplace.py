@@ -36,14 +36,6 @@ class NormalEquations:
     gradient: Array  # ``sum w J r``, (K,)
     constant: float = 0.0  # Constant of the log likelihood
 
-    def __sub__(self, other: "NormalEquations") -> "NormalEquations":
-        """Return the sums without those of other flights."""
-        return NormalEquations(
-            product=self.product - other.product,
-            gradient=self.gradient - other.gradient,
-            constant=self.constant - other.constant,
-        )
-
     def integrate_out(self, columns: Indices, kept: Indices) -> "NormalEquations":
         """Return the sums of the ``kept`` columns, with others integrated out exactly over their normal priors."""
         return MarginalSums(self, columns, kept).sums_of_columns(kept)

@@ -14,6 +14,7 @@ BLOCK_S = 2.0  # Block length [s], several times the correlation time of residua
 SHORTEST_BLOCK_S = 0.5  # Block length of short flights [s]: five periods of the usual band
 ENOUGH_BLOCKS = 24  # Number of blocks that determines a scatter to 15 %
 QUARTERS = 4  # Number of folds of a single flight
+SUMS = ("count", "square", "gradient", "product")  # Fields of ``Moments`` with sums
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,17 +36,10 @@ class Moments:
     def merge_labels(self, label: Indices) -> "Moments":
         """Return the sums over blocks of equal label, in ascending order of labels; ``label`` is (B,)."""
         labels, first, place = np.unique(label, return_index=True, return_inverse=True)
-
-        def merge_labels(values: Array) -> Array:
-            return np.stack([values[place == k].sum(axis=0) for k in range(labels.size)])
-
-        return Moments(
-            count=merge_labels(self.count),
-            square=merge_labels(self.square),
-            gradient=merge_labels(self.gradient),
-            product=merge_labels(self.product),
-            flight=self.flight[first],
-        )
+        sums = {
+            name: np.stack([getattr(self, name)[place == k].sum(axis=0) for k in range(labels.size)]) for name in SUMS
+        }
+        return Moments(**sums, flight=self.flight[first])
 
 
 def block_length(times: Sequence[Array]) -> float:
@@ -114,13 +108,8 @@ def block_moments(
 
 def concatenate_flights(moments: Sequence[Moments]) -> Moments:
     """Return the sums of all flights, concatenated in order."""
-    return Moments(
-        count=np.concatenate([one.count for one in moments]),
-        square=np.concatenate([one.square for one in moments]),
-        gradient=np.concatenate([one.gradient for one in moments]),
-        product=np.concatenate([one.product for one in moments]),
-        flight=np.repeat(np.arange(len(moments)), [one.count.size for one in moments]),
-    )
+    sums = {name: np.concatenate([getattr(one, name) for one in moments]) for name in SUMS}
+    return Moments(**sums, flight=np.repeat(np.arange(len(moments)), [one.count.size for one in moments]))
 
 
 @dataclass(frozen=True, kw_only=True)

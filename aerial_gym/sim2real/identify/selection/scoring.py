@@ -55,10 +55,6 @@ class FitScore:
         """Return the fitted effects."""
         return self.fit.effects
 
-    def rms(self) -> Array:
-        """Return the left-out residual (rms) of each channel, (C,)."""
-        return np.sqrt(self.left_out.sum(axis=0) / self.fit.moments.count.sum())
-
 
 @dataclass(frozen=True, kw_only=True)
 class Gain:

@@ -11,19 +11,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aerial_gym.config.robot import RobotCfg
 from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
-from aerial_gym.physics.effects import CommandEffect, DelayEffect, Effect, VehicleEffect
-from aerial_gym.physics.effects.one_rotor import nominal_lag
+from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.findings import Finding
-from aerial_gym.sim2real.logs.flights import Flight, flight_names
+from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import VehicleDeviation
-
-LEAST_VARIATION = 0.01  # Least relative variation of the voltage that is distinguishable from a constant factor
 
 
 def target_speeds_with_delay(flight: Flight, model: Model, *, shift: float = 0.0) -> tuple[Tensor, Tensor, float]:
@@ -70,44 +65,12 @@ def _target_speed(flight: Flight, model: Model, command: Tensor) -> Tensor:
     """Return the target speeds of commands (T, R) at the voltage of their rows."""
     command = stop_in_dead_band(model.vehicle, command)
     for effect, params in model.effects[CommandEffect]:
-        if lacking := finding_on_absent_quantity(effect, [flight]):
-            where = lacking.values["flights"]
+        if "battery" in effect.logged and flight.battery is None:
             raise DataError(
-                f"effect {effect.name}: {where}: without battery voltage; log it in volts (column vbat), or leave the effect "
-                "out of the robot file"
+                f"effect {effect.name}: {flight.name}: without battery voltage; log it in volts (column vbat), or leave the "
+                "effect out of the robot file"
             )
         voltage = torch.full(command.shape[:1], torch.nan) if flight.battery is None else torch.tensor(flight.battery)
         memory = effect.replay_memory(voltage)
         command = effect.command(command, model.vehicle, torch.cat((params.expand(len(memory), -1), memory), dim=-1))
     return command
-
-
-def finding_on_absent_quantity(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding on a logged quantity that an effect needs and flights lack; None if all are there."""
-    without = [flight for flight in flights if flight.battery is None]
-    if "battery" in effect.logged and without:
-        return Finding("logs_lack", effect.name, {"flights": flight_names(without, flights), "need": "battery"})
-    return None
-
-
-def finding_on_steady_voltage(effect: Effect, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding if the voltage of all flights varies too little to identify an effect; else None."""
-    if "battery" not in effect.logged:
-        return None
-    low, middle, high = np.percentile(
-        np.concatenate([f.battery for f in flights if f.battery is not None]), (2, 50, 98)
-    )
-    if high - low >= LEAST_VARIATION * middle:
-        return None
-    return Finding("voltage_too_steady", effect.name, {"share": float((high - low) / middle)})
-
-
-def finding_on_slow_commands(effect: Effect, robot: RobotCfg, flights: Sequence[Flight]) -> Finding | None:
-    """Return a finding if commands are slower than the rotor lag, which would compensate for those between rows."""
-    rates = [flight.rate for flight in flights if flight.rotor_command is not None]
-    if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
-        return None
-    row, lag = 1.0 / min(rates), min(nominal_lag(robot))
-    if row < lag:
-        return None
-    return Finding("commands_too_coarse", effect.name, {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag})

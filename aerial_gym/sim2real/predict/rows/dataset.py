@@ -4,6 +4,7 @@ Letters: E rows, C channels, R rotors.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -34,6 +35,11 @@ def row_stride(flight: Flight, bandwidth: float) -> int:
     return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
 
+def _spans(sizes: Sequence[int]) -> list[slice]:
+    """Return the slices of parts of these sizes in sequence."""
+    return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *sizes]))]
+
+
 class Dataset:
     """Flights whose rows are evaluated in one batch, in sequence."""
 
@@ -49,59 +55,46 @@ class Dataset:
         """Load the flights with the rotor speeds of the prediction; ``every_row``: without thinning to the band."""
         self.flights, self.bandwidth, self.channels = tuple(flights), bandwidth, tuple(channels)
         self.stride = [1 if every_row else row_stride(f, bandwidth) for f in flights]
-        self.kept = [self._residual_rows(f, s, every_row) for f, s in zip(flights, self.stride, strict=True)]
-        self.measured = [self._channels_in_band(index) for index in range(len(flights))]
+        pairs, places = list(zip(flights, self.stride, strict=True)), range(len(flights))
+        self.kept = [self._residual_rows(flight, stride, every_row) for flight, stride in pairs]
+        self.measured = [self._channels_in_band(place) for place in places]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
-        states = [self._state_rows(index) for index in range(len(flights))]
-        self.state = {name: torch.cat([state[name] for state in states]) for name in states[0]}
-        ends = np.cumsum([0, *(state["attitude"].shape[0] for state in states)])
-        self.spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-        self.flight = np.repeat(np.arange(len(flights)), np.diff(ends))
-        ends = np.cumsum([0, *(time.size for time in self.times)])
-        self.kept_spans = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-        self.row_times = [flight.time[::stride] for flight, stride in zip(flights, self.stride, strict=True)]
-        other_positions = [
-            torch.from_numpy(other_vehicle_track(f)[::s]) for f, s in zip(flights, self.stride, strict=True)
-        ]
-        rows = [state["attitude"].shape[0] for state in states]
-        self.heights, self.other = surface_heights(flights, rows), torch.cat(other_positions)
-        self.simulated = all(flight.rotor_speed is None for flight in flights)
-        turning = [(i, rotor) for i, rotor in enumerate(rotors) if rotor is not None]
-        self.speed = torch.cat([self.thin_rows(i, rotor.speed) for i, rotor in turning]) if turning else None
-        self.unsure_speed = (
-            torch.cat([self._modes_at_rows(i, rotor, self.thin_rows) for i, rotor in turning], dim=1)
-            if turning
-            else None
-        )
+        self.row_times = [flight.time[::stride] for flight, stride in pairs]
+        self.spans, self.kept_spans = (_spans([time.size for time in times]) for times in (self.row_times, self.times))
+        rows = [time.size for time in self.row_times]
+        self.flight = np.repeat(np.arange(len(flights)), rows)
 
+        def join(values: Callable[[int], Tensor]) -> Tensor:
+            return torch.cat([values(place) for place in places])
+
+        names = ("position", "attitude", "lin_vel", "ang_vel")
+        self.state = {name: join(partial(self._quantity_at_rows, name)) for name in names}
+        self.state["attitude"] /= self.state["attitude"].norm(dim=1, keepdim=True)
+        self.heights = surface_heights(flights, rows)
+        self.other = torch.cat([torch.from_numpy(other_vehicle_track(flight)[::stride]) for flight, stride in pairs])
+        self.simulated = all(flight.rotor_speed is None for flight in flights)
         accelerometers = all(flight.specific_force is not None for flight in flights)
-        self.force = (
-            torch.cat([self._quantity_at_rows(i, "specific_force") for i in range(len(flights))])
-            if accelerometers
-            else None
-        )
+        self.force = join(partial(self._quantity_at_rows, "specific_force")) if accelerometers else None
         # Without an accelerometer the force is derived from the velocity, and has no accelerometer errors.
         felt = torch.tensor([flight.accelerometer for flight in flights])
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
-        kept = [felt[index].expand(time.size, 1) for index, time in enumerate(self.times)]
-        self.felt_force_kept = torch.cat(kept)
-        self.acceleration = torch.cat([self._quantity_derivative(i, "lin_vel") for i in range(len(flights))])
-        self.ang_acc = torch.cat([self._quantity_derivative(i, "ang_vel") for i in range(len(flights))])
-        self.spin_up = torch.cat([self.derivative_at_rows(i, rotor.speed) for i, rotor in turning]) if turning else None
-        self.unsure_spin_up = (
-            torch.cat([self._modes_at_rows(i, rotor, self.derivative_at_rows) for i, rotor in turning], dim=1)
-            if turning
-            else None
-        )
+        self.felt_force_kept = join(lambda place: felt[place].expand(self.times[place].size, 1))
+        self.acceleration, self.ang_acc = (join(partial(self._derivative, name)) for name in ("lin_vel", "ang_vel"))
+        self.speed, self.unsure_speed = self._rotor_motion(rotors, self.thin_rows)
+        self.spin_up, self.unsure_spin_up = self._rotor_motion(rotors, self.derivative_at_rows)
         implied = (self._kinematic_force, self._kinematic_jerk, self._kinematic_rate)
-        self._implied = np.concatenate(
-            [np.concatenate([of(i).T for i in range(len(flights))], axis=1) for of in implied]
-        )
+        self._implied = np.concatenate([join(reading).numpy().T for reading in implied])
 
     @staticmethod
-    def _modes_at_rows(index: int, rotor: RotorEstimate, at_rows: Callable[[int, Array], Tensor]) -> Tensor:
-        """Return the uncertainty of a flight's rotor motion at its rows, by mode, (R, E, R)."""
-        return torch.stack([at_rows(index, mode) for mode in rotor.unsure])
+    def _rotor_motion(
+        rotors: Sequence[RotorEstimate | None], at_rows: Callable[[int, Array], Tensor]
+    ) -> tuple[Tensor, Tensor] | tuple[None, None]:
+        """Return rotor speeds (E, R) or their derivative, and the uncertainty by mode, (R, E, R); None without any."""
+        known = [(place, rotor) for place, rotor in enumerate(rotors) if rotor is not None]
+        if not known:
+            return None, None
+        modes = [torch.stack([at_rows(place, mode) for mode in rotor.unsure]) for place, rotor in known]
+        return torch.cat([at_rows(place, rotor.speed) for place, rotor in known]), torch.cat(modes, dim=1)
 
     def lowpass_kept_rows(self, index: int, rows: Array) -> Array:
         """Return low-passed values of a flight's rows (E, any) at the kept rows, (rows kept, any)."""
@@ -156,23 +149,14 @@ class Dataset:
         touched = np.asarray(ndimage.maximum_filter1d(flight.on_ground, 2 * near + 1), dtype=bool)
         return rows[np.logical_not(touched[rows])]
 
-    def _state_rows(self, index: int) -> dict[str, Tensor]:
-        attitude = self._quantity_at_rows(index, "attitude")
-        return {
-            "position": self._quantity_at_rows(index, "position"),
-            "attitude": attitude / attitude.norm(dim=1, keepdim=True),
-            "lin_vel": self._quantity_at_rows(index, "lin_vel"),
-            "ang_vel": self._quantity_at_rows(index, "ang_vel"),
-        }
-
-    def _quantity_at_rows(self, index: int, name: str) -> Tensor:
+    def _quantity_at_rows(self, name: str, index: int) -> Tensor:
         values = getattr(self.flights[index], name)
         if values is None:
             unknown = FAR_ABOVE if name == "position" else np.zeros(3)
             values = np.tile(unknown, (self.flights[index].num_rows, 1))
         return self.thin_rows(index, values)
 
-    def _quantity_derivative(self, index: int, name: str) -> Tensor:
+    def _derivative(self, name: str, index: int) -> Tensor:
         """Return the derivative of a quantity at the rows of a flight, (E, any); 0 if it was not logged."""
         values = getattr(self.flights[index], name)
         return self.derivative_at_rows(index, np.zeros((self.flights[index].num_rows, 3)) if values is None else values)
@@ -191,16 +175,14 @@ class Dataset:
         """Return ``R^T (v' + g e_z)`` [m/s²], body, (E, 3): the reading of an ideal accelerometer."""
         acceleration = self.acceleration[self.spans[index]].clone()
         acceleration[:, 2] += STANDARD_GRAVITY
-        attitude = self._quantity_at_rows(index, "attitude")
-        return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), acceleration)
+        return quat_rotate_inverse(self.state["attitude"][self.spans[index]], acceleration)
 
     def _kinematic_jerk(self, index: int) -> Tensor:
         """Return ``R^T v''`` [m/s³], body, (E, 3): the derivative of the implied force with respect to the velocity's delay."""
         acceleration = self.acceleration[self.spans[index]].numpy()
         rate = self.flights[index].rate / self.stride[index]
         jerk = torch.from_numpy(lowpass(acceleration, rate, self.bandwidth, derivative=True))
-        attitude = self._quantity_at_rows(index, "attitude")
-        return quat_rotate_inverse(attitude / attitude.norm(dim=1, keepdim=True), jerk)
+        return quat_rotate_inverse(self.state["attitude"][self.spans[index]], jerk)
 
     def _kinematic_rate(self, index: int) -> Tensor:
         """Return the angular velocity implied by the attitude [rad/s], body, (E, 3)."""
