@@ -13,7 +13,6 @@ from aerial_gym.sim2real.failures.evidence import (
     CONTINUOUS,
     LONGEST,
     FailureEvidence,
-    OnsetOdds,
     ParameterPrior,
     log_evidence,
 )
@@ -74,25 +73,20 @@ class FailureCause:
         return left
 
 
-def relative_tolerance(quantity: str, tolerances: Tolerances) -> float:
-    """Return the tolerance of the declared thrust, or half of it for speed, since thrust is quadratic in speed."""
-    return tolerances.thrust if quantity == "thrust" else 0.5 * tolerances.thrust
-
-
 def rank_causes(works: Sequence[RotorOutput], tolerances: Tolerances) -> list[FailureCause]:
     """Return all failures that a flight can show, the most probable first, with autocorrelated residuals counting less."""
     kinds = sum(len(KINDS[work.quantity, work.driven_by]) for work in works)
     ranked: list[FailureCause] = []
     for work in works:
         if len(work.time) > 1:
-            evidence = FailureEvidence(work, relative_tolerance(work.quantity, tolerances))
+            # Thrust is quadratic in speed.
+            least = tolerances.thrust if work.quantity == "thrust" else 0.5 * tolerances.thrust
+            evidence = FailureEvidence(work, least)
             causes = _causes_of_quantity(evidence, 1.0, kinds)
             best = max(causes, key=lambda cause: cause.log_odds)
-            ranked += (
-                _causes_of_quantity(evidence, best.share_of_independent_residuals(), kinds)
-                if best.log_odds > 0.0
-                else causes
-            )
+            if best.log_odds > 0.0:
+                causes = _causes_of_quantity(evidence, best.share_of_independent_residuals(), kinds)
+            ranked += causes
     return sorted(ranked, key=lambda cause: -cause.log_odds)
 
 
@@ -105,7 +99,8 @@ def _causes_of_quantity(evidence: FailureEvidence, share: float, kinds: int) -> 
     """Return each failure of one quantity per rotor; ``kinds``: number of kinds with equal prior probability."""
     ranked = []
     for kind in KINDS[evidence.work.quantity, evidence.work.driven_by]:
-        onsets = _onset_odds(evidence, kind, share)
+        methods = {"brown_out": evidence.odds_of_brown_outs, "stuck_rotor": evidence.odds_of_stuck_rotors}
+        onsets = methods.get(kind, evidence.odds_of_changes)(kind, share)
         for rotor in (None,) if kind == "brown_out" else range(evidence.rotors):
             own = slice(None) if rotor is None else [rotor]
             odds, change = onsets.log_odds[:, own], onsets.change[:, own]
@@ -123,14 +118,6 @@ def _causes_of_quantity(evidence: FailureEvidence, share: float, kinds: int) -> 
                 )
             )
     return ranked
-
-
-def _onset_odds(evidence: FailureEvidence, kind: str, share: float) -> OnsetOdds:
-    if kind == "brown_out":
-        return evidence.odds_of_brown_outs(kind, share)
-    return (
-        evidence.odds_of_stuck_rotors(kind, share) if kind == "stuck_rotor" else evidence.odds_of_changes(kind, share)
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -85,11 +85,7 @@ def select_from_setup(
 
 
 def final_model(declared: LoopSetup, selection: SelectionResult) -> ModelParams:
-    """Return the final model as in the robot file."""
-    return round_params(declared.robot, selection.final.fit.params, selection.effect_names)
-
-
-def round_params(robot: RobotCfg, params: ModelParams, effects: Sequence[str]) -> ModelParams:
-    """Return the model with parameters rounded as in the robot file."""
+    """Return the final model, with parameters rounded as in the robot file."""
+    params, effects = selection.final.fit.params, selection.effect_names
     values = np.array([float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in parameter_row(params, effects)])
-    return replace_params(robot, params, effects, values)
+    return replace_params(declared.robot, params, effects, values)

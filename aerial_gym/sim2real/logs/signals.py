@@ -56,7 +56,7 @@ def lowpass_columns(
     circle[:, pad : pad + rows] = columns
     np.subtract(last, columns[:, -2 : -pad - 2 : -1], out=circle[:, pad + rows : whole])
     # A straight line closes the circle without a jump.
-    blend = _ramp_weights(size - whole)
+    blend = np.linspace(0.0, 1.0, size - whole + 2)[1:-1]
     circle[:, whole:] = circle[:, whole - 1 : whole] * (1.0 - blend) + circle[:, :1] * blend
     lines = np.asarray(fft.rfft(circle, axis=1, overwrite_x=True))
     lines *= _lowpass_line_gains(size, rate, bandwidth, derivative)
@@ -71,12 +71,6 @@ def _lowpass_line_gains(size: int, rate: float, bandwidth: float, derivative: bo
     frequency = fft.rfftfreq(size, 1.0 / rate)
     gain = lowpass_gain(frequency, bandwidth).astype(complex)
     return gain * (2j * np.pi * frequency) if derivative else gain
-
-
-@lru_cache(maxsize=32)
-def _ramp_weights(rows: int) -> Array:
-    """Return a line from 0 to 1 without its ends, (rows,); read-only."""
-    return np.linspace(0.0, 1.0, rows + 2)[1:-1]
 
 
 @lru_cache(maxsize=32)

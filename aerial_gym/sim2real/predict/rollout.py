@@ -42,7 +42,7 @@ from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_deviation
-from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, group_windows_by_rate, longest_windows
+from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, longest_windows
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)  # Times after the start at which rollout and flight are compared [s]
 MEMORY_STEP_S = 0.005  # Longest substep with effects that have memory [s]; its final memory value acts throughout
@@ -98,7 +98,8 @@ def rollout_errors_of_models(
     shape = (len(models), len(variants))
     errors = {name: np.full((*shape, windows.row.size, len(kept)), np.nan) for name in QUANTITIES}
     load = None if links[0] is None else initial_link_states(links[0], flights, windows)
-    for members in group_windows_by_rate(flights, windows):
+    rate = np.array([flights[index].rate for index in windows.flight])
+    for members in (np.flatnonzero(rate == one) for one in np.unique(rate)):
         model, variant, window = (np.ravel(i) for i in np.indices((*shape, members.size)))
         every = members[window]
         run = WindowBatch(

@@ -59,9 +59,3 @@ def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tup
         if windows.row.size:
             return tuple(h for h in horizons if h <= longest), windows
     raise DataError(f"no flight is airborne for {FIRST_WINDOW_S + min(horizons):g} s at a time, which a rollout needs")
-
-
-def group_windows_by_rate(flights: Sequence[Flight], windows: RolloutWindows) -> list[Indices]:
-    """Return the windows grouped by sample rate of their flights."""
-    rate = np.array([flights[index].rate for index in windows.flight])
-    return [np.flatnonzero(rate == one) for one in np.unique(rate)]

@@ -102,7 +102,9 @@ def supports_of_candidates(
     weak = np.concatenate((np.full(count, WEAK_PRIOR**-2), np.ones(columns.size - count)))
     told = is_identifiable(np.linalg.inv(whole.product[np.ix_(columns, columns)] + np.diag(weak)))
     scores = np.stack([part.gradient[columns] - part.product[np.ix_(columns, columns)] @ step for part in parts])
-    robust = covariance @ (scatter_covariance(scores) + np.diag(precision)) @ covariance
+    away = scores - scores.mean(axis=0)
+    scatter = away.T @ away * (len(scores) / (len(scores) - 1))  # covariance of the sum of independent parts
+    robust = covariance @ (scatter + np.diag(precision)) @ covariance
     by_name = {}
     for k, odds in log_odds.items():
         own = np.flatnonzero(np.isin(columns, candidates.columns[k]))
@@ -115,12 +117,6 @@ def supports_of_candidates(
             shown=bool(told[own].any()),
         )
     return by_name
-
-
-def scatter_covariance(scores: Array) -> Array:
-    """Return the covariance (k, k) of a sum of scores (F, k), from the scatter between independent parts."""
-    away = scores - scores.mean(axis=0)
-    return away.T @ away * (len(scores) / (len(scores) - 1))
 
 
 def num_parts_per_flight(num_flights: int) -> int:

@@ -226,7 +226,9 @@ def _marginal_sums(
     for centre, sets in alike.items():
         own = {one: _columns_of_candidates(candidates, set(one).symmetric_difference(centre)) for one in sets}
         kept = np.unique(np.concatenate([*own.values(), *(wanted[one] for one in sets)]))
-        shared = MarginalSums(normal, _structure_columns(candidates, centre), kept)
+        shared = MarginalSums(
+            normal, np.concatenate((_columns_of_candidates(candidates, centre), candidates.tolerances)), kept
+        )
         for one, columns in own.items():
             if len(one) > len(centre):
                 both = np.arange(columns.size + wanted[one].size)
@@ -242,11 +244,6 @@ def _marginal_sums(
 def _columns_of_candidates(candidates: Candidates, model: Iterable[int]) -> Indices:
     """Return the columns of some candidates."""
     return np.concatenate([*(candidates.columns[k] for k in model), np.zeros(0)]).astype(np.int64)
-
-
-def _structure_columns(candidates: Candidates, structures: Model) -> Indices:
-    """Return the columns of some structures and of the tolerances."""
-    return np.concatenate((_columns_of_candidates(candidates, structures), candidates.tolerances))
 
 
 def _subsets_with_one_less(model: Model) -> list[Model]:
@@ -297,9 +294,8 @@ def _laplace_approximation(
         low, high = candidates.low[columns[bounded]], candidates.high[columns[bounded]]
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[bounded])
         away = step[bounded]
-        within[bounded] = _log_normal_interval((low - away) / std, (high - away) / std) - _log_cauchy_interval(
-            low, high
-        )
+        log_share = np.log((np.arctan(high) - np.arctan(low)) / np.pi)  # of the Cauchy prior
+        within[bounded] = _log_normal_interval((low - away) / std, (high - away) / std) - log_share
     return step, covariance, log_likelihood + log_prior + log_volume + within.sum(axis=1)
 
 
@@ -309,8 +305,3 @@ def _log_normal_interval(low: Array, high: Array) -> Array:
     low, high = np.where(flip, -high, low), np.where(flip, -low, high)
     top, bottom = log_ndtr(high), log_ndtr(low)
     return top + np.log1p(-np.exp(np.minimum(bottom - top, -1e-15)))
-
-
-def _log_cauchy_interval(low: Array, high: Array) -> Array:
-    """Return the log probability of a standard Cauchy variable between two bounds."""
-    return np.log((np.arctan(high) - np.arctan(low)) / np.pi)

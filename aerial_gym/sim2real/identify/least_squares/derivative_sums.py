@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
-from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, concatenate_flights, no_offsets
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, Moments, concatenate_flights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +136,8 @@ class NuisanceSums:
         offsets: FlightOffsets | None = None,
     ) -> None:
         """Take row times [s], derivatives and the weight of one row (C,); random flight ``offsets`` are integrated out."""
-        self.offsets = no_offsets(weight) if offsets is None else offsets
+        none = np.zeros(weight.size)
+        self.offsets = offsets or FlightOffsets(size=none, weight=weight, most=none)
         self.log_likelihood = self.offsets.log_likelihood([time.size for time in times])
         """Log likelihood term of the offsets, in addition to the squares."""
 

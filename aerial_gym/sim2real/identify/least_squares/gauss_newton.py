@@ -269,15 +269,8 @@ def least_weighted_squares(beside: NuisanceSums, residuals: Sequence[Array]) -> 
 
 def leave_out_steps(fit: ModelFit, weight: Array, free: Indices, label: Indices) -> Array:
     """Return for each block the best step from the blocks of all other labels, (B, K); ``label`` is (B,)."""
-    place = np.unique(label, return_inverse=True)[1]
-    steps = [
-        solve_bounded_step(fit, product, gradient, free) for product, gradient in _complement_sums(fit, weight, place)
-    ]
-    return np.stack(steps)[place]
-
-
-def _complement_sums(fit: ModelFit, weight: Array, place: Indices) -> list[tuple[Array, Array]]:
-    """Return the normal equations without the blocks of each label 0, 1, ...; ``place``: label of each block, (B,)."""
-    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(int(place.max()) + 1)]
+    labels, place = np.unique(label, return_inverse=True)
+    parts = [normal_equations(fit, weight, np.flatnonzero(place == k)) for k in range(labels.size)]
     product, gradient = (np.sum(sums, axis=0) for sums in zip(*parts, strict=True))
-    return [(product - own, gradient - pull) for own, pull in parts]
+    steps = [solve_bounded_step(fit, product - own, gradient - pull, free) for own, pull in parts]
+    return np.stack(steps)[place]

@@ -56,12 +56,6 @@ def cross_validation_folds(flight: Indices) -> Indices:
     return np.arange(flight.size) * parts // flight.size
 
 
-def block_rows(time: Array, length: float) -> list[Indices]:
-    """Return the row indices of each block of about ``length`` [s], for a flight with these row times [s]."""
-    blocks = max(1, round(float(time[-1] - time[0]) / length))
-    return np.array_split(np.arange(time.size), blocks)
-
-
 def time_block_of_rows(times: Sequence[Array]) -> Indices:
     """Return the block number of each row, unique over all flights in sequence."""
     parts, start, length = [], 0, block_length(times)
@@ -89,7 +83,10 @@ def block_moments(
     ``times`` [s], (rows,); ``residuals``, (rows, C); ``jacobians``, (rows, C, K), of each flight.
     """
     length = block_length(times) if length is None else length
-    blocks = [(flight, rows) for flight, time in enumerate(times) for rows in block_rows(time, length)]
+    blocks = list[tuple[int, Indices]]()
+    for flight, time in enumerate(times):
+        count = max(1, round(float(time[-1] - time[0]) / length))
+        blocks += [(flight, rows) for rows in np.array_split(np.arange(time.size), count)]
     num_channels, width = residuals[0].shape[1], jacobians[0].shape[2]
     moments = Moments(
         count=np.array([float(rows.size) for _, rows in blocks]),
@@ -188,8 +185,3 @@ class FlightOffsets:
 
     def _variance_ratio(self, rows: int) -> Array:
         return 1.0 + rows * self.weight * self.size**2
-
-
-def no_offsets(weight: Array) -> FlightOffsets:
-    """Return a model without offsets, given the weight of one row, (C,)."""
-    return FlightOffsets(size=np.zeros(weight.size), weight=weight, most=np.zeros(weight.size))

@@ -206,10 +206,12 @@ class _Scorer:
     def score_without_undetermined(self) -> tuple[FitScore, MostProbableSet]:
         """Return the fit of the named effects, and the choice, both with undetermined parameters at neutral."""
         scored = self.score(self.chosen.effects, self.chosen.named.params)
-        unseen = weak_parameters(scored)
+        owners = {scored.fit.parameter_owners[k]: k for k in scored.fit.free_effects}
+        uncertain = scored.fit.free_effects[~is_identifiable(scored.spread.plain)]  # by more than their scale
+        unseen = {owner for owner, k in owners.items() if k in uncertain}
         if not unseen:
             return scored, self.chosen
-        seen = {scored.fit.parameter_owners[k] for k in scored.fit.free_effects} - unseen
+        seen = owners.keys() - unseen
         blind = set(self.chosen.effects).difference(name for name, _ in seen)
         if blind:  # the complete fit determines none of their parameters
             name = min(blind)
@@ -233,9 +235,3 @@ class _Scorer:
                 values[place] = neutral_params(name, self.declared, self.predictor.robot)[place]
                 params = params.with_effect(name, values)
         return params
-
-
-def weak_parameters(scored: FitScore) -> set[tuple[str, int]]:
-    """Return the fitted parameters, by effect and index, that are uncertain by more than their scale."""
-    owners = scored.fit.parameter_owners
-    return {owners[k] for k in scored.fit.free_effects[~is_identifiable(scored.spread.plain)]}

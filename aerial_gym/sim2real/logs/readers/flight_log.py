@@ -127,8 +127,6 @@ def _surface_height(values: Array, layout: LogMapping, name: str, path: str) -> 
 
 def _apply_column_conversion(raw: Array, table: pd.DataFrame, quantity: ColumnsCfg, path: str) -> Array:
     """Return ``offset + gain (raw * times / over)^power``, and 0 where raw is 0, repeated per rotor, (T, columns)."""
-    if quantity.needs_no_conversion:
-        return raw
     values = raw
     for column, power in ((quantity.times, 1.0), (quantity.over, -1.0)):
         if column is None:

@@ -76,12 +76,6 @@ class ColumnsCfg:
         if self.repeat < 1 or (self.repeat > 1 and len(self.columns) > 1):
             raise ConfigError(f"ColumnsCfg.repeat = {self.repeat!r}: must be >= 1, and 1 for more than one column")
 
-    @property
-    def needs_no_conversion(self) -> bool:
-        """Whether the columns need no conversion except their unit."""
-        untouched = self.times is None and self.over is None
-        return untouched and (self.power, self.gain, self.offset, self.repeat) == (1.0, 1.0, 0.0, 1)
-
 
 @dataclass(frozen=True, kw_only=True)
 class LogMapping:

@@ -15,7 +15,6 @@ from aerial_gym.errors import DataError
 from aerial_gym.physics import EFFECTS, Model, build_model
 from aerial_gym.physics.effects import CommandEffect, DelayEffect
 from aerial_gym.physics.rotor_lag import stop_in_dead_band
-from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.tolerances import VehicleDeviation
@@ -37,12 +36,6 @@ def target_speeds_with_delay(flight: Flight, model: Model, *, shift: float = 0.0
     return earlier, later, late - whole
 
 
-def mean_target_speeds(flight: Flight, model: Model, *, shift: float = 0.0) -> Array:
-    """Return the mean target speeds over each row [rad/s], (T, R); ``shift`` as in ``target_speeds_with_delay``."""
-    earlier, later, share = target_speeds_with_delay(flight, model, shift=shift)
-    return (share * earlier + (1.0 - share) * later).numpy()
-
-
 def has_commands(flights: Sequence[Flight]) -> bool:
     """Return whether all flights have commands; otherwise the measured rotor speeds drive the rotors."""
     return all(flight.rotor_command is not None for flight in flights)
@@ -52,8 +45,9 @@ def replace_by_arriving_commands(off: VehicleDeviation, flights: Sequence[Flight
     """Return the flights with commands as they arrive at the rotors, so that windows include those in transit."""
     acting = [(EFFECTS.get(name), values) for name, values in params.effects.items() if acts_on_commands(name)]
     model = build_model(off.vehicle, [(effect, torch.tensor(values).reshape(1, -1)) for effect, values in acting])
-    shift = off.command_shift
-    return [replace(flight, rotor_command=mean_target_speeds(flight, model, shift=shift)) for flight in flights]
+    arriving = (target_speeds_with_delay(flight, model, shift=off.command_shift) for flight in flights)
+    means = [(share * earlier + (1.0 - share) * later).numpy() for earlier, later, share in arriving]
+    return [replace(flight, rotor_command=mean) for flight, mean in zip(flights, means, strict=True)]
 
 
 def acts_on_commands(name: str) -> bool:

@@ -95,7 +95,9 @@ def _estimate_rotor_speeds(flight: Flight, led: Array | None, made: Array, bandw
         noisy = in_band - 1.0 < 1.0  # motion below noise, which is 1 here
         around[:, noisy] = ((led - base) / root @ modes)[:, noisy]
         moved = moved - around
-    density, segments = power_density(moved, rate)[1], _num_independent_segments(len(speed), rate)
+    density = power_density(moved, rate)[1]
+    # Half-overlapping Hann segments of Welch's mean count 9/11 of independent ones (Welch, 1967, variance 11/9).
+    segments = max(1.0, 9.0 / 11.0 * (2.0 * len(speed) / segment_length(len(speed), rate) - 1.0))
     shares = [_share_of_motion(one, segments, 1.0 / np.sqrt(segments * lines)) for one in density.T]
     share, spread = (np.stack(parts, axis=1) for parts in zip(*shares, strict=True))
     left = remove_line(moved.T).T
@@ -109,11 +111,6 @@ def _estimate_rotor_speeds(flight: Flight, led: Array | None, made: Array, bandw
 def _rotor_modes(made: Array) -> Array:
     """Return orthonormal rotor modes, (R, R): one per force and torque, then those without any."""
     return np.linalg.qr(made[list(ORDER)].T, mode="complete")[0]
-
-
-def _num_independent_segments(rows: int, rate: float) -> float:
-    """Return the number of independent segments in Welch's mean: half-overlapping Hann windows count 9/11 (Welch, 1967)."""
-    return max(1.0, 9.0 / 11.0 * (2.0 * rows / segment_length(rows, rate) - 1.0))
 
 
 def _share_of_motion(density: Array, segments: float, unsure: float) -> tuple[Array, Array]:
