@@ -38,7 +38,7 @@ from aerial_gym.sim2real.predict.replay.rotor_commands import (
     has_commands,
     replace_by_arriving_commands,
 )
-from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
+from aerial_gym.sim2real.predict.replay.rotors import RotorReplay, true_rotor_speed
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_deviation
@@ -186,8 +186,7 @@ class WindowBatch:
         soft arms as a share of their rest angle, if a log begins in the air.
         """
         self._flights, self._flight, self._row, self._load, self._settled = flights, flight, row, load, settled
-        self._tables: dict[str, _FlightTable] = {}
-        self._along_flights: dict[tuple[str, int], Array] = {}
+        self._tables: dict[str, tuple[Tensor, Indices, Indices]] = {}
         self._led_along: list[Array | None] | None = None  # rotor speeds from commands along all flights
         self._rate, self._commanded = flights[flight[0]].rate, has_commands(flights)
         self._stride = max(1, int(STEP_S * self._rate + 1e-9))
@@ -196,7 +195,7 @@ class WindowBatch:
         scene = surface_heights([flights[index] for index in flight], [1] * row.size)
         model = build_model(expand_vehicle(vehicle, row.size), effects, **scene)
         flown = replace(model, effects=model.effects.exclude(DelayEffect, CommandEffect))  # in the commands already
-        self._model = add_known_wind(flown, flights, flight)
+        self._model, self._sensors = add_known_wind(flown, flights, flight), flown.effects[RotorSensorEffect]
         longest = MEMORY_STEP_S if flown.effects.names_with_memory else STEP_S
         self._substeps = max(1, round(self._stride / (longest * self._rate)))
 
@@ -241,7 +240,7 @@ class WindowBatch:
     def _rotor_speed_rows(self, rows: Indices) -> Tensor:
         """Return the true rotor speeds at a row of each window's flight [rad/s], (W, R): measured, else from commands."""
         if any(self._flights[index].rotor_speed is not None for index in np.unique(self._flight)):
-            return self._true_rotor_speed(self._rows_of_quantity("rotor_speed", rows))
+            return true_rotor_speed(self._rows_of_quantity("rotor_speed", rows), self._sensors)
         speed = torch.empty(rows.size, self._rotors, dtype=torch.float64)
         for index in np.unique(self._flight):
             chosen = np.flatnonzero(self._flight == index)
@@ -291,67 +290,46 @@ class WindowBatch:
             led = self._led_along[index]
             assert led is not None
             return torch.from_numpy(led)
-        true = torch.from_numpy(speed)
-        for effect, params in reversed(self._model.effects[RotorSensorEffect]):
-            true = effect.true_speed(true, params[:1])
-        return true
+        return true_rotor_speed(torch.from_numpy(speed), [(effect, params[:1]) for effect, params in self._sensors])
 
     def _rotor_input(self, step: int, state: BodyState) -> Tensor | Ramp:
         """Return the rotor input of a step: the mean command, or a linear ramp to the measured speed at its end."""
         first = self._row + step * self._stride
         if self._commanded:
             return self._rows_of_quantity("rotor_command", first[:, None] + np.arange(self._stride)).mean(dim=1)
-        end = self._true_rotor_speed(self._rows_of_quantity("rotor_speed", first + self._stride))
+        end = true_rotor_speed(self._rows_of_quantity("rotor_speed", first + self._stride), self._sensors)
         return Ramp(rate=(end - state.rotor_speed) * (self._rate / self._stride))
 
-    def _true_rotor_speed(self, measured: Tensor) -> Tensor:
-        """Return measured rotor speeds corrected for sensor errors."""
-        for effect, params in reversed(self._model.effects[RotorSensorEffect]):
-            measured = effect.true_speed(measured, params)
-        return measured
-
     def _rows_of_quantity(self, name: str, rows: Indices) -> Tensor:
-        """Return a quantity at rows (W,) or (W, any) of each window's flight, with its own last dimension."""
+        """Return a quantity at rows (W,) or (W, any) of each window's flight; beyond its end the last value."""
         if name not in self._tables:
-            self._tables[name] = _FlightTable(
-                [self._quantity_along_flight(name, flight) for flight in self._flights], self._flight
-            )
-        return self._tables[name].values_at_rows(rows)
+            self._tables[name] = self._table_of_flights(name)
+        table, first, last = self._tables[name]
+        shape = (-1, *[1] * (rows.ndim - 1))
+        return table[torch.from_numpy(np.minimum(first.reshape(shape) + rows, last.reshape(shape)))]
+
+    def _table_of_flights(self, name: str) -> tuple[Tensor, Indices, Indices]:
+        """Return a quantity along all flights, shared arrays once, and first and last row of each window's flight, (W,)."""
+        spans, parts, length = dict[int, tuple[int, int]](), list[Array](), 0
+        for index in np.unique(self._flight):
+            key = id(getattr(self._flights[index], name))
+            if key not in spans:
+                parts.append(self._quantity_along_flight(name, self._flights[index]))
+                spans[key] = length, length + len(parts[-1]) - 1
+                length += len(parts[-1])
+        ends = np.array([spans.get(id(getattr(flight, name)), (0, 0)) for flight in self._flights])[self._flight]
+        return torch.from_numpy(np.concatenate(parts)), ends[:, 0], ends[:, 1]
 
     def _quantity_along_flight(self, name: str, flight: Flight) -> Array:
-        """Return a quantity along a flight, (T, any), or one row of zeros; cached by its array."""
+        """Return a quantity along a flight, (T, any), or one row of zeros."""
+        if name == "other_position":
+            return other_vehicle_track(flight)
         values = getattr(flight, name)
-        key = name, id(values)
-        if key not in self._along_flights:
-            width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
-            results = np.zeros((1, width)) if values is None else values
-            if name == "other_position":
-                results = other_vehicle_track(flight)
-            if name == "rotor_speed":
-                results = mean_over_rows(results, self._stride)
-            self._along_flights[key] = results
-        return self._along_flights[key]
-
-
-class _FlightTable:
-    """Lookup table of a quantity along flights."""
-
-    def __init__(self, along: Sequence[Array], flight: Indices) -> None:
-        """Store the quantity of each flight, (T, any), and each window's flight, (W,); shared arrays are stored once."""
-        first, parts, length = dict[int, int](), list[Array](), 0
-        for index in np.unique(flight):
-            if id(along[index]) not in first:
-                first[id(along[index])] = length
-                parts.append(along[index])
-                length += len(along[index])
-        self._first = np.array([first.get(id(one), 0) for one in along])[flight]
-        self._last = self._first + np.array([len(one) for one in along])[flight] - 1
-        self._rows = torch.from_numpy(np.concatenate(parts))
-
-    def values_at_rows(self, rows: Indices) -> Tensor:
-        """Return the quantity at rows of each window's flight, (W,) or (W, any); beyond its end the last value."""
-        shape = (-1, *[1] * (rows.ndim - 1))
-        return self._rows[torch.from_numpy(np.minimum(self._first.reshape(shape) + rows, self._last.reshape(shape)))]
+        if values is None:
+            values = np.zeros(
+                (1, {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3))
+            )
+        return mean_over_rows(values, self._stride) if name == "rotor_speed" else values
 
 
 def mean_over_rows(values: Array, rows: int) -> Array:

@@ -13,6 +13,7 @@ from aerial_gym.physics.model import Model
 from aerial_gym.physics.vehicle import Vehicle
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.logs.flights import Flight
+from aerial_gym.sim2real.predict.replay.rotors import true_rotor_speed
 from aerial_gym.sim2real.predict.rows.batches import vehicle_of_row
 
 
@@ -47,23 +48,14 @@ def replay_memory(
     effects = list(effects_with_memory(model.effects))
     if not effects:
         return {}
-    vehicle, led = vehicle_of_row(model.vehicle, 0), speeds or [None] * len(flights)
-    tracks = [
-        make_flight_track(flight, vehicle, true_rotor_speed(flight, model, own), 1.0 / flight.rate, settled=settled)
-        for flight, own in zip(flights, led, strict=True)
-    ]
+    vehicle, tracks = vehicle_of_row(model.vehicle, 0), list[FlightTrack]()
+    sensors = [(effect, params[:1]) for effect, params in model.effects[RotorSensorEffect]]
+    for flight, led in zip(flights, speeds or [None] * len(flights), strict=True):
+        speed = led if flight.rotor_speed is None else flight.rotor_speed
+        assert speed is not None
+        true = true_rotor_speed(torch.from_numpy(speed), () if flight.rotor_speed is None else sensors)
+        tracks.append(make_flight_track(flight, vehicle, true, 1.0 / flight.rate, settled=settled))
     return {
         effect.name: [answers.ask(effect.replay, track, params[:1], place=k) for k, track in enumerate(tracks)]
         for effect, params in effects
     }
-
-
-def true_rotor_speed(flight: Flight, model: Model, led: Array | None) -> Tensor:
-    """Return the true rotor speeds in every row of a log [rad/s], (T, R): measured, else the replayed ``led``."""
-    speed = led if flight.rotor_speed is None else flight.rotor_speed
-    assert speed is not None
-    true = torch.from_numpy(speed)
-    if flight.rotor_speed is not None:
-        for effect, params in model.effects[RotorSensorEffect]:
-            true = effect.true_speed(true, params[:1])
-    return true

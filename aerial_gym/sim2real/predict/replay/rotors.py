@@ -84,7 +84,11 @@ class RotorReplay:
         if flight.rotor_speed is None:
             assert flight.rotor_command is not None
             return torch.from_numpy(flight.rotor_command[0].copy())
-        speed = torch.from_numpy(flight.rotor_speed[:1].copy())
-        for effect, params in reversed(sensors):
-            speed = effect.true_speed(speed, params)
-        return speed[0]
+        return true_rotor_speed(torch.from_numpy(flight.rotor_speed[:1].copy()), sensors)[0]
+
+
+def true_rotor_speed(measured: Tensor, sensors: Sequence[tuple[RotorSensorEffect, Tensor]]) -> Tensor:
+    """Return measured rotor speeds corrected for sensor errors with parameters (1, P) or of each row."""
+    for effect, params in reversed(sensors):
+        measured = effect.true_speed(measured, params)
+    return measured

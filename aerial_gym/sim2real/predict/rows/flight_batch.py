@@ -122,14 +122,13 @@ class FlightBatch:
         """Return the state of the load's link along each flight."""
         asked = self._make_query(params)
         model = self._model_rows(asked)
-        hanging = self._load_query(
-            model, self._effect_condition(model, asked), self._effect_memory(model, asked), asked
+        condition, remembered = self._effect_condition(model, asked), self._effect_memory(model, asked)
+        hanging = self._load_query(model, condition, remembered, asked)
+        load, rows = (
+            self._load_replay.link_states(model, hanging.missed).numpy(),
+            (self.data.row_times, self.data.spans),
         )
-        load = self._load_replay.link_states(model, hanging.missed).numpy()
-        return [
-            LoadLink(time=time, load=load[span])
-            for time, span in zip(self.data.row_times, self.data.spans, strict=True)
-        ]
+        return [LoadLink(time=time, load=load[span]) for time, span in zip(*rows, strict=True)]
 
     def _make_query(self, params: ModelParams) -> _ModelQuery:
         """Return the model in one environment with its deviations, its scene in every row and the commanded rotor speeds."""
@@ -161,27 +160,22 @@ class FlightBatch:
         acting = force_breakdown(model, condition, self._forces, apart=True, hubs=hubs)
         acting = with_fluid(model, condition, acting)
         if model.effects[LoadEffect]:
-            acting.wrenches.append(
-                ("load", self._load_wrench(flown, asked, self._load_query(flown, condition, remembered, asked)))
-            )
+            hanging = self._load_query(flown, condition, remembered, asked)
+            acting.wrenches.append(("load", self._load_wrench(flown, asked, hanging)))
         about = None if hubs is None else hubs.vehicle.com[0]
         late = self._imu.delays_by_flight(asked.logged)
         felt = self._in_band.accelerations_in_band(model, condition.rotor_speed, acting, about=about, late=late)
         noise = asked.logged.answered_noise
-        return self._imu.read_channels(
-            model, felt, asked.logged, noise * self._torque_noise_std() if noise.any() else None
-        )
+        seeming = noise * self._torque_noise_std() if noise.any() else None
+        return self._imu.read_channels(model, felt, asked.logged, seeming)
 
     def _torque_noise_std(self) -> Tensor:
         """Return the standard deviation of the apparent angular acceleration by correlated noise [rad/s²], body, (T, 3)."""
         if self._in_step is None:
-            data, turning = (
-                self.data,
-                np.stack(self._imu_readings(self._make_query(self._params))["angular_acceleration"], axis=1),
-            )
-            parts = []
-            for flight, span in zip(data.flights, data.kept_spans, strict=True):
-                share = torque_gain_uncertainty(flight, self._declared, turning[span], data.bandwidth)
+            columns = self._imu_readings(self._make_query(self._params))["angular_acceleration"]
+            turning, parts = np.stack(columns, axis=1), []
+            for flight, span in zip(self.data.flights, self.data.kept_spans, strict=True):
+                share = torque_gain_uncertainty(flight, self._declared, turning[span], self.data.bandwidth)
                 parts.append(share * (turning[span] - turning[span].mean(axis=0)))
             self._in_step = torch.from_numpy(np.concatenate(parts))
         return self._in_step
