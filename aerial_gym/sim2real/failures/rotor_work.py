@@ -74,9 +74,9 @@ class RotorOutputModel:
         if count < 1:
             return []
         led = RotorReplay([flight]).speeds(self._model, 0.0, self._model.effects[RotorSensorEffect])[0]
-        works = (
-            [] if led is None or flight.rotor_speed is None else [self._speed_output(flight, led, size, count, volts)]
-        )
+        works = list[RotorOutput]()
+        if led is not None and flight.rotor_speed is not None:
+            works.append(self._speed_output(flight, led, size, count, volts))
         state = led if flight.rotor_speed is None else flight.rotor_speed
         if state is not None and flight.gyro and flight.specific_force is not None:
             works.append(self._thrust_output(flight, flight.specific_force, state, size, count))

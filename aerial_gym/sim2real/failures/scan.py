@@ -195,9 +195,8 @@ def _change_odds(cause: FailureCause, profile: Array, share: float) -> tuple[Arr
     across = np.einsum("gk,kr,krq->grq", profile, own, work.beside[:, rotors])
     inverse, beside = evidence.inverse[rotors], evidence.beside[rotors]
     inner = np.einsum("gk,kr->g", profile**2, own**2) - np.einsum("grp,rpq,grq->g", across, inverse, across)
-    along = np.einsum("gk,kr,kr->g", profile, own, evidence.residual[:, rotors]) - np.einsum(
-        "grq,rq->g", across, beside
-    )
+    along = np.einsum("gk,kr,kr->g", profile, own, evidence.residual[:, rotors])
+    along -= np.einsum("grq,rq->g", across, beside)
     return evidence.change_odds(cause.kind, np.maximum(inner, 0.0), along, share)
 
 

@@ -40,9 +40,8 @@ class SensorFault(FlightEvent):
         if self.name == "sensor_dropout":
             return Finding("sensor_dropout", self.flight, {"sensor": self.sensor, "time_s": self.time})
         size = {"size_m": [self.params[a] for a in "xyz"], "half_width_m": [1.96 * self.std[a] for a in "xyz"]}
-        return Finding(
-            "position_jump", self.flight, {**size, "start_s": self.time, "end_s": self.time, "moved_back": False}
-        )
+        size |= {"start_s": self.time, "end_s": self.time, "moved_back": False}
+        return Finding("position_jump", self.flight, size)
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""

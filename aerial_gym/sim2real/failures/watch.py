@@ -82,11 +82,10 @@ class FlightWatch:
         self._finder = FailureFinder(robot, false_alarm_hours=false_alarm_hours)
         numbers = range(1, robot.num_rotors + 1)
         rotors = {"rotor_speed": [f"rotor_{n}" for n in numbers], "rotor_command": [f"cmd_{n}" for n in numbers]}
-        self._columns = {
-            quantity: [self._place[name] for name in names]
-            for quantity, names in (COLUMNS | rotors).items()
-            if all(name in self._place for name in names)
+        used = {
+            quantity: names for quantity, names in (COLUMNS | rotors).items() if all(n in self._place for n in names)
         }
+        self._columns = {quantity: [self._place[name] for name in names] for quantity, names in used.items()}
         used = {"t", *(name for names in (COLUMNS | rotors).values() for name in names)}
         if twice := sorted(column for column in used if [name.strip() for name in header].count(column) > 1):
             raise DataError(f"{name}: column {twice[0]!r} appears twice in the header; rename or remove one of them")
@@ -152,10 +151,8 @@ class FlightWatch:
         whole = (LEAD_BLOCKS + LOOK_BLOCKS) * self._size
         if self.over or not self._size or len(self._rows) <= whole:
             return []
-        told = [
-            Alarm(stage=NAMED, failure=fault, told_s=self.watched_s)
-            for fault in self._find_sensor_faults(self._rows[: whole + 1])
-        ]
+        faults = self._find_sensor_faults(self._rows[: whole + 1])
+        told = [Alarm(stage=NAMED, failure=fault, told_s=self.watched_s) for fault in faults]
         if self._sensors.has_stopped_sensor:
             self._rows, self._works, self._suspected = self._rows[LOOK_BLOCKS * self._size :], [], None
             return told

@@ -109,16 +109,13 @@ def add_test_shares(
     """Return the result with the share of the test flights' excess error that the learned residual removes."""
     if learned.effect is None:
         return learned
-    less, more = (
-        np.mean(np.square(np.concatenate(predictor.residuals(model))), axis=0)
-        for model in (params, replace(params, learned=learned.effect))
-    )
+    models = params, replace(params, learned=learned.effect)
+    less, more = (np.mean(np.square(np.concatenate(predictor.residuals(model))), axis=0) for model in models)
     gap = less - (0.0 if floor is None else np.square(floor))
-    gaps = {
-        channel.name: float((less[c] - more[c]) / gap[c]) if gap[c] > 0.0 else None
-        for c, channel in enumerate(predictor.channels)
-        if channel.name in OUTPUTS
-    }
+    places = [c for c, channel in enumerate(predictor.channels) if channel.name in OUTPUTS]
+    names = [predictor.channels[c].name for c in places]
+    shares = [float((less[c] - more[c]) / gap[c]) if gap[c] > 0.0 else None for c in places]
+    gaps = dict(zip(names, shares, strict=True))
     felt = torch.from_numpy(np.concatenate(predictor.residual_inputs(params)))
     outside = int((learned.effect.distance(felt) > 1.0).sum())
     return replace(learned, gaps=gaps, rows=felt.shape[0], rows_outside=outside)

@@ -121,10 +121,8 @@ def common_offsets(curves: Sequence[OffsetCurve], learning: int) -> list[ClockOf
     """
     told, agreed = _decide_offsets(curves, learning)
     odds = 1.0 if agreed else CLEAR_ODDS
-    return [
-        offset if offset.is_likelier_than_sensor_delays(one.rate, odds) else ClockOffset()
-        for offset, one in zip(told, curves, strict=True)
-    ]
+    pairs = zip(told, curves, strict=True)
+    return [one if one.is_likelier_than_sensor_delays(curve.rate, odds) else ClockOffset() for one, curve in pairs]
 
 
 def _decide_offsets(curves: Sequence[OffsetCurve], learning: int) -> tuple[list[ClockOffset], bool]:
@@ -154,9 +152,8 @@ def commands_share_clock(logs: Sequence[FlightLog], offsets: Sequence[ClockOffse
     On the right clock a first-order lag of 0.2 to 5 times ``time_constant`` [s] maps commands to speeds. The answer is
     common to all logs, as one log hardly separates a short offset from a lag.
     """
-    curve_values = [
-        _lag_residuals_by_clock(log, offset, time_constant) for log, offset in zip(logs, offsets, strict=True)
-    ]
+    pairs = zip(logs, offsets, strict=True)
+    curve_values = [_lag_residuals_by_clock(log, offset, time_constant) for log, offset in pairs]
     told = [np.log(moved / stayed) for moved, stayed in filter(None, curve_values)]
     return not told or bool(np.mean(told) > np.log(1.0 - LEAST_SHIFT_GAIN))
 

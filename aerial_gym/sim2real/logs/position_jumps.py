@@ -73,12 +73,8 @@ def mend_position_jumps(log: FlightLog) -> FlightLog:
     if log.position is None or log.lin_vel is None:
         return log
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
-    position, accepted, way, offset = (
-        log.position,
-        list[PositionJump](),
-        displacement_from_velocity(log.lin_vel, step),
-        PositionOffset(),
-    )
+    position, way = log.position, displacement_from_velocity(log.lin_vel, step)
+    accepted, offset = list[PositionJump](), PositionOffset()
     while (jump := largest_jump(position - way, step, offset)) is not None:
         accepted.append(jump)
         offset = offset.add_jump(jump)

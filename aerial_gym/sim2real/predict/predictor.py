@@ -119,11 +119,8 @@ class Predictor:
         remaining = {name: values for name, values in params.effects.items() if name not in on_vehicle}
         off = vehicle_deviation(self._declared, self.tolerances, params.deviation)
         vehicle = build_model(off.vehicle, expand_effects(ModelParams(effects=on_vehicle), 1)).vehicle
-        logged = (
-            b""
-            if params.deviation is None
-            else sensor_deviation(self.tolerances, torch.from_numpy(params.deviation)).key
-        )
+        deviation = None if params.deviation is None else torch.from_numpy(params.deviation)
+        logged = b"" if deviation is None else sensor_deviation(self.tolerances, deviation).key
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
         others_key = params_key(ModelParams(effects=remaining))
         return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)

@@ -207,9 +207,8 @@ class WindowBatch:
         self, state: BodyState, at: Collection[int], *, given_attitude: Flags | None = None
     ) -> Iterator[tuple[int, BodyState, BodyState]]:
         """Yield step number, simulated and measured state after the steps ``at``; (W,): windows with ``given_attitude``."""
-        given = (
-            torch.from_numpy(given_attitude)[:, None] if given_attitude is not None and given_attitude.any() else None
-        )
+        some = given_attitude is not None and given_attitude.any()
+        given = torch.from_numpy(given_attitude)[:, None] if some else None
         span = self._stride / self._rate
         memory, stepper = self._initial_effect_memory(span / self._substeps), INTEGRATORS["rk4"]
         for step in range(max(at)):
@@ -273,9 +272,8 @@ class WindowBatch:
             vehicle, one, step = vehicle_of_row(self._model.vehicle, 0), params[:1], 1.0 / self._rate
             for index in np.unique(self._flight):
                 chosen, speed = np.flatnonzero(self._flight == index), self._rotor_speed_track(int(index))
-                along = effect.replay(
-                    make_flight_track(self._flights[index], vehicle, speed, step, settled=self._settled), one
-                )
+                track = make_flight_track(self._flights[index], vehicle, speed, step, settled=self._settled)
+                along = effect.replay(track, one)
                 numbers[chosen] = along[self._row[chosen]]
             results[effect.name] = numbers
         return results
@@ -326,9 +324,8 @@ class WindowBatch:
             return other_vehicle_track(flight)
         values = getattr(flight, name)
         if values is None:
-            values = np.zeros(
-                (1, {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3))
-            )
+            width = {"attitude": 4, "rotor_speed": self._rotors, "rotor_command": self._rotors}.get(name, 3)
+            values = np.zeros((1, width))
         return mean_over_rows(values, self._stride) if name == "rotor_speed" else values
 
 

@@ -71,12 +71,10 @@ class Tolerances:
         fit.
         """
         names = self.names((deviation.size - len(self.names(0))) // 2)
-        pairs = [
-            (n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED and n not in absent
-        ]
-        notes = [
-            Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in pairs if abs(size) < farthest
-        ]
+        pairs = [(n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED]
+        pairs = [(name, size) for name, size in pairs if name not in absent]
+        weak = [(name, size) for name, size in pairs if abs(size) < farthest]
+        notes = [Finding("tolerance_strained", name, {"deviation_std": size}) for name, size in weak]
         if cut := [name for name, size in pairs if abs(size) >= farthest]:
             notes.append(Finding("tolerances_cut_off", "", {"tolerances": cut, "deviation_std": farthest}))
         return notes

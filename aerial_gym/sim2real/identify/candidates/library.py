@@ -158,15 +158,15 @@ def build_library(
     for structure in () if structures is None else structures(here, own):
         places = np.arange(structure.columns[0].width) + width
         open_end = np.full(places.size, np.inf)
+        bounds, own_of_flights = {"low": -open_end, "high": open_end}, structure.is_flight_offset
         candidates.append(
             Candidate(
                 name=structure.name,
                 named=False,
                 columns=places,
-                low=-open_end,
-                high=open_end,
                 structure=True,
-                is_flight_offset=structure.is_flight_offset,
+                is_flight_offset=own_of_flights,
+                **bounds,
             )
         )
         derivatives.append(structure.columns)

@@ -79,9 +79,8 @@ class Nuisances:
     ) -> None:
         """Take flights, residuals of the declared model (T, C), which give sizes, and the largest flight offsets (C,)."""
         self._times, self._channels, self._declared, self._most = times, channels, declared, most
-        self._lines = CommonLines(
-            times, [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]
-        )
+        motion = [motion_features(flight, time) for flight, time in zip(flights, times, strict=True)]
+        self._lines = CommonLines(times, motion)
         self._shapes = list[_StructureUnit]()
         alone, force = [np.ones((time.size, 1)) for time in times], force_channel_indices(channels)
         turns = [Rotation.from_quat(f.attitude[rows_at_times(f, time)]) for f, time in zip(flights, times, strict=True)]
@@ -98,11 +97,8 @@ class Nuisances:
                 if kind in IN_WORLD and place in force:  # world axis in body coordinates
                     moved, axes = force, world[force.index(place)]
                 size = _rms_of_flights([part[:, place] for part in seen])
-                self._shapes.append(
-                    _StructureUnit(
-                        kind=kind, channel=channel.name, size=size, functions=functions, moved=moved, axes=axes
-                    )
-                )
+                unit = {"kind": kind, "channel": channel.name, "size": size, "functions": functions}
+                self._shapes.append(_StructureUnit(**unit, moved=moved, axes=axes))
 
     def structures_beyond_effects(
         self, present: Sequence[Array], effects: Mapping[str, Sequence[Sequence[SparseDerivatives]]]
@@ -115,18 +111,11 @@ class Nuisances:
         matrices = []
         for shape in self._shapes:
             rivals = [part for name in effects if shape.kind in EFFECTS.get(name).follows for part in effects[name]]
-            along = [
-                [
-                    np.einsum("tck,tc->tk", part.dense_columns(shape.moved), axis)
-                    for part, axis in zip(own, shape.axes, strict=True)
-                ]
-                for own in rivals
-            ]
+            pairs = [zip(own, shape.axes, strict=True) for own in rivals]
+            along = [[np.einsum("tck,tc->tk", p.dense_columns(shape.moved), axis) for p, axis in own] for own in pairs]
             beyond = zip(_functions_beyond_effects(shape.functions, along), shape.axes, strict=True)
             columns = to_single_precision([shape.size * x[:, None] * axis[..., None] for x, axis in beyond])
-            parts = [
-                SparseDerivatives(values=values, channels=shape.moved, width=values.shape[2]) for values in columns
-            ]
+            parts = [SparseDerivatives(values=v, channels=shape.moved, width=v.shape[2]) for v in columns]
             matrices.append(NuisanceColumns(kind=shape.kind, channel=shape.channel, columns=parts, size=shape.size))
         return [*matrices, *_flight_offset_columns(self._channels, present, self._most), *self._tone_columns(present)]
 
@@ -150,9 +139,7 @@ class Nuisances:
 
 def flight_offsets(structures: Sequence[NuisanceColumns], channels: Sequence[Channel], weight: Array) -> FlightOffsets:
     """Return the flight offsets among some structures; ``weight``: weight of a row of each channel, (C,)."""
-    own = {
-        structure.channel: (structure.size, structure.most) for structure in structures if structure.is_flight_offset
-    }
+    own = {one.channel: (one.size, one.most) for one in structures if one.is_flight_offset}
     size, most = np.array([own.get(channel.name, (0.0, 0.0)) for channel in channels]).T
     return FlightOffsets(size=size, weight=weight, most=most)
 
@@ -230,7 +217,7 @@ def residuals_beyond_structures(
         if not own:
             continue
         columns = [
-            np.concatenate([part.dense_columns((place,))[:, 0] for part in parts], axis=1, dtype=np.float64)
+            np.concatenate([p.dense_columns((place,))[:, 0] for p in parts], axis=1, dtype=np.float64)
             for parts in zip(*own, strict=True)
         ]
         product = sum(part.T @ part for part in columns)

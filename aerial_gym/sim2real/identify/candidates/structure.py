@@ -103,19 +103,15 @@ def structure_features(flights: Sequence[Flight], times: Sequence[Array]) -> dic
     pairs = [(flight, rows_at_times(flight, time)) for flight, time in zip(flights, times, strict=True)]
     results = {"time": [np.stack((time, time**2), axis=1) for time in times]}
     if all(flight.position is not None for flight in flights):
-        results["position"] = _place_features(
-            [flight.position[rows] for flight, rows in pairs if flight.position is not None]
-        )
+        places = [flight.position[rows] for flight, rows in pairs if flight.position is not None]
+        results["position"] = _place_features(places)
     turns = [Rotation.from_quat(flight.attitude[rows]) for flight, rows in pairs]
     if not any(flight.attitude_integrated for flight in flights):  # an integrated gyro has no heading reference
         ahead = [np.arctan2(*turn.apply([1.0, 0.0, 0.0])[:, 1::-1].T) for turn in turns]
         results["heading"] = [np.stack([f(n * yaw) for n in (1, 2) for f in (np.cos, np.sin)], axis=1) for yaw in ahead]
     if all(flight.lin_vel is not None for flight in flights):
-        speeds = [
-            turn.apply(flight.lin_vel[rows], inverse=True)
-            for turn, (flight, rows) in zip(turns, pairs, strict=True)
-            if flight.lin_vel is not None
-        ]
+        velocities = [flight.lin_vel[rows] for flight, rows in pairs if flight.lin_vel is not None]
+        speeds = [turn.apply(v, inverse=True) for turn, v in zip(turns, velocities, strict=True)]
         results["velocity"] = [np.concatenate((v, v * np.abs(v), v**2), axis=1) for v in speeds]
     if all(flight.battery is not None for flight in flights):
         volts = [flight.battery[rows, None] for flight, rows in pairs if flight.battery is not None]

@@ -72,6 +72,5 @@ def _finding_on_slow_commands(effect: Effect, robot: RobotCfg, flights: Sequence
     if not isinstance(effect, VehicleEffect) or effect.acts_on != "actuation" or not rates:
         return None
     row, lag = 1.0 / min(rates), min(nominal_lag(robot))
-    return (
-        None if row < lag else Finding("commands_too_coarse", effect.name, {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag})
-    )
+    values = {"row_ms": 1e3 * row, "lag_ms": 1e3 * lag}
+    return None if row < lag else Finding("commands_too_coarse", effect.name, values)

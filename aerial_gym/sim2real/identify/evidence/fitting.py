@@ -91,10 +91,8 @@ class EffectSetFit:
     @property
     def label(self) -> Label:
         """Return the label of the set."""
-        return set_label(
-            [(name, self.params.effects[name]) for name in self.effects],
-            [structure.name for structure in self.structures],
-        )
+        effects = [(name, self.params.effects[name]) for name in self.effects]
+        return set_label(effects, [structure.name for structure in self.structures])
 
 
 class Fitter:
@@ -272,9 +270,8 @@ class Fitter:
     def refit_without_weakest(self, fitted: EffectSetFit, compared: ComparisonDepth | None = None) -> EffectSetFit:
         """Return a set refitted without its least supported effect; effects without support count as the least."""
         odds = {name: one.robust_log_odds for name, one in fitted.support.items()}
-        return self.refit_without_effects(
-            fitted, (min(fitted.effects, key=lambda name: odds.get(name, -np.inf)),), compared
-        )
+        weakest = min(fitted.effects, key=lambda name: odds.get(name, -np.inf))
+        return self.refit_without_effects(fitted, (weakest,), compared)
 
     def drop_unsupported(
         self, fitted: EffectSetFit, holds: Callable[[EffectSetFit], bool] = lambda one: one.is_supported
@@ -286,9 +283,8 @@ class Fitter:
         """
         level, best = [fitted], None
         while level:
-            best = max(
-                [one for one in level if holds(one)] + ([best] if best else []), key=_log_posterior, default=None
-            )
+            holding = [one for one in level if holds(one)]
+            best = max(holding + ([best] if best else []), key=_log_posterior, default=None)
             rest = [one for one in level if not holds(one) and (best is None or one.log_posterior > best.log_posterior)]
             less: dict[Label, EffectSetFit] = {}
             for one in sorted(rest, key=_log_posterior, reverse=True)[:BROAD]:

@@ -43,11 +43,8 @@ class NormalEquations:
     def marginal(self, columns: Indices) -> "NormalEquations":
         """Return all sums with columns that all sets share integrated out and set to zero."""
         kept = np.setdiff1d(np.arange(self.gradient.size), columns)
-        reduced, product, gradient = (
-            self.integrate_out(columns, kept),
-            np.zeros_like(self.product),
-            np.zeros_like(self.gradient),
-        )
+        reduced = self.integrate_out(columns, kept)
+        product, gradient = np.zeros_like(self.product), np.zeros_like(self.gradient)
         product[kept[:, None], kept], gradient[kept] = reduced.product, reduced.gradient
         return NormalEquations(product=product, gradient=gradient, constant=reduced.constant)
 
@@ -107,9 +104,10 @@ class Posterior:
     log_likelihood: float  # That of the best parameters, with the priors of deviations and structures only
 
 
+_NOTHING = np.zeros(0)
 EMPTY_POSTERIOR = Posterior(
-    columns=np.zeros(0, dtype=np.int64),
-    step=np.zeros(0),
+    columns=_NOTHING.astype(np.int64),
+    step=_NOTHING,
     covariance=np.zeros((0, 0)),
     log_evidence=-np.inf,
     log_likelihood=-np.inf,
@@ -226,9 +224,8 @@ def _marginal_sums(
     for centre, sets in alike.items():
         own = {one: _columns_of_candidates(candidates, set(one).symmetric_difference(centre)) for one in sets}
         kept = np.unique(np.concatenate([*own.values(), *(wanted[one] for one in sets)]))
-        shared = MarginalSums(
-            normal, np.concatenate((_columns_of_candidates(candidates, centre), candidates.tolerances)), kept
-        )
+        columns = np.concatenate((_columns_of_candidates(candidates, centre), candidates.tolerances))
+        shared = MarginalSums(normal, columns, kept)
         for one, columns in own.items():
             if len(one) > len(centre):
                 both = np.arange(columns.size + wanted[one].size)

@@ -74,10 +74,8 @@ class ModelFit:
     @property
     def free_effects(self) -> Indices:
         """Return the indices of the fitted effect parameters."""
-        return np.array(
-            [k for k, owner in enumerate(self.parameter_owners) if owner not in self.frozen and is_number(*owner)],
-            dtype=int,
-        )
+        owners = enumerate(self.parameter_owners)
+        return np.array([k for k, owner in owners if owner not in self.frozen and is_number(*owner)], dtype=int)
 
     @property
     def free_all(self) -> Indices:

@@ -131,10 +131,8 @@ def inverse_variance_weights(residuals: Sequence[Array]) -> Weighting:
     rows = np.array([r.shape[0] for r in residuals], dtype=float)
     shares = np.stack([effective_share(r) for r in residuals])
     total = np.sum([(r**2).sum(axis=0) for r in residuals], axis=0)
-    return Weighting(
-        variance=np.maximum(total / rows.sum(), 1e-12),
-        effective=(rows[:, None] * shares).sum(axis=0) / rows.sum(),
-    )
+    effective = (rows[:, None] * shares).sum(axis=0) / rows.sum()
+    return Weighting(variance=np.maximum(total / rows.sum(), 1e-12), effective=effective)
 
 
 def effective_share(residual: Array) -> Array:

@@ -121,8 +121,5 @@ def occam_window(fitted: EffectSetFit) -> float:
 def candidates_of_fit(library: Library, present: EffectSetFit) -> Model:
     """Return the indices of the candidates that a fitted set contains."""
     beside = {structure.name for structure in present.structures}
-    return tuple(
-        k
-        for k, candidate in enumerate(library.candidates)
-        if candidate.named or (candidate.structure and candidate.name in beside)
-    )
+    candidates = enumerate(library.candidates)
+    return tuple(k for k, one in candidates if one.named or (one.structure and one.name in beside))

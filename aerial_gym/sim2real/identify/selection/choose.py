@@ -124,9 +124,8 @@ class _Chooser:
         fits = sorted(known, key=lambda one: -one.log_posterior)
         present = best_special_case(view.present, fits, occam_window(view.present))
         surrogates = self.surrogate_effects(present, view.fitter)
-        named, ends = view.fitter.set_for_robot_file(
-            self.best_set_without_structures(present, surrogates, fits, view.fitter)
-        )
+        bare = self.best_set_without_structures(present, surrogates, fits, view.fitter)
+        named, ends = view.fitter.set_for_robot_file(bare)
         named, unsure = self.drop_unproven(named, present, view.fitter)
         named, blind = self.drop_unidentified(named, view.fitter)
         named, immaterial, without = self.drop_immaterial(named, view.fitter)
@@ -165,14 +164,11 @@ class _Chooser:
     ) -> EffectSetFit:
         """Return the best supported set of present effects without ``gone``, and without structures except flight offsets."""
         kept = set(present.effects).difference(gone)
-        whole = (
-            fitter.refit_without_effects(replace(present, structures=present.flight_offsets), tuple(gone))
-            if gone or not present.has_only_flight_offsets
-            else present
-        )
-        cases = [
-            one for one in fits if one.is_supported and one.has_only_flight_offsets and kept.issuperset(one.effects)
-        ]
+        whole = present
+        if gone or not present.has_only_flight_offsets:
+            whole = fitter.refit_without_effects(replace(present, structures=present.flight_offsets), tuple(gone))
+        cases = [one for one in fits if one.is_supported and one.has_only_flight_offsets]
+        cases = [one for one in cases if kept.issuperset(one.effects)]
         return max([fitter.drop_unsupported(whole), *cases], key=lambda one: one.log_posterior)
 
     def drop_unproven(
@@ -201,9 +197,8 @@ class _Chooser:
         left = fitter.drop_unsupported(
             fitted, lambda one: one.is_supported and all(results.shown for results in one.support.values())
         )
-        return left, [
-            name for name, results in fitted.support.items() if not results.shown and name not in left.effects
-        ]
+        blind = [name for name, one in fitted.support.items() if not one.shown]
+        return left, [name for name in blind if name not in left.effects]
 
     def log_odds_of_additions(self, view: CandidateView) -> dict[str, float]:
         """Return the robust log odds of each other effect added to the present set, from its best start."""
@@ -282,13 +277,8 @@ def best_special_case(present: EffectSetFit, fits: Iterable[EffectSetFit], windo
     One is rejected if behind by ``window`` in log posterior and in log likelihood, so not by the prior of an own parameter.
     """
     likely, fit = present.log_posterior - window, present.parameters.log_likelihood - window
-    cases = [
-        one
-        for one in fits
-        if one.is_supported
-        and _is_special_case(one, present)
-        and (one.log_posterior > likely or one.parameters.log_likelihood > fit)
-    ]
+    cases = [one for one in fits if one.is_supported and _is_special_case(one, present)]
+    cases = [one for one in cases if one.log_posterior > likely or one.parameters.log_likelihood > fit]
     return max(cases, key=lambda one: one.log_posterior, default=present)
 
 

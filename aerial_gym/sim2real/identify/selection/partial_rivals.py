@@ -40,12 +40,7 @@ class ParameterRival:
 
     def as_mapping(self) -> dict[str, object]:
         """Return it for JSON."""
-        return {
-            "parameter": self.parameter,
-            "effect": self.other,
-            "params": self.params,
-            "log_odds": self.log_odds,
-        }
+        return {"parameter": self.parameter, "effect": self.other, "params": self.params, "log_odds": self.log_odds}
 
 
 def rivals_of_parameters(
@@ -93,9 +88,8 @@ def _rival_candidates(
     residuals = [m - p for m, p in zip(predictor.measured, base, strict=True)]
     parts = [effect_jacobian(predictor, params, best.effects, base)]
     for other in rivals:
-        parts.append(
-            effect_jacobian(predictor, params.with_effect(other, fitter.neutral_of_effect(other)), (other,), base)
-        )
+        moved = params.with_effect(other, fitter.neutral_of_effect(other))
+        parts.append(effect_jacobian(predictor, moved, (other,), base))
     owners = [(name, k) for name in best.effects for k in range(parameter_scales((name,)).size)]
     back = [owner for owner in owners if pairs[owner[0]] and is_number(*owner)]
     parts.extend(_changes_by_parameter(fitter, params, base, *owner) for owner in back)
@@ -105,12 +99,8 @@ def _rival_candidates(
     ends = np.cumsum([part[0].shape[2] for part in parts])
     own, beside = np.arange(ends[0]), np.arange(ends[-1], moments.gradient.shape[2])
     columns = {other: np.arange(ends[k], ends[k + 1]) for k, other in enumerate(rivals)}
-    sums = _TotalSums(
-        float(moments.square.sum()),
-        moments.gradient.sum(axis=(0, 1)),
-        moments.product.sum(axis=(0, 1)),
-        num_effects=int(ends[-1]),
-    )
+    gradient, product = moments.gradient.sum(axis=(0, 1)), moments.product.sum(axis=(0, 1))
+    sums = _TotalSums(float(moments.square.sum()), gradient, product, num_effects=int(ends[-1]))
     here, matches = sums.negative_log_posterior(np.concatenate((own, beside))), []
     for number, (effect, place) in enumerate(back):
         shift = int(ends[len(rivals)]) + number

@@ -141,9 +141,8 @@ class CrossValidation:
 
     def _has_changed(self, less: Array, more: Array) -> bool:
         """Return whether squares (B, C) differ in any channel by more than ``harmless``; hover, for example, shows no drag."""
-        return bool(
-            np.any(np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0))) > 2.0 * np.log1p(self.criteria.harmless))
-        )
+        ratio = np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0)))
+        return bool(np.any(ratio > 2.0 * np.log1p(self.criteria.harmless)))
 
     def _rises(self, less: Array, more: Array, count: Array) -> Flags:
         """Return whether the squares (B, C) of each channel rise harmfully, (C,); see ``is_rise_harmful``."""
@@ -164,11 +163,8 @@ def is_rise_harmful(
     rows = np.asarray(rows)[..., None]
     gains = 0.5 * rows * effective * _log_ratio(less, more)
     forgiven = criteria.forgiven * np.maximum(gains.sum(axis=-1, keepdims=True), 0.0)
-    return (
-        (more > (1.0 + criteria.harmless) ** 2 * less)
-        & (more - less > np.maximum(rows, 1.0) * tolerated**2)
-        & (-gains > forgiven)
-    )
+    beyond_share, beyond_tolerances = more > (1.0 + criteria.harmless) ** 2 * less, np.maximum(rows, 1.0) * tolerated**2
+    return beyond_share & (more - less > beyond_tolerances) & (-gains > forgiven)
 
 
 def _log_ratio(less: Array, more: Array) -> Array:

@@ -187,9 +187,8 @@ class _Scorer:
 
     def _fit(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen) -> ModelFit:
         rival_fits, _, _ = fit_effects(self.predictor, effects, start, self.beside, frozen=frozen)
-        by_channel = linearise_at_params(
-            self.predictor, effects, rival_fits.params, self.tolerance, offsets=self.offsets
-        )
+        params = rival_fits.params
+        by_channel = linearise_at_params(self.predictor, effects, params, self.tolerance, offsets=self.offsets)
         return replace(by_channel, frozen=frozen)
 
     def score(self, effects: tuple[str, ...], start: ModelParams, frozen: Frozen = frozenset()) -> FitScore:
@@ -200,7 +199,7 @@ class _Scorer:
         spread, left_out = uncertainty(fit, self.weights.weight), self.left_out.squares(fit)
         by_flight = replace(
             fit, moments=fit.moments.merge_labels(fit.moments.flight)
-        )  # sums by flight suffice from here on
+        )  # these sums suffice from here on
         return FitScore(fit=by_flight, spread=spread, left_out=left_out)
 
     def score_without_undetermined(self) -> tuple[FitScore, MostProbableSet]:
@@ -218,13 +217,10 @@ class _Scorer:
             neutral = neutral_params(name, self.declared, self.predictor.robot)
             self.chosen = self.chosen.without_undetermined_effect(name, neutral)
             return self.score_without_undetermined()
-        scored = self.score(
-            self.chosen.effects, self.params_at_neutral(self.chosen.named.params, unseen), frozenset(unseen)
-        )
-        without = {
-            name: replace(less, params=self.params_at_neutral(less.params, unseen))
-            for name, less in self.chosen.without.items()
-        }
+        start = self.params_at_neutral(self.chosen.named.params, unseen)
+        scored = self.score(self.chosen.effects, start, frozenset(unseen))
+        sets = self.chosen.without.items()
+        without = {name: replace(one, params=self.params_at_neutral(one.params, unseen)) for name, one in sets}
         return scored, replace(self.chosen, without=without)
 
     def params_at_neutral(self, params: ModelParams, places: Iterable[tuple[str, int]]) -> ModelParams:

@@ -71,10 +71,8 @@ class SetSearch:
     def __init__(self, predictor: Predictor, declared: ModelParams, names: Sequence[str], progress: Progress) -> None:
         self.predictor, self.declared, self.names, self.progress = predictor, declared, tuple(names), progress
         tolerance = tolerance_jacobian(predictor, declared)
-        self.tolerated, self._tolerance = (
-            tolerance_rms(tolerance, predictor.robot.num_rotors),
-            to_single_precision(tolerance),
-        )
+        self.tolerated = tolerance_rms(tolerance, predictor.robot.num_rotors)
+        self._tolerance = to_single_precision(tolerance)
         self.missed, most = predictor.residuals(declared), largest_flight_offsets(predictor, self.tolerated)
         self.nuisances = Nuisances(predictor.flights, predictor.times, predictor.channels, self.missed, most)
         self.skipped = tuple(name for name in EFFECTS if name not in self.names)
@@ -132,10 +130,8 @@ class SetSearch:
             )
 
         channels = len(self.predictor.channels)
-        linear = [
-            tolerance,
-            *(one.derivatives_of_channels(channels) for one in several if one.name not in params.effects),
-        ]
+        new = [one for one in several if one.name not in params.effects]
+        linear = [tolerance, *(one.derivatives_of_channels(channels) for one in new)]
         empty = [np.empty((*residual.shape, 0)) for residual in self.missed]
         whole = [one.derivatives_of_channels(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]

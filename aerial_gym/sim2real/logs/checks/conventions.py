@@ -68,11 +68,8 @@ def _unit_of_time(log: FlightLog) -> str:
     pairs = [(turned, log.ang_vel)]
     if log.position is not None:
         pairs.append((np.diff(log.position, axis=0), log.lin_vel))
-    ratios = [
-        _rms_of_vectors(moved) / _rms_of_vectors(rate[1:] * step)
-        for moved, rate in pairs
-        if rate is not None and np.any(rate)
-    ]
+    moved = [(turn, rate) for turn, rate in pairs if rate is not None and np.any(rate)]
+    ratios = [_rms_of_vectors(turn) / _rms_of_vectors(rate[1:] * step) for turn, rate in moved]
     exponent = round(np.log10(ratios[-1]) / 3.0) if ratios and ratios[-1] > 0.0 else 0
     return {-1: "ms", -2: "us", -3: "ns"}.get(exponent, "")
 
@@ -174,11 +171,9 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
         _rms_of_vectors(rate * (1.0, -1.0, -1.0) - measured) / size
     )
     best = min(alternatives, key=lambda text: alternatives[text])
-    guess = (
-        f"it looks as if {best}"
-        if alternatives[best] < 0.6 * miss
-        else "check order, direction, axes and units of both"
-    )
+    guess = "check order, direction, axes and units of both"
+    if alternatives[best] < 0.6 * miss:
+        guess = f"it looks as if {best}"
     raise DataError(
         f"{log.path}: attitude (q_x, q_y, q_z, q_w) and omega contradict each other by {miss:.0%} of their size; "
         f"{guess}; correct the columns or declare it in a mapping file"

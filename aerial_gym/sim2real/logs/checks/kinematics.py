@@ -64,9 +64,8 @@ def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
     rate = sample_rate(log)
     notes = []
     if log.ang_vel is not None:
-        notes.append(
-            _fit_imu_errors("gyro", log.ang_vel, body_rate_by_differences(log.attitude, rate), np.zeros(3), rate)
-        )
+        turning = body_rate_by_differences(log.attitude, rate)
+        notes.append(_fit_imu_errors("gyro", log.ang_vel, turning, np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)

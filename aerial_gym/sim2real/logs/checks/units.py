@@ -158,10 +158,8 @@ def check_units_against_accelerometer(log: FlightLog) -> None:
             "columns by -1"
         )
     if by.significant_axes.sum() >= 2 and np.array_equal(by.unit_errors, by.significant_axes):
-        ways = "; ".join(
-            _unit_remedy(letter, by, _mean_factor_of_wrong_axes(by), 1.0 / _mean_factor_of_wrong_axes(by))
-            for letter in letters
-        )
+        factor = _mean_factor_of_wrong_axes(by)
+        ways = "; ".join(_unit_remedy(letter, by, factor, 1.0 / factor) for letter in letters)
         raise DataError(f"{log.path}: the change of {names} contradicts acc and attitude; it looks as if {ways}")
 
 
@@ -210,8 +208,7 @@ def _remedies(relation: AxisRelation, letters: list[str]) -> str:
     if relation.axis_swaps.any():
         names = ", ".join("xyz"[axis] for axis in relation.order)
         said.append(
-            f"the axes of {' or '.join(letters)} were exchanged: name its columns in the order {names} in a "
-            "mapping file"
+            f"the axes of {' or '.join(letters)} were exchanged: name its columns in the order {names} in a mapping file"
         )
     if relation.sign_flips.any():
         said.append(f"{_column_names(letters, relation.sign_flips)} have the wrong sign: multiply each column by -1")

@@ -44,11 +44,8 @@ def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataF
     lines = read_lines(path)
     source = iter(enumerate(lines, start=1))
     header = find_header((line for _, line in source), layout.time.columns[0])
-    rows = (
-        []
-        if header is None
-        else [(n, header.comma_separated_line(line)) for n, line in source if not header.is_remark(line)]
-    )
+    body = [] if header is None else [(n, line) for n, line in source if not header.is_remark(line)]
+    rows = [(n, header.comma_separated_line(line)) for n, line in body] if header else []
     if header is None or not rows:
         raise DataError(f"{path}: holds no rows; a flight log has one header line and one line per sample")
     bad = [n for n, row in rows if row is None]
@@ -232,12 +229,8 @@ def mapping_hint(known: list[str]) -> str:
     own = {column for quantity in find_mapping("aerial_gym").quantities().values() for column in quantity.columns}
     for name in mapping_names():
         layout = find_mapping(name)
-        wanted = {
-            column
-            for key, quantity in layout.quantities().items()
-            for column in quantity.columns
-            if "{n}" not in column and key not in ("battery", *HEIGHTS)
-        }
+        known_columns = [q.columns for key, q in layout.quantities().items() if key not in ("battery", *HEIGHTS)]
+        wanted = {column for columns in known_columns for column in columns if "{n}" not in column}
         if not wanted <= own and wanted <= set(known):
             fits[name] = len(wanted)
     if fits:

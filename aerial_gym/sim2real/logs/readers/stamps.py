@@ -277,9 +277,8 @@ def _undo_clock_steps(stamps: Array, kept: Flags, step: float) -> tuple[Array, l
     for row in (np.flatnonzero(np.diff(time) <= 0.0) + 1).tolist():
         before, after = float(stamps[rows[row - 1]]), float(stamps[rows[row]])
         back, passed = before - after, step * float(rows[row] - rows[row - 1])
-        counter = next(
-            (n for n, period in COUNTERS_S.items() if 0.0 < period - back <= longest_bridgeable_gap(step)), ""
-        )
+        gap = longest_bridgeable_gap(step)
+        counter = next((n for n, period in COUNTERS_S.items() if 0.0 < period - back <= gap), "")
         shift = COUNTERS_S[counter] if counter else back + passed
         time[row:] += shift
         doubt = bool(counter) and shift - back > JOINT_STEPS * passed

@@ -120,11 +120,9 @@ def merge_topics(topics: Topics, path: str, notes: list[Finding]) -> tuple[pd.Da
             continue  # too slow for a comparison
         held = name.startswith("actuator")
         for label, column in one.columns.items():
-            columns[label] = (
-                column
-                if name == clock
-                else _resample_to_clock(rows, one.time, column, series[clock].sample_step, held=held)
-            )
+            if name != clock:
+                column = _resample_to_clock(rows, one.time, column, series[clock].sample_step, held=held)
+            columns[label] = column
         if name != "battery_status":
             covered = _is_covered(rows, one.time, one.sample_step)
             if np.mean(~covered) > MOST_UNCOVERED:

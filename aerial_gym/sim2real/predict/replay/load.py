@@ -65,9 +65,8 @@ class LoadReplay:
         if self._known:
             count = int(np.ceil(max(self._spans) / STEP_S)) + 1
             self._time = 0.5 * STEP_S * np.arange(2 * count + 1)
-            self._acceleration = torch.from_numpy(
-                np.stack([self._origin_acceleration(flight) for flight in flights], axis=1)
-            )
+            motion = np.stack([self._origin_acceleration(flight) for flight in flights], axis=1)
+            self._acceleration = torch.from_numpy(motion)
             self._start = torch.stack([self._rest_link(place, flight) for place, flight in enumerate(flights)])
             hanging = self._start[:, :3]
             self._axes = torch.linalg.svd(hanging.unsqueeze(1)).Vh.roll(-1, dims=1)  # (F, 3, 3), the link last
@@ -86,9 +85,8 @@ class LoadReplay:
         key = (effect.name, model.gravity, *params[0].tolist(), numbers)
         if key not in self._results:
             start = self._start if felt is None else self._fit_initial_links(model, felt)
-            swings = integrate_swing(effect, params[0], start, self._acceleration, step=STEP_S, gravity=model.gravity)[
-                0
-            ].numpy()
+            motion = self._acceleration
+            swings = integrate_swing(effect, params[0], start, motion, step=STEP_S, gravity=model.gravity)[0].numpy()
             if not np.isfinite(swings).all():  # invalid pendulum parameters, which a fit rejects
                 return torch.full((sum(map(len, self._times)), 6), torch.nan, dtype=torch.float64)
             self._results[key] = self._link_states_in_rows(swings)
@@ -123,10 +121,8 @@ class LoadReplay:
         """Return values at rows at the first steps, (K + 1, F, 3), 0 after a flight, and their bytes; the last are cached."""
         if values is not self._missed:
             grid = self._time[::2][: max(self._num_found) + 1]
-            columns = [
-                np.stack([np.interp(grid, t, column, right=0.0) for column in rows.T], axis=1)
-                for t, rows in zip(self._times, values, strict=True)
-            ]
+            pairs = zip(self._times, values, strict=True)
+            columns = [np.stack([np.interp(grid, t, c, right=0.0) for c in rows.T], axis=1) for t, rows in pairs]
             links = np.stack(columns, axis=1)
             self._missed, self._felt = values, (torch.from_numpy(links), links.tobytes())
         return self._felt

@@ -124,10 +124,8 @@ class FlightBatch:
         model = self._model_rows(asked)
         condition, remembered = self._effect_condition(model, asked), self._effect_memory(model, asked)
         hanging = self._load_query(model, condition, remembered, asked)
-        load, rows = (
-            self._load_replay.link_states(model, hanging.missed).numpy(),
-            (self.data.row_times, self.data.spans),
-        )
+        load = self._load_replay.link_states(model, hanging.missed).numpy()
+        rows = self.data.row_times, self.data.spans
         return [LoadLink(time=time, load=load[span]) for time, span in zip(*rows, strict=True)]
 
     def _make_query(self, params: ModelParams) -> _ModelQuery:
@@ -141,9 +139,8 @@ class FlightBatch:
         if self.data.simulated or any(channel.kind == "rotor_speed" for channel in self.data.channels):
             sensors = () if self.data.simulated else model.effects[RotorSensorEffect]
             speeds = self._replay.speeds(model, command_shift(self.tolerances, deviation), sensors)
-        return _ModelQuery(
-            model=model, deviation=deviation, logged=sensor_deviation(self.tolerances, deviation), speeds=speeds
-        )
+        logged = sensor_deviation(self.tolerances, deviation)
+        return _ModelQuery(model=model, deviation=deviation, logged=logged, speeds=speeds)
 
     def _imu_readings(self, asked: _ModelQuery) -> dict[str, Columns]:
         """Return the inertial sensor readings that a model predicts, in the band: three columns (T,) by kind."""

@@ -73,9 +73,8 @@ class ImuReading:
         """
         felt, force, torque = self.data.felt_force_kept, accelerations.specific_force, accelerations.ang_acc
         if logged.imu_place.any():
-            force = (
-                force + felt * self._in_band.lever_arm_acceleration(logged.imu_place, self.delays_by_flight(logged)).T
-            )
+            late = self.delays_by_flight(logged)
+            force = force + felt * self._in_band.lever_arm_acceleration(logged.imu_place, late).T
         if model.effects[ImuEffect]:
             of_force, of_rate = imu_readings_of_model(model)
             force, torque = torch.where(felt, of_force.apply(force), force), times(torque, of_rate.turn)

@@ -38,9 +38,9 @@ def _angular_noise_rms(flight: Flight, bandwidth: float) -> Array | None:
     """Return the RMS noise of the angular acceleration in the band [rad/s²], (3,); None if the log is too slow."""
     frequency, density = power_density(flight.ang_vel, flight.rate)
     level = noise_level(frequency, density, bandwidth, flight.rate)
-    return (
-        None if level is None else _band_rms(bandwidth, frequency, level[0] * (2.0 * np.pi * frequency[:, None]) ** 2)
-    )
+    if level is None:
+        return None
+    return _band_rms(bandwidth, frequency, level[0] * (2.0 * np.pi * frequency[:, None]) ** 2)
 
 
 def _rotor_response_rms(flight: Flight, vehicle: Vehicle, bandwidth: float) -> Array | None:

@@ -54,23 +54,16 @@ def estimate_rotors(robot: RobotCfg, flights: Sequence[Flight], bandwidth: float
     model = rotor_response_model(robot)
     led = RotorReplay(flights).speeds(model, 0.0, model.effects[RotorSensorEffect])
     made = allocation_matrix(model.vehicle, STANDARD_GRAVITY)[0].numpy()
-    estimates = [
-        _estimate_rotor_speeds(flight, commanded, made, bandwidth)
-        for flight, commanded in zip(flights, led, strict=True)
-    ]
-    return [
-        estimate_as_measured(flight) if one is None else one for flight, one in zip(flights, estimates, strict=True)
-    ]
+    pairs = list(zip(flights, led, strict=True))
+    estimates = [_estimate_rotor_speeds(flight, commanded, made, bandwidth) for flight, commanded in pairs]
+    return [one or estimate_as_measured(flight) for flight, one in zip(flights, estimates, strict=True)]
 
 
 def rotor_response_model(robot: RobotCfg) -> Model:
     """Return the declared vehicle with only those effects that change the rotors' response to commands."""
     kinds = (VehicleEffect, DelayEffect, CommandEffect, RotorSensorEffect)
-    effects = {
-        name: params
-        for name, params in params_from_robot(robot).effects.items()
-        if isinstance(EFFECTS.get(name), kinds)
-    }
+    declared = params_from_robot(robot).effects
+    effects = {name: params for name, params in declared.items() if isinstance(EFFECTS.get(name), kinds)}
     vehicle = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     return build_model(vehicle, expand_effects(ModelParams(effects=effects), 1))
 
