@@ -112,7 +112,7 @@ def load_flights(
         with _collect_refusals(refused):
             raw = read_flight_log(path, mapping=mapping)
             seen.add(raw)
-            log = repair_log(raw)
+            log = mend_position_jumps(resample_log(raw))
             read[real] = (derive_velocity(log), check_log(log, robot))
     first = {Path(os.path.realpath(path)) for path in paths[:learning]}
     logs, learned = [log for log, _ in read.values()], sum(real in first for real in read)
@@ -154,11 +154,6 @@ def distinct_files(paths: Sequence[str | Path]) -> dict[Path, str | Path]:
             raise DataError(f"{path}: is given twice (also as {seen[real]}); a flight is for training or for testing")
         seen[real] = path
     return seen
-
-
-def repair_log(log: FlightLog) -> FlightLog:
-    """Return the log at equal time steps, with repeated values and position jumps repaired."""
-    return mend_position_jumps(resample_log(log))
 
 
 def resample_log(log: FlightLog) -> FlightLog:

@@ -45,7 +45,10 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
     piece = np.cumsum(np.diff(likely, prepend=False))
     on_ground = likely & np.isin(piece, piece[certain])
     if log.lift_off > 0.0 and log.position is not None:
-        on_ground |= _rows_near_ground_heights(on_ground, log.position[:, 2], log.lift_off)
+        height = log.position[:, 2]
+        pieces, count = ndimage.label(on_ground)  # pyright: ignore[reportGeneralTypeIssues]
+        levels = np.atleast_1d(ndimage.minimum(height, pieces, np.arange(1, count + 1)))
+        on_ground |= np.any([np.abs(height - level) <= log.lift_off for level in levels], axis=0)
     if on_ground.mean() > MOST:
         raise DataError(
             f"{log.path}: the vehicle stands on the ground in {on_ground.mean():.0%} of the rows: at rest, while its rotors "
@@ -74,13 +77,6 @@ def _specific_force_norm(log: FlightLog, width: float) -> Array | None:
         return None
     change = sample_rate(log) * ndimage.gaussian_filter1d(log.lin_vel, width, axis=0, order=1)
     return np.linalg.norm(change + AT_REST, axis=1)
-
-
-def _rows_near_ground_heights(stands: Flags, height: Array, reach: float) -> Flags:
-    """Return the rows (T,) within ``reach`` [m] of the lowest height of any span on the ground."""
-    pieces, count = ndimage.label(stands)  # pyright: ignore[reportGeneralTypeIssues]
-    levels = ndimage.minimum(height, pieces, np.arange(1, count + 1))
-    return np.any([np.abs(height - level) <= reach for level in np.atleast_1d(levels)], axis=0)
 
 
 def _norm_of_smoothed_vectors(values: Array, width: float) -> Array:

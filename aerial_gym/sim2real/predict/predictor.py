@@ -82,7 +82,8 @@ class Predictor:
 
     def predict(self, params: ModelParams) -> list[Array]:
         """Return the predicted channels of each flight, (rows kept, C)."""
-        changing = {name: values for name, values in params.effects.items() if not self._is_neutral(name, values)}
+        effects = [(EFFECTS.get(name), values) for name, values in params.effects.items()]
+        changing = {e.name: v for e, v in effects if not (e.additive and np.array_equal(v, e.neutral(self.robot)))}
         params = replace(params, effects=changing)
         numbers = (params.learned, *params_key(params))
         if numbers not in self._told:
@@ -124,7 +125,3 @@ class Predictor:
         numbers = [rows.numpy().tobytes() for rows in vehicle.rows().values()]
         others_key = params_key(ModelParams(effects=remaining))
         return (*numbers, logged, off.command_shift, off.joint_start, others_key, params.learned)
-
-    def _is_neutral(self, name: str, values: Array) -> bool:
-        effect = EFFECTS.get(name)
-        return effect.additive and np.array_equal(values, effect.neutral(self.robot))

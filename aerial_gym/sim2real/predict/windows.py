@@ -30,12 +30,10 @@ class RolloutWindows:
     cluster: Indices  # Cluster of each window, whose members overlap or follow each other, (W,)
 
 
-def find_windows(
-    flights: Sequence[Flight], horizon: float, *, every: float = WINDOW_EVERY_S, most: int = MOST_WINDOWS
-) -> RolloutWindows:
-    """Return windows of ``horizon`` [s] without rows on the ground in every flight, one ``every`` so many seconds."""
+def find_windows(flights: Sequence[Flight], horizon: float) -> RolloutWindows:
+    """Return windows of ``horizon`` [s] without rows on the ground in every flight."""
     spans = [max(0.0, float(f.time[-1]) - horizon - STEP_S) for f in flights]
-    every = max(every, sum(spans) / most)
+    every = max(WINDOW_EVERY_S, sum(spans) / MOST_WINDOWS)
     parts, cluster = [], 0
     for index, (flight, span) in enumerate(zip(flights, spans, strict=True)):
         starts = np.arange(FIRST_WINDOW_S, span, every)

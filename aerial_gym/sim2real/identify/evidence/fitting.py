@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -39,6 +40,8 @@ BROAD = 3  # Number of sets of equal size from which effects are removed
 KEPT = 4  # Number of fitted sets whose derivatives are cached
 KEPT_BESIDE = 2  # Number of cached sums of nuisance columns
 ENOUGH = 2.0  # Log likelihood, times the best set's overdispersion, that a comparison fit may leave to its linear model
+
+_log_posterior = attrgetter("log_posterior")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +228,7 @@ class Fitter:
             ]
             derivatives = [np.concatenate(columns, axis=2) for columns in zip(*parts, strict=True)] if parts else None
             results.append(self.fit(names, kept, start, derivatives, compared=compared))
-        return max(results, key=lambda one: one.log_posterior)
+        return max(results, key=_log_posterior)
 
     def fit_starts(self, library: Library, sets: SetPosterior, model: Model) -> list[ModelParams]:
         """Return the starts of a set's fit: old effects as present, new ones by a linear step, or far from it unmoved."""
@@ -341,10 +344,6 @@ class Fitter:
                     effects = [name if other == wide else other for other in fitted.effects]
                     results.append(self.fit(effects, fitted.structures, start, compared=compared))
         return results
-
-
-def _log_posterior(fitted: EffectSetFit) -> float:
-    return fitted.log_posterior
 
 
 def set_label(effects: Iterable[tuple[str, Array]], structures: Iterable[str]) -> Label:

@@ -4,7 +4,7 @@ Candidates are linearised about the present set, and the posterior over sets ran
 with the full model; the best becomes the present set, until no fit is better.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -124,11 +124,6 @@ class SetSearch:
         for one in common:
             start = start.with_effect(one.name, one.start)
 
-        def project_out(residuals: list[Array], weights: Weighting) -> list[Array]:
-            return residuals_beyond_structures(
-                self.nuisances.structures_beyond_effects(residuals, {}), residuals, weights
-            )
-
         channels = len(self.predictor.channels)
         new = [one for one in several if one.name not in params.effects]
         linear = [tolerance, *(one.derivatives_of_channels(channels) for one in new)]
@@ -136,9 +131,37 @@ class SetSearch:
         whole = [one.derivatives_of_channels(channels) for one in common]
         own = [np.concatenate(parts, axis=2) for parts in zip(empty, *whole, strict=True)]
         del whole
-        return iterate_channel_weights(
-            self.predictor, start, tuple(one.name for one in common), own, linear, beyond=project_out
-        )
+        return self._weights_after_fits(start, tuple(one.name for one in common), own, linear)
+
+    def _weights_after_fits(
+        self, params: ModelParams, effects: tuple[str, ...], own: Sequence[Array], linear: Sequence[Derivatives]
+    ) -> Weighting:
+        """Return the channel weights after three joint fits, each with weights from the last residual beyond structures.
+
+        ``own``: derivatives by the effects, (rows, C, P), updated in place. ``linear``: further columns, (rows, C, any).
+        """
+        predictor = self.predictor
+        predicted = predictor.predict(params)
+        weights = inverse_variance_weights([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
+        ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
+        for _ in range(3):
+            left = residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
+            flights = list(zip(own, *linear, strict=True))
+            moments = weighted_moments(predictor.times, residuals, flights, weights.weight)
+            give_back_memory()
+            fit = fit_of_moments(predictor.robot, effects, params, moments)
+            step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
+            for part, along in zip((own, *linear), (step, *steps), strict=True):
+                left = [r - directional_change(columns, along) for r, columns in zip(left, part, strict=True)]
+            if not all(np.isfinite(part).all() for part in left):
+                break  # step beyond a pendulum's range: keep the previous weights
+            structures = self.nuisances.structures_beyond_effects(left, {})
+            weights = inverse_variance_weights(residuals_beyond_structures(structures, left, weights))
+            here = parameter_row(params, effects)
+            params = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * step)
+            before, predicted = predicted, predictor.predict(params)
+            correct_derivatives(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
+        return weights
 
     def view_of_supported_set(
         self,
@@ -308,41 +331,3 @@ def rival_sets(view: CandidateView) -> Iterator[dict[Model, float]]:
     for gone in (k for k in view.present_set if not candidates[k].structure):
         models = [tuple(sorted((*(k for k in view.present_set if k != gone), other))) for other in excluded]
         yield dict(zip(models, view.sets.log_posteriors(models).tolist(), strict=True))
-
-
-def iterate_channel_weights(
-    predictor: Predictor,
-    start: ModelParams,
-    effects: tuple[str, ...],
-    own: Sequence[Array],
-    linear: Sequence[Derivatives],
-    *,
-    beyond: Callable[[list[Array], Weighting], list[Array]] | None = None,
-) -> Weighting:
-    """Return the channel weights from the residual that no candidate effect explains.
-
-    Effects, ``linear`` columns (rows, C, any) and tolerances are fitted three times, with weights from the last residual or
-    ``beyond`` it. ``own``: derivatives by the effects, (rows, C, P), updated in place.
-    """
-    params = start
-    predicted = predictor.predict(params)
-    weights = inverse_variance_weights([m - p for m, p in zip(predictor.measured, predicted, strict=True)])
-    ends = np.cumsum([0, *(part[0].shape[2] for part in linear)])[:-1]
-    for _ in range(3):
-        residuals = [m - p for m, p in zip(predictor.measured, predicted, strict=True)]
-        flights = list(zip(own, *linear, strict=True))
-        moments = weighted_moments(predictor.times, residuals, flights, weights.weight)
-        give_back_memory()
-        fit = fit_of_moments(predictor.robot, effects, params, moments)
-        step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
-        left = residuals
-        for part, along in zip((own, *linear), (step, *steps), strict=True):
-            left = [r - directional_change(columns, along) for r, columns in zip(left, part, strict=True)]
-        if not all(np.isfinite(part).all() for part in left):
-            break  # step beyond a pendulum's range: keep the previous weights
-        weights = inverse_variance_weights(left if beyond is None else beyond(left, weights))
-        here = parameter_row(params, effects)
-        params = replace_params(predictor.robot, params, effects, here + parameter_scales(effects) * step)
-        before, predicted = predicted, predictor.predict(params)
-        correct_derivatives(own, step, [p - b for p, b in zip(predicted, before, strict=True)])
-    return weights

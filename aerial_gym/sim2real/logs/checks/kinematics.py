@@ -64,20 +64,15 @@ def imu_errors_from_kinematics(log: FlightLog) -> list[ImuErrors]:
     rate = sample_rate(log)
     notes = []
     if log.ang_vel is not None:
-        turning = body_rate_by_differences(log.attitude, rate)
+        turn = Rotation.from_quat(log.attitude)
+        inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)  # central differences
+        turning = np.concatenate((inner[:1], inner, inner[-1:]))
         notes.append(_fit_imu_errors("gyro", log.ang_vel, turning, np.zeros(3), rate))
     if log.specific_force is not None and log.lin_vel is not None:
         change = lowpass(log.lin_vel, rate, 2.0 * CHECK_BANDWIDTH_HZ, derivative=True)
         motion = Rotation.from_quat(log.attitude).apply(change + AT_REST, inverse=True)
         notes.append(_fit_imu_errors("accelerometer", log.specific_force, motion, AT_REST, rate))
     return [errors for errors in notes if errors is not None]
-
-
-def body_rate_by_differences(attitude: Array, rate: float) -> Array:
-    """Return the angular velocity [rad/s], body, (T, 3), by central differences of the attitude."""
-    turn = Rotation.from_quat(attitude)
-    inner = (turn[:-2].inv() * turn[2:]).as_rotvec() * (0.5 * rate)
-    return np.concatenate((inner[:1], inner, inner[-1:]))
 
 
 def _fit_imu_errors(sensor: str, measured: Array, motion: Array, level: Array, rate: float) -> ImuErrors | None:

@@ -27,7 +27,8 @@ class CsvHeader:
         """Return the line with commas between fields and decimal points; None if the number of fields differs."""
         commas = len(self.names) - 1
         if '"' in line or self.separator == SPACES:
-            line = ",".join(_replace_decimal_comma(field) for field in split_fields(line, self.separator))
+            fields = split_fields(line, self.separator)  # other commas than decimal ones become spaces
+            line = ",".join(field.replace(",", "." if DECIMAL_COMMA.fullmatch(field) else " ") for field in fields)
         elif self.separator != ",":
             line = line.replace(",", ".").replace(self.separator, ",")
         while line.count(",") > commas and line.rstrip().endswith(","):
@@ -42,11 +43,6 @@ class CsvHeader:
 
 
 _STARTS = frozenset("0123456789+-.")  # Common first characters of data rows
-
-
-def _replace_decimal_comma(field: str) -> str:
-    """Return a field with its decimal comma as a point, and any other comma as a space."""
-    return field.replace(",", "." if DECIMAL_COMMA.fullmatch(field) else " ")
 
 
 def split_fields(line: str, separator: str) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerial_gym.sim2real.logs.flights import repair_log
+from aerial_gym.sim2real.logs.flights import resample_log
 from aerial_gym.sim2real.logs.position_jumps import (
     LIMIT,
     PositionOffset,
@@ -96,7 +96,7 @@ def test_a_slow_jump_is_one_and_too_many_are_left() -> None:
 
 
 def test_a_log_is_read_without_its_jumps() -> None:
-    mended = repair_log(with_steps(fly(8), {12.0: (0.0, 2.0, 0.0)}))
+    mended = mend_position_jumps(resample_log(with_steps(fly(8), {12.0: (0.0, 2.0, 0.0)})))
     assert "position_jump" in [note.code for note in mended.notes]
     assert np.abs(np.diff(mended.position, axis=0)).max() < 0.2
 
