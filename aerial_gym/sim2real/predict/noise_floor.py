@@ -123,14 +123,9 @@ def wide_band_predictor(
     robot: RobotCfg, flights: Sequence[Flight], channels: Sequence[Channel], rotors: Sequence[RotorEstimate | None]
 ) -> Predictor:
     """Return a predictor of every row of flights with one rate, beyond the comparison band, from these rotor speeds."""
+    band = WIDE_BAND * flights[0].rate
     return Predictor(
-        robot,
-        flights,
-        bandwidth=WIDE_BAND * flights[0].rate,
-        channels=channels,
-        tolerances=Tolerances(),
-        every_row=True,
-        rotors=rotors,
+        robot, flights, bandwidth=band, channels=channels, tolerances=Tolerances(), every_row=True, rotors=rotors
     )
 
 

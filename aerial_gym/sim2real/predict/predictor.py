@@ -55,21 +55,14 @@ class Predictor:
         turning = estimate_rotors(robot, flights, bandwidth) if rotors is None else rotors
         rows = [flight.num_rows // (1 if every_row else row_stride(flight, bandwidth)) for flight in flights]
         self._declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
-        self._parts = [
-            FlightBatch(
-                robot,
-                self._declared,
-                Dataset(
-                    self.flights[part],
-                    rotors=turning[part],
-                    bandwidth=bandwidth,
-                    channels=channels,
-                    every_row=every_row,
-                ),
-                tolerances,
+
+        def make_batch(part: slice) -> FlightBatch:
+            settings = {"bandwidth": bandwidth, "channels": channels, "every_row": every_row}
+            return FlightBatch(
+                robot, self._declared, Dataset(self.flights[part], rotors=turning[part], **settings), tolerances
             )
-            for part in group_flights(rows)
-        ]
+
+        self._parts = [make_batch(part) for part in group_flights(rows)]
         self.measured = [np.asfortranarray(measured) for part in self._parts for measured in part.data.measured]
         self.times = [time for part in self._parts for time in part.data.times]
         self._predictions: OrderedDict[tuple[object, ...], list[Columns]] = OrderedDict()

@@ -228,13 +228,8 @@ class WindowBatch:
     def state_of_flight(self, step: int) -> BodyState:
         """Return the measured state ``step`` steps after each start."""
         rows = self._row + step * self._stride
-        return BodyState(
-            position=self._rows_of_quantity("position", rows),
-            attitude=self._rows_of_quantity("attitude", rows),
-            lin_vel=self._rows_of_quantity("lin_vel", rows),
-            ang_vel=self._rows_of_quantity("ang_vel", rows),
-            rotor_speed=self._rotor_speed_rows(rows),
-        )
+        state = {name: self._rows_of_quantity(name, rows) for name in ("position", "attitude", "lin_vel", "ang_vel")}
+        return BodyState(**state, rotor_speed=self._rotor_speed_rows(rows))
 
     def _rotor_speed_rows(self, rows: Indices) -> Tensor:
         """Return the true rotor speeds at a row of each window's flight [rad/s], (W, R): measured, else from commands."""

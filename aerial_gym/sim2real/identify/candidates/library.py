@@ -159,16 +159,10 @@ def build_library(
         places = np.arange(structure.columns[0].width) + width
         open_end = np.full(places.size, np.inf)
         bounds, own_of_flights = {"low": -open_end, "high": open_end}, structure.is_flight_offset
-        candidates.append(
-            Candidate(
-                name=structure.name,
-                named=False,
-                columns=places,
-                structure=True,
-                is_flight_offset=own_of_flights,
-                **bounds,
-            )
+        candidate = Candidate(
+            name=structure.name, named=False, columns=places, structure=True, is_flight_offset=own_of_flights, **bounds
         )
+        candidates.append(candidate)
         derivatives.append(structure.columns)
         width += places.size
     derivatives.append(tolerance_jacobian(predictor, present, np.float32) if tolerance is None else tolerance)
@@ -178,12 +172,10 @@ def build_library(
     else:
         moments = weighted_moments(predictor.times, residuals, flights, weight, parts=parts)
     give_back_memory()
+    tolerances = np.arange(width, num_columns(flights[0]))
+    weight = weight if by_channel else UNIT
     return Library(
-        candidates=tuple(candidates),
-        moments=moments,
-        weight=weight if by_channel else UNIT,
-        tolerances=np.arange(width, num_columns(flights[0])),
-        tangents=tangents,
+        candidates=tuple(candidates), moments=moments, weight=weight, tolerances=tolerances, tangents=tangents
     )
 
 

@@ -100,18 +100,11 @@ class Posterior:
     columns: Indices  # Columns of the set, tolerances last, (k,)
     step: Array  # Most probable values in units of scale or tolerance, (k,)
     covariance: Array  # Covariance of the normal approximation, (k, k)
-    log_evidence: float
-    log_likelihood: float  # That of the best parameters, with the priors of deviations and structures only
+    log_evidence: float = -np.inf
+    log_likelihood: float = -np.inf  # That of the best parameters, with the priors of deviations and structures only
 
 
-_NOTHING = np.zeros(0)
-EMPTY_POSTERIOR = Posterior(
-    columns=_NOTHING.astype(np.int64),
-    step=_NOTHING,
-    covariance=np.zeros((0, 0)),
-    log_evidence=-np.inf,
-    log_likelihood=-np.inf,
-)
+EMPTY_POSTERIOR = Posterior(columns=np.zeros(0, dtype=np.int64), step=np.zeros(0), covariance=np.zeros((0, 0)))
 """Posterior of a fit whose prediction is not finite."""
 
 
@@ -150,16 +143,12 @@ def posterior(candidates: Candidates, normal: NormalEquations, model: Model) -> 
     effects, start = np.arange(columns.size)[None] < count, np.zeros((1, columns.size))
     alone = normal.integrate_out(columns[count:], columns[:count])  # normal priors have a constant precision
     start[:, :count] = _posterior_modes(alone.product[None], alone.gradient[None], effects[:, :count])
+    product, gradient = normal.product[columns[:, None], columns], normal.gradient[columns]
     step, covariance, log_evidence = _laplace_approximation(
-        candidates,
-        normal.product[columns[:, None], columns][None],
-        normal.gradient[columns][None],
-        columns[None],
-        effects,
-        start=start,
+        candidates, product[None], gradient[None], columns[None], effects, start=start
     )
     best = step[0]
-    fits = normal.gradient[columns] @ best - 0.5 * best @ normal.product[columns[:, None], columns] @ best
+    fits = gradient @ best - 0.5 * best @ product @ best
     return Posterior(
         columns=columns,
         step=best,

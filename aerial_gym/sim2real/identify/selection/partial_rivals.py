@@ -53,25 +53,15 @@ def rivals_of_parameters(
         values[place] = fitter.neutral_of_effect(effect)[place]
         start = best.params.with_effect(effect, values).with_effect(other, fitter.neutral_of_effect(other))
         least = best.log_posterior - window - fitter.log_prior_cost
-        fitted = fitter.fit(
-            (*best.effects, other),
-            best.structures,
-            start,
-            frozen=frozenset({(effect, place)}),
-            compared=ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion),
-        )
+        compared = ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
+        frame = {"frozen": frozenset({(effect, place)}), "compared": compared}
+        fitted = fitter.fit((*best.effects, other), best.structures, start, **frame)
         odds = fitted.log_posterior + fitter.log_prior_cost - best.log_posterior
         if odds > -window and fitted.support[other].is_supported:
             own = zip(EFFECTS.get(other).parameters, fitted.params.effects[other], strict=True)
-            matches.append(
-                ParameterRival(
-                    effect=effect,
-                    parameter=EFFECTS.get(effect).parameters[place].name,
-                    other=other,
-                    params={parameter.name: float(value) for parameter, value in own},
-                    log_odds=odds / best.parameter_overdispersion,
-                )
-            )
+            name, odds = EFFECTS.get(effect).parameters[place].name, odds / best.parameter_overdispersion
+            params = {parameter.name: float(value) for parameter, value in own}
+            matches.append(ParameterRival(effect=effect, parameter=name, other=other, params=params, log_odds=odds))
     return tuple(matches)
 
 
@@ -118,13 +108,9 @@ def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: 
     if sum(is_number(effect, k) for k in range(parameter_scales((effect,)).size)) < 2:
         return []
     own = EFFECTS.get(effect).confused_with
-    return [
-        other
-        for other in names
-        if other not in best.effects
-        and (other in own or effect in EFFECTS.get(other).confused_with)
-        and not has_several_starts(other, fitter.predictor.robot)
-    ]
+    robot = fitter.predictor.robot
+    others = [other for other in names if other in own or effect in EFFECTS.get(other).confused_with]
+    return [other for other in others if other not in best.effects and not has_several_starts(other, robot)]
 
 
 def _changes_by_parameter(

@@ -111,11 +111,6 @@ def simulate_rotor_lag(
         spans = torch.stack((share * step, (1.0 - share) * step), dim=-1)
         kernel, numbers = _make_limited_lag_kernel(), [torch.stack(lags, dim=-1), spans]
     rows_of = [wp.from_torch(n.contiguous(), dtype=wp.vec4d if n.shape[-1] == 4 else wp.vec2d) for n in numbers]
-    wp.launch(
-        kernel,
-        dim=first.shape,
-        inputs=[wp.from_torch(ends), *tables, *rows_of],
-        outputs=[wp.from_torch(speed)],
-        device="cpu",
-    )
+    inputs, outputs = [wp.from_torch(ends), *tables, *rows_of], [wp.from_torch(speed)]
+    wp.launch(kernel, dim=first.shape, inputs=inputs, outputs=outputs, device="cpu")
     return speed

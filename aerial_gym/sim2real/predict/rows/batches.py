@@ -35,12 +35,9 @@ def vehicle_of_row(vehicle: Vehicle, row: int) -> Vehicle:
 
 def expand_model(model: Model, rows: int) -> Model:
     """Return a model of one environment expanded to every row, without copies."""
-    return replace(
-        model,
-        vehicle=expand_vehicle(model.vehicle, rows),
-        inertia_inverse=model.inertia_inverse.expand(rows, 3, 3),
-        effects=model.effects.with_params(lambda _, params: params.expand(rows, -1)),
-    )
+    vehicle, inverse = expand_vehicle(model.vehicle, rows), model.inertia_inverse.expand(rows, 3, 3)
+    effects = model.effects.with_params(lambda _, params: params.expand(rows, -1))
+    return replace(model, vehicle=vehicle, inertia_inverse=inverse, effects=effects)
 
 
 def add_known_wind(model: Model, flights: Sequence[Flight], flight: Indices) -> Model:
