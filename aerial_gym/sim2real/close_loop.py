@@ -13,7 +13,7 @@ from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
 from aerial_gym.sim2real.json_values import write_json
 from aerial_gym.sim2real.judge.verdict import Verdict
-from aerial_gym.sim2real.logs.inputs import FlightInputs, read_flight_inputs
+from aerial_gym.sim2real.logs.flights import FlightInputs, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.predict.tolerances import Tolerances

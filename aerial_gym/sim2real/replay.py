@@ -11,9 +11,15 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
-from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
-from aerial_gym.sim2real.logs.flights import Flight, findings_on_rigid_joints, load_flights, merge_findings_of_flights
-from aerial_gym.sim2real.logs.inputs import check_bandwidth, file_digests
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate, rollout_gap
+from aerial_gym.sim2real.logs.flights import (
+    Flight,
+    check_bandwidth,
+    file_digests,
+    findings_on_rigid_joints,
+    load_flights,
+    merge_findings_of_flights,
+)
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.predict.channels import comparison_band, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams, params_from_robot

@@ -1,4 +1,4 @@
-"""The clock offset of the rotor log relative to the other sensors. Letters: T rows."""
+"""Correction of the rotor log's clock offset from the other sensors, or refusal of a larger delay. Letters: T rows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,6 @@
-"""Complete a checked flight log: derive missing quantities where this is sound. Letters: T rows, R rotors."""
+"""Load training and test flights: read, check, repair and complete their logs. Letters: T rows, R rotors."""
 
+import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aerial_gym.config.robot import RobotCfg
-from aerial_gym.errors import DataError
+from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.checks.conventions import (
@@ -32,7 +33,7 @@ from aerial_gym.sim2real.logs.clock_offset import (
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.logs.position_jumps import mend_position_jumps
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.readers.mapping import LogMapping
+from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
@@ -225,3 +226,73 @@ def complete_flight(log: FlightLog, notes: Sequence[Finding] = (), *, on_ground:
         accelerometer=log.specific_force is not None,
         on_ground=on_ground,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightInputs:
+    """Usable flights, and a finding for each rejected log."""
+
+    train: list[Flight]
+    test: list[Flight]
+    left_out: tuple[Finding, ...]  # One finding for each rejected log
+    digests: dict[str, str]  # SHA-256 of every file by its path, rejected ones included
+
+
+def read_flight_inputs(
+    robot: RobotCfg,
+    train: Sequence[str | Path],
+    test: Sequence[str | Path],
+    *,
+    mapping: LogMapping | None,
+    bandwidth: float,
+) -> FlightInputs:
+    """Return the flights of the logs; unusable logs become findings as long as each role keeps a flight, else ``DataError``."""
+    if not train or not test:
+        raise DataError("needs at least one flight to train on (--train) and another one to test on (--test)")
+    check_bandwidth(bandwidth)
+    paths, refused = [*train, *test], list[DataError]()
+    distinct_files(paths)
+    digests = file_digests(paths)
+    flights = load_flights(paths, robot, mapping=mapping, bandwidth=bandwidth, learning=len(train), refused=refused)
+    to_train = {str(path) for path in train}
+    groups = [[f for f in flights if (f.path in to_train) is wanted] for wanted in (True, False)]
+    for role, given, left in zip(("train", "test"), (train, test), groups, strict=True):
+        if not left:
+            refusals = f" (none of {len(given)} flights to {role} on is left; the first refusal of {len(refused)})"
+            raise DataError(f"{refused[0]}{refusals if len(refused) > 1 else ''}") from None
+    notes = tuple(Finding("flight_left_out", "", {"error": str(error)}) for error in refused)
+    return FlightInputs(train=groups[0], test=groups[1], left_out=notes, digests=digests)
+
+
+def check_bandwidth(bandwidth: float) -> None:
+    """Raise ``ConfigError`` for a comparison bandwidth outside 0.5 to 100 Hz."""
+    if not 0.5 <= bandwidth <= 100.0:
+        raise ConfigError(f"bandwidth_hz = {bandwidth!r}: must lie in [0.5, 100] Hz")
+
+
+def load_train_and_test(
+    robot: RobotCfg,
+    train: Sequence[str | Path],
+    test: Sequence[str | Path],
+    mapping: str | Path | None,
+    bandwidth: float,
+) -> tuple[list[Flight], list[Flight]]:
+    """Return training and test flights; raise ``DataError`` if any log is unusable."""
+    layout = None if mapping is None else find_mapping(mapping)
+    inputs = read_flight_inputs(robot, train, test, mapping=layout, bandwidth=bandwidth)
+    if inputs.left_out:
+        raise DataError(f"left out: {inputs.left_out[0].values['error']}")
+    return inputs.train, inputs.test
+
+
+def file_digests(paths: Sequence[str | Path]) -> dict[str, str]:
+    """Return the SHA-256 of files by their paths."""
+    groups: dict[str, str] = {}
+    for path in paths:
+        try:
+            groups[str(path)] = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        except FileNotFoundError:
+            raise DataError(f"{path}: no such file") from None
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    return groups

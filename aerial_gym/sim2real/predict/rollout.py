@@ -33,12 +33,13 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.replay.load import LoadLink, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import effects_with_memory, make_flight_track
-from aerial_gym.sim2real.predict.replay.rotor_commands import (
+from aerial_gym.sim2real.predict.replay.rotors import (
+    RotorReplay,
     acts_on_commands,
     has_commands,
     replace_by_arriving_commands,
+    true_rotor_speed,
 )
-from aerial_gym.sim2real.predict.replay.rotors import RotorReplay, true_rotor_speed
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_deviation

@@ -9,7 +9,7 @@ from aerial_gym.config import dump_yaml
 from aerial_gym.config.robot import RobotCfg, RotorCfg
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
-from aerial_gym.sim2real.logs.inputs import file_digests
+from aerial_gym.sim2real.logs.flights import file_digests
 from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, write_record
 from aerial_gym.sim2real.wording import render_findings, text
 

@@ -42,10 +42,9 @@ from aerial_gym.sim2real.predict.model_params import ModelParams, expand_effects
 from aerial_gym.sim2real.predict.replay.load import LoadLink, LoadReplay
 from aerial_gym.sim2real.predict.replay.memory import replay_memory
 from aerial_gym.sim2real.predict.replay.rotors import RotorReplay
-from aerial_gym.sim2real.predict.rows.band_response import BandResponse
+from aerial_gym.sim2real.predict.rows.band_response import BandResponse, Columns, ImuReading, imu_readings_of_model
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_model
 from aerial_gym.sim2real.predict.rows.dataset import Dataset
-from aerial_gym.sim2real.predict.rows.imu_reading import ImuReading, imu_readings_of_model
 from aerial_gym.sim2real.predict.rows.noise_feedback import torque_gain_uncertainty
 from aerial_gym.sim2real.predict.tolerances import (
     SensorDeviation,
@@ -56,7 +55,6 @@ from aerial_gym.sim2real.predict.tolerances import (
     vehicle_with_deviations,
 )
 
-Columns = list[Array]  # Channel columns, each (rows kept,); different predictions may share some
 CONDITIONS = 4  # Number of cached conditions: of the present model, at body and hubs, and of a changed model
 REPLAYS = 3  # Number of cached rotor speeds in the band
 

@@ -8,9 +8,7 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flights import values_in_all_mappings
-from aerial_gym.sim2real.logs.inputs import read_flight_inputs
-from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
+from aerial_gym.sim2real.logs.flights import read_flight_inputs
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 
