@@ -11,7 +11,7 @@ from aerial_gym.physics.model import check_effects
 from aerial_gym.robots.catalog import robot_by_name
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import write_json
-from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate, rollout_gap
+from aerial_gym.sim2real.judge.evaluation import ModelEvaluation, evaluate_models, reason_against_rollouts
 from aerial_gym.sim2real.logs.flights import (
     Flight,
     check_bandwidth,

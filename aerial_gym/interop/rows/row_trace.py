@@ -300,8 +300,8 @@ class _Recorder(TorchDispatchMode):
         Args:
             choice: Condition for the call, and the value elsewhere.
         """
-        outer = self.into, self._constants, self._literals
-        self.into, self._constants, self._literals = Trace(simplifies=self.into.simplifies), {}, {}
+        outer = self.into, self.constants, self._literals
+        self.into, self.constants, self._literals = Trace(simplifies=self.into.simplifies), {}, {}
         try:
             result = function(
                 *(self.input(i, torch.zeros(2, dtype=value.dtype), rows=True) for i, value in enumerate(values))
@@ -309,7 +309,7 @@ class _Recorder(TorchDispatchMode):
             body = self.into
             body.outputs.append((self.find_scalars(result).one.ravel().tolist(), (), result.dtype))
         finally:
-            self.into, self._constants, self._literals = outer
+            self.into, self.constants, self._literals = outer
         kind, given = f"{'choose' if choice else 'call'} {len(self.into.bodies)}", (*choice, *values)
         self.into.bodies.append(body)
         rows = torch.zeros(torch.broadcast_shapes(*(tensor.shape for tensor in given)), dtype=result.dtype)

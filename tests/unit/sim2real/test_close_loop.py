@@ -30,7 +30,6 @@ from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.answer import all_findings
 from aerial_gym.sim2real.judge.verdict import MOST_CONFIDENT
 from aerial_gym.sim2real.logs.flights import load_train_and_test
-from aerial_gym.sim2real.memory_loop import judge_flights
 from aerial_gym.sim2real.report.run_folder import whole_folder
 from aerial_gym.sim2real.wording import text
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write

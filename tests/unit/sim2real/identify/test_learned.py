@@ -15,7 +15,7 @@ from aerial_gym.sim2real import close_loop
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.learned import OUTPUTS, ResidualFit, _Trainer, add_test_shares, train_residual
 from aerial_gym.sim2real.identify.least_squares.moments import block_moments, inverse_variance_weights
-from aerial_gym.sim2real.identify.selection.scoring import Criteria, CrossValidation
+from aerial_gym.sim2real.identify.selection.scoring import CrossValidation
 from aerial_gym.sim2real.logs.flights import Flight, load_train_and_test
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.predictor import Predictor

@@ -13,12 +13,12 @@ from aerial_gym.sim2real.logs.clock_offset import (
     LARGEST_SHIFT_S,
     ClockOffset,
     OffsetCurve,
+    check_rotor_clock,
     commands_share_clock,
     common_offsets,
     offset_curve,
     shift_rotor_log,
 )
-from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock
 from aerial_gym.sim2real.logs.signals import lowpass
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 from tests.unit.sim2real.logs.test_signals import BAND, RATE, TIME, log

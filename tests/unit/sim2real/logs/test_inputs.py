@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.flights import read_flight_inputs
+from aerial_gym.sim2real.logs.flights import read_flight_inputs, values_in_all_mappings
+from aerial_gym.sim2real.logs.recording import FlightLog, take_rows
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 

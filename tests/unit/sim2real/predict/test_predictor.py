@@ -654,4 +654,4 @@ def test_an_effect_that_leaves_the_vehicle_as_it_is_asks_for_no_new_prediction(t
     ("rate", "band", "rows"), [(400.0, 10.0, 8), (100.0, 10.0, 2), (50.0, 5.0, 1), (400.0, 5.0, 8)]
 )
 def test_logs_are_thinned_to_five_times_the_band_and_no_slow_ones(rate: float, band: float, rows: int) -> None:
-    assert row_stride(hover("a", 1.0, rate=rate), bandwidth) == rows
+    assert row_stride(hover("a", 1.0, rate=rate), bandwidth=band) == rows

@@ -3,7 +3,9 @@
 import numpy as np
 
 from aerial_gym.sim2real.identify.evidence.laplace import NormalEquations
-from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import ModelFit, best_step, leave_out_steps
+from aerial_gym.sim2real.identify.least_squares.moments import FlightOffsets, block_moments
+from aerial_gym.sim2real.predict.model_params import ModelParams
 
 
 def flights(rng: np.random.Generator) -> tuple[list[np.ndarray], list[np.ndarray]]:

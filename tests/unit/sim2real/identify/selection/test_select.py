@@ -14,7 +14,7 @@ from aerial_gym.errors import ConfigError, UnknownNameError
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.identify.evidence.fitting import EffectSetFit, Fitter
 from aerial_gym.sim2real.identify.least_squares.gauss_newton import Frozen
-from aerial_gym.sim2real.identify.least_squares.weighting import inverse_variance_weights
+from aerial_gym.sim2real.identify.least_squares.moments import inverse_variance_weights
 from aerial_gym.sim2real.identify.selection.partial_rivals import rivals_of_parameters
 from aerial_gym.sim2real.identify.selection.scoring import LEAST_SCORE, Criteria, FitScore
 from aerial_gym.sim2real.identify.selection.select import SelectionResult, _Scorer, select_effects

@@ -15,8 +15,7 @@ from aerial_gym.sim2real.logs.checks.conventions import (
     without_bad_quaternions,
 )
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
-from aerial_gym.sim2real.logs.flights import load_flights
-from aerial_gym.sim2real.logs.inputs import read_flight_inputs
+from aerial_gym.sim2real.logs.flights import load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.signals import uniform_log
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write

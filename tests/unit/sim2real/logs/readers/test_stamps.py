@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from aerial_gym.errors import DataError
-from aerial_gym.sim2real.logs.readers.late_blocks import find_disordered_blocks
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
-from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, correct_stamps, stamp_seconds
+from aerial_gym.sim2real.logs.readers.stamps import COUNTERS_S, correct_stamps, find_disordered_blocks, stamp_seconds
 
 ROWS, STEP = 2000, 0.0025
 TRUE = 5.0 + STEP * np.arange(ROWS)
