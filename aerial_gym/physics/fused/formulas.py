@@ -5,7 +5,7 @@ memory of all effects.
 Letters: R rotors.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +17,7 @@ from aerial_gym.math.quaternion import quat_rotate
 from aerial_gym.physics import rigid_body
 from aerial_gym.physics.effects import (
     CommandEffect,
+    Condition,
     DelayEffect,
     Effect,
     LinkEffect,
@@ -30,7 +31,6 @@ from aerial_gym.physics.effects import (
 from aerial_gym.physics.fused.packing import model_types, values_type
 from aerial_gym.physics.fused.row_model import Acts, own_values, row_effects, row_model, vehicle_rows
 from aerial_gym.physics.fused.torch_trace import trace_to_warp
-from aerial_gym.physics.fused.types import rotor_types
 from aerial_gym.physics.integrators import MassState, coast, free_wrench
 from aerial_gym.physics.model import Model
 
@@ -67,31 +67,78 @@ def make_accelerations(model: Model, constants: Constants) -> wp.Function:
     return trace_to_warp("accelerations", arguments, accelerations, returns, constants=constants, shared=["gravity"])
 
 
-def make_loads(model: Model, constants: Constants, *, num_rotors: int | None = None, acts: Acts = None) -> wp.Function:
+def make_loads(model: Model, constants: Constants, acts: Acts = None) -> wp.Function:
     """Return the function of thrusts [N] and drag torques [N m] of the rotors, and of the wrench of the effects, body.
 
     Arguments: plant, values, motion, rotor speeds and accelerations.
 
     Args:
-        num_rotors: Number of rotors of the vehicle that the function takes; that of the model if not given.
         acts: Condition for an effect to act; all act if not given.
     """
-    types = model_types(model) if num_rotors is None else rotor_types(num_rotors, not model.vehicle.plain)
+    types = model_types(model)
 
     def loads(
-        plant: SimpleNamespace, values: Tensor, position: Tensor, attitude: Tensor, lin_vel: Tensor, ang_vel: Tensor,
-        rotor_speed: Tensor, rotor_acc: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-        own = row_model(model, plant, values, acts=acts)
-        condition = rigid_body.condition_of_motion(own, position, attitude, lin_vel, ang_vel, rotor_speed, rotor_acc)
-        acting = rigid_body.force_breakdown(own, condition)
-        wrench = sum((more for _, more in acting.wrenches), torch.zeros_like(values[:, :1]).expand(-1, 6))
-        return acting.whole_thrust, condition.rotor_drag, wrench
+        plant: SimpleNamespace, values: Tensor, rotor_speed: Tensor, rotor_acc: Tensor, **motion: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        condition, acting = _breakdown(row_model(model, plant, values, acts=acts), motion, rotor_speed, rotor_acc)
+        return acting.whole_thrust, condition.rotor_drag, _sum_wrenches(acting)
 
     arguments = {"plant": types.vehicle, "values": values_type(model), **_MOTION}
     arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector}
     returns = types.vector, types.vector, wp.spatial_vector
     return trace_to_warp("loads", arguments, loads, returns, constants=constants)
+
+
+def make_hub_loads(model: Model, constants: Constants, rotors: Sequence[int], origin: Tensor) -> wp.Function:
+    """Return the function of thrusts [N] and the wrench of effects at the hubs of some rotors about the origin of their link.
+
+    Arguments: plant, values, static thrusts of all rotors, motion of the link, speeds and accelerations of all rotors.
+
+    Args:
+        rotors: Indices of the rotors of the link.
+        origin: Origin of the link from that of the body in the reference pose [m], (3,).
+    """
+    types = model_types(model)
+
+    def some(rows: Tensor) -> Tensor:
+        return torch.stack([rows[:, rotor] for rotor in rotors], dim=1)
+
+    def hub_loads(
+        plant: SimpleNamespace,
+        values: Tensor,
+        thrusts: Tensor,
+        rotor_speed: Tensor,
+        rotor_acc: Tensor,
+        **motion: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        fields = {name: some(rows) for name, rows in vars(plant).items() if name.startswith(_ROTOR_FIELDS)}
+        fields |= {"rotor_lever": some(plant.rotor_lever) + (plant.com - origin).unsqueeze(1), "com": 0.0 * plant.com}
+        link = SimpleNamespace(**(vars(plant) | fields))
+        own = row_model(model, link, values, acts=lambda effect: effect.at_hubs)
+        _, acting = _breakdown(own, motion, some(rotor_speed), some(rotor_acc))
+        columns = dict(enumerate(thrusts.unbind(1))) | dict(zip(rotors, acting.whole_thrust.unbind(1), strict=True))
+        return torch.stack(list(columns.values()), dim=1), _sum_wrenches(acting)
+
+    arguments = {"plant": types.vehicle, "values": values_type(model), "thrusts": types.vector, **_MOTION}
+    arguments |= {"rotor_speed": types.vector, "rotor_acc": types.vector}
+    returns = types.vector, wp.spatial_vector
+    return trace_to_warp("hub_loads", arguments, hub_loads, returns, constants=constants)
+
+
+_ROTOR_FIELDS = ("rotor_", "thrust_map", "torque_map", "reverse_")
+"""Beginnings of the names of fields with a rotor dimension that effects read."""
+
+
+def _breakdown(
+    model: Model, motion: Mapping[str, Tensor], rotor_speed: Tensor, rotor_acc: Tensor
+) -> tuple[Condition, rigid_body.ForceBreakdown]:
+    condition = rigid_body.condition_of_motion(model, *motion.values(), rotor_speed, rotor_acc)
+    return condition, rigid_body.force_breakdown(model, condition)
+
+
+def _sum_wrenches(acting: rigid_body.ForceBreakdown) -> Tensor:
+    none = torch.zeros_like(acting.thrust[:, :1]).expand(-1, 6)
+    return sum((more for _, more in acting.wrenches), none)
 
 
 def make_wind(model: Model, acts: Acts = None) -> wp.Function:

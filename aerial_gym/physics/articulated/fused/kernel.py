@@ -113,7 +113,7 @@ def make_jointed_kernel(
     late = bool(model.effects[DelayEffect])
     follow_rotors = make_follow(num_rotors, general, late)
     constants = structure_constants(collect_numbers(model, law, 1.0).vehicle)
-    loads = make_loads(model, constants, acts=lambda effect: not effect.at_hubs)
+    loads = make_loads(model, constants, lambda effect: not effect.at_hubs)
     any_wrench = any(not effect.at_hubs for effect, _ in model.effects[WrenchEffect])
     air, hubs = make_on_links(model, joints), make_hubs(model, joints)
     way_in, way_back = make_recursion(articulation, types, joints, air, hubs)
