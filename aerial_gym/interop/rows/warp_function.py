@@ -8,6 +8,7 @@ from math import prod
 
 import torch
 
+from aerial_gym.interop.rows.integer_range import fits_32_bits
 from aerial_gym.interop.rows.operations import CODE
 from aerial_gym.interop.rows.row_trace import Scalar, Trace
 from aerial_gym.interop.rows.source import constant_code, dependencies, operation_code
@@ -34,7 +35,8 @@ def body_lines(trace: Trace, needed: Sequence[int], read: Callable[[int, int], s
     Args:
         read: Function from position and entry of an input to its code.
     """
-    return [line for n in needed for line in _lines(trace, n, read)]
+    lines = [line for n in needed for line in _lines(trace, n, read)]
+    return [line.replace("wp.int64(", "wp.uint32(") for line in lines] if fits_32_bits(trace, needed) else lines
 
 
 def _lines(trace: Trace, n: int, read: Callable[[int, int], str]) -> list[str]:
