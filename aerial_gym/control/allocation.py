@@ -104,15 +104,15 @@ class ThrustsByPriority:
         slope, twist = (torch.where(carries, change / unit, 0.0) for change in (turn, rest))
         resting = torch.where(carries, 0.0, torch.clamp(torch.zeros_like(low), low, high))
         idle = torch.where(carries, 0.0, turn)
-        share = torch.minimum(_share_of_pairs(floor, ceiling, slope), _share(resting, idle, low, high))
+        share = torch.minimum(_share_of_pairs(floor, ceiling, slope), _share_within_limits(resting, idle, low, high))
         floor, ceiling = floor - share * slope, ceiling - share * slope
         resting = resting + share * idle
         other = torch.where(carries, 0.0, rest)
-        most = torch.minimum(_share_of_pairs(floor, ceiling, twist), _share(resting, other, low, high))
-        lowest, highest = -_highest(-floor, -twist, most), _highest(ceiling, twist, most)
+        most = torch.minimum(_share_of_pairs(floor, ceiling, twist), _share_within_limits(resting, other, low, high))
+        lowest, highest = -_highest_force(-floor, -twist, most), _highest_force(ceiling, twist, most)
         collective = torch.maximum(torch.minimum(force, highest), lowest)
         thrust = torch.where(carries, share * turn + collective * lift, resting)
-        rest_share = _share(thrust, rest, low, high)
+        rest_share = _share_within_limits(thrust, rest, low, high)
         return torch.clamp(thrust + rest_share * rest, low, high), share, rest_share
 
     def make_warp(
@@ -135,7 +135,7 @@ def _largest_share(room: Tensor, need: Tensor) -> Tensor:
     return torch.where(short, room / torch.where(short, need, 1.0), 1.0)
 
 
-def _share(thrust: Tensor, change: Tensor, low: Tensor, high: Tensor) -> Tensor:
+def _share_within_limits(thrust: Tensor, change: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return the largest feasible share (E, 1), at most 1, of a change of thrusts (E, R)."""
     room = torch.where(change > 0.0, high - thrust, thrust - low)
     return _largest_share(room, change.abs()).amin(-1, keepdim=True)
@@ -151,7 +151,7 @@ def _share_of_pairs(floor: Tensor, ceiling: Tensor, slope: Tensor) -> Tensor:
     return _largest_share(room, need).flatten(1).amin(-1, keepdim=True)
 
 
-def _highest(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
+def _highest_force(ceiling: Tensor, twist: Tensor, most: Tensor) -> Tensor:
     """Return the largest F, (E, 1), with one y from 0 to ``most`` for which ``F + y twist <= ceiling`` in every rotor."""
     alone = ceiling - most * twist.clamp_max(0.0)
     up, down = twist.unsqueeze(2), twist.unsqueeze(1)
@@ -265,7 +265,7 @@ class Allocation:
 
         It is that of the first environment; 0 along axes without authority.
         """
-        limit = self._room(weight).amin(0)
+        limit = self._wrenches_at_saturation(weight).amin(0)
         return torch.where(limit.isfinite(), limit * self.axis_share, 0.0)
 
     @property
@@ -275,9 +275,9 @@ class Allocation:
 
     def critical_rotors(self, weight: float) -> Tensor:
         """Return the index of the rotor that limits ``wrench_authority`` along each axis, int64, (6,)."""
-        return self._room(weight).argmin(0)
+        return self._wrenches_at_saturation(weight).argmin(0)
 
-    def _room(self, weight: float) -> Tensor:
+    def _wrenches_at_saturation(self, weight: float) -> Tensor:
         """Return the force and torque at which each rotor saturates while the rotors carry a weight [N], (R, 6)."""
         inverse, low, high = self.inverse[0].detach(), self.low[0], self.high[0]
         hover = inverse[:, 2] * weight

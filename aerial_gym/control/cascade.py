@@ -14,7 +14,7 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg, RateLoopCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import GAINS, loop_spacing, make_gains, with_own_rows
+from aerial_gym.control.gains import GAINS, explicit_or_derived, gains_with_own_rows, loop_spacing, make_gains
 from aerial_gym.control.laws import LAWS
 from aerial_gym.control.lee import LeeGains, thrust_wrench
 from aerial_gym.control.stateful import StatefulController
@@ -47,18 +47,14 @@ def rate_gains(
     """
     inertia, row = vehicle.inertia[0].diagonal(), partial(share_row, num_envs=vehicle.num_envs)
     authority = allocation.torque_authority(float(vehicle.mass[0]) * base.gravity) / inertia
-    proportional = _explicit_or_derived(cfg.proportional, base.rate[0] / inertia)
+    proportional = explicit_or_derived(cfg.proportional, base.rate[0] / inertia)
     return RateGains(
         proportional=row(proportional),
-        integral=row(_explicit_or_derived(cfg.integral, (proportional / loop_spacing(phase_margin)) ** 2)),
-        integral_limit=row(_explicit_or_derived(cfg.integral_limit, INTEGRAL_SHARE * authority)),
+        integral=row(explicit_or_derived(cfg.integral, (proportional / loop_spacing(phase_margin)) ** 2)),
+        integral_limit=row(explicit_or_derived(cfg.integral_limit, INTEGRAL_SHARE * authority)),
         derivative=row(inertia.new_tensor(cfg.derivative)),
         smoothing=vehicle.share([1.0 if cfg.cutoff_hz is None else 1.0 - exp(-2.0 * pi * cfg.cutoff_hz * dt)]),
     )
-
-
-def _explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
-    return derived if numbers is None else derived.new_tensor(numbers)
 
 
 def setpoint_gains(base: LeeGains) -> LeeGains:
@@ -126,7 +122,7 @@ class CascadeController(StatefulController):
         given = torch.cat((allotted.turn, allotted.turn, allotted.rest), dim=-1)
         grows = (given >= 1.0) | (error * wanted <= 0.0)  # stops while the rotors saturate
         integral = integral + torch.where(grows, gains.integral * span * error, 0.0)
-        integral = torch.minimum(torch.maximum(integral, -gains.integral_limit), gains.integral_limit)
+        integral = integral.clamp(-gains.integral_limit, gains.integral_limit)
         return self.allocation.speed_within_limits(allotted.thrust), torch.cat((integral, slope, ang_vel), dim=-1)
 
     @property
@@ -137,7 +133,7 @@ class CascadeController(StatefulController):
 
     def own_gains(self) -> None:
         """Give each environment its own writable rows (E, 3); call it before a backend takes the controller."""
-        self.gains = with_own_rows(self.gains)
+        self.gains = gains_with_own_rows(self.gains)
         if self.rate_gains is not None:
             rows = {name: own_rows(rows) for name, rows in vars(self.rate_gains).items()}
             self.rate_gains = replace(self.rate_gains, **rows)

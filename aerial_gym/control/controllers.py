@@ -12,9 +12,9 @@ from torch import Tensor
 
 from aerial_gym.config.controller import ControlCfg, ControllerCfg
 from aerial_gym.control.allocation import Allocation
-from aerial_gym.control.gains import GAINS, make_gains, with_own_rows
+from aerial_gym.control.gains import GAINS, gains_with_own_rows, make_gains
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.timing import remembers
+from aerial_gym.control.timing import has_memory
 from aerial_gym.errors import ConfigError
 from aerial_gym.lazy import ImportPath
 from aerial_gym.physics.state import BodyState
@@ -116,7 +116,7 @@ class LeeController:
 
     def own_gains(self) -> None:
         """Give each environment its own writable rows (E, 3) in ``gains``; call it before a backend takes the controller."""
-        self.gains = with_own_rows(self.gains)
+        self.gains = gains_with_own_rows(self.gains)
 
     def rotor_command(self, state: BodyState, action: Tensor) -> Tensor:
         """Return the speeds that give the wrench of the law, within the rotors' limits."""
@@ -155,11 +155,11 @@ def make_controller(
         )
     if cfg.px4 is not None and cfg.law not in OF_PX4:
         raise ConfigError(f"law {cfg.law!r}: not in PX4's cascade. Take one of {', '.join(OF_PX4)}")
-    if cfg.law in LAWS and LAWS[cfg.law].lateral and remembers(cfg):
+    if cfg.law in LAWS and LAWS[cfg.law].lateral and has_memory(cfg):
         raise ConfigError(
             f"law {cfg.law!r}: runs at every physics step without a rate loop. Remove rates, delays and the loop"
         )
-    if cfg.law in LAWS and not remembers(cfg):
+    if cfg.law in LAWS and not has_memory(cfg):
         return LeeController(cfg, vehicle, gravity, dt=dt, control=control)
     if cfg.law in LAWS:
         kind = WITH_MEMORY[cfg.autopilot].load()

@@ -118,16 +118,16 @@ def right_inverse(matrix: Tensor, actuation: CommandAxes) -> Tensor:
         kept = left > DEPENDENT**2 * whole.clamp_min(nominal**2)
         size = torch.where(kept, left, 1.0).sqrt()
         count = len(directions)
-        before = [_total(shares[i] * solved[i][k] for i in range(k, count)) for k in range(count)]
+        before = [_sum_of_terms(shares[i] * solved[i][k] for i in range(k, count)) for k in range(count)]
         unit = torch.ones_like(size)
         solved.append([torch.where(kept, each / size, 0.0) for each in (*(-each for each in before), unit)])
         directions.append(torch.where(kept, rest / size, 0.0))
     count = len(directions)
     columns = dict.fromkeys(range(6), torch.zeros_like(matrix[:, 0]))
     for k, axis in enumerate(actuation.axes):
-        columns[axis] = _total(solved[j][k] * directions[j] for j in range(k, count))
+        columns[axis] = _sum_of_terms(solved[j][k] * directions[j] for j in range(k, count))
     return _without_round_off(torch.stack([columns[axis] for axis in range(6)], dim=-1), matrix)
 
 
-def _total(terms: Iterable[Tensor]) -> Tensor:
+def _sum_of_terms(terms: Iterable[Tensor]) -> Tensor:
     return reduce(torch.add, terms)

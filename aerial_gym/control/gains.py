@@ -70,14 +70,14 @@ def derive_gains(
     lag = float(torch.maximum(vehicle.time_constant_up[0], vehicle.time_constant_down[0]).max()) + dt
     quickest, damping = loop_shape(lag, cfg.phase_margin)
     authority = (allocation.torque_authority(float(vehicle.mass[0]) * gravity) / inertia).clamp_min(0.0).sqrt()
-    attitude = _explicit_or_derived(cfg.attitude_frequency, authority.clamp_max(quickest))
-    attitude_damping = _explicit_or_derived(cfg.attitude_damping, torch.full_like(inertia, damping))
+    attitude = explicit_or_derived(cfg.attitude_frequency, authority.clamp_max(quickest))
+    attitude_damping = explicit_or_derived(cfg.attitude_damping, torch.full_like(inertia, damping))
     if extra_lag > 0.0:
         attitude, attitude_damping = _add_lag(attitude, attitude_damping, loop_spacing(cfg.phase_margin) * extra_lag)
-    attitude_lag = _longest_lag(attitude[:2], attitude_damping[:2])
+    attitude_lag = _longest_closed_loop_lag(attitude[:2], attitude_damping[:2])
     frequency, damping = loop_shape(attitude_lag, cfg.phase_margin) if attitude_lag > 0.0 else (0.0, damping)
-    position = _explicit_or_derived(cfg.position_frequency, torch.full_like(inertia, frequency))
-    position_damping = _explicit_or_derived(cfg.position_damping, torch.full_like(inertia, damping))
+    position = explicit_or_derived(cfg.position_frequency, torch.full_like(inertia, frequency))
+    position_damping = explicit_or_derived(cfg.position_damping, torch.full_like(inertia, damping))
     tilt = cfg.max_inclination
     return LeeGains(
         position=vehicle.share(position**2),
@@ -100,11 +100,12 @@ def _add_lag(frequency: Tensor, damping: Tensor, lag: float) -> tuple[Tensor, Te
     return torch.where(moves, slower, 0.0), torch.where(moves, 0.5 * rate / torch.where(moves, slower, 1.0), damping)
 
 
-def _explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
+def explicit_or_derived(numbers: tuple[float, ...] | None, derived: Tensor) -> Tensor:
+    """Return given numbers as a tensor like the derived ones, or these."""
     return derived if numbers is None else derived.new_tensor(numbers)
 
 
-def _longest_lag(frequency: Tensor, damping: Tensor) -> float:
+def _longest_closed_loop_lag(frequency: Tensor, damping: Tensor) -> float:
     """Return the longest lag ``2 z / w`` [s] of closed loops; 0 if an axis is uncontrolled."""
     return float((2.0 * damping / frequency).max()) if bool((frequency > 0.0).all()) else 0.0
 
@@ -204,6 +205,6 @@ def gain_range(name: str, cfg: RandomizeCfg, declared: Tensor) -> tuple[Tensor, 
     return share_row(low, len(declared)), share_row(high, len(declared))
 
 
-def with_own_rows(gains: LeeGains) -> LeeGains:
+def gains_with_own_rows(gains: LeeGains) -> LeeGains:
     """Return gains with own writable rows of each environment, (E, 3)."""
     return replace(gains, **{name: own_rows(getattr(gains, name)) for name in GAINS})

@@ -108,7 +108,7 @@ def _newton_step(loop: LinearLoop, kept: Sequence[int]) -> Tensor:
     return step
 
 
-def distances(rest: RestState, *, rotors: Tensor, dt: float) -> Tensor:
+def distances_from_start(rest: RestState, *, rotors: Tensor, dt: float) -> Tensor:
     """Return the distances [m] of the body origins from their starts over ``HOVER_SPAN``, (SAMPLES, B), in the linear loop.
 
     Args:
@@ -116,7 +116,7 @@ def distances(rest: RestState, *, rotors: Tensor, dt: float) -> Tensor:
         dt: Physics step [s].
     """
     loop, begin = rest.loop, rest.start - rest.state
-    sent = ((rotors - loop.told) @ loop.basis).repeat(1, loop.slots)
+    sent = ((rotors - loop.command) @ loop.basis).repeat(1, loop.slots)
     deviation = torch.cat((begin, sent, torch.ones_like(begin[:, :1])), dim=-1).unsqueeze(-1)
     periods = max(1, ceil(HOVER_SPAN / SAMPLES / (len(loop.steps) * dt)))
     leap, history = torch.linalg.matrix_power(loop.period_map(), periods), []
@@ -140,11 +140,11 @@ def flight_distance(loop: DiscreteLoop, rest: RestState, action: Tensor, *, retu
     begin = rest.start[0].repeat(NUM_STARTS, 1)
     for i, size in enumerate(DISTURBANCE):
         begin[:, 3 * i : 3 * i + 3] += size * signs.roll(i, 0)
-    state, told = loop.prepare_flight(backend, begin), action.expand(NUM_STARTS, -1)
+    state, actions = loop.prepare_flight(backend, begin), action.expand(NUM_STARTS, -1)
     steps, home, farthest = max(1, round(LOOK / loop.dt)), rest.state[0, :3].repeat(NUM_STARTS, 1), 0.0
     looks, last = ceil(HOVER_SPAN / (steps * loop.dt)), ceil(LAST / (steps * loop.dt))
     for look in range(looks):
-        backend.step(state, told, loop.dt, steps)
+        backend.step(state, actions, loop.dt, steps)
         distance = float((state.position - home).norm(dim=-1).nan_to_num(nan=inf).max())
         if distance > LOST:
             return distance

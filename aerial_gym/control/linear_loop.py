@@ -61,7 +61,7 @@ class LinearLoop:
     """A period of the closed loop about a state of each vehicle."""
 
     steps: tuple[LinearStep, ...]  # Steps in order; steps of equal phase are the same object
-    told: Tensor  # Command in that state, (B, R)
+    command: Tensor  # Command in that state, (B, R)
     rotate_ring: Callable[
         [Tensor], Tensor
     ]  # Function that restores the order of the law's memory (..., N) after a period
@@ -150,7 +150,7 @@ class DiscreteLoop:
         body[AXES.index("z")] = height
         thrust = thrust.to(body)
         speed = state_for_thrust(_repeat_vehicle(self._declared, 1), thrust.unsqueeze(0))[0]
-        law = body[:0] if self._cascade is None else self._cascade.rest_memory(thrust)
+        law = body[:0] if self._cascade is None else self._cascade.memory_at_rest(thrust)
         state = torch.cat((body, speed, self._plant(1)[1].initial, law))
         return state.repeat(self._model.vehicle.num_envs, 1)
 
@@ -159,29 +159,29 @@ class DiscreteLoop:
         cascade, plant = self._cascade, state[:, : self.num_plant]
         size = state.abs().clamp_min(1.0)
         size[:, :BODY] = 1.0
-        phases = [None] if cascade is None else [cascade.phase(number) for number in range(cascade.period)]
-        told = self._law_step(state, action, 0)[0]
-        reach = torch.cat((size[:, : self.num_plant], *[told.abs().clamp_min(1.0)] * 2), dim=-1)
-        moved = _slopes(self._plant_step, torch.cat((plant, told, told), dim=-1), reach)
-        moved, earlier, later = moved.split((plant.shape[1], told.shape[1], told.shape[1]), dim=-1)
+        phases = [None] if cascade is None else [cascade.phase_of_step(number) for number in range(cascade.period)]
+        at_start = self._law_step(state, action, 0)[0]
+        reach = torch.cat((size[:, : self.num_plant], *[at_start.abs().clamp_min(1.0)] * 2), dim=-1)
+        moved = _central_differences(self._plant_step, torch.cat((plant, at_start, at_start), dim=-1), reach)
+        moved, earlier, later = moved.split((plant.shape[1], at_start.shape[1], at_start.shape[1]), dim=-1)
         step_by_phase: dict[Hashable, LinearStep] = {}
         for number, phase in enumerate(phases):
             if phase in step_by_phase:
                 continue
             command, memory = self._law_step(state, action, number)
-            asked = _slopes(partial(self._law_response, action, number), state, size)
+            asked = _central_differences(partial(self._law_response, action, number), state, size)
             after = torch.cat((self._plant_step(torch.cat((plant, command, command), dim=-1)), memory), dim=-1)
             step_by_phase[phase] = LinearStep(
                 plant=moved,
                 earlier=earlier,
                 later=later,
-                command=asked[:, : told.shape[1]],
-                law=asked[:, told.shape[1] :],
+                command=asked[:, : command.shape[1]],
+                law=asked[:, command.shape[1] :],
                 change=after - state,
             )
         return LinearLoop(
             steps=tuple(step_by_phase[phase] for phase in phases),
-            told=told,
+            command=at_start,
             rotate_ring=(lambda rows: rows) if cascade is None else cascade.rotate_ring,
             slots=self._whole + 1 if self._model.effects[DelayEffect] else 0,
         )
@@ -191,9 +191,9 @@ class DiscreteLoop:
         count = len(states)
         first = single(self._model)
         law = self._make_law(_repeat_vehicle(single_vehicle(self._declared), count))
-        _follow(getattr(law, "allocation", None), _repeat_vehicle(first.vehicle, count))
+        _update_allocation(getattr(law, "allocation", None), _repeat_vehicle(first.vehicle, count))
         backend.allocate(repeat_model(first, count), law, integrator=self._integrator)
-        return _body(states[:, : BODY + self.num_rotors])
+        return _state_of_rows(states[:, : BODY + self.num_rotors])
 
     def _law_response(self, action: Tensor, number: int, states: Tensor) -> Tensor:
         """Return commands and law memory, (E, R + N), at a step of a period."""
@@ -202,8 +202,8 @@ class DiscreteLoop:
     def _law_step(self, states: Tensor, action: Tensor, number: int) -> tuple[Tensor, Tensor]:
         """Return commands (E, R) in states (E, X) at a step of a period, and the memory of the law after it, (E, N)."""
         law, cascade = self._law(len(states)), self._cascade
-        body, remembered = _body(states[:, : BODY + self.num_rotors]), states[:, self.num_plant :]
-        memory = None if cascade is None else cascade.restore_memory(remembered, number)
+        body, remembered = _state_of_rows(states[:, : BODY + self.num_rotors]), states[:, self.num_plant :]
+        memory = None if cascade is None else cascade.memory_long_after_reset(remembered, number)
         command, memory = rotor_command_and_memory(law, body, action.expand(len(states), -1), memory)
         return command, remembered if cascade is None or memory is None else cascade.flatten_memory(memory)
 
@@ -211,7 +211,7 @@ class DiscreteLoop:
         """Return plant states (E, Z) after a step, from rows of plant state, earlier and later command, (E, Z + 2 R)."""
         states, earlier, later = rows.split((self.num_plant, self.num_rotors, self.num_rotors), dim=-1)
         model, memory = self._plant(len(rows) // self._model.vehicle.num_envs)
-        body, numbers = _body(states[:, : BODY + self.num_rotors]), states[:, BODY + self.num_rotors :]
+        body, numbers = _state_of_rows(states[:, : BODY + self.num_rotors]), states[:, BODY + self.num_rotors :]
         known = None
         if model.effects.names_with_memory:
             past = memory.past.clone()
@@ -235,7 +235,7 @@ class DiscreteLoop:
         if num_rows not in self._laws:
             self._laws[num_rows] = law = self._make_law(_repeat_vehicle(single_vehicle(self._declared), num_rows))
             each = num_rows // self._model.vehicle.num_envs
-            _follow(getattr(law, "allocation", None), _repeat_vehicle(self._model.vehicle, each))
+            _update_allocation(getattr(law, "allocation", None), _repeat_vehicle(self._model.vehicle, each))
         return self._laws[num_rows]
 
 
@@ -283,7 +283,7 @@ def _repeat_rows(rows: Tensor, each: int) -> Tensor:
     return share_row(rows[0], len(rows) * each) if is_shared(rows) else rows.repeat_interleave(each, 0)
 
 
-def _follow(allocation: Allocation | None, vehicle: Vehicle) -> None:
+def _update_allocation(allocation: Allocation | None, vehicle: Vehicle) -> None:
     """Update an allocation of actual effectiveness for a vehicle."""
     if allocation is None or allocation.effectiveness != "actual":
         return
@@ -293,12 +293,12 @@ def _follow(allocation: Allocation | None, vehicle: Vehicle) -> None:
         allocation.rows[name].copy_(rows)
 
 
-def _body(rows: Tensor) -> BodyState:
+def _state_of_rows(rows: Tensor) -> BodyState:
     position, turn, lin_vel, ang_vel, rotors = rows.split((3, 3, 3, 3, rows.shape[1] - BODY), dim=-1)
     return BodyState(position=position, attitude=quat_exp(turn), lin_vel=lin_vel, ang_vel=ang_vel, rotor_speed=rotors)
 
 
-def _slopes(function: Callable[[Tensor], Tensor], points: Tensor, size: Tensor) -> Tensor:
+def _central_differences(function: Callable[[Tensor], Tensor], points: Tensor, size: Tensor) -> Tensor:
     """Return the derivatives (B, M, K) of a function of rows at points (B, K), by central differences of ``NUDGE`` sizes."""
     count, width = points.shape
     nudges = NUDGE * torch.diag_embed(size)

@@ -65,7 +65,7 @@ def check_closed_loop(
     )
     subject = f"robot {names[0]} with controller {names[1]}"
     if vain := _uncontrollable_axes(loop.idle, controller, robot):
-        refuse(
+        refuse_or_warn(
             controller,
             f"{subject}: the explicit gains control {vain}, but its rotors give no torque there, "
             f"and the lasting error hides the others. Give attitude gains of 0 about {vain}, or leave them out",
@@ -73,9 +73,9 @@ def check_closed_loop(
     subject, hover = f"{subject} at dt = {dt:g} s", loop.hover(dt)
     if hover.is_lost or not hover.stable:
         source, advice = _gain_source(controller, robot), _remedy(loop, controller, robot, dt)
-        fault = f"{subject} {instability(hover, dt)}, with {source}. {advice}"
+        fault = f"{subject} {fault_of_unstable_loop(hover, dt)}, with {source}. {advice}"
         if hover.is_lost:
-            refuse(controller, fault)
+            refuse_or_warn(controller, fault)
         else:
             _log.warning(
                 f"{fault}. Flown for {HOVER_SPAN:g} s from disturbances it comes back within {hover.flown:.2g} m"
@@ -83,7 +83,7 @@ def check_closed_loop(
     elif not loop.is_stable(dt):
         ends = ", ".join(f"gains.{name}" for name in loop.drawn)
         growth, span = max(loop.radii(dt)), _largest_dt(loop, dt)
-        refuse(
+        refuse_or_warn(
             controller,
             f"{subject} is unstable with gains at the ends of what is drawn of {ends}: a disturbance grows by a factor of "
             f"{growth:.3g} in each step. {span}Narrow these ranges (randomize:)",
@@ -101,19 +101,19 @@ def hover_error(hover: HoverResult) -> str:
     """Return the hover error of a vehicle, as the predicate of a sentence."""
     speed, away = (max(map(abs, part)) for part in (hover.drift, hover.offset))
     if speed * HOVER_SPAN > HOVER_RANGE:
-        return f"drifts at {_vector(hover.drift)} m/s"
+        return f"drifts at {_format_vector(hover.drift)} m/s"
     if away > HOVER_RANGE:
-        return f"rests {_vector(hover.offset)} m from its setpoint"
+        return f"rests {_format_vector(hover.offset)} m from its setpoint"
     return (
         f"is up to {hover.distance:.2g} m from its setpoint in the first {HOVER_SPAN:g} s, until its integrators settle"
     )
 
 
-def _vector(numbers: tuple[float, float, float]) -> str:
+def _format_vector(numbers: tuple[float, float, float]) -> str:
     return "(" + ", ".join(f"{number:+.2g}" if abs(number) > 1e-3 else "0" for number in numbers) + ")"
 
 
-def refuse(controller: ControllerCfg, message: str) -> None:
+def refuse_or_warn(controller: ControllerCfg, message: str) -> None:
     """Raise ``ConfigError`` with a message, or warn if ``ControllerCfg.if_unstable`` is ``warn``."""
     if controller.if_unstable == "refuse":
         raise ConfigError(message)
@@ -125,7 +125,7 @@ def remedy(hover: HoverResult) -> str:
     return SLOW_REMEDY if max(map(abs, (*hover.offset, *hover.drift))) < 0.01 else REMEDY
 
 
-def instability(hover: HoverResult, dt: float) -> str:
+def fault_of_unstable_loop(hover: HoverResult, dt: float) -> str:
     """Return the fault of an unstable loop at a time step [s], as the predicate of a sentence."""
     if hover.stable:
         return f"is nearly unstable: from starts with {DISTURBANCE[2]:g} m/s and {DISTURBANCE[3]:g} rad/s it does not come back"

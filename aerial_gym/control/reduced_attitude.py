@@ -25,7 +25,7 @@ def shortest_turn(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return half / half.norm(dim=-1, keepdim=True), exists
 
 
-def canonical(q: Tensor) -> Tensor:
+def canonical_quat(q: Tensor) -> Tensor:
     """Return the equal rotation with ``w >= 0``, (E, 4)."""
     return torch.where(q[:, 3:] < 0.0, -q, q)
 
@@ -50,8 +50,8 @@ def tilt_first_error(attitude: Tensor, wanted: Tensor, yaw_share: Tensor) -> Ten
     """
     turn, exists = shortest_turn(*(quat_rotate(q, up_axis(q)) for q in (attitude, wanted)))
     tilted = torch.where(exists, quat_multiply(turn, attitude), wanted)
-    heading = canonical(quat_multiply(quat_conjugate(tilted), wanted))
+    heading = canonical_quat(quat_multiply(quat_conjugate(tilted), wanted))
     half = yaw_share * atan2(heading[:, 2:3], heading[:, 3:])
     zero = torch.zeros_like(half)
     part = torch.cat((zero, zero, torch.sin(half), torch.cos(half)), dim=-1)
-    return canonical(quat_multiply(quat_conjugate(attitude), quat_multiply(tilted, part)))[:, :3]
+    return canonical_quat(quat_multiply(quat_conjugate(attitude), quat_multiply(tilted, part)))[:, :3]

@@ -27,7 +27,7 @@ from aerial_gym.control.hover import (
     HOVER_RANGE,
     HOVER_SPAN,
     RestState,
-    distances,
+    distances_from_start,
     find_rest,
     flight_distance,
 )
@@ -297,7 +297,7 @@ class ClosedLoop:
     def distance(self, dt: float) -> Tensor:
         """Return the largest distance [m] of each vehicle from its start within ``HOVER_SPAN`` of hover, (B,)."""
         rest = self.rest(dt)
-        return distances(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
+        return distances_from_start(rest, rotors=rest.start[0, BODY : BODY + len(self._hover)], dt=dt).amax(0)
 
     def _rest_indices(self, width: int) -> list[int]:
         """Return the indices of controlled states in a state vector of the given width."""

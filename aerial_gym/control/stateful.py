@@ -78,7 +78,7 @@ class StatefulController(ABC):
         """Setpoint of the inner level at hover, of the first environment, (S,); zeros by default."""
         return self.allocation.inverse.new_zeros(self.needs.num_setpoint)
 
-    def rest_memory(self, thrust: Tensor) -> Tensor:
+    def memory_at_rest(self, thrust: Tensor) -> Tensor:
         """Return the memory of the first environment at rest under thrusts [N], (R,): numbers and setpoints."""
         needs = self.needs
         numbers = thrust.new_zeros(needs.width)
@@ -87,7 +87,7 @@ class StatefulController(ABC):
             numbers[needs.command_offset :] = self.allocation.speed(thrust.to(like).expand(len(like), -1))[0]
         return torch.cat((numbers, self.hover_setpoint.to(thrust).repeat(self.timing.setpoint_slots)))
 
-    def phase(self, step: int) -> tuple[bool, bool, int]:
+    def phase_of_step(self, step: int) -> tuple[bool, bool, int]:
         """Return the phase of a step in its period: the levels that run, and the age of the setpoint that has arrived.
 
         Steps of equal phase have the same map of states and memory.
@@ -95,8 +95,8 @@ class StatefulController(ABC):
         timing = self.timing
         return step % timing.law == 0, step % timing.loop == 0, (step - timing.delay) // timing.law
 
-    def restore_memory(self, remembered: Tensor, step: int) -> LawMemory:
-        """Return the memory with numbers and setpoints (E, ...) as ``rest_memory`` gives them, long after a reset."""
+    def memory_long_after_reset(self, remembered: Tensor, step: int) -> LawMemory:
+        """Return the memory with numbers and setpoints (E, ...) as ``memory_at_rest`` gives them, long after a reset."""
         needs = self.needs
         numbers, sent = remembered.split((needs.width, needs.action_offset), dim=-1)
         actions = sent.new_zeros(len(sent), needs.ring_width - needs.action_offset)
@@ -105,7 +105,7 @@ class StatefulController(ABC):
         return LawMemory(numbers=numbers, past=torch.cat((sent, actions), dim=-1), since=since)
 
     def flatten_memory(self, memory: LawMemory) -> Tensor:
-        """Return the numbers and setpoints of a memory, the inverse of ``restore_memory``."""
+        """Return the numbers and setpoints of a memory, the inverse of ``memory_long_after_reset``."""
         return torch.cat((memory.numbers, memory.past[:, : self.needs.action_offset]), dim=-1)
 
     def rotate_ring(self, remembered: Tensor) -> Tensor:

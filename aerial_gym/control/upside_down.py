@@ -17,7 +17,7 @@ from aerial_gym.config.robot import InitialStateCfg, RobotCfg
 from aerial_gym.control.controllers import Controller, make_controller
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.loop_check import refuse
+from aerial_gym.control.loop_check import refuse_or_warn
 from aerial_gym.control.stateful import StatefulController
 from aerial_gym.math.quaternion import quat_from_euler
 from aerial_gym.physics.law_memory import fresh_law_memory
@@ -57,7 +57,7 @@ def check_starts(
         return
     stuck = int((recovery_acceleration(robot, controller, attitudes, gravity=gravity, dt=dt) < STILL).sum())
     if stuck:
-        refuse(
+        refuse_or_warn(
             controller,
             f"robot {names[0]} with controller {names[1]}: euler_low = {robot.initial_state.euler_low}, euler_high = "
             f"{robot.initial_state.euler_high} include starts that are tilted by more than 90 degrees. From {stuck} of "

@@ -17,7 +17,7 @@ from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.control.hover import HOVER_RANGE, HOVER_SPAN
 from aerial_gym.control.laws import LAWS
-from aerial_gym.control.loop_check import hover_error, instability, remedy
+from aerial_gym.control.loop_check import fault_of_unstable_loop, hover_error, remedy
 from aerial_gym.control.stability import ClosedLoop, HoverResult, hover_model
 from aerial_gym.physics.effects import EFFECTS, DelayEffect
 from aerial_gym.physics.model import robot_effects
@@ -59,7 +59,7 @@ def report_range_faults(
 
 
 def _describe_fault(hover: HoverResult, dt: float) -> str:
-    return hover_error(hover) if hover.stable else instability(hover, dt)
+    return hover_error(hover) if hover.stable else fault_of_unstable_loop(hover, dt)
 
 
 def hovers_at_range_ends(

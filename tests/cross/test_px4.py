@@ -4,7 +4,7 @@
 import pytest
 from torch import Tensor
 
-from aerial_gym.control.reduced_attitude import canonical, shortest_turn
+from aerial_gym.control.reduced_attitude import canonical_quat, shortest_turn
 from aerial_gym.math.quaternion import quat_conjugate, quat_multiply, quat_rotate
 from tests.cross.firmware.px4_pairs import (
     attitude_cases,
@@ -47,7 +47,7 @@ def test_attitude_control_is_px4s(vectors: dict[str, Tensor]) -> None:
     actual, reference = attitude_pair(vectors)
     up, goal = (quat_rotate(q, q.new_tensor((0.0, 0.0, 1.0)).expand(len(q), 3)) for q in (attitude, wanted))
     turn, _ = shortest_turn(up, goal)
-    heading = canonical(quat_multiply(quat_conjugate(quat_multiply(turn, attitude)), wanted)).abs()
+    heading = canonical_quat(quat_multiply(quat_conjugate(quat_multiply(turn, attitude)), wanted)).abs()
     n = (2.0 + 2.0 * (up * goal).sum(-1)).sqrt()
     growth = 1.0 / n + 1.0 / heading[:, 3] + 1.0 / heading[:, 2]
     bound = 8 * EPS * gain.amax(-1) / weight[:, 0] * growth

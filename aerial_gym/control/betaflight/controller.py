@@ -26,7 +26,7 @@ from aerial_gym.control.betaflight.loop import (
     mix_signals,
     throttle_attenuation,
 )
-from aerial_gym.control.betaflight.parameters import derive_parameters, make_filters, require_fit
+from aerial_gym.control.betaflight.parameters import derive_parameters, make_filters, require_betaflight_vehicle
 from aerial_gym.control.filters.biquad import apply_filter
 from aerial_gym.control.gains import select_autopilot
 from aerial_gym.control.laws import LAWS
@@ -50,7 +50,7 @@ class BetaflightController(StatefulController):
         own: BetaflightCfg = select_autopilot(cfg, control)
         self._own, timing = own, make_timing(replace(cfg, betaflight=own), dt)
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
-        require_fit(cfg.law, vehicle, self.allocation)
+        require_betaflight_vehicle(cfg.law, vehicle, self.allocation)
         self.action_names = STICKS if own.rates_type == "ACTUAL" else LAWS[cfg.law].action
         self.gains = derive_parameters(cfg, own, control, vehicle, self.allocation, gravity=gravity, timing=timing)
         self.filters = make_filters(own, timing)
@@ -89,14 +89,15 @@ class BetaflightController(StatefulController):
         change = torch.where(begins, 0.0, (wanted - before) / span)
         relaxed = {"OFF": (0.0, 0.0, 0.0), "RP": (1.0, 1.0, 0.0), "RPY": (1.0, 1.0, 1.0)}[own.iterm_relax]
         share = integral_share((wanted - eased) * wanted.new_tensor(relaxed), used, own.iterm_windup / 100.0)
-        integral = _clamp(integral + share * gains.integral * error * span, gains.integral_limit)
+        integral = integral + share * gains.integral * error * span
+        integral = integral.clamp(-gains.integral_limit, gains.integral_limit)
         throttle = self._signal(self.allocation.speed(setpoint[:, :1] * gains.weight * self.allocation.inverse[..., 2]))
         weaker = throttle_attenuation(throttle, own.tpa_rate / 100.0, own.tpa_breakpoint / 1000.0 - 1.0)
         of_error = weaker if own.tpa_mode == "PD" else 1.0
         correction = (
             of_error * gains.rate * error + integral - weaker * gains.derivative * ang_acc + gains.forward * change
         )
-        correction = gains.mix * _clamp(correction, gains.limit)
+        correction = gains.mix * correction.clamp(-gains.limit, gains.limit)
         mix = (self.allocation.inverse[..., 3:] * correction.unsqueeze(1)).sum(-1)
         signal, used = mix_signals(throttle, mix, airmode=own.airmode)
         if not own.airmode:  # the firmware resets the integrals after each run at zero throttle
@@ -106,8 +107,3 @@ class BetaflightController(StatefulController):
 
     def _signal(self, speed: Tensor) -> Tensor:
         return (speed - self._low) / self._span
-
-
-def _clamp(values: Tensor, limit: Tensor) -> Tensor:
-    """Clamp values (E, 3) to plus and minus a limit (E, 3)."""
-    return torch.minimum(torch.maximum(values, -limit), limit)

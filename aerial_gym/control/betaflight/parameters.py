@@ -15,7 +15,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.effectiveness import allocation_matrix
 from aerial_gym.control.filters.biquad import Biquad, butterworth
 from aerial_gym.control.gains import loop_spacing, make_gains
-from aerial_gym.control.px4.rates import smoothing
+from aerial_gym.control.px4.rates import smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.vehicle import Vehicle
@@ -49,7 +49,7 @@ class BetaflightFilters:
     relax: float  # Low-pass coefficient of I-term relax: the share of the new value
 
 
-def require_fit(law: str, vehicle: Vehicle, allocation: Allocation) -> None:
+def require_betaflight_vehicle(law: str, vehicle: Vehicle, allocation: Allocation) -> None:
     """Raise ``ConfigError`` for vehicles that Betaflight's mixer cannot fly."""
     if law != "rates":
         raise ConfigError(f"law {law!r}: Betaflight's rate loop follows body rates only. Take law: rates")
@@ -139,7 +139,7 @@ def make_filters(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
         if cutoff == 0.0:
             return None
         if kind == "PT1":
-            share = smoothing(cutoff, span)
+            share = smoothing_coefficient(cutoff, span)
             return Biquad(share, 0.0, 0.0, share - 1.0, 0.0)
         if cutoff * span >= 0.5:
             raise ConfigError(
@@ -151,5 +151,5 @@ def make_filters(own: BetaflightCfg, timing: Timing) -> BetaflightFilters:
     return BetaflightFilters(
         gyro=(low_pass("gyro_lpf1"), low_pass("gyro_lpf2")),
         derivative=(low_pass("dterm_lpf1"), low_pass("dterm_lpf2")),
-        relax=smoothing(own.iterm_relax_cutoff, span),
+        relax=smoothing_coefficient(own.iterm_relax_cutoff, span),
     )

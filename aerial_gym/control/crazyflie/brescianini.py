@@ -65,11 +65,11 @@ def outer_loop(
         wanted = limit_inclination(wanted, torch.full_like(wanted[:, 2], LEAST_LIFT * gravity), tan(max_inclination))
     up = up_axis(wanted)
     collective = wanted[:, 2:] / quat_rotate(state.attitude, up)[:, 2:]
-    collective = torch.minimum(torch.maximum(collective, gains.least_thrust), gains.most_thrust)
+    collective = collective.clamp(gains.least_thrust, gains.most_thrust)
     turn, _ = shortest_turn(up, wanted / wanted.norm(dim=-1, keepdim=True))
     attitude = quat_multiply(turn, quat_from_yaw(target.yaw))
     rates = 2.0 * gains.attitude * tilt_first_error(state.attitude, attitude, gains.mixing) + target.rates
-    return torch.cat((gains.mass * collective, _within_limits(rates, gains)), dim=-1)
+    return torch.cat((gains.mass * collective, _limit_rates(rates, gains)), dim=-1)
 
 
 def inner_loop(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tensor:
@@ -77,9 +77,9 @@ def inner_loop(ang_vel: Tensor, wanted: Tensor, gains: BrescianiniGains) -> Tens
     return (gains.inertia * (gains.rate * (wanted - ang_vel)).unsqueeze(1)).sum(-1)
 
 
-def _within_limits(rates: Tensor, gains: BrescianiniGains) -> Tensor:
+def _limit_rates(rates: Tensor, gains: BrescianiniGains) -> Tensor:
     """Limit body rates [rad/s], (E, 3); those about x and y keep their common direction."""
     tilting, limit = rates[:, :2], gains.tilt_rate_limit
     tilting = tilting * (limit / torch.maximum(tilting.norm(dim=-1, keepdim=True), limit))
-    heading = torch.minimum(torch.maximum(rates[:, 2:], -gains.yaw_rate_limit), gains.yaw_rate_limit)
+    heading = rates[:, 2:].clamp(-gains.yaw_rate_limit, gains.yaw_rate_limit)
     return torch.cat((tilting, heading), dim=-1)

@@ -127,7 +127,7 @@ class PidController(_CrazyflieInCounts):
 
     def inner(self, state: BodyState, setpoint: Tensor, memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return rotor speeds (E, R) for thrust and angles."""
-        memory = torch.where(begins, pid.initial_memory(state), memory)
+        memory = torch.where(begins, pid.memory_of_first_run(state), memory)
         moment, memory = pid.inner_loop(state, setpoint[:, 1:], memory, self.gains, dt=self.timing.loop_span)
         return self._speeds(setpoint[:, :1], moment), memory
 

@@ -54,16 +54,12 @@ def geometric_control(
     far, turned = kept.split(3, dim=-1)
     lee = gains.lee
     error, drift = target.position - state.position, target.velocity - state.lin_vel
-    far = _clamp(far + error * dt, gains.position_limit)
+    far = (far + error * dt).clamp(-gains.position_limit, gains.position_limit)
     wanted = lee.position * error + lee.velocity * drift + gains.position_integral * far + target.acceleration
     force = force_within_inclination(wanted, lee)
     along = quat_rotate_inverse(state.attitude, force)
     turn = attitude_from_force(along, heading_of_yaw(state.attitude, target.yaw))
-    turned = _clamp(turned + attitude_error(turn) * dt, gains.attitude_limit)
+    turned = (turned + attitude_error(turn) * dt).clamp(-gains.attitude_limit, gains.attitude_limit)
     torque = attitude_torque(lee, turn, state.ang_vel, torch.zeros_like(state.ang_vel))
     torque = torque - gains.attitude_integral * turned
     return along[:, 2], torque, torch.cat((far, turned), dim=-1)
-
-
-def _clamp(values: Tensor, limit: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(values, -limit), limit)

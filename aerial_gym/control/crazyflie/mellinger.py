@@ -75,7 +75,7 @@ def mellinger_control(
     """
     far, turned, before = kept.split((3, 3, 2), dim=-1)
     error, drift = target.position - state.position, target.velocity - state.lin_vel
-    far = _clamp(far + error * dt, gains.position_limit)
+    far = (far + error * dt).clamp(-gains.position_limit, gains.position_limit)
     weight = target.acceleration + target.acceleration.new_tensor((0.0, 0.0, gravity))
     force = gains.position * error + gains.velocity * drift + gains.position_integral * far + gains.mass * weight
     if max_inclination is not None:
@@ -83,7 +83,7 @@ def mellinger_control(
     along = quat_rotate_inverse(state.attitude, force)
     thrust = along[:, 2:]
     turn = 2.0 * attitude_error(attitude_from_force(along, heading_of_yaw(state.attitude, target.yaw)))
-    turned = _clamp(turned - turn * dt, gains.attitude_limit)
+    turned = (turned - turn * dt).clamp(-gains.attitude_limit, gains.attitude_limit)
     excess = state.ang_vel - target.rates
     moment = gains.attitude_integral * turned - gains.attitude * turn - gains.rate * excess
     change = -gains.rate_difference * (excess[:, :2] - before) / dt
@@ -92,7 +92,3 @@ def mellinger_control(
     moment = torch.where(lifts, moment.clamp(-MOST_COUNTS, MOST_COUNTS), 0.0)
     integrals = torch.where(lifts, torch.cat((far, turned), dim=-1), 0.0)
     return gains.mass_thrust * thrust, moment, torch.cat((integrals, excess[:, :2]), dim=-1)
-
-
-def _clamp(values: Tensor, limit: Tensor) -> Tensor:
-    return torch.minimum(torch.maximum(values, -limit), limit)

@@ -51,14 +51,14 @@ class NominalGains:
         self.position, self.velocity = base.position[0], base.velocity[0]
         self.attitude, self.rate = base.attitude[0], base.rate[0]  # [N m/rad], [N m s/rad]
         self.of_rate = base.rate[0] / vehicle.inertia[0].diagonal()  # 1/s
-        self.of_attitude = _quotient(base.attitude[0], base.rate[0])
-        self.of_position = _quotient(base.position[0], base.velocity[0])
+        self.of_attitude = _quotient_or_zero(base.attitude[0], base.rate[0])
+        self.of_position = _quotient_or_zero(base.position[0], base.velocity[0])
 
     def explicit_or_derived(self, numbers: Sequence[float] | None, derived: Tensor | Sequence[float]) -> Tensor:
         """Return the given numbers, or else the derived ones, as a row."""
         return self.row(derived if numbers is None else numbers)
 
-    def axes(self, xy: float | None, z: float | None, derived: Tensor) -> Tensor:
+    def axis_gains(self, xy: float | None, z: float | None, derived: Tensor) -> Tensor:
         """Return the given numbers for x and y and for z, or else the derived ones (3,), as a row."""
         return self.row([float(d) if g is None else g for g, d in zip((xy, xy, z), derived, strict=True)])
 
@@ -78,25 +78,25 @@ class CountGains(NominalGains):
         self.attitude, self.rate = self.attitude / unit, self.rate / unit  # counts per rad, per rad/s
 
 
-def _quotient(gains: Tensor, divisor: Tensor) -> Tensor:
+def _quotient_or_zero(gains: Tensor, divisor: Tensor) -> Tensor:
     """Return quotients, 0 for uncontrolled axes."""
     return torch.where(divisor > 0.0, gains / torch.where(divisor > 0.0, divisor, 1.0), 0.0)
 
 
-def _effective_limit(limit: Tensor, integral: Tensor) -> Tensor:
+def _integral_limit(limit: Tensor, integral: Tensor) -> Tensor:
     """Return the limits of integrals (E, 3), 0 where the integral gain is 0."""
     return torch.where(integral > 0.0, limit, torch.zeros_like(limit))
 
 
-def _level(proportional: Tensor, integral: Tensor, derivative: Tensor, limit: Tensor) -> PidLevel:
+def _pid_level(proportional: Tensor, integral: Tensor, derivative: Tensor, limit: Tensor) -> PidLevel:
     return PidLevel(
-        proportional=proportional, integral=integral, derivative=derivative, limit=_effective_limit(limit, integral)
+        proportional=proportional, integral=integral, derivative=derivative, limit=_integral_limit(limit, integral)
     )
 
 
 def mellinger_gains(own: MellingerCfg, derived: CountGains) -> MellingerGains:
     """Return the gains of ``crazyflie_mellinger_control``, the same in all environments."""
-    axes, mass = derived.axes, derived.mass if own.mass is None else own.mass
+    axes, mass = derived.axis_gains, derived.mass if own.mass is None else own.mass
     none = torch.zeros(3)
     far, turned = axes(own.ki_xy, own.ki_z, none), axes(own.ki_m_xy, own.ki_m_z, none)
     return MellingerGains(
@@ -105,11 +105,11 @@ def mellinger_gains(own: MellingerCfg, derived: CountGains) -> MellingerGains:
         position=axes(own.kp_xy, own.kp_z, mass * derived.position),
         velocity=axes(own.kd_xy, own.kd_z, mass * derived.velocity),
         position_integral=far,
-        position_limit=_effective_limit(axes(own.i_range_xy, own.i_range_z, none), far),
+        position_limit=_integral_limit(axes(own.i_range_xy, own.i_range_z, none), far),
         attitude=axes(own.kR_xy, own.kR_z, 0.5 * derived.attitude),
         rate=axes(own.kw_xy, own.kw_z, derived.rate),
         attitude_integral=turned,
-        attitude_limit=_effective_limit(axes(own.i_range_m_xy, own.i_range_m_z, none), turned),
+        attitude_limit=_integral_limit(axes(own.i_range_m_xy, own.i_range_m_z, none), turned),
         rate_difference=derived.row([own.kd_omega_rp]),
     )
 
@@ -126,15 +126,17 @@ def pid_gains(own: CrazyfliePidCfg, derived: CountGains) -> PidGains:
     hover = derived.mass * derived.gravity * derived.per_newton if own.thrust_base is None else own.thrust_base
     none, free = row((0.0, 0.0, 0.0)), row((torch.inf,) * 3)
     return PidGains(
-        position=_level(given(own.position_kp, derived.of_position), row(own.position_ki), none, free),
-        velocity=_level(velocity, given(own.velocity_ki, velocity[0] * derived.of_position / derived.slow), none, free),
-        attitude=_level(
+        position=_pid_level(given(own.position_kp, derived.of_position), row(own.position_ki), none, free),
+        velocity=_pid_level(
+            velocity, given(own.velocity_ki, velocity[0] * derived.of_position / derived.slow), none, free
+        ),
+        attitude=_pid_level(
             given(own.attitude_kp, derived.of_attitude),
             row(own.attitude_ki),
             row(own.attitude_kd),
             row(own.attitude_limit),
         ),
-        rates=_level(rate, spun, row(own.rate_kd), given(own.rate_limit, largest)),
+        rates=_pid_level(rate, spun, row(own.rate_kd), given(own.rate_limit, largest)),
         most_velocity=row(own.velocity_max),
         most_tilt=row([own.tilt_limit]),
         thrust_base=row([hover]),
@@ -161,10 +163,10 @@ def integral_gains(own: CrazyflieLeeCfg, derived: NominalGains) -> IntegralGains
     return IntegralGains(
         lee=lee,
         position_integral=far,
-        position_limit=_effective_limit(given(own.Kpos_I_limit, _quotient(most, far[0])), far),
+        position_limit=_integral_limit(given(own.Kpos_I_limit, _quotient_or_zero(most, far[0])), far),
         attitude_integral=turned,
-        attitude_limit=_effective_limit(
-            given(own.KI_limit, _quotient(INTEGRAL_SHARE * derived.authority, turned[0])), turned
+        attitude_limit=_integral_limit(
+            given(own.KI_limit, _quotient_or_zero(INTEGRAL_SHARE * derived.authority, turned[0])), turned
         ),
     )
 
@@ -175,10 +177,10 @@ def brescianini_gains(own: BrescianiniCfg, derived: NominalGains) -> Brescianini
     Roll and pitch share the slower of their time constants. Heading has none: its share of the attitude error slows it down.
     Uncontrolled axes have no rate gain.
     """
-    axes, row, mass = derived.axes, derived.row, derived.mass
+    axes, row, mass = derived.axis_gains, derived.row, derived.mass
     natural = derived.position.sqrt()
-    frequency = axes(_inverse(own.tau_xy), _inverse(own.tau_z), natural)
-    damping = axes(own.zeta_xy, own.zeta_z, 0.5 * _quotient(derived.velocity, natural))
+    frequency = axes(_inverse_or_none(own.tau_xy), _inverse_or_none(own.tau_z), natural)
+    damping = axes(own.zeta_xy, own.zeta_z, 0.5 * _quotient_or_zero(derived.velocity, natural))
     tilting = derived.of_attitude[:2]
     slower = float(tilting[tilting > 0.0].min()) if bool((tilting > 0.0).any()) else 0.0
     attitude = slower if own.tau_rp is None else 1.0 / own.tau_rp
@@ -191,7 +193,7 @@ def brescianini_gains(own: BrescianiniCfg, derived: NominalGains) -> Brescianini
         velocity=2.0 * damping * frequency,
         attitude=row([attitude]),
         mixing=row([mixing if own.mixing_factor is None else own.mixing_factor]),
-        rate=axes(_inverse(own.tau_rp_rate), _inverse(own.tau_yaw_rate), derived.of_rate),
+        rate=axes(_inverse_or_none(own.tau_rp_rate), _inverse_or_none(own.tau_yaw_rate), derived.of_rate),
         least_thrust=row([least]),
         most_thrust=row([derived.most_thrust / mass if own.coll_max is None else own.coll_max]),
         tilt_rate_limit=row([own.omega_rp_max]),
@@ -199,5 +201,5 @@ def brescianini_gains(own: BrescianiniCfg, derived: NominalGains) -> Brescianini
     )
 
 
-def _inverse(time_constant: float | None) -> float | None:
+def _inverse_or_none(time_constant: float | None) -> float | None:
     return None if time_constant is None else 1.0 / time_constant

@@ -45,9 +45,9 @@ class PidLevel:
     derivative: Tensor  # [s], (E, 3)
     limit: Tensor  # Of the integrated error, (E, 3); infinite for no limit
 
-    def run(self, error: Tensor, change: Tensor, integral: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    def output_and_integral(self, error: Tensor, change: Tensor, integral: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Return output (E, 3) and new integral (E, 3) for an error and the change of the measurement."""
-        integral = torch.minimum(torch.maximum(integral + error * dt, -self.limit), self.limit)
+        integral = (integral + error * dt).clamp(-self.limit, self.limit)
         return self.proportional * error + self.integral * integral - self.derivative * change / dt, integral
 
 
@@ -77,15 +77,15 @@ def outer_loop(
     """
     far, drift = kept.split(3, dim=-1)
     still, heading = torch.zeros_like(position), yaw_from_quat(state.attitude)
-    error, moving = (_in_heading(x, heading) for x in (position - state.position, state.lin_vel))
-    wanted, far = gains.position.run(error, still, far, dt)
+    error, moving = (_rotate_into_heading(x, heading) for x in (position - state.position, state.lin_vel))
+    wanted, far = gains.position.output_and_integral(error, still, far, dt)
     most = LEEWAY * gains.most_velocity
-    wanted = torch.minimum(torch.maximum(wanted, -most), most)
-    output, drift = gains.velocity.run(wanted - moving, still, drift, dt)
-    tilt = torch.minimum(torch.maximum(output[:, :2], -gains.most_tilt), gains.most_tilt)
+    wanted = wanted.clamp(-most, most)
+    output, drift = gains.velocity.output_and_integral(wanted - moving, still, drift, dt)
+    tilt = output[:, :2].clamp(-gains.most_tilt, gains.most_tilt)
     thrust = (gains.thrust_base + THRUST_PER_OUTPUT * output[:, 2:]).clamp_max(MOST_THRUST)
-    told = torch.cat((torch.maximum(thrust, gains.least_thrust), -tilt[:, 1:], tilt[:, :1]), dim=-1)
-    return told, torch.cat((far, drift), dim=-1)
+    setpoint = torch.cat((torch.maximum(thrust, gains.least_thrust), -tilt[:, 1:], tilt[:, :1]), dim=-1)
+    return setpoint, torch.cat((far, drift), dim=-1)
 
 
 def inner_loop(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, *, dt: float) -> tuple[Tensor, Tensor]:
@@ -97,25 +97,25 @@ def inner_loop(state: BodyState, wanted: Tensor, kept: Tensor, gains: PidGains, 
         dt: Period of the runs [s].
     """
     leant, spun, angles_before, rates_before = kept.split(3, dim=-1)
-    angles, rates = _euler_and_rates(state)
+    angles, rates = _angles_and_rates_in_degrees(state)
     error, change = (_wrap_yaw(x) for x in (wanted - angles, angles - angles_before))
-    wanted_rates, leant = gains.attitude.run(error, change, leant, dt)
-    moment, spun = gains.rates.run(wanted_rates - rates, rates - rates_before, spun, dt)
+    wanted_rates, leant = gains.attitude.output_and_integral(error, change, leant, dt)
+    moment, spun = gains.rates.output_and_integral(wanted_rates - rates, rates - rates_before, spun, dt)
     return moment.clamp(-MOST_MOMENT, MOST_MOMENT), torch.cat((leant, spun, angles, rates), dim=-1)
 
 
-def initial_memory(state: BodyState) -> Tensor:
+def memory_of_first_run(state: BodyState) -> Tensor:
     """Return the initial memory of ``turn`` at a state, (E, 12)."""
     zero = torch.zeros_like(state.position)
-    return torch.cat((zero, zero, *_euler_and_rates(state)), dim=-1)
+    return torch.cat((zero, zero, *_angles_and_rates_in_degrees(state)), dim=-1)
 
 
-def _euler_and_rates(state: BodyState) -> tuple[Tensor, Tensor]:
+def _angles_and_rates_in_degrees(state: BodyState) -> tuple[Tensor, Tensor]:
     """Return roll, pitch, yaw [deg] and body rates [deg/s], (E, 3) each."""
     return euler_from_quat(state.attitude) * degrees(1.0), state.ang_vel * degrees(1.0)
 
 
-def _in_heading(vector: Tensor, heading: Tensor) -> Tensor:
+def _rotate_into_heading(vector: Tensor, heading: Tensor) -> Tensor:
     """Rotate a world vector (E, 3) into the heading frame, by the yaw [rad], (E,)."""
     cosine, sine = torch.cos(heading), torch.sin(heading)
     x, y, z = vector.unbind(-1)

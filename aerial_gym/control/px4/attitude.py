@@ -32,7 +32,7 @@ def rate_setpoint(
     error = tilt_first_error(attitude, wanted, yaw_weight)
     scaled = torch.cat((gain[:, :2], gain[:, 2:] / yaw_weight), dim=-1)
     rates = 2.0 * scaled * error + yaw_rate.unsqueeze(-1) * world_up(attitude)
-    return torch.minimum(torch.maximum(rates, -limit), limit)
+    return rates.clamp(-limit, limit)
 
 
 def attitude_from_thrust(thrust: Tensor, heading: Tensor) -> Tensor:

@@ -43,14 +43,14 @@ class Px4Controller(StatefulController):
     def __init__(self, cfg: ControllerCfg, vehicle: Vehicle, gravity: float, *, dt: float, control: ControlCfg) -> None:
         """Derive gains and filters from configuration, declared vehicle, gravity [m/s²], physics step [s] and robot file."""
         px4: Px4Cfg = select_autopilot(cfg, control)
-        _require_fit(px4, vehicle)
+        _require_speed_rotors(px4, vehicle)
         timing = make_timing(replace(cfg, px4=px4), dt)
         self.action_names, self._law = LAWS[cfg.law].action, cfg.law
         self._factor, self._airmode = px4.THR_MDL_FAC, px4.MC_AIRMODE
         self.allocation = Allocation(vehicle, gravity, saturation=cfg.allocation, effectiveness=control.effectiveness)
         self.gains = derive_parameters(cfg, px4, control, vehicle, self.allocation, gravity=gravity, timing=timing)
         self.filters = make_filters(px4, timing)
-        self._full, self._low, self._span = _motors(vehicle)
+        self._full, self._low, self._span = _thrust_and_speed_ranges(vehicle)
         inner = RATE_NUMBERS + 6 * len(self.filters.notches)
         self.set_needs(timing, num_rotors=vehicle.num_rotors, inner=inner, outer=OUTER_NUMBERS, num_setpoint=4)
 
@@ -146,7 +146,7 @@ class Px4Controller(StatefulController):
         return self._low + self._span * thrust_curve((thrust / self._full).clamp(0.0, 1.0), self._factor)
 
 
-def _require_fit(px4: Px4Cfg, vehicle: Vehicle) -> None:
+def _require_speed_rotors(px4: Px4Cfg, vehicle: Vehicle) -> None:
     """Raise ``ConfigError`` for a thrust curve with rotors that cannot have one."""
     if px4.THR_MDL_FAC is not None and vehicle.traits & {"reversible", "force"}:
         raise ConfigError(
@@ -155,7 +155,7 @@ def _require_fit(px4: Px4Cfg, vehicle: Vehicle) -> None:
         )
 
 
-def _motors(vehicle: Vehicle) -> tuple[Tensor, Tensor, Tensor]:
+def _thrust_and_speed_ranges(vehicle: Vehicle) -> tuple[Tensor, Tensor, Tensor]:
     """Return the full thrust [N], the lowest speed and the span of speeds [rad/s] of each rotor, (E, R)."""
     low, high = vehicle.speed_low, vehicle.speed_high
     return rotor_thrust(vehicle, high), low, high - low

@@ -87,7 +87,7 @@ def desaturate(airmode: int, columns: Tensor, wanted: Tensor, low: Tensor) -> tu
             signal = make_room(make_room(signal, ROLL, high), PITCH, high)
         signal = make_room(signal + yaw, YAW, high + YAW_MARGIN * (high - low))
         signal = make_room(signal, THRUST, high, only_less=True)
-    cut = torch.minimum(torch.maximum(signal, low), high)
+    cut = signal.clamp(low, high)
     within = ((cut - signal).abs() <= NEGLIGIBLE).all(-1, keepdim=True)
     lost = torch.where(within, wanted - torch.cat(given, dim=-1), wanted)[:, :3]
     return cut, torch.where(lost.abs() > NEGLIGIBLE, lost.sign(), 0.0)
@@ -95,7 +95,7 @@ def desaturate(airmode: int, columns: Tensor, wanted: Tensor, low: Tensor) -> tu
 
 def _desaturation_gain(signal: Tensor, column: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """Return PX4's desaturation gain (E, 1): the multiple of ``column`` that removes the limit violation, or balances two."""
-    beyond = torch.minimum(torch.maximum(signal, low), high) - signal
+    beyond = signal.clamp(low, high) - signal
     strong = column.abs() >= WEAK
     steps = torch.where(strong, beyond / torch.where(strong, column, 1.0), 0.0)
     return steps.amin(-1, keepdim=True).clamp_max(0.0) + steps.amax(-1, keepdim=True).clamp_min(0.0)

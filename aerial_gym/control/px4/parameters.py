@@ -16,7 +16,7 @@ from aerial_gym.control.allocation import Allocation
 from aerial_gym.control.filters.biquad import Biquad, butterworth, notch
 from aerial_gym.control.gains import loop_spacing, make_gains
 from aerial_gym.control.px4.position import PositionGains
-from aerial_gym.control.px4.rates import smoothing
+from aerial_gym.control.px4.rates import smoothing_coefficient
 from aerial_gym.control.timing import Timing
 from aerial_gym.errors import ConfigError
 from aerial_gym.physics.rotors import rotor_thrust
@@ -138,18 +138,18 @@ def derive_parameters(
     row = vehicle.share
     scale = [getattr(px4, f"MC_{axis}RATE_K") for axis in _AXES]
 
-    def of_rate(name: str, derived: Tensor | None = None) -> Tensor:
+    def rate_parameter(name: str, derived: Tensor | None = None) -> Tensor:
         named = [getattr(px4, f"MC_{axis}RATE_{name}") for axis in _AXES]
-        return row(_explicit_or_derived(named, derived)) * row(scale) if name != "FF" else row(named)
+        return row(_given_or_derived(named, derived)) * row(scale) if name != "FF" else row(named)
 
     velocity, position = base.velocity[0], base.position[0] / base.velocity[0]
     return Px4Gains(
-        rate=of_rate("P", known["P"]),
-        rate_integral=of_rate("I", known["I"]),
-        rate_derivative=of_rate("D"),
-        rate_forward=of_rate("FF"),
-        integral_limit=row(_explicit_or_derived([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
-        attitude=row(_explicit_or_derived([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
+        rate=rate_parameter("P", known["P"]),
+        rate_integral=rate_parameter("I", known["I"]),
+        rate_derivative=rate_parameter("D"),
+        rate_forward=rate_parameter("FF"),
+        integral_limit=row(_given_or_derived([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
+        attitude=row(_given_or_derived([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
         rate_limit=row([radians(getattr(px4, f"MC_{axis}RATE_MAX")) for axis in _AXES]),
         yaw_weight=row([px4.MC_YAW_WEIGHT]),
         unit_torque=row(torque),
@@ -173,7 +173,7 @@ def _position_gains(
 ) -> PositionGains:  # fmt: skip
     def axis_values(name: str, derived: Tensor | None = None) -> Tensor:
         flat, up = (getattr(px4, f"MPC_{axis}_{name}") for axis in ("XY", "Z"))
-        return _explicit_or_derived([flat, flat, up], derived)
+        return _given_or_derived([flat, flat, up], derived)
 
     speed, reach = axis_values("VEL_P_ACC", velocity), axis_values("P", position)
     least = min(LEAST_THRUST, LEAST_SHARE * hover) if px4.MPC_THR_MIN is None else px4.MPC_THR_MIN
@@ -232,13 +232,13 @@ def make_filters(px4: Px4Cfg, timing: Timing) -> Px4Filters:
     return Px4Filters(
         notches=tuple(band for ends in bands if (band := notch(*ends, 1.0 / span)) is not None),
         gyro=butterworth(px4.IMU_GYRO_CUTOFF, 1.0 / span),
-        ang_acc=smoothing(px4.IMU_DGYRO_CUTOFF, span),
-        yaw_torque=smoothing(px4.MC_YAW_TQ_CUTOFF, span),
-        acceleration=smoothing(px4.MPC_VELD_LP, timing.law * timing.dt),
+        ang_acc=smoothing_coefficient(px4.IMU_DGYRO_CUTOFF, span),
+        yaw_torque=smoothing_coefficient(px4.MC_YAW_TQ_CUTOFF, span),
+        acceleration=smoothing_coefficient(px4.MPC_VELD_LP, timing.law * timing.dt),
     )
 
 
-def _explicit_or_derived(named: list[float | None], derived: Tensor | None = None) -> Tensor:
+def _given_or_derived(named: list[float | None], derived: Tensor | None = None) -> Tensor:
     """Return the given numbers, with derived ones in place of None, (3,)."""
     if derived is None:
         return torch.tensor(named, dtype=torch.float64)

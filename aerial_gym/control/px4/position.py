@@ -32,7 +32,7 @@ class PositionGains:
 
 def limit_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:
     """Limit a velocity setpoint [m/s], world, (E, 3), in horizontal speed, climb and descent."""
-    rise = torch.minimum(torch.maximum(velocity[:, 2:], -gains.down), gains.up)
+    rise = velocity[:, 2:].clamp(-gains.down, gains.up)
     return torch.cat((_limit_length(velocity[:, :2], gains.speed), rise), dim=-1)
 
 
@@ -74,7 +74,7 @@ def velocity_control(
     short = meant.square().sum(-1, keepdim=True) > made.square().sum(-1, keepdim=True)
     drift = drift - torch.where(short, 2.0 / gains.velocity[:, :1] * (meant - made), 0.0)
     integral = integral + torch.cat((drift, rise), dim=-1) * gains.integral * dt
-    vertical = torch.minimum(torch.maximum(integral[:, 2:], -gains.gravity), gains.gravity)
+    vertical = integral[:, 2:].clamp(-gains.gravity, gains.gravity)
     integral = torch.cat((integral[:, :2], vertical), dim=-1)
     return wanted, torch.cat((lateral, up), dim=-1), integral
 

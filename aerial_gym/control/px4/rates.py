@@ -46,11 +46,10 @@ def update_integral(integral: Tensor, error: Tensor, short: Tensor, gain: Tensor
     """
     useful = torch.where(short * error > 0.0, 0.0, error)
     fading = (1.0 - (useful / FADING_RATE).square()).clamp_min(0.0)
-    grown = integral + fading * gain * useful * dt
-    return torch.minimum(torch.maximum(grown, -limit), limit)
+    return (integral + fading * gain * useful * dt).clamp(-limit, limit)
 
 
-def smoothing(cutoff_hz: float, dt: float) -> float:
+def smoothing_coefficient(cutoff_hz: float, dt: float) -> float:
     """Return the coefficient of a first-order low-pass, the share of the new value: ``dt / (dt + 1 / (2 pi f))``; 1 for f = 0.
 
     Source: PX4, ``AlphaFilter``; the backward Euler step of ``tau y' = x - y``.

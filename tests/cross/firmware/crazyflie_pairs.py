@@ -13,7 +13,14 @@ from aerial_gym.control.crazyflie.distribution import rotor_counts, rotor_signs
 from aerial_gym.control.crazyflie.geometric import WIDTH as INTEGRALS
 from aerial_gym.control.crazyflie.geometric import IntegralGains, geometric_control
 from aerial_gym.control.crazyflie.mellinger import WIDTH, FlatTarget, MellingerGains, mellinger_control
-from aerial_gym.control.crazyflie.pid import OUTER_NUMBERS, PidGains, PidLevel, initial_memory, inner_loop, outer_loop
+from aerial_gym.control.crazyflie.pid import (
+    OUTER_NUMBERS,
+    PidGains,
+    PidLevel,
+    inner_loop,
+    memory_of_first_run,
+    outer_loop,
+)
 from aerial_gym.control.lee import LeeGains, position_control
 from aerial_gym.math.quaternion import quat_from_euler, quat_normalize, quat_rotate
 from aerial_gym.physics import vehicle_from_config
@@ -148,7 +155,7 @@ def pid_pair(vectors: dict[str, Tensor]) -> Pair:
         if told is None or k % 5 == 0:
             told, outer = outer_loop(state, goal, outer, own, dt=5 * DT)
         if inner is None:  # the firmware begins with no rates before
-            inner = torch.cat((initial_memory(state)[:, :9], torch.zeros_like(at)), dim=-1)
+            inner = torch.cat((memory_of_first_run(state)[:, :9], torch.zeros_like(at)), dim=-1)
         moment, inner = inner_loop(state, torch.cat((told[:, 1:], yaw), dim=-1), inner, own, dt=DT)
         result.append(torch.cat((told[:, :1], moment.trunc()), dim=-1))
     return torch.stack(result), _nose_down(vectors["pid"]).transpose(0, 1)

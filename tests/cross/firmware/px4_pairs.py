@@ -9,7 +9,7 @@ from aerial_gym.control.px4.attitude import attitude_from_thrust, rate_setpoint
 from aerial_gym.control.px4.mixer import mix
 from aerial_gym.control.px4.position import PositionGains, limit_velocity, velocity_control
 from aerial_gym.control.px4.rates import rate_torque, update_integral
-from aerial_gym.control.reduced_attitude import canonical
+from aerial_gym.control.reduced_attitude import canonical_quat
 from tests.cross.firmware import px4_mixer_vectors as mixed
 from tests.cross.firmware import px4_vectors as made
 
@@ -89,12 +89,12 @@ def position_pairs(vectors: dict[str, Tensor]) -> dict[str, Pair]:
         sizes.append((velocity * error).abs().amax(-1, keepdim=True) + integral.abs().amax(-1, keepdim=True) + 1.0)
         acceleration, thrust, integral = velocity_control(error, integral, measured, actual, dt)
         heading = torch.stack((torch.cos(yaw[:, 0]), -torch.sin(yaw[:, 0]), torch.zeros_like(yaw[:, 0])), dim=-1)
-        result.append((acceleration, thrust, canonical(attitude_from_thrust(thrust, heading))))
+        result.append((acceleration, thrust, canonical_quat(attitude_from_thrust(thrust, heading))))
     reference = vectors["position"].transpose(0, 1)
     parts = (
         flip_axes(reference[..., :3]),
         flip_axes(reference[..., 3:6]),
-        canonical(quat(reference[..., 6:]).flatten(0, 1)),
+        canonical_quat(quat(reference[..., 6:]).flatten(0, 1)),
     )
     acceleration, thrust, attitude = (torch.stack(each) for each in zip(*result, strict=True))
     size = torch.stack(sizes)

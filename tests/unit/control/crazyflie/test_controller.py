@@ -182,7 +182,9 @@ def test_brescianini_holds_thrust_and_rates_for_its_rate_loop() -> None:
         result.append(command)
     same = [bool(torch.equal(a, b)) for a, b in pairwise(result)]
     assert same == [True, True, False, False, False]
-    assert law.rest_memory(torch.zeros(4, dtype=F64)).tolist() == pytest.approx([X500.body.mass * 9.81, 0.0, 0.0, 0.0])
+    assert law.memory_at_rest(torch.zeros(4, dtype=F64)).tolist() == pytest.approx(
+        [X500.body.mass * 9.81, 0.0, 0.0, 0.0]
+    )
     assert torch.equal(result[4], result[0])
 
 
