@@ -5,10 +5,12 @@ Letters: E environments.
 Source: PX4 Autopilot 1.14, ``PositionControl`` and ``ControlMath``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
+
+from aerial_gym.physics.vehicle import is_shared, share_row
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +30,14 @@ class PositionGains:
     tilt: Tensor  # MPC_TILTMAX_AIR [rad]
     hover: Tensor  # MPC_THR_HOVER [-]
     gravity: Tensor  # Gravity at hover thrust [m/s²]
+    sine: Tensor = field(init=False)  # Of the tilt
+    cosine: Tensor = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name, function in (("sine", torch.sin), ("cosine", torch.cos)):
+            tilt = self.tilt
+            rows = share_row(function(tilt[0]), len(tilt)) if is_shared(tilt) else function(tilt)
+            object.__setattr__(self, name, rows)
 
 
 def limit_velocity(velocity: Tensor, gains: PositionGains) -> Tensor:
@@ -90,9 +100,9 @@ def thrust_setpoint(acceleration: Tensor, gains: PositionGains) -> Tensor:
     """
     axis = torch.cat((acceleration[:, :2], gains.gravity.expand_as(acceleration[:, 2:])), dim=-1)
     axis = axis / axis.norm(dim=-1, keepdim=True)
-    flat, largest = axis[:, :2].norm(dim=-1, keepdim=True), torch.sin(gains.tilt)
+    flat, largest = axis[:, :2].norm(dim=-1, keepdim=True), gains.sine
     steep = flat > largest
     leaning = axis[:, :2] / torch.where(steep, flat, 1.0) * largest
-    axis = torch.where(steep, torch.cat((leaning, torch.cos(gains.tilt).expand_as(flat)), dim=-1), axis)
+    axis = torch.where(steep, torch.cat((leaning, gains.cosine.expand_as(flat)), dim=-1), axis)
     collective = (acceleration[:, 2:] / gains.gravity + 1.0) * gains.hover / axis[:, 2:]
     return axis * torch.maximum(collective, gains.least_thrust)

@@ -483,7 +483,7 @@ class _ExternalTensors(TorchFunctionMode):
             return self._watch.constant(tensor)
         refused = tensor.requires_grad and not self._watch.into.simplifies
         if self._num_rows is None or tensor.shape[:1] != (self._num_rows,) or refused:
-            raise UntraceableError("it reads a tensor that is not among its arguments")
+            raise UntraceableError(f"it reads a tensor of shape {tuple(tensor.shape)} that is not among its arguments")
         own = tensor.stride(0) != 0 or self._num_rows == 1
         kept = tensor if own else tensor[0]
         if self._known is not None:

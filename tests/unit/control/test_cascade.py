@@ -260,12 +260,12 @@ AS_USERS_HAVE_THEM = "everything"
 """The one whose kernel is optimised; the others keep their loops, as users have them with more than 16 rotors."""
 
 
-@pytest.mark.parametrize("case", rare_values(CASES, ("with effects", "no loop", "clamped")))
-def test_the_fused_twin_flies_like_torch(case: str, request: pytest.FixtureRequest) -> None:
+REGISTERED = [name for name in CONTROLLERS.names() if CONTROLLERS.get(name).law != "pose"]
+"""Controllers that any quadrotor can have."""
+
+
+def compare_backends(cfg: ControllerCfg, effects: tuple[str, ...] = ()) -> None:
     """At most 4 times as far from float64 as float32 torch is, and some units in the last place; through a masked reset."""
-    if case == AS_USERS_HAVE_THEM:
-        request.getfixturevalue("optimise_kernels")
-    cfg, effects = CASES[case]
     exact, single = (fly(TorchBackend(), cfg, dtype, effects=effects)[-1] for dtype in (F64, torch.float32))
     fused = fly(WarpBackend(), cfg, torch.float32, effects=effects)[-1]
     for name, truth in vars(exact).items():
@@ -273,6 +273,19 @@ def test_the_fused_twin_flies_like_torch(case: str, request: pytest.FixtureReque
         allowed = 4.0 * (getattr(single, name) - truth).abs().max() / size + 4e-6
         assert (getattr(fused, name) - truth).abs().max() / size <= allowed, name
         assert allowed < 1e-3, name
+
+
+@pytest.mark.parametrize("case", rare_values(CASES, ("with effects", "no loop", "clamped")))
+def test_both_backends_fly_alike(case: str, request: pytest.FixtureRequest) -> None:
+    if case == AS_USERS_HAVE_THEM:
+        request.getfixturevalue("optimise_kernels")
+    compare_backends(*CASES[case])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REGISTERED)
+def test_both_backends_fly_every_registered_controller_alike(name: str) -> None:
+    compare_backends(CONTROLLERS.get(name))
 
 
 @pytest.mark.parametrize("backend", [TorchBackend, WarpBackend])
