@@ -20,8 +20,9 @@ from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import ReusableLaunch
+from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.sensors.rays import ray_table
+from aerial_gym.sensors.sensor_view import CarriedSensors, sensor_pose
 
 LEAST_DISTANCE = wp.constant(1.0e-6)
 """Lower limit of the distance [m], as flow diverges at the pupil."""
@@ -40,50 +41,48 @@ class Flow:
     part_instance: wp.array2d[wp.int32]  # (E, P)
 
 
+@wp.struct
+class SceneTwists:
+    """Velocities of the origins of instances and links, and their angular velocities."""
+
+    lin_vel: wp.array2d[wp.vec3]  # (E, A) world [m/s]
+    ang_vel: wp.array2d[wp.vec3]  # (E, A) world [rad/s]
+    link_lin_vel: wp.array2d[wp.vec3]  # (E, L) world [m/s]
+    link_ang_vel: wp.array2d[wp.vec3]  # (E, L) world [rad/s]
+
+
 @wp.kernel(enable_backward=False)
 def relative_twist(
-    # scene
     scene: SceneArrays,
-    instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
-    instance_ang_vel: wp.array2d[wp.vec3],  # (E, A) world [rad/s]
-    link_lin_vel: wp.array2d[wp.vec3],  # (E, L) world [m/s]
-    link_ang_vel: wp.array2d[wp.vec3],  # (E, L) world [rad/s]
-    # state of the link that carries the sensor
-    body_position: wp.array[wp.vec3],  # (E,) world [m]
-    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
-    body_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
-    body_ang_vel: wp.array[wp.vec3],  # (E,) body frame [rad/s]
-    # sensor
-    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
-    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
-    link: int,  # number of that link
+    twists: SceneTwists,
+    sensors: CarriedSensors,
     # out
     drift_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [m/s]
     turn_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [rad/s]
 ):
     """Write the relative motion of an instance, a link or the world in the sensor's frame, velocity ``a + b x p`` at p."""
     mount, a = wp.tid()
-    env = mount // mount_position.shape[1]
-    sensor = mount - env * mount_position.shape[1]
-    turn = -wp.quat_rotate_inv(mount_attitude[env, sensor], body_ang_vel[env])
+    env = mount // sensors.mount_position.shape[1]
+    sensor = mount - env * sensors.mount_position.shape[1]
+    body_spin = sensors.ang_vel[env]
+    turn = -wp.quat_rotate_inv(sensors.mount_attitude[env, sensor], body_spin)
     drift = wp.vec3(0.0, 0.0, 0.0)
     count = scene.position.shape[1]
-    world = count + link_lin_vel.shape[1]
-    if a < world and a - count == link:  # the link moves with its sensors
+    world = count + twists.link_lin_vel.shape[1]
+    if a < world and a - count == sensors.link:  # the link moves with its sensors
         turn = wp.vec3(0.0, 0.0, 0.0)
     elif a <= world:
-        lever = mount_position[env, sensor]
-        attitude = body_attitude[env] * mount_attitude[env, sensor]
-        origin = body_position[env] + wp.quat_rotate(body_attitude[env], lever)
-        own = body_lin_vel[env] + wp.quat_rotate(body_attitude[env], wp.cross(body_ang_vel[env], lever))
+        origin, attitude = sensor_pose(sensors, env, sensor)
+        lever = wp.cross(body_spin, sensors.mount_position[env, sensor])
+        own = sensors.lin_vel[env] + wp.quat_rotate(sensors.attitude[env], lever)
         spin = wp.vec3(0.0, 0.0, 0.0)
         there = wp.vec3(0.0, 0.0, 0.0)
         if a < count:
-            spin = instance_ang_vel[env, a]
-            there = instance_lin_vel[env, a] + wp.cross(spin, origin - scene.position[env, a])
+            spin = twists.ang_vel[env, a]
+            there = twists.lin_vel[env, a] + wp.cross(spin, origin - scene.position[env, a])
         elif a < world:
-            spin = link_ang_vel[env, a - count]
-            there = link_lin_vel[env, a - count] + wp.cross(spin, origin - scene.link_position[env, a - count])
+            spin = twists.link_ang_vel[env, a - count]
+            there = twists.link_lin_vel[env, a - count] + wp.cross(spin, origin - scene.link_position[env, a - count])
         drift = wp.quat_rotate_inv(attitude, there - own)
         turn += wp.quat_rotate_inv(attitude, spin)
     drift_out[mount, a] = drift
@@ -108,44 +107,33 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     """Return the input struct of a camera's optical-flow kernel."""
     device, mounts = wp.device_from_torch(scene.device), scene.num_envs * cfg.count
     table = flow_table(cfg, device=scene.device).view(-1, 2, 3)
-    flow = Flow()
-    flow.right = wp.from_torch(table[:, 0].contiguous(), dtype=wp.vec3)
-    flow.down = wp.from_torch(table[:, 1].contiguous(), dtype=wp.vec3)
-    flow.num_instances = scene.num_instances
     columns = scene.num_instances + scene.num_links + 2
-    flow.drift = wp.zeros((mounts, columns), dtype=wp.vec3, device=device)
-    flow.turn = wp.zeros((mounts, columns), dtype=wp.vec3, device=device)
-    flow.part_instance = scene.arrays.part_instance
-    return flow
+    return make_struct(
+        Flow,
+        right=table[:, 0].contiguous(),
+        down=table[:, 1].contiguous(),
+        num_instances=scene.num_instances,
+        drift=wp.zeros((mounts, columns), dtype=wp.vec3, device=device),
+        turn=wp.zeros((mounts, columns), dtype=wp.vec3, device=device),
+        part_instance=scene.arrays.part_instance,
+    )
 
 
-def record_motion(flow: Flow, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> ReusableLaunch:
-    """Record the launch that writes the relative motions before the rays are traced.
-
-    ``pose`` has position and attitude of the carrier link and mount, ``twist`` velocity, world, and angular velocity, body.
-    """
-    inputs = [scene.arrays, *instance_twists(scene), *link_twists(scene), *pose[:2], *twist, *pose[2:], link]
-    outputs, device = [flow.drift, flow.turn], wp.device_from_torch(scene.device)
-    return ReusableLaunch(relative_twist, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=device)
+def record_motion(flow: Flow, scene: Scene, sensors: CarriedSensors) -> ReusableLaunch:
+    """Record the launch that writes the relative motions before the rays are traced."""
+    inputs, outputs = [scene.arrays, scene_twists(scene), sensors], [flow.drift, flow.turn]
+    return ReusableLaunch(relative_twist, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=scene.device)
 
 
-def instance_twists(scene: Scene) -> list[wp.array]:
-    """Return views of the velocities [m/s] and angular velocities [rad/s] of the instances of a scene, world, (E, A) each."""
-    return _twist_arrays("asset", scene.asset_state)
-
-
-def link_twists(scene: Scene) -> list[wp.array]:
-    """Return the twists of the robot's links as ``instance_twists``, (E, L) each."""
-    state = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.robot_state is None else scene.robot_state
-    return _twist_arrays("link", state)
-
-
-def _twist_arrays(name: str, state: Tensor) -> list[wp.array]:
-    shape, columns = (*state.shape[:2], 3), {"velocity": slice(7, 10), "angular velocity": slice(10, 13)}
-    return [
-        vector_view(f"{name} {quantity}", state[..., at], shape, device=state.device)
-        for quantity, at in columns.items()
-    ]
+def scene_twists(scene: Scene) -> SceneTwists:
+    """Return views of the velocities of a scene's instances and of the robot's links."""
+    links = scene.asset_state.new_zeros(scene.num_envs, 0, 13) if scene.robot_state is None else scene.robot_state
+    twists = SceneTwists()
+    for prefix, state in (("", scene.asset_state), ("link_", links)):
+        for name, columns in (("lin_vel", slice(7, 10)), ("ang_vel", slice(10, 13))):
+            view = vector_view(prefix + name, state[..., columns], (*state.shape[:2], 3), device=state.device)
+            setattr(twists, prefix + name, view)
+    return twists
 
 
 def flow_table(cfg: RangeSensorCfg, *, device: torch.device) -> Tensor:

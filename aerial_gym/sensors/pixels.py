@@ -67,27 +67,6 @@ class DistanceNoise:
     image: wp.array[wp.int32]  # (E,) how many images were taken since the reset
 
 
-@wp.kernel(enable_backward=False)
-def write_sensor_poses(
-    # state
-    body_position: wp.array[wp.vec3],  # (E,) world [m]
-    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
-    # sensor
-    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
-    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
-    # out
-    origin_out: wp.array[wp.vec3],  # (M,) world [m]
-    attitude_out: wp.array[wp.quat],  # (M,) sensor to world
-):
-    """Write where every sensor is."""
-    mount = wp.tid()
-    env = mount // mount_position.shape[1]
-    sensor = mount - env * mount_position.shape[1]
-    body = body_attitude[env]
-    origin_out[mount] = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
-    attitude_out[mount] = body * mount_attitude[env, sensor]
-
-
 @wp.func
 def ray_limit(limits: DistanceLimits, ray: wp.vec3) -> float:
     """Return the range limit along a ray [m]."""

@@ -19,18 +19,25 @@ from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.views import vector_view
 from aerial_gym.config.sensor import RangeSensorCfg, RosetteCfg, ScannedCfg, StereoCfg
 from aerial_gym.errors import ConfigError
-from aerial_gym.interop import ReusableLaunch, launch_side_by_side, on_torch_stream, split, with_usual_settings
+from aerial_gym.interop import (
+    ReusableLaunch,
+    launch_side_by_side,
+    make_struct,
+    on_torch_stream,
+    split,
+    with_usual_settings,
+)
 from aerial_gym.math.draws import random_arrays
 from aerial_gym.math.random import Randomness
 from aerial_gym.sensors.flow import Flow, make_flow, record_motion
 from aerial_gym.sensors.images import SensorImages, make_arrays, sensor_images
 from aerial_gym.sensors.mounts import Pose
-from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs, write_sensor_poses
+from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, PixelOutputs
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
 from aerial_gym.sensors.scan import ColumnScan
 from aerial_gym.sensors.sensor_poses import SensorPoses
-from aerial_gym.sensors.sensor_view import SensorView, view_parts
+from aerial_gym.sensors.sensor_view import CarriedSensors, SensorView, view_parts, write_sensor_poses
 from aerial_gym.sensors.shading import Light
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
@@ -86,25 +93,26 @@ class RayCaster:
         self._image_number = torch.zeros(envs, dtype=torch.int32, device=device)
         frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
         self._frames = Frames(envs, frames, device)
-        mounts = (envs, cfg.count)
-        pose = [
-            vector_view("position", position, (envs, 3), device=device),
-            vector_view("attitude", attitude, (envs, 4), device=device),
-            vector_view("mount_position", self.places.position, (*mounts, 3), device=device),
-            vector_view("mount_attitude", self.places.attitude, (*mounts, 4), device=device),
-        ]
-        twist = _twist_views(cfg, lin_vel, ang_vel, envs, device)
+        sensors = make_struct(
+            CarriedSensors,
+            position=vector_view("position", position, (envs, 3), device=device),
+            attitude=vector_view("attitude", attitude, (envs, 4), device=device),
+            mount_position=self.places.position,
+            mount_attitude=self.places.attitude,
+            link=link,
+            **_twist_views(cfg, lin_vel, ang_vel, envs, device),
+        )
         self._scan: ColumnScan | None = None
         if isinstance(cfg, ScannedCfg) and cfg.column_s is not None:
-            self._scan = ColumnScan(cfg, scene, pose, twist, link)
-            pose = self._scan.pose
+            self._scan = ColumnScan(cfg, scene, sensors)
+            sensors = self._scan.seats
         self._groups = 1 if self._scan is None else self._scan.groups
         self._view = _make_view(scene, envs * cfg.count * self._groups)
-        self._prepare = self._record_preparations(scene, pose)
+        self._prepare = self._record_preparations(scene, sensors)
         self._flow = Flow()
         if images.optical_flow is not None:
             self._flow = make_flow(cfg, scene)
-            self._prepare.append(record_motion(self._flow, scene, pose, twist, link))
+            self._prepare.append(record_motion(self._flow, scene, sensors))
         self._launches = self._record_rays(scene)
 
     @property
@@ -117,7 +125,7 @@ class RayCaster:
         """Sensor to body, xyzw, (E, S, 4)."""
         return self.places.attitude
 
-    def _record_preparations(self, scene: Scene, pose: list[wp.array]) -> list[ReusableLaunch]:
+    def _record_preparations(self, scene: Scene, sensors: CarriedSensors) -> list[ReusableLaunch]:
         """Record the launches before the rays: sensor poses, and parts in the sensors' frames."""
         mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)
@@ -126,15 +134,15 @@ class RayCaster:
         launches: list = [] if self._scan is None else [self._scan.record_placement()]
         if "world" in (self.cfg.points, self.cfg.normals) or self.cfg.light is not None:
             where = [self._origin, self._attitude]
-            launches.append(ReusableLaunch(write_sensor_poses, dim=mounts, inputs=pose, outputs=where, device=device))
+            launches.append(
+                ReusableLaunch(write_sensor_poses, dim=mounts, inputs=[sensors], outputs=where, device=device)
+            )
         if scene.num_parts and self._scan is not None:
             launches.append(self._scan.record_view(self._view, self._largest_range()))
         elif scene.num_parts:
-            out = [self._view.rows, self._view.kind]
-            inputs = [scene.arrays, *pose, self._largest_range()]
-            launches.append(
-                ReusableLaunch(view_parts, dim=(mounts, scene.num_parts), inputs=inputs, outputs=out, device=device)
-            )
+            out, dim = [self._view.rows, self._view.kind], (mounts, scene.num_parts)
+            inputs = [scene.arrays, sensors, self._largest_range()]
+            launches.append(ReusableLaunch(view_parts, dim=dim, inputs=inputs, outputs=out, device=device))
         return launches
 
     def _largest_range(self) -> float:
@@ -170,17 +178,8 @@ class RayCaster:
             scan=self._scan is not None,
             frames=self._frames.count > 1,
         )
-        images, due = self._make_images(scene), wp.from_torch(self.due)
-        inputs = [
-            self._view,
-            rays,
-            _distance_limits(cfg),
-            self._make_noise(),
-            _light_arrays(cfg, scene),
-            self.num_sensors,
-            due,
-            images,
-        ]
+        images, due, light = self._make_images(scene), wp.from_torch(self.due), _light_arrays(cfg, scene)
+        inputs = [self._view, rays, _distance_limits(cfg), self._make_noise(), light, self.num_sensors, due, images]
         mounts = self._view.kind.shape[0] // self._groups
 
         def record(kernel: wp.Kernel, dim: int, *more: int) -> ReusableLaunch:
@@ -234,16 +233,16 @@ class RayCaster:
 
 def _twist_views(
     cfg: RangeSensorCfg, lin_vel: Tensor | None, ang_vel: Tensor | None, envs: int, device: torch.device
-) -> list[wp.array]:
-    """Return views of the velocities that a sensor needs."""
+) -> dict[str, wp.array]:
+    """Return views of the velocities that a sensor needs, by name."""
     scan = isinstance(cfg, ScannedCfg) and cfg.column_s is not None
     if not (cfg.optical_flow or scan):
-        return []
+        return {}
     if lin_vel is None or ang_vel is None:
         name = ("frames" if isinstance(cfg, RosetteCfg) else "scan_s") if scan else "optical_flow"
         raise ConfigError(f"{type(cfg).__name__}.{name} needs lin_vel and ang_vel, the velocities of the body")
     velocities = {"lin_vel": lin_vel, "ang_vel": ang_vel}
-    return [vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()]
+    return {name: vector_view(name, given, (envs, 3), device=device) for name, given in velocities.items()}
 
 
 def _distance_limits(cfg: RangeSensorCfg) -> DistanceLimits:
@@ -278,11 +277,9 @@ def _light_arrays(cfg: RangeSensorCfg, scene: Scene) -> Light:
 
 def _make_view(scene: Scene, mounts: int) -> SensorView:
     device, count = wp.device_from_torch(scene.device), scene.num_parts
-    view = SensorView()
-    view.rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
-    view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
-    view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
-    return view
+    rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
+    kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
+    return make_struct(SensorView, rows=rows, kind=kind, shapes=scene.arrays.shapes, part_shape=scene.arrays.part_shape)
 
 
 class Frames:

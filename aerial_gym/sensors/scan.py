@@ -17,9 +17,9 @@ from aerial_gym.assets.scene import Scene
 from aerial_gym.assets.scene_arrays import BODY, WORLD, SceneArrays
 from aerial_gym.config.sensor import ScannedCfg
 from aerial_gym.interop import ReusableLaunch
-from aerial_gym.sensors.flow import instance_twists, link_twists
+from aerial_gym.sensors.flow import SceneTwists, scene_twists
 from aerial_gym.sensors.rays import Tiles, make_tiles
-from aerial_gym.sensors.sensor_view import SensorView, view_part
+from aerial_gym.sensors.sensor_view import CarriedSensors, SensorView, sensor_pose, view_part
 
 
 @wp.func
@@ -52,15 +52,8 @@ def shift_over_time(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) 
 
 @wp.kernel(enable_backward=False)
 def place_columns(
-    # state
-    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
-    body_lin_vel: wp.array[wp.vec3],  # (E,) world [m/s]
-    body_ang_vel: wp.array[wp.vec3],  # (E,) body frame [rad/s]
-    # sensor
-    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
-    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    sensors: CarriedSensors,
     age: wp.array[float],  # (G,) how long ago a group was measured [s]
-    link: int,  # number of the link that carries it
     # out
     position_out: wp.array2d[wp.vec3],  # (E, S * G) present body frame [m]
     attitude_out: wp.array2d[wp.quat],  # (E, S * G) sensor to present body
@@ -69,31 +62,21 @@ def place_columns(
     env, seat = wp.tid()
     sensor = seat // age.shape[0]
     ago = age[seat - sensor * age.shape[0]]
-    back = rotation_over_time(body_ang_vel[env], -ago)
-    gone = shift_over_time(wp.quat_rotate_inv(body_attitude[env], body_lin_vel[env]), body_ang_vel[env], -ago, link)
-    position_out[env, seat] = wp.quat_rotate(back, mount_position[env, sensor]) + gone
-    attitude_out[env, seat] = back * mount_attitude[env, sensor]
+    spin = sensors.ang_vel[env]
+    back = rotation_over_time(spin, -ago)
+    gone = shift_over_time(wp.quat_rotate_inv(sensors.attitude[env], sensors.lin_vel[env]), spin, -ago, sensors.link)
+    position_out[env, seat] = wp.quat_rotate(back, sensors.mount_position[env, sensor]) + gone
+    attitude_out[env, seat] = back * sensors.mount_attitude[env, sensor]
 
 
 @wp.kernel(enable_backward=False)
 def view_columns(
-    # scene
     scene: SceneArrays,
-    instance_lin_vel: wp.array2d[wp.vec3],  # (E, A) world [m/s]
-    instance_ang_vel: wp.array2d[wp.vec3],  # (E, A) world [rad/s]
-    link_lin_vel: wp.array2d[wp.vec3],  # (E, L) world [m/s]
-    link_ang_vel: wp.array2d[wp.vec3],  # (E, L) world [rad/s]
-    # state of the link that carries the sensor
-    body_position: wp.array[wp.vec3],  # (E,) world [m]
-    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
-    # sensor
-    seat_position: wp.array2d[wp.vec3],  # (E, S * G) body frame [m]
-    seat_attitude: wp.array2d[wp.quat],  # (E, S * G) sensor to body, xyzw
-    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m], of the sensors themselves
-    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    twists: SceneTwists,
+    seats: CarriedSensors,  # of the column groups, (E, S * G)
+    sensors: CarriedSensors,
     age: wp.array[float],  # (G,) [s]
     reach: float,  # [m] beyond which nothing is seen
-    link: int,  # number of that link
     # out
     rows_out: wp.array2d[wp.vec4],  # (M * G, 3 P)
     kind_out: wp.array2d[wp.int32],  # (M * G, P)
@@ -104,27 +87,23 @@ def view_columns(
     the present pose.
     """
     row, a = wp.tid()
-    env = row // seat_position.shape[1]
-    seat = row - env * seat_position.shape[1]
-    body = body_attitude[env]
-    origin = body_position[env] + wp.quat_rotate(body, seat_position[env, seat])
-    attitude = body * seat_attitude[env, seat]
+    env = row // seats.mount_position.shape[1]
+    seat = row - env * seats.mount_position.shape[1]
+    origin, attitude = sensor_pose(seats, env, seat)
     instance = scene.part_instance[env, a]
-    if instance == BODY - link:
-        sensor = seat // age.shape[0]
-        origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
-        attitude = body * mount_attitude[env, sensor]
+    if instance == BODY - sensors.link:
+        origin, attitude = sensor_pose(sensors, env, seat // age.shape[0])
     elif instance != WORLD and scene.part_shape[env, a] >= 0:
         velocity = wp.vec3()
         spin = wp.vec3()
         place = wp.vec3()
         if instance >= 0:
-            velocity = instance_lin_vel[env, instance]
-            spin = instance_ang_vel[env, instance]
+            velocity = twists.lin_vel[env, instance]
+            spin = twists.ang_vel[env, instance]
             place = scene.position[env, instance]
         else:
-            velocity = link_lin_vel[env, BODY - instance]
-            spin = link_ang_vel[env, BODY - instance]
+            velocity = twists.link_lin_vel[env, BODY - instance]
+            spin = twists.link_ang_vel[env, BODY - instance]
             place = scene.link_position[env, BODY - instance]
         if wp.length_sq(velocity) + wp.length_sq(spin) > 0.0:
             ago = age[seat - (seat // age.shape[0]) * age.shape[0]]
@@ -140,31 +119,30 @@ def view_columns(
 class ColumnScan:
     """Sensor poses of the column groups of a scanning lidar, with the launches that compute them."""
 
-    def __init__(self, cfg: ScannedCfg, scene: Scene, pose: list[wp.array], twist: list[wp.array], link: int) -> None:
-        """Take the inputs of the column poses: poses of carrier and mount, and the twist of the carrier link."""
-        self._cfg, self._scene, self._mount, self._twist, self._link = cfg, scene, pose, twist, link
+    def __init__(self, cfg: ScannedCfg, scene: Scene, sensors: CarriedSensors) -> None:
+        """Take the sensors, whose motion gives the column poses."""
+        self._cfg, self._scene, self._sensors = cfg, scene, sensors
         self._device = wp.device_from_torch(scene.device)
         ages = group_ages(cfg)
         self.groups = len(ages)
         """Number of groups G."""
         self._age = wp.array(ages, dtype=wp.float32, device=self._device)
         seats = (scene.num_envs, cfg.count * self.groups)
-        position = wp.zeros(seats, dtype=wp.vec3, device=self._device)
-        attitude = wp.zeros(seats, dtype=wp.quat, device=self._device)
-        self.pose = [*pose[:2], position, attitude]
-        """Body position and attitude, seat position and attitude (E, S * G); seats replace mounts."""
+        self.seats = CarriedSensors()
+        """The column groups as sensors of their own, (E, S * G)."""
+        for name in ("position", "attitude", "lin_vel", "ang_vel", "link"):
+            setattr(self.seats, name, getattr(sensors, name))
+        self.seats.mount_position = wp.zeros(seats, dtype=wp.vec3, device=self._device)
+        self.seats.mount_attitude = wp.zeros(seats, dtype=wp.quat, device=self._device)
 
     def record_placement(self) -> ReusableLaunch:
         """Record the launch that places the seats."""
-        _, attitude, *mount = self._mount
-        inputs = [attitude, *self._twist, *mount, self._age, self._link]
-        return self._record(place_columns, self.pose[2].shape, inputs, self.pose[2:])
+        places = [self.seats.mount_position, self.seats.mount_attitude]
+        return self._record(place_columns, places[0].shape, [self._sensors, self._age], places)
 
     def record_view(self, view: SensorView, reach: float) -> ReusableLaunch:
         """Record the launch that transforms every part within a reach [m] into the frame of every column group."""
-        scene = self._scene
-        twists = [*instance_twists(scene), *link_twists(scene)]
-        inputs = [scene.arrays, *twists, *self.pose, *self._mount[2:], self._age, reach, self._link]
+        inputs = [self._scene.arrays, scene_twists(self._scene), self.seats, self._sensors, self._age, reach]
         return self._record(view_columns, view.kind.shape, inputs, [view.rows, view.kind])
 
     def _record(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list, outputs: list) -> ReusableLaunch:

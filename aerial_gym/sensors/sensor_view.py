@@ -26,6 +26,41 @@ ABSENT = wp.constant(-1)
 
 
 @wp.struct
+class CarriedSensors:
+    """Sensors of one kind, with the motion of the body or link that carries them."""
+
+    position: wp.array[wp.vec3]  # (E,) origin of the carrier, world [m]
+    attitude: wp.array[wp.quat]  # (E,) carrier to world, xyzw
+    lin_vel: wp.array[wp.vec3]  # (E,) of that origin, world [m/s]; empty where no image needs it
+    ang_vel: wp.array[wp.vec3]  # (E,) carrier's axes [rad/s]; likewise
+    mount_position: wp.array2d[wp.vec3]  # (E, S) carrier's frame [m]
+    mount_attitude: wp.array2d[wp.quat]  # (E, S) sensor to carrier, xyzw
+    link: wp.int32  # number of the carrier; 0 of the body
+
+
+@wp.func
+def sensor_pose(sensors: CarriedSensors, env: int, sensor: int):
+    """Return position [m] and attitude (sensor to world) of a sensor in the world."""
+    carrier = sensors.attitude[env]
+    origin = sensors.position[env] + wp.quat_rotate(carrier, sensors.mount_position[env, sensor])
+    return origin, carrier * sensors.mount_attitude[env, sensor]
+
+
+@wp.kernel(enable_backward=False)
+def write_sensor_poses(
+    sensors: CarriedSensors,
+    origin_out: wp.array[wp.vec3],  # (M,) world [m]
+    attitude_out: wp.array[wp.quat],  # (M,) sensor to world
+):
+    """Write where every sensor is."""
+    mount = wp.tid()
+    env = mount // sensors.mount_position.shape[1]
+    origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
+    origin_out[mount] = origin
+    attitude_out[mount] = attitude
+
+
+@wp.struct
 class SensorView:
     """Instance data in the sensor's frame, for tracing."""
 
@@ -65,14 +100,8 @@ def view_part(
 
 @wp.kernel(enable_backward=False)
 def view_parts(
-    # scene
     scene: SceneArrays,
-    # state
-    body_position: wp.array[wp.vec3],  # (E,) world [m]
-    body_attitude: wp.array[wp.quat],  # (E,) body to world, xyzw
-    # sensor
-    mount_position: wp.array2d[wp.vec3],  # (E, S) body frame [m]
-    mount_attitude: wp.array2d[wp.quat],  # (E, S) sensor to body, xyzw
+    sensors: CarriedSensors,
     reach: float,  # [m] beyond which nothing is seen
     # out
     rows_out: wp.array2d[wp.vec4],  # (M, 3 P)
@@ -80,11 +109,9 @@ def view_parts(
 ):
     """Write one part in the frame of one sensor."""
     mount, a = wp.tid()
-    env = mount // mount_position.shape[1]
-    sensor = mount - env * mount_position.shape[1]
-    body = body_attitude[env]
-    origin = body_position[env] + wp.quat_rotate(body, mount_position[env, sensor])
-    view_part(scene, env, a, origin, body * mount_attitude[env, sensor], reach, mount, rows_out, kind_out)
+    env = mount // sensors.mount_position.shape[1]
+    origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
+    view_part(scene, env, a, origin, attitude, reach, mount, rows_out, kind_out)
 
 
 @wp.func
