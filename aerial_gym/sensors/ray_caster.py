@@ -277,9 +277,11 @@ def _light_arrays(cfg: RangeSensorCfg, scene: Scene) -> Light:
 
 def _make_view(scene: Scene, mounts: int) -> SensorView:
     device, count = wp.device_from_torch(scene.device), scene.num_parts
-    rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
-    kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
-    return make_struct(SensorView, rows=rows, kind=kind, shapes=scene.arrays.shapes, part_shape=scene.arrays.part_shape)
+    view = SensorView()
+    view.rows = wp.zeros((mounts, 3 * count), dtype=wp.vec4, device=device)
+    view.kind = wp.zeros((mounts, count), dtype=wp.int32, device=device)
+    view.shapes, view.part_shape = scene.arrays.shapes, scene.arrays.part_shape
+    return view
 
 
 class Frames:
