@@ -22,7 +22,7 @@ from aerial_gym.config.sensor import CameraCfg, FisheyeCfg, RangeSensorCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.interop import ReusableLaunch, make_struct
 from aerial_gym.sensors.rays import ray_table
-from aerial_gym.sensors.sensor_view import CarriedSensors, sensor_pose
+from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
 
 LEAST_DISTANCE = wp.constant(1.0e-6)
 """Lower limit of the distance [m], as flow diverges at the pupil."""
@@ -55,7 +55,7 @@ class SceneTwists:
 def relative_twist(
     scene: SceneArrays,
     twists: SceneTwists,
-    sensors: CarriedSensors,
+    sensors: SensorsOnCarrier,
     # out
     drift_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [m/s]
     turn_out: wp.array2d[wp.vec3],  # (M, A + L + 2) sensor frame [rad/s]
@@ -119,7 +119,7 @@ def make_flow(cfg: RangeSensorCfg, scene: Scene) -> Flow:
     )
 
 
-def record_motion(flow: Flow, scene: Scene, sensors: CarriedSensors) -> ReusableLaunch:
+def record_motion(flow: Flow, scene: Scene, sensors: SensorsOnCarrier) -> ReusableLaunch:
     """Record the launch that writes the relative motions before the rays are traced."""
     inputs, outputs = [scene.arrays, scene_twists(scene), sensors], [flow.drift, flow.turn]
     return ReusableLaunch(relative_twist, dim=flow.drift.shape, inputs=inputs, outputs=outputs, device=scene.device)

@@ -36,8 +36,8 @@ from aerial_gym.sensors.pixels import MISS_ID, DistanceLimits, DistanceNoise, Pi
 from aerial_gym.sensors.ray_kernels import Rays, make_tile_kernel, make_warp_kernel
 from aerial_gym.sensors.rays import make_tiles, ray_table, rosette_rays, stack_tiles
 from aerial_gym.sensors.scan import ColumnScan
-from aerial_gym.sensors.sensor_poses import SensorPoses
-from aerial_gym.sensors.sensor_view import CarriedSensors, SensorView, view_parts, write_sensor_poses
+from aerial_gym.sensors.sensor_poses import SensorPoses, SensorsOnCarrier, write_sensor_poses
+from aerial_gym.sensors.sensor_view import SensorView, view_parts
 from aerial_gym.sensors.shading import Light
 
 __all__ = ["MISS_ID", "RayCaster", "SensorImages"]
@@ -94,7 +94,7 @@ class RayCaster:
         frames = cfg.frames if isinstance(cfg, RosetteCfg) else 1
         self._frames = Frames(envs, frames, device)
         sensors = make_struct(
-            CarriedSensors,
+            SensorsOnCarrier,
             position=vector_view("position", position, (envs, 3), device=device),
             attitude=vector_view("attitude", attitude, (envs, 4), device=device),
             mount_position=self.places.position,
@@ -125,7 +125,7 @@ class RayCaster:
         """Sensor to body, xyzw, (E, S, 4)."""
         return self.places.attitude
 
-    def _record_preparations(self, scene: Scene, sensors: CarriedSensors) -> list[ReusableLaunch]:
+    def _record_preparations(self, scene: Scene, sensors: SensorsOnCarrier) -> list[ReusableLaunch]:
         """Record the launches before the rays: sensor poses, and parts in the sensors' frames."""
         mounts = self._view.kind.shape[0]  # seats of a turning lidar
         device = wp.device_from_torch(self._device)

@@ -19,7 +19,8 @@ from aerial_gym.config.sensor import ScannedCfg
 from aerial_gym.interop import ReusableLaunch
 from aerial_gym.sensors.flow import SceneTwists, scene_twists
 from aerial_gym.sensors.rays import Tiles, make_tiles
-from aerial_gym.sensors.sensor_view import CarriedSensors, SensorView, sensor_pose, view_part
+from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
+from aerial_gym.sensors.sensor_view import SensorView, view_part
 
 
 @wp.func
@@ -52,7 +53,7 @@ def shift_over_time(lin_vel: wp.vec3, ang_vel: wp.vec3, time: float, link: int) 
 
 @wp.kernel(enable_backward=False)
 def place_columns(
-    sensors: CarriedSensors,
+    sensors: SensorsOnCarrier,
     age: wp.array[float],  # (G,) how long ago a group was measured [s]
     # out
     position_out: wp.array2d[wp.vec3],  # (E, S * G) present body frame [m]
@@ -73,8 +74,8 @@ def place_columns(
 def view_columns(
     scene: SceneArrays,
     twists: SceneTwists,
-    seats: CarriedSensors,  # of the column groups, (E, S * G)
-    sensors: CarriedSensors,
+    seats: SensorsOnCarrier,  # of the column groups, (E, S * G)
+    sensors: SensorsOnCarrier,
     age: wp.array[float],  # (G,) [s]
     reach: float,  # [m] beyond which nothing is seen
     # out
@@ -119,7 +120,7 @@ def view_columns(
 class ColumnScan:
     """Sensor poses of the column groups of a scanning lidar, with the launches that compute them."""
 
-    def __init__(self, cfg: ScannedCfg, scene: Scene, sensors: CarriedSensors) -> None:
+    def __init__(self, cfg: ScannedCfg, scene: Scene, sensors: SensorsOnCarrier) -> None:
         """Take the sensors, whose motion gives the column poses."""
         self._cfg, self._scene, self._sensors = cfg, scene, sensors
         self._device = wp.device_from_torch(scene.device)
@@ -128,7 +129,7 @@ class ColumnScan:
         """Number of groups G."""
         self._age = wp.array(ages, dtype=wp.float32, device=self._device)
         seats = (scene.num_envs, cfg.count * self.groups)
-        self.seats = CarriedSensors()
+        self.seats = SensorsOnCarrier()
         """The column groups as sensors of their own, (E, S * G)."""
         for name in ("position", "attitude", "lin_vel", "ang_vel", "link"):
             setattr(self.seats, name, getattr(sensors, name))

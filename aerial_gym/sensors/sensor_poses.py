@@ -1,6 +1,6 @@
-"""Poses of the sensors of one kind on the body: constant, or drawn at every reset.
+"""Poses of the sensors of one kind on the body, constant or drawn at every reset, and in the world.
 
-Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind.
+Frames: body is x forward, y left, z up. Letters: E environments, S sensors of one kind, M = E * S mounts.
 """
 
 import warp as wp
@@ -13,6 +13,41 @@ from aerial_gym.interop.streams import BLOCK_DIM
 from aerial_gym.math.draws import RandomArrays, draw_vec3, episode_stream, quat_of_angles, random_arrays, substream
 from aerial_gym.math.random import Purpose, Randomness, take_mask
 from aerial_gym.sensors.mounts import Pose, nominal_pose
+
+
+@wp.struct
+class SensorsOnCarrier:
+    """Sensors of one kind, with the motion of the body or link that carries them."""
+
+    position: wp.array[wp.vec3]  # (E,) origin of the carrier, world [m]
+    attitude: wp.array[wp.quat]  # (E,) carrier to world, xyzw
+    lin_vel: wp.array[wp.vec3]  # (E,) of that origin, world [m/s]; empty where no image needs it
+    ang_vel: wp.array[wp.vec3]  # (E,) carrier's axes [rad/s]; likewise
+    mount_position: wp.array2d[wp.vec3]  # (E, S) carrier's frame [m]
+    mount_attitude: wp.array2d[wp.quat]  # (E, S) sensor to carrier, xyzw
+    link: wp.int32  # number of the carrier; 0 of the body
+
+
+@wp.func
+def sensor_pose(sensors: SensorsOnCarrier, env: int, sensor: int):
+    """Return position [m] and attitude (sensor to world) of a sensor in the world."""
+    carrier = sensors.attitude[env]
+    origin = sensors.position[env] + wp.quat_rotate(carrier, sensors.mount_position[env, sensor])
+    return origin, carrier * sensors.mount_attitude[env, sensor]
+
+
+@wp.kernel(enable_backward=False)
+def write_sensor_poses(
+    sensors: SensorsOnCarrier,
+    origin_out: wp.array[wp.vec3],  # (M,) world [m]
+    attitude_out: wp.array[wp.quat],  # (M,) sensor to world
+):
+    """Write where every sensor is."""
+    mount = wp.tid()
+    env = mount // sensors.mount_position.shape[1]
+    origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
+    origin_out[mount] = origin
+    attitude_out[mount] = attitude
 
 
 @wp.struct

@@ -20,44 +20,10 @@ from aerial_gym.assets.scene_arrays import (
     part_is_present,
     part_position,
 )
+from aerial_gym.sensors.sensor_poses import SensorsOnCarrier, sensor_pose
 
 ABSENT = wp.constant(-1)
 """Kind of an instance that is parked or out of reach."""
-
-
-@wp.struct
-class CarriedSensors:
-    """Sensors of one kind, with the motion of the body or link that carries them."""
-
-    position: wp.array[wp.vec3]  # (E,) origin of the carrier, world [m]
-    attitude: wp.array[wp.quat]  # (E,) carrier to world, xyzw
-    lin_vel: wp.array[wp.vec3]  # (E,) of that origin, world [m/s]; empty where no image needs it
-    ang_vel: wp.array[wp.vec3]  # (E,) carrier's axes [rad/s]; likewise
-    mount_position: wp.array2d[wp.vec3]  # (E, S) carrier's frame [m]
-    mount_attitude: wp.array2d[wp.quat]  # (E, S) sensor to carrier, xyzw
-    link: wp.int32  # number of the carrier; 0 of the body
-
-
-@wp.func
-def sensor_pose(sensors: CarriedSensors, env: int, sensor: int):
-    """Return position [m] and attitude (sensor to world) of a sensor in the world."""
-    carrier = sensors.attitude[env]
-    origin = sensors.position[env] + wp.quat_rotate(carrier, sensors.mount_position[env, sensor])
-    return origin, carrier * sensors.mount_attitude[env, sensor]
-
-
-@wp.kernel(enable_backward=False)
-def write_sensor_poses(
-    sensors: CarriedSensors,
-    origin_out: wp.array[wp.vec3],  # (M,) world [m]
-    attitude_out: wp.array[wp.quat],  # (M,) sensor to world
-):
-    """Write where every sensor is."""
-    mount = wp.tid()
-    env = mount // sensors.mount_position.shape[1]
-    origin, attitude = sensor_pose(sensors, env, mount - env * sensors.mount_position.shape[1])
-    origin_out[mount] = origin
-    attitude_out[mount] = attitude
 
 
 @wp.struct
@@ -101,7 +67,7 @@ def view_part(
 @wp.kernel(enable_backward=False)
 def view_parts(
     scene: SceneArrays,
-    sensors: CarriedSensors,
+    sensors: SensorsOnCarrier,
     reach: float,  # [m] beyond which nothing is seen
     # out
     rows_out: wp.array2d[wp.vec4],  # (M, 3 P)
