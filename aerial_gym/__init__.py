@@ -10,7 +10,7 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.assets import ENVIRONMENTS
-    from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
+    from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
     from aerial_gym.control import CONTROLLERS
     from aerial_gym.env_manager import SIMS, EnvManager, SimBuilder
     from aerial_gym.physics import BACKENDS, EFFECTS

@@ -64,14 +64,9 @@ class RenderGalleryCmd:
         from aerial_gym.env_manager import SimBuilder
 
         env = SimBuilder().build_env(
-            sim_name="base_sim",
-            env_name=name,
-            robot_name="base_quadrotor",
-            controller_name="lee_attitude_control",
-            num_envs=1,
-            device=self.device,
-            seed=self.seed,
-        )
+            sim_name="base_sim", env_name=name, robot_name="base_quadrotor", controller_name="lee_attitude_control",
+            num_envs=1, device=self.device, seed=self.seed,
+        )  # fmt: skip
         env.reset()
         return env
 

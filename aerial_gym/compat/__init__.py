@@ -4,7 +4,7 @@ A thin layer: names are translated, rules stay where they are. A script runs wit
 by ``python -m aerial_gym.compat SCRIPT.py``. ``docs/guides/coming_from_aerial_gym.md`` has all names side by side.
 
 ``modules``: import paths. ``sim_builder``, ``env_manager``, ``tensors``, ``registries``, ``base_task``, ``native_task``:
-what scripts call. ``config``: configuration classes. ``math``, ``logs``, ``arguments``: helpers.
+what scripts call. ``config``: configuration classes. ``math``, ``helpers``: functions that they use.
 """
 
 from typing import TYPE_CHECKING
@@ -13,8 +13,8 @@ from aerial_gym.lazy import exports
 
 if TYPE_CHECKING:
     from aerial_gym.compat.base_task import BaseTask
-    from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
     from aerial_gym.compat.env_manager import EnvManager
+    from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
     from aerial_gym.compat.registries import (
         controller_registry,
         env_config_registry,

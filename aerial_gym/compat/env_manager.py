@@ -55,7 +55,7 @@ class EnvManager:
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the environments of some ids; ``crashes`` and ``truncations`` stay until the next step."""
-        self._reset_except_flags(self.mask_of_ids(env_ids))
+        self._reset_except_flags(self.as_mask(env_ids))
 
     def reset_terminated_and_truncated_envs(self) -> Tensor:
         """Reset crashed (unless ``reset_on_collision`` is False) and truncated environments; return their ids, int64."""
@@ -85,7 +85,7 @@ class EnvManager:
         """Release device memory; tasks of that simulator call this method, which it lacks."""
         self.env.close()
 
-    def mask_of_ids(self, env_ids: Tensor | Sequence[int]) -> Tensor:
+    def as_mask(self, env_ids: Tensor | Sequence[int]) -> Tensor:
         """Return the bool mask (E,) of environment ids; masks are returned unchanged."""
         ids = torch.as_tensor(env_ids, device=self.device)
         if ids.dtype == torch.bool:
@@ -129,7 +129,7 @@ class RobotManager:
 
     def reset_idx(self, env_ids: Tensor | Sequence[int]) -> None:
         """Reset the robots of some environments; the obstacles stay."""
-        self._manager.env.robot_manager.reset(self._manager.mask_of_ids(env_ids))
+        self._manager.env.robot_manager.reset(self._manager.as_mask(env_ids))
 
 
 class AssetManager:

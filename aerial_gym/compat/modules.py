@@ -32,9 +32,9 @@ MODULES: dict[str, dict[str, str]] = {
             ("controller", "controller_registry"), ("task", "task_registry"),
         )
     },
-    "utils.logging": {"CustomLogger": "logs:CustomLogger"},
+    "utils.logging": {"CustomLogger": "helpers:CustomLogger"},
     "utils.math": {"*": "math"},
-    "utils.helpers": {"parse_arguments": "arguments:parse_arguments", "get_args": "arguments:get_args"},
+    "utils.helpers": {"parse_arguments": "helpers:parse_arguments", "get_args": "helpers:get_args"},
     "robots.base_multirotor": {"BaseMultirotor": "registries:BaseMultirotor"},
     "robots.BaseMultirotor": {"": "registries:BaseMultirotor"},
     "task.base_task": {"BaseTask": "base_task:BaseTask"},

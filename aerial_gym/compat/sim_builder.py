@@ -9,12 +9,7 @@ from aerial_gym.compat.config.environments import batch_settings
 from aerial_gym.compat.config.fields import copy_class
 from aerial_gym.compat.config.robots import has_no_gravity
 from aerial_gym.compat.env_manager import EnvManager
-from aerial_gym.compat.registries import (
-    controller_registry,
-    env_config_registry,
-    robot_registry,
-    sim_config_registry,
-)
+from aerial_gym.compat.registries import controller_registry, env_config_registry, robot_registry, sim_config_registry
 from aerial_gym.config.randomize import Randomize
 from aerial_gym.config.sim import SimCfg
 from aerial_gym.env_manager import SIMS

@@ -139,24 +139,12 @@ def policy_layout(policy: Policy, cfg: TrainingCfg, task: Task, *, name: str, so
     action = task.cfg.action
     manager = task.env.robot_manager
     return Layout(
-        name=name,
-        task=cfg.task,
-        robot=cfg.robot or task.cfg.robot,
-        controller=cfg.controller or task.cfg.controller,
-        rate_hz=1.0 / task.env.dt,
-        observation=tuple(seen),
-        images=images,
-        command=tuple(manager.action_names),
-        num_actions=policy.num_actions,
-        transform=action.transform,
-        params=dict(action.params),
-        action_delay_steps=steps_range(action.delay_steps),
-        filter_time_s=action.filter_time_s,
-        memory=policy.body.memory_size,
-        source=source,
-        encoder=cfg.encoder or task.cfg.encoder,
-        version=__version__,
-    )
+        name=name, task=cfg.task, robot=cfg.robot or task.cfg.robot, controller=cfg.controller or task.cfg.controller,
+        rate_hz=1.0 / task.env.dt, observation=tuple(seen), images=images, command=tuple(manager.action_names),
+        num_actions=policy.num_actions, transform=action.transform, params=dict(action.params),
+        action_delay_steps=steps_range(action.delay_steps), filter_time_s=action.filter_time_s,
+        memory=policy.body.memory_size, source=source, encoder=cfg.encoder or task.cfg.encoder, version=__version__,
+    )  # fmt: skip
 
 
 def _image_description(key: str, shape: tuple[int, ...], task: Task) -> ObservationImage:
@@ -165,15 +153,9 @@ def _image_description(key: str, shape: tuple[int, ...], task: Task) -> Observat
     spec = task.env.gtd.spec(cfg.key)
     largest, without = image_scale(task.env.gtd[cfg.key], cfg, task.env.sensor_manager)
     return ObservationImage(
-        key=key,
-        meaning=spec.meaning,
-        shape=(shape[0], shape[1], shape[2]),
-        dtype=cfg.dtype,
-        largest=largest,
-        unit=spec.unit,
-        without=without,
-        history=cfg.history,
-    )
+        key=key, meaning=spec.meaning, shape=(shape[0], shape[1], shape[2]), dtype=cfg.dtype, largest=largest,
+        unit=spec.unit, without=without, history=cfg.history,
+    )  # fmt: skip
 
 
 def _meaning_of_term(summary: str) -> str:

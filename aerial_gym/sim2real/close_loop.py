@@ -81,22 +81,15 @@ def close_loop(
         inputs = read_flight_inputs(declared, train, test, mapping=layout, bandwidth=bandwidth)
         for note in inputs.left_out:
             progress(text(note), 0.0)
-        joints_result = _identify_joints(declared, inputs, progress) if joints else None
-        alone = judge_flights(
-            declared,
-            inputs.train,
-            inputs.test,
-            bandwidth=bandwidth,
-            seed=seed,
-            criteria=criteria,
-            tolerances=tolerances,
-            effects=effects,
-            failures=failures,
-            learn_residual=learn_residual,
-            progress=progress,
-        )
-        told = replace(alone, verdict=replace(alone.verdict, notes=(*inputs.left_out, *alone.verdict.notes)))
-        judged = told if joints_result is None else joints_result.add_to_verdict(told)
+        joint_study = _identify_joints(declared, inputs, progress) if joints else None
+        judged = judge_flights(
+            declared, inputs.train, inputs.test, bandwidth=bandwidth, seed=seed, criteria=criteria, tolerances=tolerances,
+            effects=effects, failures=failures, learn_residual=learn_residual, progress=progress,
+        )  # fmt: skip
+        notes = (*inputs.left_out, *judged.verdict.notes)
+        judged = replace(judged, verdict=replace(judged.verdict, notes=notes))
+        if joint_study is not None:
+            judged = joint_study.add_to_verdict(judged)
         verdict = judged.verdict
         corrected = with_uncertainty_ranges(judged.corrected, verdict.effects) if ranges else judged.corrected
         progress("writing the report", 0.97)
@@ -109,10 +102,7 @@ def close_loop(
             "bandwidth_hz": bandwidth,
             "seed": seed,
             "effects": None if effects is None else list(effects),
-            "failures": failures,
-            "joints": joints,
-            "learn_residual": learn_residual,
-            "ranges": ranges,
+            **{"failures": failures, "joints": joints, "learn_residual": learn_residual, "ranges": ranges},
             "criteria": vars(judged.selection.criteria),
             "tolerances": vars(judged.declared.tolerances),
         }

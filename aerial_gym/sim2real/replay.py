@@ -33,7 +33,7 @@ from aerial_gym.sim2real.report.run_folder import check_out_dir, whole_folder, w
 from aerial_gym.sim2real.wording import text
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Replay:
     """A declared model with the errors of its predictions."""
 
@@ -124,14 +124,8 @@ def replay_flights(robot: RobotCfg, flights: Sequence[Flight], *, bandwidth: flo
     params = params_from_robot(robot)
     check_scene(tuple(robot.effects), flights)
     floor = noise_floor(robot, flights, params, channels, bandwidth=band)
-    return Replay(
-        robot=robot,
-        flights=tuple(flights),
-        predictor=predictor,
-        params=params,
-        bandwidth=band,
-        evaluation=evaluate_models(robot, predictor, [params], floor=floor, seed=seed)[0],
-    )
+    (evaluation,) = evaluate_models(robot, predictor, [params], floor=floor, seed=seed)
+    return Replay(robot, tuple(flights), predictor, params, band, evaluation)
 
 
 def replay_rollout_rows(result: Replay) -> list[dict[str, str]]:
@@ -150,7 +144,7 @@ def _write_report(folder: Path, result: Replay) -> None:
     from aerial_gym.sim2real.report import plots
     from aerial_gym.sim2real.report.figures import figures_of_errors
     from aerial_gym.sim2real.report.profiles import mean_residual_profiles, write_profiles
-    from aerial_gym.sim2real.report.report import render_template, write_residuals
+    from aerial_gym.sim2real.report.report import write_page, write_residuals
     from aerial_gym.sim2real.report.tables import SHOWN_NOTES, channel_rows
 
     write_json(folder / "replay.json", result.as_mapping())
@@ -175,6 +169,4 @@ def _write_report(folder: Path, result: Replay) -> None:
         "shown_notes": SHOWN_NOTES,
         "no_rollouts": reason_against_rollouts(result.flights),
     }
-    (folder / "report.html").write_text(
-        render_template("replay.html", context), encoding="utf-8", errors="surrogateescape"
-    )
+    write_page(folder / "report.html", "replay.html", context)

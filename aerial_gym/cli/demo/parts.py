@@ -37,15 +37,9 @@ TRAIN_EVERY = 4
 def record_cameras(seed: int, backend: str | None = None) -> dict[str, str]:
     """Simulate a few steps in the obstacle environment and return a picture of the camera images."""
     env = SimBuilder().build_env(
-        sim_name="base_sim",
-        env_name="env_with_obstacles",
-        robot_name="base_quadrotor_with_camera",
-        controller_name="lee_velocity_control",
-        num_envs=NUM_PICTURES,
-        device="cpu",
-        seed=seed,
-        backend=backend,
-    )
+        sim_name="base_sim", env_name="env_with_obstacles", robot_name="base_quadrotor_with_camera",
+        controller_name="lee_velocity_control", num_envs=NUM_PICTURES, device="cpu", seed=seed, backend=backend,
+    )  # fmt: skip
     env.reset()
     for _ in range(5):
         env.step(torch.tensor([0.5, 0.0, 0.0, 0.0]).expand(NUM_PICTURES, 4))
@@ -124,27 +118,16 @@ def _flights_of_plant(folder: Path, seed: int) -> DemoFlights:
     if not (root / "benchmarks" / "undeclared").is_dir():
         raise DataError("no measured flights and no benchmarks/undeclared beside the package: give --flights FOLDER")
     command = [sys.executable, "-m", "benchmarks.undeclared", "--out", str(folder), "--seed", str(seed)]
-    done = subprocess.run(
-        [*command, "--effect", "com_offset", "--nuisance"],
-        cwd=root,
-        capture_output=True,
-        encoding="utf-8",
-        errors="replace",
-        check=False,
-    )
+    command += ["--effect", "com_offset", "--nuisance"]
+    done = subprocess.run(command, cwd=root, capture_output=True, encoding="utf-8", errors="replace", check=False)
     if done.returncode != 0:
         raise DataError(f"the undeclared plant failed: {done.stderr.strip()}")
     story = (
         "Flights of an independent simulated plant (benchmarks/undeclared, no shared code) whose centre of mass is not "
         "where its robot file says, with sensor noise and small errors everywhere else. The loop is not told what is wrong."
     )
-    return DemoFlights(
-        robot=str(folder / "robot.yaml"),
-        train=tuple(sorted(folder.glob("train_*.csv"))),
-        test=tuple(sorted(folder.glob("test_*.csv"))),
-        mapping=None,
-        story=story,
-    )
+    trains, tests = (tuple(sorted(folder.glob(f"{role}_*.csv"))) for role in ("train", "test"))
+    return DemoFlights(robot=str(folder / "robot.yaml"), train=trains, test=tests, mapping=None, story=story)
 
 
 def close_the_loop(flights: DemoFlights, out: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from aerial_gym.compat.config.fields import (
     idle_field,
     same_fields,
 )
-from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
+from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.environment import AssetCfg, FamilyCfg, MotionCfg, ShapeCfg
 from aerial_gym.errors import ConfigError
 

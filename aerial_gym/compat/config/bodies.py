@@ -10,7 +10,7 @@ import numpy as np
 
 from aerial_gym.assets.urdf import load_urdf, urdf_body
 from aerial_gym.compat.config.fields import Changes, Values, values_equal
-from aerial_gym.compat.directory import AERIAL_GYM_DIRECTORY
+from aerial_gym.compat.helpers import AERIAL_GYM_DIRECTORY
 from aerial_gym.config.robot import BodyCfg, MountCfg, MountsCfg, RobotCfg, Vec3
 from aerial_gym.errors import ConfigError
 from aerial_gym.robots.importers.file_vehicle import make_collision, part_collision_shape
@@ -76,14 +76,10 @@ def body_changes(values: Values) -> Changes:
             f"robot_asset {path}: no such URDF file; those of that simulator are not here. Give your own, "
             "or a robot file (.yaml) as robot_name"
         )
-    whole = urdf_body(path)
+    whole, source = urdf_body(path), f"URDF {path.name}, all links at zero joint angles"
+    inertia = (_vec3(whole.inertia[0]), _vec3(whole.inertia[1]), _vec3(whole.inertia[2]))
     return {
-        "body": BodyCfg(
-            mass=whole.mass,
-            inertia=(_vec3(whole.inertia[0]), _vec3(whole.inertia[1]), _vec3(whole.inertia[2])),
-            com=_vec3(whole.com),
-            source=f"URDF {path.name}, all links at zero joint angles",
-        ),
+        "body": BodyCfg(mass=whole.mass, inertia=inertia, com=_vec3(whole.com), source=source),
         "collision": make_collision(
             [part_collision_shape(part) for part in load_urdf(path).parts or ()], f"URDF {path.name}"
         ),

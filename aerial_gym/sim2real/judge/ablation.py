@@ -31,7 +31,7 @@ JUDGED_S = (0.5, 1.0)
 """Rollout horizons [s] at which an effect can be material."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class RivalGain:
     """Another effect in the place of an accepted one."""
 
@@ -174,19 +174,14 @@ def gains_of_rivals(name: str, selection: SelectionResult, train: Predictor) -> 
         return np.mean(np.square(np.concatenate(train.residuals(fitted.model_with_deviations))), axis=0)
 
     left, own = squares(selection.chosen.without[name]), squares(selection.chosen.named)
-    place = int(np.argmin(own / left))
-    return tuple(
-        RivalGain(
-            label=set_label([(rival.effect, rival.fitted.params.effects[rival.effect])], ())[0],
-            name=rival.effect,
-            channel=train.channels[place].name,
-            explains=float(max(0.0, 1.0 - squares(rival.fitted)[place] / left[place])),
-            instead_of=float(max(0.0, 1.0 - own[place] / left[place])),
-            log_odds=rival.log_odds,
-            because=reason_against_rival(name, rival),
-        )
-        for rival in selection.effect_rivals(name)[:MOST_WEIGHED]
-    )
+    place, results = int(np.argmin(own / left)), []
+    instead_of, channel = float(max(0.0, 1.0 - own[place] / left[place])), train.channels[place].name
+    for rival in selection.effect_rivals(name)[:MOST_WEIGHED]:
+        (label,) = set_label([(rival.effect, rival.fitted.params.effects[rival.effect])], ())
+        explains = float(max(0.0, 1.0 - squares(rival.fitted)[place] / left[place]))
+        reason = reason_against_rival(name, rival)
+        results.append(RivalGain(label, rival.effect, channel, explains, instead_of, rival.log_odds, reason))
+    return tuple(results)
 
 
 def reason_against_rival(name: str, rival: Rival) -> Finding:

@@ -42,7 +42,7 @@ from aerial_gym.sim2real.predict.noise_floor import noise_floor_of_flight, rms_o
 from aerial_gym.sim2real.progress import Progress
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LoopResult:
     """Everything that a report shows."""
 
@@ -93,37 +93,20 @@ def judge_on_test_flights(
     manoeuvre, fly_next = recommend_manoeuvres(declared, result, unexplained.open_to)
     spectra = whiteness_of_channels(tested.times, unexplained.left, declared.channels, declared.bandwidth)
     verdict = Verdict(
-        verdict=made.kind,
-        open_points=made.findings,
-        effects=(*effects, *gusts),
-        candidates=made.candidates,
-        not_testable=untestable_effects(result, declared.stated, unexplained),
-        manoeuvre=manoeuvre,
-        fly_next=fly_next,
-        inclusion=result.chosen.inclusion,
-        sets=result.chosen.sets,
-        structure=unexplained.structure,
-        before=before,
-        after=after,
-        outcomes=became,
+        verdict=made.kind, open_points=made.findings, effects=(*effects, *gusts), candidates=made.candidates,
+        not_testable=untestable_effects(result, declared.stated, unexplained), manoeuvre=manoeuvre, fly_next=fly_next,
+        inclusion=result.chosen.inclusion, sets=result.chosen.sets, structure=unexplained.structure,
+        before=before, after=after, outcomes=became,
         flights=errors_by_flight(
             tested, models, both, noise_floors_with_gusts(floors, unexplained), least=least, seed=seed
         ),
-        unexplained=unexplained.channels,
-        not_shown=unexplained.left_open,
+        unexplained=unexplained.channels, not_shown=unexplained.left_open, learned=learned,
         whiteness=dict(zip((channel.name for channel in declared.channels), spectra, strict=True)),
-        learned=learned,
         notes=verdict_notes(declared, result, model, unexplained, effects, named),
-    )
+    )  # fmt: skip
     accepted = (*result.effect_names, *(effect.name for effect in gusts))
-    return LoopResult(
-        declared=declared,
-        selection=result,
-        params=params,
-        within=unexplained.within,
-        corrected=correct_robot(declared, model_with_wind(params, unexplained.wind), accepted),
-        verdict=verdict,
-    )
+    corrected = correct_robot(declared, model_with_wind(params, unexplained.wind), accepted)
+    return LoopResult(declared, result, params, unexplained.within, corrected, verdict)
 
 
 def noise_floors_in_declared_wind(declared: LoopSetup, params: ModelParams) -> list[Array | None]:

@@ -44,7 +44,7 @@ class FlightError:
         return {**results, **self.became.as_mapping()}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Regime:
     """The rows of the test flights in which an effect acts most."""
 
@@ -132,19 +132,14 @@ def active_regime(
     acts = size >= np.quantile(size, ACTS_FROM)
     place = int(np.argmax(weight * (change[acts] ** 2).mean(axis=0)))
     group = time_block_of_rows(predictor.times)[acts]
-    rms = [
+    before, after = (
         rms_with_interval(np.concatenate(predictor.residuals(params))[acts][:, place : place + 1], group, seed=seed)[0]
         for params in (declared, final)
-    ]
-    channel = predictor.channels[place]
-    return Regime(
-        channel=channel.name,
-        unit=channel.unit,
-        before=rms[0],
-        after=rms[1],
-        gap_closed=gap_closed(rms[0].value, rms[1].value, None if floor is None else float(floor[place])),
-        looks=_conditions(predictor.flights, predictor.times, acts),
     )
+    channel = predictor.channels[place]
+    closed = gap_closed(before.value, after.value, None if floor is None else float(floor[place]))
+    conditions = _conditions(predictor.flights, predictor.times, acts)
+    return Regime(channel.name, channel.unit, before, after, closed, conditions)
 
 
 def _conditions(flights: Sequence[Flight], times: Sequence[Array], acts: Flags) -> dict[str, tuple[float, float]]:

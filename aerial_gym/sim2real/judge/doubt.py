@@ -46,7 +46,7 @@ def notes_on_doubt(selection: SelectionResult) -> list[Finding]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ResidualSums:
     """Sums over the rows of the test flights of a set's residual r and Jacobian J, and its precision in training."""
 
@@ -95,10 +95,7 @@ def residual_sums(test: Predictor, fitted: EffectSetFit, selection: SelectionRes
     kept = np.array([*own, *range(len(owners), len(owners) + test.num_tolerances)])
     jacobian = np.concatenate(offsets.remove_offsets([part[:, :, kept] for part in columns]))
     left = np.concatenate(offsets.remove_offsets([m - p for m, p in zip(test.measured, predicted, strict=True)]))
-    count = kept.size
-    return ResidualSums(
-        square=np.square(left).sum(axis=0),
-        gradient=np.einsum("rck,rc->ck", jacobian, left),
-        product=np.stack([jacobian[:, c].T @ jacobian[:, c] for c in range(left.shape[1])]),
-        precision=np.linalg.inv(fitted.parameters.covariance[:count, :count]),
-    )
+    gradient = np.einsum("rck,rc->ck", jacobian, left)
+    product = np.stack([jacobian[:, c].T @ jacobian[:, c] for c in range(left.shape[1])])
+    precision = np.linalg.inv(fitted.parameters.covariance[: kept.size, : kept.size])
+    return ResidualSums(np.square(left).sum(axis=0), gradient, product, precision)

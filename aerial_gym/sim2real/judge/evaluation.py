@@ -21,7 +21,7 @@ LEAST_GAP = 1.21
 """Least ratio of the residual's mean square to that of the noise floor at which a gap exists: 10 % in rms."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ModelEvaluation:
     """Residuals and rollout errors of one model on the test flights."""
 
@@ -70,19 +70,14 @@ def evaluate_models(
     rollouts: list[dict[str, RolloutErrors]] = [{} for _ in models]
     if not reason_against_rollouts(flights):
         links, variants = [predictor.load_links(one) for one in models], {"free": False, "given_attitude": True}
-        rollouts = rollout_errors_of_models(
-            robot, flights, models, variants, links=links, tolerances=predictor.tolerances
-        )
-    return [
-        ModelEvaluation(
-            channels=predictor.channels,
-            residual=tuple(rms_with_interval(residual, group, seed=seed)),
-            floor=None if floor is None else tuple(floor.tolist()),
-            rollouts=flown,
-            rollout={name: _rollout_rms(errors, seed) for name, errors in flown.items()},
-        )
-        for residual, flown in zip(residuals, rollouts, strict=True)
-    ]
+        more = {"links": links, "tolerances": predictor.tolerances}
+        rollouts = rollout_errors_of_models(robot, flights, models, variants, **more)
+    results, floors = [], None if floor is None else tuple(floor.tolist())
+    for residual, flown in zip(residuals, rollouts, strict=True):
+        rms = tuple(rms_with_interval(residual, group, seed=seed))
+        rollout = {name: _rollout_rms(errors, seed) for name, errors in flown.items()}
+        results.append(ModelEvaluation(predictor.channels, rms, floors, flown, rollout))
+    return results
 
 
 def reason_against_rollouts(flights: Sequence[Flight]) -> Finding | None:

@@ -50,16 +50,9 @@ def _failure_as_effect(failure: Failure, robot: RobotCfg) -> NamedEffect | None:
     if set(params) != {parameter.name for parameter in EFFECTS.get(failure.name).parameters}:
         return None
     std = {name: one for name, one in failure.std.items() if name in params}
-    return NamedEffect(
-        name=failure.name,
-        params=params,
-        std=std,
-        noise_std=std,
-        frozen=(),
-        confidence=min(failure.probability, MOST_CONFIDENT),
-        declared=parameters_in_file(failure.name, robot),
-        place=failure.place,
-    )
+    confidence, declared = min(failure.probability, MOST_CONFIDENT), parameters_in_file(failure.name, robot)
+    more = {"frozen": (), "confidence": confidence, "declared": declared, "place": failure.place}
+    return NamedEffect(name=failure.name, params=params, std=std, noise_std=std, **more)
 
 
 def _robot_file_parameters(failure: Failure) -> dict[str, float]:

@@ -102,16 +102,13 @@ def find_residual_excess(
 
     def excess_channels(floor: Array | None) -> Flags:
         cases = ((about, within_flights), (rms, whole))
-        return suspected & np.any(
-            [material_excess(rms, floor, tolerated) & (excess_power(rms, floor) > limit) for rms, limit in cases],
-            axis=0,
-        )
+        excess = [material_excess(rms, floor, tolerated) & (excess_power(rms, floor) > limit) for rms, limit in cases]
+        return suspected & np.any(excess, axis=0)
 
     remaining, wind = excess_channels(floor), random_wind_in_file(train.robot)
     if not wind.is_accepted:
-        wind = find_random_wind(
-            train, within, selection.criteria, floor=floor, tolerated=tolerated, remaining=remaining
-        )
+        limits = {"floor": floor, "tolerated": tolerated, "remaining": remaining}
+        wind = find_random_wind(train, within, selection.criteria, **limits)
         if wind.is_accepted and floor is not None:
             floor = np.hypot(floor, wind.channel_rms(test, params))
             remaining = excess_channels(floor)
@@ -128,16 +125,10 @@ def find_residual_excess(
     open_channels = suspected & material_excess(rms, floor, tolerated) & ~remaining
     offsets = open_channels & own & ~material_excess(about, floor, tolerated)
     return ResidualExcess(
-        within=within,
-        left=left,
-        channels=channel_names(names, remaining),
-        left_open=channel_names(names, open_channels & ~offsets),
-        of_flights=channel_names(names, offsets),
-        open_to=could,
-        floor=floor,
-        wind=wind,
-        structure=structure,
-    )
+        within=within, left=left, channels=channel_names(names, remaining),
+        left_open=channel_names(names, open_channels & ~offsets), of_flights=channel_names(names, offsets),
+        open_to=could, floor=floor, wind=wind, structure=structure,
+    )  # fmt: skip
 
 
 def channel_rms(parts: Sequence[Array]) -> Array:

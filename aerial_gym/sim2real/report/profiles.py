@@ -88,14 +88,9 @@ def mean_residual_profiles(predictor: Predictor, models: Mapping[str, ModelParam
             continue
         place = bin_index(edges, values)
         bins = edges.size - 1
-        by_name.append(
-            Profile(
-                against=name,
-                edges=edges,
-                middle=bin_means(values[:, None], place, bins, group).mean[:, 0],
-                residual={model: bin_means(rows, place, bins, group) for model, rows in residuals.items()},
-            )
-        )
+        middle = bin_means(values[:, None], place, bins, group).mean[:, 0]
+        means = {model: bin_means(rows, place, bins, group) for model, rows in residuals.items()}
+        by_name.append(Profile(against=name, edges=edges, middle=middle, residual=means))
     return by_name
 
 

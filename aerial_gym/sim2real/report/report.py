@@ -54,24 +54,20 @@ def write_report(folder: Path, judged: LoopResult) -> None:
     told = evidence_of_effects(judged)
     context = report_context(judged, told, residual_profiles)
     for name in ("report.html", "report.md"):
-        (folder / name).write_text(render_template(name, context), encoding="utf-8", errors="surrogateescape")
+        write_page(folder / name, name, context)
     write_evidence(folder / "evidence.csv", told)
     write_profiles(folder / "profiles.csv", residual_profiles, test.channels)
     write_residuals(folder / "residuals.csv", {"train": judged.declared.train, "test": test}, models)
 
 
-def render_template(name: str, context: dict[str, object]) -> str:
-    """Return a rendered template of this package."""
+def write_page(path: Path, name: str, context: dict[str, object]) -> None:
+    """Write a page from a template of this package."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=name.endswith(".html"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+        loader=FileSystemLoader(TEMPLATES), autoescape=name.endswith(".html"), undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
     environment.filters |= {
         "num": number_text,
         "interval": interval_text,
@@ -79,7 +75,8 @@ def render_template(name: str, context: dict[str, object]) -> str:
         "risen": format_rise,
     }
     environment.filters |= {"text": text, "joined": join_texts}
-    return environment.get_template(f"{name}.j2").render(context)
+    page = environment.get_template(f"{name}.j2").render(context)
+    path.write_text(page, encoding="utf-8", errors="surrogateescape")
 
 
 def report_context(

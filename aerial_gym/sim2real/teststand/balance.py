@@ -110,7 +110,7 @@ class CauseFit:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Change:
     """A quantity before and after, with 95 % intervals from the scatter between logs."""
 
@@ -120,11 +120,7 @@ class Change:
 
     def exponential(self) -> "Change":
         """Return the change of a quantity from the change of its logarithm; its change is then relative."""
-        return Change(
-            baseline=_exponential(self.baseline),
-            flights=_exponential(self.flights),
-            change=_exponential(self.change, 1.0),
-        )
+        return Change(_exponential(self.baseline), _exponential(self.flights), _exponential(self.change, 1.0))
 
     def as_mapping(self) -> dict[str, object]:
         """Return the values for JSON."""
@@ -213,24 +209,15 @@ def judge_balance(
         fits = _with_probabilities(fits, [logs[0], condition, *logs[2:]], usual)
     verdict, candidates = _verdict(fits, possible)
     (total,) = _changes([np.log([[hover.effort.sum()] for hover in group]) for group in filled], share)
+    shares = _changes([np.array([hover.effort / hover.effort.sum() for hover in group]) for group in filled], share)
+    notes = _balance_notes(baseline, flights, test, scatter, added_mass)
+    notes += [Finding("flights_differ") for fit in fits[-1:] if not _repeats_agree(fit)]
+    notes += [Finding("other_cause", "", {"probability": fit.probability}) for fit in fits[-1:] if candidates]
     return Balance(
-        verdict=verdict,
-        candidates=candidates,
-        tell_apart=tuple(experiments_for_causes(candidates)),
-        fits=fits,
-        baseline=tuple(baseline),
-        flights=tuple(flights),
-        test=tuple(test),
-        shares=tuple(_changes([np.array([h.effort / h.effort.sum() for h in group]) for group in filled], share)),
-        total=total.exponential(),
-        freedom=scatter.freedom,
-        scatter=scatter.std,
-        notes=(
-            *_balance_notes(baseline, flights, test, scatter, added_mass),
-            *(Finding("flights_differ") for fit in fits[-1:] if not _repeats_agree(fit)),
-            *(Finding("other_cause", "", {"probability": fit.probability}) for fit in fits[-1:] if candidates),
-        ),
-    )
+        verdict=verdict, candidates=candidates, tell_apart=tuple(experiments_for_causes(candidates)), fits=fits,
+        baseline=tuple(baseline), flights=tuple(flights), test=tuple(test), shares=tuple(shares),
+        total=total.exponential(), freedom=scatter.freedom, scatter=scatter.std, notes=tuple(notes),
+    )  # fmt: skip
 
 
 def _repeats_agree(other: CauseFit) -> bool:
@@ -330,13 +317,8 @@ def _changes(values: Sequence[Array], share: float) -> list[Change]:
     def intervals(value: Array, part: float) -> list[Estimate]:
         return [Estimate.from_half_width(*pair) for pair in zip(value, scatter.half_width(part), strict=True)]
 
-    parts = zip(
-        intervals(before, 1.0 / len(values[0])),
-        intervals(after, 1.0 / len(values[1])),
-        intervals(after - before, share),
-        strict=True,
-    )
-    return [Change(baseline=b, flights=f, change=c) for b, f, c in parts]
+    first, second = intervals(before, 1.0 / len(values[0])), intervals(after, 1.0 / len(values[1]))
+    return [Change(*parts) for parts in zip(first, second, intervals(after - before, share), strict=True)]
 
 
 def _exponential(estimate: Estimate, less: float = 0.0) -> Estimate:

@@ -49,7 +49,7 @@ class HoverModel:
     error: Rms  # Held-out error of thrust over mass [m/s²], with its interval over flights or folds
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class HoverFit:
     """Thrust coefficient, and the scale of the declared thrust map."""
 
@@ -120,11 +120,7 @@ def window_means(log: FlightLog) -> tuple[Array, Array]:
 
 
 def fit_hover(
-    logs: Sequence[FlightLog],
-    *,
-    mass: float,
-    mass_std: float = 0.0,
-    declared: tuple[float, float, float] | None = None,
+    logs: Sequence[FlightLog], *, mass: float, mass_std: float = 0.0, declared: tuple[float, float, float] | None = None
 ) -> HoverFit:
     """Return the thrust coefficient from hover.
 
@@ -162,17 +158,9 @@ def fit_hover(
     notes = [*(Finding("flight_left_out", "", {"error": str(error)}) for error in missed), *notes]
     if mass_std == 0.0:
         notes.append(Finding("mass_exact"))
-    return HoverFit(
-        mass=mass,
-        thrust_coefficient=coefficient,
-        scale=scale,
-        by_flight={name: _slope_through_zero(sums[:, 2], mass * part) for name, sums, part in parts},
-        models=models,
-        chosen=min((n for n in models if n != "declared"), key=lambda name: models[name].error.value),
-        square_sum=square,
-        force=force,
-        notes=tuple(notes),
-    )
+    by_flight = {name: _slope_through_zero(sums[:, 2], mass * part) for name, sums, part in parts}
+    chosen = min((name for name in models if name != "declared"), key=lambda name: models[name].error.value)
+    return HoverFit(mass, coefficient, scale, by_flight, models, chosen, square, force, tuple(notes))
 
 
 def _slope_through_zero(cause: Array, effect: Array) -> float:

@@ -42,7 +42,7 @@ def pool_scatter(groups: Sequence[Array]) -> Scatter:
     return Scatter(squares=centred.T @ centred, freedom=len(centred) - len(groups))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ScatterFit:
     """Linear model of rows with correlated scatter."""
 
@@ -86,15 +86,9 @@ def fit_scatter(target: Array, columns: Array, scatter: Scatter, share: float) -
     params = bread @ columns.T @ weight @ target
     left = target - columns @ params
     still = float(left @ weight @ left)
-    freedom = scatter.freedom - (size - count)
-    rest = scatter.freedom - size + 1
-    return ScatterFit(
-        params=params,
-        covariance=bread * (share + still) / freedom,
-        freedom=freedom,
-        misfit=_f_tail_probability(still / share, size - count, rest + count) if size > count else 1.0,
-        spread=scatter.freedom**-1 * columns @ bread @ columns.T,
-    )
+    freedom, spread = scatter.freedom - (size - count), scatter.freedom**-1 * columns @ bread @ columns.T
+    misfit = _f_tail_probability(still / share, size - count, freedom + 1) if size > count else 1.0
+    return ScatterFit(params, bread * (share + still) / freedom, freedom, misfit, spread)
 
 
 NODES = 32

@@ -99,7 +99,7 @@ class MapChoice:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class StaticFit:
     """Rotor maps from one static test."""
 
@@ -189,16 +189,7 @@ def _fit_one_way(name: str, measured: dict[str, Array], *, through_zero: bool = 
     if torque is not None:
         ratio = _fit_regressors("ratio", thrust[:, None], torque, ("ratio",)).coefficients["ratio"]
         torque_map = choose_map(speed, torque, unit="N m", thrust=thrust_map.best, through_zero=through_zero)
-    return StaticFit(
-        name=name,
-        speed=speed,
-        thrust=thrust,
-        torque=torque,
-        thrust_map=thrust_map,
-        torque_map=torque_map,
-        torque_ratio=ratio,
-        notes=notes,
-    )
+    return StaticFit(name, speed, thrust, torque, thrust_map, torque_map, ratio, notes)
 
 
 def choose_map(

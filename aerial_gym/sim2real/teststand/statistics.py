@@ -132,12 +132,7 @@ class CurveFit:
 
 
 def fit_curve(
-    predict: Callable[[Array], Array],
-    measured: Array,
-    start: Array,
-    low: Array,
-    high: Array,
-    kept: Flags | None = None,
+    predict: Callable[[Array], Array], measured: Array, start: Array, low: Array, high: Array, kept: Flags | None = None
 ) -> CurveFit:
     """Return the parameters that minimise the squared residual of ``predict``.
 

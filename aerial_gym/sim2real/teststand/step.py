@@ -183,13 +183,9 @@ def fit_steps(records: Sequence[StepRecord]) -> StepFit:
     sample = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
     if tau < 1.5 * sample:
         notes.append(Finding("rows_far_apart", "", {"step_s": sample}))
-    return StepFit(
-        records=tuple(records),
-        laws=laws,
-        chosen=smallest_good_candidate(errors, terms),
-        in_robot=smallest_good_candidate({name: errors[name] for name in ROBOT_LAWS if name in laws}, terms),
-        notes=tuple(notes),
-    )
+    chosen = smallest_good_candidate(errors, terms)
+    in_robot = smallest_good_candidate({name: errors[name] for name in ROBOT_LAWS if name in laws}, terms)
+    return StepFit(records=tuple(records), laws=laws, chosen=chosen, in_robot=in_robot, notes=tuple(notes))
 
 
 def _step_directions(record: StepRecord) -> list[str]:

@@ -291,10 +291,7 @@ def study_hover(
         intro=f"{fit.force.size} windows of hover, mass {fit.mass:g} kg. Errors are on flights (or parts of the only one) "
         "left out of the fit.",
         mapping=fit.as_mapping(),
-        tables=(
-            ReportTable("Coefficients", ("quantity", "value"), rows),
-            ReportTable("Held-out errors", head, models),
-        ),
+        tables=(ReportTable("Coefficients", ("quantity", "value"), rows), ReportTable("Held-out errors", head, models)),
         figures=figures.hover_figures(fit),
         notes=fit.notes,
         files={} if robot is None else rotor_files(robot, {"thrust_map": best}, "aerial-gym identify hover."),

@@ -72,5 +72,5 @@ def test_a_training_loads_libraries_for_its_device(given, device, monkeypatch) -
     monkeypatch.setattr(process, "_started", None)
     monkeypatch.setattr(process, "preload", loaded.append)
     monkeypatch.setattr(sys, "argv", ["aerial-gym", "train", *given])
-    process.begin()
+    process.prepare_process()
     assert loaded == [device]

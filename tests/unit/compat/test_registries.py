@@ -160,11 +160,11 @@ def test_gains_that_all_share_can_be_changed_in_place() -> None:
     before = controllers.control.K_vel_tensor_max
     try:
         controllers.control.K_vel_tensor_max = [9.0, 9.0, 9.0]
-        assert controller_registry.resolve("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
+        assert controller_registry.native_controller("lee_velocity_control").gains.velocity == (5.5, 5.5, 5.5)
         assert not controller_registry.gain_randomization("lee_velocity_control")
     finally:
         controllers.control.K_vel_tensor_max = before
-    assert controller_registry.resolve("lee_velocity_control") == "lee_velocity_control"
+    assert controller_registry.native_controller("lee_velocity_control") == "lee_velocity_control"
 
 
 def test_a_task_gets_a_configuration_of_its_own() -> None:

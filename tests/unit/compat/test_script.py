@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from aerial_gym.compat.arguments import get_args, parse_arguments
+from aerial_gym.compat.helpers import get_args, parse_arguments
 from aerial_gym.compat.script import run_script, without_isaacgym
 from aerial_gym.math.quaternion import quat_multiply
 

@@ -43,7 +43,7 @@ LEAST_P_VALUE = 0.001
 """Gusts are refused if the p-value of any property that they cannot have is smaller."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class RandomWind:
     """Fitted or declared gusts, with the objections to them."""
 
@@ -134,12 +134,7 @@ def find_random_wind(
         return RandomWind()
     series = wind_series(predictor, params, response, places)
     fit = fit_process(series)
-    results = RandomWind(
-        std=fit.std,
-        corr_time=fit.corr_time,
-        spread=std_of_logarithms(series, fit),
-        p_value=p_value_of_noise(series, fit),
-    )
+    results = RandomWind(fit.std, fit.corr_time, std_of_logarithms(series, fit), p_value_of_noise(series, fit))
     added = results.channel_rms(predictor, params)
     share = 1.0 - floor / np.sqrt(floor**2 + added**2)
     seen = added > criteria.visible * tolerated
@@ -182,12 +177,8 @@ def wind_series(
     ]
     times = [time[kept] for time, kept in zip(predictor.times, rows, strict=True)]
     parts = [force_features(flight, time) for flight, time in zip(predictor.flights, times, strict=True)]
-    return WindSeries(
-        wind=wind,
-        features=values_in_all_mappings(parts),
-        step=float(np.median(np.diff(times[0]))),
-        bandwidth=predictor.bandwidth,
-    )
+    step = float(np.median(np.diff(times[0])))
+    return WindSeries(wind=wind, features=values_in_all_mappings(parts), step=step, bandwidth=predictor.bandwidth)
 
 
 def force_features(flight: Flight, time: Array) -> dict[str, Array]:

@@ -97,12 +97,8 @@ def find_joints(
         logged, left_out = fit_flown_joints(
             robot, [read_joint_motion(path, robot, bandwidth=bandwidth) for path in flights]
         )
-        return FlightJointStudy(
-            joints=tuple(_joint_result(robot, joint) for joint in logged),
-            logged=tuple(logged),
-            channels={},
-            left_out=tuple(left_out),
-        )
+        joints = tuple(_joint_result(robot, joint) for joint in logged)
+        return FlightJointStudy(joints=joints, logged=tuple(logged), channels={}, left_out=tuple(left_out))
     motions = [body_motion(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
     fit = fit_hidden_joints(robot, motions, bandwidth=bandwidth, progress=progress)
     return FlightJointStudy(joints=fit.joints, logged=(), channels=fit.channels, left_out=())

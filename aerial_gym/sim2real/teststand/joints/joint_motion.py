@@ -103,13 +103,8 @@ def joint_motion(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: fl
     kept = slice(edge, len(angle) - edge)
     if len(angle) <= 4 * edge:
         raise DataError(f"{log.path}: {len(angle)} rows are too few for a bandwidth of {bandwidth:g} Hz")
-    return JointMotion(
-        name=log.name,
-        angle=state.joint_pos.numpy()[kept],
-        rate=state.joint_vel.numpy()[kept],
-        side=side[kept],
-        effort=effort.numpy()[kept],
-    )
+    angles, rates, efforts = (values.numpy()[kept] for values in (state.joint_pos, state.joint_vel, effort))
+    return JointMotion(name=log.name, angle=angles, rate=rates, side=side[kept], effort=efforts)
 
 
 def require_rate(log: FlightLog, bandwidth: float) -> float:

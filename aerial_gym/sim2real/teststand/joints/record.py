@@ -86,7 +86,7 @@ class Release:
         return np.searchsorted(np.array(BLOCK_EDGES_S), self.time, side="right")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointFit:
     """Fit of one law."""
 
@@ -102,7 +102,7 @@ class JointFit:
         return rms(np.array(self.block_rms))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class JointStudy:
     """The published law, all fitted laws, and the one with the least held-out error."""
 
@@ -240,14 +240,11 @@ def fit_joint(record: Release) -> JointStudy:
     for name in laws:
         error = fit_curve_of_law(name, record, ~late).residual[late]
         forecast[name] = cross_validation_error(error, np.arange(error.size) // max(1, error.size // 20))
-    return JointStudy(
-        record=record,
-        published=record.angle - joint_angle(record, law),
-        laws=laws,
-        chosen=chosen,
-        forecast=forecast,
-        alternate={name: alternate_error(name, record) for name in laws},
+    published, alternate = (
+        record.angle - joint_angle(record, law),
+        {name: alternate_error(name, record) for name in laws},
     )
+    return JointStudy(record, published, laws, chosen, forecast, alternate)
 
 
 def alternate_blocks(record: Release) -> Indices:
@@ -281,10 +278,5 @@ def _fit_law(name: str, record: Release) -> JointFit:
         record.block, lambda out: fit_curve_of_law(name, record, ~out, whole.params).residual[out]
     )
     params = dict(zip(("release", *LAWS[name]), whole.estimates(), strict=True))
-    return JointFit(
-        name=name,
-        params=params,
-        residual=whole.residual,
-        held_out=held_out,
-        block_rms=tuple(rms(held_out[record.block == block]) for block in np.unique(record.block)),
-    )
+    block_rms = tuple(rms(held_out[record.block == block]) for block in np.unique(record.block))
+    return JointFit(name, params, whole.residual, held_out, block_rms)

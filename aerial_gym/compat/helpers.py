@@ -1,10 +1,31 @@
-"""Command lines of scripts: what Isaac Gym's ``gymutil`` parses there, and a user's own flags."""
+"""Helpers of scripts: the folder of the package, a logger, and the flags that Isaac Gym's ``gymutil`` parses there."""
 
 import argparse
+import logging
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from aerial_gym.interop import resolve_device
+
+AERIAL_GYM_DIRECTORY = str(Path(__file__).resolve().parents[2])
+"""Folder that holds ``aerial_gym/``, as scripts build paths from it. That simulator's ``resources/`` are not there: robots and
+obstacles are YAML files in ``aerial_gym/config/``."""
+
+
+class CustomLogger(logging.LoggerAdapter):
+    """A logger by name; ``print_example_message`` greets from an example."""
+
+    def __init__(self, logger_name: str) -> None:
+        super().__init__(logging.getLogger(logger_name), {})
+
+    def setLoggerLevel(self, level: int | str) -> None:  # noqa: N802 (their name)
+        """Set the lowest level that is shown."""
+        self.logger.setLevel(level)
+
+    def print_example_message(self) -> None:
+        """Say that an example begins."""
+        self.info("An example in the manner of the Aerial Gym Simulator; see docs/guides/coming_from_aerial_gym.md")
 
 
 def parse_arguments(
