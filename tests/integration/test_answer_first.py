@@ -26,7 +26,7 @@ def verdict_texts(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, A
     logs = [str(folder / f"f{number}.csv") for number in range(4)]
     call = ["close-loop", "--robot", str(folder / "robot.yaml"), "--train", *logs[:2], "--test", *logs[2:]]
     with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("aerial_gym.sim2real.report.report.figures", lambda *_: defaultdict(list))
+        patch.setattr("aerial_gym.sim2real.report.report.report_figures", lambda *_: defaultdict(list))
         assert main([*call, "--out", str(folder / "out"), "--effects", "rotor_drag", "thrust_coefficient"]) == 0
     pages = {name: (folder / "out" / name).read_text() for name in ("verdict.json", "report.html", "report.md")}
     return json.loads(pages["verdict.json"]), {**pages, "console": " ".join(printed.getvalue().split())}

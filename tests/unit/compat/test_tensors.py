@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from aerial_gym import EnvManager, SimBuilder
+from aerial_gym.compat import EnvManager, SimBuilder
 from aerial_gym.compat.tensors import KEYS
 from aerial_gym.errors import OwnershipError, UnknownNameError
 
