@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from aerial_gym.errors import ConfigError
 from aerial_gym.export.layout import Layout, ObservationImage
 from aerial_gym.export.module import DeployablePolicy
-from aerial_gym.rl_training.policies.body import Pixels
+from aerial_gym.rl_training.policies.body import ImageNetwork
 
 PIXELS = {"uint8": ("unsigned char", " / 255.0f"), "float32": ("float", "")}
 """C type of the pixels of an image dtype, and the conversion to a share."""
@@ -81,7 +81,7 @@ def image_code(policy: DeployablePolicy, layout: Layout, array: Callable[[str, T
     widths, work = {}, 0
     for image in layout.images:
         encoder, out = policy.policy.body.encoders[image.key], f"{image.key}_features"
-        assert isinstance(encoder, Pixels)
+        assert isinstance(encoder, ImageNetwork)
         layers = layer_code(encoder, image.shape, array, name=image.key, out=out)
         wide = widths[image.key] = layers.widths[image.key]
         arrays += layers.arrays

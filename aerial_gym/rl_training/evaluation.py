@@ -146,22 +146,22 @@ def evaluate(
         success_rate=float(succeeded.sum()) / task.num_envs,
         crash_rate=float(crashed.sum()) / task.num_envs,
         timeout_rate=float((~succeeded & ~crashed).sum()) / task.num_envs,
-        final_error_mean_m=_mean(error),
-        final_error_p95_m=_percentile95(error),
+        final_error_mean_m=_mean_or_none(error),
+        final_error_p95_m=_percentile95_or_none(error),
         final_error_max_m=float(error.max()) if error.numel() else None,
         settled_rate=settling.numel() / task.num_envs,
-        settling_time_mean_s=_mean(settling),
-        settling_time_p95_s=_percentile95(settling),
-        success_time_mean_s=_mean((ended_at * dt)[succeeded]),
+        settling_time_mean_s=_mean_or_none(settling),
+        settling_time_p95_s=_percentile95_or_none(settling),
+        success_time_mean_s=_mean_or_none((ended_at * dt)[succeeded]),
         gates_passed_mean=None if no_gates else float(passed.mean()),
         return_mean=float(total.mean()),
         success_radius_m=radius,
     )
 
 
-def _mean(values: Tensor) -> float | None:
+def _mean_or_none(values: Tensor) -> float | None:
     return float(values.double().mean()) if values.numel() else None
 
 
-def _percentile95(values: Tensor) -> float | None:
+def _percentile95_or_none(values: Tensor) -> float | None:
     return float(torch.quantile(values.double(), 0.95)) if values.numel() else None

@@ -54,27 +54,27 @@ class GymnasiumVectorEnv(gymnasium.vector.VectorEnv):
         """Restart every episode, with a new seed if given; return observations (E, O) and an empty info."""
         del options
         observation, _ = self.task.reset(seed=seed)
-        return self._out(observation["observations"]), {}
+        return self._output_array(observation["observations"]), {}
 
     def step(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, actions: Array
     ) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """Advance by actions (E, U); return observations, rewards (E,), terminated, truncated (E,) bool, info."""
-        observation, reward, terminated, truncated, info = self.task.step(self._actions(actions))
+        observation, reward, terminated, truncated, info = self.task.step(self._action_tensor(actions))
         done = terminated | truncated
         told = self._torch_info(info, done) if self._torch_out else self._numpy_info(info, done)
         values = (observation["observations"], reward, terminated, truncated)
-        first, second, third, fourth = (self._out(value) for value in values)
+        first, second, third, fourth = (self._output_array(value) for value in values)
         return first, second, third, fourth, told
 
-    def _actions(self, actions: Array) -> Tensor:
+    def _action_tensor(self, actions: Array) -> Tensor:
         given = torch.as_tensor(actions, dtype=torch.float32, device=self.task.device)
         expected = self.action_space.shape
         if tuple(given.shape) != expected:
             raise ShapeError(f"actions has shape {tuple(given.shape)}, expected (E, U) = {expected}")
         return given
 
-    def _out(self, value: Tensor) -> Array:
+    def _output_array(self, value: Tensor) -> Array:
         return value if self._torch_out else value.cpu().numpy()
 
     def _torch_info(self, info: dict[str, Tensor], done: Tensor) -> dict[str, Any]:

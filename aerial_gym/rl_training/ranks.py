@@ -95,7 +95,7 @@ class Ranks:
             return []
         objects: list[Any] | None = [None] * self.size if self.is_leader else None
         with _report_peer_end():
-            torch.distributed.gather_object(_on_cpu(value), objects, 0)
+            torch.distributed.gather_object(_copy_to_cpu(value), objects, 0)
         return [] if objects is None else objects[1:]
 
 
@@ -108,7 +108,7 @@ def torchrun_rank() -> int:
     return int(os.environ["RANK"]) if all(name in os.environ for name in VARIABLES) else 0
 
 
-def own_device(name: str) -> str:
+def process_device(name: str) -> str:
     """Return the device of this process: for ``auto`` or ``cuda`` the GPU of its ``LOCAL_RANK``, if there are GPUs."""
     device = resolve_device(name)
     if device.type != "cuda" or not all(name in os.environ for name in VARIABLES):
@@ -131,7 +131,7 @@ def join_ranks(device: str) -> Iterator[Ranks]:
         return
     kind = torch.device("cpu")
     if resolve_device(device).type == "cuda":
-        kind = torch.device(own_device(device))
+        kind = torch.device(process_device(device))
         torch.cuda.set_device(kind)
     with _report_peer_end():
         torch.distributed.init_process_group("cpu:gloo,cuda:nccl" if kind.type == "cuda" else "gloo")
@@ -141,10 +141,10 @@ def join_ranks(device: str) -> Iterator[Ranks]:
     torch.distributed.destroy_process_group()
 
 
-def _on_cpu(value: Any) -> Any:
+def _copy_to_cpu(value: Any) -> Any:
     """Return nested mappings with their tensors on the CPU: a GPU is another one in another process."""
     if isinstance(value, Mapping):
-        return {name: _on_cpu(inner) for name, inner in value.items()}
+        return {name: _copy_to_cpu(inner) for name, inner in value.items()}
     return value.cpu() if isinstance(value, Tensor) else value
 
 

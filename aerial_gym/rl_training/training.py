@@ -20,7 +20,7 @@ from aerial_gym.errors import AerialGymError, ConfigError, StorageError, Trainin
 from aerial_gym.interop import on_device, resolve_device, usual_settings
 from aerial_gym.physics import BACKENDS
 from aerial_gym.rl_training.policies.load import find_checkpoint
-from aerial_gym.rl_training.ranks import Ranks, join_ranks, own_device
+from aerial_gym.rl_training.ranks import Ranks, join_ranks, process_device
 from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper, checkpoint_steps
 from aerial_gym.rl_training.run.interruption import Interruption, interruptible
 from aerial_gym.rl_training.run.progress import Progress
@@ -106,8 +106,8 @@ def train(
                 f"trainer {cfg.trainer} learns in one process, and {ranks.size} were started. Leave torchrun out, or use "
                 f"--trainer {trainer_names('several_processes')}"
             )
-        with contextlib.nullcontext() if resume else _new_run(cfg, folder, ranks):
-            return _train(
+        with contextlib.nullcontext() if resume else _new_run_folder(cfg, folder, ranks):
+            return _train_session(
                 cfg,
                 folder,
                 ranks,
@@ -120,7 +120,7 @@ def train(
 
 
 @contextlib.contextmanager
-def _new_run(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
+def _new_run_folder(cfg: TrainingCfg, folder: RunFolder, ranks: Ranks) -> Iterator[None]:
     """Make the folder of a new run, and remove it if the request is refused before the first session."""
     folder.create(cfg)
     try:
@@ -143,7 +143,7 @@ def _rank_folder(ranks: Ranks, out: str | Path) -> Iterator[RunFolder]:
         yield RunFolder(folder)
 
 
-def _train(
+def _train_session(
     cfg: TrainingCfg,
     folder: RunFolder,
     ranks: Ranks,
@@ -154,7 +154,7 @@ def _train(
     watch: bool,
     wandb: str | None,
 ) -> TrainingResult:
-    resumed = ranks.broadcast(folder.newest_readable() if resume and ranks.is_leader else None)
+    resumed = ranks.broadcast(folder.newest_readable_checkpoint() if resume and ranks.is_leader else None)
     if resume and resumed is None and ranks.is_leader:
         _log.warning(
             "%s: was ended before its first checkpoint; the training starts anew in the same folder", folder.path
@@ -170,7 +170,7 @@ def _train(
         contextlib.nullcontext() if wandb is None or not ranks.is_leader else send_scalars(wandb, folder, cfg),
     ):
         try:
-            interrupted = _run(cfg, folder, progress, resumed, interruption, ranks, watch=watch)
+            interrupted = _run_trainer(cfg, folder, progress, resumed, interruption, ranks, watch=watch)
         except KeyboardInterrupt:
             interrupted = True
     last, checkpoints = progress.last, folder.checkpoints()
@@ -205,7 +205,7 @@ def _check_names(cfg: TrainingCfg, *, resume: bool) -> None:
         BACKENDS.get(cfg.backend)
 
 
-def _run(
+def _run_trainer(
     cfg: TrainingCfg,
     folder: RunFolder,
     progress: Progress,
@@ -216,7 +216,7 @@ def _run(
     watch: bool,
 ) -> bool:
     trainer = TRAINERS.get(cfg.trainer)
-    trainer.prepare(resolve_device(own_device(cfg.device)))
+    trainer.prepare(resolve_device(process_device(cfg.device)))
     interruption.check()  # an import may have swallowed it
     seed = (cfg.seed + ranks.rank) % 2**32
     torch.manual_seed(seed)
@@ -226,7 +226,7 @@ def _run(
         task_registry.make_task(
             cfg.task,
             num_envs=cfg.num_envs,
-            device=own_device(cfg.device),
+            device=process_device(cfg.device),
             seed=cfg.seed,
             first_env=ranks.rank * cfg.num_envs,
             robot=cfg.robot,

@@ -87,7 +87,7 @@ class TaskRegistry(Registry[TaskCfg]):
         if encoder is not None:
             cfg = with_encoder(cfg, encoder)
         if level is not None:
-            cfg = replace(cfg, curriculum=_hold_curriculum(cfg, name, level))
+            cfg = replace(cfg, curriculum=_curriculum_at_level(cfg, name, level))
         elif first_episode and cfg.curriculum is not None:
             raise ConfigError(
                 f"first_episode = {first_episode}: seed, environment and episode do not say which level of its curriculum "
@@ -122,10 +122,10 @@ class TaskRegistry(Registry[TaskCfg]):
         if name.endswith((".yaml", ".yml")):
             cfg = load_task(name)
             for each in cfg.imports:
-                _import(each, Path(name).parent)
+                _import_module(each, Path(name).parent)
             return cfg
         if name.endswith(".toml"):
-            return _level(name)
+            return _racing_level_task(name)
         if ":" not in name:
             return super().get(name)
         target = import_object(name)
@@ -140,7 +140,7 @@ def load_task(path: str | Path) -> TaskCfg:
     return load_extended(TaskCfg, path, family="tasks")
 
 
-def _level(path: str) -> TaskCfg:
+def _racing_level_task(path: str) -> TaskCfg:
     """Return the task of a level of a racing benchmark."""
     from aerial_gym.robots.catalog import robot_by_name
     from aerial_gym.task.racing_level import load_level
@@ -154,12 +154,12 @@ def import_object(name: str) -> object:
     module, _, attribute = name.rpartition(":")
     kind = "file.py" if module.endswith(".py") else "module"
     try:
-        return getattr(_import(module, Path()), attribute)
+        return getattr(_import_module(module, Path()), attribute)
     except (UnknownNameError, AttributeError) as error:
         raise UnknownNameError(f"task {name!r}: {error}. Give it as {kind}:Name") from None
 
 
-def _import(name: str, folder: Path) -> ModuleType:
+def _import_module(name: str, folder: Path) -> ModuleType:
     """Return the module of a name or file, relative to a folder; raise ``UnknownNameError`` if it does not exist."""
     here = str(folder.resolve())
     sys.path.append(here)
@@ -210,7 +210,7 @@ def with_encoder(cfg: TaskCfg, encoder: str) -> TaskCfg:
     return replace(cfg, observations=groups, encoder=encoder)
 
 
-def _hold_curriculum(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
+def _curriculum_at_level(cfg: TaskCfg, name: str, level: int) -> CurriculumCfg:
     """Return the task's curriculum, held at a level."""
     if cfg.curriculum is None:
         raise ConfigError(f"level = {level}: task {name} has no curriculum")

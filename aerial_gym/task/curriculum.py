@@ -61,7 +61,7 @@ class Curriculum:
         self.difficulty = torch.zeros((), device=self.level.device)
         self.of_all: Callable[[Tensor], Tensor] | None = None
         """Sums counts, (2,), over the processes of a training, in each of which the level is then the same."""
-        self._decide = RowKernel(self._decision, "the curriculum")
+        self._decide = RowKernel(self._next_level_and_difficulty, "the curriculum")
         self.restart()
 
     def restart(self) -> None:
@@ -100,16 +100,16 @@ class Curriculum:
         self.level.fill_(state["level"])
         self._finished.fill_(state["finished"])
         self._succeeded.fill_(state["succeeded"])
-        difficulty, count = self._level_values(self.level)
+        difficulty, count = self._difficulty_and_obstacles(self.level)
         self.difficulty.copy_(difficulty.squeeze(0))
         self._assets.take_num_obstacles(count)
 
-    def _decision(self, level: Tensor, finished: Tensor, succeeded: Tensor) -> tuple[Tensor, ...]:
+    def _next_level_and_difficulty(self, level: Tensor, finished: Tensor, succeeded: Tensor) -> tuple[Tensor, ...]:
         """Return level and counts after the decision, the difficulty and the number of obstacles, each (1,)."""
         level, finished, succeeded = next_level(level, finished, succeeded, self.cfg)
-        return level, finished, succeeded, *self._level_values(level)
+        return level, finished, succeeded, *self._difficulty_and_obstacles(level)
 
-    def _level_values(self, level: Tensor) -> tuple[Tensor, Tensor]:
+    def _difficulty_and_obstacles(self, level: Tensor) -> tuple[Tensor, Tensor]:
         """Return the difficulty and the number of obstacles, each (1,)."""
         span = self.cfg.max_level - self.cfg.min_level
         return (level - self.cfg.min_level) / span, level - self._num_kept

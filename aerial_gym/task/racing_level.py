@@ -54,7 +54,7 @@ def _make_task(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name
     if sim["drone_model"] != VEHICLE:
         raise ConfigError(f"sim.drone_model = {sim['drone_model']!r}: only {VEHICLE} is known")
     disturbances = env.get("disturbances", {})
-    spread = _Spreads(env.get("randomizations", {}))
+    spread = _OffsetRanges(env.get("randomizations", {}))
     if env["track"].get("randomize", False) and len(env["track"]["obstacles"]) > len(env["track"]["gates"]):
         raise ConfigError("env.track: more obstacles than gates cannot be drawn")
     where = _make_environment(level, spread, name=name)
@@ -71,7 +71,7 @@ def _make_task(level: Mapping[str, Any], base: TaskCfg, robot: RobotCfg, *, name
     )
 
 
-class _Spreads:
+class _OffsetRanges:
     """Ranges of uniform offsets by quantity; zero where the file gives none."""
 
     def __init__(self, given: Mapping[str, Any]) -> None:
@@ -90,14 +90,14 @@ class _Spreads:
         if name not in self._given:
             return NO_SPREAD
         given = self._given[name]["kwargs"]
-        return _vector(given["minval"]), _vector(given["maxval"])
+        return _as_vec3(given["minval"]), _as_vec3(given["maxval"])
 
-    def number(self, name: str) -> tuple[float, float]:
+    def scalar_range(self, name: str) -> tuple[float, float]:
         given = self._given[name]["kwargs"]
         return float(given["minval"]), float(given["maxval"])
 
 
-def _vector(numbers: Sequence[float]) -> Vec3:
+def _as_vec3(numbers: Sequence[float]) -> Vec3:
     x, y, z = (float(number) for number in numbers)
     return x, y, z
 
@@ -110,15 +110,15 @@ def _make_sim(freq: float) -> str:
     raise ConfigError(f"sim.freq = {freq!r}: no sim has this frequency. Known: {known} Hz")
 
 
-def _make_environment(level: Mapping[str, Any], spread: _Spreads, *, name: str) -> EnvironmentCfg:
+def _make_environment(level: Mapping[str, Any], spread: _OffsetRanges, *, name: str) -> EnvironmentCfg:
     base, env = ENVIRONMENTS.get("racing_env"), level["env"]
     steps = level["sim"]["freq"] / env["freq"]
     if steps != int(steps):
         raise ConfigError(f"env.freq = {env['freq']!r}: must divide sim.freq = {level['sim']['freq']!r}")
     given = env["track"]
     track = TrackCfg(
-        gates=tuple(GatePlaceCfg(position=_vector(g["pos"]), euler=_vector(g["rpy"])) for g in given["gates"]),
-        poles=tuple(_vector(pole["pos"]) for pole in given["obstacles"]),
+        gates=tuple(GatePlaceCfg(position=_as_vec3(g["pos"]), euler=_as_vec3(g["rpy"])) for g in given["gates"]),
+        poles=tuple(_as_vec3(pole["pos"]) for pole in given["obstacles"]),
         gate_position_low=spread["gate_pos"][0],
         gate_position_high=spread["gate_pos"][1],
         gate_euler_low=spread["gate_rpy"][0],
@@ -141,43 +141,43 @@ def _make_environment(level: Mapping[str, Any], spread: _Spreads, *, name: str) 
 
 
 def _make_layout(limits: Mapping[str, Sequence[float]]) -> LayoutCfg:
-    (x0, y0, _), (x1, y1, _) = _vector(limits["pos_limit_low"]), _vector(limits["pos_limit_high"])
+    (x0, y0, _), (x1, y1, _) = _as_vec3(limits["pos_limit_low"]), _as_vec3(limits["pos_limit_high"])
     return LayoutCfg(lower=(x0 + BORDER, y0 + BORDER), upper=(x1 - BORDER, y1 - BORDER))
 
 
-def _make_start(track: Mapping[str, Any], spread: _Spreads, env: EnvironmentCfg) -> InitialStateCfg:
+def _make_start(track: Mapping[str, Any], spread: _OffsetRanges, env: EnvironmentCfg) -> InitialStateCfg:
     """Return the initial state of flights: around the drone's place, or for random tracks within the safety limits."""
     drone = track["drones"][0]
     if len(track["drones"]) != 1:
         raise ConfigError(f"env.track.drones: {len(track['drones'])}, needs one")
-    low, high = (tuple(a + b for a, b in zip(_vector(drone["pos"]), end, strict=True)) for end in spread["drone_pos"])
+    low, high = (tuple(a + b for a, b in zip(_as_vec3(drone["pos"]), end, strict=True)) for end in spread["drone_pos"])
     if env.track is not None and env.track.layout is not None:
         ends = track["safety_limits"]
-        low = (*_vector(ends["pos_limit_low"])[:2], low[2])
-        high = (*_vector(ends["pos_limit_high"])[:2], high[2])
-    turn = tuple(tuple(a + b for a, b in zip(_vector(drone["rpy"]), end, strict=True)) for end in spread["drone_rpy"])
+        low = (*_as_vec3(ends["pos_limit_low"])[:2], low[2])
+        high = (*_as_vec3(ends["pos_limit_high"])[:2], high[2])
+    turn = tuple(tuple(a + b for a, b in zip(_as_vec3(drone["rpy"]), end, strict=True)) for end in spread["drone_rpy"])
     return InitialStateCfg(
-        position_ratio_low=_share(low, env),
-        position_ratio_high=_share(high, env),
-        euler_low=_vector(turn[0]),
-        euler_high=_vector(turn[1]),
-        lin_vel_low=_vector(drone["vel"]),
-        lin_vel_high=_vector(drone["vel"]),
-        ang_vel_low=_vector(drone["ang_vel"]),
-        ang_vel_high=_vector(drone["ang_vel"]),
+        position_ratio_low=_share_of_bounds(low, env),
+        position_ratio_high=_share_of_bounds(high, env),
+        euler_low=_as_vec3(turn[0]),
+        euler_high=_as_vec3(turn[1]),
+        lin_vel_low=_as_vec3(drone["vel"]),
+        lin_vel_high=_as_vec3(drone["vel"]),
+        ang_vel_low=_as_vec3(drone["ang_vel"]),
+        ang_vel_high=_as_vec3(drone["ang_vel"]),
     )
 
 
-def _share(point: Sequence[float], env: EnvironmentCfg) -> Vec3:
+def _share_of_bounds(point: Sequence[float], env: EnvironmentCfg) -> Vec3:
     """Return a position [m] as a share of the constant bounds."""
     lower, upper = env.bounds_lower_low, env.bounds_upper_low
-    return _vector([(p - a) / (b - a) for p, a, b in zip(point, lower, upper, strict=True)])
+    return _as_vec3([(p - a) / (b - a) for p, a, b in zip(point, lower, upper, strict=True)])
 
 
-def _make_randomize(spread: _Spreads, robot: RobotCfg) -> dict[str, RandomizeCfg]:
+def _make_randomize(spread: _OffsetRanges, robot: RobotCfg) -> dict[str, RandomizeCfg]:
     draws = {}
     if "drone_mass" in spread:
-        low, high = spread.number("drone_mass")
+        low, high = spread.scalar_range("drone_mass")
         draws["body.mass"] = RandomizeCfg(how="offset", low=low, high=high, keep_inertia=True)
     if "drone_inertia" in spread:
         ends = (tuple(1.0 + end[i] / robot.body.inertia[i][i] for i in range(3)) for end in spread["drone_inertia"])
@@ -196,7 +196,7 @@ def _force_ranges(disturbances: Mapping[str, Any], freq: float) -> dict[str, Ran
     given = disturbances["dynamics"]
     if given["fn"] != "uniform":
         raise ConfigError(f"env.disturbances.dynamics.fn = {given['fn']!r}: must be 'uniform'")
-    low, high = _vector(given["kwargs"]["minval"]), _vector(given["kwargs"]["maxval"])
+    low, high = _as_vec3(given["kwargs"]["minval"]), _as_vec3(given["kwargs"]["maxval"])
     if any(a != -b for a, b in zip(low, high, strict=True)):
         raise ConfigError(f"env.disturbances.dynamics: minval = {low!r}, maxval = {high!r}: must be opposite")
     values = {"x": high[0], "y": high[1], "z": high[2], "hold": 1.0 / freq}

@@ -12,7 +12,7 @@ from aerial_gym.task.step.term_checks import call_term, check_result, term_width
 from aerial_gym.task.terms.actions import ACTIONS, Action
 from aerial_gym.task.terms.catalog import OBSERVATIONS, REWARDS, TERMINATIONS
 from aerial_gym.task.terms.observations import tensor_term
-from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind, check_params
+from aerial_gym.task.terms.term import ACTION, BoundTerm, Term, TermRegistry, bind_term, check_params
 from aerial_gym.task.values import Values
 
 Observed = list[tuple[BoundTerm, ObservationCfg, int]]
@@ -45,7 +45,7 @@ def resolve_groups(cfg: TaskCfg, values: Values, *, num_commands: int) -> dict[s
         for number, entry in enumerate(entries):
             term, first = _observation_term(entry.term, values), [other.term for other in entries].index(entry.term)
             label = f"observation term {entry.term!r}" + ("" if number == first else f" ({number})")
-            bound = bind(term, entry.params, label if group == "policy" else f"{label} of {group!r}")
+            bound = bind_term(term, entry.params, label if group == "policy" else f"{label} of {group!r}")
             values.term_inputs(bound)
             declared = num_commands if term.width == ACTION else term.width
             resolved[group].append((bound, entry, term_width(bound, values, rows=rows, width=declared)))
@@ -92,7 +92,7 @@ def _resolve_term(
     """Return a term with one result for each environment: a truth value of a termination, a number of a reward."""
     entry = registry.get(cfg.term)
     _check_command(f"{label}: term {cfg.term} is about", entry.command, task, command)
-    bound = bind(entry, cfg.params, f"{label} ({cfg.term})")
+    bound = bind_term(entry, cfg.params, f"{label} ({cfg.term})")
     values.term_inputs(bound)
     truth = registry is TERMINATIONS  # (E, 1) would be spread to (E, E) in silence
     check_result(bound.label, call_term(bound, values), (values.gtd["sim_steps"].shape[0],), "(E,)", truth=truth)

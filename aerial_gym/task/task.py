@@ -31,12 +31,12 @@ from aerial_gym.task.resolve import (
     resolve_terminations,
 )
 from aerial_gym.task.rotor_range import with_rotor_range
-from aerial_gym.task.step.actor import Actor, declare_delay
+from aerial_gym.task.step.actor import ActionConverter, declare_delay
 from aerial_gym.task.step.gradient_graph import GradientGraph
 from aerial_gym.task.step.judge import ARRIVED, FINAL, SUMS, TALLIES, Judge
-from aerial_gym.task.step.observer import Entry, Observer
+from aerial_gym.task.step.observer import ObservationEntry, Observer
 from aerial_gym.task.step.row_kernels import StepKernel
-from aerial_gym.task.step.step_graph import StepGraph, check_untraced
+from aerial_gym.task.step.step_graph import StepGraph, check_untraced_terms
 from aerial_gym.task.terms.buffers import STEP_TIME
 from aerial_gym.task.values import Values
 from aerial_gym.task.vision.image_buffers import ImageBuffers
@@ -131,7 +131,7 @@ class Task:
         )
         self._images = TaskImages(cfg.images, self.values, env.sensor_manager)
         counts = {"num_actions": self.num_actions, "num_commands": num_commands}
-        self._actor = Actor(cfg.action, action, params, self.values, **counts, dt=env.dt, random=env.random)
+        self._actor = ActionConverter(cfg.action, action, params, self.values, **counts, dt=env.dt, random=env.random)
         self._memory = self._make_memory()
         self._all = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
         self._watch = self._make_watch(keep=False)
@@ -182,10 +182,10 @@ class Task:
         self._check_capture()
         self._capture_at_reset = False
         level = None if self.curriculum is None else self.curriculum.state()
-        self._begin(self._all)
+        self._start_episodes(self._all)
         parts = [self._judge.rows, self._observer.rows, *([self._memory] if self._memory else [])]
         with on_device(self.device):
-            check_untraced(parts, self.values)
+            check_untraced_terms(parts, self.values)
             self._graph = StepGraph(self._step, (self.num_envs, self.num_actions), self.device)
         self.values.own[TALLIES].zero_()  # of the steps before the recording
         self.env.restart(self.env.seed)
@@ -254,7 +254,7 @@ class Task:
             self.env.restart(seed)
             if self.curriculum is not None:
                 self.curriculum.restart()
-        self._begin(self._all)
+        self._start_episodes(self._all)
         if self.values.graph is not None:
             self.detach()
         self._watch.count_rows()
@@ -262,7 +262,7 @@ class Task:
         for name in (SUMS, ARRIVED):
             if name in self.values.own:
                 self.values.own[name].zero_()
-        return self._observe(), {}
+        return self._read_observation(), {}
 
     def practise(self) -> None:
         """Start episodes at the command's places of practice, from the next resets on."""
@@ -294,7 +294,7 @@ class Task:
     def _step(self, actions: Tensor) -> StepResult:
         self.env.step(self._actor(actions))
         if self._images.frames:
-            self._look()
+            self._read_sensors()
         self._observer.draw_noise(final=True)  # of the episode that may end now
         judged = self._judge()
         info = self._judge.info(judged)
@@ -302,10 +302,10 @@ class Task:
         if self.curriculum is not None:
             self.curriculum.count(judged["ended"], judged["success"])
         self._watch.record_step(actions, judged["ended"])
-        self._begin(judged["ended"], counted=True)
-        return self._observe(), judged["reward"], judged["terminated"], judged["truncated"], info
+        self._start_episodes(judged["ended"], counted=True)
+        return self._read_observation(), judged["reward"], judged["terminated"], judged["truncated"], info
 
-    def _begin(self, mask: Tensor, *, counted: bool = False) -> None:
+    def _start_episodes(self, mask: Tensor, *, counted: bool = False) -> None:
         """Start episodes in the environments of ``mask``: robot, obstacles, target and the room around it."""
         self.env.reset(mask, counted=counted, place=self._command.place)
         mask = self.env.random.mask
@@ -317,18 +317,18 @@ class Task:
         if self._memory is not None:
             self._memory()
 
-    def _observe(self) -> Observation:
+    def _read_observation(self) -> Observation:
         """Read the sensors and return the observation of this instant."""
-        self._look(begun=bool(self._images.frames))
+        self._read_sensors(begun=bool(self._images.frames))
         self._observer.draw_noise()
         entries = {group_key(group): value for group, value in self._observer().items()}
         return entries | {name: frames.clone() for name, frames in self._images.frames.items()}
 
-    def _look(self, *, begun: bool = False) -> None:
+    def _read_sensors(self, *, begun: bool = False) -> None:
         """Read the sensors and update image terms; ``begun``: only where an episode has just begun."""
         self.env.render(self.env.random.mask if begun else None)
         self._buffers.measure()
-        self._images.take(begun=begun)
+        self._images.write_frames(begun=begun)
 
     def parts(self) -> dict[str, Callable[[], None]]:
         """Return the parts of a step, to be timed one by one; each changes the simulation as within a step.
@@ -338,13 +338,13 @@ class Task:
         """
         few = torch.arange(self.num_envs, device=self.device) % 100 == 0
         entries: dict[str, Callable[[], None]] = {"physics": self.env.fly, "collision": self.env.collide}
-        entries["reset"] = partial(self._begin, few)
+        entries["reset"] = partial(self._start_episodes, few)
         if self.env.sensor_manager.casters:
-            entries["rendering"] = self._look
+            entries["rendering"] = self._read_sensors
         return entries
 
     @property
-    def observation_terms(self) -> dict[str, list[Entry]]:
+    def observation_terms(self) -> dict[str, list[ObservationEntry]]:
         """Terms in the order of their columns, by observation key."""
         return {group_key(group): entries for group, entries in self._observer.groups.items()}
 
@@ -369,7 +369,7 @@ class Task:
         ``reward/<name>`` is the sum of a reward term over an episode, ``ended/<name>`` the share of episodes that a
         termination ended, ``episodes`` their number; of none there is only that.
         """
-        return self._judge.means()
+        return self._judge.episode_means()
 
     def _make_values(self, num_commands: int) -> Values:
         env = self.env

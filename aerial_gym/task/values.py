@@ -13,7 +13,7 @@ from aerial_gym.errors import DuplicateNameError, UnknownNameError, suggest_name
 from aerial_gym.registry import GlobalTensorDictionary, TensorSpec
 from aerial_gym.task.step.gradient_graph import GradientGraph
 from aerial_gym.task.terms.buffers import BUFFERS
-from aerial_gym.task.terms.term import BoundTerm, bind
+from aerial_gym.task.terms.term import BoundTerm, bind_term
 
 
 class Values(Mapping[str, Tensor]):
@@ -72,20 +72,20 @@ class Values(Mapping[str, Tensor]):
                 self.measured |= {name} if made.ndim else set()
                 return made
         if name in BUFFERS:
-            return self._make(name)
+            return self._make_registered_buffer(name)
         known = sorted({*self.gtd, *self.own, *self._makers, *BUFFERS})
         raise UnknownNameError(
             f"{reader} reads {name!r}, which is neither a key of the GTD nor a task buffer."
             f"{suggest_name(name, known)} Known: {', '.join(known)}"
         )
 
-    def _make(self, name: str) -> Tensor:
+    def _make_registered_buffer(self, name: str) -> Tensor:
         entry = BUFFERS.get(name)
         made = self.declare(name, entry.shape, unit=entry.unit, frame=entry.frame, meaning=entry.summary)
         label = f"task buffer {name!r}"
         for read in entry.term.reads:
             self.find(read, label)
-        self.updates[name] = bind(entry.term, {}, label)
+        self.updates[name] = bind_term(entry.term, {}, label)
         return made
 
     def term_inputs(self, *terms: BoundTerm) -> dict[str, Tensor]:

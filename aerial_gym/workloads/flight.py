@@ -67,7 +67,7 @@ def check_flying(state: BodyState) -> None:
     """Raise ``WorkloadError`` unless every vehicle is finite, turned by a unit quaternion, near enough and slow enough."""
     for name, tensor in vars(state).items():
         if not torch.isfinite(tensor).all():
-            raise WorkloadError(f"{name} is not finite in {_count(~torch.isfinite(tensor))} environments")
+            raise WorkloadError(f"{name} is not finite in {_count_environments(~torch.isfinite(tensor))} environments")
     limits = (
         ("norm error of the quaternion", (state.attitude.norm(dim=-1) - 1.0).abs(), MAX_NORM_ERROR, ""),
         ("distance from the origin", state.position.norm(dim=-1), MAX_DISTANCE, " m"),
@@ -82,10 +82,10 @@ def check_moved(before: BodyState, after: BodyState) -> None:
     """Raise ``WorkloadError`` if the position of a vehicle is the same as before."""
     still = (before.position == after.position).all(dim=-1)
     if still.any():
-        raise WorkloadError(f"{_count(still)} of {before.num_envs} environments did not move")
+        raise WorkloadError(f"{_count_environments(still)} of {before.num_envs} environments did not move")
 
 
-def _count(flags: Tensor) -> int:
+def _count_environments(flags: Tensor) -> int:
     return int(flags.reshape(flags.shape[0], -1).any(dim=-1).sum())
 
 
@@ -115,16 +115,16 @@ def make_flight(
     model = build_model(declared, rows, articulation=articulation)
     control = make_controller(law, declared, model.gravity, dt=dt, control=cfg.control)
     generator = torch.Generator(device=device).manual_seed(seed)
-    hover = _hover_thrust(cfg, effects, device)
-    state = near_hover(num_envs, hover[1], generator)
+    hover = _hover_thrust_and_speed(cfg, effects, device)
+    state = state_near_hover(num_envs, hover[1], generator)
     action = hover_action(law.law, len(control.action_names), hover, num_envs, generator)
     if articulation is not None:
-        state, action = _with_joints(articulation, state, action)
+        state, action = _add_joints(articulation, state, action)
     stepper.allocate(model, control, integrator=integrator)
     return HoverFlight(stepper, state, action, dt=dt, substeps=substeps)
 
 
-def _with_joints(articulation: Articulation, state: BodyState, action: Tensor) -> tuple[ArticulatedState, Tensor]:
+def _add_joints(articulation: Articulation, state: BodyState, action: Tensor) -> tuple[ArticulatedState, Tensor]:
     """Return state and action of vehicles in their reference pose, whose drives hold it."""
     joint_pos = articulation.reference.repeat(state.num_envs, 1)
     held = [
@@ -151,7 +151,7 @@ def moderate_effects(
     return rows
 
 
-def _hover_thrust(robot: RobotCfg, effects: Sequence[str], device: torch.device) -> tuple[Tensor, Tensor]:
+def _hover_thrust_and_speed(robot: RobotCfg, effects: Sequence[str], device: torch.device) -> tuple[Tensor, Tensor]:
     """Return thrust [N] and speed [rad/s] of each rotor, (1, R), that hold the vehicle with its effects level in place."""
     declared: Vehicle = vehicle_from_config(robot, num_envs=1, device=device)
     effects = [name for name in effects if EFFECTS.get(name).on_rigid]
@@ -163,7 +163,7 @@ def _hover_thrust(robot: RobotCfg, effects: Sequence[str], device: torch.device)
     return thrust, allocation.speed(thrust)
 
 
-def near_hover(num_envs: int, rotor_speed: Tensor, generator: torch.Generator) -> BodyState:
+def state_near_hover(num_envs: int, rotor_speed: Tensor, generator: torch.Generator) -> BodyState:
     """Return level vehicles within 1 m of the origin, at most 0.1 m/s and 0.01 rad/s an axis, rotors at (1, R) [rad/s]."""
     state = state_at_rest(num_envs, rotor_speed.shape[1], device=rotor_speed.device, dtype=rotor_speed.dtype)
     for tensor, size in ((state.position, 1.0), (state.lin_vel, 0.1), (state.ang_vel, 0.01)):

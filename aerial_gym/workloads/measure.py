@@ -50,7 +50,7 @@ def time_launches(workload: Workload, *, repeats: int, repeat_time_s: float) -> 
         raise ConfigError(f"--repeat-time-s = {repeat_time_s!r}: must be > 0 and finite")
     workload.restore()
     workload.check(started=False)
-    batches = _calibrate(workload, repeat_time_s)
+    batches = _batches_per_repeat(workload, repeat_time_s)
     seconds = []
     for _ in range(repeats):
         seconds.append(_time_batches(workload, batches) / (batches * workload.launches_per_batch))
@@ -58,7 +58,7 @@ def time_launches(workload: Workload, *, repeats: int, repeat_time_s: float) -> 
     return seconds
 
 
-def _calibrate(workload: Workload, repeat_time_s: float) -> int:
+def _batches_per_repeat(workload: Workload, repeat_time_s: float) -> int:
     """Return the number of batches that take about ``repeat_time_s`` [s]; warms up on the way."""
     batches, elapsed = 1, _time_batches(workload, 1)  # the first one may compile: not a measurement
     while (elapsed := _time_batches(workload, batches)) < 0.2 * repeat_time_s:
@@ -72,17 +72,17 @@ def _time_batches(workload: Workload, batches: int) -> float:
     while batches > 0:
         count = min(batches, workload.batches_per_stretch)
         workload.restore()
-        synchronize(workload.device)
+        wait_for_device(workload.device)
         begin = time.perf_counter()
         for _ in range(count):
             workload.run_batch()
-        synchronize(workload.device)
+        wait_for_device(workload.device)
         elapsed += time.perf_counter() - begin
         batches -= count
     return elapsed
 
 
-def synchronize(device: torch.device) -> None:
+def wait_for_device(device: torch.device) -> None:
     """Wait for a GPU; a CPU is never behind."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)

@@ -88,7 +88,7 @@ def array_bytes(holder: object, device: "torch.device") -> dict[str, int]:
 
     Views of one memory are counted once, under the name of the widest of them that was found first.
     """
-    spans = sorted(_spans(holder, device), key=lambda span: (span[0], -span[1]))
+    spans = sorted(_array_spans(holder, device), key=lambda span: (span[0], -span[1]))
     sizes: dict[str, int] = {}
     end = 0
     for begin, stop, name in spans:
@@ -98,7 +98,7 @@ def array_bytes(holder: object, device: "torch.device") -> dict[str, int]:
     return sizes
 
 
-def _spans(holder: object, device: "torch.device") -> "Iterator[tuple[int, int, str]]":
+def _array_spans(holder: object, device: "torch.device") -> "Iterator[tuple[int, int, str]]":
     """Yield first byte, end and name of every reachable array, breadth first."""
     import torch
     import warp as wp
@@ -115,12 +115,12 @@ def _spans(holder: object, device: "torch.device") -> "Iterator[tuple[int, int, 
         elif isinstance(thing, wp.array):
             place = "none" if thing.device is None else wp.device_to_torch(thing.device)
             if thing.ptr and thing.size and place.startswith(device.type):
-                yield thing.ptr, thing.ptr + _extent(thing), name
+                yield thing.ptr, thing.ptr + _array_extent(thing), name
         else:
-            waiting += [(f"{name}.{label}".lstrip("."), part) for label, part in _parts(thing)]
+            waiting += [(f"{name}.{label}".lstrip("."), part) for label, part in _object_parts(thing)]
 
 
-def _extent(array: "wp.array") -> int:
+def _array_extent(array: "wp.array") -> int:
     """Return the bytes from the first element of an array to the end of its last."""
     import warp as wp
 
@@ -128,7 +128,7 @@ def _extent(array: "wp.array") -> int:
     return steps + wp.types.type_size_in_bytes(array.dtype)
 
 
-def _parts(thing: object) -> Iterator[tuple[str, object]]:
+def _object_parts(thing: object) -> Iterator[tuple[str, object]]:
     """Yield name and value of the parts of a container, an object of this package, a function or a recorded launch."""
     import warp as wp
 

@@ -31,10 +31,10 @@ def device_name(device: torch.device) -> str:
 
 def provenance(*packages: str) -> dict[str, object]:
     """Return versions, also of further packages, commit, and load of the machine [processes, mean of a minute]."""
-    versions = {name.removesuffix("-lang").replace("-", "_"): _version(name) for name in (*PACKAGES, *packages)}
+    versions = {name.removesuffix("-lang").replace("-", "_"): _package_version(name) for name in (*PACKAGES, *packages)}
     return {
         "versions": {**versions, "python": platform.python_version()},
-        "commit": commit(),
+        "commit": commit_hash(),
         "load1": round(os.getloadavg()[0], 2),
     }
 
@@ -44,7 +44,7 @@ def backend_packages(backend: str | None) -> tuple[str, ...]:
     return () if backend in (None, "auto") else getattr(BACKENDS.get(backend), "packages", ())
 
 
-def commit() -> str | None:
+def commit_hash() -> str | None:
     """Return the short hash of the checkout, with ``-dirty`` if it was changed; None outside a checkout."""
     command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     try:
@@ -81,7 +81,7 @@ def format_value(value: object) -> str:
     return f"{value:.4g}"
 
 
-def _version(package: str) -> str:
+def _package_version(package: str) -> str:
     """Return the installed version of a package, or a note on a source tree without metadata."""
     try:
         return metadata.version(package)

@@ -62,7 +62,7 @@ class PeerResult:
         }
 
 
-def summary(row: Mapping[str, object]) -> str:
+def peer_summary(row: Mapping[str, object]) -> str:
     """Return the row of another renderer as a sentence."""
     versions = f"; {format_value(row['versions'])}" if "versions" in row else ""
     return f"{format_value(row['frames_per_s'])} frames/s, ours is {format_value(row['ratio'])} times as fast{versions}"
@@ -85,7 +85,7 @@ class PeerComparison:
         self._scene, self._camera, self._images, self._direction = scene, camera, images, direction
         self._device, self._pythons, self._timing = direction.device.type, interpreters(pythons, sys.executable), timing
 
-    def refusal(self, name: str) -> str | None:
+    def refusal_reason(self, name: str) -> str | None:
         """Return the reason against measuring a renderer, with the remedy; None if it can be measured."""
         if not self._scene.shapes:
             return f"{name} is skipped: it needs a scene of its own kind, such as --scene boxes, not an environment."

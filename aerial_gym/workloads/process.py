@@ -16,7 +16,7 @@ class RunFailedError(Exception):
     """A process ended without a figure; the text is its last words."""
 
 
-def run(
+def run_process(
     python: str,
     arguments: Sequence[str],
     *,

@@ -48,12 +48,12 @@ class RenderBench:
     def run(self) -> int:
         """Measure and print; return the exit status: 1 if a peer did not draw the scene."""
         from aerial_gym.workloads.output import print_figures
-        from aerial_gym.workloads.peers import summary
+        from aerial_gym.workloads.peers import peer_summary
 
         rows, failures = self.measure()
         print_figures(rows[0], as_json=self.json)
         for row in rows[1:]:
-            print_figures(row if self.json else {str(row["name"]): summary(row)}, as_json=self.json)
+            print_figures(row if self.json else {str(row["name"]): peer_summary(row)}, as_json=self.json)
         for failure in failures:
             print(f"aerial-gym bench render: {failure}", file=sys.stderr)
         return 1 if failures else 0
@@ -88,7 +88,7 @@ class RenderBench:
         from aerial_gym.workloads.scenes import make_scene
 
         provided, scene = provenance(), make_scene(self.scene, self.num_envs, device=device)
-        sensor = self._sensor(scene.max_range)
+        sensor = self._render_sensor(scene.max_range)
         image = (self.num_envs, 1, self.height, self.width)
         depth = torch.zeros(image, device=device)
         ids = torch.zeros(image, dtype=torch.int32, device=device) if self.segmentation else None
@@ -101,24 +101,24 @@ class RenderBench:
             "ang_vel": 0.0 * ahead,
         }
         caster = RayCaster(sensor, scene.build(), images, **motion)
-        seconds = self._time(caster.cast, depth)
+        seconds = self._call_times(caster.cast, depth)
         elsewhere = scene.state.clone()
-        move = statistics.median(self._time(lambda: scene.state.copy_(elsewhere), depth))
+        move = statistics.median(self._call_times(lambda: scene.state.copy_(elsewhere), depth))
         comparison = PeerComparison(
             scene=scene, camera=sensor, images=images, direction=caster.direction, pythons=self.peer_python,
             threads=threads, repeats=self.repeats, repeat_time_s=self.repeat_time_s,
         )  # fmt: skip
         peer_results, failures = [], []
         for name in names:
-            reason = comparison.refusal(name)
+            reason = comparison.refusal_reason(name)
             if reason is not None:
                 print(reason, file=sys.stderr)
                 continue
             try:
-                peer_results.append(comparison.measure(name, self._time))
+                peer_results.append(comparison.measure(name, self._call_times))
             except WorkloadError as error:
                 failures.append(str(error))
-            seconds += self._time(caster.cast, depth)
+            seconds += self._call_times(caster.cast, depth)
         rates = rate_figures("frames_per_s", seconds, self.num_envs)
         median, settings = (
             rates["frames_per_s"],
@@ -139,7 +139,7 @@ class RenderBench:
         }
         return [own_row, *(other.row(median, self.num_envs) for other in peer_results)], failures
 
-    def _sensor(self, max_range: float) -> "RangeSensorCfg":
+    def _render_sensor(self, max_range: float) -> "RangeSensorCfg":
         """Return the camera or the lidar."""
         from aerial_gym.config.sensor import CameraCfg, LidarCfg
         from aerial_gym.errors import ConfigError
@@ -154,14 +154,14 @@ class RenderBench:
         angles = {"elevation_low_deg": -22.5, "elevation_high_deg": 22.5, "source": "the angles of os1_64"}
         return LidarCfg(**shared, **scan, **angles)
 
-    def _time(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
+    def _call_times(self, call: "Callable[[], object]", depth: "torch.Tensor") -> list[float]:
         """Return the time of one call in each repeat [s]."""
         from aerial_gym.workloads.measure import time_launches
 
-        return time_launches(_Images(call, depth), repeats=self.repeats, repeat_time_s=self.repeat_time_s)
+        return time_launches(_RenderWorkload(call, depth), repeats=self.repeats, repeat_time_s=self.repeat_time_s)
 
 
-class _Images:
+class _RenderWorkload:
     """A workload that writes depth images again and again."""
 
     batches_per_stretch = 1_000_000_000  # the scene stays: nothing is put back

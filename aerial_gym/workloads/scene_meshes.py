@@ -55,7 +55,9 @@ class SceneMeshes:
             shared: One mesh for all environments, pixels in tiles; else a mesh for each, pixels in rows.
         """
         device, num_envs = wp.device_from_torch(scene.state.device), scene.state.shape[0]
-        self.meshes = [self._merge(scene, env, device) for env in range(min(num_envs, 1 if shared else DISTINCT))]
+        self.meshes = [
+            self._merge_environment(scene, env, device) for env in range(min(num_envs, 1 if shared else DISTINCT))
+        ]
         order = torch.arange(direction[..., 0].numel(), dtype=torch.int32, device=direction.device)
         if shared:
             tiles = make_tiles(direction, height=8, width=8)
@@ -92,12 +94,12 @@ class SceneMeshes:
             self._launch.launch()
 
     @staticmethod
-    def _merge(scene: RenderScene, env: int, device: wp.Device) -> wp.Mesh:
+    def _merge_environment(scene: RenderScene, env: int, device: wp.Device) -> wp.Mesh:
         pieces = []
         for shape, row in zip(scene.shapes, scene.state[env].cpu(), strict=True):
             turn = quat_to_matrix(row[3:7].double()).numpy()
             for part in shape.parts or (PartCfg(shape=shape),):
-                piece = _triangles(part.shape)
+                piece = _shape_triangles(part.shape)
                 local = quat_to_matrix(quat_from_euler(torch.tensor(part.euler, dtype=torch.float64))).numpy()
                 points = (piece.vertices @ local.T + np.array(part.position)) @ turn.T + row[:3].numpy()
                 pieces.append(trimesh.Trimesh(points, piece.faces, process=False))
@@ -108,7 +110,7 @@ class SceneMeshes:
         )
 
 
-def _triangles(shape: ShapeCfg) -> trimesh.Trimesh:
+def _shape_triangles(shape: ShapeCfg) -> trimesh.Trimesh:
     if shape.kind == "box":
         return trimesh.creation.box(extents=shape.size)
     if shape.kind == "sphere":

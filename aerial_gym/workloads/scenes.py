@@ -97,7 +97,7 @@ def _floor_with_boxes(num_envs: int, device: torch.device, *, turned: bool = Tru
     return _scene_on_device(shapes, state, position, attitude, 50.0, device)
 
 
-def _tree(seed: int) -> ShapeCfg:
+def _tree_shape(seed: int) -> ShapeCfg:
     """Return a tree of a trunk and 12 branches, all cylinders, 3 m high."""
     chance = random.Random(seed)
     parts = [PartCfg(shape=ShapeCfg(kind="cylinder", radius=0.12, height=3.0), position=(0.0, 0.0, 1.5))]
@@ -121,7 +121,7 @@ def _room_with_obstacles(num_envs: int, device: torch.device) -> RenderScene:
         shapes.append(ShapeCfg(kind="box", size=(a, b, c)))
     shapes += [ShapeCfg(kind="sphere", radius=chance.uniform(0.15, 0.45)) for _ in range(10)]
     shapes += [ShapeCfg(kind="cylinder", radius=0.15, height=2.0) for _ in range(4)]
-    shapes += [_tree(seed) for seed in range(8)]
+    shapes += [_tree_shape(seed) for seed in range(8)]
     state = torch.zeros(num_envs, len(shapes), 13)
     middles = ((5.1, 0, 3), (-5.1, 0, 3), (0, 5.1, 3), (0, -5.1, 3), (0, 0, -0.1), (0, 0, 6.1))
     state[:, :6, :3], state[..., 6] = torch.tensor(middles, dtype=torch.float32), 1.0

@@ -23,25 +23,27 @@ def time_parts(task: Task, actions: torch.Tensor, *, repeats: int) -> dict[str, 
     """Return the median time of each part of a step [s] under actions (E, U): CUDA events on a GPU, the clock on a CPU."""
     times = {}
     for name, call in task.parts().items():
-        _mix(task, actions)
-        calls = max(1, min(MAX_CALLS, int(SPAN_S / _clock(call, 2, task.device))))
+        _mix_episode_ages(task, actions)
+        calls = max(1, min(MAX_CALLS, int(SPAN_S / _clock_time(call, 2, task.device))))
         batch = make_batch(call, calls, task.device)
         figures = []
         for _ in range(repeats):
-            _mix(task, actions)
-            figures.append((_events(batch) if task.device.type == "cuda" else _clock(batch, 1, task.device)) / calls)
+            _mix_episode_ages(task, actions)
+            figures.append(
+                (_gpu_time(batch) if task.device.type == "cuda" else _clock_time(batch, 1, task.device)) / calls
+            )
         times[name] = statistics.median(figures)
     return times
 
 
-def _mix(task: Task, actions: torch.Tensor) -> None:
+def _mix_episode_ages(task: Task, actions: torch.Tensor) -> None:
     task.reset()
     task.stagger()
     for _ in range(MIXING_STEPS):
         task.step(actions)
 
 
-def _clock(call: Callable[[], None], times: int, device: torch.device) -> float:
+def _clock_time(call: Callable[[], None], times: int, device: torch.device) -> float:
     """Return the time of a call [s] without the first of several, which may compile."""
     spans = []
     for _ in range(times):
@@ -53,7 +55,7 @@ def _clock(call: Callable[[], None], times: int, device: torch.device) -> float:
     return spans[-1]
 
 
-def _events(replay: Callable[[], None]) -> float:
+def _gpu_time(replay: Callable[[], None]) -> float:
     """Return the time that the GPU takes [s]."""
     begin, end = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
     torch.cuda.synchronize()

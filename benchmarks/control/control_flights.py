@@ -94,7 +94,7 @@ class ControlFlight:
     response: tuple[float, ...]  # To the step, as a share of it, at each sample
 
 
-def different_robots(*, bend: bool = False) -> dict[str, RobotCfg]:
+def robots_by_dynamics(*, bend: bool = False) -> dict[str, RobotCfg]:
     """Return the registered robots with distinct flight dynamics, by the first name of each: rigid ones, or those with joints.
 
     Robots on a stand do not fly.
@@ -135,7 +135,7 @@ def target_robot(controller: str) -> str:
     return MEANT_FOR[controller.partition("_")[0]]
 
 
-def unfit(
+def misfit_reason(
     robot: RobotCfg, controller: ControllerCfg, sim: SimCfg | None = None, *, names: tuple[str, str] = ("this", "it")
 ) -> str:
     """Return the reason why a controller does not fit a robot at a sim (default `base_sim`), or an empty text."""
@@ -147,22 +147,22 @@ def unfit(
     return ""
 
 
-def turn_axes(robot: RobotCfg) -> tuple[bool, ...]:
+def axes_with_torque(robot: RobotCfg) -> tuple[bool, ...]:
     """Return the mask of body axes with torque authority, (3,)."""
     allocation = Allocation(vehicle_from_config(robot, num_envs=1, dtype=torch.float64), GRAVITY)
     return tuple((allocation.torque_authority(robot.body.mass * GRAVITY) > 0.0).tolist())
 
 
-def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> ControlFlight:
+def fly_robot(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple[str, str, str]) -> ControlFlight:
     """Fly a robot and return the results; ``names`` are those of robot, controller and sim."""
-    law, can_turn = controller.law, turn_axes(robot)
+    law, can_turn = controller.law, axes_with_torque(robot)
     in_air = robot.control.buoyancy == 0.0
     env = EnvManager(
         sim=sim,
         env=replace(
             ENVIRONMENTS.get("empty_env"), physics_steps_per_env_step=round(SAMPLE / sim.dt), ground_height=FAR_BELOW
         ),
-        robot=_with_drag(robot) if in_air else robot,
+        robot=_add_drag(robot) if in_air else robot,
         controller=controller,
         num_envs=DRAWN.stop,
         device=torch.device("cpu"),
@@ -170,19 +170,19 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
     )
     env.reset()
     gtd = env.gtd
-    _begin(gtd, robot, in_air=in_air)
+    _set_hover_states(gtd, robot, in_air=in_air)
     env.robot_manager.refresh_model()
     actions = torch.zeros_like(gtd["robot_actions"])
-    drives = Drives(robot, sim.dt)
+    drives = DriveCommands(robot, sim.dt)
     channel = {"attitude": 1, "rates": 3 if can_turn[2] else 1}.get(law, 0)
     upwards = 0 if law in ("attitude", "rates") else 2
     actions[[STEP, AT_LIMITS], channel] = STEPS[law]
     axis = channel - 1 if law in ("attitude", "rates") else 0
-    low, high = _limits(robot)
+    low, high = _rotor_limits(robot)
     before, errors, responses, tilts, at_limit = gtd["robot_linvel"].clone(), [], [], [], []
     for sample in range(round(SPAN / SAMPLE)):
         actions[AT_LIMITS, upwards] = CLIMB if sample < round(FULL / SAMPLE) else 0.0
-        drives.hold(gtd, actions)
+        drives.write_commands(gtd, actions)
         env.step(actions)
         acceleration = (gtd["robot_linvel"] - before) / SAMPLE
         before = gtd["robot_linvel"].clone()
@@ -193,13 +193,13 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
         wanted[[STEP, AT_LIMITS], axis] = STEPS[law]
         errors.append((controlled - wanted).norm(dim=-1))
         responses.append(response[:, axis] / STEPS[law])
-        tilts.append(float(_tilt(gtd["robot_orientation"][DRAWN]).max()))
+        tilts.append(float(_tilt_angles(gtd["robot_orientation"][DRAWN]).max()))
         margin = NEAR_LIMIT * (high - low)
         speed = gtd["rotor_speed"][AT_LIMITS]
         at_limit.append(bool(((speed < low + margin) | (speed > high - margin)).any()))
     error, response = torch.stack(errors).nan_to_num(nan=inf), torch.stack(responses)
-    settled, overshoot = figures(response[:, STEP].tolist())
-    limit_settled, limit_overshoot = figures(response[:, AT_LIMITS].tolist())
+    settled, overshoot = settling_and_overshoot(response[:, STEP].tolist())
+    limit_settled, limit_overshoot = settling_and_overshoot(response[:, AT_LIMITS].tolist())
     return ControlFlight(
         robot=names[0], controller=names[1], law=law, sim=names[2],
         error=float(error[-1, DRAWN].max()), settling_s=settled, overshoot=overshoot,
@@ -212,7 +212,7 @@ def fly(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names: tuple
     )  # fmt: skip
 
 
-class Drives:
+class DriveCommands:
     """Drive commands, after those of the law: the reference pose, and for a servo tail the angle that holds the heading."""
 
     def __init__(self, robot: RobotCfg, dt: float) -> None:
@@ -223,7 +223,7 @@ class Drives:
         except ConfigError:  # no tail on a servo
             self._servo = None
 
-    def hold(self, gtd: GlobalTensorDictionary, actions: Tensor) -> None:
+    def write_commands(self, gtd: GlobalTensorDictionary, actions: Tensor) -> None:
         """Write the commands of a step into the actions."""
         if self._servo is not None:
             ahead = torch.zeros(len(actions))
@@ -231,15 +231,15 @@ class Drives:
         actions[:, actions.shape[1] - self._held.shape[-1] :] = self._held
 
 
-def _with_drag(robot: RobotCfg) -> RobotCfg:
-    """Return a robot with effects that ``_begin`` sets per environment; as they are here they do nothing."""
+def _add_drag(robot: RobotCfg) -> RobotCfg:
+    """Return a robot with effects that ``_set_hover_states`` sets per environment; as they are here they do nothing."""
     still = {"constant_wind": dict.fromkeys("xyz", 0.0), "rotor_drag": dict.fromkeys(("dx", "dy", "dz"), 0.0)}
     return replace(
         robot, effects={**robot.effects, **still}, effects_source="benchmarks.control.control_flights: WIND, PUSH"
     )
 
 
-def _begin(gtd: GlobalTensorDictionary, robot: RobotCfg, *, in_air: bool) -> None:
+def _set_hover_states(gtd: GlobalTensorDictionary, robot: RobotCfg, *, in_air: bool) -> None:
     """Put those that are not drawn to hover at the origin, and one of them into wind."""
     weight = torch.zeros(1, 6)
     weight[:, 2] = robot.body.mass * GRAVITY - robot.control.buoyancy
@@ -253,7 +253,7 @@ def _begin(gtd: GlobalTensorDictionary, robot: RobotCfg, *, in_air: bool) -> Non
         gtd["effect_rotor_drag"][IN_WIND, :2] = PUSH * robot.body.mass * GRAVITY / WIND
 
 
-def _limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
+def _rotor_limits(robot: RobotCfg) -> tuple[Tensor, Tensor]:
     """Return lowest and highest speeds of the rotors [rad/s], in force mode thrusts [N], (R,)."""
     vehicle = vehicle_from_config(robot, num_envs=1)
     allocation = Allocation(vehicle, GRAVITY)
@@ -265,11 +265,11 @@ def _response(law: str, gtd: GlobalTensorDictionary, acceleration: Tensor) -> Te
     return acceleration if law == "acceleration" else gtd[RESPONSES[law]]
 
 
-def _tilt(attitude: Tensor) -> Tensor:
+def _tilt_angles(attitude: Tensor) -> Tensor:
     return torch.acos((1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)).clamp(-1.0, 1.0))
 
 
-def figures(response: list[float]) -> tuple[float, float]:
+def settling_and_overshoot(response: list[float]) -> tuple[float, float]:
     """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on.
 
     Both are infinite where there is NaN in it.

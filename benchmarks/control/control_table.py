@@ -31,13 +31,13 @@ from benchmarks.control.control_flights import (
     STEPS,
     UNITS,
     ControlFlight,
-    different_robots,
-    fly,
+    fly_robot,
     geometric_controllers,
     holds_shape,
+    misfit_reason,
     robot_controllers,
+    robots_by_dynamics,
     target_robot,
-    unfit,
 )
 from benchmarks.markdown import insert_between_marks, table
 
@@ -84,12 +84,12 @@ def fly_all(
         for controller in controllers:
             foreign = controller in named and target_robot(controller) != robot
             for sim in sims:
-                why = unfit(cfg, CONTROLLERS.get(controller), SIMS.get(sim), names=(robot, controller))
+                why = misfit_reason(cfg, CONTROLLERS.get(controller), SIMS.get(sim), names=(robot, controller))
                 if why:
                     refusals.append(Refusal(robot, controller, sim, why))
                 elif not foreign or (sim == COARSEST and _holds_place(controller)):
                     law = CONTROLLERS.get(controller)
-                    flights.append(fly(cfg, law, SIMS.get(sim), names=(robot, controller, sim)))
+                    flights.append(fly_robot(cfg, law, SIMS.get(sim), names=(robot, controller, sim)))
     return flights, refusals
 
 
@@ -97,13 +97,13 @@ def _holds_place(controller: str) -> bool:
     return CONTROLLERS.get(controller).law in ("position", "pose")
 
 
-def own(flights: list[ControlFlight]) -> list[ControlFlight]:
+def flights_with_own_gains(flights: list[ControlFlight]) -> list[ControlFlight]:
     """Return the flights with the robot's own gains: derived, from its file, or of a controller named for it."""
     named = robot_controllers()
     return [f for f in flights if f.controller not in named or target_robot(f.controller) == f.robot]
 
 
-def _finite(value: str | float) -> str | float | None:
+def _json_number(value: str | float) -> str | float | None:
     """Return a value for JSON: null if it is infinite or NaN."""
     return value if isinstance(value, str) or isfinite(value) else None
 
@@ -112,13 +112,13 @@ def _error_text(error: float) -> str:
     return f"< {NEGLIGIBLE:g}" if error < NEGLIGIBLE else f"{error:.2g}"
 
 
-def _answer(settling: float, overshoot: float) -> str:
+def _step_text(settling: float, overshoot: float) -> str:
     if not overshoot < LOST:
         return "**lost**"
     return f"{f'{settling:.3g}' if settling < SPAN else f'> {SPAN:g}'}, {overshoot:.0%}"
 
 
-def _controllers(flights: list[ControlFlight]) -> list[str]:
+def _controller_names(flights: list[ControlFlight]) -> list[str]:
     """Return the controllers of flights, each once."""
     return list(dict.fromkeys(flight.controller for flight in flights))
 
@@ -128,7 +128,7 @@ def _controller_flights(flights: list[ControlFlight], controller: str, sim: str 
     return [flight for flight in flights if (flight.controller, flight.sim) == (controller, sim)]
 
 
-def _largest(flights: list[ControlFlight], error: Callable[[ControlFlight], float]) -> str:
+def _largest_error_text(flights: list[ControlFlight], error: Callable[[ControlFlight], float]) -> str:
     """Return the largest error with its unit, and its robot if it is not negligible."""
     worst = max(flights, key=error)
     text = f"{_error_text(error(worst))} {UNITS[worst.law]}"
@@ -142,21 +142,21 @@ def _is_lost(flight: ControlFlight) -> bool:
 
 def controllers_table(flights: list[ControlFlight]) -> str:
     """Return a row for each controller: the largest error from drawn starts at the coarsest sim, and steps at each sim."""
-    flights, lines = own(flights), []
+    flights, lines = flights_with_own_gains(flights), []
     heads = [f"step, {1e3 * SIMS.get(sim).dt:g} ms" for sim in COMPARED_SIMS]
-    for controller in _controllers(flights):
+    for controller in _controller_names(flights):
         rows = _controller_flights(flights, controller)
-        error = _largest(rows, lambda flight: flight.error) if rows else "-"
-        cells = [_summary(_controller_flights(flights, controller, sim)) for sim in COMPARED_SIMS]
+        error = _largest_error_text(rows, lambda flight: flight.error) if rows else "-"
+        cells = [_controller_summary(_controller_flights(flights, controller, sim)) for sim in COMPARED_SIMS]
         lines.append((f"`{controller}`", len(rows), error, *cells))
     return table(("controller", "robots", "largest error from drawn starts, 10 ms", *heads), lines)
 
 
-def _summary(flights: list[ControlFlight]) -> str:
+def _controller_summary(flights: list[ControlFlight]) -> str:
     """Return the median settling time, the largest overshoot, and the number of vehicles lost with rotors at limits."""
     if not flights:
         return "-"
-    answer = _answer(median(f.settling_s for f in flights), max(f.overshoot for f in flights))
+    answer = _step_text(median(f.settling_s for f in flights), max(f.overshoot for f in flights))
     lost = sum(map(_is_lost, flights))
     return f"{answer}, {lost} lost" if lost else answer
 
@@ -166,8 +166,8 @@ def steps_table(flights: list[ControlFlight], refusals: list[Refusal], controlle
     controllers = [name for name in controllers if _holds_place(name)]
     cells: dict[tuple[str, str], str] = {}
     for flight in (f for f in flights if f.sim == COARSEST):
-        answer = f"{_answer(flight.settling_s, flight.overshoot)}, {_error_text(flight.error)}"
-        lost = flight in own([flight]) and _is_lost(flight)
+        answer = f"{_step_text(flight.settling_s, flight.overshoot)}, {_error_text(flight.error)}"
+        lost = flight in flights_with_own_gains([flight]) and _is_lost(flight)
         cells[flight.robot, flight.controller] = f"{answer}, **lost**" if lost else answer
     for refusal in (r for r in refusals if r.sim == COARSEST):
         cells[refusal.robot, refusal.controller] = "unfit" if refusal.of_kind else "refused"
@@ -179,12 +179,12 @@ def steps_table(flights: list[ControlFlight], refusals: list[Refusal], controlle
 def wind_table(flights: list[ControlFlight]) -> str:
     """Return a row for each controller of position or velocity: its error in wind, and the share that remains after 10 s."""
     lines = []
-    held = [f for f in own(flights) if f.sim == COARSEST and f.law in HELD and f.wind_largest > 0.0]
-    for controller in _controllers(held):
+    held = [f for f in flights_with_own_gains(flights) if f.sim == COARSEST and f.law in HELD and f.wind_largest > 0.0]
+    for controller in _controller_names(held):
         rows = _controller_flights(held, controller)
         middle = f"{_error_text(median(f.wind_error for f in rows))} {UNITS[rows[0].law]}"
         share = median(f.wind_error / f.wind_largest for f in rows)
-        largest = _largest(rows, lambda flight: flight.wind_error)
+        largest = _largest_error_text(rows, lambda flight: flight.wind_error)
         lines.append((f"`{controller}`", len(rows), middle, largest, f"{share:.0%}"))
     remaining = "share of the largest error that remains, median"
     return table(("controller", "robots", "error after 10 s, median", "largest", remaining), lines)
@@ -195,13 +195,13 @@ def refusals_table(refusals: list[Refusal]) -> str:
     alike: dict[tuple[str, ...], list[str]] = {}
     for controller in dict.fromkeys(r.controller for r in refusals):
         rows = [r for r in refusals if r.controller == controller and r.sim == COARSEST]
-        cells = tuple(_names(r.robot for r in rows if r.of_kind == of_kind) for of_kind in (True, False))
+        cells = tuple(_name_list(r.robot for r in rows if r.of_kind == of_kind) for of_kind in (True, False))
         alike.setdefault(cells, []).append(controller)
     heads = ("controllers", "vehicles that do not fit the law", "vehicles that the gains do not stabilise")
-    return table(heads, ((_names(controllers), *cells) for cells, controllers in alike.items()))
+    return table(heads, ((_name_list(controllers), *cells) for cells, controllers in alike.items()))
 
 
-def _names(robots: Iterable[str]) -> str:
+def _name_list(robots: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in dict.fromkeys(robots)) or "-"
 
 
@@ -218,7 +218,7 @@ def joints_table(flights: list[ControlFlight]) -> str:
     return table((*heads, "error from drawn starts under `lee_position_control` [m]"), lines)
 
 
-def page(
+def control_page(
     flights: list[ControlFlight], refusals: list[Refusal], joints: tuple[list[ControlFlight], list[Refusal]]
 ) -> str:
     """Return the tables with hardware and versions; ``joints`` are the flights and refusals of robots with joints."""
@@ -249,14 +249,14 @@ def page(
     )
 
 
-def draw(flights: list[ControlFlight], path: Path) -> None:
+def draw_steps(flights: list[ControlFlight], path: Path) -> None:
     """Draw the step responses at the coarsest sim, a panel for each controller, those of the named gains by law."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    flights = [f for f in own(flights) if f.sim == COARSEST]
+    flights = [f for f in flights_with_own_gains(flights) if f.sim == COARSEST]
     named = set(robot_controllers())
     panels: dict[str, Callable[[ControlFlight], bool]] = {
         name: lambda f, name=name: f.controller == name for name in geometric_controllers()
@@ -312,22 +312,22 @@ class ControlTableCmd:
         torch.set_num_threads(1)
         controllers = self.controllers or (*geometric_controllers(), *robot_controllers())
         rigid, bending = (
-            [name for name in different_robots(bend=bend) if not self.robots or name in self.robots]
+            [name for name in robots_by_dynamics(bend=bend) if not self.robots or name in self.robots]
             for bend in (False, True)
         )
         flights, refusals = fly_all(rigid, controllers)
         own_gains = [name for name in controllers if name in geometric_controllers()]
         bent = fly_all([name for name in bending if holds_shape(ROBOTS.get(name))], own_gains, [COARSEST])
-        text = page(flights, refusals, bent)
+        text = control_page(flights, refusals, bent)
         if self.json:
             for row in (*flights, *refusals, *bent[0], *bent[1]):
-                print(json.dumps({key: _finite(value) for key, value in asdict(row).items() if key != "response"}))
+                print(json.dumps({key: _json_number(value) for key, value in asdict(row).items() if key != "response"}))
         elif self.write is None:
             print(text)
         if self.write is not None:
             insert_between_marks(self.write, BEGIN, END, text)
         if self.out is not None:
-            draw(flights, self.out / "control_steps.png")
+            draw_steps(flights, self.out / "control_steps.png")
 
 
 if __name__ == "__main__":

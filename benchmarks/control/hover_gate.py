@@ -35,7 +35,7 @@ from aerial_gym.physics.capabilities import choose_backend, robot_needs
 from aerial_gym.physics.effects import EFFECTS, EffectParams
 from aerial_gym.physics.model import check_effects, robot_effects
 from aerial_gym.robots import ROBOTS
-from benchmarks.control.control_flights import different_robots
+from benchmarks.control.control_flights import robots_by_dynamics
 
 GRAVITY = 9.81
 EACH = 8
@@ -99,11 +99,11 @@ class Case:
         return self.flown <= HOVER_RANGE
 
 
-def groups(seed: int) -> Iterator[Group]:
+def random_groups(seed: int) -> Iterator[Group]:
     """Yield random groups without end; some do not fit together."""
     draw = random.Random(seed)
-    robots = [name for name, robot in different_robots().items() if robot.control.buoyancy == 0.0]
-    laws = [name for name in CONTROLLERS if "vx" in _trim(name)]
+    robots = [name for name, robot in robots_by_dynamics().items() if robot.control.buoyancy == 0.0]
+    laws = [name for name in CONTROLLERS if "vx" in _trim_axes(name)]
     while True:
         robot, controller = draw.choice(robots), draw.choice(laws)
         dt, effect = draw.choice(DTS), draw.choice(DRAWN_EFFECTS)
@@ -113,7 +113,7 @@ def groups(seed: int) -> Iterator[Group]:
         yield Group(robot=robot, controller=controller, dt=dt, cfg=cfg, effects=drawn)
 
 
-def _trim(controller: str) -> list[str]:
+def _trim_axes(controller: str) -> list[str]:
     law = CONTROLLERS.get(controller).law
     return LAWS[law].trim.split() if law in LAWS else []
 
@@ -142,18 +142,18 @@ def _draw_effects(draw: random.Random, robot: RobotCfg, name: str | None) -> Eff
     return delay | {name: values}
 
 
-def judge(group: Group) -> list[Case] | None:
+def judge_group(group: Group) -> list[Case] | None:
     """Return the verdicts of check and flights on the vehicles of a group; None for parts that do not fit together."""
     hovers = []
     try:
         for effects in group.effects:
-            robot, names = _with_effects(group.cfg, effects), (group.robot, group.controller)
+            robot, names = _add_effects(group.cfg, effects), (group.robot, group.controller)
             controller = CONTROLLERS.get(group.controller)
             loop = ClosedLoop(robot, controller, gravity=GRAVITY, integrator="euler", names=names)
             hovers.append(loop.hover(group.dt))
     except ConfigError:
         return None
-    flown = flights(group)
+    flown = largest_distances(group)
     return [
         Case(
             robot=group.robot, controller=group.controller, dt=group.dt, effects=effects,
@@ -163,15 +163,15 @@ def judge(group: Group) -> list[Case] | None:
     ]  # fmt: skip
 
 
-def _with_effects(robot: RobotCfg, effects: Effects) -> RobotCfg:
+def _add_effects(robot: RobotCfg, effects: Effects) -> RobotCfg:
     robot = replace(robot, effects={**robot.effects, **effects}, effects_source="benchmarks.control.hover_gate")
     check_effects(robot)
     return robot
 
 
-def flights(group: Group) -> list[float]:
+def largest_distances(group: Group) -> list[float]:
     """Return the largest distance from the setpoint of each vehicle of a group [m], over its flights."""
-    robot, controller = _with_effects(group.cfg, group.effects[0]), CONTROLLERS.get(group.controller)
+    robot, controller = _add_effects(group.cfg, group.effects[0]), CONTROLLERS.get(group.controller)
     rows = EACH * len(SIZES)
     vehicle = vehicle_from_config(robot, num_envs=rows)
     law = make_controller(controller, vehicle, GRAVITY, dt=group.dt, control=robot.control)
@@ -179,11 +179,11 @@ def flights(group: Group) -> list[float]:
     model = build_model(vehicle, _effect_params(robot, group), gravity=GRAVITY, ground_height=-FAR, ceiling_height=FAR)
     backend.allocate(model, law, integrator="euler")
     backend.prepare(group.dt)
-    state = _starts(Allocation(vehicle, GRAVITY), robot)
+    state = _hover_with_disturbances(Allocation(vehicle, GRAVITY), robot)
     action = torch.zeros(rows, len(law.action_names))
-    if "z" in _trim(group.controller):
+    if "z" in _trim_axes(group.controller):
         action[:, 2] = HEIGHT
-    return _largest_distance(backend, state, action, group.dt, returns="x" in _trim(group.controller))
+    return _largest_distance(backend, state, action, group.dt, returns="x" in _trim_axes(group.controller))
 
 
 def _largest_distance(
@@ -216,7 +216,7 @@ def _effect_params(robot: RobotCfg, group: Group) -> list[EffectParams]:
     return result
 
 
-def _starts(allocation: Allocation, robot: RobotCfg) -> BodyState:
+def _hover_with_disturbances(allocation: Allocation, robot: RobotCfg) -> BodyState:
     """Return hover of the declared robot, disturbed by ``SIZES``, for each vehicle alike but for the draw."""
     rows, generator = EACH * len(SIZES), torch.Generator().manual_seed(0)
     size = torch.tensor(SIZES).repeat(EACH).unsqueeze(-1)
@@ -237,7 +237,7 @@ def _starts(allocation: Allocation, robot: RobotCfg) -> BodyState:
 
 def cases(seed: int, count: int) -> Iterator[Case]:
     """Yield the cases of so many groups that fit together."""
-    judged = (judge(group) for group in groups(seed))
+    judged = (judge_group(group) for group in random_groups(seed))
     yield from chain.from_iterable(islice(filter(None, judged), count))
 
 

@@ -19,7 +19,7 @@ from aerial_gym.config.sim import STANDARD_GRAVITY
 from aerial_gym.robots import ROBOTS
 from aerial_gym.robots.check import RobotReport, check_robot
 from aerial_gym.robots.check.flights import make_tail_servo
-from benchmarks.control.control_flights import different_robots
+from benchmarks.control.control_flights import robots_by_dynamics
 from benchmarks.markdown import insert_between_marks, table
 
 BEGIN, END = "<!-- table: begin, by python -m benchmarks.control.robot_table -->", "<!-- table: end -->"
@@ -27,9 +27,9 @@ BEGIN, END = "<!-- table: begin, by python -m benchmarks.control.robot_table -->
 
 def table_robots() -> list[str]:
     """Return the robots of the table: rigid ones that fly differently, and those with joints in one mode of their drives."""
-    bend = list(different_robots(bend=True))
+    bend = list(robots_by_dynamics(bend=True))
     alike = {name: next(first for first in bend if name == first or name in robot_variants(first)) for name in bend}
-    return [*different_robots(), *dict.fromkeys(alike.values())]
+    return [*robots_by_dynamics(), *dict.fromkeys(alike.values())]
 
 
 def robot_variants(name: str) -> list[str]:

@@ -57,7 +57,7 @@ def crossing_s(noise: float, walk: float) -> float:
     return sqrt(3.0) * noise / walk
 
 
-def shares(tau: Tensor, dt: float) -> Tensor:
+def variance_shares(tau: Tensor, dt: float) -> Tensor:
     """Return the Allan variance of N = 1 and of K = 1 sampled every ``dt`` [s] at times ``tau`` [s], (K, 2).
 
     ``1 / tau`` and ``tau / 3 (1 + 1 / (2 m²))`` with m = tau / dt. Derived: the variance of the difference of neighbouring
@@ -72,12 +72,12 @@ def fit_densities(tau: Tensor, deviation: Tensor, dt: float, truth: Tensor) -> T
     Least squares of the variance, whose relative errors are taken to grow with ``sqrt(tau)``. ``truth``, N² and K², weighs the
     residuals; the fit is unbiased whatever it is.
     """
-    parts = shares(tau, dt) * truth
+    parts = variance_shares(tau, dt) * truth
     weight = 1.0 / (parts.sum(-1, keepdim=True) * tau.sqrt().unsqueeze(-1))
     return torch.linalg.lstsq(parts * weight, deviation.square() * weight).solution.T * truth
 
 
-def interval(squares: Tensor) -> tuple[float, float, float]:
+def root_mean_interval(squares: Tensor) -> tuple[float, float, float]:
     """Return the root of the mean of squares, (S,), and of the ends of its 95 % interval."""
     mean, error = float(squares.mean()), float(squares.std()) / sqrt(len(squares))
     low, high = mean - NORMAL_95 * error, mean + NORMAL_95 * error
@@ -100,28 +100,30 @@ class AllanRecord:
         return cls(dt=dt, tau=tau, deviation=deviation)
 
 
-def densities(cfg: ImuCfg) -> list[tuple[float, float]]:
+def channel_densities(cfg: ImuCfg) -> list[tuple[float, float]]:
     """Return N and K of every channel."""
     noise = (*cfg.accel_noise_density, *cfg.gyro_noise_density)
     return list(zip(noise, (*cfg.accel_bias_walk, *cfg.gyro_bias_walk), strict=True))
 
 
-def records(cfg: ImuCfg, *, num_sensors: int, num_samples: int, seed: int) -> tuple[AllanRecord, AllanRecord]:
+def fast_and_slow_records(
+    cfg: ImuCfg, *, num_sensors: int, num_samples: int, seed: int
+) -> tuple[AllanRecord, AllanRecord]:
     """Return the fast and the slow record of an IMU."""
-    slow = SLOW_SHARE * max(crossing_s(noise, walk) for noise, walk in densities(cfg))
+    slow = SLOW_SHARE * max(crossing_s(noise, walk) for noise, walk in channel_densities(cfg))
     size = {"num_sensors": num_sensors, "num_samples": num_samples}
     fast = AllanRecord.simulate(cfg, dt=FAST_DT, seed=seed, **size)
     return fast, AllanRecord.simulate(cfg, dt=slow, seed=seed + 1, **size)
 
 
-def compare(name: str, cfg: ImuCfg, fast: AllanRecord, slow: AllanRecord) -> list[AllanRow]:
+def compare_densities(name: str, cfg: ImuCfg, fast: AllanRecord, slow: AllanRecord) -> list[AllanRow]:
     """Return the densities of every channel: N from the fast record, K from the slow one, the lowest deviation from either."""
     rows = []
-    for channel, ((noise, walk), (sensor, axis)) in enumerate(zip(densities(cfg), CHANNELS, strict=True)):
+    for channel, ((noise, walk), (sensor, axis)) in enumerate(zip(channel_densities(cfg), CHANNELS, strict=True)):
         truth = torch.tensor([noise, walk], dtype=torch.float64).square()
         squares = [fit_densities(r.tau, r.deviation[:, :, channel], r.dt, truth) for r in (fast, slow)]
         record, at = lowest_point(crossing_s(noise, walk), fast, slow)
-        expected = float((shares(record.tau[at : at + 1], record.dt) * truth).sum().sqrt())
+        expected = float((variance_shares(record.tau[at : at + 1], record.dt) * truth).sum().sqrt())
         row: AllanRow = {"imu": name, "sensor": sensor, "axis": axis, "num_sensors": fast.deviation.shape[1]}
         for quantity, configured, samples in (
             ("noise", noise, squares[0][:, 0]),
@@ -129,7 +131,7 @@ def compare(name: str, cfg: ImuCfg, fast: AllanRecord, slow: AllanRecord) -> lis
             ("lowest", expected, record.deviation[at, :, channel].square()),
         ):
             names = (f"{quantity}_{end}" for end in ("configured", "found", "low", "high"))
-            row |= zip(names, (configured, *interval(samples)), strict=True)
+            row |= zip(names, (configured, *root_mean_interval(samples)), strict=True)
         rows.append(row | {"lowest_at_s": float(record.tau[at])})
     return rows
 
@@ -161,11 +163,11 @@ class ImuAllanCmd:
         rows = []
         for number, name in enumerate(self.imu):
             cfg, seed = IMUS.get(name), self.seed + 2 * number
-            both = records(cfg, num_sensors=self.num_sensors, num_samples=self.num_samples, seed=seed)
+            both = fast_and_slow_records(cfg, num_sensors=self.num_sensors, num_samples=self.num_samples, seed=seed)
             results[name] = (cfg, *both)
-            rows += compare(name, cfg, *both)
+            rows += compare_densities(name, cfg, *both)
         self.out.mkdir(parents=True, exist_ok=True)
-        draw(results, self.out / "imu_allan.png")
+        draw_deviations(results, self.out / "imu_allan.png")
         if self.json:
             for row in rows:
                 print(json.dumps(row))
@@ -190,7 +192,7 @@ def print_rows(rows: list[AllanRow]) -> None:
     Console(markup=False, width=180).print(table)
 
 
-def draw(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path) -> None:
+def draw_deviations(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path) -> None:
     """Draw the deviation of every IMU, its scatter and its two lines, into an image file."""
     from matplotlib.figure import Figure
 
@@ -198,7 +200,7 @@ def draw(result: dict[str, tuple[ImuCfg, AllanRecord, AllanRecord]], path: Path)
     for axes, first in zip(figure.subplots(1, 2), (0, 3), strict=True):
         kind = CHANNELS[first][0]
         for color, (name, (cfg, *both)) in zip(("C0", "C1", "C2"), result.items(), strict=False):
-            _draw_channel(axes, name, color, densities(cfg)[first], both, first)
+            _draw_channel(axes, name, color, channel_densities(cfg)[first], both, first)
         axes.plot([], [], "k--", linewidth=0.8, label="configured N / sqrt(tau)")
         axes.plot([], [], "k:", linewidth=0.8, label="configured K sqrt(tau / 3)")
         axes.set_xlabel("averaging time tau [s]")

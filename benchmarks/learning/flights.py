@@ -39,7 +39,7 @@ class FirstEpisodes:
 
 
 @torch.no_grad()
-def fly(run: str, count: int, *, level: int | None = None) -> FirstEpisodes:
+def fly_policy(run: str, count: int, *, level: int | None = None) -> FirstEpisodes:
     """Return fresh flights of the policy in a run folder."""
     policy, cfg = load_policy(run)
     curriculum = task_registry.get(cfg.task).curriculum
@@ -108,7 +108,7 @@ def main(argv: Sequence[str]) -> None:
     for (left, right), entry in zip(axes, asked.runs, strict=True):
         name, _, run = entry.partition("=")
         print(f"flying {name}", file=sys.stderr, flush=True)
-        flights = fly(run, asked.flights, level=asked.level)
+        flights = fly_policy(run, asked.flights, level=asked.level)
         draw_ways(left, flights)
         draw_distances(right, flights)
         left.set_title(name, fontsize=9)

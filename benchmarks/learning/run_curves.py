@@ -17,14 +17,14 @@ FAR = 2.0
 """Spans of all but the outermost returns of a panel, from which on one lies far from them."""
 
 
-def curve(folder: Path) -> tuple[list[float], list[float]]:
+def run_curve(folder: Path) -> tuple[list[float], list[float]]:
     """Return steps [million] and mean returns of a run folder; rows before the first episode has ended are left out."""
     with (folder / "curve.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["episode_return"]]
     return [1e-6 * float(row["env_steps"]) for row in rows], [float(row["episode_return"]) for row in rows]
 
 
-def span(returns: list[float]) -> tuple[float, float]:
+def return_span(returns: list[float]) -> tuple[float, float]:
     """Return lowest and highest of the returns that do not lie far from the others."""
     low, high = np.quantile(returns, (0.01, 0.99))
     near = [value for value in returns if low - FAR * (high - low) <= value <= high + FAR * (high - low)]
@@ -40,10 +40,10 @@ def main(out: str, *named: str) -> None:
         axis.axis("off")
     for axis, entry in zip(axes.flat, named, strict=False):
         name, _, folders = entry.partition("=")
-        curves = [curve(Path(folder)) for folder in folders.split()]
+        curves = [run_curve(Path(folder)) for folder in folders.split()]
         for steps, returns in curves:
             axis.plot(steps, returns, linewidth=0.8)
-        low, high = span([value for _, returns in curves for value in returns])
+        low, high = return_span([value for _, returns in curves for value in returns])
         axis.set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
         axis.set_title(name, fontsize=9)
         axis.tick_params(labelsize=7)

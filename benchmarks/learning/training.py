@@ -12,12 +12,12 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from aerial_gym.rl_training.learning.apg import Apg
@@ -64,9 +64,9 @@ class BenchTraining:
 
     def run(self) -> int:
         """Train, evaluate, print; return the exit status."""
-        return self._several() if self.seeds else self._one()
+        return self._run_seeds() if self.seeds else self._run_once()
 
-    def _several(self) -> int:
+    def _run_seeds(self) -> int:
         """Run one process a seed, pass on what it prints, and print what they have in common."""
         marks: dict[float, list[dict[str, float]]] = {}
         for seed in self.seeds:
@@ -85,7 +85,7 @@ class BenchTraining:
             errors = [inf if row["final_error_mean_m"] is None else row["final_error_mean_m"] for row in rows]
             since = [row["since_process_start_s"] for row in rows]
             success = [row["success_rate"] for row in rows]
-            self._print(
+            self._print_row(
                 {
                     "training_s": mark,
                     "seeds": len(rows),
@@ -100,11 +100,12 @@ class BenchTraining:
             )
         return 0
 
-    def _one(self) -> int:
+    def _run_once(self) -> int:
         """Train once."""
         import torch
 
         from aerial_gym.rl_training import TRAINERS, evaluate
+        from aerial_gym.rl_training.trainers.trainer import NativeTrainer
         from aerial_gym.task import task_registry
 
         if self.threads is not None:
@@ -120,7 +121,8 @@ class BenchTraining:
             cuda = task.device.type == "cuda"
             wait = torch.cuda.synchronize if cuda else (lambda: None)
             clock = time.process_time if self.processor_time else time.perf_counter
-            plain = {"fused": False} if self.plain else {}
+            plain: dict[str, Any] = {"fused": False} if self.plain else {}
+            assert isinstance(trainer, NativeTrainer)
             training = trainer.make_training(cfg, task, **plain)
             trained_s, evaluated_s, iteration_s, fresh = 0.0, 0.0, 0.0, None
             started_s = time.perf_counter() - STARTED
@@ -150,7 +152,7 @@ class BenchTraining:
                 evaluated_s += time.perf_counter() - begun
                 figures = ("final_error_mean_m", "final_error_p95_m", "success_rate", "crash_rate")
                 progress = {"training_s": trained_s, "since_process_start_s": since, "env_steps": training.env_steps}
-                self._print(progress | {name: getattr(result, name) for name in figures} | training.gauges())
+                self._print_row(progress | {name: getattr(result, name) for name in figures} | training.gauges())
             if self.out is not None:
                 write_run_folder(self.out, cfg, training, reports)
             wait()
@@ -158,7 +160,7 @@ class BenchTraining:
             for _ in range(4):
                 training.advance()
             wait()
-            self._print(
+            self._print_row(
                 {
                     "steps_per_s": (training.env_steps - first) / (clock() - begun),
                     "before_training_s": started_s,
@@ -184,7 +186,7 @@ class BenchTraining:
         given = {name: value for name in ("robot", "num_envs") if (value := getattr(self, name))}
         return replace(cfg, **own, **given, **{self.trainer: replace(cfg.learner, **changes)})
 
-    def _print(self, row: dict[str, object]) -> None:
+    def _print_row(self, row: Mapping[str, object]) -> None:
         texts = (f"{key} {value:,.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in row.items())
         print(json.dumps(row) if self.json else "  ".join(texts), flush=True)
 
@@ -193,11 +195,11 @@ def write_run_folder(
     out: Path, cfg: "TrainingCfg", training: "NativeTraining[Ppo] | NativeTraining[Apg]", reports: Sequence["Report"]
 ) -> None:
     """Write the policy and the learning curve as a run folder, which cannot be resumed."""
-    from aerial_gym.rl_training.run.run_folder import RunFolder, note_session
+    from aerial_gym.rl_training.run.run_folder import RunFolder, append_session
 
     folder, state = RunFolder(out), training.state()
     folder.create(cfg)
-    note_session(out, seed=cfg.seed, device=str(training.task.device))
+    append_session(out, seed=cfg.seed, device=str(training.task.device))
     folder.keep_checkpoint(training.env_steps, {name: state[name] for name in ("model", "network", "env_steps")})
     with folder.curve_file.open("w", encoding="utf-8", newline="") as file:
         rows = ((report.env_steps, report.episode_return, report.episode_length) for report in reports)

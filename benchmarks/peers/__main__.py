@@ -13,7 +13,7 @@ from aerial_gym.errors import AerialGymError, ConfigError
 from aerial_gym.interop import resolve_device
 from aerial_gym.workloads.output import device_name, format_value, provenance
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import Conditions, RunFailedError, measure, schedule, skip_reason
+from benchmarks.peers.runs import Conditions, RunFailedError, measure_case, schedule, skip_reason
 from benchmarks.peers.table import Measurement, Ratio, ratios
 
 
@@ -67,7 +67,7 @@ class PeersCmd:
                 if (owner, case) in broken:
                     continue
                 try:
-                    new = measure(case, owner, pythons.get(str(owner), sys.executable), conditions)
+                    new = measure_case(case, owner, pythons.get(str(owner), sys.executable), conditions)
                 except RunFailedError as error:
                     broken.add((owner, case))
                     print(f"{owner} failed in case {case}: {error}", file=sys.stderr)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from crazyflow.sim import Sim
 
-from benchmarks.peers.timing import StepBlock, parse, report
+from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 FREQ_HZ = 500
 FUSED_STEPS = 100
@@ -26,7 +26,7 @@ CLIMB = 1.02
 
 
 def main() -> None:
-    request = parse(__doc__)
+    request = parse_request(__doc__)
     control = "attitude" if request.case == "attitude" else "rotor_vel"
     sim = Sim(
         n_worlds=request.num_envs,
@@ -62,7 +62,7 @@ def main() -> None:
         heights=lambda: np.asarray(sim.data.states.pos[:, 0, 2]).tolist(),
     )
     versions = f"{version('crazyflow')}, jax {jax.__version__} on {sim.device}"
-    report(request, batch, version=versions, call=f"{FUSED_STEPS} (lax.scan)")
+    report_rates(request, batch, version=versions, call=f"{FUSED_STEPS} (lax.scan)")
 
 
 def hover(sim: Sim) -> tuple[float, float]:

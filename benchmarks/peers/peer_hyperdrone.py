@@ -12,7 +12,7 @@ from importlib.metadata import version
 import numpy as np
 from hyperdrone import dynamics
 
-from benchmarks.peers.timing import StepBlock, parse, report
+from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 20
 HOVER = 0.58
@@ -20,7 +20,7 @@ HOVER = 0.58
 
 
 def main() -> None:
-    request = parse(__doc__)
+    request = parse_request(__doc__)
     parameters = {"dynamics": {"dynamics": {"model": "crazyflie"}}}
     sim = dynamics.Sim(request.num_envs, parameters=parameters, seed=0, device=request.device)
     action = np.full((request.num_envs, sim.action_dim), HOVER, np.float32)
@@ -41,7 +41,7 @@ def main() -> None:
         wait=sim.synchronize,
         heights=lambda: np.asarray(sim.state["position"])[:, 2].tolist(),
     )
-    report(request, batch, version=version("hyperdrone"), call="1")
+    report_rates(request, batch, version=version("hyperdrone"), call="1")
 
 
 if __name__ == "__main__":

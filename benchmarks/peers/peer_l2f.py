@@ -11,7 +11,7 @@ from importlib.metadata import version
 import l2f
 import numpy as np
 
-from benchmarks.peers.timing import StepBlock, parse, report
+from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 20
 HOVER = 0.58
@@ -19,7 +19,7 @@ HOVER = 0.58
 
 
 def main() -> None:
-    request = parse(__doc__)
+    request = parse_request(__doc__)
     if not hasattr(l2f, f"vector{request.num_envs}"):
         raise SystemExit(f"l2f has no batch of {request.num_envs}: take a power of two up to 8192")
     vector, device = getattr(l2f, f"vector{request.num_envs}"), l2f.Device()
@@ -49,7 +49,7 @@ def main() -> None:
         wait=lambda: None,
         heights=lambda: [float(state.position[2]) for state in states[0].states],
     )
-    report(request, batch, version=version("l2f"), call="1")
+    report_rates(request, batch, version=version("l2f"), call="1")
 
 
 if __name__ == "__main__":

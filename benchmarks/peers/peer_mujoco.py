@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from benchmarks.peers.timing import StepBlock, parse, report
+from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 50
 DT_S = 0.002
@@ -21,7 +21,7 @@ CLIMB = 1.01
 
 
 def main() -> None:
-    request = parse(__doc__)
+    request = parse_request(__doc__)
     model = mujoco.MjModel.from_xml_string(quadrotor("RK4" if request.case == "rk4" else "Euler"))
     data = [mujoco.MjData(model) for _ in range(request.threads)]
     full = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -46,7 +46,7 @@ def main() -> None:
             wait=lambda: None,
             heights=lambda: states[:, -1, 3].tolist(),  # time, x, y, z
         )
-        report(request, batch, version=mujoco.__version__, call=f"{STEPS} (rollout)")
+        report_rates(request, batch, version=mujoco.__version__, call=f"{STEPS} (rollout)")
 
 
 def quadrotor(integrator: str) -> str:

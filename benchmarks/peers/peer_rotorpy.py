@@ -12,7 +12,7 @@ import torch
 from rotorpy.vehicles.crazyflie_params import quad_params
 from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
 
-from benchmarks.peers.timing import StepBlock, parse, report
+from benchmarks.peers.timing import StepBlock, parse_request, report_rates
 
 STEPS = 5
 DT_S = 0.01
@@ -21,7 +21,7 @@ CLIMB = 1.01
 
 
 def main() -> None:
-    request = parse(__doc__)
+    request = parse_request(__doc__)
     torch.set_num_threads(request.threads)
     torch.set_grad_enabled(False)
     device, count = torch.device(request.device), request.num_envs
@@ -56,7 +56,7 @@ def main() -> None:
         heights=lambda: state["x"][:, 2].tolist(),
     )
     about = f"{version('rotorpy')}, torch {torch.__version__}, float64"
-    report(request, batch, version=about, call="1")
+    report_rates(request, batch, version=about, call="1")
 
 
 def start_state(count: int, speed: float, device: torch.device) -> dict[str, torch.Tensor]:

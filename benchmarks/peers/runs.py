@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from aerial_gym.workloads.process import RunFailedError, run
+from aerial_gym.workloads.process import RunFailedError, run_process
 from benchmarks.peers.catalog import CASES, PEERS
 from benchmarks.peers.table import Measurement
 
@@ -33,10 +33,10 @@ class Conditions:
         return [f"--{name.replace('_', '-')}={value}" for name, value in vars(self).items()]
 
 
-def _run(python: str, arguments: list[str], *, threads: int | None = None) -> str:
+def run_python(python: str, arguments: list[str], *, threads: int | None = None) -> str:
     """Run a process that finds this folder."""
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-    return run(python, arguments, threads=threads, variables={"PYTHONPATH": path})
+    return run_process(python, arguments, threads=threads, variables={"PYTHONPATH": path})
 
 
 def skip_reason(name: str, python: str, device: str) -> str | None:
@@ -45,19 +45,19 @@ def skip_reason(name: str, python: str, device: str) -> str | None:
     if device not in peer.devices:
         return f"{name} is skipped: it runs on {', '.join(peer.devices)} only."
     try:
-        _run(python, ["-c", f"import {peer.needs}"])
+        run_python(python, ["-c", f"import {peer.needs}"])
     except RunFailedError as error:
         return f"{name} is skipped: {python} cannot import it ({error})."
     return None
 
 
-def measure(case: str, owner: str | int, python: str, conditions: Conditions) -> Measurement:
+def measure_case(case: str, owner: str | int, python: str, conditions: Conditions) -> Measurement:
     """Measure a peer, or our physics in a launch of ``owner`` substeps, in a process of its own."""
     if isinstance(owner, int):
         command = ["-m", "aerial_gym.cli.main", "bench", "physics", "--json", f"--substeps={owner}", *CASES[case]]
     else:
         command = ["-m", PEERS.get(owner).script, f"--case={case}"]
-    figures = json.loads(_run(python, [*command, *conditions.flags()], threads=conditions.core_count))
+    figures = json.loads(run_python(python, [*command, *conditions.flags()], threads=conditions.core_count))
     shared = {"case": case, "rates": (figures["steps_per_s"],), "dt_s": figures["dt_s"]}
     if isinstance(owner, str):
         return Measurement(**shared, name=owner, substeps=None, version=figures["version"], call=figures["call"])

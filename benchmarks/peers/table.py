@@ -23,7 +23,7 @@ class Measurement:
         return statistics.median(self.rates)
 
 
-def gather(measurements: Iterable[Measurement]) -> list[Measurement]:
+def gather_rounds(measurements: Iterable[Measurement]) -> list[Measurement]:
     """Return one measurement per simulator, case and substeps, with the figures of all rounds."""
     result: dict[tuple[str, str, int | None], Measurement] = {}
     for new in measurements:
@@ -55,7 +55,7 @@ class Ratio:
 
 def ratios(measurements: Sequence[Measurement]) -> list[Ratio]:
     """Return a row for every peer's case and every number of substeps of ours in that case, in order of the cases."""
-    gathered = gather(measurements)
+    gathered = gather_rounds(measurements)
     own = [m for m in gathered if m.substeps is not None]
     peers = [m for m in gathered if m.substeps is None]
     return [Ratio(peer=peer, package=run) for peer in peers for run in own if run.case == peer.case]

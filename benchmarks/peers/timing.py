@@ -41,7 +41,7 @@ class StepBlock:
     heights: Callable[[], list[float]]  # Return the height of every vehicle [m]
 
 
-def parse(doc: str | None) -> Request:
+def parse_request(doc: str | None) -> Request:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--case", required=True)
@@ -53,7 +53,7 @@ def parse(doc: str | None) -> Request:
     return Request(**vars(parser.parse_args()))
 
 
-def measure(request: Request, batch: StepBlock) -> list[float]:
+def measure_rates(request: Request, batch: StepBlock) -> list[float]:
     """Return steps per second of each repeat, all vehicles together; the flight is checked after each."""
     batch.restart()
     batch.wait()
@@ -65,7 +65,7 @@ def measure(request: Request, batch: StepBlock) -> list[float]:
     rates = []
     for _ in range(request.repeats):
         rates.append(blocks * batch.steps * request.num_envs / _time_blocks(batch, blocks))
-        check(before, batch.heights())
+        check_flight(before, batch.heights())
     return rates
 
 
@@ -85,16 +85,16 @@ def _time_blocks(batch: StepBlock, blocks: int) -> float:
     return elapsed
 
 
-def check(before: list[float], after: list[float]) -> None:
+def check_flight(before: list[float], after: list[float]) -> None:
     """Raise ``RuntimeError`` unless every vehicle has moved, and none too far; a NaN fails as well."""
     moved = [abs(end - start) for start, end in zip(before, after, strict=True)]
     if not moved or not all(0.0 < distance < MAX_DISTANCE for distance in moved):
         raise RuntimeError(f"vehicles did not fly: heights changed by {min(moved):.3g} to {max(moved):.3g} m")
 
 
-def report(request: Request, batch: StepBlock, *, version: str, call: str) -> None:
+def report_rates(request: Request, batch: StepBlock, *, version: str, call: str) -> None:
     """Measure and print one JSON object; ``call`` says how many steps one call makes, and what fuses them."""
-    rates = measure(request, batch)
+    rates = measure_rates(request, batch)
     row = {name: getattr(request, name) for name in ("case", "num_envs", "threads", "device")}
     row |= {"version": version, "dt_s": batch.dt, "call": call, "steps_per_s": statistics.median(rates), "rates": rates}
     print(json.dumps(row))

@@ -67,7 +67,7 @@ def kill_and_resume(
     ppo = replace(cfg.ppo, hidden_layers=(16,), horizon=HORIZON, num_minibatches=1)
     settings.write_text(dump_yaml(replace(cfg, ppo=ppo, num_envs=NUM_ENVS, device="cpu", checkpoint_every_s=0.2)))
     start = ["train", "--trainer", trainer, "--out", str(out), "--config", str(settings), "--max-time-s", "120"]
-    process = begin(command(*start))
+    process = start_process(command_line(*start))
     while not early and process.poll() is None and not RunFolder(out).checkpoints():
         time.sleep(0.02)
     time.sleep(moment)
@@ -76,14 +76,14 @@ def kill_and_resume(
     if not await_exit(process):
         return left, f"had not ended {LONGEST_END_S:g} s later"
     if not (out / "config.yaml").exists():
-        return "no settings", verdict(command(*start, "--max-env-steps", "1"), out, 0)
-    newest = RunFolder(out).newest_readable()
+        return "no settings", resume_verdict(command_line(*start, "--max-env-steps", "1"), out, 0)
+    newest = RunFolder(out).newest_readable_checkpoint()
     steps = 0 if newest is None else int(newest[1]["run"]["env_steps"])
-    resume = command("train", "--out", str(out), "--resume", "--max-env-steps", "1", "--max-time-s", "120")
-    return "no checkpoint" if newest is None else "checkpoint", verdict(resume, out, steps)
+    resume = command_line("train", "--out", str(out), "--resume", "--max-env-steps", "1", "--max-time-s", "120")
+    return "no checkpoint" if newest is None else "checkpoint", resume_verdict(resume, out, steps)
 
 
-def begin(line: list[str]) -> subprocess.Popen[bytes]:
+def start_process(line: list[str]) -> subprocess.Popen[bytes]:
     """Start a process that SIGINT ends, also from a shell's background, where it is ignored and children inherit that."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     return subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -100,12 +100,12 @@ def await_exit(process: subprocess.Popen[bytes], longest_s: float = LONGEST_END_
     return True
 
 
-def command(*arguments: str) -> list[str]:
+def command_line(*arguments: str) -> list[str]:
     """Return the command line of a subcommand of the package."""
     return [sys.executable, "-m", "aerial_gym.cli.main", *arguments, "--json"]
 
 
-def verdict(line: list[str], out: Path, steps: int) -> str:
+def resume_verdict(line: list[str], out: Path, steps: int) -> str:
     """Run one update more and return ``resumed`` if it went on from so many steps."""
     done = subprocess.run(line, capture_output=True, text=True, check=False, timeout=180)
     if done.returncode != 0:

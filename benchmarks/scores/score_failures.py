@@ -131,7 +131,7 @@ def false_alarms(seed: int, folder: Path, effect: str | None, flights: int, dura
     }
 
 
-def tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
+def failure_tables(fails: Sequence[dict], silent: Sequence[dict]) -> str:
     """Return the tables of a page: names and delays, errors of size and onset, and flights without a failure."""
     names, errors = [], []
     for kind in KINDS:
@@ -205,7 +205,7 @@ class FailureScoreCmd:
             for seed, label, effect, *size in quiet:
                 make = partial(false_alarms, seed, folder / label, effect, *size)
                 silent += self._load_or_make_rows(f"quiet_{label}", lambda call=make: [call()])
-        page = tables(fails, silent)
+        page = failure_tables(fails, silent)
         print(page)
         if self.write:
             command = f"python -m benchmarks.scores.score_failures {' '.join(sys.argv[1:])}"

@@ -45,7 +45,7 @@ FAULT_HEADS = (
 JUMP_HEADS = ("size [m]", "flights", "found", "error of the size: median, largest [m]", "other jumps reported")
 
 
-def logs(data: Path) -> Iterator[FlightLog]:
+def complete_logs(data: Path) -> Iterator[FlightLog]:
     """Yield the logs with a position and a velocity, at equal time steps."""
     for name in COLLECTIONS:
         for path in sorted((data / name).glob("*.csv")):
@@ -82,19 +82,19 @@ def stream_faults(log: FlightLog) -> list[tuple[SensorFault, float]]:
     return result
 
 
-def with_step(
+def add_step(
     log: FlightLog, size: float, rng: np.random.Generator, *, returns: bool = True
 ) -> tuple[FlightLog, np.ndarray, float, float]:
     """Return a log with a position jump, the jump [m], its start and its end [s]; the end counts if it ``returns``."""
     assert log.position is not None
     direction = rng.standard_normal(3)
     step = size * direction / np.linalg.norm(direction)
-    begin, end = span(log, rng)
+    begin, end = random_interval(log, rng)
     there = (log.time >= begin) & ((log.time < end) | (not returns))
     return replace(log, position=log.position + there[:, None] * step), step, begin, end
 
 
-def span(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
+def random_interval(log: FlightLog, rng: np.random.Generator) -> tuple[float, float]:
     """Return the start and end [s] of a random interval of 0.5 to 4 s within a flight."""
     first, last = log.time[0] + 1.0, log.time[-1] - 1.0
     begin = rng.uniform(first, last - 1.0)
@@ -145,11 +145,11 @@ def jumps_streamed(flights: list[FlightLog], size: float, rng: np.random.Generat
     """Return the detection score of a position fix that jumps by ``size`` [m], and jumps back if it ``returns``."""
     score = Score()
     for log in flights:
-        moved, step, begin, end = with_step(log, size, rng, returns=returns)
+        moved, step, begin, end = add_step(log, size, rng, returns=returns)
         told, hits = stream_faults(moved), list[tuple[float, float | None]]()
         for when, true in ((begin, step), (end, -step))[: 1 + returns]:
-            near = [(f, at) for f, at in told if abs(f.time - when) < 0.1 and _size(f) @ true > 0.0]
-            hits += [(at - when, float(np.linalg.norm(_size(fault) - true))) for fault, at in near[:1]]
+            near = [(f, at) for f, at in told if abs(f.time - when) < 0.1 and _fault_size(f) @ true > 0.0]
+            hits += [(at - when, float(np.linalg.norm(_fault_size(fault) - true))) for fault, at in near[:1]]
         score.add(hits, inserted=1 + returns, reported=len(told))
     return score
 
@@ -161,7 +161,7 @@ def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generat
         values = getattr(log, sensor)
         if values is None:
             continue
-        begin, end = span(log, rng)
+        begin, end = random_interval(log, rng)
         still, there = values.copy(), (log.time >= begin) & (log.time < end)
         still[there] = values[int(np.argmax(there)) - 1]
         told = stream_faults(replace(log, **{sensor: still}))
@@ -170,7 +170,7 @@ def stops_streamed(flights: list[FlightLog], sensor: str, rng: np.random.Generat
     return score
 
 
-def _size(fault: SensorFault) -> np.ndarray:
+def _fault_size(fault: SensorFault) -> np.ndarray:
     return np.array([fault.params.get(axis, 0.0) for axis in "xyz"])
 
 
@@ -189,7 +189,7 @@ class JumpScoreCmd:
 
     def run(self) -> None:
         """Print the tables."""
-        flights, rng = list(logs(self.data)), np.random.default_rng(self.seed)
+        flights, rng = list(complete_logs(self.data)), np.random.default_rng(self.seed)
         seconds = sum(float(log.time[-1] - log.time[0]) for log in flights)
         flown = f"{len(flights)} flights, {seconds:.0f} s"
         if self.stream:
@@ -205,7 +205,7 @@ def jump_cells(flights: list[FlightLog], size: float, rng: np.random.Generator) 
     """Return the row of jumps of one size [m]: flights, those with both steps found, errors of the size, other jumps."""
     complete, false, errors = 0, 0, []
     for log in flights:
-        moved, step, begin, end = with_step(log, size, rng)
+        moved, step, begin, end = add_step(log, size, rng)
         notes = jump_notes(moved)
         near = [
             [jump for jump, at in notes if abs(at - when) < 0.1 and jump @ (sign * step) > 0.0]

@@ -37,7 +37,7 @@ class FlightSplit:
     test: Files
 
 
-def half(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Path:
+def write_log_part(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Path:
     """Write a part of a log of the ARPL collection as means of four rows, 126 Hz, and return the file."""
     import pandas as pd
 
@@ -48,11 +48,11 @@ def half(data: Path, folder: Path, name: str, number: int, parts: int = 2) -> Pa
     return path
 
 
-def halves(number: int, *more: str) -> Files:
+def log_halves(number: int, *more: str) -> Files:
     """Return the first or second halves of two logs, and some whole ones."""
     return lambda data, folder: [
-        *(half(data, folder, name, number) for name in ("log10", "log15")),
-        *(half(data, folder, name, 0, 1) for name in more),
+        *(write_log_part(data, folder, name, number) for name in ("log10", "log15")),
+        *(write_log_part(data, folder, name, 0, 1) for name in more),
     ]
 
 
@@ -75,12 +75,12 @@ def both_ways(name: str, **fields) -> dict[str, FlightSplit]:
 
 IDSIA = ("idsia_nanodrone", "square_*", "random*", "multisine_*")
 MELONS = log_finder("idsia_nanodrone", "melon_*")
-ARPL = {"robot": "crazyflie_2x_arpl", "mapping": "arpl_crazyflie_imu", "bandwidth": 10.0, "test": halves(1)}
+ARPL = {"robot": "crazyflie_2x_arpl", "mapping": "arpl_crazyflie_imu", "bandwidth": 10.0, "test": log_halves(1)}
 BRUSHLESS = {"robot": "crazyflie_21_brushless", "mapping": "idsia_nanodrone", "bandwidth": 10.0, "test": MELONS}
 
 SETS: dict[str, FlightSplit] = {
-    "arpl": FlightSplit(**ARPL, train=halves(0)),
-    "arpl_yaw": FlightSplit(**ARPL, train=halves(0, "log16_a")),
+    "arpl": FlightSplit(**ARPL, train=log_halves(0)),
+    "arpl_yaw": FlightSplit(**ARPL, train=log_halves(0, "log16_a")),
     "idsia": FlightSplit(**BRUSHLESS, train=log_finder(*IDSIA)),
     "idsia_half": FlightSplit(**BRUSHLESS, train=every_other(*IDSIA)),
     **both_ways(
@@ -112,7 +112,7 @@ SETS: dict[str, FlightSplit] = {
 }
 
 
-def score(name: str, data: Path) -> dict[str, object]:
+def score_set(name: str, data: Path) -> dict[str, object]:
     """Return the closed loop's result for a data set; an exception goes to ``error``."""
     from aerial_gym.interop import one_thread
     from aerial_gym.robots.catalog import robot_by_name
@@ -186,7 +186,7 @@ class FlightScoreCmd:
             print(f"no set {unknown}. Known: {', '.join(SETS)}", file=sys.stderr)
             return 2
         failed = False
-        for _, row in run_in_processes(partial(score, data=self.data), self.sets, self.jobs, cases_of_each=1):
+        for _, row in run_in_processes(partial(score_set, data=self.data), self.sets, self.jobs, cases_of_each=1):
             failed |= "error" in row
             print(json.dumps(row) if self.json else "\n".join(row_text(row)), flush=True)
         return int(failed)

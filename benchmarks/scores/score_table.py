@@ -25,7 +25,7 @@ def clopper_pearson(hits: int, total: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def share(hits: int, total: int) -> str:
+def share_text(hits: int, total: int) -> str:
     """Return ``hits of total (percentage, its 95 % interval)``."""
     if not total:
         return "-"
@@ -40,7 +40,7 @@ def right_line(rows: list[Row]) -> str:
     return f"right {right} of {len(rows)}; true value inside {inside} of {total} intervals"
 
 
-def markdown(rows: list[Row]) -> str:
+def result_tables(rows: list[Row]) -> str:
     """Return all tables that have a row."""
     hover = [r for r in rows if "hover" in r["features"]]
     rows = [r for r in rows if r not in hover]
@@ -122,7 +122,7 @@ def _parameter_table(rows: list[Row]) -> str:
 def _coverage(parameters: list[dict]) -> str:
     """Return the share of parameters whose 95 % interval contains the true value."""
     inside = sum(abs(p["value"] - p["true"]) < 1.96 * p["std"] for p in parameters)
-    return share(inside, len(parameters))
+    return share_text(inside, len(parameters))
 
 
 def _hover_table(rows: list[Row]) -> str:
@@ -138,7 +138,7 @@ def _control_table(rows: list[Row]) -> str:
     lines = []
     for flights, group in _group(rows, lambda r: " ".join(r["features"]) or "plain").items():
         alarms = [r for r in group if _judgement(r) == "false alarm"]
-        lines.append((flights, len(group), share(len(alarms), len(group)), _name_list(alarms) or "-"))
+        lines.append((flights, len(group), share_text(len(alarms), len(group)), _name_list(alarms) or "-"))
     return f"## Are there false alarms?\n\n{table(('flights', 'cases', 'false alarms', 'named'), lines)}"
 
 
@@ -148,7 +148,7 @@ def _unknown_table(rows: list[Row]) -> str:
         given = [r for r in group if _judgement(r) == "given a name"]
         verdicts = ", ".join(sorted({r["verdict"] for r in group}))
         kinds = ", ".join(sorted({str((r.get("structure") or {}).get("kind", "-")) for r in group}))
-        given_share, names = share(len(given), len(group)), _name_list(given) or "-"
+        given_share, names = share_text(len(given), len(group)), _name_list(given) or "-"
         lines.append((name, size, len(group), given_share, names, verdicts, kinds))
     heads = ("cause", "size", "cases", "given the name of an effect", "which", "verdicts", "structure")
     return f"## Do unknown causes get a wrong name?\n\n{table(heads, lines)}"

@@ -28,7 +28,7 @@ from rich.progress import track
 
 from benchmarks.markdown import table, table_row
 from benchmarks.scores.processes import run_in_processes
-from benchmarks.scores.score_table import markdown, right_line
+from benchmarks.scores.score_table import result_tables, right_line
 from benchmarks.undeclared import EFFECTS, LOGGED, TRACKED, UNKNOWN, make_case
 
 CLASSIC = tuple(EFFECTS)[:6]
@@ -77,7 +77,7 @@ class Job:
         return f"{label}_{self.size if self.hidden else 'none'}_{self.seed}_{digest}"
 
 
-def score(job: Job) -> dict[str, object]:
+def score_case(job: Job) -> dict[str, object]:
     """Return the closed loop's result for one case; an exception goes to ``error``."""
     from aerial_gym.interop import one_thread
     from aerial_gym.robots.catalog import robot_by_name
@@ -108,10 +108,10 @@ def score(job: Job) -> dict[str, object]:
             return {**row, "error": f"{type(error).__name__}: {error}", "verdict": "error", "named": [], "right": False}
         truth = json.loads(files.truth.read_text())["effects"]
         times = {"fly_s": flown - start, "loop_s": time.monotonic() - flown}
-    return {**row, **judge(verdict, truth), "truth": truth, **times}
+    return {**row, **judge_verdict(verdict, truth), "truth": truth, **times}
 
 
-def judge(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
+def judge_verdict(verdict: dict, truth: dict[str, dict[str, float]]) -> dict[str, object]:
     """Return the judgement of a verdict against the hidden effects and their parameters."""
     named = {e["name"]: e for e in verdict["effects"]}
     parameters = []
@@ -204,7 +204,9 @@ def run_jobs(jobs: list[Job], *, processes: int, out: Path | None) -> Iterator[d
             yield json.loads(kept.read_text())
         else:
             todo.append(job)
-    scored = ((job, score(job)) for job in todo) if processes == 1 else run_in_processes(score, todo, processes)
+    scored = (
+        ((job, score_case(job)) for job in todo) if processes == 1 else run_in_processes(score_case, todo, processes)
+    )
     for job, row in scored:
         if out is not None and "error" not in row:  # a failed case is to be tried again
             out.mkdir(parents=True, exist_ok=True)
@@ -274,17 +276,17 @@ class ScoreCmd:
         console, scored = Console(stderr=True), run_jobs(jobs, processes=self.jobs, out=self.out)
         for row in track(scored, "cases", len(jobs), console=console, disable=not console.is_terminal):
             rows.append(row)
-            print(json.dumps(row) if self.json else table_row(_cells(row)), flush=True)
+            print(json.dumps(row) if self.json else table_row(_table_cells(row)), flush=True)
         order = {(job.hidden, job.size, job.seed, job.features): i for i, job in enumerate(jobs)}
         rows.sort(key=lambda r: order[tuple(r["effects"]), r["size"], r["seed"], tuple(r["features"])])
         if not self.json:
-            print(f"\n{right_line(rows)}\n\n{markdown(rows)}")
+            print(f"\n{right_line(rows)}\n\n{result_tables(rows)}")
         if self.write:
-            self.write.write_text(_page(rows, sys.argv[1:]))
+            self.write.write_text(_result_page(rows, sys.argv[1:]))
         return 0
 
 
-def _cells(row: dict) -> list[object]:
+def _table_cells(row: dict) -> list[object]:
     """Return a row of the table of cases."""
     hidden = row["hidden"] if row["effects"] else " ".join(("nothing", *row["features"]))
     start = [hidden, row["size"] if row["effects"] else "-", row["seed"], row["verdict"]]
@@ -294,7 +296,7 @@ def _cells(row: dict) -> list[object]:
     return [*start, ", ".join(row["named"]) or "-", row["right"], *numbers]
 
 
-def _page(rows: list[dict], arguments: list[str]) -> str:
+def _result_page(rows: list[dict], arguments: list[str]) -> str:
     """Return the page with the tables and how they were made."""
     return f"""# Does the loop name an undeclared effect?
 
@@ -305,11 +307,11 @@ logs and the robot file.
 
 {right_line(rows)}
 
-{markdown(rows)}
+{result_tables(rows)}
 
 ## Cases
 
-{table(HEADS, map(_cells, rows))}
+{table(HEADS, map(_table_cells, rows))}
 """
 
 

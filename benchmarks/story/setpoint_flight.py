@@ -11,7 +11,7 @@ import torch
 from aerial_gym.rl_training.policies.policy import Policy
 from benchmarks.undeclared.nuisance import Bias
 from benchmarks.undeclared.sensors import PlantNoise, PlantSensors, Sample
-from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly
+from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly_references
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import Array, PlantVehicle
 
@@ -31,7 +31,7 @@ LOST_M = 1.5
 """Distance at which an episode of the training ends [m]."""
 
 
-def setpoints(flights: int, *, seed: int) -> Array:
+def draw_setpoints(flights: int, *, seed: int) -> Array:
     """Return points in a cube of 1.2 m, each 0.5 to 1.1 m from the one before, (P, F, 3)."""
     rng = np.random.default_rng(seed)
     points = np.zeros((SETPOINTS, flights, 3))
@@ -85,7 +85,7 @@ def fly_setpoints(
     streams = [np.random.default_rng([seed, flight]) for flight in range(flights)]
     sensors = PlantSensors(PlantNoise(), bias, streams, ticks)
     pilot = PolicyPilot(policy, declared)
-    return fly(true=true, declared=declared, reference=reference, sensors=sensors, pilot=pilot)
+    return fly_references(true=true, declared=declared, reference=reference, sensors=sensors, pilot=pilot)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,9 +97,9 @@ class Tracking:
     lost: float  # Share of flights that were further than 1.5 m from their setpoint at a time
 
 
-def tracking(record: PlantRecord, points: Array) -> Tracking:
+def tracking_errors(record: PlantRecord, points: Array) -> Tracking:
     """Return the tracking errors of a record's flights at the setpoints (P, F, 3), and the share of lost flights."""
-    away = distances(record, points)
+    away = setpoint_distances(record, points)
     stay = round(STAY_S * CONTROL_RATE)
     judged = away.reshape(len(points), stay, -1)[:, -CONTROL_RATE:].mean(axis=1)
     lost = ~(away < LOST_M).all(axis=0)
@@ -108,7 +108,7 @@ def tracking(record: PlantRecord, points: Array) -> Tracking:
     return Tracking(error_m=error, error_p95_m=high, lost=float(lost.mean()))
 
 
-def distances(record: PlantRecord, points: Array) -> Array:
+def setpoint_distances(record: PlantRecord, points: Array) -> Array:
     """Return the distance of the body origin to its setpoint [m], (T, F)."""
     wanted = np.repeat(points, round(STAY_S * CONTROL_RATE), axis=0)
     return np.linalg.norm(record.position - wanted, axis=2)

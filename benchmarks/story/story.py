@@ -21,7 +21,13 @@ import yaml
 from aerial_gym.config import family_files
 from aerial_gym.rl_training import load_policy, load_settings, settings_for, train
 from benchmarks.story.figure import draw_story
-from benchmarks.story.setpoint_flight import CONTROL_RATE, distances, fly_setpoints, setpoints, tracking
+from benchmarks.story.setpoint_flight import (
+    CONTROL_RATE,
+    draw_setpoints,
+    fly_setpoints,
+    setpoint_distances,
+    tracking_errors,
+)
 from benchmarks.story.vehicle import HIDDEN, nominal_vehicle, true_vehicle
 from benchmarks.undeclared.logs import write_log
 from benchmarks.undeclared.nuisance import NO_BIAS
@@ -56,15 +62,15 @@ class Story:
         with ProcessPoolExecutor(self.jobs, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
             first, loops, scores = {}, {}, {}
             for seed in self.seeds:
-                first[seed] = self._train(seed, "declared", ROBOT)
-                loops[seed] = self._begin_loop(seed, first[seed])
+                first[seed] = self._train_policy(seed, "declared", ROBOT)
+                loops[seed] = self._start_close_loop(seed, first[seed])
                 for case in CASES[:2]:
-                    scores[seed, case] = pool.submit(self._score, first[seed], as_declared=case == CASES[0])
+                    scores[seed, case] = pool.submit(self._score_policy, first[seed], as_declared=case == CASES[0])
             for seed in self.seeds:
-                results = self._end_loop(seed, loops[seed])
+                results = self._close_loop_robots(seed, loops[seed])
                 for case, robot in zip(CASES[2:], ("robot", "ranges"), strict=True):
-                    folder = self._train(seed, "found" if robot == "robot" else robot, results[robot])
-                    scores[seed, case] = pool.submit(self._score, folder, as_declared=False)
+                    folder = self._train_policy(seed, "found" if robot == "robot" else robot, results[robot])
+                    scores[seed, case] = pool.submit(self._score_policy, folder, as_declared=False)
             rows = []
             for seed in self.seeds:
                 for case in CASES:
@@ -74,7 +80,7 @@ class Story:
         draw_story(rows, self.out / "story.png")
         return 0
 
-    def _train(self, seed: int, name: str, robot: Path) -> Path:
+    def _train_policy(self, seed: int, name: str, robot: Path) -> Path:
         """Return the folder of a policy that was trained on a robot."""
         folder = self.out / f"seed_{seed}" / name
         done = folder / "done"
@@ -94,38 +100,38 @@ class Story:
             done.touch()
         return folder
 
-    def _score(self, folder: Path, *, as_declared: bool) -> dict[str, object]:
+    def _score_policy(self, folder: Path, *, as_declared: bool) -> dict[str, object]:
         """Return the tracking errors of a policy at new setpoints; ``trace`` is the distance over time of the median flight."""
         kept = folder / ("score_as_declared.json" if as_declared else "score.json")
         if kept.exists():
             return json.loads(kept.read_text())
-        points = setpoints(SCORED, seed=1_000_003)
-        record = self._fly(folder, points, seed=1_000_003, as_declared=as_declared)
-        away = distances(record, points)
+        points = draw_setpoints(SCORED, seed=1_000_003)
+        record = self._fly_policy(folder, points, seed=1_000_003, as_declared=as_declared)
+        away = setpoint_distances(record, points)
         typical = away[:, away.mean(axis=0).argsort()[SCORED // 2]]
         score = {
-            **asdict(tracking(record, points)),
+            **asdict(tracking_errors(record, points)),
             "trace": [float(value) for value in typical[:: CONTROL_RATE // 50]],
         }
         kept.write_text(json.dumps(score))
         return score
 
-    def _fly(self, folder: Path, points: Array, *, seed: int, as_declared: bool = False) -> PlantRecord:
+    def _fly_policy(self, folder: Path, points: Array, *, seed: int, as_declared: bool = False) -> PlantRecord:
         """Return the flights of a policy through points (P, F, 3)."""
         policy, _ = load_policy(folder, device="cpu")
         declared = nominal_vehicle(ROBOT)
         true, bias = (declared, NO_BIAS) if as_declared else true_vehicle(declared, seed=self.vehicle_seed)
         return fly_setpoints(policy, declared=declared, true=true, bias=bias, points=points, seed=seed)
 
-    def _begin_loop(self, seed: int, policy: Path) -> subprocess.Popen[bytes] | None:
+    def _start_close_loop(self, seed: int, policy: Path) -> subprocess.Popen[bytes] | None:
         """Log flights of a policy and start the loop on them."""
         folder = self.out / f"seed_{seed}" / "flights"
         result = folder.with_name("close_loop")
         if (result / "verdict.json").exists():
             return None
         folder.mkdir(parents=True, exist_ok=True)
-        points = setpoints(FITTED + JUDGED, seed=seed)
-        record = self._fly(policy, points, seed=seed)
+        points = draw_setpoints(FITTED + JUDGED, seed=seed)
+        record = self._fly_policy(policy, points, seed=seed)
         logs = [folder / f"flight_{i + 1}.csv" for i in range(FITTED + JUDGED)]
         for i, path in enumerate(logs):
             write_log(path, record, i, first=0, every=1)
@@ -135,7 +141,7 @@ class Story:
         told = (folder / "close_loop.log").open("wb")
         return subprocess.Popen([*command, *(str(part) for part in parts)], stdout=told, stderr=told)
 
-    def _end_loop(self, seed: int, loop: "subprocess.Popen[bytes] | None") -> dict[str, Path]:
+    def _close_loop_robots(self, seed: int, loop: "subprocess.Popen[bytes] | None") -> dict[str, Path]:
         """Return the robot file that the loop wrote, and the same without domain randomisation."""
         result = self.out / f"seed_{seed}" / "close_loop"
         if loop is not None and loop.wait():

@@ -7,7 +7,7 @@ import numpy as np
 import yaml
 
 from benchmarks.undeclared import effects as hidden_effects
-from benchmarks.undeclared.nuisance import Bias, PlantNuisance, disturb
+from benchmarks.undeclared.nuisance import Bias, PlantNuisance, add_nuisance
 from benchmarks.undeclared.vehicle import PlantVehicle
 
 HIDDEN = {"com_offset": {"x": 0.012, "y": -0.008}, "weak_motor": {"motor": 4.0, "scale": 0.92}}
@@ -41,6 +41,6 @@ def nominal_vehicle(robot: Path) -> PlantVehicle:
 
 def true_vehicle(declared: PlantVehicle, *, seed: int) -> tuple[PlantVehicle, Bias]:
     """Return the true vehicle, with hidden effects and the small errors of a careful declaration, and its sensors' biases."""
-    params = hidden_effects.resolve(HIDDEN, declared=declared, seed=seed)
-    _, true = hidden_effects.split(declared, params)
-    return disturb(replace(true), PlantNuisance(), seed=seed, hidden=params)
+    params = hidden_effects.effect_parameters(HIDDEN, declared=declared, seed=seed)
+    _, true = hidden_effects.split_vehicles(declared, params)
+    return add_nuisance(replace(true), PlantNuisance(), seed=seed, hidden=params)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.undeclared.dynamics import hat, wrench_map
+from benchmarks.undeclared.dynamics import cross_matrix, wrench_map
 from benchmarks.undeclared.sensors import Sample
 from benchmarks.undeclared.trajectories import Reference
 from benchmarks.undeclared.vehicle import GRAVITY, Array, PlantVehicle
@@ -38,14 +38,14 @@ class PlantGains:
     """Limits of the integrals: acceleration [m/s²] and angular acceleration [rad/s²]."""
 
 
-def normalise(vector: Array) -> Array:
+def unit_rows(vector: Array) -> Array:
     """Return each row divided by its length."""
     return vector / np.sqrt((vector * vector).sum(axis=1, keepdims=True))
 
 
-def cross(a: Array, b: Array) -> Array:
+def row_cross_product(a: Array, b: Array) -> Array:
     """Return the cross product of each row."""
-    return (hat(a) @ b[:, :, None])[:, :, 0]
+    return (cross_matrix(a) @ b[:, :, None])[:, :, 0]
 
 
 class Autopilot:
@@ -63,15 +63,15 @@ class Autopilot:
 
     def command(self, sample: Sample, ref: Reference, index: int) -> Array:
         """Return the rotor speeds to hold until the next call [rad/s], (F, 4)."""
-        lift = self._lift(sample, ref, index)
+        lift = self._lift_command(sample, ref, index)
         rate = self._rate_command(sample, ref, index, lift)
         angular = self._angular_acceleration(sample, rate + ref.excite[index, :, :3])
         momentum = sample.rate @ self._vehicle.inertia
-        torque = angular @ self._vehicle.inertia + cross(sample.rate, momentum)
+        torque = angular @ self._vehicle.inertia + row_cross_product(sample.rate, momentum)
         along = (lift * sample.rotation[:, :, 2]).sum(axis=1) + ref.excite[index, :, 3]
-        return self._mixer(self._vehicle.mass * along, torque)
+        return self._mix_rotor_speeds(self._vehicle.mass * along, torque)
 
-    def _lift(self, sample: Sample, ref: Reference, index: int) -> Array:
+    def _lift_command(self, sample: Sample, ref: Reference, index: int) -> Array:
         """Return the wanted acceleration of thrust per mass [m/s²], world, (F, 3), within the largest tilt."""
         gains, limit = self._gains, self._gains.max_integral[0]
         target = ref.velocity[index] + gains.position * (ref.position[index] - sample.position)
@@ -87,16 +87,16 @@ class Autopilot:
 
     def _rate_command(self, sample: Sample, ref: Reference, index: int, lift: Array) -> Array:
         """Return the wanted angular velocity [rad/s], body, (F, 3): angle error, plus the turning of the reference."""
-        up, yaw = normalise(lift), ref.yaw[index]
+        up, yaw = unit_rows(lift), ref.yaw[index]
         ahead = np.stack((np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)), axis=1)
-        left = normalise(cross(up, ahead))
-        wanted = np.stack((cross(left, up), left, up), axis=2)
+        left = unit_rows(row_cross_product(up, ahead))
+        wanted = np.stack((row_cross_product(left, up), left, up), axis=2)
         back = sample.rotation.transpose(0, 2, 1)
         delta = back @ wanted
         angle = 0.5 * np.stack(
             (delta[:, 2, 1] - delta[:, 1, 2], delta[:, 0, 2] - delta[:, 2, 0], delta[:, 1, 0] - delta[:, 0, 1]), axis=1
         )
-        turning = cross(up, ref.jerk[index]) / np.sqrt((lift * lift).sum(axis=1, keepdims=True))
+        turning = row_cross_product(up, ref.jerk[index]) / np.sqrt((lift * lift).sum(axis=1, keepdims=True))
         turning = np.clip(turning, -2.0, 2.0)
         turning[:, 2] += ref.yaw_rate[index]
         return self._gains.attitude * angle + (back @ turning[:, :, None])[:, :, 0]
@@ -113,7 +113,7 @@ class Autopilot:
         self._rate_before = sample.rate
         return gains.rate * error + self._rate_integral - gains.rate_derivative * self._rate_dot
 
-    def _mixer(self, lift: Array, torque: Array) -> Array:
+    def _mix_rotor_speeds(self, lift: Array, torque: Array) -> Array:
         """Return rotor speeds for lift [N] (F,) and torque [N m] (F, 3); yaw yields first when a rotor saturates."""
         low, high = self._vehicle.thrust_range
         torque_yaw = torque.copy()

@@ -10,20 +10,27 @@ import numpy as np
 
 from benchmarks.undeclared import effects as hidden_effects
 from benchmarks.undeclared.failures import Failures, PlantFailure
-from benchmarks.undeclared.logs import late, vehicle_document, write_log, write_robot
-from benchmarks.undeclared.nuisance import NO_BIAS, Bias, PlantNuisance, disturb
+from benchmarks.undeclared.logs import delay_sensors, vehicle_document, write_log, write_robot
+from benchmarks.undeclared.nuisance import NO_BIAS, Bias, PlantNuisance, add_nuisance
 from benchmarks.undeclared.sensors import PlantNoise, PlantSensors
-from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, PlantRecord, fly, summarise
+from benchmarks.undeclared.simulate import CONTROL_RATE, SUBSTEPS, PlantRecord, fly_references, summarise
 from benchmarks.undeclared.surroundings import (
     CEILING_HEIGHT,
     NOMINAL_VOLTAGE,
     VOLTAGE_NOISE,
     Battery,
     PlantSurroundings,
-    companion,
-    gusts,
+    companion_path,
+    gust_series,
 )
-from benchmarks.undeclared.trajectories import LOWEST_HEIGHT, TEST_FAMILIES, TRAIN_FAMILIES, Reference, plan, stack
+from benchmarks.undeclared.trajectories import (
+    LOWEST_HEIGHT,
+    TEST_FAMILIES,
+    TRAIN_FAMILIES,
+    Reference,
+    plan_flight,
+    stack_references,
+)
 from benchmarks.undeclared.vehicle import DECLARED, PlantVehicle
 
 SETTLE_S = 2.0
@@ -92,11 +99,11 @@ def _place_flight(flight: PlantFlight, part: str, i: int, features: Sequence[str
     return flight
 
 
-def plan_all(flights: list[PlantFlight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
+def plan_flights(flights: list[PlantFlight], *, seed: int, duration_s: float, settle_s: float = SETTLE_S) -> Reference:
     """Return the references of all flights, stacked (T, F, ...)."""
     times = {"duration": duration_s, "rate": CONTROL_RATE, "settle": settle_s}
-    return stack([
-        plan(
+    return stack_references([
+        plan_flight(
             flight.family, **times, rng=_stream(seed, 0, flight), lowest=flight.lowest, ease=flight.ease,
             ceiling=CEILING_HEIGHT if flight.below_ceiling else None,
         )
@@ -160,17 +167,19 @@ class CaseRecord:
         return height if ceiling is None else np.minimum(height, ceiling - height)
 
 
-def surround(
+def make_surroundings(
     case: PlantCase, true: PlantVehicle, flights: list[PlantFlight], reference: Reference, features: Sequence[str]
 ) -> tuple[PlantSurroundings, Battery | None]:
     """Return the surroundings of the flights, and the battery with a charge of 0 to 1500 C already used in each flight."""
     seed, gust, other, battery = case.seed, None, None, None
     fails = Failures([case.failures.get(f.name) for f in flights], SETTLE_S) if case.failures else None
     if true.extra.gust[0] > 0.0:
-        series = [gusts(*true.extra.gust, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f)) for f in flights]
+        series = [
+            gust_series(*true.extra.gust, len(reference.yaw), CONTROL_RATE, _stream(seed, 20, f)) for f in flights
+        ]
         gust = np.stack(series, axis=1)
     if "other" in features:
-        paths = [companion(reference, i, CONTROL_RATE, _stream(seed, 30, f)) for i, f in enumerate(flights)]
+        paths = [companion_path(reference, i, CONTROL_RATE, _stream(seed, 30, f)) for i, f in enumerate(flights)]
         other = np.stack(paths, axis=1)
     if "battery" in features:
         battery = Battery(true, np.array([_stream(seed, 40, f).uniform(0.0, 1500.0) for f in flights]))
@@ -182,24 +191,24 @@ def surround(
 def fly_case(**settings: Any) -> CaseRecord:
     """Return the flights of a case; settings are the fields of ``PlantCase``, errors those of ``make_case``."""
     case = PlantCase(**settings)
-    seed, params = case.seed, hidden_effects.resolve(case.effects, declared=DECLARED, seed=case.seed)
-    declared, true = hidden_effects.split(DECLARED, params)
+    seed, params = case.seed, hidden_effects.effect_parameters(case.effects, declared=DECLARED, seed=case.seed)
+    declared, true = hidden_effects.split_vehicles(DECLARED, params)
     bias, num_flights = NO_BIAS, case.num_train + case.num_test
     if case.nuisance_sizes is not None:
-        true, bias = disturb(true, case.nuisance_sizes, seed=seed, hidden=params, num_flights=num_flights)
+        true, bias = add_nuisance(true, case.nuisance_sizes, seed=seed, hidden=params, num_flights=num_flights)
     features = hidden_effects.flight_features(case.effects, case.features)
     flights = list_flights(case.num_train, case.num_test, features)
     if unknown := set(case.failures) - {flight.name for flight in flights}:
         raise ValueError(f"no flight {sorted(unknown)}. Flown: {', '.join(flight.name for flight in flights)}")
-    reference = plan_all(flights, seed=seed, duration_s=case.duration_s)
+    reference = plan_flights(flights, seed=seed, duration_s=case.duration_s)
     streams = [_stream(seed, 10, flight) for flight in flights]
     sensors = PlantSensors(case.noise, bias, streams, len(reference.yaw), extra=true.extra)
-    surroundings, battery = surround(case, true, flights, reference, features)
-    record = fly(
+    surroundings, battery = make_surroundings(case, true, flights, reference, features)
+    record = fly_references(
         true=true, declared=declared, reference=reference, sensors=sensors, surroundings=surroundings, battery=battery
     )
     if bias.delay.any():
-        record = late(record, bias.delay)
+        record = delay_sensors(record, bias.delay)
     if battery is not None:
         noise = [_stream(seed, 50, f).standard_normal(len(record.voltage)) for f in flights]
         record = replace(record, voltage=record.voltage + VOLTAGE_NOISE * np.stack(noise, axis=1))

@@ -20,12 +20,12 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _HAT[_i, 3 * _k + _j], _HAT[_i, 3 * _j + _k] = 1.0, -1.0
 
 
-def hat(vector: Array) -> Array:
+def cross_matrix(vector: Array) -> Array:
     """Return [w]x of each row, (F, 3) to (F, 3, 3)."""
     return (vector @ _HAT).reshape(-1, 3, 3)
 
 
-def rotation(state: Array) -> Array:
+def rotation_matrices(state: Array) -> Array:
     """Return R, body to world, (F, 3, 3); a view."""
     return state[:, ROT].reshape(-1, 3, 3)
 
@@ -54,10 +54,10 @@ class Plant:
         self._has_quadratic = bool(np.any(vehicle.quadratic_drag))
         self._time = 0.0
 
-    def begin(self, index: int, voltage: Array) -> None:
+    def begin_sample(self, index: int, voltage: Array) -> None:
         """Start sample ``index`` at a battery voltage [V], (F,): nothing here depends on them."""
 
-    def rest(self, state: Array) -> Array:
+    def states_at_rest(self, state: Array) -> Array:
         """Return states at rest with the parts that this plant adds to (F, 22): none."""
         return state
 
@@ -65,9 +65,9 @@ class Plant:
         """Return thrust plus drag [N], body frame, (F, 3): all but gravity."""
         return (state[:, ROTOR] ** 2 @ self._wrench_map)[:, :3] + self._drag(state)
 
-    def _air(self, state: Array) -> Array:
+    def _airspeed(self, state: Array) -> Array:
         """Return the airspeed of the centre of mass [m/s], body axes, (F, 3)."""
-        return ((state[:, VEL] - self._wind(state))[:, None, :] @ rotation(state))[:, 0]
+        return ((state[:, VEL] - self._wind(state))[:, None, :] @ rotation_matrices(state))[:, 0]
 
     def _wind(self, _state: Array) -> Array:
         """Return the velocity of the air [m/s], world, (3,) or (F, 3)."""
@@ -75,7 +75,7 @@ class Plant:
 
     def _drag(self, state: Array) -> Array:
         """Return ``-(d1 + d2 |u|) u`` with the airspeed u of the centre of mass in body axes, (F, 3)."""
-        air = self._air(state)
+        air = self._airspeed(state)
         if not self._has_quadratic:
             return -self.vehicle.linear_drag * air
         speed = np.sqrt((air * air).sum(axis=1, keepdims=True))
@@ -88,20 +88,20 @@ class Plant:
         """
         rotor = state[:, ROTOR]
         wrench = rotor * rotor @ self._wrench_map
-        force = (rotation(state) @ (wrench[:, :3] + self._drag(state))[:, :, None])[:, :, 0]
-        return self._motion(state, force, wrench[:, 3:], self._lag(command - rotor))
+        force = (rotation_matrices(state) @ (wrench[:, :3] + self._drag(state))[:, :, None])[:, :, 0]
+        return self._state_derivative(state, force, wrench[:, 3:], self._rotor_acceleration(command - rotor))
 
-    def _lag(self, error: Array) -> Array:
+    def _rotor_acceleration(self, error: Array) -> Array:
         """Return the rotor accelerations [rad/s²] for target less present speeds, (F, 4)."""
         return error / np.where(error > 0.0, self.vehicle.tau_up, self.vehicle.tau_down)
 
-    def _motion(self, state: Array, force: Array, torque: Array, rotor_dot: Array) -> Array:
+    def _state_derivative(self, state: Array, force: Array, torque: Array, rotor_dot: Array) -> Array:
         """Return the time derivative of each state under a force (world) and a torque (body), both (F, 3); 0 elsewhere."""
         out, rate = np.zeros_like(state), state[:, RATE]
-        turn, momentum = hat(rate), (rate @ self._inertia)[:, :, None]  # the inertia is symmetric
+        turn, momentum = cross_matrix(rate), (rate @ self._inertia)[:, :, None]  # the inertia is symmetric
         out[:, POS] = state[:, VEL]
         out[:, VEL] = force / self.vehicle.mass + self._gravity
-        out[:, ROT] = (rotation(state) @ turn).reshape(-1, 9)
+        out[:, ROT] = (rotation_matrices(state) @ turn).reshape(-1, 9)
         out[:, RATE] = (torque - (turn @ momentum)[:, :, 0]) @ self._inverse
         out[:, ROTOR] = rotor_dot
         return out
@@ -119,12 +119,12 @@ class Plant:
 
     def origin_position(self, state: Array) -> Array:
         """Return the position of the body origin [m], ``p - R c``, world, (F, 3)."""
-        return state[:, POS] - rotation(state) @ self.vehicle.com
+        return state[:, POS] - rotation_matrices(state) @ self.vehicle.com
 
     def origin_velocity(self, state: Array) -> Array:
         """Return the velocity of the body origin [m/s], ``v - R (w x c)``, world, (F, 3)."""
-        lever = hat(state[:, RATE]) @ self.vehicle.com
-        return state[:, VEL] - (rotation(state) @ lever[:, :, None])[:, :, 0]
+        lever = cross_matrix(state[:, RATE]) @ self.vehicle.com
+        return state[:, VEL] - (rotation_matrices(state) @ lever[:, :, None])[:, :, 0]
 
     def specific_force(self, state: Array, place: Array | float = 0.0) -> Array:
         """Return the specific force [m/s²] at a place [m] from the body origin, body frame, (F, 3).
@@ -133,8 +133,8 @@ class Plant:
         """
         rate, com = state[:, RATE], self.vehicle.com - place
         rate_dot = self.derivative(state, state[:, ROTOR])[:, RATE]
-        turn = hat(rate)
-        return self.body_force(state) / self.vehicle.mass - hat(rate_dot) @ com - (turn @ turn) @ com
+        turn = cross_matrix(rate)
+        return self.body_force(state) / self.vehicle.mass - cross_matrix(rate_dot) @ com - (turn @ turn) @ com
 
 
 def orthonormalise(state: Array) -> None:
@@ -142,7 +142,7 @@ def orthonormalise(state: Array) -> None:
 
     Source: N. Higham, "Computing the polar decomposition", 1986, the Newton-Schulz variant.
     """
-    rot = rotation(state)
+    rot = rotation_matrices(state)
     gram = rot.transpose(0, 2, 1) @ rot
     state[:, ROT] = (0.5 * rot @ (3.0 * np.eye(3) - gram)).reshape(-1, 9)
 
@@ -150,7 +150,7 @@ def orthonormalise(state: Array) -> None:
 def rest_state(vehicle: PlantVehicle, origin: Array, yaw: Array) -> Array:
     """Return level states at rest with the rotors at hover speed, from origin positions (F, 3) and headings (F,)."""
     state = np.zeros((len(origin), STATE_SIZE))
-    rot = rotation(state)
+    rot = rotation_matrices(state)
     rot[:, 0, 0] = rot[:, 1, 1] = np.cos(yaw)
     rot[:, 1, 0], rot[:, 0, 1], rot[:, 2, 2] = np.sin(yaw), -np.sin(yaw), 1.0
     state[:, POS] = origin + rot @ vehicle.com

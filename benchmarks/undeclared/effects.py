@@ -331,7 +331,7 @@ UNKNOWN: dict[str, PlantEffect] = {
 CAUSES: dict[str, PlantEffect] = {**EFFECTS, **UNKNOWN}
 
 
-def resolve(
+def effect_parameters(
     effects: Mapping[str, str | Mapping[str, float]], *, declared: PlantVehicle, seed: int
 ) -> dict[str, Params]:
     """Return the parameters of each effect: drawn where a size is given, else as given and completed.
@@ -361,7 +361,7 @@ def _resolve_one(name: str, value: str | Mapping[str, float], declared: PlantVeh
     return {key: float(number) for key, number in params.items()}
 
 
-def split(declared: PlantVehicle, params: Mapping[str, Params]) -> tuple[PlantVehicle, PlantVehicle]:
+def split_vehicles(declared: PlantVehicle, params: Mapping[str, Params]) -> tuple[PlantVehicle, PlantVehicle]:
     """Return the vehicle as it will be declared and as it is, for resolved effects."""
     true = declared
     for name, values in params.items():

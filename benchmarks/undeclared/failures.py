@@ -76,7 +76,7 @@ class Failures:
             led[row] *= failure.scale
         return led
 
-    def of_blades(self, squared: Array, time: float) -> Array:
+    def blade_squares(self, squared: Array, time: float) -> Array:
         """Return squared speeds [rad²/s²] times the remaining share of the blades' thrust, (F, 4)."""
         left = squared.copy()
         for row, failure in self._active_failures(time, "weak_motor"):

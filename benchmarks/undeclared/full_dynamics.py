@@ -7,7 +7,7 @@ Letters: F flights.
 
 import numpy as np
 
-from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, hat, rotation
+from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, cross_matrix, rotation_matrices
 from benchmarks.undeclared.surroundings import NOMINAL_VOLTAGE, PlantSurroundings
 from benchmarks.undeclared.vehicle import NEUTRAL, ROTOR_RADIUS, Array, PlantVehicle
 
@@ -55,13 +55,13 @@ class FullPlant(Plant):
         if extra.downwash[0] and self._surroundings.other is None:
             raise ValueError("downwash: needs another vehicle in the surroundings")
 
-    def begin(self, index: int, voltage: Array) -> None:
+    def begin_sample(self, index: int, voltage: Array) -> None:
         """Start sample ``index`` at a battery voltage [V], (F,)."""
         self._index, self._time = index, index / self._surroundings.rate
         self._since = self._time
         self._supply = (1.0 + self._extra.battery_gain * (voltage / NOMINAL_VOLTAGE - 1.0))[:, None]
 
-    def rest(self, state: Array) -> Array:
+    def states_at_rest(self, state: Array) -> Array:
         """Return states at rest with the load straight below, and soft arms as the thrust bends them in the long run."""
         if self._slung:
             state = np.hstack((state, np.tile([0.0, 0.0, -1.0, 0.0, 0.0, 0.0], (len(state), 1))))
@@ -87,10 +87,10 @@ class FullPlant(Plant):
         rotor_dot, squared = self._rotor_dot(state, command), self._square_speeds(state)
         wrench, slopes = self._arm_loads(state, squared) if self._joints else (squared @ self._wrench_map, [])
         force, torque = self._body_loads(state, squared, wrench, rotor_dot)
-        world, swing = (rotation(state) @ force[:, :, None])[:, :, 0], None
+        world, swing = (rotation_matrices(state) @ force[:, :, None])[:, :, 0], None
         if self._slung:
             world, swing = self._cable_pull(state, world)
-        out = self._motion(state, world, torque, rotor_dot)
+        out = self._state_derivative(state, world, torque, rotor_dot)
         for joint, slope in zip(self._joints, slopes, strict=True):
             out[:, joint[3]] = slope
         if swing is not None:
@@ -101,14 +101,14 @@ class FullPlant(Plant):
         """Return all forces but gravity [N], body frame, (F, 3), the pull of a load included."""
         command = state[:, ROTOR] if self._command is None else self._command
         acceleration = self.derivative(state, command)[:, VEL] - self._gravity
-        return self.vehicle.mass * (acceleration[:, None, :] @ rotation(state))[:, 0]
+        return self.vehicle.mass * (acceleration[:, None, :] @ rotation_matrices(state))[:, 0]
 
     def specific_force(self, state: Array, place: Array | float = 0.0) -> Array:
         """Return the specific force [m/s²] at a place [m] from the body origin, body frame, (F, 3); see ``Plant``."""
         command = state[:, ROTOR] if self._command is None else self._command
-        slope, com, turn = self.derivative(state, command), self.vehicle.com - place, hat(state[:, RATE])
-        force = ((slope[:, VEL] - self._gravity)[:, None, :] @ rotation(state))[:, 0]
-        return force - hat(slope[:, RATE]) @ com - (turn @ turn) @ com
+        slope, com, turn = self.derivative(state, command), self.vehicle.com - place, cross_matrix(state[:, RATE])
+        force = ((slope[:, VEL] - self._gravity)[:, None, :] @ rotation_matrices(state))[:, 0]
+        return force - cross_matrix(slope[:, RATE]) @ com - (turn @ turn) @ com
 
     def _prepare_arms(self) -> None:
         """Work out what bending does not change: directions outwards, parts of the rotor axes along them and aside."""
@@ -120,19 +120,19 @@ class FullPlant(Plant):
         self._aside = vehicle.rotor_axis - self._axis_out[:, None] * out - vehicle.rotor_axis[:, 2:] * up
         self._turning = np.cross(out, up)
         self._out_aside, self._up_aside = np.cross(out, self._aside), np.cross(up, self._aside)
-        self._com_hat = hat(vehicle.com[None])[0].T
+        self._com_hat = cross_matrix(vehicle.com[None])[0].T
 
     def _rotor_maps(self) -> tuple[Array, Array, Array]:
         """Return matrices from motion to airspeeds at the hubs, and from thrusts and lateral flows to the wrench."""
         # From airspeed of the centre of mass and angular velocity (6) to the airspeed at each hub along its axis (4) and
         # across it (12); from thrust added along each axis (4), and from n times the airspeed across (12), to the wrench (6).
         axis, extra, count = self.vehicle.rotor_axis, self._extra, len(self._hub)
-        at_hub = np.stack([np.hstack((np.eye(3), -hat(r[None])[0])) for r in self._hub])  # u + w x r
+        at_hub = np.stack([np.hstack((np.eye(3), -cross_matrix(r[None])[0])) for r in self._hub])  # u + w x r
         along = np.einsum("ri,rij->rj", axis, at_hub)
         across = at_hub - axis[:, :, None] * along[:, None, :]
         inflow = np.vstack((along, across.reshape(3 * count, 6))).T
         thrust = np.hstack((axis, np.cross(self._hub, axis)))
-        moments = -extra.h_force * hat(self._hub) - extra.flapping * hat(axis)
+        moments = -extra.h_force * cross_matrix(self._hub) - extra.flapping * cross_matrix(axis)
         side = [np.vstack((-extra.h_force * np.eye(3), moment)).T for moment in moments]
         return inflow, thrust, np.vstack(side)
 
@@ -151,13 +151,13 @@ class FullPlant(Plant):
         led = self._supply * command
         if self._failures is not None:
             led = self._failures.rotor_targets(led, self._since)
-        return self._lag(led - state[:, ROTOR])
+        return self._rotor_acceleration(led - state[:, ROTOR])
 
     def _square_speeds(self, state: Array) -> Array:
         """Return the squared rotor speeds [rad²/s²], (F, 4), less what fading and failures take."""
         squared, (loss, time) = state[:, ROTOR] ** 2, self._extra.fading
         if self._failures is not None:
-            squared = self._failures.of_blades(squared, self._since)
+            squared = self._failures.blade_squares(squared, self._since)
         return squared * (1.0 - loss * (1.0 - np.exp(-self._time / time))) if loss else squared
 
     def _arm_loads(self, state: Array, squared: Array) -> tuple[Array, list[Array]]:
@@ -203,7 +203,7 @@ class FullPlant(Plant):
             force, torque = force + push, torque + moment
         if extra.rotor_inertia:
             spin = rotor @ self._spin_axis
-            torque = torque - rotor_dot @ self._spin_axis - (hat(state[:, RATE]) @ spin[:, :, None])[:, :, 0]
+            torque = torque - rotor_dot @ self._spin_axis - (cross_matrix(state[:, RATE]) @ spin[:, :, None])[:, :, 0]
         return force + self._external_force(state) if self._has_outside else force, torque
 
     def _rotor_changes(self, state: Array, squared: Array) -> tuple[Array, Array]:
@@ -212,13 +212,13 @@ class FullPlant(Plant):
         plain = self.vehicle.thrust_coeff * squared
         thrust, wrench = plain, 0.0
         if self._aero:
-            flow = np.hstack((self._air(state), state[:, RATE])) @ self._inflow
+            flow = np.hstack((self._airspeed(state), state[:, RATE])) @ self._inflow
             along, across = flow[:, :count], flow[:, count:].reshape(-1, count, 3)
             thrust = plain - extra.axial_inflow * rotor * along
             thrust = thrust + extra.translational_lift * (across * across).sum(axis=2)
             wrench = (rotor[:, :, None] * across).reshape(len(state), -1) @ self._side_map
         if self._near:
-            height = state[:, 2:3] + rotation(state)[:, 2] @ self._hub.T
+            height = state[:, 2:3] + rotation_matrices(state)[:, 2] @ self._hub.T
             gain = near_surface(extra.ground, height)
             if self._surroundings.ceiling is not None:
                 gain = gain * near_surface(extra.ceiling, self._surroundings.ceiling - height)
@@ -228,7 +228,7 @@ class FullPlant(Plant):
 
     def _external_force(self, state: Array) -> Array:
         """Return the forces on the centre of mass that are neither of rotors nor of drag [N], body frame, (F, 3)."""
-        extra, force, rot = self._extra, np.zeros((len(state), 3)), rotation(state)
+        extra, force, rot = self._extra, np.zeros((len(state), 3)), rotation_matrices(state)
         if extra.downwash[0] and self._surroundings.other is not None:
             apart = self._surroundings.other[self._index] - state[:, POS]
             wake = np.exp(-0.5 * (apart[:, 0] ** 2 + apart[:, 1] ** 2) / extra.downwash[1] ** 2)

@@ -23,7 +23,7 @@ OTHER_COLUMNS, CEILING_COLUMN = ("other_p_x", "other_p_y", "other_p_z"), "ceilin
 _DIGITS = ["%.6f"] * 4 + ["%.8f"] * 4 + ["%.6f"] * 9 + ["%.4f"] * 8
 
 
-def quaternion(matrix: Array) -> Array:
+def continuous_quaternions(matrix: Array) -> Array:
     """Return xyzw of each matrix (T, 3, 3), without jumps of sign from row to row; the first has w >= 0."""
     quat = Rotation.from_matrix(matrix).as_quat()
     flips = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
@@ -31,7 +31,7 @@ def quaternion(matrix: Array) -> Array:
     return quat * sign[:, None]
 
 
-def late(record: PlantRecord, delay: Array) -> PlantRecord:
+def delay_sensors(record: PlantRecord, delay: Array) -> PlantRecord:
     """Return a record in which each of ``LATE`` comes so much later [s] than it was, between samples in a straight line."""
     measured = dict(record.measured)
     for name, seconds in zip(LATE, delay.tolist(), strict=True):
@@ -55,7 +55,14 @@ def write_log(path: Path, record: PlantRecord, flight: int, *, first: int, every
     seen = {name: values[rows, flight] for name, values in record.measured.items()}
     time = np.arange(len(seen["rate"]))[:, None] * (every / CONTROL_RATE)
     battery = record.voltage[rows, flight, None]
-    parts = [time, seen["position"], quaternion(seen["rotation"]), seen["velocity"], seen["rate"], seen["acc"]]
+    parts = [
+        time,
+        seen["position"],
+        continuous_quaternions(seen["rotation"]),
+        seen["velocity"],
+        seen["rate"],
+        seen["acc"],
+    ]
     parts += [seen["rotor"], record.command[rows, flight], battery]
     columns, digits, surroundings = list(COLUMNS), [*_DIGITS, "%.2f"], record.surroundings
     if surroundings.other is not None:

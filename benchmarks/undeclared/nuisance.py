@@ -62,7 +62,7 @@ STATED_LAG = ("motor_time_constant", "motor_asymmetry")
 """Hidden effects that state the lag itself, in place of the declared one."""
 
 
-def disturb(
+def add_nuisance(
     true: PlantVehicle, cfg: PlantNuisance, *, seed: int, hidden: Container[str] = (), num_flights: int = 1
 ) -> tuple[PlantVehicle, Bias]:
     """Return the vehicle with small errors besides the hidden effects, and the sensor biases.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.undeclared.dynamics import RATE, ROTOR, Plant, hat, rotation
+from benchmarks.undeclared.dynamics import RATE, ROTOR, Plant, cross_matrix, rotation_matrices
 from benchmarks.undeclared.nuisance import Bias
 from benchmarks.undeclared.vehicle import NEUTRAL, Array, Extra
 
@@ -70,7 +70,7 @@ class PlantSensors:
         return Sample(
             position=plant.origin_position(state) + draw[:, 0:3],
             velocity=plant.origin_velocity(state) + draw[:, 3:6],
-            rotation=rotation(state) @ (np.eye(3) + hat(draw[:, 6:9])) @ self._aligned,
+            rotation=rotation_matrices(state) @ (np.eye(3) + cross_matrix(draw[:, 6:9])) @ self._aligned,
             rate=rate + draw[:, 9:12] + self._bias.gyro,
             acc=acc + draw[:, 12:15] + self._bias.acc,
             rotor=self._rotor_reading * state[:, ROTOR] * (1.0 + draw[:, 15:19]),

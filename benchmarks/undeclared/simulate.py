@@ -43,7 +43,7 @@ class PlantRecord:
     surroundings: PlantSurroundings  # As given to `fly`
 
 
-def fly(
+def fly_references(
     *,
     true: PlantVehicle,
     declared: PlantVehicle,
@@ -62,7 +62,7 @@ def fly(
     plant, dt = make_plant(true, surroundings), 1.0 / CONTROL_RATE
     late = round(true.extra.delay * CONTROL_RATE * SUBSTEPS)
     autopilot = pilot or Autopilot(declared, num_flights, dt)
-    state = plant.rest(rest_state(declared, reference.position[0], reference.yaw[0]))
+    state = plant.states_at_rest(rest_state(declared, reference.position[0], reference.yaw[0]))
     samples: list[Sample] = []
     command = np.empty((num_samples, num_flights, 4))
     states = np.empty((num_samples, *state.shape))
@@ -70,7 +70,7 @@ def fly(
     for index in range(num_samples):
         if battery is not None:
             voltage[index] = battery.discharge(state[:, ROTOR], dt)
-        plant.begin(index, voltage[index])
+        plant.begin_sample(index, voltage[index])
         sample = sensors.sample(index, plant, state)
         samples.append(sample)
         states[index] = state

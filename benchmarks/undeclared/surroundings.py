@@ -36,7 +36,7 @@ class PlantSurroundings:
     failures: Failures | None = None  # What fails in flight
 
 
-def gusts(std: float, corr_time: float, count: int, rate: float, rng: np.random.Generator) -> Array:
+def gust_series(std: float, corr_time: float, count: int, rate: float, rng: np.random.Generator) -> Array:
     """Return a stationary Ornstein-Uhlenbeck series of each axis [m/s], (T, 3): correlation ``exp(-t / corr_time)``.
 
     Exact at the samples: ``w' = a w + std sqrt(1 - a²) e`` with ``a = exp(-1 / (rate corr_time))``.
@@ -53,7 +53,7 @@ def gusts(std: float, corr_time: float, count: int, rate: float, rng: np.random.
     return series
 
 
-def companion(reference: Reference, flight: int, rate: float, rng: np.random.Generator) -> Array:
+def companion_path(reference: Reference, flight: int, rate: float, rng: np.random.Generator) -> Array:
     """Return the path of another vehicle above a flight [m], world, (T, 3).
 
     On even flights it keeps above the reference and strays up to half a metre from it on each axis; on odd ones it hovers

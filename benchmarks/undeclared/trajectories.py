@@ -1,6 +1,6 @@
 """Reference flights: families of smooth paths, seeded at random.
 
-A family gives the shape: position relative to the start, yaw and excitation on a time grid. ``plan`` scales it to a
+A family gives the shape: position relative to the start, yaw and excitation on a time grid. ``plan_flight`` scales it to a
 top speed, differentiates it and lifts it off the ground. Every path starts at rest. Letters: T times.
 """
 
@@ -66,7 +66,9 @@ def _excitation(t: Array, rng: np.random.Generator, *, rate: float, yaw_rate: fl
     return np.stack(waves, axis=1) * (rate, rate, yaw_rate, acceleration) * smooth_step(t / 1.0)[:, None]
 
 
-def _moves(t: Array, rng: np.random.Generator, targets: Callable[[int], Array], *, move: float, hold: float) -> Array:
+def _smooth_moves(
+    t: Array, rng: np.random.Generator, targets: Callable[[int], Array], *, move: float, hold: float
+) -> Array:
     """Return smooth moves between targets: leg k ends at ``targets(k)`` after ``move`` s, then rests ``hold`` s."""
     path, here = np.zeros((len(t), len(targets(0)))), np.zeros(len(targets(0)))
     start, leg = 0.2 * rng.uniform(), 0
@@ -107,7 +109,7 @@ def waypoints(t: Array, rng: np.random.Generator) -> TrajectoryShape:
 
 def vertical(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Climbs and descents of several lengths, drifting sideways, with the heading turning all round."""
-    height = _moves(t, rng, lambda k: rng.uniform((1.5,), (3.5,)) * (1 - k % 2), move=1.5, hold=0.3)
+    height = _smooth_moves(t, rng, lambda k: rng.uniform((1.5,), (3.5,)) * (1 - k % 2), move=1.5, hold=0.3)
     drift = [smooth_step(t / 1.5) * _multisine(t, rng, low=0.1, high=0.4, count=4, slope=1.0) for _ in range(2)]
     yaw = _phase_ramp(t, rng.choice((-0.8, 0.8)))
     excite = _excitation(t, rng, rate=0.4, yaw_rate=0.4, acceleration=1.5)
@@ -117,7 +119,7 @@ def vertical(t: Array, rng: np.random.Generator) -> TrajectoryShape:
 def hover_steps(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Hover with short moves and turns between rests, and excitation of the commands."""
     corner = (-1.3, -1.3, -0.8, -1.2)
-    curve = _moves(t, rng, lambda _: rng.uniform(corner, np.negative(corner)), move=1.2, hold=0.8)
+    curve = _smooth_moves(t, rng, lambda _: rng.uniform(corner, np.negative(corner)), move=1.2, hold=0.8)
     excite = _excitation(t, rng, rate=0.8, yaw_rate=0.6, acceleration=1.0)
     return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
 
@@ -131,7 +133,7 @@ def hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
 def low_hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Rests at several heights, half of them the lowest, with small moves and a little excitation."""
     low, high = np.array([-0.5, -0.5, 0.0, -0.8]), np.array([0.5, 0.5, 0.5, 0.8])
-    curve = _moves(t, rng, lambda k: rng.uniform(low, high) * (1.0, 1.0, k % 2, 1.0), move=1.0, hold=1.2)
+    curve = _smooth_moves(t, rng, lambda k: rng.uniform(low, high) * (1.0, 1.0, k % 2, 1.0), move=1.0, hold=1.2)
     excite = _excitation(t, rng, rate=0.4, yaw_rate=0.4, acceleration=0.3)
     return TrajectoryShape(path=curve[:, :3], yaw=curve[:, 3], excite=excite)
 
@@ -139,7 +141,7 @@ def low_hover(t: Array, rng: np.random.Generator) -> TrajectoryShape:
 def low_passes(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Passes from side to side that touch the lowest height at every second end."""
     side, high = rng.uniform((1.5, -0.8), (2.0, 0.8)), rng.uniform(0.3, 0.8, 64)
-    curve = _moves(
+    curve = _smooth_moves(
         t, rng, lambda k: np.array([*(side * (-1.0) ** k), high[k % 64] * (k // 2 % 2), 0.8 * k]), move=1.6, hold=0.3
     )
     return TrajectoryShape(
@@ -162,7 +164,9 @@ def square(t: Array, rng: np.random.Generator) -> TrajectoryShape:
     """Fast legs from corner to corner at two heights; the heading turns by a quarter at each."""
     side, sense = 4.0 * np.array([[1, 0, 0.2], [1, 1, 0], [0, 1, 0.2], [0, 0, 0]]), rng.choice((-1.0, 1.0))
     corner = side * (1.0, sense, 1.0)
-    path = _moves(t, rng, lambda k: np.array([*corner[k % 4], 0.5 * np.pi * sense * (k + 1)]), move=2.1, hold=0.25)
+    path = _smooth_moves(
+        t, rng, lambda k: np.array([*corner[k % 4], 0.5 * np.pi * sense * (k + 1)]), move=2.1, hold=0.25
+    )
     return TrajectoryShape(path=path[:, :3], yaw=path[:, 3])
 
 
@@ -192,7 +196,7 @@ TRAIN_FAMILIES = ("multisine", "waypoints", "vertical", "hover_steps")
 TEST_FAMILIES = ("figure_eight", "square", "lissajous")
 
 
-def plan(
+def plan_flight(
     family: str,
     *,
     duration: float,
@@ -211,9 +215,9 @@ def plan(
     t = np.arange(round(duration * rate) + 1) / rate
     draw, top_speed = FAMILIES[family]
     shape = draw(t, rng)
-    speed, acceleration = _largest(shape.path, 1, rate), _largest(shape.path, 2, rate)
+    speed, acceleration = _largest_derivative(shape.path, 1, rate), _largest_derivative(shape.path, 2, rate)
     path = shape.path * min(rng.uniform(*top_speed) / speed, MAX_ACCELERATION / acceleration) * ease
-    yaw = shape.yaw * min(1.0, MAX_YAW_RATE / max(_largest(shape.yaw[:, None], 1, rate), 1e-9))
+    yaw = shape.yaw * min(1.0, MAX_YAW_RATE / max(_largest_derivative(shape.yaw[:, None], 1, rate), 1e-9))
     path[:, 2] += lowest - path[:, 2].min()
     if ceiling is not None:
         path[:, 2] = ceiling - path[:, 2]
@@ -232,7 +236,7 @@ def plan(
     )
 
 
-def _largest(path: Array, order: int, rate: float) -> float:
+def _largest_derivative(path: Array, order: int, rate: float) -> float:
     """Return the largest norm of a derivative of ``path``, by differences."""
     return float(np.linalg.norm(np.diff(path, n=order, axis=0), axis=1).max() * rate**order)
 
@@ -242,7 +246,7 @@ def _hold_first(values: Array, rows: int) -> Array:
     return np.concatenate((np.repeat(values[:1], rows, axis=0), values))
 
 
-def stack(references: list[Reference]) -> Reference:
+def stack_references(references: list[Reference]) -> Reference:
     """Return the references of F flights as one, with shapes (T, F, ...)."""
     names = Reference.__dataclass_fields__
     return Reference(**{name: np.stack([getattr(r, name) for r in references], axis=1) for name in names})

@@ -11,8 +11,8 @@ from torch import Tensor
 from aerial_gym.config import build
 from aerial_gym.config.robot import RobotCfg
 from aerial_gym.physics import BodyState, accelerations, build_model, vehicle_from_config
-from benchmarks.undeclared.dynamics import POS, RATE, ROT, ROTOR, VEL, rotation
-from benchmarks.undeclared.effects import resolve, split
+from benchmarks.undeclared.dynamics import POS, RATE, ROT, ROTOR, VEL, rotation_matrices
+from benchmarks.undeclared.effects import effect_parameters, split_vehicles
 from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant
 from benchmarks.undeclared.logs import robot_document
 from benchmarks.undeclared.surroundings import PlantSurroundings
@@ -41,7 +41,7 @@ def random_states(rng: np.random.Generator, plant: FullPlant) -> Array:
     state[:, VEL], state[:, RATE] = 2.0 * rng.normal(size=(COUNT, 3)), 3.0 * rng.normal(size=(COUNT, 3))
     state[:, ROT] = Rotation.from_rotvec(0.4 * rng.normal(size=(COUNT, 3))).as_matrix().reshape(COUNT, 9)
     state[:, ROTOR] = rng.uniform(700.0, 1300.0, (COUNT, 4))
-    return plant.rest(state)
+    return plant.states_at_rest(state)
 
 
 def tensor(values: Array) -> Tensor:
@@ -51,9 +51,9 @@ def tensor(values: Array) -> Tensor:
 @pytest.mark.parametrize("names", [(), *((name,) for name in EFFECTS), TOGETHER], ids="+".join)
 def test_accelerations_agree(names: tuple[str, ...]) -> None:
     """Angular acceleration while rotors change their speed, and specific force at the body origin while they do not."""
-    rng, params = np.random.default_rng(0), resolve(dict.fromkeys(names, "large"), declared=DECLARED, seed=1)
+    rng, params = np.random.default_rng(0), effect_parameters(dict.fromkeys(names, "large"), declared=DECLARED, seed=1)
     around = PlantSurroundings(ceiling=CEILING, other=np.tile(OTHER_VEHICLE, (1, COUNT, 1)))
-    plant = FullPlant(split(DECLARED, params)[1], around)
+    plant = FullPlant(split_vehicles(DECLARED, params)[1], around)
     state = random_states(rng, plant)
     given = {}
     if names == ("joint_spring",):
@@ -69,7 +69,7 @@ def test_accelerations_agree(names: tuple[str, ...]) -> None:
     )  # fmt: skip
     body = BodyState(
         position=tensor(plant.origin_position(state)),
-        attitude=tensor(Rotation.from_matrix(rotation(state)).as_quat()),
+        attitude=tensor(Rotation.from_matrix(rotation_matrices(state)).as_quat()),
         lin_vel=tensor(plant.origin_velocity(state)),
         ang_vel=tensor(state[:, RATE]),
         rotor_speed=tensor(state[:, ROTOR]),

@@ -105,7 +105,6 @@ IMPOSED = {
     "following_gate_world": "registered observation term",
     "turning_cost": "registered reward term",
     "still": "registered reward term",
-    "pushed": "registered termination term",
     "missed_touchdown": "registered termination term",
     "tilted": "registered termination term",
     "leaning": "registered termination term",

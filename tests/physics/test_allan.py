@@ -13,12 +13,12 @@ from aerial_gym.sensors.allan import allan_deviation, record_at_rest
 from benchmarks.devices.imu_allan import (
     AllanRecord,
     ImuAllanCmd,
-    compare,
+    compare_densities,
     crossing_s,
     fit_densities,
-    interval,
     lowest_point,
-    shares,
+    root_mean_interval,
+    variance_shares,
 )
 
 DT = 0.25
@@ -93,7 +93,7 @@ def test_known_densities_are_found_whatever_is_assumed_and_their_intervals_hold_
         tau, deviation = allan_deviation(signals(32, 1024, seed), DT)
         squares = fit_densities(tau, deviation, DT, torch.tensor([4.0 * NOISE**2, 0.5 * WALK**2], dtype=torch.float64))
         for column, truth in enumerate((NOISE, WALK)):
-            result, low, high = interval(squares[:, column])
+            result, low, high = root_mean_interval(squares[:, column])
             assert result == pytest.approx(truth, rel=0.25)
             held[column] += low <= truth <= high
     assert ((held >= 88) & (held <= 100)).all()
@@ -101,14 +101,14 @@ def test_known_densities_are_found_whatever_is_assumed_and_their_intervals_hold_
 
 def test_shares_are_the_variances_of_a_sampled_walk_by_hand() -> None:
     """Steps s of variance 1: neighbours differ by s, averages of two by (s1 + 2 s2 + s3) / 2. Half the variance of each."""
-    result = shares(torch.tensor([1.0, 2.0]), 1.0)
+    result = variance_shares(torch.tensor([1.0, 2.0]), 1.0)
     torch.testing.assert_close(result, torch.tensor([[1.0, 0.5], [0.5, 0.75]]))
-    torch.testing.assert_close(shares(torch.tensor([3.0]), 3.0), torch.tensor([[1.0 / 3.0, 1.5]]))
+    torch.testing.assert_close(variance_shares(torch.tensor([3.0]), 3.0), torch.tensor([[1.0 / 3.0, 1.5]]))
 
 
 def test_interval_is_that_of_the_mean() -> None:
     """Squares 1, 4, 9: mean 14/3, standard error sqrt(49/3) / sqrt(3)."""
-    result, low, high = interval(torch.tensor([1.0, 4.0, 9.0], dtype=torch.float64))
+    result, low, high = root_mean_interval(torch.tensor([1.0, 4.0, 9.0], dtype=torch.float64))
     half = 1.96 * (49.0 / 3.0) ** 0.5 / 3.0**0.5
     assert (result, low, high) == pytest.approx(((14 / 3) ** 0.5, (14 / 3 - half) ** 0.5, (14 / 3 + half) ** 0.5))
 
@@ -128,13 +128,13 @@ def test_the_lowest_point_is_where_the_lines_meet() -> None:
 def test_rows_tell_a_wrong_density_from_a_right_one() -> None:
     cfg = IMUS.get("bmi088")
     fast, slow = (AllanRecord.simulate(cfg, dt=dt, num_sensors=32, num_samples=1024, seed=3) for dt in (0.01, 0.5))
-    right = compare("bmi088", cfg, fast, slow)
+    right = compare_densities("bmi088", cfg, fast, slow)
     assert [row["sensor"] + row["axis"] for row in right[:4]] == ["accelx", "accely", "accelz", "gyrox"]
     for row in right:
         for name in ("noise", "walk", "lowest"):
             configured, low, high = (row[f"{name}_{label}"] for label in ("configured", "low", "high"))
             assert low - (high - low) <= configured <= high + (high - low), (row, name)  # 6 standard errors
-    wrong = compare("bmi088", IMUS.get("vn100"), fast, slow)
+    wrong = compare_densities("bmi088", IMUS.get("vn100"), fast, slow)
     assert not wrong[3]["noise_low"] <= wrong[3]["noise_configured"] <= wrong[3]["noise_high"]
 
 

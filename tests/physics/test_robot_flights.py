@@ -20,13 +20,13 @@ from benchmarks.control.control_flights import (
     PUSH,
     WIND,
     ControlFlight,
-    different_robots,
-    figures,
-    fly,
+    fly_robot,
     geometric_controllers,
+    misfit_reason,
     robot_controllers,
+    robots_by_dynamics,
+    settling_and_overshoot,
     target_robot,
-    unfit,
 )
 from tests.repetitions import frequent_values
 
@@ -76,7 +76,7 @@ def is_tuned(law: ControllerCfg, cfg: RobotCfg) -> bool:
 
 def coarsest_sim(law: ControllerCfg, cfg: RobotCfg) -> SimCfg:
     sims = sorted((SIMS.get(name) for name in SIMS), key=lambda sim: -sim.dt)
-    return next((sim for sim in sims if not unfit(cfg, law, sim)), sims[0])
+    return next((sim for sim in sims if not misfit_reason(cfg, law, sim)), sims[0])
 
 
 FAST = [name for name, cfg in geometric_controllers().items() if cfg.inner is None or cfg.law in ("position", "rates")]
@@ -87,7 +87,7 @@ def select_flights() -> list[tuple[str, str]]:
     ``test_nor_with_any_other_controller_at_any_sim`` flies all of them."""
     return [
         (robot, controller)
-        for i, robot in enumerate(different_robots())
+        for i, robot in enumerate(robots_by_dynamics())
         for j, controller in enumerate(FAST)
         if (i % 9 == 0 and controller == "lee_position_control") or ((i + j) % 30 == 0 and j % 2 == 1)
     ]
@@ -95,21 +95,25 @@ def select_flights() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("robot", "controller"), select_flights())
 def test_no_registered_robot_falls(robot: str, controller: str) -> None:
-    cfg, law = different_robots()[robot], geometric_controllers()[controller]
+    cfg, law = robots_by_dynamics()[robot], geometric_controllers()[controller]
     sim = coarsest_sim(law, cfg)
-    if why := unfit(cfg, law, sim):
+    if why := misfit_reason(cfg, law, sim):
         assert why.startswith(f"law {law.law!r}: ")
         return
-    assert_flies(fly(cfg, law, sim, names=(robot, controller, "base_sim")), cfg)
+    assert_flies(fly_robot(cfg, law, sim, names=(robot, controller, "base_sim")), cfg)
 
 
 def test_what_does_not_fit_is_refused_for_a_reason() -> None:
     """Rotors that point one way do not push sideways; water leaves nothing to lean against."""
-    fitting = {n for n, r in different_robots().items() if not unfit(r, CONTROLLERS.get("fully_actuated_control"))}
+    fitting = {
+        n for n, r in robots_by_dynamics().items() if not misfit_reason(r, CONTROLLERS.get("fully_actuated_control"))
+    }
     tilted = {"omnidirectional_octarotor", "base_octarotor", "base_random", "tilted_hexarotor"}
     assert fitting == tilted | {"base_rov", "bluerov2_heavy"}
-    leaning = {n for n, r in different_robots().items() if not unfit(r, CONTROLLERS.get("lee_position_control"))}
-    assert set(different_robots()) - leaning == {"base_rov", "bluerov2_heavy"}
+    leaning = {
+        n for n, r in robots_by_dynamics().items() if not misfit_reason(r, CONTROLLERS.get("lee_position_control"))
+    }
+    assert set(robots_by_dynamics()) - leaning == {"base_rov", "bluerov2_heavy"}
 
 
 @pytest.mark.parametrize(
@@ -123,7 +127,7 @@ def test_published_gains_hold_their_robot(name: str, law: str) -> None:
     """Under the names of the Aerial Gym Simulator, which are a law and a robot's gains."""
     controller = f"{name}_{law}_control"
     robot = ROBOTS.get(target_robot(controller))
-    flight = fly(robot, CONTROLLERS.get(controller), SIMS.get("base_sim"), names=(name, controller, "base_sim"))
+    flight = fly_robot(robot, CONTROLLERS.get(controller), SIMS.get("base_sim"), names=(name, controller, "base_sim"))
     assert flight.error < ALLOWED[law]
     assert flight.tilt_rad < pi / 2
 
@@ -131,7 +135,9 @@ def test_published_gains_hold_their_robot(name: str, law: str) -> None:
 def test_gains_of_the_rov_hold_it_too() -> None:
     """``(m + m_A) x'' = m (1 - x - 8 x') - (l + q |x'|) x'``: a metre to 0.30 m after 10 s, rotor lag of 5 to 20 ms aside."""
     robot, controller = ROBOTS.get("base_rov"), "rov_fully_actuated_control"
-    flight = fly(robot, CONTROLLERS.get(controller), SIMS.get("base_sim"), names=("base_rov", controller, "base_sim"))
+    flight = fly_robot(
+        robot, CONTROLLERS.get(controller), SIMS.get("base_sim"), names=("base_rov", controller, "base_sim")
+    )
     linear, quadratic = robot.effects["hull_drag"]["lx"], robot.effects["hull_drag"]["qx"]
     mass, added = robot.body.mass, robot.effects["added_mass"]["x"]
 
@@ -148,14 +154,14 @@ def test_every_named_controller_fits_the_robot_that_it_means() -> None:
     """16 of the 22 names of the Aerial Gym Simulator; the others are `no_control` and `lee_*`, of any robot."""
     assert len(robot_controllers()) == 16
     for name, law in robot_controllers().items():
-        assert not unfit(ROBOTS.get(target_robot(name)), law), name
+        assert not misfit_reason(ROBOTS.get(target_robot(name)), law), name
 
 
 def test_in_wind_and_with_rotors_at_their_limits_a_law_does_what_its_equations_say() -> None:
     """``k_p e = F / m`` of a law without an integral; half a second of all that the rotors have delays a step by as long.
     The drag is along body x, of which the horizontal part is a cosine less."""
     robot, controller = ROBOTS.get("x500"), CONTROLLERS.get("lee_position_control")
-    flight = fly(robot, controller, SIMS.get("base_sim"), names=("x500", "lee_position_control", "base_sim"))
+    flight = fly_robot(robot, controller, SIMS.get("base_sim"), names=("x500", "lee_position_control", "base_sim"))
     vehicle = vehicle_from_config(robot, num_envs=1)
     law = make_controller(controller, vehicle, GRAVITY, dt=0.01, control=robot.control)
     lean = atan(PUSH)
@@ -169,14 +175,14 @@ def test_in_wind_and_with_rotors_at_their_limits_a_law_does_what_its_equations_s
 @pytest.mark.slow
 def test_an_integral_of_velocity_brings_a_vehicle_back_against_the_wind() -> None:
     robot, controller = ROBOTS.get("neural_fly_quad"), "px4_position_control"
-    flight = fly(robot, CONTROLLERS.get(controller), SIMS.get("base_sim"), names=("quad", controller, "base_sim"))
+    flight = fly_robot(robot, CONTROLLERS.get(controller), SIMS.get("base_sim"), names=("quad", controller, "base_sim"))
     assert flight.wind_error < 0.25 * flight.wind_largest
 
 
 def test_a_velocity_loop_drifts_with_the_wind_by_the_share_that_its_gain_leaves() -> None:
     """``m k_v v = d (w - v)`` with ``d w`` a tenth of the weight, along a body that leans by little."""
     robot, controller = ROBOTS.get("x500"), CONTROLLERS.get("lee_velocity_control")
-    flight = fly(robot, controller, SIMS.get("base_sim"), names=("x500", "lee_velocity_control", "base_sim"))
+    flight = fly_robot(robot, controller, SIMS.get("base_sim"), names=("x500", "lee_velocity_control", "base_sim"))
     law = make_controller(controller, vehicle_from_config(robot, num_envs=1), GRAVITY, dt=0.01, control=robot.control)
     drag = PUSH * GRAVITY / WIND
     expected = drag * WIND / (float(law.gains.velocity[0, 0]) + drag)
@@ -186,16 +192,16 @@ def test_a_velocity_loop_drifts_with_the_wind_by_the_share_that_its_gain_leaves(
 @pytest.mark.slow
 @pytest.mark.parametrize("sim", SIMS)
 @pytest.mark.parametrize("controller", geometric_controllers())
-@pytest.mark.parametrize("robot", different_robots())
+@pytest.mark.parametrize("robot", robots_by_dynamics())
 def test_nor_with_any_other_controller_at_any_sim(robot: str, controller: str, sim: str) -> None:
-    cfg, law = different_robots()[robot], geometric_controllers()[controller]
-    if not unfit(cfg, law, SIMS.get(sim)):
-        assert_flies(fly(cfg, law, SIMS.get(sim), names=(robot, controller, sim)), cfg)
+    cfg, law = robots_by_dynamics()[robot], geometric_controllers()[controller]
+    if not misfit_reason(cfg, law, SIMS.get(sim)):
+        assert_flies(fly_robot(cfg, law, SIMS.get(sim), names=(robot, controller, sim)), cfg)
 
 
 def test_figures_of_a_response() -> None:
     """Overshoot to 1.3, back within 2 % from the fifth sample of 20 ms on."""
-    settling, overshoot = figures([0.5, 1.3, 0.9, 1.01, 1.0, 1.0])
+    settling, overshoot = settling_and_overshoot([0.5, 1.3, 0.9, 1.01, 1.0, 1.0])
     assert settling == pytest.approx(0.08)
     assert overshoot == pytest.approx(0.3)
-    assert figures([0.5, 0.5])[0] == float("inf")
+    assert settling_and_overshoot([0.5, 0.5])[0] == float("inf")

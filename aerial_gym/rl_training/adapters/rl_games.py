@@ -24,7 +24,7 @@ from aerial_gym.rl_training.run.checkpoint_keeper import CheckpointKeeper
 from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import guard
+from aerial_gym.rl_training.trainers.summaries import guard_writer
 from aerial_gym.task import Task
 
 OFF = 10**12
@@ -125,7 +125,7 @@ class _Observer(AlgoObserver):
     def after_init(self, algo: KeeperAgent) -> None:
         self.algo, algo.keeper = algo, self._run.keeper
         algo.after_epoch = lambda: self.after_print_stats(algo.frame, algo.epoch_num, 0.0)
-        self._summaries = () if algo.writer is None else (guard(algo.writer),)
+        self._summaries = () if algo.writer is None else (guard_writer(algo.writer),)
         if not algo.keeper.resumes:
             algo.save_checkpoint()
 

@@ -42,7 +42,7 @@ from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.library_run import LibraryRun
 from aerial_gym.rl_training.run.progress import Report
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import guard
+from aerial_gym.rl_training.trainers.summaries import guard_writer
 from aerial_gym.task import Task
 
 OFF = 10**15
@@ -118,7 +118,7 @@ class _Runner(SerialRunner):
     def __init__(self, cfg: Config, keeper: CheckpointKeeper) -> None:
         super().__init__(cfg)
         self._keeper = keeper
-        self.summaries = [guard(writer) for writer in self.writers.values()]
+        self.summaries = [guard_writer(writer) for writer in self.writers.values()]
 
     def _make_learner(self, event_loop: EventLoop, policy_id: int, batcher: Batcher) -> LearnerWorker:
         worker = super()._make_learner(event_loop, policy_id, batcher)
@@ -176,7 +176,7 @@ def train(run: LibraryRun) -> bool:
     if task.device.type == "cuda" and (task.device.index or 0) != 0:
         raise ConfigError(f"device {task.device}: Sample Factory uses cuda:0. Choose the GPU with CUDA_VISIBLE_DEVICES")
     name = f"{cfg.task}_{uuid.uuid4().hex[:8]}"
-    with _library_log(), _registration(name, cfg, task, run.interruption):
+    with _library_log(), _task_registration(name, cfg, task, run.interruption):
         runner = _Runner(library_config(cfg, run.folder.path, env_name=name, device=task.device), run.keeper)
         try:
             status = _run_library_training(runner, _Observer(run))
@@ -273,7 +273,7 @@ def library_config(cfg: TrainingCfg, out: Path, *, env_name: str, device: torch.
 
 
 @contextlib.contextmanager
-def _registration(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
+def _task_registration(name: str, cfg: TrainingCfg, task: Task, interruption: Interruption) -> Iterator[None]:
     """Register the task and the initial weights with the library for the time of the block."""
 
     def make_network(library_cfg: Config, obs_space: spaces.Space, action_space: spaces.Space) -> ActorCritic:

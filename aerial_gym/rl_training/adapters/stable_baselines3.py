@@ -38,7 +38,7 @@ class Sb3Env(VecEnv):
         observation, _ = self.task.reset(seed=self._seeds[0])
         self.task.stagger()
         self._reset_seeds()
-        return _on_host(observation["observations"])
+        return _host_copy(observation["observations"])
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (E, U) of the next ``step_wait``."""
@@ -47,17 +47,17 @@ class Sb3Env(VecEnv):
     def step_wait(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], list[dict[str, Any]]]:
         """Advance; return observations (E, O), rewards (E,), whether episodes ended (E,), and an info for each row."""
         observation, reward, terminated, truncated, info = self.task.step(self._actions)
-        ended, infos = _on_host(terminated | truncated), [{} for _ in range(self.num_envs)]
+        ended, infos = _host_copy(terminated | truncated), [{} for _ in range(self.num_envs)]
         if ended.any():
             names = ("final_observation", "time_outs", "episode_return", "episode_length")
-            last, late, total, length = (_on_host(info[name]) for name in names)
+            last, late, total, length = (_host_copy(info[name]) for name in names)
             for row in np.flatnonzero(ended):
                 infos[row] = {
                     "terminal_observation": last[row],
                     "TimeLimit.truncated": bool(late[row]),
                     "episode": {"r": float(total[row]), "l": int(length[row])},
                 }
-        return _on_host(observation["observations"]), _on_host(reward), ended, infos
+        return _host_copy(observation["observations"]), _host_copy(reward), ended, infos
 
     def close(self) -> None:
         """Release the simulation."""
@@ -65,7 +65,7 @@ class Sb3Env(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute, which all environments have in common, once for each."""
-        return [getattr(self, attr_name)] * len(self._rows(indices))
+        return [getattr(self, attr_name)] * len(self._environment_indices(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Set an attribute of all environments."""
@@ -74,17 +74,17 @@ class Sb3Env(VecEnv):
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Call a method once for all environments; return its result once per environment."""
-        return [getattr(self, method_name)(*args, **kwargs)] * len(self._rows(indices))
+        return [getattr(self, method_name)(*args, **kwargs)] * len(self._environment_indices(indices))
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Return False for each environment."""
         del wrapper_class
-        return [False] * len(self._rows(indices))
+        return [False] * len(self._environment_indices(indices))
 
-    def _rows(self, indices: int | Sequence[int] | None) -> list[int]:
+    def _environment_indices(self, indices: int | Sequence[int] | None) -> list[int]:
         return list(self._get_indices(indices))
 
 
-def _on_host(tensor: Tensor) -> NDArray[Any]:
+def _host_copy(tensor: Tensor) -> NDArray[Any]:
     """Return a copy: the next step writes into the same tensors."""
     return tensor.detach().cpu().numpy().copy()

@@ -89,7 +89,7 @@ def reconstruct_by_encoder(encoder: Encoder, network: Autoencoder) -> Reconstruc
 
 
 @torch.no_grad()
-def active_latents(encoder: Encoder, images: Tensor) -> int:
+def count_active_latents(encoder: Encoder, images: Tensor) -> int:
     """Return the number of latents with a variance above ``ACTIVE`` over images (N, H, W)."""
     means = torch.cat([encoder(part) for part in images.split(AT_ONCE)])
     return int((means.var(0) > ACTIVE).sum())

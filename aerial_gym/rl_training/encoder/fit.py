@@ -47,7 +47,7 @@ class EncoderFit:
         self.network.load_state_dict(state["network"])
         self.optimizer.load_state_dict(state["optimizer"])
 
-    def epoch(self) -> float:
+    def run_epoch(self) -> float:
         """Pass over all images once; return the mean of the bound of their negative log evidence [nat], up to a constant."""
         cfg, device = self._cfg, self._images.seen.device
         noise = torch.Generator(device).manual_seed(cfg.seed + self.epochs)
@@ -55,7 +55,7 @@ class EncoderFit:
         parts = order.to(device).split(cfg.batch)
         total = torch.zeros((), device=device)
         for number, rows in enumerate(parts):
-            self._set_rate((self.epochs + number / len(parts)) / cfg.epochs)
+            self._set_learning_rate((self.epochs + number / len(parts)) / cfg.epochs)
             seen, target = self._images.seen[rows], self._images.target[rows]
             mean, log_variance = self.network.encode(seen)
             drawn = torch.randn(mean.shape, generator=noise, device=device)
@@ -69,6 +69,6 @@ class EncoderFit:
         self.epochs += 1
         return float(total) / len(self._images)
 
-    def _set_rate(self, share: float) -> None:
+    def _set_learning_rate(self, share: float) -> None:
         for group in self.optimizer.param_groups:
             group["lr"] = self._cfg.learning_rate * (1.0 - (1.0 - END_SHARE) * share)

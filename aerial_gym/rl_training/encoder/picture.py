@@ -8,7 +8,7 @@ from torch import Tensor
 from aerial_gym.config.storage import storage_errors
 
 
-def draw(rows: Mapping[str, Tensor], path: Path, *, largest: float) -> None:
+def draw_reconstructions(rows: Mapping[str, Tensor], path: Path, *, largest: float) -> None:
     """Write images of shares of a largest distance [m], (N, H, W) of each row by its title, near ones dark."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -55,7 +55,7 @@ class ImageSet:
 
 def image_sensor(cfg: EncoderTrainingCfg) -> RangeSensorCfg:
     """Return the first camera or lidar of the robot, from a small simulation; raise ``ConfigError`` if it has none."""
-    with_one = _build(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
+    with_one = _build_simulation(cfg, cfg.envs[0], num_envs=1, seed=0, device=cfg.device)
     try:
         casters = with_one.sensor_manager.casters
         if not casters:
@@ -73,10 +73,10 @@ def render_images(
     parts = []
     for number, env in enumerate(cfg.envs):
         share = count // len(cfg.envs) + (number < count % len(cfg.envs))
-        images = _of_env(cfg, env, share, seed=seed, device=device, tell=tell)
+        images = _environment_images(cfg, env, share, seed=seed, device=device, tell=tell)
         parts.append((normalize_image(images, sensor), torch.full((share,), number, device=device)))
     seen, env = torch.cat([part for part, _ in parts]), torch.cat([part for _, part in parts])
-    target = seen if cfg.target == "distance" else collisions(seen, sensor, radius=collision_radius(cfg, robot))
+    target = seen if cfg.target == "distance" else collision_images(seen, sensor, radius=collision_radius(cfg, robot))
     return ImageSet(seen=seen, target=target, env=env)
 
 
@@ -88,7 +88,7 @@ def collision_radius(cfg: EncoderTrainingCfg, robot: RobotCfg) -> float:
     return radius
 
 
-def collisions(seen: Tensor, sensor: RangeSensorCfg, *, radius: float) -> Tensor:
+def collision_images(seen: Tensor, sensor: RangeSensorCfg, *, radius: float) -> Tensor:
     """Return ``collision_distance`` images of range images (N, H, W), both as shares of the largest distance."""
     rays = ray_table(sensor, device=seen.device)
     ahead = rays[..., 0] if sensor.kind == "depth" else torch.ones_like(rays[..., 0])
@@ -97,11 +97,11 @@ def collisions(seen: Tensor, sensor: RangeSensorCfg, *, radius: float) -> Tensor
     return (collision_distance(along, rays, radius=radius, largest=largest) * ahead / sensor.max_range).clamp_max(1.0)
 
 
-def _of_env(
+def _environment_images(
     cfg: EncoderTrainingCfg, env: str, count: int, *, seed: int, device: torch.device, tell: ProgressReport
 ) -> Tensor:
     """Return the images of one environment in the unit of the sensor, (N, H, W)."""
-    simulation = _build(cfg, env, num_envs=min(SIDE_BY_SIDE, count), seed=seed, device=device)
+    simulation = _build_simulation(cfg, env, num_envs=min(SIDE_BY_SIDE, count), seed=seed, device=device)
     removable = simulation.cfg.num_assets - simulation.cfg.num_kept
     generator = torch.Generator().manual_seed(seed)
     images: list[Tensor] = []
@@ -117,7 +117,9 @@ def _of_env(
     return torch.cat(images)
 
 
-def _build(cfg: EncoderTrainingCfg, env: str, *, num_envs: int, seed: int, device: torch.device | str) -> EnvManager:
+def _build_simulation(
+    cfg: EncoderTrainingCfg, env: str, *, num_envs: int, seed: int, device: torch.device | str
+) -> EnvManager:
     return SimBuilder().build_env(
         sim_name="base_sim",
         env_name=env,

@@ -30,19 +30,19 @@ from aerial_gym.errors import ConfigError, TrainingError
 from aerial_gym.interop import resolve_device, usual_settings
 from aerial_gym.rl_training.encoder.figures import (
     ImageErrors,
-    active_latents,
+    count_active_latents,
     image_errors,
     reconstruct_by_components,
     reconstruct_by_encoder,
     reconstruct_by_mean,
 )
 from aerial_gym.rl_training.encoder.fit import EncoderFit
-from aerial_gym.rl_training.encoder.picture import draw
+from aerial_gym.rl_training.encoder.picture import draw_reconstructions
 from aerial_gym.rl_training.encoder.scenes import ImageSet, ProgressReport, image_sensor, render_images
 from aerial_gym.rl_training.encoder.settings import EncoderTrainingCfg
 from aerial_gym.rl_training.run import checkpoint
 from aerial_gym.rl_training.run.interruption import interruptible
-from aerial_gym.rl_training.run.run_folder import note_session
+from aerial_gym.rl_training.run.run_folder import append_session
 from aerial_gym.sensors.encoder.file import Encoder, encoder_image
 
 SAVE_EVERY_S = 5.0
@@ -128,12 +128,12 @@ def train_encoder(
     sensor = image_sensor(cfg)
     if not resume:
         folder.create(cfg)
-    note_session(folder.path, seed=cfg.seed, device=str(device))
+    append_session(folder.path, seed=cfg.seed, device=str(device))
     train = render_images(cfg, cfg.train_images, seed=cfg.seed, device=device, tell=tell)
     test = render_images(cfg, cfg.test_images, seed=cfg.seed + 1, device=device, tell=tell)
     fit = EncoderFit(cfg, train)
     curve = _load_checkpoint(fit, folder) if resume else []
-    interrupted = _learn(fit, cfg, folder, curve, test, largest=sensor.max_range, tell=tell)
+    interrupted = _fit_epochs(fit, cfg, folder, curve, test, largest=sensor.max_range, tell=tell)
     result = EncoderResult(
         encoder=None if interrupted else str(folder.encoder),
         robot=cfg.robot,
@@ -146,7 +146,7 @@ def train_encoder(
     )
     if not interrupted:
         tell("measuring", 0.0)
-        result = _finish(result, fit, cfg, folder, train, test, sensor)
+        result = _write_results(result, fit, cfg, folder, train, test, sensor)
         result = replace(result, time_s=time.perf_counter() - started)
     write_atomic(folder.result, json.dumps(asdict(result), indent=1) + "\n")
     return result
@@ -177,7 +177,7 @@ def _load_checkpoint(fit: EncoderFit, folder: EncoderFolder) -> list[list[float]
         raise ConfigError(f"{folder.checkpoint}: is of other settings ({error}). Start anew in another --out") from None
 
 
-def _learn(
+def _fit_epochs(
     fit: EncoderFit,
     cfg: EncoderTrainingCfg,
     folder: EncoderFolder,
@@ -192,34 +192,40 @@ def _learn(
     with interruptible() as interruption, suppress(KeyboardInterrupt):
         while fit.epochs < cfg.epochs:
             tell("learning", fit.epochs / cfg.epochs)
-            loss = fit.epoch()
+            loss = fit.run_epoch()
             if not abs(loss) < float("inf"):
                 raise TrainingError(
                     f"loss = {loss} after {fit.epochs} epochs: the training diverged. Lower learning_rate"
                 )
-            curve.append([fit.epochs, loss, image_errors(_reconstruct(fit, test), test.target, largest=largest).rms_m])
+            curve.append(
+                [
+                    fit.epochs,
+                    loss,
+                    image_errors(_network_reconstructions(fit, test), test.target, largest=largest).rms_m,
+                ]
+            )
             if time.perf_counter() - saved >= SAVE_EVERY_S or fit.epochs >= cfg.epochs:
                 with interruption.defer():
-                    _save(fit, folder, curve)
+                    _save_checkpoint(fit, folder, curve)
                 saved = time.perf_counter()
     return fit.epochs < cfg.epochs or interruption.asked
 
 
-def _reconstruct(fit: EncoderFit, images: ImageSet) -> Tensor:
+def _network_reconstructions(fit: EncoderFit, images: ImageSet) -> Tensor:
     """Return the reconstruction of images from the means of their latents, by the present network."""
     network = fit.network
     with torch.no_grad():
         return torch.cat([network.decode(network.encode(part)[0]) for part in images.seen.split(1024)])
 
 
-def _save(fit: EncoderFit, folder: EncoderFolder, curve: list[list[float]]) -> None:
+def _save_checkpoint(fit: EncoderFit, folder: EncoderFolder, curve: list[list[float]]) -> None:
     checkpoint.save(folder.checkpoint, {"fit": fit.state(), "curve": curve})
     text = io.StringIO()
     csv.writer(text).writerows([["epoch", "loss_nat", "test_rms_m"], *curve])
     write_atomic(folder.curve, text.getvalue())
 
 
-def _finish(
+def _write_results(
     result: EncoderResult,
     fit: EncoderFit,
     cfg: EncoderTrainingCfg,
@@ -245,10 +251,12 @@ def _finish(
     largest = sensor.max_range
     rows = torch.linspace(0, len(test) - 1, min(SHOWN, len(test))).long().to(test.seen.device)
     shown = {"seen": test.seen[rows]} | ({"target": test.target[rows]} if cfg.target != "distance" else {})
-    draw(shown | {name: told[name][rows] for name in (ENCODER, components)}, folder.picture, largest=largest)
+    draw_reconstructions(
+        shown | {name: told[name][rows] for name in (ENCODER, components)}, folder.picture, largest=largest
+    )
     return replace(
         result,
-        active_latents=active_latents(encoder, test.seen),
+        active_latents=count_active_latents(encoder, test.seen),
         errors={name: image_errors(each, test.target, largest=largest) for name, each in told.items()},
         errors_by_env={
             env: image_errors(told[ENCODER][test.env == i], test.target[test.env == i], largest=largest)

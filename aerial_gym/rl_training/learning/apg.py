@@ -101,37 +101,37 @@ class Apg(Learner):
         self.target = deepcopy(network).requires_grad_(False)
         """Its critic judges the ends of windows."""
         self.target.scale = network.scale
-        self._critics = (_critic(network), _critic(self.target))
+        self._critics = (_critic_modules(network), _critic_modules(self.target))
         self._actor_adam = FlatAdam(network.actor, max_norm=apg.max_grad_norm, betas=BETAS)
         self._critic_adam = FlatAdam(self._critics[0], max_norm=apg.max_grad_norm)
 
-    def begin(self) -> None:
+    def restart_episodes(self) -> None:
         """Restart every episode, at random ages."""
-        super().begin()
+        super().restart_episodes()
         self._task.settle()
 
     def iterate(self) -> None:
         """Simulate one window, ascend the gradient of its return, and fit the critic to its states."""
-        window = self._fly()
+        window = self._simulate_window()
         loss, value = self._policy_loss(window)
         gradient = self._actor_adam.gradient(loss)
         norm = torch.linalg.vector_norm(gradient)  # the optimiser limits it in place
-        rate = self._decay(self._apg.learning_rate, self._apg.end_learning_rate)
+        rate = self._linear_schedule(self._apg.learning_rate, self._apg.end_learning_rate)
         self._actor_adam.step(gradient, rate)
         self.network.actor.log_std.data.clamp_(min=log(self._apg.min_std))
         with torch.no_grad():
             value_loss = torch.zeros_like(norm)
             if self._apg.terminal_value:
-                value_loss = self._judge(window, value.detach(), rate)
-            self.network.count(window.observation)
-            self._count(window.ended, window.episode_return, window.episode_length)
+                value_loss = self._fit_critic(window, value.detach(), rate)
+            self.network.update_normalizers(window.observation)
+            self._count_episodes(window.ended, window.episode_return, window.episode_length)
             std = self.network.actor.log_std.exp().mean()
             self.gauges.copy_(torch.stack((rate, std, norm, loss.detach(), value_loss)))
             for key, value in self._observation.items():
                 value.copy_(window.last[key])
         self._task.settle()
 
-    def _fly(self) -> Window:
+    def _simulate_window(self) -> Window:
         """Simulate T steps with exploration."""
         task, actor, keys = self._task, self.network.actor, self.network.shapes
         shape = (self._apg.horizon, task.num_envs, task.num_actions)
@@ -162,23 +162,25 @@ class Apg(Learner):
 
     def _policy_loss(self, window: Window) -> tuple[Tensor, Tensor]:
         """Return the negative return of a window per step, and the values (T, E) of the last observations."""
-        value = self._values(window.final) if self._apg.terminal_value else torch.zeros_like(window.reward)
+        value = (
+            self._target_critic_values(window.final) if self._apg.terminal_value else torch.zeros_like(window.reward)
+        )
         gained = window_return(window.reward, value, window.terminated, window.ended, discount=self._apg.discount)
         loss = -gained.mean() / self._apg.horizon
         if self._apg.bound_coef:
             loss = loss + self._apg.bound_coef * bound_excess(window.mean).mean()
         return loss, value
 
-    def _values(self, observation: Mapping[str, Tensor]) -> Tensor:
+    def _target_critic_values(self, observation: Mapping[str, Tensor]) -> Tensor:
         """Return the target critic's values (T, E) of observations (T, E, ...), in units of the return."""
-        prepared = self.network.prepare(observation)
+        prepared = self.network.network_inputs(observation)
         first = next(iter(prepared.values()))
         return self.target.next_values(prepared, first.new_zeros(*first.shape[:2], 0))
 
-    def _judge(self, window: Window, next_value: Tensor, rate: Tensor) -> Tensor:
+    def _fit_critic(self, window: Window, next_value: Tensor, rate: Tensor) -> Tensor:
         """Fit the critic to the returns of a window, update the target critic, and return the loss."""
         apg, network, shown = self._apg, self.network, window.observation
-        value = self._values(shown)
+        value = self._target_critic_values(shown)
         advantage = generalized_advantages(
             window.reward.detach(),
             value,
@@ -191,19 +193,19 @@ class Apg(Learner):
         worth = (advantage + value).flatten()
         if apg.normalize_value:
             network.scale.update(worth)
-        target, prepared = network.scale(worth), {k: v.flatten(0, 1) for k, v in network.prepare(shown).items()}
+        target, prepared = network.scale(worth), {k: v.flatten(0, 1) for k, v in network.network_inputs(shown).items()}
         critic_rate, losses = rate * (apg.critic_learning_rate / apg.learning_rate), []
         for _ in range(apg.critic_epochs):
             order = torch.rand(len(target), generator=self.generator, device=target.device).argsort()
             losses = [
-                self._follow({key: value[rows] for key, value in prepared.items()}, target[rows], critic_rate)
+                self._update_critic({key: value[rows] for key, value in prepared.items()}, target[rows], critic_rate)
                 for rows in order.tensor_split(apg.critic_minibatches)
             ]
         for fast, slow in zip(*(critic.parameters() for critic in self._critics), strict=True):
             slow.lerp_(fast, apg.target_share)
         return torch.stack(losses).mean()
 
-    def _follow(self, prepared: Mapping[str, Tensor], target: Tensor, rate: Tensor) -> Tensor:
+    def _update_critic(self, prepared: Mapping[str, Tensor], target: Tensor, rate: Tensor) -> Tensor:
         """Move the critic towards normalised values (N,) of observations (N, ...); return the loss before."""
         with torch.enable_grad():
             body = self.network.own_body
@@ -241,7 +243,7 @@ def check_differentiable(task: Task, cfg: TrainingCfg) -> None:
         )
 
 
-def _critic(network: ActorCritic) -> nn.ModuleList:
+def _critic_modules(network: ActorCritic) -> nn.ModuleList:
     """Return the parts of a network that judge."""
     assert network.own_body is not None
     return nn.ModuleList([network.own_body, network.value_head])

@@ -49,28 +49,28 @@ class Distill(Learner):
     def iterate(self) -> None:
         """Simulate one segment, label it by the teacher, and fit the student."""
         cfg, actor = self._distill, self.network.actor
-        teaching = self._decay(1.0, -1.0)  # none is left to it in the second half
-        rate = self._decay(cfg.learning_rate, cfg.end_learning_rate)
+        teaching = self._linear_schedule(1.0, -1.0)  # none is left to it in the second half
+        rate = self._linear_schedule(cfg.learning_rate, cfg.end_learning_rate)
         with torch.no_grad():
-            seen, begins, memory, wanted = self._fly(self._rows < teaching * self._task.num_envs)
-            prepared = actor.body.prepare(seen)
+            seen, begins, memory, wanted = self._simulate_segment(self._rows < teaching * self._task.num_envs)
+            prepared = actor.body.network_inputs(seen)
         told = []
         for _ in range(cfg.num_epochs):
             order = torch.rand(self._task.num_envs, generator=self.generator, device=self._task.device).argsort()
             for chosen in order.tensor_split(cfg.num_minibatches):
                 part = {key: value.index_select(1, chosen) for key, value in prepared.items()}
-                distribution, _ = self.network.sequence(part, memory[chosen], begins[:, chosen])
+                distribution, _ = self.network.sequence_outputs(part, memory[chosen], begins[:, chosen])
                 goal = wanted[:, chosen]
                 with low_precision():
                     gradient = self._adam.gradient(-distribution.log_prob(goal).mean())
                 self._adam.step(gradient, rate)
                 actor.log_std.data.clamp_(min=log(cfg.min_std))
                 told.append((distribution.mean.detach() - goal).square().mean())
-        self.network.count(seen)
+        self.network.update_normalizers(seen)
         numbers = (rate, actor.log_std.data.exp().mean(), torch.stack(told).mean().sqrt(), teaching.clamp_min(0.0))
         self.gauges.copy_(torch.stack(numbers))
 
-    def _fly(self, led: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
+    def _simulate_segment(self, led: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
         """Simulate T steps, with the teacher's actions in the rows of ``led``.
 
         Returns:
@@ -93,7 +93,7 @@ class Distill(Learner):
             )
             begins = terminated | truncated
             ends.append((begins, info["episode_return"], info["episode_length"]))
-        self._count(*(torch.stack(column) for column in zip(*ends, strict=True)))
+        self._count_episodes(*(torch.stack(column) for column in zip(*ends, strict=True)))
         stacked = {key: torch.stack([each[key] for each in seen]) for key in seen[0]}
         flown = stacked, torch.stack(began), before, torch.stack(wanted)
         for key, value in self._observation.items():

@@ -45,7 +45,7 @@ PRECISION, BACKWARD_PRECISION = "tf32x3", "tf32"
 """Of products: the probability ratio compares two passes forward, so that these are as exact as float32."""
 
 
-def prepare(device: torch.device) -> None:
+def start_triton_early(device: torch.device) -> None:
     """Start Triton on a thread, so that it is ready when the networks are: it hashes its own files, which takes 0.4 s."""
     if device.type == "cuda" and importlib.util.find_spec("triton") is not None:
         Thread(target=_start_triton, args=(device,), name="triton", daemon=True).start()
@@ -59,7 +59,7 @@ def _start_triton(device: torch.device) -> None:
         kernels.write_zero.warmup(torch.float32, grid=(1,))
 
 
-def _launcher(kernel: Any, grid: tuple[int, ...], *, compile_only: bool) -> Callable[..., object]:
+def _kernel_launcher(kernel: Any, grid: tuple[int, ...], *, compile_only: bool) -> Callable[..., object]:
     return partial(kernel.warmup, grid=grid) if compile_only else kernel[grid]
 
 
@@ -76,7 +76,7 @@ def fusion_refusal(ppo: PpoCfg, network: ActorCritic, device: torch.device) -> s
         return "the networks have a memory, or share layers"
     if len(ppo.hidden_layers) != 2 or len(set(ppo.hidden_layers)) != 1 or ppo.hidden_layers[0] not in WIDTHS:
         return f"the hidden layers are not two of one width among {', '.join(str(width) for width in WIDTHS)}"
-    if max(_num_entries(shapes) for shapes in seen) > MOST_INPUTS or network.actor.num_actions > MOST_ACTIONS:
+    if max(_count_inputs(shapes) for shapes in seen) > MOST_INPUTS or network.actor.num_actions > MOST_ACTIONS:
         return f"there are more than {MOST_INPUTS} observations or {MOST_ACTIONS} actions"
     return None
 
@@ -91,13 +91,13 @@ class FusedPpo(Ppo):
 
         self._kernels, ppo = kernels, self._ppo
         seen = _input_shapes(network)
-        self._keys, self._num_in = [list(shapes) for shapes in seen], [_num_entries(shapes) for shapes in seen]
+        self._keys, self._num_in = [list(shapes) for shapes in seen], [_count_inputs(shapes) for shapes in seen]
         assert network.own_body is not None
         self._places = [
             [self._adam.weight_offset(tensor) for linear in linears for tensor in (linear.weight, linear.bias)]
             for linears in (
-                _linears(network.actor.body.layers, network.actor.head),
-                _linears(network.own_body.layers, network.value_head),
+                _linear_layers(network.actor.body.layers, network.actor.head),
+                _linear_layers(network.own_body.layers, network.value_head),
             )
         ]
         self._log_std = self._adam.weight_offset(network.actor.log_std)
@@ -138,7 +138,9 @@ class FusedPpo(Ppo):
             self._compiling.pop().result()
         super().iterate()
 
-    def _forward(self, seen: Tensor, network: int, noise: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    def _network_outputs(
+        self, seen: Tensor, network: int, noise: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Return outputs of network 0 or 1 for observations (..., O); with noise (..., U) also actions and commands."""
         return self._launch_forward(seen.contiguous(), network, noise)
 
@@ -150,41 +152,45 @@ class FusedPpo(Ppo):
         action, command = (out, out) if noise is None else (torch.empty_like(out), torch.empty_like(out))
         samples = out.numel() // width
         grid = (-(-samples // FORWARD_TILE["tile"]),)
-        _launcher(self._kernels.forward, grid, compile_only=compile_only)(
+        _kernel_launcher(self._kernels.forward, grid, compile_only=compile_only)(
             self._adam.weights, seen, out if noise is None else noise, samples, *self._places[network], self._log_std,
             out, action, command, num_in=self._num_in[network], num_out=width, draws=noise is not None,
             **self._sizes, **FORWARD_TILE,
         )  # fmt: skip
         return out, action, command
 
-    def _act(
+    def _draw_action(
         self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         del begins
-        mean, action, command = self._forward(self._vector(self.network.actor.body.prepare(seen), 0), 0, noise)
+        mean, action, command = self._network_outputs(
+            self._input_vector(self.network.actor.body.network_inputs(seen), 0), 0, noise
+        )
         return mean, action, command, memory
 
-    def _values(
+    def _segment_values(
         self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: RolloutSegment
     ) -> tuple[Tensor, Tensor, Tensor]:
-        values, finals = (self._forward(self._vector(seen, 1), 1)[0].squeeze(-1) for seen in (prepared, final))
+        values, finals = (
+            self._network_outputs(self._input_vector(seen, 1), 1)[0].squeeze(-1) for seen in (prepared, final)
+        )
         scale = self.network.scale
         return scale.inverse(values), scale.inverse(finals), flown.memory.expand(len(values), *flown.memory.shape)
 
-    def _vector(self, prepared: Mapping[str, Tensor], network: int) -> Tensor:
+    def _input_vector(self, prepared: Mapping[str, Tensor], network: int) -> Tensor:
         """Return the input vector of network 0 or 1, (..., O)."""
         parts = [prepared[key] for key in self._keys[network]]
         return torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]
 
-    def _judge(self, flown: RolloutSegment) -> Samples:
-        return self._as_vectors(super()._judge(flown))
+    def _segment_samples(self, flown: RolloutSegment) -> Samples:
+        return self._samples_as_vectors(super()._segment_samples(flown))
 
-    def _as_vectors(self, samples: Samples) -> Samples:
+    def _samples_as_vectors(self, samples: Samples) -> Samples:
         """Return samples with one vector for each network, once for all minibatches."""
-        vectors = {name: self._vector(samples.prepared, network) for network, name in enumerate((POLICY, CRITIC))}
+        vectors = {name: self._input_vector(samples.prepared, network) for network, name in enumerate((POLICY, CRITIC))}
         return replace(samples, prepared=vectors)
 
-    def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
+    def _loss_gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
         number = samples.in_time["log_prob"].shape[0] * chosen.numel()
         self._launch_gradient(samples, chosen.contiguous(), old_log_std)
         whole = self._partial.sum(0)
@@ -195,7 +201,7 @@ class FusedPpo(Ppo):
     ) -> None:
         ppo, old, out = self._ppo, samples.in_time, self._partial
         steps, envs = old["log_prob"].shape
-        _launcher(self._kernels.gradient, (out.shape[0], 2), compile_only=compile_only)(
+        _kernel_launcher(self._kernels.gradient, (out.shape[0], 2), compile_only=compile_only)(
             self._adam.weights, chosen, samples.prepared[POLICY], samples.prepared[CRITIC],
             old["action"], old["mean"], old_log_std, old["log_prob"], old["advantage"], old["value"], old["target"],
             chosen.numel(), envs, steps * chosen.numel(), *self._places[0], self._log_std, *self._places[1],
@@ -210,9 +216,9 @@ def _input_shapes(network: ActorCritic) -> tuple[Mapping[str, tuple[int, ...]], 
     return network.actor.shapes, (network.own_body or network.actor.body).cfg.shapes
 
 
-def _num_entries(shapes: Mapping[str, tuple[int, ...]]) -> int:
+def _count_inputs(shapes: Mapping[str, tuple[int, ...]]) -> int:
     return sum(size for (size,) in shapes.values())
 
 
-def _linears(layers: nn.Module, head: nn.Linear) -> list[nn.Linear]:
+def _linear_layers(layers: nn.Module, head: nn.Linear) -> list[nn.Linear]:
     return [*(layer for layer in layers.children() if isinstance(layer, nn.Linear)), head]

@@ -31,7 +31,7 @@ def _activate(x, kind: tl.constexpr):
 
 
 @triton.jit
-def _slope(y, kind: tl.constexpr):
+def _activation_slope(y, kind: tl.constexpr):
     """Return the derivative of the activation at its output ``y``."""
     if kind == 0:
         d = tl.where(y > 0.0, 1.0, y + 1.0)
@@ -43,7 +43,7 @@ def _slope(y, kind: tl.constexpr):
 
 
 @triton.jit
-def _layers(
+def _network_pass(
     x,
     weights,  # (P,)
     first,
@@ -106,7 +106,7 @@ def forward(
     x = tl.load(
         observation + rows[:, None] * num_in + i[None, :], mask=inside[:, None] & (i < num_in)[None, :], other=0.0
     )
-    _, _, result, _, _ = _layers(
+    _, _, result, _, _ = _network_pass(
         x, weights, first, first_bias, second, second_bias, head, head_bias, num_out,
         num_in, wide_in, hidden, wide_out, kind, precision,
     )  # fmt: skip
@@ -196,7 +196,7 @@ def gradient(
         row = (sample // num_chosen) * num_envs + env
         seen, at = inside[:, None] & (i < num_in)[None, :], row[:, None] * num_in + i[None, :]
         x = tl.load(seen0 + at, mask=seen, other=0.0) if critic == 0 else tl.load(seen1 + at, mask=seen, other=0.0)
-        h1, h2, out, w2, w3 = _layers(
+        h1, h2, out, w2, w3 = _network_pass(
             x, weights, first, first_bias, second, second_bias, head, head_bias, num_out,
             num_in, wide_in, hidden, wide_out, kind, precision,
         )  # fmt: skip
@@ -234,10 +234,10 @@ def gradient(
             d_out = tl.where((u == 0)[None, :], push[:, None], 0.0)
         gb3 += tl.sum(d_out, axis=0)
         g3 += tl.dot(tl.trans(d_out), h2, input_precision=backward_precision)
-        d2 = tl.dot(d_out, w3, input_precision=backward_precision) * _slope(h2, kind)
+        d2 = tl.dot(d_out, w3, input_precision=backward_precision) * _activation_slope(h2, kind)
         gb2 += tl.sum(d2, axis=0)
         g2 += tl.dot(tl.trans(d2), h1, input_precision=backward_precision)
-        d1 = tl.dot(d2, w2, input_precision=backward_precision) * _slope(h1, kind)
+        d1 = tl.dot(d2, w2, input_precision=backward_precision) * _activation_slope(h1, kind)
         gb1 += tl.sum(d1, axis=0)
         g1 += tl.dot(tl.trans(d1), x, input_precision=backward_precision)
     into = partial_out + block * width

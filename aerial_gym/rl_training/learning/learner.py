@@ -43,7 +43,7 @@ class Learner:
         self.gauges = torch.zeros(len(self.GAUGES), dtype=torch.float64, device=device)
         """``GAUGES`` of the last update."""
 
-    def begin(self) -> None:
+    def restart_episodes(self) -> None:
         """Restart every episode, at random ages."""
         observation, _ = self._task.reset()
         self._task.stagger()
@@ -58,13 +58,13 @@ class Learner:
         """Simulate one segment and update the networks."""
         raise NotImplementedError
 
-    def _count(self, ended: Tensor, episode_return: Tensor, episode_length: Tensor) -> None:
+    def _count_episodes(self, ended: Tensor, episode_return: Tensor, episode_length: Tensor) -> None:
         """Add the steps of a segment, and the episodes that ended, to the sums; each (T, E)."""
         of_ended = [ended, episode_return * ended, episode_length * ended]
         self.sums[0].add_(ended.numel() * self.ranks.size)
         self.sums[1:].add_(self.ranks.sum_(torch.stack([values.sum(dtype=torch.float64) for values in of_ended])))
 
-    def _decay(self, first: float, last: float) -> Tensor:
+    def _linear_schedule(self, first: float, last: float) -> Tensor:
         """Return a float32 that changes linearly from ``first`` to ``last`` over the time or steps of the training."""
         share = self.time_share
         if self._cfg.max_env_steps is not None:
@@ -75,14 +75,14 @@ class Learner:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         return {"begins": self._begins, "sums": self.sums} | add_prefix("observation", self._observation)
 
-    def common_tensors(self) -> list[Tensor]:
+    def shared_tensors(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
         return [*self.network.parameters(), *self.network.buffers(), self.sums]
 
     @torch.no_grad()
     def join(self) -> None:
         """Copy the shared tensors from rank 0."""
-        self.ranks.share_(self.common_tensors())
+        self.ranks.share_(self.shared_tensors())
 
 
 def last_observations(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:

@@ -133,14 +133,14 @@ class Ppo(Learner):
     def iterate(self) -> None:
         """Simulate one segment and update the networks."""
         with torch.no_grad():
-            flown = self._fly()
-            samples = self._judge(flown)
+            flown = self._simulate_segment()
+            samples = self._segment_samples(flown)
             old_log_std, highest = self.network.actor.log_std.clone(), self._highest_rate()
         for _ in range(self._ppo.num_epochs):
-            self._learn(samples, old_log_std, highest)
-        self.network.count({key: value[:-1] for key, value in flown.observation.items()}, self.ranks)
+            self._run_epoch(samples, old_log_std, highest)
+        self.network.update_normalizers({key: value[:-1] for key, value in flown.observation.items()}, self.ranks)
 
-    def _fly(self) -> RolloutSegment:
+    def _simulate_segment(self) -> RolloutSegment:
         """Simulate T steps with exploration, and store the start of the next segment."""
         task, keys = self._task, self.network.shapes
         noise = torch.randn(
@@ -150,7 +150,7 @@ class Ppo(Learner):
         acting, _ = memory.split(self.network.memory_sizes, dim=-1)
         seen, begins, finals, steps = [dict(self._observation)], [self._begins], [], []
         for t in range(self._ppo.horizon):
-            mean, action, command, acting = self._act(seen[-1], acting, begins[-1], noise[t])
+            mean, action, command, acting = self._draw_action(seen[-1], acting, begins[-1], noise[t])
             observation, reward, terminated, truncated, info = task.step(command)
             finals.append(last_observations(info, keys))
             begins.append(terminated | truncated)
@@ -175,7 +175,7 @@ class Ppo(Learner):
         self._begins.copy_(begins[-1])
         return flown
 
-    def _act(
+    def _draw_action(
         self, seen: Mapping[str, Tensor], memory: Tensor, begins: Tensor, noise: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return the mean action, one drawn about it, that as the simulation takes it, and the policy's memory."""
@@ -184,12 +184,12 @@ class Ppo(Learner):
         action = Gaussian(mean, actor.log_std).sample(noise)
         return mean, action, action.clamp(-1.0, 1.0), memory
 
-    def _judge(self, flown: RolloutSegment) -> Samples:
+    def _segment_samples(self, flown: RolloutSegment) -> Samples:
         """Estimate advantages and returns of a segment, and count it."""
         ppo, network, ended = self._ppo, self.network, flown.begins[1:]
-        prepared = network.prepare(flown.observation)
+        prepared = network.network_inputs(flown.observation)
         before = {key: value[:-1] for key, value in prepared.items()}
-        values, final, remembered = self._values(prepared, before | network.prepare(flown.final), flown)
+        values, final, remembered = self._segment_values(prepared, before | network.network_inputs(flown.final), flown)
         advantage = generalized_advantages(
             ppo.reward_scale * flown.reward,
             values[:-1],
@@ -203,7 +203,7 @@ class Ppo(Learner):
         if ppo.normalize_value:
             network.scale.update((advantage + value).flatten(), self.ranks)
         self._memory.copy_(network.join_memory(flown.acting, remembered[-2]))
-        self._count(ended, flown.episode_return, flown.episode_length)
+        self._count_episodes(ended, flown.episode_return, flown.episode_length)
         var, mean = self.ranks.var_mean(advantage.flatten())
         return Samples(
             memory=flown.memory,
@@ -219,7 +219,7 @@ class Ppo(Learner):
             },
         )
 
-    def _values(
+    def _segment_values(
         self, prepared: Mapping[str, Tensor], final: Mapping[str, Tensor], flown: RolloutSegment
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return values of observations (T + 1, E) and of final ones (T, E), and the critic's memory after each."""
@@ -228,14 +228,14 @@ class Ppo(Learner):
 
     def _highest_rate(self) -> Tensor:
         """Return the largest learning rate at this share of the training."""
-        return self._decay(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
+        return self._linear_schedule(self._ppo.max_learning_rate, self._ppo.end_learning_rate)
 
-    def _learn(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
+    def _run_epoch(self, samples: Samples, old_log_std: Tensor, highest: Tensor) -> None:
         """Run one epoch over all samples, in random order of environments, and adapt the learning rate."""
         ppo, log_std, told = self._ppo, self.network.actor.log_std, []
         order = torch.rand(self._task.num_envs, generator=self.generator, device=self._task.device).argsort()
         for chosen in order.tensor_split(ppo.num_minibatches):
-            gradient, numbers = self._gradient(samples, chosen, old_log_std)
+            gradient, numbers = self._loss_gradient(samples, chosen, old_log_std)
             told.append(numbers)
             self._adam.step(self.ranks.mean_(gradient), self._rate)
             log_std.data.clamp_(min=log(ppo.min_std))
@@ -243,11 +243,11 @@ class Ppo(Learner):
         self._rate.copy_(adapt_rate(self._rate, numbers[0], threshold=ppo.kl_threshold, highest=highest))
         self.gauges.copy_(torch.cat((torch.stack((self._rate, log_std.data.exp().mean())), numbers)))
 
-    def _gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
+    def _loss_gradient(self, samples: Samples, chosen: Tensor, old_log_std: Tensor) -> tuple[Tensor, Tensor]:
         """Return the gradient of the loss (P,) over the samples of some environments, (E',); divergence and losses, (3,)."""
         ppo, part = self._ppo, samples.select(chosen)
         old = part.in_time
-        distribution, value = self.network.sequence(part.prepared, part.memory, old["begins"])
+        distribution, value = self.network.sequence_outputs(part.prepared, part.memory, old["begins"])
         log_ratio = distribution.log_prob(old["action"]) - old["log_prob"]
         policy_loss = -clipped_objective(log_ratio, old["advantage"], clip_range=ppo.clip_range).mean()
         limit = ppo.clip_range if ppo.clip_value else None
@@ -268,6 +268,6 @@ class Ppo(Learner):
         own = {"memory": self._memory, "rate": self._rate}
         return super().state_tensors() | own | add_prefix("adam", self._adam.state_tensors())
 
-    def common_tensors(self) -> list[Tensor]:
+    def shared_tensors(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
-        return [*super().common_tensors(), *self._adam.state_tensors().values(), self._rate]
+        return [*super().shared_tensors(), *self._adam.state_tensors().values(), self._rate]

@@ -64,35 +64,37 @@ class ActorCritic(nn.Module):
         """Return the initial memory (E, M)."""
         return self.value_head.weight.new_zeros(num_envs, sum(self.memory_sizes))
 
-    def prepare(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def network_inputs(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the keys that both see, vectors normalised."""
-        prepared = self.actor.body.prepare(observation)
+        prepared = self.actor.body.network_inputs(observation)
         if self.own_body is not None:
             more = {key: value for key, value in observation.items() if key not in prepared}
-            prepared |= self.own_body.prepare(more)
+            prepared |= self.own_body.network_inputs(more)
         return prepared
 
-    def count(self, observation: Mapping[str, Tensor], ranks: Ranks = ALONE) -> None:
+    def update_normalizers(self, observation: Mapping[str, Tensor], ranks: Ranks = ALONE) -> None:
         """Update the normalisers by observations (..., O) of all processes."""
         bodies = (self.actor.body,) if self.own_body is None else (self.actor.body, self.own_body)
         for key, normalizer in {key: value for body in bodies for key, value in body.normalizers.items()}.items():
             assert isinstance(normalizer, RunningNormalizer)
             normalizer.update(observation[key].flatten(0, -2), ranks)
 
-    def sequence(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Gaussian, Tensor]:
+    def sequence_outputs(
+        self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor
+    ) -> tuple[Gaussian, Tensor]:
         """Return the distributions of actions (T, E, U) and the normalised values (T, E) along a sequence.
 
-        Arguments as for ``NetworkBody.sequence``, with the joint memory of both.
+        Arguments as for ``NetworkBody.sequence_outputs``, with the joint memory of both.
         """
         acting, judging = memory.split(self.memory_sizes, dim=-1)
         if self.own_body is None:
-            features, _ = self.actor.body.sequence(prepared, acting, begins)
+            features, _ = self.actor.body.sequence_outputs(prepared, acting, begins)
             return Gaussian(self.actor.head(features), self.actor.log_std), self.value_head(features).squeeze(-1)
         with _parallel_stream(memory.device) as critics:
             with critics:
-                features, _ = self.own_body.sequence(prepared, judging, begins)
+                features, _ = self.own_body.sequence_outputs(prepared, judging, begins)
                 value = self.value_head(features).squeeze(-1)
-            features, _ = self.actor.body.sequence(prepared, acting, begins)
+            features, _ = self.actor.body.sequence_outputs(prepared, acting, begins)
             distribution = Gaussian(self.actor.head(features), self.actor.log_std)
         return distribution, value
 
@@ -100,7 +102,7 @@ class ActorCritic(nn.Module):
         """Return values in units of the return (T, E) along a sequence, and the memory of the critic after each step."""
         acting, judging = memory.split(self.memory_sizes, dim=-1)
         body, own = (self.actor.body, acting) if self.own_body is None else (self.own_body, judging)
-        features, after = body.sequence(prepared, own, begins)
+        features, after = body.sequence_outputs(prepared, own, begins)
         return self.scale.inverse(self.value_head(features).squeeze(-1)), after
 
     def next_values(self, prepared: Mapping[str, Tensor], memory: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training.policies.normalizer import RunningNormalizer
-from aerial_gym.rl_training.policies.recurrent import unroll
+from aerial_gym.rl_training.policies.recurrent import unroll_memory
 from aerial_gym.sensors.encoder.file import ACTIVATIONS, convolutions
 
 IMAGE_CHANNELS = (16, 32, 64, 64)
@@ -63,11 +63,11 @@ class NetworkBody(nn.Module):
                 width += shape[0]
             else:
                 raise ConfigError(f"observation {key!r} has shape {shape}: must be a vector (O,) or an image (C, H, W)")
-        self.layers = layers((width, *cfg.hidden_layers), cfg.activation)
+        self.layers = dense_layers((width, *cfg.hidden_layers), cfg.activation)
         self.cell = nn.GRUCell(cfg.hidden_layers[-1], cfg.memory) if cfg.memory else None
         self.num_features = cfg.memory or cfg.hidden_layers[-1]
 
-    def prepare(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def network_inputs(self, observation: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the input tensors by key, with vectors normalised; weight updates do not change them."""
         return {
             key: self.normalizers[key](observation[key]) if key in self.normalizers else observation[key]
@@ -83,7 +83,7 @@ class NetworkBody(nn.Module):
         memory = self.cell(features, memory)
         return memory, memory
 
-    def sequence(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
+    def sequence_outputs(self, prepared: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:
         """Return features (T, E, F) of a sequence, and the memory (T, E, M) after each of its steps.
 
         Args:
@@ -94,7 +94,7 @@ class NetworkBody(nn.Module):
         features = self._encode(prepared)
         if self.cell is None:
             return features, memory.expand(len(features), *memory.shape)
-        remembered = unroll(self.cell, features, memory, begins)
+        remembered = unroll_memory(self.cell, features, memory, begins)
         return remembered, remembered
 
     def _encode(self, prepared: Mapping[str, Tensor]) -> Tensor:
@@ -104,13 +104,13 @@ class NetworkBody(nn.Module):
         return self.layers(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0])
 
 
-def layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
+def dense_layers(widths: tuple[int, ...], activation: str) -> nn.Sequential:
     """Return fully connected layers, each with an activation."""
     parts = [(nn.Linear(before, after), ACTIVATIONS[activation]()) for before, after in pairwise(widths)]
     return nn.Sequential(*(part for pair in parts for part in pair))
 
 
-class Pixels(nn.Module):
+class ImageNetwork(nn.Module):
     """Images of any leading dimensions and type as one batch of floats: 8 bits as 0 to 1.
 
     Where nothing is learned from them, the steps of a sequence are taken one by one: as floats they take much memory.
@@ -135,4 +135,4 @@ def image_encoder(shape: tuple[int, ...], activation: str) -> nn.Module:
     """Return a convolutional network from images (..., C, H, W) to ``IMAGE_FEATURES`` numbers."""
     parts, passed = convolutions(shape, IMAGE_CHANNELS, activation)
     parts += [nn.Flatten(), nn.Linear(prod(passed[-1]), IMAGE_FEATURES), ACTIVATIONS[activation]()]
-    return Pixels(shape, nn.Sequential(*parts))
+    return ImageNetwork(shape, nn.Sequential(*parts))

@@ -34,10 +34,10 @@ def load_initial_weights(network: ActorCritic, model: Mapping[str, Tensor], *, w
         raise ConfigError(
             f"{where}: networks that see {', '.join(network.shapes)} cannot see more than those before them. Train from scratch"
         )
-    network.load_state_dict({name: _widen(name, model[name], own[name], where) for name in own})
+    network.load_state_dict({name: _add_inputs(name, model[name], own[name], where) for name in own})
 
 
-def _widen(name: str, given: Tensor, own: Tensor, where: str) -> Tensor:
+def _add_inputs(name: str, given: Tensor, own: Tensor, where: str) -> Tensor:
     """Return numbers in the shape of ``own``."""
     if given.shape == own.shape:
         return given

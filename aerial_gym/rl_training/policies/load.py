@@ -93,7 +93,7 @@ def native_policy(model: Mapping[str, Tensor], network: Any, cfg: TrainingCfg, *
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise ConfigError(f"{where}: does not hold the network of its settings ({reason})") from None
-    return _make_inference(policy)
+    return _freeze_weights(policy)
 
 
 def body_cfg(cfg: TrainingCfg, shapes: Mapping[str, tuple[int, ...]]) -> NetworkBodyCfg:
@@ -124,7 +124,7 @@ def make_network(cfg: TrainingCfg, task: Task) -> ActorCritic:
     return network.to(task.device)
 
 
-def _make_inference(policy: Policy) -> Policy:
+def _freeze_weights(policy: Policy) -> Policy:
     policy.requires_grad_(False)
     return policy.eval()
 
@@ -163,5 +163,5 @@ def policy_from_weights(weights: Weights, cfg: TrainingCfg, *, where: str) -> Po
     if mean is not None and var is not None:
         normalizer = policy.body.normalizers["observations"]
         assert isinstance(normalizer, RunningNormalizer)
-        normalizer.set(mean, var)
-    return _make_inference(policy)
+        normalizer.set_statistics(mean, var)
+    return _freeze_weights(policy)

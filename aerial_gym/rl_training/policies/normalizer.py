@@ -41,7 +41,7 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("var", torch.ones(shape))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
         self.register_buffer("std", torch.ones(shape), persistent=False)
-        self.register_load_state_dict_post_hook(lambda module, _: module._refresh())
+        self.register_load_state_dict_post_hook(lambda module, _: module._update_std())
 
     def forward(self, samples: Tensor) -> Tensor:
         """Return samples (..., O) normalised and clamped."""
@@ -68,13 +68,13 @@ class RunningNormalizer(nn.Module):
         self.var.copy_((1.0 - share) * self.var + share * var + share * (1.0 - share) * delta * delta)
         self.mean.add_(share * delta)
         self.count.copy_(total)
-        self._refresh()
+        self._update_std()
 
-    def set(self, mean: Tensor, var: Tensor) -> None:
+    def set_statistics(self, mean: Tensor, var: Tensor) -> None:
         """Take the mean and variance that another library counted."""
         self.mean.copy_(mean)
         self.var.copy_(var)
-        self._refresh()
+        self._update_std()
 
-    def _refresh(self) -> None:
+    def _update_std(self) -> None:
         self.std.copy_((self.var + EPSILON).sqrt())

@@ -54,7 +54,7 @@ class Policy(nn.Module):
 
     def step(self, observation: Mapping[str, Tensor], memory: Tensor) -> tuple[Tensor, Tensor]:
         """Return the mean action (E, U), not clamped, and the memory (E, M) after it."""
-        features, memory = self.body(self.body.prepare(observation), memory)
+        features, memory = self.body(self.body.network_inputs(observation), memory)
         return self.head(features), memory
 
     def explore(self, observation: Mapping[str, Tensor], memory: Tensor, begins: Tensor) -> tuple[Tensor, Tensor]:

@@ -19,7 +19,7 @@ TILE, WARPS = 16, 4
 """Environments that a block takes through all steps, the least that Triton multiplies, and its warps."""
 
 
-def unroll(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
+def unroll_memory(cell: nn.GRUCell, features: Tensor, memory: Tensor, begins: Tensor) -> Tensor:
     """Return the hidden states (T, E, M) of a unit for features (T, E, F), from a memory (E, M) before them.
 
     The memory is emptied at the steps where an episode ``begins``, bool (T, E).
@@ -64,10 +64,10 @@ class _Unroll(torch.autograd.Function):
             later = torch.addmm(of_memory, of_held, weight) * kept
             entering.append(of_entering)
             held.append(of_held)
-        return torch.stack(entering[::-1]), later, None, *_of_weights(torch.stack(held[::-1]), before)  # pyright: ignore[reportReturnType]
+        return torch.stack(entering[::-1]), later, None, *_weight_gradients(torch.stack(held[::-1]), before)  # pyright: ignore[reportReturnType]
 
 
-def _kernels() -> Any:
+def _triton_kernels() -> Any:
     """Return the module of kernels, which needs the package triton: it comes with torch for CUDA."""
     return import_module("aerial_gym.rl_training.policies.recurrent_kernels")
 
@@ -82,7 +82,7 @@ class _FusedUnroll(torch.autograd.Function):
         after = memory.new_empty(steps, envs, size)
         before, gates = torch.empty_like(after), memory.new_empty(steps, envs, 4 * size) if keeps else after
         begins, weight = begins.contiguous(), weight.contiguous()
-        _kernels().forward[(-(-envs // TILE),)](
+        _triton_kernels().forward[(-(-envs // TILE),)](
             entering.contiguous(), memory.contiguous(), begins, weight, bias, steps, envs,
             after, before, gates, size=size, tile=TILE, keeps=keeps, precision="tf32x3", num_warps=WARPS,
         )  # fmt: skip
@@ -96,14 +96,14 @@ class _FusedUnroll(torch.autograd.Function):
         entering, held = (before.new_empty(steps, envs, 3 * size) for _ in range(2))
         memory = before.new_empty(envs, size)
         precision = "tf32" if torch.backends.cuda.matmul.allow_tf32 else "tf32x3"
-        _kernels().backward[(-(-envs // TILE),)](
+        _triton_kernels().backward[(-(-envs // TILE),)](
             gradient.contiguous(), begins, weight, before, gates, steps, envs,
             entering, held, memory, size=size, tile=TILE, precision=precision, num_warps=WARPS,
         )  # fmt: skip
-        return entering, memory, None, *_of_weights(held, before)  # pyright: ignore[reportReturnType]
+        return entering, memory, None, *_weight_gradients(held, before)  # pyright: ignore[reportReturnType]
 
 
-def _of_weights(held: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
+def _weight_gradients(held: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
     """Return the gradients of weights (3 M, M) and bias (3 M,) from those of their products and the states before."""
     flat = held.flatten(0, 1)
     return flat.t() @ before.flatten(0, 1), flat.sum(0)

@@ -36,7 +36,7 @@ class Interruption:
         if self.asked:
             raise KeyboardInterrupt
 
-    def _ask(self, number: int, frame: FrameType | None) -> None:
+    def _note_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame
         self.asked = True
         if not (self._waits or self._ranks.joined):
@@ -50,7 +50,7 @@ def interruptible(ranks: Ranks = ALONE) -> Iterator[Interruption]:
     if threading.current_thread() is not threading.main_thread():
         yield interruption
         return
-    kept = {number: signal.signal(number, interruption._ask) for number in SIGNALS}
+    kept = {number: signal.signal(number, interruption._note_signal) for number in SIGNALS}
     try:
         yield interruption
     finally:

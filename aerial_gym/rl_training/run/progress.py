@@ -68,7 +68,7 @@ class Progress:
         """Share of ``max_time_s`` at the last update; 0 without that limit."""
         self.last: Report | None = None
         self.non_finite = 0
-        lines = _valid_lines(curve_file, resumed_steps)
+        lines = _read_curve_lines(curve_file, resumed_steps)
         self._past_s = float(lines[-1][0]) if lines else 0.0
         text = io.StringIO()
         csv.writer(text).writerows([CURVE_COLUMNS, *lines])
@@ -105,13 +105,13 @@ class Progress:
             0.0 if self._cfg.max_time_s is None else self._ranks.broadcast_number(now / self._cfg.max_time_s)
         )
         share = self.share = max(self.time_share, report.env_steps / (self._cfg.max_env_steps or 1e18))
-        self._show(report, share, now)
+        self._show_bar(report, share, now)
         if now - self._last_line >= REPORT_INTERVAL_S or share >= 1.0:
             self._last_line = now
-            self._write(report, now)
+            self._write_curve_line(report, now)
         return share >= 1.0
 
-    def _show(self, report: Report, share: float, now: float) -> None:
+    def _show_bar(self, report: Report, share: float, now: float) -> None:
         seconds = self._time_left(report, now)
         reward = "-" if report.episode_return is None else f"{report.episode_return:.0f}"
         rate, left = f"{self.steps_per_s:,.0f}", f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
@@ -129,7 +129,7 @@ class Progress:
             times.append((self._cfg.max_env_steps - report.env_steps) / self.steps_per_s)
         return max(min(times, default=0.0), 0.0)
 
-    def _write(self, report: Report, now: float) -> None:
+    def _write_curve_line(self, report: Report, now: float) -> None:
         per_step = ""
         if report.episode_return is not None and report.episode_length:
             per_step = f"{report.episode_return / report.episode_length:.5g}"
@@ -149,7 +149,7 @@ class Progress:
         self._file.close()
 
 
-def _valid_lines(curve_file: Path, resumed_steps: int) -> list[list[str]]:
+def _read_curve_lines(curve_file: Path, resumed_steps: int) -> list[list[str]]:
     """Return the complete lines of a learning curve up to a number of steps."""
     if not curve_file.exists():
         return []

@@ -99,7 +99,7 @@ class RunFolder:
             raise ConfigError(f"{self.path}: holds no checkpoint yet. Train on with --out {self.path} --resume")
         return checkpoints[-1]
 
-    def newest_readable(self) -> tuple[Path, dict[str, Any]] | None:
+    def newest_readable_checkpoint(self) -> tuple[Path, dict[str, Any]] | None:
         """Return the newest readable checkpoint with its content; None for a run without a checkpoint.
 
         Damaged ones that are newer keep their content under the name ``NAME.damaged``, and a warning says so.
@@ -145,7 +145,7 @@ class RunFolder:
         """
         while any(self.path.rglob(f"events.out.tfevents.{int(time.time())}.*")):
             time.sleep(0.05)
-        note_session(self.path, seed=cfg.seed, device=device)
+        append_session(self.path, seed=cfg.seed, device=device)
 
     @contextlib.contextmanager
     def redirect_output(self) -> Iterator[None]:
@@ -162,7 +162,7 @@ class RunFolder:
                 sys.stdout.flush()
 
 
-def note_session(folder: Path, *, seed: int, device: str) -> None:
+def append_session(folder: Path, *, seed: int, device: str) -> None:
     """Append seed, device, versions and machine of a session to ``versions.json`` of a folder."""
     file = folder / VERSIONS
     sessions = json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
@@ -171,7 +171,7 @@ def note_session(folder: Path, *, seed: int, device: str) -> None:
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "seed": seed,
             "device": device,
-            "versions": {"python": platform.python_version(), **_versions()},
+            "versions": {"python": platform.python_version(), **_package_versions()},
             "machine": f"{platform.platform()}, {os.cpu_count()} CPU cores",
         }
     )
@@ -189,7 +189,7 @@ def find_run_folder(checkpoint: str | Path) -> RunFolder:
     raise ConfigError(f"checkpoint {checkpoint}: no config.yaml in the folders above it, so its network is not known")
 
 
-def _versions() -> dict[str, str]:
+def _package_versions() -> dict[str, str]:
     versions = {}
     libraries = (TRAINERS.get(name).distribution for name in TRAINERS)
     for name in (*PACKAGES, *filter(None, libraries)):

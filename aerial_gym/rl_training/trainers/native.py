@@ -19,7 +19,7 @@ from aerial_gym.rl_training.run.interruption import Interruption
 from aerial_gym.rl_training.run.progress import Progress, Report
 from aerial_gym.rl_training.run.run_folder import RunFolder
 from aerial_gym.rl_training.settings import TrainingCfg
-from aerial_gym.rl_training.trainers.summaries import Scalars
+from aerial_gym.rl_training.trainers.summaries import TensorboardScalars
 from aerial_gym.task import Task
 
 AnyLearner = TypeVar("AnyLearner", bound=Learner)
@@ -43,7 +43,7 @@ class NativeTraining(Generic[AnyLearner]):
         self._ranks = learner.ranks
         if task.curriculum is not None and self._ranks.joined:
             task.curriculum.of_all = self._ranks.sum_
-        learner.begin()
+        learner.restart_episodes()
         learner.join()
         self._repeat = IterationGraph(
             learner.iterate,
@@ -65,7 +65,7 @@ class NativeTraining(Generic[AnyLearner]):
         self, folder: RunFolder, progress: Progress, *, keeper: CheckpointKeeper, interruption: Interruption
     ) -> bool:
         """Train as ``Trainer.run`` states; TensorBoard files need ``tensorboardX``."""
-        scalars = Scalars(folder.path / self.cfg.trainer / "summaries")
+        scalars = TensorboardScalars(folder.path / self.cfg.trainer / "summaries")
         if keeper.resumes:
             keeper.restore(self.load, own=OWN_STATE)
         else:
@@ -102,9 +102,9 @@ class NativeTraining(Generic[AnyLearner]):
                 break
         numbers = self._numbers.copy_to_host()
         _ = self.task.num_non_finite if self.task.device.type == "cpu" else 0
-        return self._report(numbers)
+        return self._session_report(numbers)
 
-    def _report(self, numbers: list[float]) -> Report:
+    def _session_report(self, numbers: list[float]) -> Report:
         recent, self.known = self._recent, dict(zip(self.learner.GAUGES, numbers[len(SUMS) :], strict=True))
         recent.append(numbers[: len(SUMS)])
         while len(recent) > 2 and recent[-1][1] - recent[1][1] >= RECENT_EPISODES:

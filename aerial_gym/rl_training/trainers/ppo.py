@@ -28,9 +28,9 @@ class PpoTrainer(NativeTrainer):
 
     def prepare(self, device: "torch.device") -> None:
         """Compile the kernels of the networks."""
-        from aerial_gym.rl_training.learning.fused import prepare
+        from aerial_gym.rl_training.learning.fused import start_triton_early
 
-        prepare(device)
+        start_triton_early(device)
 
     def make_training(
         self, cfg: TrainingCfg, task: "Task", ranks: "Ranks | None" = None, *, fused: bool = True

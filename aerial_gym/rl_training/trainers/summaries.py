@@ -40,30 +40,30 @@ class SafeEvents:
 
     def write_event(self, event: object) -> None:
         """Write an event unless an earlier write failed, and call the listeners."""
-        self._attempt(self._events.write_event, event)
+        self._keep_first_error(self._events.write_event, event)
         if _listeners:
-            self._tell(event)
+            self._call_listeners(event)
 
     @staticmethod
-    def _tell(event: Any) -> None:
+    def _call_listeners(event: Any) -> None:
         scalars = {each.tag: each.simple_value for each in event.summary.value if each.HasField("simple_value")}
         for listener in _listeners if scalars else ():
             listener(scalars, int(event.step))
 
     def flush(self) -> None:
         """Write the pending events."""
-        self._attempt(self._events.flush)
+        self._keep_first_error(self._events.flush)
 
     def close(self) -> None:
         """Write the pending events and close the file."""
-        self._attempt(self._events.close)
+        self._keep_first_error(self._events.close)
 
     def check(self) -> None:
         """Raise ``StorageError`` if something could not be written."""
         if self._error is not None:
             raise StorageError(storage_message(self._error, self._folder))
 
-    def _attempt(self, call: Any, *arguments: object) -> None:
+    def _keep_first_error(self, call: Any, *arguments: object) -> None:
         if self._error is None:
             try:
                 call(*arguments)
@@ -71,7 +71,7 @@ class SafeEvents:
                 self._error = error
 
 
-def guard(writer: Any) -> SafeEvents:
+def guard_writer(writer: Any) -> SafeEvents:
     """Wrap the file writer of a ``tensorboardX.SummaryWriter`` with an error guard, and return the guard."""
     file_writer = writer._get_file_writer().event_writer
     guarded = SafeEvents(file_writer._ev_writer, writer.logdir)
@@ -79,7 +79,7 @@ def guard(writer: Any) -> SafeEvents:
     return guarded
 
 
-class Scalars:
+class TensorboardScalars:
     """TensorBoard scalars over environment steps, at most one per second each; idle without ``tensorboardX``.
 
     The library is imported with the first numbers, when a GPU has work meanwhile.
@@ -103,7 +103,7 @@ class Scalars:
             from tensorboardX import SummaryWriter
 
             self._writer = SummaryWriter(str(self._folder))
-            self._events = guard(self._writer)
+            self._events = guard_writer(self._writer)
         assert self._events is not None
         self._events.check()
         for name, value in numbers().items():

@@ -14,12 +14,12 @@ from aerial_gym.config.robot import Vec3
 from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.task.commands.command import COMMANDS, TARGET
-from aerial_gym.task.commands.points import next_index, select_row
+from aerial_gym.task.commands.points import next_index, row_at_index
 from aerial_gym.task.commands.practice import FIRST_GATE, PracticeCommand
 from aerial_gym.task.values import Values
 
 
-def crossing(before: Tensor, now: Tensor, *, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
+def gate_crossing_flags(before: Tensor, now: Tensor, *, half: tuple[float, float]) -> tuple[Tensor, Tensor]:
     """Return whether a gate's plane was crossed in its direction, and whether that was within its opening, bool (E,).
 
     Positions ``before`` and ``now`` [m] are in the gate's frame, (E, 3): x leads through it, y and z span the opening, whose
@@ -121,14 +121,14 @@ class Gates(PracticeCommand):
             return torch.stack((ahead * x + left * y, left * x - ahead * y, up), dim=-1)
 
         ways = (to_gate_frame(values[name]) for name in ("previous_position", "robot_position"))
-        crossed, passed = crossing(*ways, half=self._half)
+        crossed, passed = gate_crossing_flags(*ways, half=self._half)
         last = (values["target_index"] == len(self._gates) - 1) & (not self._loop)
         return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
 
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step."""
         index = next_gate(values, len(self._gates), loop=self._loop)
-        gate, following = select_row(index, self._gates), select_row(index, self._following)
+        gate, following = row_at_index(index, self._gates), row_at_index(index, self._following)
         buffers = {"target_index": index, "target_orientation": gate[:, 5:]}
         for name, row in (("target", gate), ("following", following)):
             buffers |= {f"{name}_position": row[:, :3], f"{name}_direction": row[:, 3:5]}

@@ -105,7 +105,7 @@ class PointSequence(Command):
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the point of the next step."""
         index = next_index(values, values["target_reached"], len(self._points), loop=self._loop)
-        return {"target_index": index, TARGET: select_row(index, self._points)}
+        return {"target_index": index, TARGET: row_at_index(index, self._points)}
 
 
 def make_goals(goal: Tensor, env: EnvManager, low: Vec3, high: Vec3, name: str) -> Goals:
@@ -126,7 +126,7 @@ def next_index(values: Mapping[str, Tensor], passed: Tensor, count: int, *, loop
     return torch.where(values["begun"], 0, index).int()
 
 
-def select_row(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
+def row_at_index(index: Tensor, rows: Sequence[Sequence[float]]) -> Tensor:
     """Return the row of each index, (E, width); without indexing, so that it can be part of a kernel."""
     columns = [torch.full_like(index, 0, dtype=torch.float32) + value for value in rows[0]]
     for i, row in enumerate(rows[1:], start=1):

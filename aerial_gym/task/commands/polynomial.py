@@ -23,7 +23,7 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.random import Purpose
 from aerial_gym.task.commands.command import COMMANDS, TARGET, Command
-from aerial_gym.task.commands.points import select_row
+from aerial_gym.task.commands.points import row_at_index
 from aerial_gym.task.kernels.uniform import UniformDraws
 from aerial_gym.task.values import Values
 
@@ -35,7 +35,7 @@ MOST_POINTS = 10
 """Of a track: each adds to the length of a kernel."""
 
 
-def minimum_snap(num_points: int) -> Array:
+def minimum_snap_weights(num_points: int) -> Array:
     """Return the coefficients of the weights of each point, (S, 8, K): of ``u^j``, 0 <= u <= 1, in each segment.
 
     Every segment takes one unit of time; derivatives are with respect to that.
@@ -47,7 +47,7 @@ def minimum_snap(num_points: int) -> Array:
         """Add the equation that a sum of derivatives, (segment, u, sign) each, equals a point, or zero."""
         row = np.zeros((segments, DEGREE + 1))
         for segment, u, sign in where:
-            row[segment] += sign * _powers(u, order)
+            row[segment] += sign * _power_derivatives(u, order)
         rows.append(row.ravel())
         given.append(np.eye(num_points)[point] if point is not None else np.zeros(num_points))
 
@@ -63,19 +63,19 @@ def minimum_snap(num_points: int) -> Array:
     return np.linalg.solve(np.array(rows), np.array(given)).reshape(segments, DEGREE + 1, num_points)
 
 
-def _powers(u: float, order: int) -> Array:
+def _power_derivatives(u: float, order: int) -> Array:
     """Return the derivatives of ``u^j``, (8,)."""
     powers = range(DEGREE + 1)
     return np.array([factorial(j) / factorial(j - order) * u ** (j - order) if j >= order else 0.0 for j in powers])
 
 
-def derivative(coefficients: Array) -> Array:
+def derivative_weights(coefficients: Array) -> Array:
     """Return the coefficients of the derivative, (S, degree, K), of (S, degree + 1, K)."""
     degree = coefficients.shape[1] - 1
     return coefficients[:, 1:] * np.arange(1, degree + 1)[:, None]
 
 
-def control_points(coefficients: Array) -> Array:
+def control_point_weights(coefficients: Array) -> Array:
     """Return the weights of the points in each control point of the Bernstein form, (S (degree + 1), K)."""
     degree = coefficients.shape[1] - 1
     to_bernstein = [
@@ -118,13 +118,13 @@ class Polynomial(Command):
         for name, limit in (("max_speed", max_speed), ("max_acceleration", max_acceleration)):
             if not 0.0 < limit < inf:
                 raise ConfigError(f"command polynomial: {name} = {limit!r}: must be > 0 and finite")
-        place = minimum_snap(points)
-        velocity = derivative(place)
+        place = minimum_snap_weights(points)
+        velocity = derivative_weights(place)
         self._num_points, self._dt = points, env.dt
-        self._rows = [form.reshape(points - 1, -1).tolist() for form in (place, velocity, derivative(velocity))]
+        self._rows = [form.reshape(points - 1, -1).tolist() for form in (place, velocity, derivative_weights(velocity))]
         self._limits = [
-            (torch.tensor(control_points(form), dtype=torch.float32, device=env.device), limit)
-            for form, limit in ((velocity, max_speed), (derivative(velocity), max_acceleration))
+            (torch.tensor(control_point_weights(form), dtype=torch.float32, device=env.device), limit)
+            for form, limit in ((velocity, max_speed), (derivative_weights(velocity), max_acceleration))
         ]
         self._target(moving=True)
         values.declare(
@@ -149,12 +149,12 @@ class Polynomial(Command):
         names = (TARGET, "target_velocity", "target_acceleration")
         buffers = {}
         for order, (name, rows) in enumerate(zip(names, self._rows, strict=True)):
-            weights = self._weights(select_row(segment.int(), rows), u, DEGREE - order)
+            weights = self._point_weights(row_at_index(segment.int(), rows), u, DEGREE - order)
             axes = [(weights * points[:, i * self._num_points : (i + 1) * self._num_points]).sum(-1) for i in range(3)]
             buffers[name] = torch.stack(axes, dim=-1) / (time**order).unsqueeze(-1)
         return buffers
 
-    def _weights(self, coefficients: Tensor, u: Tensor, degree: int) -> Tensor:
+    def _point_weights(self, coefficients: Tensor, u: Tensor, degree: int) -> Tensor:
         """Return the weight of each point, (E, K), by Horner's rule."""
         width = self._num_points
         weights = coefficients[:, degree * width :]

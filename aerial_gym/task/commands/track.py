@@ -13,9 +13,9 @@ from aerial_gym.env_manager import EnvManager
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.task.commands.command import COMMANDS, TARGET
-from aerial_gym.task.commands.gates import crossing, declare_gates, next_gate
+from aerial_gym.task.commands.gates import declare_gates, gate_crossing_flags, next_gate
 from aerial_gym.task.commands.practice import FIRST_GATE, PracticeCommand
-from aerial_gym.task.terms.observations import select_rows
+from aerial_gym.task.terms.observations import rows_at_index
 from aerial_gym.task.values import Values
 
 GATE_KEYS = ("gate_position", "gate_orientation")
@@ -88,14 +88,14 @@ class TrackGates(PracticeCommand):
             quat_rotate_inverse(values["target_orientation"], values[name] - values[TARGET])
             for name in ("previous_position", "robot_position")
         )
-        crossed, passed = crossing(before, now, half=self._half)
+        crossed, passed = gate_crossing_flags(before, now, half=self._half)
         last = values["target_index"] == self._count - 1
         return {"gate_passed": passed, "gate_missed": crossed & ~passed, "sequence_done": passed & last}
 
     def next_values(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the gate of the next step, and the flags of gates and poles seen so far."""
         index = next_gate(values, self._count, loop=False)
-        position, orientation = (select_rows(index, values[key]) for key in GATE_KEYS)
+        position, orientation = (rows_at_index(index, values[key]) for key in GATE_KEYS)
         buffers = {"target_index": index, TARGET: position, "target_orientation": orientation}
         for name, key in SEEN.items():
             away = values[key][..., :2] - values["robot_position"][:, None, :2]

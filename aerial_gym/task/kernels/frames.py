@@ -10,7 +10,7 @@ import warp as wp
 
 
 @cache
-def make_take(source: Any, target: Any, history: int) -> wp.Kernel:
+def make_frame_kernel(source: Any, target: Any, history: int) -> wp.Kernel:
     """Return the kernel for a type of Warp in, one out, and a number of frames."""
     rounding = 0.5 if target is wp.uint8 else 0.0
 

@@ -27,7 +27,7 @@ class RobotMotion:
 
 
 @wp.kernel(enable_backward=False)
-def _practise(
+def _draw_practice_starts(
     mask: wp.array[wp.bool],  # (E,)
     # state
     gate_position: wp.array2d[wp.vec3],  # (E, G) world [m]
@@ -87,4 +87,4 @@ class PracticeStarts(MaskLaunch):
         moved = {name: getattr(state, name) for name in ("position", "attitude", "lin_vel", "ang_vel")}
         motion = make_struct(RobotMotion, derived=robot.derived.arrays, **moved)
         inputs = [*gates, random_arrays(random), share, speed, wp.vec3(*offset)]
-        super().__init__(_practise, state.num_envs, inputs, [motion, first_out], random)
+        super().__init__(_draw_practice_starts, state.num_envs, inputs, [motion, first_out], random)

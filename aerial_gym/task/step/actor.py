@@ -34,7 +34,7 @@ def declare_delay(cfg: ActionCfg, values: Values) -> None:
     delay.fill_(steps_range(cfg.delay_steps)[0])
 
 
-class Actor:
+class ActionConverter:
     """Conversion of a policy's actions to commands; the identity without transform, delay, filter and noise."""
 
     def __init__(
@@ -74,14 +74,16 @@ class Actor:
         if POLICY_ACTION in values.own:
             writes[POLICY_ACTION] = values.own[POLICY_ACTION]
         given = torch.zeros(random.num_envs, num_actions, device=random.mask.device)
-        self._check(cfg.transform, given, num_commands)
+        self._check_transform(cfg.transform, given, num_commands)
         self.rows = None
         """The kernel; None where nothing is between."""
         if writes or self._noise is not None or self.transform is not direct:
             reads |= {"action": given} | writes
-            self.rows = StepKernel(self._command, "the action", reads=reads, writes=writes, graph=values.graph)
+            self.rows = StepKernel(
+                self._command_and_buffers, "the action", reads=reads, writes=writes, graph=values.graph
+            )
 
-    def _check(self, name: str, given: Tensor, num_commands: int) -> None:
+    def _check_transform(self, name: str, given: Tensor, num_commands: int) -> None:
         """Refuse a transform that gives no command, before the first step does."""
         if self.transform is affine:
             for end in ("low", "high"):
@@ -113,11 +115,11 @@ class Actor:
             self._noise.draw()
         return actions if self.rows is None else self.rows(action=actions)["command"]
 
-    def _command(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _command_and_buffers(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         action, begun, buffers = values["action"], values["begun"], {}
         command = self.transform(action, **self.params)
         if self._line.length:
-            frames = self._line.frames(values[LINE], command, begun)
+            frames = self._line.frames_of_step(values[LINE], command, begun)
             buffers[LINE] = self._line.next_line(frames)
             command = self._line.read_frames(frames, values[DELAY][:, 0] if self._drawn else None)
         if self._gain is not None:

@@ -23,7 +23,7 @@ class HistoryLine:
         """Past values that must be kept, m."""
         return self.longest_delay + self.history - 1
 
-    def frames(self, past: Tensor, value: Tensor, begun: Tensor | None) -> list[Tensor]:
+    def frames_of_step(self, past: Tensor, value: Tensor, begun: Tensor | None) -> list[Tensor]:
         """Return the values of this step and the m before, oldest first, each (E, w).
 
         The line ``past`` is (E, m w), ``value`` (E, w). Where an episode has just ``begun``, bool (E,), frames are this value.
@@ -33,7 +33,7 @@ class HistoryLine:
             kept = [torch.where(begun.unsqueeze(-1), value, old) for old in kept]
         return [*kept, value]
 
-    def pieces(self, width: int) -> list[int]:
+    def buffer_lengths(self, width: int) -> list[int]:
         """Return the number of past values per buffer, split so that each buffer is narrow enough for a kernel."""
         most = max(1, LARGEST_ROW // width)
         return [min(most, self.length - first) for first in range(0, self.length, most)]

@@ -97,7 +97,7 @@ class Judge:
             **moved,
         }
         self.rows = StepKernel(
-            self._judgement,
+            self._step_outcome,
             "the judgement of a step",
             reads=reads,
             writes=writes,
@@ -138,7 +138,7 @@ class Judge:
         names = {group: f"{FINAL}{group}" for group in self._observer.groups}
         return info | {"final_observation" if group == POLICY else name: judged[name] for group, name in names.items()}
 
-    def means(self) -> dict[str, float]:
+    def episode_means(self) -> dict[str, float]:
         """Return ``Task.episode_means``."""
         tallies = self._tallies.double().sum(dim=0).tolist()
         terms, (episodes, *ended) = tallies[: len(self.reward_names)], tallies[len(self.reward_names) :]
@@ -149,20 +149,22 @@ class Judge:
             result |= {f"ended/{name}": number / episodes for name, number in zip(self.end_names, ended, strict=True)}
         return result
 
-    def _judgement(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _step_outcome(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
         moved = self._command.current_values(given)
         values = {**given, **moved}
         finite, observed, _ = self._observer.observe(values, None)
-        ends = self._ends(values)
-        terms, reward = self._reward(values, ends)
+        ends = self._episode_ends(values)
+        terms, reward = self._reward_terms(values, ends)
         bits = (
             values["non_finite"]
             + NonFinite.REWARD.value * (~reward.isfinite()).int()
             + NonFinite.OBSERVATION.value * (~finite).int()
         )
         bad = bits != 0
-        ends = self._end_non_finite(ends, bad)
-        terms, reward = self._crash_values(terms, reward, bad, _end_reward(self._cfg.crash_reward, values))
+        ends = self._crash_non_finite(ends, bad)
+        terms, reward = self._replace_non_finite_rewards(
+            terms, reward, bad, _end_reward(self._cfg.crash_reward, values)
+        )
         ended = ends.terminated | ends.truncated
         sums = values[SUMS] + torch.cat([reward.unsqueeze(-1), terms], dim=-1)
         counts = torch.stack([ended, *(cause & ended for cause in ends.causes)], dim=-1).to(sums.dtype)
@@ -190,7 +192,7 @@ class Judge:
             result["distance"] = distance.nan_to_num(nan=torch.finfo(distance.dtype).max)
         return result
 
-    def _ends(self, values: Mapping[str, Tensor]) -> EpisodeEnds:
+    def _episode_ends(self, values: Mapping[str, Tensor]) -> EpisodeEnds:
         no = torch.zeros_like(values["crashes"])
         flags = {name: term.evaluate(values) for name, (term, _) in self._terminations.items()}
         entries = {name: cfg for name, (_, cfg) in self._terminations.items()}
@@ -223,7 +225,7 @@ class Judge:
         )
 
     @staticmethod
-    def _end_non_finite(ends: EpisodeEnds, bad: Tensor) -> EpisodeEnds:
+    def _crash_non_finite(ends: EpisodeEnds, bad: Tensor) -> EpisodeEnds:
         """Return the ends, with a crash in rows with NaN or infinite values."""
         return EpisodeEnds(
             crash=ends.crash | bad,
@@ -234,20 +236,20 @@ class Judge:
             causes=ends.causes,
         )
 
-    def _reward(self, values: Mapping[str, Tensor], ends: EpisodeEnds) -> tuple[Tensor, Tensor]:
+    def _reward_terms(self, values: Mapping[str, Tensor], ends: EpisodeEnds) -> tuple[Tensor, Tensor]:
         """Return the terms, (E, T), and their sum, (E,)."""
         plain = {name: term.evaluate(values) for name, (term, _) in self._rewards.items()}
         no_reward = torch.zeros_like(ends.crash, dtype=next(iter(plain.values())).dtype)
         weighed: dict[str, Tensor] = {}
         for name, (_, cfg) in self._rewards.items():
             if not cfg.times:
-                weighed[name] = self._apply_weight(plain[name], cfg, values)
+                weighed[name] = self._apply_reward_weight(plain[name], cfg, values)
         for name, (_, cfg) in self._rewards.items():
             if cfg.times:
                 factor = weighed[cfg.times[0]]
                 for other in cfg.times[1:]:
                     factor = factor + weighed[other]
-                weighed[name] = factor * self._apply_weight(plain[name], cfg, values)
+                weighed[name] = factor * self._apply_reward_weight(plain[name], cfg, values)
         result = {name: weighed[name] for name in self._rewards}
         for name, when, end in (
             ("success", ends.success, self._cfg.success_reward),
@@ -265,12 +267,14 @@ class Judge:
         return torch.stack(columns, dim=-1), total
 
     @staticmethod
-    def _apply_weight(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:
+    def _apply_reward_weight(value: Tensor, cfg: RewardCfg, values: Mapping[str, Tensor]) -> Tensor:
         if cfg.difficulty_weight:
             return (cfg.weight + cfg.difficulty_weight * values["difficulty"]) * value
         return value if cfg.weight == 1.0 else cfg.weight * value
 
-    def _crash_values(self, terms: Tensor, reward: Tensor, bad: Tensor, worth: Tensor | float) -> tuple[Tensor, Tensor]:
+    def _replace_non_finite_rewards(
+        self, terms: Tensor, reward: Tensor, bad: Tensor, worth: Tensor | float
+    ) -> tuple[Tensor, Tensor]:
         """Return terms and reward, replaced in non-finite rows by the crash reward alone."""
         crash = torch.zeros_like(reward) + worth
         alone = torch.stack([crash * (name == "crash") for name in self.reward_names], dim=-1)

@@ -24,7 +24,7 @@ NOISE, DELAYS = "observation_noise", "observation_delay"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class ObservationEntry:
     """A term of a group with its settings, buffers and columns."""
 
     term: BoundTerm
@@ -36,7 +36,9 @@ class Entry:
     held: tuple[str, ...]  # Buffers of each entry's last value and of the steps since its dropout, if held
     delay: int | None  # Its column among the drawn delays; None where it has one delay
 
-    def add_noise(self, values: Mapping[str, Tensor], begun: Tensor | None) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+    def noisy_value(
+        self, values: Mapping[str, Tensor], begun: Tensor | None
+    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Return whether the term is finite, bool (E,), its value with noise and dropout, zeros where not, (E, width), and what
         is held as the next step finds it."""
         value = self.term.evaluate(values)
@@ -65,8 +67,8 @@ class Entry:
         kept: dict[str, Tensor] = {}
         if self.line.length:
             past = torch.cat([values[name] for name in self.past], dim=-1)
-            frames = self.line.frames(past, value, begun)
-            widths = [count * self.width for count in self.line.pieces(self.width)]
+            frames = self.line.frames_of_step(past, value, begun)
+            widths = [count * self.width for count in self.line.buffer_lengths(self.width)]
             kept = dict(zip(self.past, self.line.next_line(frames).split(widths, dim=-1), strict=True))
             value = self.line.read_frames(frames, None if self.delay is None else values[DELAYS][:, self.delay])
         return value if self.cfg.scale == 1.0 else self.cfg.scale * value, kept
@@ -84,7 +86,7 @@ class Observer:
     ) -> None:
         """Take the terms of each group in order with their widths; ``values`` receives their delay lines."""
         self._faults = Faults([term for terms in groups.values() for term in terms], faults or {}, values, random)
-        self.groups: dict[str, list[Entry]] = {}
+        self.groups: dict[str, list[ObservationEntry]] = {}
         """Entries in order."""
         noise: dict[int, tuple[float, float]] = {}
         ranges: list[tuple[int, int]] = []
@@ -95,7 +97,7 @@ class Observer:
                 low, high = steps_range(cfg.delay_steps)
                 line = HistoryLine(longest_delay=high, history=cfg.history)
                 past = []
-                for piece, count in enumerate(line.pieces(width)):
+                for piece, count in enumerate(line.buffer_lengths(width)):
                     past.append(f"past_{group}_{number}_{piece}")
                     meaning = f"last values of {term.label}, oldest first"
                     values.declare(past[-1], (count * width,), meaning=meaning)
@@ -103,7 +105,7 @@ class Observer:
                 for name, meaning in zip(held, ("last shown value of", "steps since a return of"), strict=False):
                     values.declare(name, (width,), meaning=f"{meaning} each entry of {term.label}")
                 drawn = bool(cfg.noise_std or cfg.dropout)
-                entry = Entry(
+                entry = ObservationEntry(
                     term=term, cfg=cfg, width=width, noise=len(noise) if drawn else None, line=line,
                     past=tuple(past), held=held, delay=len(ranges) if low < high else None,
                 )  # fmt: skip
@@ -128,7 +130,7 @@ class Observer:
         """Inputs of ``observe``."""
         begun = {"begun": values.find("begun", "the observation")}
         self.rows = StepKernel(
-            self._step_results,
+            self._observation_and_buffers,
             "the observation",
             reads=begun | self.reads,
             writes=self.writes,
@@ -167,7 +169,7 @@ class Observer:
         for group, entries in self.groups.items():
             parts = []
             for entry in entries:
-                finite, value, held = entry.add_noise(values, begun)
+                finite, value, held = entry.noisy_value(values, begun)
                 value = self._faults.apply_fault(entry.cfg, values, value)
                 part, line = entry.delay_value(values, value, begun)
                 flags.append(finite)
@@ -176,6 +178,6 @@ class Observer:
             shown[group] = torch.cat(parts, dim=-1)
         return torch.stack(flags, dim=-1).all(dim=-1), shown, lines
 
-    def _step_results(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _observation_and_buffers(self, values: Mapping[str, Tensor]) -> dict[str, Tensor]:
         _, shown, lines = self.observe(values, values["begun"])
         return lines | shown

@@ -43,7 +43,7 @@ class RowKernel(Generic[Result]):
         results = self._rows(*tensors, out=out)
         return cast("Result", results[0] if self._single else results)
 
-    def prepare(self, tensors: Sequence[Tensor]) -> str:
+    def trace_kernel(self, tensors: Sequence[Tensor]) -> str:
         """Make the kernel for such tensors; return the reason of a failure, else an empty string."""
 
         def evaluate(*inputs: Tensor) -> Result:
@@ -58,7 +58,7 @@ class RowKernel(Generic[Result]):
         return ""
 
     def _trace(self, tensors: Sequence[Tensor]) -> None:
-        reason = self.prepare(tensors)
+        reason = self.trace_kernel(tensors)
         if reason:
             self.reason = reason
             _log.warning("%s runs as many small torch operations: %s", self._what, reason)
@@ -97,8 +97,8 @@ class StepKernel:
         self._kernels: DifferentiableRows | None = None
         self._tried = False
         self._rows = RowKernel(self._evaluate, label)
-        if graph is None and self._rows.prepare(list(self._reads.values())):
-            self.apart = tuple(term for term in terms if not self._traces(term))
+        if graph is None and self._rows.trace_kernel(list(self._reads.values())):
+            self.apart = tuple(term for term in terms if not self._is_traceable(term))
             self._names += tuple(term.label for term in self.apart)
 
     @property
@@ -109,15 +109,15 @@ class StepKernel:
     def __call__(self, **changing: Tensor) -> dict[str, Tensor]:
         """Return all results by name; ``changing`` replaces inputs of these names."""
         if self._graph is not None:
-            return self._with_gradients(self._graph, changing)
+            return self._run_with_gradients(self._graph, changing)
         values = {**self._reads, **changing}
-        values |= {term.label: self._run_apart(term, values) for term in self.apart}
+        values |= {term.label: self._evaluate_separately(term, values) for term in self.apart}
         results = self._rows(*(values[name] for name in self._names), out=self._out)
         return dict(zip(self._results, results, strict=True))
 
-    def _with_gradients(self, graph: GradientGraph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _run_with_gradients(self, graph: GradientGraph, changing: Mapping[str, Tensor]) -> dict[str, Tensor]:
         values = {**graph.select(self._reads), **changing}
-        outputs = self._gradient_rows(*(values[name] for name in self._names))
+        outputs = self._results_with_gradients(*(values[name] for name in self._names))
         results = dict(zip(self._results, outputs, strict=True))
         with torch.no_grad():
             for target, result in zip(self._out, outputs, strict=False):
@@ -125,7 +125,7 @@ class StepKernel:
         graph.keep({name: results[name] for name in self._keeps})
         return results
 
-    def _gradient_rows(self, *given: Tensor) -> tuple[Tensor, ...]:
+    def _results_with_gradients(self, *given: Tensor) -> tuple[Tensor, ...]:
         """Return the results with their gradients: by two kernels if that can be, of float32, else by torch operations."""
         if not self._tried:
             self._tried = True
@@ -141,17 +141,17 @@ class StepKernel:
             return self._kernels(*given)
         return make_batch_invariant(self._evaluate, given[0].shape[0], given[0].device)(*given)
 
-    def compute(self, **changing: Tensor) -> dict[str, Tensor]:
+    def compute_by_torch(self, **changing: Tensor) -> dict[str, Tensor]:
         """Return all results by torch operations, without writing outputs."""
         values = {**self._reads, **changing}
-        return self._function(values | {term.label: self._run_apart(term, values) for term in self.apart})
+        return self._function(values | {term.label: self._evaluate_separately(term, values) for term in self.apart})
 
     def _evaluate(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         results = self._function(dict(zip(self._names, tensors, strict=True)))
         self._results = (*self._writes, *(name for name in results if name not in self._writes))
         return tuple(results[name].clone() for name in self._results)  # none is an input that is written
 
-    def _traces(self, term: BoundTerm) -> bool:
+    def _is_traceable(self, term: BoundTerm) -> bool:
         names, tensors = term.reads, [self._reads[name] for name in term.reads]
         try:
             trace(lambda *given: term.evaluate(dict(zip(names, given, strict=True))), tensors)
@@ -163,7 +163,7 @@ class StepKernel:
             return False
         return True
 
-    def _run_apart(self, term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
+    def _evaluate_separately(self, term: BoundTerm, values: Mapping[str, Tensor]) -> Tensor:
         tensors = [values[name] for name in term.reads]
         first = next(iter(self._reads.values()))
         whole = make_batch_invariant(

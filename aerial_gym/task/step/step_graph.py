@@ -20,7 +20,7 @@ WARM_UP_STEPS = 3
 Result = TypeVar("Result")
 
 
-def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
+def check_terms_never_wait(terms: Mapping[str, Callable[[], object]]) -> None:
     """Call every term once and refuse the one that waits for the GPU, by name."""
     mode = torch.cuda.get_sync_debug_mode()
     for name, call in terms.items():
@@ -38,7 +38,7 @@ def check_terms(terms: Mapping[str, Callable[[], object]]) -> None:
             torch.cuda.set_sync_debug_mode(mode)
 
 
-def check_untraced(parts: Sequence[StepKernel], values: Mapping[str, Tensor]) -> None:
+def check_untraced_terms(parts: Sequence[StepKernel], values: Mapping[str, Tensor]) -> None:
     """Refuse terms that wait for the GPU; only terms that run as torch operations can."""
     for rows in parts:
         rows()
@@ -46,8 +46,8 @@ def check_untraced(parts: Sequence[StepKernel], values: Mapping[str, Tensor]) ->
     for rows in parts:
         asked |= {term.label: partial(term.evaluate, values) for term in rows.apart}
         if rows.reason is not None:
-            asked[rows.what] = rows.compute
-    check_terms(asked)
+            asked[rows.what] = rows.compute_by_torch
+    check_terms_never_wait(asked)
 
 
 class StepGraph(Generic[Result]):

@@ -20,7 +20,7 @@ def heading_difference(target_yaw: Tensor, robot_orientation: Tensor) -> Tensor:
     return wrap_angle(target_yaw - yaw_from_quat(robot_orientation))
 
 
-def _near_target(target_position: Tensor, robot_position: Tensor, radius: float, reward: Tensor) -> Tensor:
+def _reward_near_target(target_position: Tensor, robot_position: Tensor, radius: float, reward: Tensor) -> Tensor:
     """Return a reward within a radius [m] of the target, 0 elsewhere, (E,)."""
     return torch.where((target_position - robot_position).norm(dim=-1) < radius, reward, 0.0)
 
@@ -82,7 +82,7 @@ def slow_at_target(
     width: float,
 ) -> Tensor:
     """Return ``height exp(-width v²)``, v the speed [m/s], closer to the target than a radius [m], else 0, (E,)."""
-    return _near_target(target_position, robot_position, radius, bell(robot_linvel.norm(dim=-1), height, width))
+    return _reward_near_target(target_position, robot_position, radius, bell(robot_linvel.norm(dim=-1), height, width))
 
 
 @REWARDS.term()
@@ -98,7 +98,7 @@ def heading_at_target(
 ) -> Tensor:
     """Return ``height exp(-width e²)``, e the heading error [rad], closer to the target than a radius [m], else 0, (E,)."""
     worth = bell(heading_difference(target_yaw, robot_orientation), height, width)
-    return _near_target(target_position, robot_position, radius, worth)
+    return _reward_near_target(target_position, robot_position, radius, worth)
 
 
 @REWARDS.term()
@@ -119,7 +119,9 @@ def aligned_rest_at_target(
     r is the angular velocity about body z [rad/s], e the heading error [rad].
     """
     aligned = bell(heading_difference(target_yaw, robot_orientation), 1.0, yaw_width)
-    return _near_target(target_position, robot_position, radius, aligned * bell(robot_body_angvel[:, 2], height, width))
+    return _reward_near_target(
+        target_position, robot_position, radius, aligned * bell(robot_body_angvel[:, 2], height, width)
+    )
 
 
 @REWARDS.term()

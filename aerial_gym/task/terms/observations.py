@@ -191,7 +191,7 @@ def next_gates(
     values = []
     for k in range(count):
         index = target_index + k % number
-        row = select_rows(torch.where(index >= number, index - number, index), rows)
+        row = rows_at_index(torch.where(index >= number, index - number, index), rows)
         values += [quat_rotate_inverse(robot_vehicle_orientation, part) for part in row.split(3, dim=-1)]
     return torch.cat(values, dim=-1)
 
@@ -212,8 +212,8 @@ def way_ahead(
     The direction is ``gate_path_direction``. A gate not yet seen counts at its nominal pose.
     """
     seen = gates_seen.unsqueeze(-1)
-    position = select_rows(target_index, torch.where(seen, gate_position, gate_nominal_position))
-    orientation = select_rows(target_index, torch.where(seen, gate_orientation, gate_nominal_orientation))
+    position = rows_at_index(target_index, torch.where(seen, gate_position, gate_nominal_position))
+    orientation = rows_at_index(target_index, torch.where(seen, gate_orientation, gate_nominal_orientation))
     place = quat_rotate_inverse(orientation, robot_position - position)
     toward = quat_rotate(orientation, gate_path_direction(place))
     return torch.cat((quat_rotate_inverse(robot_vehicle_orientation, toward), place), dim=-1)
@@ -247,7 +247,7 @@ def nearest_poles(
     return torch.cat(rows[:count], dim=-1)
 
 
-def select_rows(index: Tensor, rows: Tensor) -> Tensor:
+def rows_at_index(index: Tensor, rows: Tensor) -> Tensor:
     """Return row ``index``, (E,), of rows (E, G, W), as (E, W); without indexing, to be part of a kernel."""
     first, *rest = rows.unbind(1)
     values = first

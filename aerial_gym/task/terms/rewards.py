@@ -42,7 +42,7 @@ def body_up_component(attitude: Tensor) -> Tensor:
     return 1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)
 
 
-def _distance(a: Tensor, b: Tensor) -> Tensor:
+def _point_distance(a: Tensor, b: Tensor) -> Tensor:
     return (a - b).norm(dim=-1)
 
 
@@ -55,13 +55,13 @@ def constant(robot_position: Tensor, *, value: float = 1.0) -> Tensor:
 @REWARDS.term()
 def distance_bell(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width d²)``, d the distance to the target [m], (E,)."""
-    return bell(_distance(target_position, robot_position), height, width)
+    return bell(_point_distance(target_position, robot_position), height, width)
 
 
 @REWARDS.term()
 def distance_cusp(target_position: Tensor, robot_position: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width d)``, d the distance to the target [m], (E,)."""
-    return cusp(_distance(target_position, robot_position), height, width)
+    return cusp(_point_distance(target_position, robot_position), height, width)
 
 
 @REWARDS.term()
@@ -82,7 +82,7 @@ def position_bells(
 @REWARDS.term()
 def distance_linear(target_position: Tensor, robot_position: Tensor, *, offset: float, scale: float) -> Tensor:
     """Return ``(offset - d) / scale``, d the distance to the target [m], (E,)."""
-    return (offset - _distance(target_position, robot_position)) / scale
+    return (offset - _point_distance(target_position, robot_position)) / scale
 
 
 @REWARDS.term()
@@ -104,14 +104,14 @@ def progress(
     further: float,
 ) -> Tensor:
     """Return the decrease of the target distance in this step [m], times ``closer`` if > 0, else ``further``, (E,)."""
-    gained = previous_distance - _distance(target_position, robot_position)
+    gained = previous_distance - _point_distance(target_position, robot_position)
     return torch.where(gained > 0.0, closer, further) * gained
 
 
 @REWARDS.term()
 def velocity_error_bell(target_velocity: Tensor, robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width e²)``, e the difference between the target's velocity and the robot's [m/s], (E,)."""
-    return bell(_distance(target_velocity, robot_linvel), height, width)
+    return bell(_point_distance(target_velocity, robot_linvel), height, width)
 
 
 @REWARDS.term()
@@ -210,7 +210,7 @@ def slow(robot_linvel: Tensor, *, height: float, width: float) -> Tensor:
 @REWARDS.term()
 def load_distance_bell(load_target: Tensor, load_position: Tensor, *, height: float, width: float) -> Tensor:
     """Return ``height exp(-width d²)``, d the distance of the load to its target [m], (E,)."""
-    return bell(_distance(load_target, load_position), height, width)
+    return bell(_point_distance(load_target, load_position), height, width)
 
 
 @REWARDS.term()

@@ -37,7 +37,7 @@ class Term:
     @property
     def reads(self) -> tuple[str, ...]:
         """Names of the input tensors, with the names of ``named`` where given."""
-        names = (name for name, each in _arguments(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
+        names = (name for name, each in _signature_parameters(self.value) if each.kind is not Parameter.KEYWORD_ONLY)
         return tuple(self.named.get(name, name) for name in names)
 
     @property
@@ -63,17 +63,17 @@ class BoundTerm:
         return self.term.value(*(values[name] for name in self.reads), **self.params)
 
 
-def bind(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
+def bind_term(term: Term, params: Mapping[str, object], label: str) -> BoundTerm:
     """Return a term with its numbers; raise ``ConfigError`` if a number is missing, unknown or of another kind."""
     given = check_params(term.value, params, label)
-    numbers = {name: each.default for name, each in _arguments(term.value)} | given if term.named else {}
+    numbers = {name: each.default for name, each in _signature_parameters(term.value)} | given if term.named else {}
     reads = tuple(name.format(**numbers) if name in term.named.values() else name for name in term.reads)
     return BoundTerm(label=label, term=term, params=given, reads=reads)
 
 
 def check_params(function: Callable[..., object], params: Mapping[str, object], label: str) -> dict[str, Any]:
     """Return the keyword arguments of a function, converted to its type hints; ``label`` is the prefix of errors."""
-    known = {name: each for name, each in _arguments(function) if each.kind is Parameter.KEYWORD_ONLY}
+    known = {name: each for name, each in _signature_parameters(function) if each.kind is Parameter.KEYWORD_ONLY}
     takes = ", ".join(known) or "none"
     for name in params:
         if name not in known:
@@ -86,7 +86,7 @@ def check_params(function: Callable[..., object], params: Mapping[str, object], 
     return {name: convert(hints.get(name, object), value, f"{label}: {name}") for name, value in params.items()}
 
 
-def _arguments(function: Callable[..., object]) -> Iterator[tuple[str, Parameter]]:
+def _signature_parameters(function: Callable[..., object]) -> Iterator[tuple[str, Parameter]]:
     for name, each in signature(function).parameters.items():
         if each.kind in (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD):
             raise ConfigError(f"term {name!r}: *{name} hides inputs and parameters. Name each of them")

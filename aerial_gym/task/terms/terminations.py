@@ -13,7 +13,7 @@ TERMINATIONS = TermRegistry("termination term")
 """Terms by the name that a task configuration uses."""
 
 
-def pushed(robot_contact_force: Tensor) -> Tensor:
+def has_contact_force(robot_contact_force: Tensor) -> Tensor:
     """Return whether the robot had contact with ground or obstacles in this step, (E,)."""
     return (robot_contact_force * robot_contact_force).sum(-1) > 0.0
 
@@ -67,7 +67,7 @@ def touchdown(
     The speed [m/s] is that relative to the target one step before: the push has changed the present one.
     """
     near = at_target(target_position, robot_position, radius=radius)
-    return pushed(robot_contact_force) & near & (previous_relative_velocity.norm(dim=-1) < speed)
+    return has_contact_force(robot_contact_force) & near & (previous_relative_velocity.norm(dim=-1) < speed)
 
 
 @TERMINATIONS.term()
@@ -84,7 +84,7 @@ def missed_touchdown(
     landed = touchdown(
         robot_contact_force, target_position, robot_position, previous_relative_velocity, radius=radius, speed=speed
     )
-    return pushed(robot_contact_force) & ~landed
+    return has_contact_force(robot_contact_force) & ~landed
 
 
 @TERMINATIONS.term()

@@ -12,7 +12,7 @@ from torch import Tensor
 from aerial_gym.config.task_terms import ImageCfg
 from aerial_gym.interop import ReusableLaunch, start_warp
 from aerial_gym.sensors import SensorManager
-from aerial_gym.task.kernels.frames import make_take
+from aerial_gym.task.kernels.frames import make_frame_kernel
 from aerial_gym.task.values import Values
 
 TYPES = {
@@ -52,7 +52,7 @@ class TaskImages:
             for launches, mask, new in ((self._of_step, all_rows, none), (self._of_reset, begun, begun)):
                 launches.append(
                     ReusableLaunch(
-                        make_take(source, warp_kind, cfg.history),
+                        make_frame_kernel(source, warp_kind, cfg.history),
                         dim=tuple(flat.shape),
                         inputs=[flat, mask, new, *scale],
                         outputs=[target],
@@ -60,7 +60,7 @@ class TaskImages:
                     )
                 )
 
-    def take(self, *, begun: bool) -> None:
+    def write_frames(self, *, begun: bool) -> None:
         """Write the present images; launched on torch's current stream, not waited for.
 
         ``begun``: of the environments whose episode has just begun, and as all frames; otherwise of all, as the newest one.

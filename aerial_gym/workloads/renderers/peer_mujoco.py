@@ -17,7 +17,7 @@ FORWARD = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
 """From our cameras' frame, x forward and z up, to MuJoCo's, -z forward and y up."""
 
 
-def build(
+def make_renderer(
     scene: dict[str, np.ndarray], device: str
 ) -> tuple[Callable[[], None], Callable[[], tuple[np.ndarray, np.ndarray | None]]]:
     """Return the function that draws the images and the function that returns them."""

@@ -16,7 +16,7 @@ from mujoco_scene import mocap_poses, movable_model
 PACKAGES = ("mujoco-warp", "mujoco", "warp-lang")
 
 
-def build(
+def make_renderer(
     scene: dict[str, np.ndarray], device: str
 ) -> tuple[Callable[[], None], Callable[[], tuple[np.ndarray, np.ndarray | None]]]:
     """Return the function that draws the images and the function that returns them."""

@@ -19,7 +19,7 @@ FORWARD = wp.quat(0.5, -0.5, -0.5, 0.5)
 """From a camera that looks along -z with y up to one that looks along x with z up, xyzw."""
 
 
-def build(
+def make_renderer(
     scene: dict[str, np.ndarray], device: str
 ) -> tuple[Callable[[], None], Callable[[], tuple[np.ndarray, np.ndarray | None]]]:
     """Return the function that draws the images and the function that returns them."""
@@ -29,7 +29,7 @@ def build(
     with wp.ScopedDevice(device):
         world = newton.ModelBuilder()
         for kind, size in zip(scene["kind"], scene["size"].tolist(), strict=True):
-            _add(world, str(kind), size)
+            _add_shape(world, str(kind), size)
         builder = newton.ModelBuilder()
         builder.replicate(world, envs)
         model = builder.finalize(device=device)
@@ -69,7 +69,7 @@ def build(
     return draw, images
 
 
-def _add(world: newton.ModelBuilder, kind: str, size: list[float]) -> None:
+def _add_shape(world: newton.ModelBuilder, kind: str, size: list[float]) -> None:
     if kind == "box":
         world.add_shape_box(body=-1, hx=0.5 * size[0], hy=0.5 * size[1], hz=0.5 * size[2])
     elif kind == "floor":

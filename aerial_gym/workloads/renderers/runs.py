@@ -14,7 +14,7 @@ from torch import Tensor
 from aerial_gym.config.environment import PartCfg, ShapeCfg
 from aerial_gym.math.quaternion import quat_from_euler, quat_multiply, quat_rotate
 from aerial_gym.workloads.measure import WorkloadError
-from aerial_gym.workloads.process import RunFailedError, run
+from aerial_gym.workloads.process import RunFailedError, run_process
 from aerial_gym.workloads.renderers.catalog import RENDER_PEERS
 from aerial_gym.workloads.scenes import RenderScene
 
@@ -72,7 +72,7 @@ def run_peer(
         given, taken = Path(folder, "scene.npz"), Path(folder, "images.npz")
         np.savez(given, **scene)  # pyright: ignore[reportArgumentType]
         try:
-            said = run(
+            said = run_process(
                 python,
                 [str(WORKER), name, str(given), str(taken), *numbers],
                 threads=threads if device == "cpu" else None,
@@ -119,7 +119,7 @@ def scene_arrays(
             at, turn = position[:, number], attitude[:, number]
             offset, own = torch.tensor(part.position), quat_from_euler(torch.tensor(part.euler))
             at, turn = at + quat_rotate(turn, offset.expand_as(at)), quat_multiply(turn, own.expand_as(turn))
-            kind, size = part.shape.kind, _size(part.shape)
+            kind, size = part.shape.kind, _shape_size(part.shape)
             if _is_floor(part.shape, at, turn, scene.position.cpu()):
                 kind, at = "floor", at + torch.tensor((0.0, 0.0, 0.5 * size[2]))
             kinds.append(kind)
@@ -162,5 +162,5 @@ def _is_floor(shape: ShapeCfg, position: Tensor, attitude: Tensor, camera: Tenso
     return over and bool((attitude[:, 3].abs() == 1.0).all())
 
 
-def _size(shape: ShapeCfg) -> tuple[float, float, float]:
+def _shape_size(shape: ShapeCfg) -> tuple[float, float, float]:
     return shape.size or (shape.radius or 0.0, shape.height or 0.0, 0.0)

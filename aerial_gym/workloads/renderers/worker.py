@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--repeat-time-s", type=float, default=0.5)
     asked = parser.parse_args()
     peer = importlib.import_module(f"peer_{asked.name}")
-    draw, images = peer.build(dict(np.load(asked.scene)), asked.device)
+    draw, images = peer.make_renderer(dict(np.load(asked.scene)), asked.device)
     run, wait = make_batch(draw, asked.device)
     run()
     depth, identity = images()

@@ -47,8 +47,8 @@ class Fuzz:
         """Print progress and a summary; return the exit status."""
         kinds: Counter[str] = Counter()
         result: Counter[str] = Counter()
-        with tempfile.TemporaryDirectory() as name, _quiet():
-            self._feed(Path(name), kinds, result)
+        with tempfile.TemporaryDirectory() as name, _silence_logs():
+            self._feed_targets(Path(name), kinds, result)
         for kind, number in sorted(kinds.items()):
             print(f"{number:6d}  {kind}")
         for finding, number in result.most_common():
@@ -56,12 +56,12 @@ class Fuzz:
         print(f"{self.count} inputs with seed {self.seed}: {result.total()} findings of {len(result)} kinds")
         return 1 if result else 0
 
-    def _feed(self, folder: Path, kinds: "Counter[str]", results: "Counter[str]") -> None:
+    def _feed_targets(self, folder: Path, kinds: "Counter[str]", results: "Counter[str]") -> None:
         told = time.monotonic()
         chosen = [target for target in targets(folder) if not self.only or target.name in self.only]
         for index in range(self.count):
             target = chosen[index % len(chosen)]
-            outcome, finding = self._attempt(target, folder, index)
+            outcome, finding = self._try_input(target, folder, index)
             kinds[f"{target.name}: {outcome}"] += 1
             if finding is not None:
                 results[finding] += 1
@@ -69,7 +69,7 @@ class Fuzz:
                 told = time.monotonic()
                 print(f"{index + 1}/{self.count}, {results.total()} findings", file=sys.stderr, flush=True)
 
-    def _attempt(self, target: Target, folder: Path, index: int) -> tuple[str, str | None]:
+    def _try_input(self, target: Target, folder: Path, index: int) -> tuple[str, str | None]:
         draw = random.Random(f"{self.seed}:{target.name}:{index}")
         data = mutate(draw.choice(target.inputs), target.ways, draw)
         file = folder / f"input{target.suffix}"
@@ -78,12 +78,15 @@ class Fuzz:
         try:
             target.use(file)
         except AerialGymError as error:
-            bad = _bad_sentence(str(error))
+            bad = _message_fault(str(error))
             outcome, finding = "refused", None if bad is None else f"{target.name}: {bad}: {str(error)[:150]!r}"
         except TimeLimitError:
             outcome, finding = "finding", f"{target.name}: takes longer than {self.limit_s} s"
         except Exception as error:
-            outcome, finding = "finding", f"{target.name}: {type(error).__name__} {_place(error)}: {str(error)[:120]!r}"
+            outcome, finding = (
+                "finding",
+                f"{target.name}: {type(error).__name__} {_error_location(error)}: {str(error)[:120]!r}",
+            )
         else:
             outcome, finding = "works", None
         finally:
@@ -95,7 +98,7 @@ class Fuzz:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _silence_logs() -> Iterator[None]:
     """Let warnings and logs of bad inputs be silent, and the alarm raise; put all back afterwards."""
     kept = signal.signal(signal.SIGALRM, _raise_time_limit)
     logging.disable(logging.WARNING)
@@ -113,7 +116,7 @@ def _raise_time_limit(number: int, frame: FrameType | None) -> None:
     raise TimeLimitError
 
 
-def _bad_sentence(text: str) -> str | None:
+def _message_fault(text: str) -> str | None:
     """Return the fault of a message, or None."""
     if "\n" in text.strip():
         return "several lines"
@@ -122,7 +125,7 @@ def _bad_sentence(text: str) -> str | None:
     return "advice of torch" if "weights_only" in text else None
 
 
-def _place(error: BaseException) -> str:
+def _error_location(error: BaseException) -> str:
     """Return the last line of the package on the way to an error."""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "aerial_gym/" in frame.filename]
     last = frames[-1] if frames else traceback.extract_tb(error.__traceback__)[-1]

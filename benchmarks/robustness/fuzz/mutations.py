@@ -30,14 +30,14 @@ def flip_bytes(data: bytes, draw: random.Random) -> bytes:
     return bytes(spoilt)
 
 
-def cut(data: bytes, draw: random.Random) -> bytes:
+def cut_piece(data: bytes, draw: random.Random) -> bytes:
     """Leave out a piece, often the end."""
     start = draw.randrange(len(data) + 1)
     stop = len(data) if draw.random() < 0.5 else min(len(data), start + draw.randrange(200))
     return data[:start] + data[stop:]
 
 
-def repeat(data: bytes, draw: random.Random) -> bytes:
+def repeat_piece(data: bytes, draw: random.Random) -> bytes:
     """Repeat a piece."""
     start = draw.randrange(len(data) + 1)
     piece = data[start : start + draw.randrange(1, 200)]
@@ -76,7 +76,7 @@ def change_tree(data: bytes, draw: random.Random) -> bytes:
         tree = yaml.safe_load(data)
     except Exception:  # spoilt before
         return swap_lines(data, draw)
-    holders = [node for node in _nodes(tree) if isinstance(node, (dict, list)) and node]
+    holders = [node for node in _tree_nodes(tree) if isinstance(node, (dict, list)) and node]
     if not holders:
         return flip_bytes(data, draw)
     node, value = draw.choice(holders), draw.choice(VALUES)
@@ -96,7 +96,7 @@ def change_tree(data: bytes, draw: random.Random) -> bytes:
         return change_word(data, draw)
 
 
-def _nodes(tree: Any) -> list[Any]:
+def _tree_nodes(tree: Any) -> list[Any]:
     """Return a tree and all below it; one that holds itself is not followed for ever."""
     result, waiting = [], [tree]
     while waiting and len(result) < 10_000:
@@ -107,7 +107,7 @@ def _nodes(tree: Any) -> list[Any]:
 
 
 Mutation = Callable[[bytes, random.Random], bytes]
-PLAIN: tuple[Mutation, ...] = (flip_bytes, cut, repeat)
+PLAIN: tuple[Mutation, ...] = (flip_bytes, cut_piece, repeat_piece)
 TEXT: tuple[Mutation, ...] = (*PLAIN, swap_lines, change_number, change_number, change_number, change_word, change_word)
 TREE: tuple[Mutation, ...] = (*TEXT, *(change_tree,) * 10)
 

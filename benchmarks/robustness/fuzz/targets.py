@@ -38,13 +38,14 @@ class Target:
     use: Callable[[Path], object]  # What is done with a file
 
 
-def _build(**changes: object) -> EnvManager:
+def _build_simulation(**changes: object) -> EnvManager:
     names = {"env_name": "empty_env", "robot_name": "base_quadrotor", "controller_name": "lee_position_control"}
     sim = replace(SIMS.get("base_sim"), backend="torch")  # composes no kernel for every robot
     return SimBuilder().build_env(sim_name=sim, **(names | changes), num_envs=NUM_ENVS, device="cpu")
 
 
-def _fly(env: EnvManager) -> None:
+def _fly_one_step(**changes: object) -> None:
+    env = _build_simulation(**changes)
     env.reset()
     env.step(torch.zeros(NUM_ENVS, 4))
     env.render()
@@ -54,7 +55,7 @@ def _fly(env: EnvManager) -> None:
 def _fly_task(path: Path) -> None:
     cfg = load(TaskCfg, path)
     names = {"env_name": cfg.env, "robot_name": cfg.robot, "controller_name": cfg.controller}
-    with Task(cfg, _build(**names)) as task:
+    with Task(cfg, _build_simulation(**names)) as task:
         task.reset()
         assert task.action_space.shape is not None
         task.step(torch.zeros(NUM_ENVS, task.action_space.shape[0]))
@@ -108,8 +109,12 @@ def targets(folder: Path) -> tuple[Target, ...]:
         return Target(name=name, suffix=".yaml", inputs=inputs, ways=TREE, use=use)
 
     return (
-        yaml("robot", robots, lambda path: _fly(_build(robot_name=load_robot(path)))),
-        yaml("environment", files("environments"), lambda path: _fly(_build(env_name=load_environment(path)))),
+        yaml("robot", robots, lambda path: _fly_one_step(_build_simulation(robot_name=load_robot(path)))),
+        yaml(
+            "environment",
+            files("environments"),
+            lambda path: _fly_one_step(_build_simulation(env_name=load_environment(path))),
+        ),
         yaml("task", files("tasks"), _fly_task),
         yaml("settings", files("training"), load_settings),
         yaml("sensor", files("sensors"), load_any_sensor),

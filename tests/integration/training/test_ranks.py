@@ -80,12 +80,12 @@ def test_two_processes_leave_together_go_on_bit_for_bit_and_in_another_number(tm
     train(alone, tmp_path / "more", show_progress=False)
     for status, said in start_two("resume", tmp_path, ports=4):
         assert status == 0, said
-    whole, parts = (RunFolder(tmp_path / name).newest_readable() for name in ("whole", "parts"))
+    whole, parts = (RunFolder(tmp_path / name).newest_readable_checkpoint() for name in ("whole", "parts"))
     assert whole[0].name == parts[0].name == f"checkpoint_{6 * STEPS_OF_ONE:015d}.pth"
     assert len(whole[1]["others"]) == 1
     assert_equal(whole[1], parts[1])
     assert "of 1 processes, and goes on with 2" in (tmp_path / "more" / "log.txt").read_text()
-    more = RunFolder(tmp_path / "more").newest_readable()
+    more = RunFolder(tmp_path / "more").newest_readable_checkpoint()
     for payload in (whole[1], more[1]):
         for name in ("adam.mean", "adam.square", "adam.steps", "rate", "sums"):
             assert torch.equal(payload["learner"][name], payload["others"][0]["learner"][name]), name
@@ -107,7 +107,7 @@ def test_two_processes_of_rl_games_have_equal_weights_and_continue(tmp_path: Pat
         for name in weights:
             assert torch.equal(first[name], second[name]), name
     assert len(list(tmp_path.glob("save_*"))) == 2 * 3
-    last = RunFolder(tmp_path / "run").newest_readable()
+    last = RunFolder(tmp_path / "run").newest_readable_checkpoint()
     assert last[1]["run"]["env_steps"] == last[1]["frame"] == 5 * 32 * 64
     assert len(last[1]["others"]) == 1
 

@@ -20,5 +20,5 @@ def test_a_search_leaves_a_policy(more: tuple[str, ...], tmp_path: Path) -> None
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     [said] = [line for line in done.stdout.splitlines() if line.startswith("evaluate it:")]
-    kept = RunFolder(said.split("--policy ")[1]).newest_readable()
+    kept = RunFolder(said.split("--policy ")[1]).newest_readable_checkpoint()
     assert kept[1]["env_steps"] >= 2 * 4096

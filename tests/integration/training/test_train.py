@@ -120,7 +120,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_starts_anew(tmp_path,
     RunFolder(tmp_path).create(replace(cfg, num_envs=128, device="cpu"))
     assert main(["train", "--out", str(tmp_path), "--resume", "--max-env-steps", "1", "--max-time-s", "40"]) == 0
     assert "ended before its first checkpoint; the training starts anew in the same folder" in caplog.text
-    assert RunFolder(tmp_path).newest_readable() is not None
+    assert RunFolder(tmp_path).newest_readable_checkpoint() is not None
 
 
 @pytest.mark.parametrize("trainer", ["ppo", "rl_games", "sample_factory"])
@@ -138,7 +138,7 @@ def test_sigterm_saves_and_a_full_disk_ends_with_a_sentence(trainer, tmp_path, c
     assert train(out, trainer) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["interrupted"]
-    saved = RunFolder(out).newest_readable()
+    saved = RunFolder(out).newest_readable_checkpoint()
     assert saved[1]["run"]["env_steps"] >= updates[-1]
 
     def full(descriptor: int) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from benchmarks.robustness.fuzz.__main__ import Fuzz
-from benchmarks.robustness.kill_runs import await_exit, begin
+from benchmarks.robustness.kill_runs import await_exit, start_process
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 
@@ -22,14 +22,14 @@ def ignore_interrupts() -> Iterator[None]:
 
 @pytest.mark.usefixtures("ignore_interrupts")
 def test_sigint_ends_a_process_that_was_begun_in_the_background() -> None:
-    process = begin(SLEEP)
+    process = start_process(SLEEP)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
     assert await_exit(process, 10.0)
 
 
 def test_a_process_that_goes_on_is_told_and_killed() -> None:
-    process = begin(SLEEP)
+    process = start_process(SLEEP)
     assert not await_exit(process, 0.2)
     assert process.returncode == -signal.SIGKILL
 

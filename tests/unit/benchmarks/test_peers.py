@@ -8,9 +8,9 @@ import pytest
 from aerial_gym.errors import ConfigError, UnknownNameError
 from benchmarks.peers.__main__ import PeersCmd, print_ratios
 from benchmarks.peers.catalog import CASES, PEERS, interpreters
-from benchmarks.peers.runs import RunFailedError, run, schedule, skip_reason
+from benchmarks.peers.runs import RunFailedError, run_python, schedule, skip_reason
 from benchmarks.peers.table import Measurement, ratios
-from benchmarks.peers.timing import Request, StepBlock, check, measure
+from benchmarks.peers.timing import Request, StepBlock, check_flight, measure_rates
 
 PEER_FILES = sorted((Path(__file__).parents[3] / "benchmarks" / "peers").glob("peer_*.py"))
 
@@ -59,13 +59,13 @@ def test_a_missing_peer_is_skipped_with_a_sentence() -> None:
 
 def test_the_words_of_a_failed_process_are_kept() -> None:
     with pytest.raises(RunFailedError, match="no such peer"):
-        run(sys.executable, ["-c", "raise SystemExit('no such peer')"], threads=1)
-    assert run(sys.executable, ["-c", "print('noise'); print(42)"]) == "42"
+        run_python(sys.executable, ["-c", "raise SystemExit('no such peer')"], threads=1)
+    assert run_python(sys.executable, ["-c", "print('noise'); print(42)"]) == "42"
 
 
 def test_a_process_is_pinned_to_as_many_cores_as_it_has_threads() -> None:
     code = "import os; print(len(os.sched_getaffinity(0)), os.environ['OMP_NUM_THREADS'])"
-    assert run(sys.executable, ["-c", code], threads=1) == "1 1"
+    assert run_python(sys.executable, ["-c", code], threads=1) == "1 1"
 
 
 def test_interpreters_are_named() -> None:
@@ -100,9 +100,9 @@ def test_a_peer_is_timed_and_watched() -> None:
         steps=10, dt=1e-3, run=climb, restart=lambda: height.__setitem__(0, 0.0), wait=lambda: None,
         heights=lambda: list(height),
     )  # fmt: skip
-    rates = measure(request, batch)
+    rates = measure_rates(request, batch)
     assert len(rates) == 3
     assert min(rates) > 0.0
     for after in (0.0, float("nan"), 5000.0):
         with pytest.raises(RuntimeError, match="did not fly"):
-            check([0.0], [after])
+            check_flight([0.0], [after])

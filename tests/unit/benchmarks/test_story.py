@@ -17,9 +17,9 @@ from benchmarks.story.setpoint_flight import (
     SETPOINTS,
     STAY_S,
     PolicyPilot,
+    draw_setpoints,
     fly_setpoints,
-    setpoints,
-    tracking,
+    tracking_errors,
 )
 from benchmarks.story.story import ROBOT, TASK
 from benchmarks.story.vehicle import HIDDEN, nominal_vehicle, true_vehicle
@@ -93,23 +93,23 @@ def test_the_vehicle_is_that_of_the_file_and_hides_what_it_says(tmp_path: Path) 
 
 
 def test_setpoints_are_within_reach_and_the_same_for_a_seed() -> None:
-    points = setpoints(20, seed=3)
+    points = draw_setpoints(20, seed=3)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=2)
     assert points.shape == (SETPOINTS, 20, 3)
     assert bool(((steps >= 0.5) & (steps <= 1.1)).all())
-    assert np.array_equal(points, setpoints(20, seed=3))
+    assert np.array_equal(points, draw_setpoints(20, seed=3))
 
 
 @pytest.mark.slow
 def test_a_vehicle_that_only_falls_is_lost() -> None:
     """0.7 N a rotor carry 77 % of the weight: it falls by ½ (1 - 0.766) g t², 1.5 m after 1.1 s."""
     declared = nominal_vehicle(ROBOT)
-    points = setpoints(2, seed=0)
+    points = draw_setpoints(2, seed=0)
     points[1:] = points[0]
     record = fly_setpoints(recorder(), declared=declared, true=declared, bias=NO_BIAS, points=points, seed=0)
     height = record.position[:, 0, 2] - points[0, 0, 2]
     tick = round(1.1 * CONTROL_RATE)
     share = 4.0 * 0.7 / (declared.mass * 9.81)
     assert height[tick] == pytest.approx(-0.5 * (1.0 - share) * 9.81 * 1.1**2, rel=0.1)  # rotors lag by 47 ms
-    assert tracking(record, points).lost == 1.0
+    assert tracking_errors(record, points).lost == 1.0
     assert len(record.position) == SETPOINTS * round(STAY_S * CONTROL_RATE)

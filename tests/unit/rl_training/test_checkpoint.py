@@ -85,7 +85,7 @@ def test_a_full_disk_leaves_the_old_checkpoints_and_is_said(tmp_path: Path, monk
 
 def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one(tmp_path, caplog) -> None:
     folder = RunFolder(tmp_path)
-    assert folder.newest_readable() is None
+    assert folder.newest_readable_checkpoint() is None
     (tmp_path / "checkpoints").mkdir()
     (tmp_path / "checkpoints" / ".checkpoint_7.pth.partial").write_bytes(b"torn by a kill")
     first, second, third = (folder.keep_checkpoint(steps, payload()) for steps in (9, 10, 11))
@@ -94,13 +94,13 @@ def test_two_checkpoints_are_kept_and_a_damaged_one_gives_way_to_the_earlier_one
     assert not first.exists()
     third.write_bytes(third.read_bytes()[:100])
     with caplog.at_level(logging.WARNING):
-        result = folder.newest_readable()
+        result = folder.newest_readable_checkpoint()
     assert result[0] == second
     assert "damaged" in caplog.text
     assert third.with_name(third.name + ".damaged").exists()
     second.write_bytes(b"")
     with pytest.raises(ConfigError, match="Start a new run in another --out"):
-        folder.newest_readable()
+        folder.newest_readable_checkpoint()
 
 
 def test_a_resumed_curve_has_no_line_beyond_the_checkpoint_nor_a_torn_one(tmp_path: Path) -> None:

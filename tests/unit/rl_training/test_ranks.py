@@ -10,7 +10,7 @@ import torch
 from aerial_gym.errors import ConfigError
 from aerial_gym.rl_training import load_settings, settings_for, train
 from aerial_gym.rl_training import training as training_module
-from aerial_gym.rl_training.ranks import ALONE, Ranks, own_device, torchrun_rank
+from aerial_gym.rl_training.ranks import ALONE, Ranks, process_device, torchrun_rank
 from aerial_gym.rl_training.trainers.ppo import PpoTrainer
 from tests.unit.rl_training.learning.test_ppo import settings
 from tests.unit.task.test_curriculum import CFG, make
@@ -30,12 +30,12 @@ def third_of_four(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 def test_each_process_takes_the_gpu_of_its_local_rank(third_of_four: pytest.MonkeyPatch) -> None:
     assert torchrun_rank() == 2
-    assert [own_device(name) for name in ("auto", "cuda", "cpu")] == ["cuda:2", "cuda:2", "cpu"]
+    assert [process_device(name) for name in ("auto", "cuda", "cpu")] == ["cuda:2", "cuda:2", "cpu"]
     with pytest.raises(ConfigError, match="each of 4 processes takes a GPU of its own. Leave the number out"):
-        own_device("cuda:0")
+        process_device("cuda:0")
     third_of_four.setattr(torch.cuda, "device_count", lambda: 2)
     with pytest.raises(ConfigError, match="LOCAL_RANK 2: this machine shows 2 GPUs"):
-        own_device("auto")
+        process_device("auto")
 
 
 def test_a_single_process_keeps_what_it_gives() -> None:

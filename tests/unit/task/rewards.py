@@ -14,4 +14,4 @@ def term_reward(task: Task, values: Mapping[str, Tensor], *, crash: Tensor | Non
     no = torch.zeros(len(values["robot_position"]), dtype=torch.bool)
     ended = no if crash is None else crash
     ends = EpisodeEnds(crash=ended, success=no, terminated=ended, truncated=no, arrived=no, causes=[])
-    return task._judge._reward(values, ends)[1]
+    return task._judge._reward_terms(values, ends)[1]

@@ -82,7 +82,7 @@ def test_the_lidar_sees_the_walls_where_they_are(yaw: float) -> None:
     behind = 0.0 if yaw == 0.0 else 1.0
     corner = torch.stack((low[:, 0] + behind * (high - low)[:, 0], low[:, 1], low[:, 2]), dim=-1)
     put(task, corner + torch.tensor([2.0 if yaw == 0.0 else -2.0, 3.0, 2.5]), yaw=yaw)
-    seen = task._observe()["observations"][:, 17:].view(2, 16, 20)
+    seen = task._read_observation()["observations"][:, 17:].view(2, 16, 20)
     square = cos(radians(0.5 * 90.0 / 47.5))
     torch.testing.assert_close(seen[:, 0], torch.full((2, 20), square / 1.95), rtol=1e-4, atol=0.0)
     aside = cos(radians(1.5))

@@ -8,7 +8,13 @@ import torch
 
 from aerial_gym.robots import ROBOTS
 from benchmarks.control import control_table
-from benchmarks.control.control_flights import ControlFlight, Drives, different_robots, figures, holds_shape
+from benchmarks.control.control_flights import (
+    ControlFlight,
+    DriveCommands,
+    holds_shape,
+    robots_by_dynamics,
+    settling_and_overshoot,
+)
 from benchmarks.control.control_table import (
     BEGIN,
     END,
@@ -112,7 +118,7 @@ LEVEL = {"robot_orientation": torch.tensor([[0.0, 0.0, 0.0, 1.0]]), "robot_body_
 
 def drive_commands(robot: str) -> list[float]:
     actions = torch.zeros(1, 9)
-    Drives(ROBOTS.get(robot), 0.01).hold(LEVEL, actions)
+    DriveCommands(ROBOTS.get(robot), 0.01).write_commands(LEVEL, actions)
     return actions[0].tolist()
 
 
@@ -124,13 +130,13 @@ def test_drives_hold_the_reference_pose_and_a_tail_what_turns_it_by_nothing() ->
 
 
 def test_robots_that_bend_fly_beside_rigid_ones_but_not_on_a_stand() -> None:
-    bend = different_robots(bend=True)
-    assert not set(bend) & set(different_robots())
+    bend = robots_by_dynamics(bend=True)
+    assert not set(bend) & set(robots_by_dynamics())
     assert "morphy_fixed_base" not in bend
     assert [name for name in bend if not holds_shape(ROBOTS.get(name))][:2] == ["snakey", "snakey_effort"]
     assert table_robots()[-5:] == ["tilt_tricopter", "morphy", "snakey", "snakey5", "snakey6"]
 
 
 def test_a_response_with_nan_has_not_settled() -> None:
-    assert figures([0.5, 1.0, 1.1, 1.0]) == (0.08, 0.10000000000000009)
-    assert figures([0.5, 1.0, nan, nan]) == (inf, inf)
+    assert settling_and_overshoot([0.5, 1.0, 1.1, 1.0]) == (0.08, 0.10000000000000009)
+    assert settling_and_overshoot([0.5, 1.0, nan, nan]) == (inf, inf)

@@ -56,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_flights_end_with_their_episodes(run: str) -> None:
-    result = flights.fly(run, 8)
+    result = flights.fly_policy(run, 8)
     known = ~result.offset[..., 0].isnan()
     assert bool((known[:, 1:] <= known[:, :-1]).all())
     assert torch.equal(known, ~result.speed.isnan())
@@ -80,7 +80,7 @@ ROWS = """time_s,env_steps,reward_per_step,episode_return,episode_length,env_ste
 
 def test_a_curve_begins_with_the_first_episode_that_ended(tmp_path: Path) -> None:
     (tmp_path / "curve.csv").write_text(ROWS)
-    assert run_curves.curve(tmp_path) == ([2.0, 4.0], [5.5, 7.5])
+    assert run_curves.run_curve(tmp_path) == ([2.0, 4.0], [5.5, 7.5])
 
 
 def test_every_name_gets_a_panel(tmp_path: Path) -> None:
@@ -91,5 +91,5 @@ def test_every_name_gets_a_panel(tmp_path: Path) -> None:
 
 def test_a_return_far_from_all_others_does_not_set_the_scale() -> None:
     rising = [-20.0 + 0.1 * step for step in range(401)]
-    assert run_curves.span(rising) == (rising[0], rising[-1])
-    assert run_curves.span([*rising, -2400.0]) == (rising[0], rising[-1])
+    assert run_curves.return_span(rising) == (rising[0], rising[-1])
+    assert run_curves.return_span([*rising, -2400.0]) == (rising[0], rising[-1])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from aerial_gym.sim2real.logs.recording import FlightLog
-from benchmarks.scores.score_failures import KINDS, SIZES, draw_failure, score_finding, tables
+from benchmarks.scores.score_failures import KINDS, SIZES, draw_failure, failure_tables, score_finding
 from benchmarks.scores.score_jumps import Score, jump_notes, jumps_streamed, largest_share, stops_streamed
 from benchmarks.undeclared import PlantFailure
 from tests.unit.sim2real.failures.test_flight_event import failure
@@ -42,7 +42,7 @@ def test_the_tables_count_what_is_named_and_what_is_told_of_nothing() -> None:
         {"hidden": "nothing", "hours": 0.5, "watch": [], "close_loop": []},
         {"hidden": "gusts", "hours": 0.25, "watch": [{"stage": "suspected", "name": "weak_motor"}], "close_loop": []},
     ]
-    lines = tables(fails, silent).splitlines()
+    lines = failure_tables(fails, silent).splitlines()
     assert lines[2] == "| `motor_failure` | 1 of 2 | 1 | 2.49 (2.49) | 2.49 (2.49) | 1 of 2 |"
     assert lines[6] == "| `motor_failure` | 0.005, 0.005 | 1 of 1 | 10, 10 | 1 of 1 |"
     assert lines[-2] == "| nothing hidden | 0.50 | none | none |"
@@ -58,7 +58,7 @@ def test_a_stuck_rotor_has_its_speed_as_its_size_and_late_names_do_not_count_as_
         result = replace(failure("a"), name="stuck_rotor", params=params, interval=ends)
         one = score_finding(result, hidden, told=told, speed=705.0)
         rows.append({"truth": hidden.document(), "watch": {"suspected": one, "named": one}, "close_loop": None})
-    lines = tables(rows, []).splitlines()
+    lines = failure_tables(rows, []).splitlines()
     assert lines[2].startswith("| `stuck_rotor` | 2 of 2 | 1 |")
     assert lines[6].startswith("| `stuck_rotor` | 4, 5 rad/s | 1 of 2 |")
 

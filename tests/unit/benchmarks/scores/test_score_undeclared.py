@@ -8,8 +8,8 @@ import tyro
 from scipy.stats import binom
 
 from benchmarks.scores import score_undeclared
-from benchmarks.scores.score_table import clopper_pearson, markdown, right_line, share
-from benchmarks.scores.score_undeclared import CLASSIC, Job, ScoreCmd, judge, run_jobs
+from benchmarks.scores.score_table import clopper_pearson, result_tables, right_line, share_text
+from benchmarks.scores.score_undeclared import CLASSIC, Job, ScoreCmd, judge_verdict, run_jobs
 from benchmarks.undeclared import EFFECTS, UNKNOWN
 
 CLEAN = {"specific_force": {"unit": "m/s²", "x": {"rms": 3.0, "noise_floor": 2.0}}}
@@ -39,7 +39,7 @@ def verdict(kind: str, **params: dict[str, tuple[float, float]]) -> dict:
     (["unknown_time"], "explained", ["thrust_coefficient"], "given a name"),
 ])  # fmt: skip
 def test_verdicts_are_judged(hidden: list[str], kind: str, named: list[str], expected: str) -> None:
-    result = judge(verdict(kind, **{name: {} for name in named}), {name: {} for name in hidden})
+    result = judge_verdict(verdict(kind, **{name: {} for name in named}), {name: {} for name in hidden})
     assert result["judgement"] == expected
     assert result["right"] == (expected in ("right", "quiet"))
     assert result["before_over_floor"] == 1.5
@@ -47,14 +47,14 @@ def test_verdicts_are_judged(hidden: list[str], kind: str, named: list[str], exp
 
 def test_an_ambiguous_verdict_that_offers_the_hidden_effect_is_close() -> None:
     for candidates, expected in ((["weak_motor", "com_offset"], "near"), (["weak_motor", "motor_tilt"], "missed")):
-        result = judge({**verdict("ambiguous"), "candidates": candidates}, {"com_offset": {}})
+        result = judge_verdict({**verdict("ambiguous"), "candidates": candidates}, {"com_offset": {}})
         assert result["judgement"] == expected
 
 
 def test_parameters_are_compared_in_standard_deviations() -> None:
     """1.0 and 3.0 standard deviations away: one of two inside; a parameter without a deviation does not count."""
     given = verdict("explained", com_offset={"x": (0.006, 0.001), "y": (0.002, 0.001), "z": (0.1, 0.0)})
-    result = judge(given, {"com_offset": {"x": 0.007, "y": -0.001, "z": 0.0}})
+    result = judge_verdict(given, {"com_offset": {"x": 0.007, "y": -0.001, "z": 0.0}})
     assert (result["inside"], result["intervals"]) == (1, 2)
     assert result["worst_z"] == pytest.approx(3.0)
 
@@ -66,7 +66,7 @@ def test_clopper_pearson_has_its_closed_forms() -> None:
     low, high = clopper_pearson(7, 10)
     assert binom.sf(6, 10, low) == pytest.approx(0.025)
     assert binom.cdf(7, 10, high) == pytest.approx(0.025)
-    assert share(19, 20).startswith("19 of 20 (95 %, 75 to 100)")
+    assert share_text(19, 20).startswith("19 of 20 (95 %, 75 to 100)")
 
 
 def plan_jobs(**flags: object) -> list[Job]:
@@ -93,7 +93,7 @@ def fake_row(job: Job) -> dict[str, object]:
     truth = {name: {"a": 1.0} for name in job.hidden}
     given = verdict("explained" if truth else "none", **{name: {"a": (1.1, 0.1)} for name in truth})
     row = {"hidden": "+".join(job.hidden) or "nothing", "effects": list(job.hidden), "size": job.size, "seed": job.seed}
-    return {**row, "features": list(job.features), **judge(given, truth), "fly_s": 1.0, "loop_s": 2.0}
+    return {**row, "features": list(job.features), **judge_verdict(given, truth), "fly_s": 1.0, "loop_s": 2.0}
 
 
 def test_an_interrupted_run_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,10 +118,10 @@ def test_tables_count_the_rows() -> None:
     jobs = plan_jobs(effects=["rotor_drag", "gusts"], unknown=True)
     rows = [fake_row(job) for job in jobs]
     assert right_line(rows) == "right 16 of 16; true value inside 12 of 12 intervals"
-    text = markdown(rows)
+    text = result_tables(rows)
     assert "| rotor_drag | 2 of 2 | - |" in text
     missed = [{**row, "judgement": "missed", "named": []} if row["hidden"] == "gusts" else row for row in rows]
-    assert "| gusts | 0 of 2 | moderate: 2 missed |" in markdown(missed)
+    assert "| gusts | 0 of 2 | moderate: 2 missed |" in result_tables(missed)
     assert "| gusts | a | 2 | 0.1 | 0.1 | 10.00% | 2 of 2 (100 %, 16 to 100) |" in text
     assert "| battery | 2 | 0 of 2 (0 %, 0 to 84) | - |" in text
     assert "| unknown_time | moderate | 2 | 0 of 2 (0 %, 0 to 84) | - | explained | - |" in text
@@ -145,7 +145,7 @@ def test_a_sheared_wind_is_compared_at_one_height() -> None:
     result = verdict("explained", wind_shear={"x": (3.0, 0.0), "y": (0.0, 0.1), "exponent": (0.25, 0.01)})
     result["effects"][0]["params"]["z_ref"] = 2.0
     truth = {"wind_shear": {"x": 4.486, "y": 0.0, "z_ref": 10.0, "exponent": 0.24}}
-    rows = {row["name"]: row for row in judge(result, truth)["parameters"]}
+    rows = {row["name"]: row for row in judge_verdict(result, truth)["parameters"]}
     assert rows["x"]["value"] == pytest.approx(4.486, abs=1e-3)
     assert rows["x"]["std"] == pytest.approx(4.486 * 0.01609, rel=1e-3)
     assert rows["y"]["std"] == pytest.approx(0.1 * 5.0**0.25, rel=1e-3)

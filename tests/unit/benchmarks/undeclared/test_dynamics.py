@@ -12,13 +12,13 @@ import yaml
 
 from benchmarks.undeclared import make_case
 from benchmarks.undeclared.__main__ import main
-from benchmarks.undeclared.cases import list_flights, plan_all
-from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
-from benchmarks.undeclared.effects import resolve, split
-from benchmarks.undeclared.logs import COLUMNS, late
-from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, PlantNuisance, disturb
+from benchmarks.undeclared.cases import list_flights, plan_flights
+from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation_matrices
+from benchmarks.undeclared.effects import effect_parameters, split_vehicles
+from benchmarks.undeclared.logs import COLUMNS, delay_sensors
+from benchmarks.undeclared.nuisance import NO_BIAS, TRACKED, PlantNuisance, add_nuisance
 from benchmarks.undeclared.sensors import NOISELESS, PlantNoise, PlantSensors
-from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly, summarise
+from benchmarks.undeclared.simulate import CONTROL_RATE, PlantRecord, fly_references, summarise
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, Array, PlantVehicle
 from tests.repetitions import rare_values
 
@@ -61,7 +61,7 @@ def _spin(dt: float) -> tuple[Array, float, Array]:
     state[:, RATE] = (9.0, -6.0, 4.0)
     end = run(Plant(NO_DRAG), state, IDLE, span=0.64, dt=dt)
     rate = end[0, RATE]
-    return rotation(end)[0] @ NO_DRAG.inertia @ rate, rate @ NO_DRAG.inertia @ rate, end
+    return rotation_matrices(end)[0] @ NO_DRAG.inertia @ rate, rate @ NO_DRAG.inertia @ rate, end
 
 
 def test_torque_free_rotation_conserves_momentum_and_energy_with_order_four() -> None:
@@ -82,7 +82,7 @@ def test_torque_free_rotation_turns_the_right_way() -> None:
     state = level_state()
     state[:, RATE] = (0.0, 0.0, 0.5 * np.pi)
     end = run(Plant(replace(NO_DRAG, inertia=np.diag([2e-3, 3e-3, 4e-3]))), state, IDLE, span=1.0, dt=0.001)
-    np.testing.assert_allclose(rotation(end)[0, :, 0], (0.0, 1.0, 0.0), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(rotation_matrices(end)[0, :, 0], (0.0, 1.0, 0.0), rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("start", "target", "tau"), [(500.0, 1500.0, 0.03), (1500.0, 500.0, 0.05)])
@@ -104,10 +104,10 @@ def test_flight_of_a_batch_equals_the_flight_alone() -> None:
 
 def _record(true: PlantVehicle, declared: PlantVehicle, *, num_train: int, num_test: int, span: float, noise) -> tuple:
     flights = list_flights(num_train, num_test)
-    reference = plan_all(flights, seed=5, duration_s=span, settle_s=SETTLE)
+    reference = plan_flights(flights, seed=5, duration_s=span, settle_s=SETTLE)
     streams = [np.random.default_rng([5, i]) for i in range(len(flights))]
     sensors = PlantSensors(noise, NO_BIAS, streams, len(reference.yaw))
-    return fly(true=true, declared=declared, reference=reference, sensors=sensors), reference
+    return fly_references(true=true, declared=declared, reference=reference, sensors=sensors), reference
 
 
 RARE_EFFECTS = ("none", "motor_time_constant", "rotor_drag", "quadratic_drag", "thrust_coefficient", "constant_wind")
@@ -116,8 +116,8 @@ RARE_EFFECTS = ("none", "motor_time_constant", "rotor_drag", "quadratic_drag", "
 @pytest.mark.usefixtures("coarser_plant")
 @pytest.mark.parametrize("effect", rare_values(["com_offset", *RARE_EFFECTS], RARE_EFFECTS))
 def test_flights_follow_their_reference_with_each_moderate_effect(effect: str) -> None:
-    params = resolve({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)
-    declared, true = split(DECLARED, params)
+    params = effect_parameters({} if effect == "none" else {effect: "moderate"}, declared=DECLARED, seed=5)
+    declared, true = split_vehicles(DECLARED, params)
     record, reference = _record(true, declared, num_train=2, num_test=1, span=3.0, noise=PlantNoise())
     first = round(SETTLE * CONTROL_RATE)
     for flight in summarise(record, reference, declared=declared, first=first):
@@ -163,8 +163,8 @@ def test_sensor_noise_has_the_stated_size() -> None:
 
 
 def test_tracked_logs_have_turned_axes_and_an_accelerometer_that_differs_between_flights() -> None:
-    plain, aligned = disturb(DECLARED, PlantNuisance(), seed=5)
-    vehicle, bias = disturb(DECLARED, TRACKED, seed=5, num_flights=3)
+    plain, aligned = add_nuisance(DECLARED, PlantNuisance(), seed=5)
+    vehicle, bias = add_nuisance(DECLARED, TRACKED, seed=5, num_flights=3)
     assert (vehicle.mass, vehicle.tau_up) == (plain.mass, plain.tau_up)
     np.testing.assert_array_equal(bias.gyro, aligned.gyro)
     assert bias.acc.shape == (3, 3)
@@ -190,11 +190,11 @@ def test_an_accelerometer_with_a_place_feels_the_turning_and_its_scale() -> None
 
     def velocity(state: np.ndarray) -> np.ndarray:
         lever = np.cross(state[:, RATE], place)
-        return plant.origin_velocity(state) + (rotation(state) @ lever[:, :, None])[:, :, 0]
+        return plant.origin_velocity(state) + (rotation_matrices(state) @ lever[:, :, None])[:, :, 0]
 
     step = [plant.step(state, state[:, ROTOR], seconds) for seconds in (-dt, dt)]
     felt = (velocity(step[1]) - velocity(step[0])) / (2.0 * dt) + np.array([0.0, 0.0, GRAVITY])
-    felt = (felt[:, None, :] @ rotation(state))[:, 0]
+    felt = (felt[:, None, :] @ rotation_matrices(state))[:, 0]
     np.testing.assert_allclose(plant.specific_force(state, place), felt, rtol=1e-6, atol=1e-6)
     bias = replace(NO_BIAS, imu_place=place, acc_scale=scale)
     sensors = PlantSensors(NOISELESS, bias, [np.random.default_rng(0)], 1)
@@ -209,7 +209,7 @@ def test_what_is_late_in_a_log_is_what_was_measured_earlier() -> None:
     }
     rest = dict.fromkeys(("command", "state", "position", "voltage", "surroundings"))
     record = PlantRecord(measured=measured, **rest)
-    result = late(record, np.array([2.0, 0.5, -1.0, 3.0, 0.0]) / CONTROL_RATE).measured
+    result = delay_sensors(record, np.array([2.0, 0.5, -1.0, 3.0, 0.0]) / CONTROL_RATE).measured
     delays = {"rotor": 2.0, "acc": 0.5, "rate": -1.0, "rotation": 3.0, "velocity": 0.0, "position": 3.0}
     for name, samples in delays.items():
         np.testing.assert_allclose(result[name][4:-2], measured[name][4:-2] - samples, rtol=1e-12)
@@ -218,7 +218,7 @@ def test_what_is_late_in_a_log_is_what_was_measured_earlier() -> None:
 def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
     """Every number moves by at most two standard deviations, beside a hidden offset by the same."""
     cfg = PlantNuisance()
-    vehicle, bias = disturb(DECLARED, cfg, seed=1)
+    vehicle, bias = add_nuisance(DECLARED, cfg, seed=1)
     assert 0.0 < abs(vehicle.mass / DECLARED.mass - 1.0) <= 2.0 * cfg.mass
     assert np.all(np.abs(vehicle.thrust_coeff / DECLARED.thrust_coeff - 1.0) <= 2.0 * cfg.thrust_coeff)
     assert np.ptp(vehicle.thrust_coeff) > 0.0
@@ -228,8 +228,8 @@ def test_nuisance_is_small_and_adds_to_what_is_hidden() -> None:
     for own, most in ((bias.acc, 2.0 * cfg.acc_bias), (bias.gyro, 2.0 * cfg.gyro_bias)):
         assert np.all((own != 0.0) & (np.abs(own) <= most))
     offset = replace(DECLARED, com=DECLARED.com + 0.006)
-    np.testing.assert_allclose(disturb(offset, cfg, seed=1)[0].com, vehicle.com + 0.006, atol=1e-15)
-    stated = disturb(DECLARED, cfg, seed=1, hidden=("motor_asymmetry",))[0]
+    np.testing.assert_allclose(add_nuisance(offset, cfg, seed=1)[0].com, vehicle.com + 0.006, atol=1e-15)
+    stated = add_nuisance(DECLARED, cfg, seed=1, hidden=("motor_asymmetry",))[0]
     assert (stated.tau_up, stated.tau_down) == (DECLARED.tau_up, DECLARED.tau_down)
     assert stated.mass == vehicle.mass
 
@@ -261,8 +261,8 @@ def test_case_writes_the_contract(tmp_path: Path) -> None:
 
 
 def test_hidden_rotor_drag_is_not_declared() -> None:
-    params = resolve({"rotor_drag": "moderate"}, declared=DECLARED, seed=0)
-    declared, true = split(DECLARED, params)
+    params = effect_parameters({"rotor_drag": "moderate"}, declared=DECLARED, seed=0)
+    declared, true = split_vehicles(DECLARED, params)
     assert not np.any(declared.linear_drag)
     np.testing.assert_array_equal(true.linear_drag, list(params["rotor_drag"].values()))
 
@@ -274,9 +274,9 @@ def test_same_seed_same_files(tmp_path: Path) -> None:
         assert main(["--out", str(tmp_path / name), "--duration-s", "1.0", *given]) == 0
         made[name] = [(tmp_path / name / file).read_bytes() for file in ("train_1.csv", "robot.yaml", "truth.json")]
     assert made["a"] == made["b"]
-    values = [resolve({"constant_wind": "moderate"}, declared=DECLARED, seed=seed) for seed in (7, 8)]
+    values = [effect_parameters({"constant_wind": "moderate"}, declared=DECLARED, seed=seed) for seed in (7, 8)]
     assert json.loads(made["a"][2])["effects"] == values[0] != values[1]
-    paths = [plan_all(list_flights(4, 3), seed=seed, duration_s=1.0).position for seed in (7, 8)]
+    paths = [plan_flights(list_flights(4, 3), seed=seed, duration_s=1.0).position for seed in (7, 8)]
     assert np.all(np.abs(paths[0] - paths[1]).max(axis=(0, 2)) > 0.0)
 
 

@@ -9,9 +9,9 @@ import pytest
 import yaml
 
 from benchmarks.undeclared import EFFECTS, FEATURES, UNKNOWN, make_case
-from benchmarks.undeclared.cases import fly_case, list_flights, plan_all
-from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation
-from benchmarks.undeclared.effects import SIZES, flight_features, resolve, split
+from benchmarks.undeclared.cases import fly_case, list_flights, plan_flights
+from benchmarks.undeclared.dynamics import POS, RATE, ROTOR, VEL, Plant, rest_state, rotation_matrices
+from benchmarks.undeclared.effects import SIZES, effect_parameters, flight_features, split_vehicles
 from benchmarks.undeclared.full_dynamics import CABLE, CABLE_RATE, FullPlant, make_plant
 from benchmarks.undeclared.logs import vehicle_document
 from benchmarks.undeclared.nuisance import NO_BIAS
@@ -23,8 +23,8 @@ from benchmarks.undeclared.surroundings import (
     VOLTAGE_PER_CHARGE,
     Battery,
     PlantSurroundings,
-    companion,
-    gusts,
+    companion_path,
+    gust_series,
 )
 from benchmarks.undeclared.vehicle import DECLARED, GRAVITY, NEUTRAL, ROTOR_RADIUS, Array, Extra, PlantVehicle
 
@@ -40,7 +40,7 @@ def set_extra(vehicle: PlantVehicle = BARE, **extra: object) -> PlantVehicle:
 
 
 def hide_effects(vehicle: PlantVehicle = BARE, **effects: dict[str, float]) -> PlantVehicle:
-    return split(vehicle, resolve(effects, declared=vehicle, seed=0))[1]
+    return split_vehicles(vehicle, effect_parameters(effects, declared=vehicle, seed=0))[1]
 
 
 def level(*, height: float = 5.0, rotor: float = SPEED, flights: int = 1) -> Array:
@@ -53,7 +53,7 @@ def loads(plant: Plant, state: Array) -> tuple[Array, Array]:
     """Return force and angular momentum rate about the centre of mass, body frame, (3,) each, from the accelerations."""
     slope = plant.derivative(state, state[:, ROTOR])
     vehicle, rate = plant.vehicle, state[0, RATE]
-    force = vehicle.mass * (slope[0, VEL] + (0.0, 0.0, GRAVITY)) @ rotation(state)[0]
+    force = vehicle.mass * (slope[0, VEL] + (0.0, 0.0, GRAVITY)) @ rotation_matrices(state)[0]
     return force, vehicle.inertia @ slope[0, RATE] + np.cross(rate, vehicle.inertia @ rate)
 
 
@@ -88,7 +88,7 @@ def test_neutral_extras_change_nothing() -> None:
 
 def test_values_of_the_first_effects_are_fixed() -> None:
     """What seed 3 draws; a new effect must not change the old ones, so it goes to the end of the table."""
-    params = resolve(dict.fromkeys(list(EFFECTS)[:6], "moderate"), declared=DECLARED, seed=3)
+    params = effect_parameters(dict.fromkeys(list(EFFECTS)[:6], "moderate"), declared=DECLARED, seed=3)
     first = [next(iter(values.values())) for values in params.values()]
     expected = [0.19169996034979464, 0.04752592812756322, 0.9512606322403725, -0.004233882317750705]
     expected += [0.06248253136610584, -2.1697157141040098]
@@ -98,7 +98,7 @@ def test_values_of_the_first_effects_are_fixed() -> None:
 
 def test_full_step_has_order_four() -> None:
     """The error falls with dt^4, within 0.15, with every smooth load at work and time in the equations."""
-    start = full_plant().rest(tumble_state())
+    start = full_plant().states_at_rest(tumble_state())
     start[:, CABLE_RATE] = (0.5, -0.3, 0.0)
 
     def end(steps: int) -> Array:
@@ -131,7 +131,7 @@ def test_rotors_follow_the_command_of_that_long_ago(delay: float) -> None:
 def test_rotor_speed_follows_the_voltage() -> None:
     """Steady speed n = cmd (1 + gain (V / 16 - 1)): at 14.4 V and gain 0.5, 5 % less."""
     plant = FullPlant(hide_effects(battery_sag={"gain": 0.5}))
-    plant.begin(0, np.array([14.4, 16.0]))
+    plant.begin_sample(0, np.array([14.4, 16.0]))
     state = level(flights=2)
     state[:, ROTOR] = np.array([[950.0], [1000.0]])
     np.testing.assert_allclose(plant.derivative(state, np.full((2, 4), 1000.0))[:, ROTOR], 0.0, atol=1e-9)
@@ -155,7 +155,7 @@ def test_slung_load_swings_at_the_frequency_of_the_pair() -> None:
     mass, length, angle = 0.15, 0.8, 0.01
     plant = FullPlant(set_extra(slung=(mass, length, 0.0)))
     speed = np.sqrt((0.75 + mass) * GRAVITY / 4 / 1.45e-6)
-    state = plant.rest(level(rotor=speed))
+    state = plant.states_at_rest(level(rotor=speed))
     state[0, CABLE] = (np.sin(angle), 0.0, -np.cos(angle))
     half = np.pi / np.sqrt(GRAVITY / length * (1.0 + mass / 0.75))
     for sign in (-1.0, 1.0):
@@ -171,7 +171,7 @@ def test_slung_load_keeps_momentum_and_damping_takes_energy() -> None:
     mass, length, span = 0.15, 0.8, 0.5
     for damping in (0.0, 0.05):
         plant = FullPlant(set_extra(slung=(mass, length, damping)))
-        state = plant.rest(level(rotor=0.0))
+        state = plant.states_at_rest(level(rotor=0.0))
         state[0, CABLE_RATE] = (2.0, 1.0, 0.0)
         before = (0.75 + mass) * state[0, VEL] + mass * length * state[0, CABLE_RATE]
         for _ in range(500):
@@ -215,7 +215,7 @@ def test_a_second_joint_further_out_bends_the_rest_of_the_arm() -> None:
 
 def test_soft_arms_and_a_load_share_the_state() -> None:
     plant = FullPlant(hide_effects(joint_spring=SOFT, slung_payload={"mass": 0.1, "length": 0.7, "damping": 0.02}))
-    state = plant.rest(level(flights=2))
+    state = plant.states_at_rest(level(flights=2))
     assert state.shape == (2, 32)
     np.testing.assert_allclose(state[:, CABLE], [[0.0, 0.0, -1.0]] * 2)
     np.testing.assert_allclose(plant.step(state, state[:, ROTOR], 0.0005)[:, 28:], state[:, 28:], rtol=1e-12)
@@ -223,7 +223,7 @@ def test_soft_arms_and_a_load_share_the_state() -> None:
 
 def test_gusts_have_their_spread_and_memory() -> None:
     """Variance and correlation exp(-t / T) of 1000 correlation times, three axes, within five standard errors."""
-    series = gusts(1.5, 0.5, 200_000, 400.0, np.random.default_rng(0))
+    series = gust_series(1.5, 0.5, 200_000, 400.0, np.random.default_rng(0))
     error = np.sqrt(2.0 / 3000.0)
     assert series.var() == pytest.approx(2.25, rel=5.0 * error)
     for lag, expected in ((200, np.exp(-1.0)), (100, np.exp(-0.5)), (1200, np.exp(-6.0))):
@@ -238,16 +238,16 @@ def test_gusts_push_through_drag() -> None:
     plant = FullPlant(replace(BARE, linear_drag=np.full(3, 0.2)), PlantSurroundings(gust=series))
     still = loads(Plant(BARE), level())[0]
     np.testing.assert_allclose(loads(plant, level())[0] - still, (0.4, 0.0, 0.0), atol=1e-12)
-    plant.begin(1, np.array([16.0]))
+    plant.begin_sample(1, np.array([16.0]))
     np.testing.assert_allclose(loads(plant, level())[0] - still, (0.0, -0.2, 0.0), atol=1e-12)
 
 
 def test_another_vehicle_stays_higher() -> None:
     case_flights = flight_features(["downwash"], ())
     assert case_flights == ("battery", "other")
-    reference = plan_all(list_flights(2, 0), seed=3, duration_s=3.0)
+    reference = plan_flights(list_flights(2, 0), seed=3, duration_s=3.0)
     for flight in (0, 1):
-        path = companion(reference, flight, CONTROL_RATE, np.random.default_rng(1))
+        path = companion_path(reference, flight, CONTROL_RATE, np.random.default_rng(1))
         assert np.all(path[:, 2] > reference.position[:, flight, 2] + 0.9)
     assert np.ptp(path[:, :2], axis=0).max() == 0.0  # the second one hovers
 
@@ -268,7 +268,7 @@ def test_turned_imu_sees_gravity_from_the_other_side() -> None:
     state[:, RATE] = (2.0, 0.0, 0.0)
     yawed = _read(hide_effects(imu_misalignment={"yaw": a}), state)
     np.testing.assert_allclose(yawed.rate[0], 2.0 * np.array([np.cos(a), -np.sin(a), 0.0]), atol=1e-12)
-    np.testing.assert_array_equal(yawed.rotation, rotation(state))
+    np.testing.assert_array_equal(yawed.rotation, rotation_matrices(state))
 
 
 def test_biases_and_rotor_scale_are_in_the_readings_only() -> None:
@@ -309,7 +309,7 @@ def test_unknown_attraction_is_largest_at_its_radius_and_has_a_potential() -> No
 def test_unknown_fading_and_heading() -> None:
     """Thrust loses (1 - 1/e) of the loss in one time constant; the side force is largest at its heading, none opposite."""
     plant, state = FullPlant(hide_effects(unknown_time={"loss": 0.2, "time": 8.0})), level(rotor=HOVER)
-    plant.begin(round(8.0 * CONTROL_RATE), np.array([16.0]))
+    plant.begin_sample(round(8.0 * CONTROL_RATE), np.array([16.0]))
     assert loads(plant, state)[0][2] / WEIGHT == pytest.approx(1.0 - 0.2 * (1.0 - np.exp(-1.0)))
     vehicle = hide_effects(unknown_heading={"force": 0.3, "heading": 0.5})
     for yaw, force in ((0.5, 0.3), (0.5 + np.pi / 3, 0.15), (0.5 + np.pi, 0.0)):
@@ -324,13 +324,13 @@ def test_draws_are_what_their_parameters_say(name: str) -> None:
     assert set(effect.needs) <= set(FEATURES)
     for size in SIZES:
         for seed in range(20):
-            params = resolve({name: size}, declared=DECLARED, seed=seed)
+            params = effect_parameters({name: size}, declared=DECLARED, seed=seed)
             assert set(params[name]) == set(effect.params)
-            vehicle = split(DECLARED, params)[1]
+            vehicle = split_vehicles(DECLARED, params)[1]
             assert vehicle_document(vehicle) != vehicle_document(DECLARED)
             moments = np.linalg.eigvalsh(vehicle.inertia)
             assert moments[2] < moments[0] + moments[1]  # of a body
-    values = [resolve({name: "moderate"}, declared=DECLARED, seed=seed)[name] for seed in range(4)]
+    values = [effect_parameters({name: "moderate"}, declared=DECLARED, seed=seed)[name] for seed in range(4)]
     assert any(value != values[0] for value in values)
 
 

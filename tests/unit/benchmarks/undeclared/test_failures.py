@@ -23,7 +23,7 @@ def fly(failure: PlantFailure | Failures, seconds: float, told: Array = TOLD) ->
     plant = FullPlant(DECLARED, around)
     state = rest_state(DECLARED, np.array([[0.0, 0.0, 50.0]] * 2), np.zeros(2))
     for index in range(round(seconds / DT)):
-        plant.begin(index, np.full(2, 16.0))
+        plant.begin_sample(index, np.full(2, 16.0))
         state = plant.step(state, told, DT)
     return plant, state
 

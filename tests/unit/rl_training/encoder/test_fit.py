@@ -27,7 +27,7 @@ def edges(count: int = 64) -> ImageSet:
 def test_learns_more_than_the_mean_image() -> None:
     images = edges()
     fit = EncoderFit(replace(CFG, epochs=60, learning_rate=3e-3), images)
-    losses = [fit.epoch() for _ in range(60)]
+    losses = [fit.run_epoch() for _ in range(60)]
     deviation = float((images.target - images.target.mean(0)).square().mean().sqrt())
     assert losses[0] > 96.0 * log(deviation) - 1.0
     assert losses[-1] < 96.0 * log(0.5 * deviation)
@@ -37,10 +37,10 @@ def test_going_on_is_as_if_it_had_never_ended() -> None:
     whole, first, second = (EncoderFit(CFG, edges()) for _ in range(3))
     for fit, epochs in ((whole, 4), (first, 2)):
         for _ in range(epochs):
-            fit.epoch()
+            fit.run_epoch()
     second.load(first.state())
     for _ in range(2):
-        second.epoch()
+        second.run_epoch()
     for actual, reference in zip(whole.network.parameters(), second.network.parameters(), strict=True):
         torch.testing.assert_close(actual, reference, atol=0.0, rtol=0.0)
 
@@ -48,7 +48,7 @@ def test_going_on_is_as_if_it_had_never_ended() -> None:
 def test_seed_says_all() -> None:
     def train(seed: int) -> torch.Tensor:
         fit = EncoderFit(replace(CFG, seed=seed), edges())
-        fit.epoch()
+        fit.run_epoch()
         return fit.network.mean.weight.detach()
 
     torch.testing.assert_close(train(3), train(3), atol=0.0, rtol=0.0)

@@ -60,7 +60,7 @@ def test_the_gradient_of_a_window_is_its_difference(resets: bool) -> None:
         if resets:
             task.env.gtd["sim_steps"].copy_(torch.arange(3))
         learner._observation = observation
-        window = learner._fly()
+        window = learner._simulate_window()
         assert bool(window.ended.any()) == resets
         return learner._policy_loss(window)[0]
 
@@ -87,7 +87,7 @@ def make_learner(cfg: TrainingCfg, task: Task) -> Apg:
     torch.nn.init.normal_(network.actor.head.weight, std=0.3)
     learner = Apg(cfg, task, network.double())
     learner.target.double()
-    learner.begin()
+    learner.restart_episodes()
     return learner
 
 
@@ -149,7 +149,7 @@ def test_what_a_policy_makes_of_joints_has_a_gradient() -> None:
     with task_registry.make_task(cfg.task, num_envs=2, device="cpu", differentiable=True) as task:
         learner = ApgTrainer().make_training(cfg, task).learner
         torch.nn.init.normal_(learner.network.actor.head.weight, std=0.3)
-        loss, _ = learner._policy_loss(learner._fly())
+        loss, _ = learner._policy_loss(learner._simulate_window())
         loss.backward()
         gradient = learner.network.actor.body.layers[0].weight.grad
         assert bool(gradient.isfinite().all())

@@ -49,7 +49,7 @@ def damping() -> Policy:
 def difference(iterations: int, **distill: object) -> float:
     cfg, task = settings(**distill), hover()
     learner = Distill(cfg, task, make_network(cfg, task), damping())
-    learner.begin()
+    learner.restart_episodes()
     for _ in range(iterations):
         learner.iterate()
     return float(learner.gauges[learner.GAUGES.index("difference")])
@@ -64,7 +64,7 @@ def test_a_student_who_sees_the_same_comes_to_do_the_same() -> None:
 def test_what_is_learned_from_is_what_was_flown(monkeypatch: pytest.MonkeyPatch) -> None:
     cfg, task = settings(policy_keys=("sensed",), memory=8, horizon=12), hover(episode_len_steps=5)
     learner = Distill(cfg, task, make_network(cfg, task), damping())
-    learner.begin()
+    learner.restart_episodes()
     flown: list[torch.Tensor] = []
     step = task.step
     monkeypatch.setattr(task, "step", lambda actions: (flown.append(actions.clone()), step(actions))[1])
@@ -72,9 +72,9 @@ def test_what_is_learned_from_is_what_was_flown(monkeypatch: pytest.MonkeyPatch)
     for _ in range(2):
         flown.clear()
         with torch.no_grad():
-            seen, begins, memory, wanted = learner._fly(led)
-            prepared = learner.network.actor.body.prepare(seen)
-            distribution, _ = learner.network.sequence(prepared, memory, begins)
+            seen, begins, memory, wanted = learner._simulate_segment(led)
+            prepared = learner.network.actor.body.network_inputs(seen)
+            distribution, _ = learner.network.sequence_outputs(prepared, memory, begins)
         assert begins[1:].any(dim=0).all()
         torch.testing.assert_close(torch.stack(flown)[:, 1:], distribution.mean[:, 1:].clamp(-1.0, 1.0))
         assert torch.equal(torch.stack(flown)[:, 0], wanted[:, 0])
@@ -83,7 +83,7 @@ def test_what_is_learned_from_is_what_was_flown(monkeypatch: pytest.MonkeyPatch)
 def test_the_teacher_flies_first_and_the_student_in_the_end() -> None:
     cfg, task = settings(), hover()
     learner = Distill(cfg, task, make_network(cfg, task), damping())
-    learner.begin()
+    learner.restart_episodes()
     flown = []
     for _ in range(30_000 // (64 * 16)):
         learner.iterate()

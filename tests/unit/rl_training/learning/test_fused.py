@@ -36,30 +36,30 @@ def test_gradient_values_and_actions_are_those_of_torch(activation, clip_value, 
         network = make_network(cfg, task)
         torch.nn.init.normal_(network.value_head.weight, std=0.5, generator=torch.Generator(DEVICE).manual_seed(1))
         plain = Ppo(cfg, task, network)
-        plain.begin()
+        plain.restart_episodes()
         with torch.no_grad():
-            flown = plain._fly()
-            samples = plain._judge(flown)
+            flown = plain._simulate_segment()
+            samples = plain._segment_samples(flown)
             old_log_std = network.actor.log_std.clone()
         fused = FusedPpo(cfg, task, network)
         nudge = torch.randn(fused._adam.weights.shape, generator=torch.Generator().manual_seed(2))
         fused._adam.weights.add_(0.1 * nudge.to(DEVICE))
         chosen = torch.randperm(24, generator=torch.Generator().manual_seed(3)).to(DEVICE)[:11]
-        ratio = network.sequence(samples.prepared, samples.memory, samples.in_time["begins"])[0]
+        ratio = network.sequence_outputs(samples.prepared, samples.memory, samples.in_time["begins"])[0]
         ratio = (ratio.log_prob(samples.in_time["action"]) - samples.in_time["log_prob"]).exp()
         assert float((ratio > 1.2).float().mean()) > 0.1
         assert float((ratio < 0.8).float().mean()) > 0.1
         noise = torch.randn(24, task.num_actions, generator=torch.Generator().manual_seed(4)).to(DEVICE)
         observation = {key: value[0] for key, value in flown.observation.items()}
         with torch.no_grad():
-            prepared = network.prepare(flown.observation)
-            final = network.prepare(flown.final)
+            prepared = network.network_inputs(flown.observation)
+            final = network.network_inputs(flown.final)
         for name, learner in (("plain", plain), ("fused", fused)):
-            seen = fused._as_vectors(samples) if learner is fused else samples
-            gradient = learner._gradient(seen, chosen, old_log_std)
+            seen = fused._samples_as_vectors(samples) if learner is fused else samples
+            gradient = learner._loss_gradient(seen, chosen, old_log_std)
             with torch.no_grad():
-                acts = learner._act(observation, flown.memory, flown.begins[0], noise)[:3]
-                values = learner._values(prepared, final, flown)[:2]
+                acts = learner._draw_action(observation, flown.memory, flown.begins[0], noise)[:3]
+                values = learner._segment_values(prepared, final, flown)[:2]
             result[name] = {
                 "gradient": gradient[0].detach(), "numbers": gradient[1].detach(),
                 **dict(zip(("mean", "action", "command"), acts, strict=True)),

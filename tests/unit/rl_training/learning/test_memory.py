@@ -59,11 +59,11 @@ def late_cost(task: GuessTask, iterations: int, **ppo: object) -> float:
     rates = {"initial_std": 0.3, "min_std": 0.01, "max_learning_rate": 5e-3}
     cfg = settings(task.num_envs, **numbers, **rates, **ppo)
     learner = Ppo(cfg, task, make_network(cfg, task))
-    learner.begin()
+    learner.restart_episodes()
     for _ in range(iterations):
         learner.iterate()
     with torch.no_grad():
-        return float(-learner._fly().reward.mean())
+        return float(-learner._simulate_segment().reward.mean())
 
 
 @pytest.mark.slow

@@ -148,9 +148,9 @@ def test_returns_bootstrap_with_the_value_of_the_last_observation() -> None:
     for tensor, number in ((layer.weight, 1.0), (layer.bias, 0.0), (network.value_head.weight, 10.0)):
         tensor.data.fill_(number)
     learner = Ppo(cfg, task, network)
-    learner.begin()
+    learner.restart_episodes()
     with torch.no_grad():
-        samples = learner._judge(learner._fly())
+        samples = learner._segment_samples(learner._simulate_segment())
     row0 = [1 + 0.9 * (1 + 0.9 * (1 + 0.9 * 30)), 1 + 0.9 * (1 + 0.9 * 30), 1 + 0.9 * 30, 1 + 0.9 * 10]
     row1 = [1 + 0.9 * 1, 1.0, 1 + 0.9 * 1, 1.0]
     torch.testing.assert_close(samples.in_time["target"], torch.tensor([row0, row1]).T)
@@ -172,7 +172,7 @@ def test_seconds_of_training_raise_the_reward(monkeypatch: pytest.MonkeyPatch) -
         return (sums[59][2] - sums[39][2]) / (sums[59][3] - sums[39][3])
 
     learned = late_reward()
-    monkeypatch.setattr(Ppo, "_learn", lambda *_: None)
+    monkeypatch.setattr(Ppo, "_run_epoch", lambda *_: None)
     assert learned > 1.5 * late_reward() > 0.0
 
 

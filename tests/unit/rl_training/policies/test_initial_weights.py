@@ -26,8 +26,8 @@ def network(width: int, *, hidden: tuple[int, ...] = (8, 6), actions: int = 2, *
 
 def policy_outputs(of: ActorCritic, observation: Mapping[str, Tensor]) -> list[Tensor]:
     memory, begins = of.empty_memory(len(observation["observations"])), torch.zeros(1, 16, dtype=torch.bool)
-    prepared = {key: value.unsqueeze(0) for key, value in of.prepare(observation).items()}
-    acting, value = of.sequence(prepared, memory, begins)
+    prepared = {key: value.unsqueeze(0) for key, value in of.network_inputs(observation).items()}
+    acting, value = of.sequence_outputs(prepared, memory, begins)
     return [acting.mean, acting.log_std, value]
 
 
@@ -37,7 +37,7 @@ def draw_observations(width: int) -> Tensor:
 
 def test_a_wider_network_does_what_the_other_one_did_whatever_it_sees_in_addition() -> None:
     narrow, wide = network(5), network(9)
-    narrow.count({"observations": draw_observations(5)})
+    narrow.update_normalizers({"observations": draw_observations(5)})
     torch.nn.init.normal_(narrow.value_head.weight)
     load_initial_weights(wide, narrow.state_dict(), where="run")
     for more in (torch.zeros(16, 4), draw_observations(4)):

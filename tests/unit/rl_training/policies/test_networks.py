@@ -14,7 +14,7 @@ from aerial_gym.rl_training.policies.body import NetworkBody, NetworkBodyCfg
 from aerial_gym.rl_training.policies.distribution import Gaussian
 from aerial_gym.rl_training.policies.normalizer import EPSILON, OUTLIER, RunningNormalizer
 from aerial_gym.rl_training.policies.policy import Policy
-from aerial_gym.rl_training.policies.recurrent import unroll
+from aerial_gym.rl_training.policies.recurrent import unroll_memory
 
 
 def randn(*shape: int, seed: int = 0) -> Tensor:
@@ -77,7 +77,7 @@ def test_a_sequence_is_its_steps_one_by_one_with_the_memory_emptied_where_episod
     policy = Policy(recurrent(), 2)
     seen, begins = randn(7, 10, 5), torch.rand(7, 10, generator=torch.Generator().manual_seed(1)) < 0.3
     first = randn(10, 6, seed=2)
-    features, after = policy.body.sequence(policy.body.prepare({"observations": seen}), first, begins)
+    features, after = policy.body.sequence_outputs(policy.body.network_inputs({"observations": seen}), first, begins)
     memory = first
     for t in range(7):
         memory = torch.where(begins[t].unsqueeze(-1), 0.0, memory)
@@ -104,7 +104,7 @@ def test_gradients_along_a_sequence_are_those_of_the_unit_step_by_step(device: s
         memory = cell(seen[t], torch.where(begins[t].unsqueeze(-1), 0.0, memory))
         loss = loss + (memory * weight[t]).sum()
     expected = torch.autograd.grad(loss, wanted)
-    result = torch.autograd.grad((unroll(cell, seen, first, begins) * weight).sum(), wanted)
+    result = torch.autograd.grad((unroll_memory(cell, seen, first, begins) * weight).sum(), wanted)
     for actual, reference in zip(result, expected, strict=True):
         torch.testing.assert_close(actual, reference, atol=1e-5, rtol=1e-5)
 
@@ -113,7 +113,7 @@ def test_errors_go_back_through_a_sequence_up_to_where_the_episode_began() -> No
     body = NetworkBody(NetworkBodyCfg(shapes={"observations": (5,)}, hidden_layers=(8,), memory=6, normalize=False))
     seen, begins = randn(6, 2, 5).requires_grad_(), torch.zeros(6, 2, dtype=torch.bool)
     begins[3, 1] = True
-    features, _ = body.sequence({"observations": seen}, torch.zeros(2, 6), begins)
+    features, _ = body.sequence_outputs({"observations": seen}, torch.zeros(2, 6), begins)
     features[-1].sum().backward()
     assert seen.grad is not None
     felt = (seen.grad != 0.0).any(dim=-1)
@@ -139,10 +139,10 @@ def test_memories_of_policy_and_critic_stand_apart(shared: bool) -> None:
     network = ActorCritic(Policy(recurrent(), 2), None if shared else recurrent())
     torch.nn.init.normal_(network.value_head.weight)
     assert network.empty_memory(3).shape == (3, 6 if shared else 12)
-    prepared, begins = network.prepare({"observations": randn(6, 3, 5)}), torch.zeros(6, 3, dtype=torch.bool)
+    prepared, begins = network.network_inputs({"observations": randn(6, 3, 5)}), torch.zeros(6, 3, dtype=torch.bool)
     first = randn(3, sum(network.memory_sizes), seed=1)
     whole, remembered = network.values(prepared, first, begins)
-    acting = network.actor.body.sequence(prepared, first[:, :6], begins)[1][2]
+    acting = network.actor.body.sequence_outputs(prepared, first[:, :6], begins)[1][2]
     second = network.join_memory(acting, remembered[2])
     half, _ = network.values({key: value[3:] for key, value in prepared.items()}, second, begins[3:])
     torch.testing.assert_close(half, whole[3:])
@@ -156,14 +156,14 @@ def test_a_critic_sees_its_own_keys_and_what_both_see_is_normalised_alike() -> N
     network = ActorCritic(policy, NetworkBodyCfg(shapes=more, hidden_layers=(8,)))
     torch.nn.init.normal_(network.value_head.weight)
     observation = {"observations": 3.0 + randn(4, 6, 5), "critic": randn(4, 6, 3, seed=1)}
-    network.count(observation)
+    network.update_normalizers(observation)
     normalizer = network.actor.body.normalizers["observations"]
     assert float(normalizer.count) == 24.0
     torch.testing.assert_close(normalizer.mean, observation["observations"].mean((0, 1)))
 
     def look(seen: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         begins = torch.zeros(4, 6, dtype=torch.bool)
-        distribution, value = network.sequence(network.prepare(seen), network.empty_memory(6), begins)
+        distribution, value = network.sequence_outputs(network.network_inputs(seen), network.empty_memory(6), begins)
         return distribution.mean, value
 
     mean, value = look(observation)
@@ -177,15 +177,17 @@ def test_images_are_encoded_with_any_leading_dimensions_and_bytes_stand_for_0_to
     body = NetworkBody(NetworkBodyCfg(shapes=shapes, hidden_layers=(8,)))
     images = torch.randint(0, 256, (2, 5, 1, 24, 40), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     seen, empty, begins = randn(2, 5, 3), torch.zeros(5, 0), torch.zeros(2, 5, dtype=torch.bool)
-    features, _ = body.sequence({"observations": seen, "depth": images}, empty, begins)
+    features, _ = body.sequence_outputs({"observations": seen, "depth": images}, empty, begins)
     assert features.shape == (2, 5, 8)
-    as_floats, _ = body.sequence({"observations": seen, "depth": images / 255.0}, empty, begins)
+    as_floats, _ = body.sequence_outputs({"observations": seen, "depth": images / 255.0}, empty, begins)
     torch.testing.assert_close(features, as_floats)
     with torch.no_grad():
-        torch.testing.assert_close(body.sequence({"observations": seen, "depth": images}, empty, begins)[0], features)
+        torch.testing.assert_close(
+            body.sequence_outputs({"observations": seen, "depth": images}, empty, begins)[0], features
+        )
     other = images.clone()
     other[1, 2] = 255 - other[1, 2]
-    changed, _ = body.sequence({"observations": seen, "depth": other}, empty, begins)
+    changed, _ = body.sequence_outputs({"observations": seen, "depth": other}, empty, begins)
     expected = torch.tensor([[False] * 5, [False, False, True, False, False]])
     assert torch.equal((changed != features).any(dim=-1), expected)
 

@@ -65,7 +65,7 @@ def test_a_drawn_heading_covers_the_turn_and_is_new_in_every_episode() -> None:
 def test_headings_of_running_episodes_stay() -> None:
     task = make_task(8)
     before, begins = task.values["target_yaw"].clone(), torch.arange(8) % 3 == 0
-    task._begin(begins, counted=False)
+    task._start_episodes(begins, counted=False)
     assert torch.equal(task.values["target_yaw"] != before, begins)
 
 

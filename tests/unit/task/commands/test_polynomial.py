@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from aerial_gym.config.task_terms import CommandCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.task import Task
-from aerial_gym.task.commands.polynomial import control_points, derivative, minimum_snap
+from aerial_gym.task.commands.polynomial import control_point_weights, derivative_weights, minimum_snap_weights
 from tests.unit.task.hover import make
 
 LIMITS = {"max_speed": 8.0, "max_acceleration": 30.0}
@@ -35,25 +35,25 @@ def read_draws(task: Task) -> tuple[np.ndarray, np.ndarray]:
 
 def test_two_points_are_joined_by_the_polynomial_of_rest_to_rest() -> None:
     """35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: zero velocity, acceleration and jerk at both ends."""
-    ((_, weights),) = minimum_snap(2).transpose(0, 2, 1)
+    ((_, weights),) = minimum_snap_weights(2).transpose(0, 2, 1)
     np.testing.assert_allclose(weights, [0, 0, 0, 0, 35, -84, 70, -20], atol=1e-10)
 
 
 @pytest.mark.parametrize("points", [3, 5, 10])
 def test_pieces_meet_with_six_derivatives_and_sum_to_one(points: int) -> None:
     """Weights of all points sum to 1, so that a track moves with its points; steps at knots are round-off of 7! terms."""
-    form = minimum_snap(points)
+    form = minimum_snap_weights(points)
     np.testing.assert_allclose(form.sum(-1), [[1.0] + [0.0] * 7] * (points - 1), atol=1e-9)
     for _ in range(7):
         np.testing.assert_allclose(form.sum(1)[:-1], form[1:, 0], atol=1e-9 * np.abs(form).max())
-        form = derivative(form)
+        form = derivative_weights(form)
 
 
 def test_bernstein_control_points_are_those_of_a_known_polynomial() -> None:
     """u² has 0, 0, 1 and 2 u has 0, 2; a value lies between the least and the largest of them."""
     square = np.array([0.0, 0.0, 1.0]).reshape(1, 3, 1)
-    assert control_points(square).ravel().tolist() == [0.0, 0.0, 1.0]
-    assert control_points(derivative(square)).ravel().tolist() == [0.0, 2.0]
+    assert control_point_weights(square).ravel().tolist() == [0.0, 0.0, 1.0]
+    assert control_point_weights(derivative_weights(square)).ravel().tolist() == [0.0, 2.0]
 
 
 @pytest.mark.parametrize("points", [pytest.param(2, marks=pytest.mark.slow), 5])
@@ -78,13 +78,16 @@ def test_a_target_flies_the_spline_of_its_points(points: int) -> None:
 def test_no_target_exceeds_a_limit_and_a_control_point_is_at_one() -> None:
     """Of 300 tracks, in float64: within both limits, and one of the control points is as far out as a limit allows."""
     knots, times = read_draws(tracks(300, seed=4))
-    forms = (derivative(minimum_snap(5)), derivative(derivative(minimum_snap(5))))
+    forms = (
+        derivative_weights(minimum_snap_weights(5)),
+        derivative_weights(derivative_weights(minimum_snap_weights(5))),
+    )
     for p, t in zip(knots, times, strict=True):
         spline, at = fit_spline(p, t * np.arange(5)), np.linspace(0.0, 4.0 * t, 2001)
         shares = []
         for order, (form, limit) in enumerate(zip(forms, LIMITS.values(), strict=True), start=1):
             assert np.linalg.norm(spline(at, nu=order), axis=-1).max() <= limit * (1.0 + 1e-5)
-            shares.append(np.linalg.norm(control_points(form) @ p, axis=-1).max() / t**order / limit)
+            shares.append(np.linalg.norm(control_point_weights(form) @ p, axis=-1).max() / t**order / limit)
         assert max(shares) == pytest.approx(1.0, rel=1e-5)
 
 
@@ -100,7 +103,7 @@ def test_points_are_drawn_in_the_box_by_mask_and_by_environment() -> None:
     assert np.array_equal(few[0], knots[:3])
     assert np.array_equal(few[1], times[:3])
     mask = torch.arange(400) % 2 == 0
-    task._begin(mask)
+    task._start_episodes(mask)
     again, later = read_draws(task)
     assert np.array_equal(again[~mask], knots[~mask])
     assert np.array_equal(later[~mask], times[~mask])

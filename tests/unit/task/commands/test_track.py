@@ -12,7 +12,7 @@ from aerial_gym.config.task_terms import CommandCfg, ObservationCfg
 from aerial_gym.config.track import GatePlaceCfg, TrackCfg
 from aerial_gym.errors import ConfigError
 from aerial_gym.math.quaternion import quat_rotate, quat_rotate_inverse
-from aerial_gym.task.commands.gates import crossing
+from aerial_gym.task.commands.gates import gate_crossing_flags
 from aerial_gym.task.terms.gate_path import AT_AXIS, WAY_AROUND, WAY_STRAIGHT, gate_path_direction, gate_path_length
 from tests.unit.task.hover import begin, build_task, make
 
@@ -51,7 +51,7 @@ def put(task: Task, position: Tensor) -> None:
     ((-0.1, -0.25, 0.2), (0.1, -0.15, 0.0), (True, True)),
 ])  # fmt: skip
 def test_a_crossing_is_that_of_the_straight_line(before, now, expected) -> None:
-    result = crossing(torch.tensor([before]), torch.tensor([now]), half=(0.25, 0.15))
+    result = gate_crossing_flags(torch.tensor([before]), torch.tensor([now]), half=(0.25, 0.15))
     assert tuple(bool(each) for each in result) == expected
 
 

@@ -34,7 +34,7 @@ def test_kernels_of_the_shipped_tasks_compute_what_torch_does(flight_task: Task)
     """Same types and truth values; numbers within round-off of a few operations on numbers of order one to ten."""
     parts = (flight_task._judge.rows, flight_task._observer.rows, flight_task._memory)
     for rows in (part for part in parts if part is not None):
-        expected = rows.compute()
+        expected = rows.compute_by_torch()
         result = rows()
         assert rows.reason is None
         assert rows.apart == ()

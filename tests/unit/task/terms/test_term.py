@@ -14,7 +14,7 @@ from aerial_gym.config.task import TaskCfg
 from aerial_gym.config.task_terms import ObservationCfg, RewardCfg, TerminationCfg
 from aerial_gym.errors import ConfigError, DuplicateNameError, UnknownNameError
 from aerial_gym.task import BUFFERS, OBSERVATIONS, REWARDS, TERMINATIONS
-from aerial_gym.task.terms.term import Term, TermRegistry, bind
+from aerial_gym.task.terms.term import Term, TermRegistry, bind_term
 from tests.unit.task.hover import build_task, make
 
 
@@ -26,7 +26,7 @@ def test_a_signature_says_what_is_read_and_taken() -> None:
     term = Term(name="stretched", value=stretch)
     assert term.reads == ("robot_position",)
     assert term.summary == "Return a coordinate, stretched."
-    bound = bind(term, {"by": "2e0", "axis": 1}, "it")
+    bound = bind_term(term, {"by": "2e0", "axis": 1}, "it")
     assert bound.params == {"by": 2.0, "axis": 1}
     assert bound.evaluate({"robot_position": torch.tensor([[1.0, 3.0, 0.0]])}).tolist() == [6.0]
 
@@ -39,7 +39,7 @@ def test_a_signature_says_what_is_read_and_taken() -> None:
 ])  # fmt: skip
 def test_numbers_that_do_not_fit_are_told(params: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        bind(Term(name="stretched", value=stretch), params, "it")
+        bind_term(Term(name="stretched", value=stretch), params, "it")
 
 
 def test_a_signature_that_does_not_say_is_refused() -> None:
