@@ -8,7 +8,7 @@ from aerial_gym.physics.effects import LearnedResidual
 from aerial_gym.physics.model import check_rotors
 from aerial_gym.sim2real.failures.flight_event import Failure, FailureFinder, cut_at_failures
 from aerial_gym.sim2real.identify.selection.scoring import Criteria
-from aerial_gym.sim2real.identify.stages import prepare_comparison, select_from_setup
+from aerial_gym.sim2real.identify.stages import prepare_comparison, select_effects_of_setup
 from aerial_gym.sim2real.judge.analysis import LoopResult, judge_on_test_flights
 from aerial_gym.sim2real.judge.failure_verdict import result_with_failures, result_with_suspicions
 from aerial_gym.sim2real.logs.flights import Flight
@@ -47,7 +47,7 @@ def judge_flights(
     told = seen if failures else []
     learnt, judging = (_intact_parts(role, part, told) for role, part in (("train", train), ("test", test)))
     declared = prepare_comparison(robot, learnt, judging, bandwidth=bandwidth, tolerances=off)
-    selection = select_from_setup(declared, criteria or Criteria(), progress, candidates=effects)
+    selection = select_effects_of_setup(declared, criteria or Criteria(), progress, candidates=effects)
     give_back_memory()
     judged = judge_on_test_flights(declared, selection, seed=seed, learn_residual=learn_residual, progress=progress)
     give_back_memory()

@@ -16,7 +16,7 @@ from aerial_gym.errors import ConfigError
 from aerial_gym.physics import vehicle_from_config
 from aerial_gym.physics.rotors import hover_speed, rotor_thrust, state_for_thrust
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S, RotorOutput, RotorOutputModel
-from aerial_gym.sim2real.failures.scan import FailureCause, FailureTiming, rank_causes, sum_of_odds, time_failure
+from aerial_gym.sim2real.failures.scan import FailureCause, FailureTiming, locate_onset, log_sum_of_odds, rank_causes
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.json_values import select_fields
 from aerial_gym.sim2real.logs.flights import Flight
@@ -82,7 +82,7 @@ class Failure(FlightEvent):
 
 
 def least_log_odds(false_alarm_hours: float) -> float:
-    """Return the log of the least sum of odds (``sum_of_odds``) that counts as a failure.
+    """Return the log of the least sum of odds (``log_sum_of_odds``) that counts as a failure.
 
     Without a failure the sum grows by 1 per block on average, so the limit is at most the mean number of blocks between
     alarms. Source: Pollak (1985), Optimal detection of a change in distribution, Annals of Statistics 13
@@ -119,9 +119,9 @@ class FailureFinder:
     def find_in_blocks(self, works: Sequence[RotorOutput], flight: str) -> Failure | None:
         """Return the failure that the blocks show; None if the sum of odds is below the limit."""
         causes = rank_causes(works, self._tolerances)
-        if not sum_of_odds(causes) > self.limit:
+        if not log_sum_of_odds(causes) > self.limit:
             return None
-        ranked = sorted((time_failure(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
+        ranked = sorted((locate_onset(one) for one in causes if one.log_odds > 0.0), key=lambda one: -one.log_odds)
         odds = np.array([one.log_odds for one in ranked])
         probability = float(1.0 / np.exp(odds - odds[0]).sum())
         return self._make_failure(ranked[0], flight, probability, ranked[1].cause if len(ranked) > 1 else None)

@@ -17,7 +17,7 @@ from aerial_gym.sim2real.failures.evidence import (
     log_evidence,
 )
 from aerial_gym.sim2real.failures.rotor_work import RotorOutput
-from aerial_gym.sim2real.identify.least_squares.moments import effective_share
+from aerial_gym.sim2real.identify.least_squares.moments import share_of_independent_rows
 from aerial_gym.sim2real.predict.tolerances import Tolerances
 
 KINDS = {
@@ -53,7 +53,7 @@ class FailureCause:
         """Return the share of independent residuals with this failure, weighted by the rotors' squared residuals."""
         left = self.residual_with_failure()
         squares = (left**2).sum(axis=0)
-        return float((effective_share(left) * squares).sum() / max(squares.sum(), 1e-300))
+        return float((share_of_independent_rows(left) * squares).sum() / max(squares.sum(), 1e-300))
 
     def residual_with_failure(self) -> Array:
         """Return the residuals of every rotor with this failure fitted, (K, R)."""
@@ -90,7 +90,7 @@ def rank_causes(works: Sequence[RotorOutput], tolerances: Tolerances) -> list[Fa
     return sorted(ranked, key=lambda cause: -cause.log_odds)
 
 
-def sum_of_odds(causes: Sequence[FailureCause]) -> float:
+def log_sum_of_odds(causes: Sequence[FailureCause]) -> float:
     """Return the log of the sum of odds over failures and onsets, with equal prior probabilities of the kinds."""
     return float(np.logaddexp.reduce([cause.log_odds for cause in causes])) if causes else -np.inf
 
@@ -133,7 +133,7 @@ class FailureTiming:
     std: float
 
 
-def time_failure(cause: FailureCause) -> FailureTiming:
+def locate_onset(cause: FailureCause) -> FailureTiming:
     """Return a failure with onset and end on a grid of ``FINE_S`` around its blocks."""
     share, work = cause.share_of_independent_residuals(), cause.work
     times = _onset_grid(work, cause.begin)

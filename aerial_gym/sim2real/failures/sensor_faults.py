@@ -23,7 +23,7 @@ from aerial_gym.sim2real.logs.sample_repeats import (
     mend_repeated_samples,
     rows_of_last_change,
 )
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 
 WINDOW_S = 20.0  # Analysed time span [s], long enough to estimate the scatter of position differences
 
@@ -92,7 +92,7 @@ class SensorWatch:
         if log.position is None or log.lin_vel is None or log.time.size < 2:
             return
         try:
-            log = uniform_log(mend_repeated_samples(log))
+            log = log_at_equal_steps(mend_repeated_samples(log))
         except DataError:  # missing rows, or a sensor dropout in this span
             return
         assert log.position is not None

@@ -22,7 +22,7 @@ from aerial_gym.sim2real.logs.on_ground import IDLE
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
 from aerial_gym.sim2real.logs.recording import LONGEST_GAP_S, NORM_OFF, FlightLog
 from aerial_gym.sim2real.logs.rotor_model import total_rotor_force
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.statistics import FALSE_ALARM_HOURS
 
 WINDOW_BLOCKS = 300  # Number of stored blocks: half a minute
@@ -213,7 +213,7 @@ class FlightWatch:
 
     def _rows_as_flight(self, rows: Array) -> Flight:
         """Return rows as a flight; low rotor commands (less than half the weight) count as on the ground."""
-        log = uniform_log(replace(self._rows_as_log(rows), position=None))
+        log = log_at_equal_steps(replace(self._rows_as_log(rows), position=None))
         told = log.rotor_speed if log.rotor_command is None else log.rotor_command
         assert told is not None
         idle = total_rotor_force(self._robot, told) < IDLE * self._robot.body.mass * STANDARD_GRAVITY

@@ -71,7 +71,7 @@ def prepare_comparison(
     )
 
 
-def select_from_setup(
+def select_effects_of_setup(
     declared: LoopSetup, criteria: Criteria, progress: Progress, *, candidates: Sequence[str] | None = None
 ) -> SelectionResult:
     """Return the selection of effects from the training flights, among ``candidates`` if given."""

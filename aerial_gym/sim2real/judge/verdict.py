@@ -209,9 +209,9 @@ def effects_of_selection(
     """Return the accepted effects of a declared robot with parameters, intervals, confidence, ablation and regime."""
     fit, spread, inclusion = selection.final.fit, selection.final.spread, selection.chosen.inclusion
     values, scale = parameter_row(fit.params, fit.effects), parameter_scales(fit.effects)
-    std = dict(zip(fit.free_effects.tolist(), spread.std, strict=True))
-    noise = dict(zip(fit.free_effects.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
-    owners = (fit.parameter_owners[k] for k in fit.free_effects.tolist())
+    std = dict(zip(fit.free_effect_params.tolist(), spread.std, strict=True))
+    noise = dict(zip(fit.free_effect_params.tolist(), np.sqrt(np.diag(spread.blocks)), strict=True))
+    owners = (fit.parameter_owners[k] for k in fit.free_effect_params.tolist())
     numbers = [f"{name}.{EFFECTS.get(name).parameters[place].name}" for name, place in owners]
     correlation = spread.correlation
     results = []

@@ -14,7 +14,7 @@ from aerial_gym.physics.rotors import rotor_thrust, rotor_torque, rotor_wrench
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate, take_rows
-from aerial_gym.sim2real.logs.signals import DERIVED_BAND, apply_lag, edge_rows, interpolate_columns, lowpass
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, apply_lag, interpolate_columns, lowpass, num_edge_rows
 
 LATE_S = 0.003  # Standard deviation of each sensor's unknown delay [s]: milliseconds of filters and telemetry
 LARGEST_SHIFT_S = 0.05  # Largest clock offset of the rotor log that is searched [s]; measured_data.md 2: 0 to 0.03 s
@@ -99,7 +99,7 @@ def offset_curve(
     most = round(largest * rate)
     wave = np.column_stack((measured, predicted, disturbance))
     wave = lowpass(wave, rate, bandwidth) - lowpass(wave, rate, 0.05 * bandwidth)
-    edge = edge_rows(rate, bandwidth) + most
+    edge = num_edge_rows(rate, bandwidth) + most
     inner = slice(edge, -edge)
     target = wave[inner, 0]
     if target.size < 4 * edge or not np.any(target):
@@ -167,14 +167,14 @@ def _lag_residuals_by_clock(log: FlightLog, offset: ClockOffset, time_constant: 
     step = float(log.time[-1] - log.time[0]) / (log.time.size - 1)
     edge = round(SETTLED * time_constant / step) + abs(whole)
 
-    def left(shift: int) -> float:
+    def least_residual_after_shift(shift: int) -> float:
         moved, curve_values = np.roll(command, shift, axis=0), []
         for constant in time_constant * np.geomspace(0.2, 5.0, 17):
             kept = np.exp(-step / constant)
             curve_values.append(np.mean((speed - apply_lag(moved, kept, speed[0]))[edge:-edge] ** 2))
         return float(min(curve_values))
 
-    return left(-whole), left(0)
+    return least_residual_after_shift(-whole), least_residual_after_shift(0)
 
 
 def shift_rotor_log(log: FlightLog, offset: ClockOffset, *, commands: bool = True) -> FlightLog:

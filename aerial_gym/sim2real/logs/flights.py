@@ -37,7 +37,7 @@ from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, Recording, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import mean_time_constant
 from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
-from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, lowpass, uniform_log
+from aerial_gym.sim2real.logs.signals import DERIVED_BAND, drop_ends_beyond_gaps, log_at_equal_steps, lowpass
 
 FEWEST_HIGH = 10  # At least one row in so many must lie above the height at which commands are scaled
 
@@ -163,7 +163,7 @@ def resample_log(log: FlightLog) -> FlightLog:
     check_duration_and_rate(log)
     mended = mend_repeated_samples(drop_ends_beyond_gaps(without_copied_commands(log)))
     check_for_alternating_flights(mended)
-    return uniform_log(mended)
+    return log_at_equal_steps(mended)
 
 
 def derive_velocity(log: FlightLog) -> FlightLog:

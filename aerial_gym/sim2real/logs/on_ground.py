@@ -9,7 +9,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.arrays import Array, Flags
 from aerial_gym.sim2real.logs.recording import AT_REST, HIGHEST_BAND, FlightLog, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
-from aerial_gym.sim2real.logs.signals import edge_rows
+from aerial_gym.sim2real.logs.signals import num_edge_rows
 
 SMOOTH_S = 0.05  # Width of the Gaussian smoothing [s], which does not ring at a touchdown and removes noise
 IDLE = 0.5  # Below this share of the flight's thrust the rotors do not carry the vehicle
@@ -59,7 +59,7 @@ def rows_on_ground(log: FlightLog, robot: RobotCfg) -> Flags | None:
 
 def check_airborne(log: FlightLog, on_ground: Flags | None, bandwidth: float) -> None:
     """Raise ``DataError`` unless one airborne span exceeds the end rows that a low-pass at ``bandwidth`` [Hz] spoils."""
-    edge = edge_rows(sample_rate(log), min(bandwidth, HIGHEST_BAND * sample_rate(log)))
+    edge = num_edge_rows(sample_rate(log), min(bandwidth, HIGHEST_BAND * sample_rate(log)))
     flies = np.ones(log.time.size, dtype=bool) if on_ground is None else ~on_ground
     if not np.asarray(ndimage.minimum_filter1d(flies, 2 * edge + 1, mode="constant", cval=0)).any():
         raise DataError(

@@ -33,8 +33,8 @@ def lowpass(values: Array, rate: float, bandwidth: float, *, derivative: bool = 
     """Return ``values`` (T, ...) after a zero-phase low-pass, or their time derivative in the same band.
 
     Both ends continue by point reflection about a line fitted to the last half period, against ringing; rows within
-    ``edge_rows`` should still be excluded. Columns are independent, bit for bit. ``bandwidth``: frequency of half gain
-    [Hz]. ``late``: delay of the result [s], at most ``edge_rows``, exact in the band.
+    ``num_edge_rows`` should still be excluded. Columns are independent, bit for bit. ``bandwidth``: frequency of half gain
+    [Hz]. ``late``: delay of the result [s], at most ``num_edge_rows``, exact in the band.
     """
     columns = np.ascontiguousarray(values.reshape(values.shape[0], -1).T)
     slow = lowpass_columns(columns, rate, bandwidth, derivative=derivative, late=late)
@@ -46,7 +46,7 @@ def lowpass_columns(
 ) -> Array:
     """Return ``lowpass`` for columns (K, T), in the same layout."""
     rows = columns.shape[1]
-    pad = min(rows - 1, 3 * edge_rows(rate, bandwidth))
+    pad = min(rows - 1, 3 * num_edge_rows(rate, bandwidth))
     end = _weights_of_line_start(min(rows, max(2, round(0.5 * rate / bandwidth))))
     size = int(fft.next_fast_len(rows + 3 * pad, real=True) or 0)
     first = 2.0 * (columns[:, : end.size] * end).sum(axis=1, keepdims=True)
@@ -111,7 +111,7 @@ def apply_lag(values: Array, kept: float, start: Array) -> Array:
     return exponential_sum(np.concatenate((start[None], (1.0 - kept) * values[:-1])), kept)
 
 
-def edge_rows(rate: float, bandwidth: float) -> int:
+def num_edge_rows(rate: float, bandwidth: float) -> int:
     """Return the number of rows at each end that the low-pass may spoil: two periods of its bandwidth, plus one."""
     return round(2.0 * rate / bandwidth) + 1
 
@@ -147,7 +147,7 @@ def drop_ends_beyond_gaps(log: FlightLog) -> FlightLog:
     return log
 
 
-def uniform_log(log: FlightLog) -> FlightLog:
+def log_at_equal_steps(log: FlightLog) -> FlightLog:
     """Return the log at equal time steps with unit quaternions of continuous sign; commands stay held.
 
     Raise ``DataError`` if a gap cannot be bridged.

@@ -43,7 +43,7 @@ from aerial_gym.sim2real.predict.replay.rotors import (
 from aerial_gym.sim2real.predict.rows.batches import add_known_wind, expand_vehicle, vehicle_of_row
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
 from aerial_gym.sim2real.predict.tolerances import Tolerances, vehicle_deviation
-from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, longest_windows
+from aerial_gym.sim2real.predict.windows import STEP_S, RolloutWindows, windows_of_longest_horizon
 
 HORIZONS_S = (0.1, 0.5, 1.0, 2.0)  # Times after the start at which rollout and flight are compared [s]
 MEMORY_STEP_S = 0.005  # Longest substep with effects that have memory [s]; its final memory value acts throughout
@@ -91,7 +91,7 @@ def rollout_errors_of_models(
                 robot, flights, [one], variants, links=[own], horizons=horizons, tolerances=tolerances
             )
         ]
-    kept, windows = longest_windows(flights, horizons)
+    kept, windows = windows_of_longest_horizon(flights, horizons)
     commanded = has_commands(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)
     off = vehicle_deviation(declared, tolerances or Tolerances(), models[0].deviation)

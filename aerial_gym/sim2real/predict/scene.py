@@ -59,14 +59,14 @@ def check_scene(names: Sequence[str], flights: Sequence[Flight]) -> None:
 def surface_heights(flights: Sequence[Flight], rows: Sequence[int]) -> SurfaceHeights:
     """Return the heights of ground and ceiling [m], (E, 1), for the numbers of rows per flight; None: no ceiling known."""
 
-    def column(values: list[float]) -> Tensor:
+    def height_column(values: list[float]) -> Tensor:
         return torch.from_numpy(np.repeat(values, rows)).unsqueeze(-1)
 
     ceilings = [flight.ceiling_height for flight in flights]
     known = any(ceiling is not None for ceiling in ceilings)
     return {
-        "ground_height": column([flight.ground_height for flight in flights]),
-        "ceiling_height": column([nan if c is None else c for c in ceilings]) if known else None,
+        "ground_height": height_column([flight.ground_height for flight in flights]),
+        "ceiling_height": height_column([nan if c is None else c for c in ceilings]) if known else None,
     }
 
 

@@ -50,7 +50,9 @@ def find_windows(flights: Sequence[Flight], horizon: float) -> RolloutWindows:
     return RolloutWindows(flight=flight_index, row=row, cluster=clusters)
 
 
-def longest_windows(flights: Sequence[Flight], horizons: Sequence[float]) -> tuple[tuple[float, ...], RolloutWindows]:
+def windows_of_longest_horizon(
+    flights: Sequence[Flight], horizons: Sequence[float]
+) -> tuple[tuple[float, ...], RolloutWindows]:
     """Return the feasible horizons [s] and the windows of the longest one; raise ``DataError`` if no flight is long enough."""
     for longest in sorted(horizons, reverse=True):
         windows = find_windows(flights, longest)

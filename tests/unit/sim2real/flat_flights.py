@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 from aerial_gym.config.robot import BodyCfg, CollisionCfg, MountCfg, MountsCfg, RobotCfg, RotorCfg
 from aerial_gym.sim2real import LogMapping, read_flight_log
 from aerial_gym.sim2real.logs.flights import Flight, complete_flight, load_flights
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.predict.channels import Channel, find_channels
 from aerial_gym.sim2real.predict.model_params import ModelParams
 from aerial_gym.sim2real.predict.predictor import Predictor
@@ -113,7 +113,7 @@ def write(table: pd.DataFrame, path: Path) -> Path:
 
 def uniform_flight(table: pd.DataFrame, folder: Path, name: str = "log") -> Flight:
     """Return a flight with all rows of its log, from a file that is written for it."""
-    return complete_flight(uniform_log(read_flight_log(write(table, folder / f"{name}.csv"))))
+    return complete_flight(log_at_equal_steps(read_flight_log(write(table, folder / f"{name}.csv"))))
 
 
 def load_tables(folder: Path, tables: Iterable[pd.DataFrame], robot: RobotCfg = ROBOT) -> list[Flight]:

@@ -103,7 +103,7 @@ def make_score(
         effects=effects, params=params, moments=moments, low=-limit, high=limit, num_effect_params=size, frozen=frozen
     )
     covariance = np.diag(variance) if len(variance) else np.eye(size)
-    spread = make_spread(fit.free_effects, covariance, np.zeros((size, size)))
+    spread = make_spread(fit.free_effect_params, covariance, np.zeros((size, size)))
     return FitScore(fit=fit, spread=spread, left_out=np.ones((1, 1)))
 
 

@@ -189,7 +189,7 @@ class Fitter:
             linear = linearise_about_fit(fit, [self.neutral_of_effect(name) for name in effects])
             parameters = posterior(linear.candidates, linear.whole, linear.set_of_all)
             support = supports_of_fit(linear, parameters.step, self.log_prior_cost)
-        free = fit.free_effects.size
+        free = fit.free_effect_params.size
         beyond = self.nuisance_sums(structures).log_likelihood
         value = parameters.log_evidence + beyond - (len(effects) + len(structures)) * self.log_prior_cost
         against = sum(max(0.0, -one.log_odds) for one in support.values())

@@ -62,7 +62,7 @@ class LinearFit:
 
 def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     """Return the linear model about a fit with weighted moments, whose blocks are the parts, relative to neutral."""
-    free, count = fit.free_all, fit.free_effects.size
+    free, count = fit.free_params, fit.free_effect_params.size
     away = np.zeros(fit.low.size)
     if fit.effects:
         away[: fit.num_effect_params] = (
@@ -70,7 +70,7 @@ def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
         ) / parameter_scales(fit.effects)
     here, every = away[free], np.arange(fit.moments.count.size)
 
-    def normal(own: Indices) -> NormalEquations:
+    def equations_of_blocks(own: Indices) -> NormalEquations:
         product, gradient = normal_equations(fit, UNIT, own)
         product, gradient = product[np.ix_(free, free)], gradient[free]
         square = float(fit.moments.square[own].sum())
@@ -79,12 +79,12 @@ def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
 
     low, high = (fit.low + away)[free], (fit.high + away)[free]
     low[count:], high[count:] = -np.inf, np.inf
-    owners = [fit.parameter_owners[k][0] for k in fit.free_effects]
+    owners = [fit.parameter_owners[k][0] for k in fit.free_effect_params]
     columns = tuple(np.flatnonzero([owner == name for owner in owners]) for name in fit.effects)
     return LinearFit(
         candidates=Candidates(
             columns=columns, tolerances=np.arange(count, free.size), low=low, high=high, exclusive=fit.effects
         ),
-        whole=normal(every),
-        parts=tuple(normal(every[[k]]) for k in every),
+        whole=equations_of_blocks(every),
+        parts=tuple(equations_of_blocks(every[[k]]) for k in every),
     )

@@ -80,8 +80,8 @@ def search_sets(candidates: Candidates, normal: NormalEquations, *, starts: Sequ
     sets.log_posteriors([(), *combinations(places, 1), *combinations(places, 2)])
     first = sorted(sets.log_posterior, key=sets.log_posterior.__getitem__, reverse=True)[:MOST_STARTS]
     for start in (*starts, *first):
-        _climb_to_best_set(sets, tuple(sorted(start)), (single_changes,))
-    _climb_to_best_set(sets, sets.most_probable_set, (single_changes, single_swaps))
+        _climb_to_best_set(sets, tuple(sorted(start)), (sets_with_one_change,))
+    _climb_to_best_set(sets, sets.most_probable_set, (sets_with_one_change, sets_with_one_swap))
     return sets
 
 
@@ -100,13 +100,13 @@ def _climb_to_best_set(sets: SetPosterior, model: Model, ways: Sequence[Callable
             return
 
 
-def single_changes(model: Model, count: int) -> list[Model]:
+def sets_with_one_change(model: Model, count: int) -> list[Model]:
     """Return the sets with one candidate more or less."""
     more = [tuple(sorted((*model, k))) for k in range(count) if k not in model]
     return more + [tuple(k for k in model if k != gone) for gone in model]
 
 
-def single_swaps(model: Model, count: int) -> list[Model]:
+def sets_with_one_swap(model: Model, count: int) -> list[Model]:
     """Return the sets with one candidate replaced by another."""
     absent = [k for k in range(count) if k not in model]
     return [tuple(sorted((*(k for k in model if k != gone), other))) for gone in model for other in absent]

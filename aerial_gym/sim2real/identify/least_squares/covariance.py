@@ -65,7 +65,7 @@ def uncertainty(fit: ModelFit, weight: Array) -> Uncertainty:
     Zeger (1986), Longitudinal data analysis using generalized linear models, section 2 (sandwich over clusters); Hoerl,
     Kennard (1970), Ridge regression, section 4: variance and squared bias, here its mean over the prior.
     """
-    free, own = fit.free_all, fit.free_effects.size
+    free, own = fit.free_params, fit.free_effect_params.size
     product, _ = normal_equations(fit, weight)
     precision = prior_precision(fit)[free]
     bread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(precision))
@@ -75,7 +75,7 @@ def uncertainty(fit: ModelFit, weight: Array) -> Uncertainty:
     by_flight = np.stack([scores[fit.moments.flight == f].sum(axis=0) for f in np.unique(fit.moments.flight)])
     count, flights = scores.shape[0], len(by_flight)
     return Uncertainty(
-        columns=fit.free_effects,
+        columns=fit.free_effect_params,
         step=step,
         plain=bread[:own, :own],
         blocks=scores.T @ scores * (count / max(count - 1, 1)),

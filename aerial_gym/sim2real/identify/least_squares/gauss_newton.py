@@ -72,15 +72,15 @@ class ModelFit:
         return [(name, place) for name in self.effects for place in range(len(EFFECTS.get(name).parameters))]
 
     @property
-    def free_effects(self) -> Indices:
+    def free_effect_params(self) -> Indices:
         """Return the indices of the fitted effect parameters."""
         owners = enumerate(self.parameter_owners)
         return np.array([k for k, owner in owners if owner not in self.frozen and is_number(*owner)], dtype=int)
 
     @property
-    def free_all(self) -> Indices:
+    def free_params(self) -> Indices:
         """Return the indices of the fitted effect parameters and the tolerances."""
-        return np.concatenate((self.free_effects, np.arange(self.num_effect_params, self.low.size)))
+        return np.concatenate((self.free_effect_params, np.arange(self.num_effect_params, self.low.size)))
 
     def effect_columns(self, effect: str) -> Indices:
         """Return the indices of an effect's parameters."""
@@ -213,7 +213,7 @@ def fit_effects(
         fit = fit_of_moments(predictor.robot, effects, params, beside.moments_with_effects(residuals, own), frozen)
         if not np.isfinite(cost):
             return fit, own, np.inf
-        whole, moved = best_step(fit, UNIT, fit.free_all), None
+        whole, moved = best_step(fit, UNIT, fit.free_params), None
         promised = 0.5 * cost - _linear_cost(fit, whole)
         more = _possible_gain(promised, 0.5 * (first - cost), fresh=fresh)
         if (fresh or steps > 1) and goal.is_out_of_reach(fit, more):

@@ -33,7 +33,7 @@ class Moments:
         change = np.einsum("bckl,bl->bck", self.product, step)
         return self.square - 2.0 * linear + np.einsum("bck,bk->bc", change, step)
 
-    def merge_labels(self, label: Indices) -> "Moments":
+    def sum_by_label(self, label: Indices) -> "Moments":
         """Return the sums over blocks of equal label, in ascending order of labels; ``label`` is (B,)."""
         labels, first, place = np.unique(label, return_index=True, return_inverse=True)
         sums = {
@@ -129,13 +129,13 @@ class Weighting:
 def inverse_variance_weights(residuals: Sequence[Array]) -> Weighting:
     """Return the channel weights from residuals, each (rows, C)."""
     rows = np.array([r.shape[0] for r in residuals], dtype=float)
-    shares = np.stack([effective_share(r) for r in residuals])
+    shares = np.stack([share_of_independent_rows(r) for r in residuals])
     total = np.sum([(r**2).sum(axis=0) for r in residuals], axis=0)
     effective = (rows[:, None] * shares).sum(axis=0) / rows.sum()
     return Weighting(variance=np.maximum(total / rows.sum(), 1e-12), effective=effective)
 
 
-def effective_share(residual: Array) -> Array:
+def share_of_independent_rows(residual: Array) -> Array:
     """Return the independent samples per row of each channel, (C,): ``1 / (2 sum autocorrelation - 1)``.
 
     Source: Geyer (1992), Practical Markov chain Monte Carlo, section 3.3: the sum ends at the first negative sum of

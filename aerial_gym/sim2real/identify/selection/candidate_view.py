@@ -59,7 +59,7 @@ class CandidateView:
         """Return whether a set was fitted with comparable tolerances: linearised about the present set or about itself."""
         return label in self.fresh or label in self.own
 
-    def fit(self, model: Model, *, however_far: bool = False) -> None:
+    def fit_if_promising(self, model: Model, *, however_far: bool = False) -> None:
         """Fit a new set that may come near the best, with ``MOST_TO_PROMISE`` times its linear gain, or ``however_far``."""
         behind, here = self.sets.log_posteriors([model, self.present_set])
         if self.has_fit(candidate_label(self.library, model)):
@@ -67,7 +67,7 @@ class CandidateView:
         beside = any(self.library.candidates[k].is_common_structure for k in model)
         compared = self.comparison_depth(beside=beside)
         if however_far or self.present.log_posterior - (here - behind) / MOST_TO_PROMISE > compared.least:
-            self.add(self.fitter.fit_set(self.library, self.sets, model, self.structures, compared))
+            self.add_fit(self.fitter.fit_set(self.library, self.sets, model, self.structures, compared))
 
     def comparison_depth(self, *, beside: bool) -> ComparisonDepth:
         """Return the stopping rule of a fit, relative to the best set with structures (``beside``) or without."""
@@ -75,7 +75,7 @@ class CandidateView:
         least = best.log_posterior - FAR_BEHIND * occam_window(best)
         return ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
 
-    def add(self, fitted: EffectSetFit) -> None:
+    def add_fit(self, fitted: EffectSetFit) -> None:
         """Add a fitted set, and sets without its weakest effects as long as one lacks support and a subset may be near the
         best.
         """
@@ -91,7 +91,7 @@ class CandidateView:
         self.own[fitted.label], self.fits[fitted.label] = fitter, fitted
         if not fitted.is_supported:
             fitter.clear_caches()  # a set without support is never the best, and its fitter takes memory
-            self.add(self.fitter.refit_without_weakest(fitted))
+            self.add_fit(self.fitter.refit_without_weakest(fitted))
 
     def free_memory(self) -> None:
         """Free the memory that is not needed after the search about this set has ended."""

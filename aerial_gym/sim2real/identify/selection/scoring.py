@@ -87,7 +87,7 @@ class CrossValidation:
 
     def squares(self, fit: ModelFit) -> Array:
         """Return the squared residuals (B, C) of each fold after a fit of effects and tolerances to the other folds."""
-        return fit.moments.block_squares(leave_out_steps(fit, self.weights.weight, fit.free_all, self.fold))
+        return fit.moments.block_squares(leave_out_steps(fit, self.weights.weight, fit.free_params, self.fold))
 
     def gain(self, less: Array, more: Array) -> Gain:
         """Return the gain of the larger model, by left-out squares (B, C) of the smaller (``less``) and larger (``more``) one.
@@ -102,7 +102,7 @@ class CrossValidation:
         concerned = [part for part in folds if self._has_changed(less[part], more[part])]
         judged = concerned if len(concerned) > 1 else folds
         totals = [self._score(less[part], more[part], count[part]) for part in judged]
-        rises = [self._rises(less[part], more[part], count[part]) for part in folds]
+        rises = [self._has_harmful_rise(less[part], more[part], count[part]) for part in folds]
         fallen = (less - more).sum(axis=0) / count.sum()
         return Gain(
             score=self._score(less, more, count),
@@ -110,7 +110,7 @@ class CrossValidation:
             flights_better=float(np.mean([total > 0.0 for total in totals])),
             falls=tuple((1.0 - np.exp(-0.5 * _log_ratio(less.sum(axis=0), more.sum(axis=0)))).tolist()),
             harmed=tuple(np.mean(rises, axis=0).tolist()),
-            worse=tuple(self._rises(less, more, count).tolist()),
+            worse=tuple(self._has_harmful_rise(less, more, count).tolist()),
             visible=tuple((fallen > (self.criteria.visible * self.tolerated) ** 2).tolist()),
         )
 
@@ -144,7 +144,7 @@ class CrossValidation:
         ratio = np.abs(_log_ratio(less.sum(axis=0), more.sum(axis=0)))
         return bool(np.any(ratio > 2.0 * np.log1p(self.criteria.harmless)))
 
-    def _rises(self, less: Array, more: Array, count: Array) -> Flags:
+    def _has_harmful_rise(self, less: Array, more: Array, count: Array) -> Flags:
         """Return whether the squares (B, C) of each channel rise harmfully, (C,); see ``is_rise_harmful``."""
         return is_rise_harmful(
             less.sum(axis=0), more.sum(axis=0), count.sum(), self.weights.effective, self.tolerated, self.criteria

@@ -198,15 +198,15 @@ class _Scorer:
     def _score(self, fit: ModelFit) -> FitScore:
         spread, left_out = uncertainty(fit, self.weights.weight), self.left_out.squares(fit)
         by_flight = replace(
-            fit, moments=fit.moments.merge_labels(fit.moments.flight)
+            fit, moments=fit.moments.sum_by_label(fit.moments.flight)
         )  # these sums suffice from here on
         return FitScore(fit=by_flight, spread=spread, left_out=left_out)
 
     def score_without_undetermined(self) -> tuple[FitScore, MostProbableSet]:
         """Return the fit of the named effects, and the choice, both with undetermined parameters at neutral."""
         scored = self.score(self.chosen.effects, self.chosen.named.params)
-        owners = {scored.fit.parameter_owners[k]: k for k in scored.fit.free_effects}
-        uncertain = scored.fit.free_effects[~is_identifiable(scored.spread.plain)]  # by more than their scale
+        owners = {scored.fit.parameter_owners[k]: k for k in scored.fit.free_effect_params}
+        uncertain = scored.fit.free_effect_params[~is_identifiable(scored.spread.plain)]  # by more than their scale
         unseen = {owner for owner, k in owners.items() if k in uncertain}
         if not unseen:
             return scored, self.chosen

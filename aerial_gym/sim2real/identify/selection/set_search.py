@@ -150,7 +150,7 @@ class SetSearch:
             moments = weighted_moments(predictor.times, residuals, flights, weights.weight)
             give_back_memory()
             fit = fit_of_moments(predictor.robot, effects, params, moments)
-            step, *steps = np.split(best_step(fit, UNIT, fit.free_all), fit.num_effect_params + ends)
+            step, *steps = np.split(best_step(fit, UNIT, fit.free_params), fit.num_effect_params + ends)
             for part, along in zip((own, *linear), (step, *steps), strict=True):
                 left = [r - directional_change(columns, along) for r, columns in zip(left, part, strict=True)]
             if not all(np.isfinite(part).all() for part in left):
@@ -251,17 +251,17 @@ class SetSearch:
                 if label in seen or view.has_fit(label):
                     continue
                 seen.add(label)
-                view.fit(view.guard.drop_unsupported(model))
+                view.fit_if_promising(view.guard.drop_unsupported(model))
                 before, best = best, best_of_turn()
                 vain = vain + 1 if best is before else 0
 
     def fit_smaller_sets(self, view: CandidateView) -> None:
         """Fit the sets with one effect less than the present one, and those with a special case of an effect."""
         for gone in (k for k in view.present_set if not view.library.candidates[k].structure):
-            view.fit(tuple(k for k in view.present_set if k != gone))
+            view.fit_if_promising(tuple(k for k in view.present_set if k != gone))
         compared = view.comparison_depth(beside=not view.present.has_only_flight_offsets)
         for fitted in view.fitter.fit_special_cases(view.present, self.names, compared):
-            view.add(fitted)
+            view.add_fit(fitted)
 
     def fit_rival_sets(self, view: CandidateView) -> None:
         """Fit the best sets in which a rival replaces an effect, if they are as probable within ``occam_window``."""
@@ -269,14 +269,14 @@ class SetSearch:
         for values in rival_sets(view):
             for model in sorted(values, key=values.__getitem__, reverse=True)[:MOST_RIVALS]:
                 if values[model] > least:
-                    view.fit(model)
+                    view.fit_if_promising(model)
 
     def fit_nearest_rivals(self, view: CandidateView) -> None:
         """Fit the best rival of each present effect even if it is improbable, so that reports can state its log odds."""
         for values in rival_sets(view):
             best = max(values, key=values.__getitem__, default=())
             if np.isfinite(values.get(best, -np.inf)):
-                view.fit(best, however_far=True)
+                view.fit_if_promising(best, however_far=True)
 
     def make_candidate_view(
         self,
@@ -289,7 +289,7 @@ class SetSearch:
         structures, fitter = list[NuisanceColumns](), own[present.label]
         free_other_fitters(own, present.label)
 
-        def of_residuals(
+        def structures_of_residuals(
             residuals: list[Array], effects: dict[str, list[list[SparseDerivatives]]]
         ) -> list[NuisanceColumns]:
             structures.extend(self.nuisances.structures_beyond_effects(residuals, effects))
@@ -302,7 +302,7 @@ class SetSearch:
             present.effects,
             fitter.weights.weight,
             skipped=self.skipped,
-            structures=of_residuals,
+            structures=structures_of_residuals,
             tangents=tangents,
             tolerance=fitter.tolerance,
             parts=num_parts_per_flight(len(self.predictor.times)),

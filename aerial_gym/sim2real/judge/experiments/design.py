@@ -90,7 +90,7 @@ class ManoeuvreCatalogue:
         scores = []
         for index in range(len(self.flights)):
             blocks = np.flatnonzero(fit.moments.flight == index)
-            step = best_step(fit, self.weight, fit.free_all, blocks)
+            step = best_step(fit, self.weight, fit.free_params, blocks)
             squares = fit.moments.block_squares(np.tile(step, (fit.moments.flight.size, 1)))[blocks].sum(axis=0)
             scores.append(0.5 * float(self.weight @ squares + prior_precision(fit) @ step**2))
         return np.multiply(np.maximum(scores, 0.0), self._spans)
@@ -106,7 +106,7 @@ class ManoeuvreCatalogue:
         scores = []
         for index in range(len(self.flights)):
             product, _ = normal_equations(fit, self.weight, np.flatnonzero(fit.moments.flight == index))
-            free = fit.free_all
+            free = fit.free_params
             spread = np.linalg.inv(product[np.ix_(free, free)] + np.diag(prior_precision(fit)[free]))
             best = min(spread[place, place] for place, k in enumerate(free) if k in own)
             scores.append(0.5 / best)

@@ -152,14 +152,14 @@ def _check_attitude_against_rate(log: FlightLog, attitude: Rotation) -> None:
     if size < QUIET_RATE:
         return
 
-    def differs(quaternion: Array) -> tuple[float, Array]:
+    def difference_and_rate(quaternion: Array) -> tuple[float, Array]:
         rate = body_rate_from_attitude(quaternion, sample_rate(log), CHECK_BANDWIDTH_HZ)[_rows_of_comparison(log)]
         return _rms_of_vectors(rate - measured) / max(size, _rms_of_vectors(rate)), rate
 
-    miss, rate = differs(log.attitude)
+    miss, rate = difference_and_rate(log.attitude)
     if miss < WORST_AGREEMENT:
         return
-    alternatives = {text: differs(read(log.attitude))[0] for text, read in READINGS.items()}
+    alternatives = {text: difference_and_rate(read(log.attitude))[0] for text, read in READINGS.items()}
     slope = float((rate * measured).sum() / (measured * measured).sum())
     degrees = UNITS["deg/s"]
     if _rms_of_vectors(rate - degrees * measured) < 0.5 * _rms_of_vectors(rate) and abs(slope / degrees - 1.0) < 0.5:

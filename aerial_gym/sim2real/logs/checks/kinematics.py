@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.recording import AT_REST, FlightLog, sample_rate
-from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
 
 CHECK_BANDWIDTH_HZ = 4.0  # Low-pass frequency of the comparison [Hz], below the limits of all logs
@@ -45,17 +45,19 @@ class ImuErrors:
         def half_widths(part: slice, scale: float = 1.0) -> list[float | None]:
             return [scale * value if np.isfinite(value) else None for value in self.half_width[part].tolist()]
 
-        def note(code: str, **values: object) -> None:
+        def append_finding(code: str, **values: object) -> None:
             notes.append(Finding(code, "", {"sensor": self.sensor, **values}))
 
         if np.any(sure[:3] & (np.abs(self.bias) > MATERIAL[self.sensor])):
             bias = {f"bias_{unit}": self.bias.tolist(), f"half_width_{unit}": half_widths(slice(0, 3))}
-            note("sensor_bias", **bias)
+            append_finding("sensor_bias", **bias)
         if np.any(sure[3:6] & (np.abs(self.angle) > MATERIAL["misalignment"])):
             angle = np.degrees(self.angle).tolist()
-            note("sensor_turned", angle_deg=angle, half_width_deg=half_widths(slice(3, 6), float(np.degrees(1.0))))
+            append_finding(
+                "sensor_turned", angle_deg=angle, half_width_deg=half_widths(slice(3, 6), float(np.degrees(1.0)))
+            )
         if sure[6] and abs(self.delay) > MATERIAL["clock"]:
-            note("sensor_late", late_ms=1e3 * self.delay, half_width_ms=1e3 * float(self.half_width[6]))
+            append_finding("sensor_late", late_ms=1e3 * self.delay, half_width_ms=1e3 * float(self.half_width[6]))
         return notes
 
 
@@ -79,7 +81,7 @@ def _fit_imu_errors(sensor: str, measured: Array, motion: Array, level: Array, r
     """Return the fitted errors of a sensor; None if the log is too short. ``level``: the motion at hover."""
     band = min(CHECK_BANDWIDTH_HZ, 0.2 * rate)
     slow, rise = lowpass(motion, rate, band), lowpass(motion, rate, band, derivative=True)
-    edge = edge_rows(rate, band)
+    edge = num_edge_rows(rate, band)
     inner = slice(edge, -edge)
     left = (lowpass(measured, rate, band) - slow)[inner]
     slow, rise = slow[inner], rise[inner]

@@ -24,7 +24,7 @@ from aerial_gym.sim2real.logs.checks.units import SURE
 from aerial_gym.sim2real.logs.readers.mapping import UNITS
 from aerial_gym.sim2real.logs.recording import FlightLog, sample_rate
 from aerial_gym.sim2real.logs.rotor_model import simulate_lag, total_rotor_force
-from aerial_gym.sim2real.logs.signals import edge_rows, lowpass
+from aerial_gym.sim2real.logs.signals import lowpass, num_edge_rows
 from aerial_gym.sim2real.statistics import student_quantile
 
 
@@ -70,10 +70,10 @@ def _check_sign_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
 def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot: RobotCfg) -> None:
     """Check that the declared thrust at high logged speeds is the weight within a factor of three."""
 
-    def high(states: Array) -> float:
+    def thrust_at_90th_percentile(states: Array) -> float:
         return float(np.percentile(total_rotor_force(robot, states), 90.0))
 
-    thrust, unit = high(values), "N" if "force" in robot.rotor_traits else "rad/s"
+    thrust, unit = thrust_at_90th_percentile(values), "N" if "force" in robot.rotor_traits else "rad/s"
     if thrust == 0.0:
         raise DataError(
             f"{log.path}: {name}_1..{values.shape[1]} (largest {values.max():.4g}) give the declared robot no thrust in nine "
@@ -84,7 +84,7 @@ def _check_unit_of_rotor_column(log: FlightLog, name: str, values: Array, robot:
         return
     guess = f"check the unit ({unit}) and the robot"
     for other in ("rpm", "rev/s"):
-        if unit == "rad/s" and 0.5 < high(UNITS[other] * values) * ratio / thrust < 2.0:
+        if unit == "rad/s" and 0.5 < thrust_at_90th_percentile(UNITS[other] * values) * ratio / thrust < 2.0:
             guess = f"it looks like {other}: convert to rad/s, or give unit: {other} in a mapping file"
     if np.all((values >= 0.0) & (values <= 1.0)):
         guess = f"it looks like a fraction of full throttle: leave these columns out, or convert them to {unit}"
@@ -103,20 +103,20 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg) -> None:
     if log.ang_vel is None or log.collective or not log.torques or not 2 <= robot.num_rotors <= MOST_ROTORS:
         return
     rate = sample_rate(log)
-    edge, stride = edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
+    edge, stride = num_edge_rows(rate, CHECK_BANDWIDTH_HZ), max(1, round(rate / (5.0 * CHECK_BANDWIDTH_HZ)))
 
-    def slow(values: Array, *, derivative: bool = False) -> Array:
+    def lowpass_without_mean(values: Array, *, derivative: bool = False) -> Array:
         filtered = lowpass(values, rate, CHECK_BANDWIDTH_HZ, derivative=derivative)[edge:-edge:stride]
         return filtered - filtered.mean(axis=0)
 
     inertia = np.array(robot.body.inertia)
-    turning = slow(log.ang_vel, derivative=True)
-    turning = turning + slow(np.cross(log.ang_vel, log.ang_vel @ inertia)) @ np.linalg.inv(inertia)
+    turning = lowpass_without_mean(log.ang_vel, derivative=True)
+    turning = turning + lowpass_without_mean(np.cross(log.ang_vel, log.ang_vel @ inertia)) @ np.linalg.inv(inertia)
     for name, values in (("rotor", log.rotor_speed), ("cmd", log.rotor_command)):
         if values is None:
             continue
         orders = np.array(list(permutations(range(robot.num_rotors))))  # the declared order is first
-        misses = _residuals_of_rotor_orders(robot, turning, slow, values, orders, inertia)
+        misses = _residuals_of_rotor_orders(robot, turning, lowpass_without_mean, values, orders, inertia)
         best = int(np.argmin(misses))
         if misses[0] > WORST_AGREEMENT and misses[best] < BETTER * misses[0]:
             columns = ", ".join(f"{name}_{column + 1}" for column in orders[best])
@@ -129,7 +129,7 @@ def check_rotor_order(log: FlightLog, robot: RobotCfg) -> None:
 def _residuals_of_rotor_orders(
     robot: RobotCfg,
     turning: Array,
-    slow: Callable[[Array], Array],
+    lowpass_without_mean: Callable[[Array], Array],
     values: Array,
     orders: Indices,
     inertia: Array,
@@ -139,7 +139,7 @@ def _residuals_of_rotor_orders(
     single, none = torch.eye(count, dtype=torch.float64), torch.zeros(count, count, dtype=torch.float64)
     lever, reaction = (rotor_wrench(one, *pair)[1].numpy() for pair in ((single, none), (none, single)))
     speed = torch.from_numpy(values)
-    thrust, drag = (slow(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
+    thrust, drag = (lowpass_without_mean(values(one, speed).numpy()) for values in (rotor_thrust, rotor_torque))
     torque = np.einsum("tnr,rk->ntk", thrust[:, orders], lever) + np.einsum("tnr,rk->ntk", drag[:, orders], reaction)
     left = np.mean((turning - torque @ np.linalg.inv(inertia)) ** 2, axis=1)
     return np.sqrt(np.mean(left / np.maximum(np.mean(turning**2, axis=0), 1e-300), axis=1))
@@ -175,16 +175,16 @@ def interval_of_thrust_slope(log: FlightLog, thrust: Array, on_ground: Flags | N
     rows = max(1, round(WINDOW_S * sample_rate(log)))
     count = len(thrust) // rows
 
-    def means(values: Array) -> Array:
+    def window_means(values: Array) -> Array:
         return values[: count * rows].reshape(count, rows, -1).mean(axis=1)
 
     regressors = [np.ones((count, 1))]
     if log.lin_vel is not None:
         speed = Rotation.from_quat(log.attitude).apply(log.lin_vel, inverse=True)
-        regressors += [means(speed[:, 2:]), means(np.sum(speed[:, :2] ** 2, axis=1))]
-    flies = np.full(count, True) if on_ground is None else means(on_ground.astype(float))[:, 0] == 0.0
+        regressors += [window_means(speed[:, 2:]), window_means(np.sum(speed[:, :2] ** 2, axis=1))]
+    flies = np.full(count, True) if on_ground is None else window_means(on_ground.astype(float))[:, 0] == 0.0
     causes = np.concatenate(regressors, axis=1)[flies]
-    pair = np.column_stack((np.linalg.norm(means(log.specific_force), axis=1), means(thrust)))[flies]
+    pair = np.column_stack((np.linalg.norm(window_means(log.specific_force), axis=1), window_means(thrust)))[flies]
     free = len(pair) - causes.shape[1] - 1
     if free < FEWEST_WINDOWS:
         return 0.0, np.inf

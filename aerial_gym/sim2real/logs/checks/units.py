@@ -111,12 +111,12 @@ def _most_likely_axis_order(shared: Array, count: int) -> tuple[int, ...]:
     """Return the order of axes that fits correlations (3, 3) clearly best; (0, 1, 2) if none does."""
     plain = (0, 1, 2)
 
-    def likelihood(order: tuple[int, ...]) -> float:
+    def log_likelihood(order: tuple[int, ...]) -> float:
         return float(-0.5 * count * np.log1p(-(shared[AXES, order] ** 2)).sum())
 
-    best = max(permutations(plain), key=likelihood)
+    best = max(permutations(plain), key=log_likelihood)
     moved = shared[AXES, best][np.array(best) != AXES]
-    clear = likelihood(best) - likelihood(plain) > CLEARLY and np.all(moved**2 > SHARED)
+    clear = log_likelihood(best) - log_likelihood(plain) > CLEARLY and np.all(moved**2 > SHARED)
     return best if clear else plain
 
 
@@ -187,13 +187,13 @@ def _integrals_over_windows(log: FlightLog, values: Array) -> Array:
 def _letters_of_wrong_quantities(relation: AxisRelation, log: FlightLog) -> list[str]:
     """Return the letters of the wrong quantities: v, p, or both if the accelerometer is inconclusive."""
 
-    def agrees(letter: str) -> bool:
+    def agrees_with_accelerometer(letter: str) -> bool:
         other = _relation_to_accelerometer(log, letter)
         return other is not None and bool(
             np.all(other.significant_axes[relation.wrong_axes]) and not other.wrong_axes[relation.wrong_axes].any()
         )
 
-    wrong = [letter for letter in ("v", "p") if not agrees(letter)]
+    wrong = [letter for letter in ("v", "p") if not agrees_with_accelerometer(letter)]
     return wrong or ["v", "p"]
 
 

@@ -118,17 +118,16 @@ def _slice_of_exchanged_runs(runs: list[_StampRun], number: int, joint: float) -
 def _slice_of_wrong_runs(runs: list[_StampRun], number: int, step: float) -> tuple[int, int] | None:
     """Return the slice of runs, the one with fewer rows, without which time advances one usual step per row; else None."""
 
-    def off(before: int, after: int) -> bool:
+    def is_off_clock(before: int, after: int) -> bool:
         rows = int(runs[after].rows[0]) - runs[before].end
         return abs(runs[after].first - runs[before].last - step * rows) > JOINT_STEPS * step
 
     first, last = max(0, number - MOST_RUNS), min(len(runs), number + MOST_RUNS)
-    ahead = next(
-        ((n + 1, number) for n in range(number - 2, first - 1, -1) if off(n, n + 1) and not off(n, number)), None
-    )
+    gaps = (n for n in range(number - 2, first - 1, -1) if is_off_clock(n, n + 1) and not is_off_clock(n, number))
+    ahead = next(((n + 1, number) for n in gaps), None)
     behind = None
-    if off(number - 1, number):
-        behind = next(((number, n) for n in range(number + 1, last) if not off(number - 1, n)), None)
+    if is_off_clock(number - 1, number):
+        behind = next(((number, n) for n in range(number + 1, last) if not is_off_clock(number - 1, n)), None)
     sizes = {span: sum(run.rows.size for run in runs[slice(*span)]) for span in (ahead, behind) if span}
     return min(sizes, key=sizes.__getitem__, default=None)
 

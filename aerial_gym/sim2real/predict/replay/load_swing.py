@@ -72,7 +72,7 @@ def _make_swing_kernel(effect: LoadEffect) -> wp.Kernel:
     pull = make_pull(effect, _Suspension, wp.spatial_vectord, wp.vec3d, params_type)
 
     @wp.func
-    def slope(acceleration: wp.vec3d, load: wp.spatial_vectord, params: params_type, gravity: wp.float64):
+    def swing_slope(acceleration: wp.vec3d, load: wp.spatial_vectord, params: params_type, gravity: wp.float64):
         at = _Suspension()  # zero mobility: the load does not move the prescribed origin
         at.acceleration = acceleration
         at.gravity = gravity
@@ -80,7 +80,7 @@ def _make_swing_kernel(effect: LoadEffect) -> wp.Kernel:
         return _spatial_vector(wp.spatial_bottom(load), swing), force
 
     @wp.kernel(module="unique", enable_backward=False)
-    def follow(
+    def integrate_links(
         acceleration: wp.array2d[wp.vec3d],  # (2 N + 1, F) [m/s²], world
         start: wp.array[wp.spatial_vectord],  # (F,) n, n' [1/s], world
         params: params_type,
@@ -94,20 +94,20 @@ def _make_swing_kernel(effect: LoadEffect) -> wp.Kernel:
         origin = wp.tid()
         half = wp.float64(0.5) * step
         load = start[origin]
-        k1, force = slope(acceleration[0, origin], load, params, gravity)
+        k1, force = swing_slope(acceleration[0, origin], load, params, gravity)
         load_out[0, origin] = load
         force_out[0, origin] = force
         for row in range(1, load_out.shape[0]):
             middle, end = acceleration[2 * row - 1, origin], acceleration[2 * row, origin]
-            k2, _f2 = slope(middle, load + half * k1, params, gravity)
-            k3, _f3 = slope(middle, load + half * k2, params, gravity)
-            k4, _f4 = slope(end, load + step * k3, params, gravity)
+            k2, _f2 = swing_slope(middle, load + half * k1, params, gravity)
+            k3, _f3 = swing_slope(middle, load + half * k2, params, gravity)
+            k4, _f4 = swing_slope(end, load + step * k3, params, gravity)
             load += step / wp.float64(6.0) * (k1 + wp.float64(2.0) * (k2 + k3) + k4)
             direction = wp.normalize(wp.spatial_top(load))
             rate = wp.spatial_bottom(load)
             load = _spatial_vector(direction, rate - wp.dot(rate, direction) * direction)
-            k1, force = slope(end, load, params, gravity)
+            k1, force = swing_slope(end, load, params, gravity)
             load_out[row, origin] = load
             force_out[row, origin] = force
 
-    return follow
+    return integrate_links

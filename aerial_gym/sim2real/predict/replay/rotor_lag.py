@@ -50,7 +50,7 @@ def _make_limited_lag_kernel() -> Any:
     limited_lag = make_limited_lag(wp.float64)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def follow(
+    def simulate_limited_lag(
         ends: wp.array[wp.int32],  # (F + 1,) first row of each flight, and N
         first: wp.array2d[wp.float64],  # (F, R) [rad/s]
         earlier: wp.array2d[wp.float64],  # (N, R) [rad/s]
@@ -69,7 +69,7 @@ def _make_limited_lag_kernel() -> Any:
             speed = limited_lag(speed, earlier[row, rotor], limit[0], limit[1], limit[2], limit[3], spans[flight][0])
             speed = limited_lag(speed, later[row, rotor], limit[0], limit[1], limit[2], limit[3], spans[flight][1])
 
-    return follow
+    return simulate_limited_lag
 
 
 def simulate_rotor_lag(

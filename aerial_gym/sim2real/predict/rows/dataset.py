@@ -17,7 +17,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.sim2real.arrays import Array, Indices, has_nonzero
 from aerial_gym.sim2real.logs.checks.conventions import body_rate_from_attitude
 from aerial_gym.sim2real.logs.flights import Flight
-from aerial_gym.sim2real.logs.signals import edge_rows, lowpass, lowpass_columns
+from aerial_gym.sim2real.logs.signals import lowpass, lowpass_columns, num_edge_rows
 from aerial_gym.sim2real.predict.channels import Channel
 from aerial_gym.sim2real.predict.rows.rotor_estimate import RotorEstimate
 from aerial_gym.sim2real.predict.scene import other_vehicle_track, surface_heights
@@ -35,7 +35,7 @@ def row_stride(flight: Flight, bandwidth: float) -> int:
     return max(1, int(flight.rate / max(ROWS_PER_BAND * bandwidth, THINNED_HZ)))
 
 
-def _spans(sizes: Sequence[int]) -> list[slice]:
+def _slices_of_sizes(sizes: Sequence[int]) -> list[slice]:
     """Return the slices of parts of these sizes in sequence."""
     return [slice(int(a), int(b)) for a, b in pairwise(np.cumsum([0, *sizes]))]
 
@@ -60,30 +60,34 @@ class Dataset:
         self.measured = [self._channels_in_band(place) for place in places]
         self.times = [flight.time[kept] for flight, kept in zip(flights, self.kept, strict=True)]
         self.row_times = [flight.time[::stride] for flight, stride in pairs]
-        self.spans, self.kept_spans = (_spans([time.size for time in times]) for times in (self.row_times, self.times))
+        self.spans, self.kept_spans = (
+            _slices_of_sizes([time.size for time in times]) for times in (self.row_times, self.times)
+        )
         rows = [time.size for time in self.row_times]
         self.flight = np.repeat(np.arange(len(flights)), rows)
 
-        def join(values: Callable[[int], Tensor]) -> Tensor:
+        def join_flights(values: Callable[[int], Tensor]) -> Tensor:
             return torch.cat([values(place) for place in places])
 
         names = ("position", "attitude", "lin_vel", "ang_vel")
-        self.state = {name: join(partial(self._quantity_at_rows, name)) for name in names}
+        self.state = {name: join_flights(partial(self._quantity_at_rows, name)) for name in names}
         self.state["attitude"] /= self.state["attitude"].norm(dim=1, keepdim=True)
         self.heights = surface_heights(flights, rows)
         self.other = torch.cat([torch.from_numpy(other_vehicle_track(flight)[::stride]) for flight, stride in pairs])
         self.simulated = all(flight.rotor_speed is None for flight in flights)
         accelerometers = all(flight.specific_force is not None for flight in flights)
-        self.force = join(partial(self._quantity_at_rows, "specific_force")) if accelerometers else None
+        self.force = join_flights(partial(self._quantity_at_rows, "specific_force")) if accelerometers else None
         # Without an accelerometer the force is derived from the velocity, and has no accelerometer errors.
         felt = torch.tensor([flight.accelerometer for flight in flights])
         self.felt_force = felt[torch.from_numpy(self.flight)].unsqueeze(1)
-        self.felt_force_kept = join(lambda place: felt[place].expand(self.times[place].size, 1))
-        self.acceleration, self.ang_acc = (join(partial(self._derivative, name)) for name in ("lin_vel", "ang_vel"))
+        self.felt_force_kept = join_flights(lambda place: felt[place].expand(self.times[place].size, 1))
+        self.acceleration, self.ang_acc = (
+            join_flights(partial(self._derivative, name)) for name in ("lin_vel", "ang_vel")
+        )
         self.speed, self.unsure_speed = self._rotor_motion(rotors, self.thin_rows)
         self.spin_up, self.unsure_spin_up = self._rotor_motion(rotors, self.derivative_at_rows)
         implied = (self._kinematic_force, self._kinematic_jerk, self._kinematic_rate)
-        self._implied = np.concatenate([join(reading).numpy().T for reading in implied])
+        self._implied = np.concatenate([join_flights(reading).numpy().T for reading in implied])
 
     @staticmethod
     def _rotor_motion(
@@ -139,13 +143,13 @@ class Dataset:
 
     def _residual_rows(self, flight: Flight, stride: int, every_row: bool) -> Indices:
         """Return the log rows of the residuals: multiples of the stride, without the ends and ground contacts."""
-        edge = edge_rows(flight.rate, self.bandwidth)
+        edge = num_edge_rows(flight.rate, self.bandwidth)
         start = edge if flight.rotor_command is None else max(edge, round(SETTLE_S * flight.rate))
         step = 1 if every_row else stride * max(1, round(flight.rate / stride / (SAMPLES_PER_BAND * self.bandwidth)))
         rows = np.arange(-(-start // step) * step, flight.num_rows - edge, step)
         if flight.on_ground is None or every_row:  # a spectrum needs every row
             return rows
-        near = edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touchdown
+        near = num_edge_rows(flight.rate, self.bandwidth)  # the low-pass spreads the jolt of a touchdown
         touched = np.asarray(ndimage.maximum_filter1d(flight.on_ground, 2 * near + 1), dtype=bool)
         return rows[np.logical_not(touched[rows])]
 

@@ -20,7 +20,7 @@ from aerial_gym.errors import ConfigError, DataError
 from aerial_gym.physics.articulated.joint_laws import JointLimits, Spring
 from aerial_gym.sim2real.arrays import Array
 from aerial_gym.sim2real.identify.least_squares.box_minimum import minimise_in_bounds
-from aerial_gym.sim2real.logs.signals import edge_rows
+from aerial_gym.sim2real.logs.signals import num_edge_rows
 from aerial_gym.sim2real.predict.rows.dataset import SAMPLES_PER_BAND
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
@@ -85,7 +85,7 @@ class JointFitter:
         self.declared = np.array([getattr(self.springs[k], name) for k, name in self.parameter_owners])
         self.slow = torch.ones(1, len(self.joints), dtype=torch.float64)
         rate = self.simulation.rate
-        every, edge = max(1, int(rate / (SAMPLES_PER_BAND * bandwidth))), edge_rows(rate, bandwidth)
+        every, edge = max(1, int(rate / (SAMPLES_PER_BAND * bandwidth))), num_edge_rows(rate, bandwidth)
         self.kept = [np.arange(edge, len(motion.wrench) - self.simulation.warm - edge, every) for motion in motions]
         if min(rows.size for rows in self.kept) < LEAST_ROWS:
             raise DataError(

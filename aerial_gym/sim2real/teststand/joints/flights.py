@@ -17,7 +17,7 @@ from aerial_gym.sim2real.judge.analysis import LoopResult
 from aerial_gym.sim2real.judge.outcome import NOTHING_NAMED
 from aerial_gym.sim2real.logs.readers.csv_lines import find_header, read_lines
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.progress import Progress, silent
 from aerial_gym.sim2real.statistics import Rms
 from aerial_gym.sim2real.teststand.joints.angle_logs import JointResult, LogJointFit, fit_flown_joints, require_joints
@@ -97,9 +97,13 @@ def find_joints(
         logged, left_out = fit_flown_joints(
             robot, [read_joint_motion(path, robot, bandwidth=bandwidth) for path in flights]
         )
-        joints = tuple(_joint_result(robot, joint) for joint in logged)
-        return FlightJointStudy(joints=joints, logged=tuple(logged), channels={}, left_out=tuple(left_out))
-    motions = [body_motion(robot, uniform_log(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
+        return FlightJointStudy(
+            joints=tuple(_joint_result(robot, joint) for joint in logged),
+            logged=tuple(logged),
+            channels={},
+            left_out=tuple(left_out),
+        )
+    motions = [body_motion(robot, log_at_equal_steps(read_flight_log(path)), bandwidth=bandwidth) for path in flights]
     fit = fit_hidden_joints(robot, motions, bandwidth=bandwidth, progress=progress)
     return FlightJointStudy(joints=fit.joints, logged=(), channels=fit.channels, left_out=())
 

@@ -28,7 +28,7 @@ from aerial_gym.sim2real.logs.readers.csv_table import read_csv_rows
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.logs.readers.mapping import find_mapping
 from aerial_gym.sim2real.logs.recording import FlightLog
-from aerial_gym.sim2real.logs.signals import edge_rows, interpolate_columns, lowpass, uniform_log
+from aerial_gym.sim2real.logs.signals import interpolate_columns, log_at_equal_steps, lowpass, num_edge_rows
 
 SLOW = 0.05
 """Velocity scale v of dry friction, as a share of the joint rate's standard deviation."""
@@ -51,7 +51,7 @@ def read_joint_motion(path: Path, robot: RobotCfg, *, bandwidth: float) -> Joint
     The log has columns ``joint_NAME``, or ``joint_1`` to ``joint_D``, with angles [rad] or displacements [m].
     """
     assert robot.joints is not None
-    log = uniform_log(read_flight_log(path))
+    log = log_at_equal_steps(read_flight_log(path))
     table, time, _ = read_csv_rows(path, find_mapping("aerial_gym"), [])
     columns = []
     for number, name in enumerate(robot.joints.names, 1):
@@ -99,7 +99,7 @@ def joint_motion(robot: RobotCfg, log: FlightLog, angle: Array, *, bandwidth: fl
     effort = joint_efforts(robot, state, rows(slow(rotor_states(robot, log))), acc)
     wide = lowpass(angle, rate, rate / 5.0, derivative=True)
     side = slow(wide / np.sqrt(wide**2 + (SLOW * wide.std(axis=0)) ** 2 + 1e-30))
-    edge = 2 * edge_rows(rate, bandwidth)
+    edge = 2 * num_edge_rows(rate, bandwidth)
     kept = slice(edge, len(angle) - edge)
     if len(angle) <= 4 * edge:
         raise DataError(f"{log.path}: {len(angle)} rows are too few for a bandwidth of {bandwidth:g} Hz")

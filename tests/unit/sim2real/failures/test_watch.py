@@ -9,7 +9,7 @@ import pytest
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import RotorOutput
-from aerial_gym.sim2real.failures.scan import rank_causes, sum_of_odds
+from aerial_gym.sim2real.failures.scan import log_sum_of_odds, rank_causes
 from aerial_gym.sim2real.failures.sensor_faults import SensorFault
 from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch
 from aerial_gym.sim2real.logs.flights import complete_flight
@@ -191,5 +191,5 @@ def test_noise_alone_passes_a_limit_no_more_often_than_is_said() -> None:
             own=own,
             beside=np.stack((own, rng.standard_normal(own.shape)), axis=-1),
         )
-        passed += sum_of_odds(rank_causes([work], Tolerances(thrust=1e-3))) > np.log(20.0 * blocks)
+        passed += log_sum_of_odds(rank_causes([work], Tolerances(thrust=1e-3))) > np.log(20.0 * blocks)
     assert passed <= 19

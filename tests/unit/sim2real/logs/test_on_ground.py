@@ -15,7 +15,7 @@ from aerial_gym.sim2real.logs.flights import Flight
 from aerial_gym.sim2real.logs.on_ground import check_airborne, rows_on_ground
 from aerial_gym.sim2real.predict.model_params import params_from_robot
 from aerial_gym.sim2real.predict.rollout import HORIZONS_S
-from aerial_gym.sim2real.predict.windows import find_windows, longest_windows
+from aerial_gym.sim2real.predict.windows import find_windows, windows_of_longest_horizon
 from aerial_gym.sim2real.replay import replay_flights
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, make_predictor, write
 
@@ -133,7 +133,7 @@ def test_a_hop_is_compared_where_it_is_long_enough_and_refused_where_it_is_not(t
 
     for seconds, horizons in ((0.8, (0.1, 0.5)), (1.5, (0.1, 0.5, 1.0))):
         hopped = load_flight(write(hop(seconds), tmp_path / f"{seconds}.csv"), ROBOT, mapping=None, bandwidth=10.0)
-        assert longest_windows([hopped], HORIZONS_S)[0] == horizons
+        assert windows_of_longest_horizon([hopped], HORIZONS_S)[0] == horizons
     lowest = load_flight(write(hop(0.8), tmp_path / "low.csv"), ROBOT, mapping=None, bandwidth=10.0)
     windows = find_windows([lowest], 0.1)
     landed = np.isin(np.arange(lowest.num_rows), windows.row + 3)

@@ -14,20 +14,20 @@ from aerial_gym.sim2real.logs.sample_repeats import mend_repeated_samples
 from aerial_gym.sim2real.logs.signals import (
     apply_lag,
     continuous_quaternion,
-    edge_rows,
     interpolate_columns,
+    log_at_equal_steps,
     lowpass,
     lowpass_gain,
+    num_edge_rows,
     quaternion_signs,
     remove_line,
-    uniform_log,
     welch,
 )
 from tests.unit.sim2real.flat_flights import flight, write
 
 RATE, BAND = 200.0, 10.0
 TIME = np.arange(0.0, 10.0, 1.0 / RATE)
-INNER = slice(2 * edge_rows(RATE, BAND), -2 * edge_rows(RATE, BAND))
+INNER = slice(2 * num_edge_rows(RATE, BAND), -2 * num_edge_rows(RATE, BAND))
 
 
 @pytest.mark.parametrize("frequency", [0.3, 2.0, 8.0, 10.0, 14.0, 40.0])
@@ -86,13 +86,13 @@ def test_jitter_is_resampled_and_commands_stay_held() -> None:
     time = np.arange(0.0, 4.0, 0.01)
     time[1:-1] += 0.004 * np.sin(np.arange(1, time.size - 1))
     step = np.where(time < 2.0, 100.0, 300.0)[:, None]
-    result = uniform_log(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
+    result = log_at_equal_steps(log(time, position=np.stack((time, 2 * time, -time), axis=1), rotor_command=step))
     assert np.ptp(np.diff(result.time)) < 1e-12
     np.testing.assert_allclose(result.position[:, 1], 2.0 * result.time, atol=1e-12)
     assert set(np.unique(result.rotor_command)) == {100.0, 300.0}
     assert result.notes[0].code == "steps_resampled"
     with pytest.raises(DataError, match=r"0\.5 s after the row before, where 0\.01 s are usual; cut the log there"):
-        uniform_log(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
+        log_at_equal_steps(log(np.delete(np.arange(0.0, 4.0, 0.01), np.arange(100, 149))))
 
 
 def test_without_line_is_what_a_fit_of_a_line_leaves() -> None:

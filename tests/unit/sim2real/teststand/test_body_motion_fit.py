@@ -19,7 +19,7 @@ from aerial_gym.math.quaternion import quat_rotate_inverse
 from aerial_gym.physics.articulated.joint_laws import JointLimits, Spring
 from aerial_gym.robots import ROBOTS
 from aerial_gym.sim2real import close_loop, read_flight_log
-from aerial_gym.sim2real.logs.signals import edge_rows, uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps, num_edge_rows
 from aerial_gym.sim2real.teststand.joints import joint_simulation
 from aerial_gym.sim2real.teststand.joints.body_motion_fit import JointFitter, fit_hidden_joints
 from aerial_gym.sim2real.teststand.joints.joint_motion import joint_efforts
@@ -37,7 +37,7 @@ def without_angles(table: pd.DataFrame) -> pd.DataFrame:
 
 def make_ride(table: pd.DataFrame, path: Path) -> BodyMotion:
     without_angles(table).to_csv(path, index=False)
-    return body_motion(robot(), uniform_log(read_flight_log(path)), bandwidth=BAND)
+    return body_motion(robot(), log_at_equal_steps(read_flight_log(path)), bandwidth=BAND)
 
 
 @pytest.mark.slow
@@ -51,7 +51,7 @@ def test_what_a_body_feels_of_swinging_arms_is_what_that_of_the_plant_felt(tmp_p
     fit = JointFitter(robot(), [ride], BAND)
     true = np.array([hidden[k][name] for k, name in fit.owners])
     felt = fit.simulation.run(fit.joint_laws(np.stack((true, fit.declared))), torch.ones(2).double())[0][0]
-    edge = edge_rows(ride.rate, BAND)
+    edge = num_edge_rows(ride.rate, BAND)
     left = (felt - ride.felt[None, fit.simulation.warm :])[:, edge:-edge]
     right, wrong = np.sqrt(np.mean((left - left.mean(axis=1, keepdims=True)) ** 2, axis=1))
     assert (right < 0.2 * wrong).all()
@@ -62,7 +62,7 @@ def test_effects_of_the_robot_file_push_the_links_too(tmp_path: Path) -> None:
     table = flight([SAME] * 4, 5, seconds=3.2, noise=0.0)
     plain = make_ride(table, tmp_path / "f.csv")
     dragged = replace(robot(), effects={"rotor_drag": {"dx": 0.5, "dy": 0.5, "dz": 0.0}}, effects_source="invented")
-    ride = body_motion(dragged, uniform_log(read_flight_log(tmp_path / "f.csv")), bandwidth=BAND)
+    ride = body_motion(dragged, log_at_equal_steps(read_flight_log(tmp_path / "f.csv")), bandwidth=BAND)
     JointSimulation(dragged, [ride], bandwidth=BAND)
     middle = torch.tensor([dragged.body.com], dtype=torch.float64).expand_as(ride.base.ang_vel)
     turning = torch.linalg.cross(ride.base.ang_vel, middle)

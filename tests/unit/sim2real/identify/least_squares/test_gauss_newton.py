@@ -19,8 +19,8 @@ from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
 from aerial_gym.sim2real.identify.least_squares.moments import (
     block_length,
     block_moments,
-    effective_share,
     inverse_variance_weights,
+    share_of_independent_rows,
 )
 from aerial_gym.sim2real.logs.signals import lowpass
 from aerial_gym.sim2real.predict.model_params import ModelParams
@@ -79,11 +79,11 @@ def test_the_best_step_solves_least_squares_and_respects_bounds() -> None:
     full, sums = np.append(truth, np.zeros(NUM_TOLERANCES)), fit.moments
     noise_free = replace(sums, square=np.einsum("bckl,k,l->bc", sums.product, full, full), gradient=sums.product @ full)
     exact = replace(fit, moments=noise_free)
-    np.testing.assert_allclose(best_step(exact, np.ones(CHANNELS), exact.free_effects)[:3], truth, atol=1e-5)
+    np.testing.assert_allclose(best_step(exact, np.ones(CHANNELS), exact.free_effect_params)[:3], truth, atol=1e-5)
     bounded = replace(exact, low=np.array([0.0, 0.0, 0.0, -3.0, -3.0]))
-    result = best_step(bounded, np.ones(CHANNELS), bounded.free_effects)
+    result = best_step(bounded, np.ones(CHANNELS), bounded.free_effect_params)
     fixed = replace(exact, frozen=frozenset({(EFFECT, 1)}))
-    np.testing.assert_allclose(result, best_step(fixed, np.ones(CHANNELS), fixed.free_effects), atol=1e-9)
+    np.testing.assert_allclose(result, best_step(fixed, np.ones(CHANNELS), fixed.free_effect_params), atol=1e-9)
 
 
 def test_squares_after_a_step_are_those_of_the_rows() -> None:
@@ -100,7 +100,7 @@ def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() ->
     jacobians = [rng.standard_normal((240, 2, 3)) for _ in range(3)]
     times = [np.arange(240) / 30.0] * 3
     blocks, flights = (block_moments(times, residuals, jacobians, length=length) for length in (2.0, np.inf))
-    joined = blocks.merge_labels(blocks.flight)
+    joined = blocks.sum_by_label(blocks.flight)
     assert blocks.count.tolist() == [60.0] * 12
     for some in (joined, flights):
         assert some.count.tolist() == [240.0] * 3
@@ -108,7 +108,7 @@ def test_sums_of_blocks_are_joined_by_label_and_whole_flights_are_one_block() ->
     for name in ("square", "gradient", "product"):
         np.testing.assert_allclose(getattr(joined, name), getattr(flights, name), rtol=1e-12)
     np.testing.assert_allclose(flights.gradient[1], np.einsum("tck,tc->ck", jacobians[1], residuals[1]), rtol=1e-12)
-    swapped = blocks.merge_labels(2 - blocks.flight)
+    swapped = blocks.sum_by_label(2 - blocks.flight)
     np.testing.assert_allclose(swapped.product, joined.product[::-1], rtol=1e-12)
     assert swapped.flight.tolist() == [2, 1, 0]
 
@@ -120,7 +120,7 @@ def test_the_effective_share_of_an_autoregression(memory: float) -> None:
     noise, x = rng.standard_normal((20000, 1)), np.zeros((20000, 1))
     for row in range(1, len(x)):
         x[row] = memory * x[row - 1] + noise[row]
-    assert effective_share(x)[0] == pytest.approx((1.0 - memory) / (1.0 + memory), rel=0.15)
+    assert share_of_independent_rows(x)[0] == pytest.approx((1.0 - memory) / (1.0 + memory), rel=0.15)
     assert inverse_variance_weights([x]).variance[0] == pytest.approx(1.0 / (1.0 - memory**2), rel=0.1)
 
 
@@ -180,7 +180,7 @@ def test_a_fit_with_derivatives_at_hand_arrives_where_others_do() -> None:
 
 def worth(fit: ModelFit) -> float:
     """Return the log likelihood of the linear model about a fit where it is best."""
-    step = best_step(fit, np.ones(1), fit.free_all)
+    step = best_step(fit, np.ones(1), fit.free_params)
     gradient, product = fit.moments.gradient.sum(axis=(0, 1)), fit.moments.product.sum(axis=(0, 1))
     return float(gradient @ step - 0.5 * step @ product @ step) - 0.5 * float(fit.moments.square.sum())
 

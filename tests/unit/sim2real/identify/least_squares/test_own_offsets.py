@@ -80,8 +80,8 @@ def fit_of_noise() -> ModelFit:
 def test_each_flight_is_left_out_of_its_own_step() -> None:
     fit, weight = fit_of_noise(), np.array([1.0, 4.0])
     label = 10 * fit.moments.flight
-    result = leave_out_steps(fit, weight, fit.free_all, label)
+    result = leave_out_steps(fit, weight, fit.free_params, label)
     for flight in range(3):
-        expected = best_step(fit, weight, fit.free_all, np.flatnonzero(fit.moments.flight != flight))
+        expected = best_step(fit, weight, fit.free_params, np.flatnonzero(fit.moments.flight != flight))
         own = result[fit.moments.flight == flight]
         np.testing.assert_allclose(own, np.tile(expected, (len(own), 1)), atol=1e-12)

@@ -62,7 +62,7 @@ def test_a_set_is_not_fitted_that_the_linear_model_has_further_behind_than_a_fit
     best, drag = make_fit("com_offset", overdispersion=4.0), make_fit("rotor_drag", log=-1e3)
     behind = times * MOST_TO_PROMISE * FAR_BEHIND * occam_window(best)
     view = make_view({(0,): -7.0, (1,): -7.0 - behind}, best, drag)
-    view.fit((1,))
+    view.fit_if_promising((1,))
     assert (drag.label in view.fits) == tried
 
 
@@ -83,7 +83,7 @@ def test_of_a_set_that_cannot_come_near_the_best_no_part_is_fitted(ahead: float,
     least = best.log_posterior - FAR_BEHIND * occam_window(best)
     both = make_fit("rotor_drag", "motor_tilt", log=-1e3, odds={"motor_tilt": -1.0})
     view = make_view({}, best, fitter=FitStub(drag))
-    view.add(replace(both, most=least + ahead))
+    view.add_fit(replace(both, most=least + ahead))
     assert both.label in view.fits
     assert (drag.label in view.fits) == tried
 

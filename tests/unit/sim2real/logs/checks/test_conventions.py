@@ -17,7 +17,7 @@ from aerial_gym.sim2real.logs.checks.conventions import (
 from aerial_gym.sim2real.logs.checks.copies import LogRegister
 from aerial_gym.sim2real.logs.flights import load_flights, read_flight_inputs
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 
 G = 9.81
@@ -34,7 +34,7 @@ def table() -> pd.DataFrame:
 def check(table: pd.DataFrame, folder: Path) -> list[str]:
     log = read_flight_log(write(table, folder / "a.csv"))
     check_duration_and_rate(log)
-    return check_log(uniform_log(without_bad_quaternions(log)), ROBOT)
+    return check_log(log_at_equal_steps(without_bad_quaternions(log)), ROBOT)
 
 
 def replace_columns(table: pd.DataFrame, columns: list[str], values: object) -> pd.DataFrame:

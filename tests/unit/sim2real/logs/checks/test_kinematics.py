@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.logs.checks.conventions import check_log
 from aerial_gym.sim2real.logs.checks.kinematics import ImuErrors, imu_errors_from_kinematics
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from tests.unit.sim2real.flat_flights import ROBOT, flight, write
 
 OMEGA, ACC = ["omega_x", "omega_y", "omega_z"], ["acc_x", "acc_y", "acc_z"]
@@ -22,7 +22,7 @@ def table() -> pd.DataFrame:
 
 
 def read_log(table: pd.DataFrame, folder: Path) -> FlightLog:
-    return uniform_log(read_flight_log(write(table, folder / "a.csv")))
+    return log_at_equal_steps(read_flight_log(write(table, folder / "a.csv")))
 
 
 def errors(table: pd.DataFrame, folder: Path, sensor: str) -> ImuErrors:

@@ -13,7 +13,7 @@ from aerial_gym.sim2real import FlightLog, read_flight_log
 from aerial_gym.sim2real.findings import Finding
 from aerial_gym.sim2real.logs.readers.mapping import LogMapping, find_mapping, mapping_names
 from aerial_gym.sim2real.logs.readers.ulog import merge_topics
-from aerial_gym.sim2real.logs.signals import uniform_log
+from aerial_gym.sim2real.logs.signals import log_at_equal_steps
 from aerial_gym.sim2real.predict.channels import find_channels
 from tests.unit.sim2real.flat_flights import ROBOT, flight, load_flight, write
 from tests.unit.sim2real.ulog_files import topics, write_ulog
@@ -177,7 +177,7 @@ def test_conversions_that_cannot_be(table, tmp_path, command, error, message) ->
 
 
 def test_a_piece_beyond_a_gap_at_the_end_is_cut_off_and_said(table: pd.DataFrame, tmp_path: Path) -> None:
-    log = uniform_log(read_flight_log(write(table.drop(index=range(370, 385)), tmp_path / "a.csv")))
+    log = log_at_equal_steps(read_flight_log(write(table.drop(index=range(370, 385)), tmp_path / "a.csv")))
     assert log.time[-1] == pytest.approx(3.69)
     (note,) = log.notes
     assert (note.code, note.values) == ("rows_cut", {"rows": 15, "gap_s": pytest.approx(0.16, abs=0.005)})
