@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from aerial_gym.sim2real.logs.rotor_clock import check_rotor_clock
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real import FlightLog, read_flight_log

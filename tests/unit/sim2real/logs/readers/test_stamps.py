@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from aerial_gym.sim2real.logs.readers.late_blocks import find_disordered_blocks
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.logs.readers.live_stamps import LiveStamps
