@@ -152,16 +152,9 @@ def locate_onset(cause: FailureCause) -> FailureTiming:
     weight, best = weight / weight.sum(), int(np.argmax(log_odds))
     places = np.searchsorted(np.cumsum(weight), (0.025, 0.975))
     low, high = times[np.minimum(places, times.size - 1)] + (-FINE_S, FINE_S)
-    per_block = FINE_S / work.length
-    return FailureTiming(
-        cause=cause,
-        log_odds=float(np.logaddexp.reduce(log_odds) + np.log(per_block)),
-        time=float(times[best]),
-        interval=(float(low), float(high)),
-        end=end,
-        change=float(change[best]),
-        std=float(std[best]),
-    )
+    total, interval = float(np.logaddexp.reduce(log_odds) + np.log(FINE_S / work.length)), (float(low), float(high))
+    time, size, deviation = (float(values[best]) for values in (times, change, std))
+    return FailureTiming(cause=cause, log_odds=total, time=time, interval=interval, end=end, change=size, std=deviation)
 
 
 def _onset_grid(work: RotorOutput, block: int) -> Array:

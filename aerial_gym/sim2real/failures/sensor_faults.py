@@ -107,11 +107,6 @@ class SensorWatch:
         self._jumps = [(at, jump) for at, jump in self._jumps if at >= log.time[0]] + [(time, largest)]
         self._offset = self._offset.add_jump(largest)
         size, std = (dict(zip("xyz", values.tolist(), strict=True)) for values in (largest.size, largest.std))
-        yield SensorFault(
-            flight=self._flight,
-            name="position_jump",
-            sensor="position",
-            params={**size, "time": time},
-            std=std,
-            interval={axis: (size[axis] - 1.96 * std[axis], size[axis] + 1.96 * std[axis]) for axis in "xyz"},
-        )
+        interval = {axis: (size[axis] - 1.96 * std[axis], size[axis] + 1.96 * std[axis]) for axis in "xyz"}
+        params, kind = {**size, "time": time}, {"name": "position_jump", "sensor": "position"}
+        yield SensorFault(flight=self._flight, **kind, params=params, std=std, interval=interval)

@@ -84,13 +84,12 @@ def rollout_errors_of_models(
     along each flight; None: at rest at the log's start. ``horizons`` [s] longer than every flight are omitted.
     """
     if len(models) > 1 and not _can_share_batch(models, flights):
-        return [
-            results
-            for one, own in zip(models, links, strict=True)
-            for results in rollout_errors_of_models(
+        results = list[dict[str, RolloutErrors]]()
+        for one, own in zip(models, links, strict=True):
+            results += rollout_errors_of_models(
                 robot, flights, [one], variants, links=[own], horizons=horizons, tolerances=tolerances
             )
-        ]
+        return results
     kept, windows = windows_of_longest_horizon(flights, horizons)
     commanded = has_commands(flights)
     declared = vehicle_from_config(robot, num_envs=1, dtype=torch.float64)

@@ -109,13 +109,9 @@ def supports_of_candidates(
     for k, odds in log_odds.items():
         own = np.flatnonzero(np.isin(columns, candidates.columns[k]))
         block = np.ix_(own, own)
-        by_name[k] = Support(
-            log_odds=float(odds),
-            wald=float(step[own] @ np.linalg.solve(covariance[block], step[own])),
-            overdispersion=float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size,
-            size=own.size,
-            shown=bool(told[own].any()),
-        )
+        wald, shown = float(step[own] @ np.linalg.solve(covariance[block], step[own])), bool(told[own].any())
+        ratio = float(np.trace(np.linalg.solve(covariance[block], robust[block]))) / own.size
+        by_name[k] = Support(log_odds=float(odds), wald=wald, overdispersion=ratio, size=own.size, shown=shown)
     return by_name
 
 

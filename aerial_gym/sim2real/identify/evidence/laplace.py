@@ -149,12 +149,10 @@ def posterior(candidates: Candidates, normal: NormalEquations, model: Model) -> 
     )
     best = step[0]
     fits = gradient @ best - 0.5 * best @ product @ best
+    evidence = normal.constant + float(log_evidence[0])
+    likelihood = normal.constant + float(fits - 0.5 * best[count:] @ best[count:])
     return Posterior(
-        columns=columns,
-        step=best,
-        covariance=covariance[0],
-        log_evidence=normal.constant + float(log_evidence[0]),
-        log_likelihood=normal.constant + float(fits - 0.5 * best[count:] @ best[count:]),
+        columns=columns, step=best, covariance=covariance[0], log_evidence=evidence, log_likelihood=likelihood
     )
 
 

@@ -81,10 +81,8 @@ def linearise_about_fit(fit: ModelFit, neutral: Sequence[Array]) -> LinearFit:
     low[count:], high[count:] = -np.inf, np.inf
     owners = [fit.parameter_owners[k][0] for k in fit.free_effect_params]
     columns = tuple(np.flatnonzero([owner == name for owner in owners]) for name in fit.effects)
-    return LinearFit(
-        candidates=Candidates(
-            columns=columns, tolerances=np.arange(count, free.size), low=low, high=high, exclusive=fit.effects
-        ),
-        whole=equations_of_blocks(every),
-        parts=tuple(equations_of_blocks(every[[k]]) for k in every),
+    candidates = Candidates(
+        columns=columns, tolerances=np.arange(count, free.size), low=low, high=high, exclusive=fit.effects
     )
+    parts = tuple(equations_of_blocks(every[[k]]) for k in every)
+    return LinearFit(candidates=candidates, whole=equations_of_blocks(every), parts=parts)

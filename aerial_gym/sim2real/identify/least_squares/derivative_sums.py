@@ -163,13 +163,8 @@ class NuisanceSums:
             [[inner[:, :width, :width], across[:, :width]], [across[:, :width].transpose(0, 2, 1), self.product]]
         )
         gradient = np.concatenate((inner[:, :width, width], across[:, width]), axis=1)
-        return Moments(
-            count=self.blocks.count,
-            square=inner[:, width, width, None],
-            gradient=gradient[:, None],
-            product=product[:, None],
-            flight=self.blocks.flight,
-        )
+        square, count, flight = inner[:, width, width, None], self.blocks.count, self.blocks.flight
+        return Moments(count=count, square=square, gradient=gradient[:, None], product=product[:, None], flight=flight)
 
 
 def weighted_moments(
@@ -198,10 +193,6 @@ def moments_by_channel(residuals: Sequence[Array], flights: Sequence[Sequence[Pa
             own, _nonzero_columns([*parts, residual[:, :, None]], np.ones(channels)), strict=True
         ):
             product[np.ix_(here, here)] = columns.T @ columns
-    return Moments(
-        count=np.array([float(len(residual)) for residual in residuals]),
-        square=sums[:, :, width, width],
-        gradient=sums[:, :, :width, width],
-        product=sums[:, :, :width, :width],
-        flight=np.arange(len(flights)),
-    )
+    count, flight = np.array([float(len(residual)) for residual in residuals]), np.arange(len(flights))
+    square, gradient, product = sums[:, :, width, width], sums[:, :, :width, width], sums[:, :, :width, :width]
+    return Moments(count=count, square=square, gradient=gradient, product=product, flight=flight)

@@ -171,12 +171,13 @@ def fit_of_moments(
     here, scale = parameter_row(params, effects), parameter_scales(effects)
     lowest, highest = parameter_bounds(robot, effects)
     farthest = np.full(moments.gradient.shape[2] - here.size, FARTHEST_DEVIATION)
+    low, high = ((bound - here) / scale for bound in (lowest, highest))
     return ModelFit(
         effects=effects,
         params=params,
         moments=moments,
-        low=np.concatenate(((lowest - here) / scale, -farthest)),
-        high=np.concatenate(((highest - here) / scale, farthest)),
+        low=np.concatenate((low, -farthest)),
+        high=np.concatenate((high, farthest)),
         num_effect_params=here.size,
         frozen=frozen,
     )

@@ -65,13 +65,9 @@ class MostProbableSet:
             for other, one in self.without.items()
             if other != name
         }
-        return replace(
-            self,
-            named=self.without[name],
-            without=less,
-            refused=self.refused | {name: Finding("parameters_unknown", name)},
-            in_part=tuple(rival for rival in self.in_part if rival.effect != name),
-        )
+        refused = self.refused | {name: Finding("parameters_unknown", name)}
+        in_part = tuple(rival for rival in self.in_part if rival.effect != name)
+        return replace(self, named=self.without[name], without=less, refused=refused, in_part=in_part)
 
     @property
     def sets_with_support(self) -> list[EffectSetFit]:

@@ -98,13 +98,9 @@ def axis_relation(effect: Array, cause: Array) -> AxisRelation | None:
     )
     known = error < 1.0  # otherwise the correlation may be 0
     widening = np.exp(np.minimum(error, 1.0))
-    return AxisRelation(
-        order=order,
-        factor=np.sign(share) * size,
-        low=np.where(known, np.abs(share) * size / widening, 0.0),
-        high=np.where(known, size / np.maximum(np.abs(share), 1e-12) * widening, np.inf),
-        share=share**2,
-    )
+    low = np.where(known, np.abs(share) * size / widening, 0.0)
+    high = np.where(known, size / np.maximum(np.abs(share), 1e-12) * widening, np.inf)
+    return AxisRelation(order=order, factor=np.sign(share) * size, low=low, high=high, share=share**2)
 
 
 def _most_likely_axis_order(shared: Array, count: int) -> tuple[int, ...]:
@@ -132,11 +128,8 @@ def check_units_of_velocity_and_position(log: FlightLog) -> list[Finding]:
     both = "velocity (v_x, v_y, v_z) and the derivative of position (p_x, p_y, p_z)"
     start = f"{log.path}: {both} contradict each other; it looks as if"
     body = axis_relation(way, _integrals_over_windows(log, Rotation.from_quat(log.attitude).apply(velocity)))
-    if (
-        body is not None
-        and body.significant_axes.sum() >= relation.significant_axes.sum()
-        and not body.wrong_axes.any()
-    ):
+    fewer = body is None or body.significant_axes.sum() < relation.significant_axes.sum()
+    if body is not None and not fewer and not body.wrong_axes.any():
         raise DataError(f"{start} v is in body axes: turn it into world axes")
     raise DataError(f"{start} {_remedies(relation, _letters_of_wrong_quantities(relation, log))}")
 
@@ -236,9 +229,8 @@ def _unit_remedy(letter: str, relation: AxisRelation, factor: float, mends: floa
 def _factor_findings(relation: AxisRelation | None) -> list[Finding]:
     if relation is None:
         return []
-    material = relation.differs_from_one & (
-        np.abs(np.log(np.where(relation.significant_axes, np.abs(relation.factor), 1.0))) > MATERIAL
-    )
+    size = np.abs(np.log(np.where(relation.significant_axes, np.abs(relation.factor), 1.0)))
+    material = relation.differs_from_one & (size > MATERIAL)
     if not material.any():
         return []
     axes = np.flatnonzero(material).tolist()

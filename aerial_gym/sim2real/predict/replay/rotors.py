@@ -117,6 +117,7 @@ class RotorReplay:
             return result
         arriving = [target_speeds_with_delay(self._flights[index], model, shift=shift) for index in self._members]
         earlier, later, shares = zip(*arriving, strict=True)
+        vehicle, limited = model.vehicle, model.vehicle.traits & {"slew", "reversible"}
         table = simulate_rotor_lag(
             torch.stack([self._initial_speeds(index, sensors) for index in self._members]),
             torch.cat(earlier),
@@ -124,11 +125,9 @@ class RotorReplay:
             torch.tensor(shares, dtype=torch.float64),
             ends=self._ends,
             step=self._step,
-            tau_up=model.vehicle.time_constant_up[0],
-            tau_down=model.vehicle.time_constant_down[0],
-            slew_rates=(model.vehicle.slew_rate[0], model.vehicle.slew_rate_down[0])
-            if model.vehicle.traits & {"slew", "reversible"}
-            else None,
+            tau_up=vehicle.time_constant_up[0],
+            tau_down=vehicle.time_constant_down[0],
+            slew_rates=(vehicle.slew_rate[0], vehicle.slew_rate_down[0]) if limited else None,
         )
         for effect, params in sensors:
             table = effect.measure(table, params)
