@@ -16,8 +16,7 @@ import tyro
 
 from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.rotor_work import BLOCK_S
-from aerial_gym.sim2real.failures.sensor_faults import WINDOW_S, SensorFault, SensorWatch
-from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS
+from aerial_gym.sim2real.failures.watch import LOOK_BLOCKS, WINDOW_S, SensorFault, SensorWatch
 from aerial_gym.sim2real.logs.flights import resample_log
 from aerial_gym.sim2real.logs.position_jumps import (
     LEAST,

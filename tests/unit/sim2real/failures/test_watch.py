@@ -10,8 +10,7 @@ from aerial_gym.errors import DataError
 from aerial_gym.sim2real.failures.flight_event import FailureFinder
 from aerial_gym.sim2real.failures.rotor_work import RotorOutput
 from aerial_gym.sim2real.failures.scan import log_sum_of_odds, rank_causes
-from aerial_gym.sim2real.failures.sensor_faults import SensorFault
-from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch
+from aerial_gym.sim2real.failures.watch import NAMED, SETTLED_S, SUSPECTED, Alarm, FlightWatch, SensorFault
 from aerial_gym.sim2real.logs.flights import complete_flight
 from aerial_gym.sim2real.logs.readers.flight_log import read_flight_log
 from aerial_gym.sim2real.predict.tolerances import Tolerances
