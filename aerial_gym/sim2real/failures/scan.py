@@ -9,13 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aerial_gym.sim2real.arrays import Array
-from aerial_gym.sim2real.failures.evidence import (
-    CONTINUOUS,
-    LONGEST,
-    FailureEvidence,
-    ParameterPrior,
-    log_evidence,
-)
+from aerial_gym.sim2real.failures.evidence import CONTINUOUS, LONGEST, FailureEvidence, ParameterPrior, log_evidence
 from aerial_gym.sim2real.failures.rotor_work import RotorOutput
 from aerial_gym.sim2real.identify.least_squares.moments import share_of_independent_rows
 from aerial_gym.sim2real.predict.tolerances import Tolerances

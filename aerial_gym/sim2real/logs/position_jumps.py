@@ -133,9 +133,7 @@ def jump_sizes_and_scale(left: Array, step: float) -> tuple[Array, Array]:
 
 
 def log_odds_of_return(sizes: Array, scale: Array, offset: PositionOffset) -> Array:
-    """Return the log odds (T,) of a return by ``-offset`` against no jump, from differences (T, 3) with trivariate t
-    densities.
-    """
+    """Return the log odds (T,) of a return by ``-offset`` against no jump, from differences (T, 3) of density t."""
     wide = np.sqrt(scale**2 + offset.variance)
     no_jump, back = (np.log1p((x**2).sum(axis=1) / FREEDOM) for x in (sizes / scale, (sizes + offset.size) / wide))
     return 0.5 * (FREEDOM + 3) * (no_jump - back) + np.log(scale / wide).sum(axis=1)

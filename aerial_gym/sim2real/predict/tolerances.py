@@ -67,9 +67,7 @@ class Tolerances:
     def implausible_deviations(
         self, deviation: Array, *, absent: Collection[str] = (), farthest: float = np.inf
     ) -> list[Finding]:
-        """Return findings on implausible deviations (N,), without ``absent`` ones; those at ``farthest`` were cut off by the
-        fit.
-        """
+        """Return findings on implausible deviations (N,) but ``absent`` ones; the fit cut off those at ``farthest``."""
         names = self.names((deviation.size - len(self.names(0))) // 2)
         pairs = [(n, s) for n, s in zip(names, deviation.tolist(), strict=True) if abs(s) > STRAINED]
         pairs = [(name, size) for name, size in pairs if name not in absent]

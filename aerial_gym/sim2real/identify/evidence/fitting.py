@@ -22,13 +22,7 @@ from aerial_gym.sim2real.identify.least_squares.derivatives import (
     to_single_precision,
     tolerance_jacobian,
 )
-from aerial_gym.sim2real.identify.least_squares.gauss_newton import (
-    NOTHING_LEFT,
-    FitGoal,
-    Frozen,
-    ModelFit,
-    fit_effects,
-)
+from aerial_gym.sim2real.identify.least_squares.gauss_newton import NOTHING_LEFT, FitGoal, Frozen, ModelFit, fit_effects
 from aerial_gym.sim2real.identify.least_squares.moments import Weighting
 from aerial_gym.sim2real.identify.least_squares.parameters import is_number, parameter_bounds, parameter_scales
 from aerial_gym.sim2real.memory import give_back_memory

@@ -161,11 +161,7 @@ def linearise_fit(
 
 
 def fit_of_moments(
-    robot: RobotCfg,
-    effects: tuple[str, ...],
-    params: ModelParams,
-    moments: Moments,
-    frozen: Frozen = frozenset(),
+    robot: RobotCfg, effects: tuple[str, ...], params: ModelParams, moments: Moments, frozen: Frozen = frozenset()
 ) -> ModelFit:
     """Return the linearised fit at a point from its moments, with effect parameters first."""
     here, scale = parameter_row(params, effects), parameter_scales(effects)

@@ -72,11 +72,7 @@ def flight_of_rows(times: Sequence[Array]) -> Indices:
 
 
 def block_moments(
-    times: Sequence[Array],
-    residuals: Sequence[Array],
-    jacobians: Sequence[Array],
-    *,
-    length: float | None = None,
+    times: Sequence[Array], residuals: Sequence[Array], jacobians: Sequence[Array], *, length: float | None = None
 ) -> Moments:
     """Return the sums over blocks of ``length`` [s] (infinite: whole flights; None: ``block_length``) within flights.
 

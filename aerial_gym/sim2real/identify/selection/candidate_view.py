@@ -76,9 +76,7 @@ class CandidateView:
         return ComparisonDepth(least=least, enough=ENOUGH * best.parameter_overdispersion)
 
     def add_fit(self, fitted: EffectSetFit) -> None:
-        """Add a fitted set, and sets without its weakest effects as long as one lacks support and a subset may be near the
-        best.
-        """
+        """Add a fitted set, and sets without its weakest effects while one lacks support and a subset may be near the best."""
         while not self.has_fit(fitted.label):
             self.fits[fitted.label] = fitted
             self.fresh.add(fitted.label)

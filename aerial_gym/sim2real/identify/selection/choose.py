@@ -95,12 +95,7 @@ class MostProbableSet:
 
 
 def choose_effects(
-    predictor: Predictor,
-    declared: ModelParams,
-    names: Sequence[str],
-    *,
-    material: float,
-    progress: Progress = silent,
+    predictor: Predictor, declared: ModelParams, names: Sequence[str], *, material: float, progress: Progress = silent
 ) -> MostProbableSet:
     """Return the most probable set, whose effects are named if a residual (rms) rises by ``material`` without them."""
     climber = SetSearch(predictor, declared, names, progress)

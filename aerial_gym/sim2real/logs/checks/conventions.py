@@ -125,11 +125,7 @@ def body_rate_from_attitude(attitude: Array, rate: float, bandwidth: float) -> A
     smooth = lowpass(attitude, rate, bandwidth)
     x, y, z, w = smooth.T
     dx, dy, dz, dw = lowpass(attitude, rate, bandwidth, derivative=True).T
-    rows = (
-        w * dx - x * dw - y * dz + z * dy,
-        w * dy - y * dw - z * dx + x * dz,
-        w * dz - z * dw - x * dy + y * dx,
-    )
+    rows = (w * dx - x * dw - y * dz + z * dy, w * dy - y * dw - z * dx + x * dz, w * dz - z * dw - x * dy + y * dx)
     return 2.0 * np.stack(rows, axis=1) / (smooth * smooth).sum(axis=1, keepdims=True)
 
 

@@ -38,9 +38,7 @@ def read_csv_rows(
 
 
 def read_table(path: Path, layout: LogMapping, notes: list[Finding]) -> pd.DataFrame:
-    """Return the table of a file by line number, NaN for empty fields, without malformed rows; raise ``DataError`` if
-    unusable.
-    """
+    """Return the table of a file by line number, NaN for empty fields; raise ``DataError`` if it is unusable."""
     lines = read_lines(path)
     source = iter(enumerate(lines, start=1))
     header = find_header((line for _, line in source), layout.time.columns[0])
