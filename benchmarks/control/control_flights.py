@@ -198,8 +198,8 @@ def fly_robot(robot: RobotCfg, controller: ControllerCfg, sim: SimCfg, *, names:
         speed = gtd["rotor_speed"][AT_LIMITS]
         at_limit.append(bool(((speed < low + margin) | (speed > high - margin)).any()))
     error, response = torch.stack(errors).nan_to_num(nan=inf), torch.stack(responses)
-    settled, overshoot = settling_and_overshoot(response[:, STEP].tolist())
-    limit_settled, limit_overshoot = settling_and_overshoot(response[:, AT_LIMITS].tolist())
+    settled, overshoot = time_to_settle_and_overshoot(response[:, STEP].tolist())
+    limit_settled, limit_overshoot = time_to_settle_and_overshoot(response[:, AT_LIMITS].tolist())
     return ControlFlight(
         robot=names[0], controller=names[1], law=law, sim=names[2],
         error=float(error[-1, DRAWN].max()), settling_s=settled, overshoot=overshoot,
@@ -269,7 +269,7 @@ def _tilt_angles(attitude: Tensor) -> Tensor:
     return torch.acos((1.0 - 2.0 * (attitude[:, 0] ** 2 + attitude[:, 1] ** 2)).clamp(-1.0, 1.0))
 
 
-def settling_and_overshoot(response: list[float]) -> tuple[float, float]:
+def time_to_settle_and_overshoot(response: list[float]) -> tuple[float, float]:
     """Return settling time [s] and overshoot of a response to a unit step, sampled from ``SAMPLE`` on.
 
     Both are infinite where there is NaN in it.

@@ -65,7 +65,7 @@ class Plant:
         """Return thrust plus drag [N], body frame, (F, 3): all but gravity."""
         return (state[:, ROTOR] ** 2 @ self._wrench_map)[:, :3] + self._drag(state)
 
-    def _airspeed(self, state: Array) -> Array:
+    def _speed_through_air(self, state: Array) -> Array:
         """Return the airspeed of the centre of mass [m/s], body axes, (F, 3)."""
         return ((state[:, VEL] - self._wind(state))[:, None, :] @ rotation_matrices(state))[:, 0]
 
@@ -75,7 +75,7 @@ class Plant:
 
     def _drag(self, state: Array) -> Array:
         """Return ``-(d1 + d2 |u|) u`` with the airspeed u of the centre of mass in body axes, (F, 3)."""
-        air = self._airspeed(state)
+        air = self._speed_through_air(state)
         if not self._has_quadratic:
             return -self.vehicle.linear_drag * air
         speed = np.sqrt((air * air).sum(axis=1, keepdims=True))

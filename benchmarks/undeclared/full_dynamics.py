@@ -212,7 +212,7 @@ class FullPlant(Plant):
         plain = self.vehicle.thrust_coeff * squared
         thrust, wrench = plain, 0.0
         if self._aero:
-            flow = np.hstack((self._airspeed(state), state[:, RATE])) @ self._inflow
+            flow = np.hstack((self._speed_through_air(state), state[:, RATE])) @ self._inflow
             along, across = flow[:, :count], flow[:, count:].reshape(-1, count, 3)
             thrust = plain - extra.axial_inflow * rotor * along
             thrust = thrust + extra.translational_lift * (across * across).sum(axis=2)

@@ -25,7 +25,7 @@ from benchmarks.control.control_flights import (
     misfit_reason,
     robot_controllers,
     robots_by_dynamics,
-    settling_and_overshoot,
+    time_to_settle_and_overshoot,
     target_robot,
 )
 from tests.repetitions import frequent_values
@@ -201,7 +201,7 @@ def test_nor_with_any_other_controller_at_any_sim(robot: str, controller: str, s
 
 def test_figures_of_a_response() -> None:
     """Overshoot to 1.3, back within 2 % from the fifth sample of 20 ms on."""
-    settling, overshoot = settling_and_overshoot([0.5, 1.3, 0.9, 1.01, 1.0, 1.0])
+    settling, overshoot = time_to_settle_and_overshoot([0.5, 1.3, 0.9, 1.01, 1.0, 1.0])
     assert settling == pytest.approx(0.08)
     assert overshoot == pytest.approx(0.3)
-    assert settling_and_overshoot([0.5, 0.5])[0] == float("inf")
+    assert time_to_settle_and_overshoot([0.5, 0.5])[0] == float("inf")

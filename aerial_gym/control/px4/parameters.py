@@ -140,7 +140,7 @@ def derive_parameters(
 
     def rate_parameter(name: str, derived: Tensor | None = None) -> Tensor:
         named = [getattr(px4, f"MC_{axis}RATE_{name}") for axis in _AXES]
-        return row(_given_or_derived(named, derived)) * row(scale) if name != "FF" else row(named)
+        return row(_parameters_or_defaults(named, derived)) * row(scale) if name != "FF" else row(named)
 
     velocity, position = base.velocity[0], base.position[0] / base.velocity[0]
     return Px4Gains(
@@ -148,8 +148,8 @@ def derive_parameters(
         rate_integral=rate_parameter("I", known["I"]),
         rate_derivative=rate_parameter("D"),
         rate_forward=rate_parameter("FF"),
-        integral_limit=row(_given_or_derived([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
-        attitude=row(_given_or_derived([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
+        integral_limit=row(_parameters_or_defaults([px4.MC_RR_INT_LIM, px4.MC_PR_INT_LIM, px4.MC_YR_INT_LIM], known["LIM"])),
+        attitude=row(_parameters_or_defaults([px4.MC_ROLL_P, px4.MC_PITCH_P, px4.MC_YAW_P], known["ANGLE"])),
         rate_limit=row([radians(getattr(px4, f"MC_{axis}RATE_MAX")) for axis in _AXES]),
         yaw_weight=row([px4.MC_YAW_WEIGHT]),
         unit_torque=row(torque),
@@ -173,7 +173,7 @@ def _position_gains(
 ) -> PositionGains:  # fmt: skip
     def axis_values(name: str, derived: Tensor | None = None) -> Tensor:
         flat, up = (getattr(px4, f"MPC_{axis}_{name}") for axis in ("XY", "Z"))
-        return _given_or_derived([flat, flat, up], derived)
+        return _parameters_or_defaults([flat, flat, up], derived)
 
     speed, reach = axis_values("VEL_P_ACC", velocity), axis_values("P", position)
     least = min(LEAST_THRUST, LEAST_SHARE * hover) if px4.MPC_THR_MIN is None else px4.MPC_THR_MIN
@@ -238,7 +238,7 @@ def make_filters(px4: Px4Cfg, timing: Timing) -> Px4Filters:
     )
 
 
-def _given_or_derived(named: list[float | None], derived: Tensor | None = None) -> Tensor:
+def _parameters_or_defaults(named: list[float | None], derived: Tensor | None = None) -> Tensor:
     """Return the given numbers, with derived ones in place of None, (3,)."""
     if derived is None:
         return torch.tensor(named, dtype=torch.float64)

@@ -6,6 +6,7 @@ A pointwise operation is a template of Warp code over its arguments, with torch'
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import accumulate
 from math import inf
 from typing import TYPE_CHECKING, Any
 
@@ -108,6 +109,10 @@ def _diagonal_matrix(a: Tensor, offset: int = 0, dim1: int = -2, dim2: int = -1)
     return torch.where(torch.eye(a.shape[-1], dtype=torch.bool), a.unsqueeze(-1), 0.0)
 
 
+def _cumulative_product(a: Tensor, dim: int) -> Tensor:
+    return torch.stack(list(accumulate(a.unbind(dim), torch.mul)), dim=dim)
+
+
 def _finite(a: Tensor, nan: float | None = None, high: float | None = None, low: float | None = None) -> Tensor:
     largest = torch.finfo(a.dtype).max
     a = torch.where(a.isnan(), nan or 0.0, a)
@@ -128,6 +133,7 @@ COMPOSED: dict[str, Callable[..., Tensor]] = {
     "mm": _product,
     "bmm": _product,
     "diag_embed": _diagonal_matrix,
+    "cumprod": _cumulative_product,
     "nan_to_num": _finite,
     "tanh_backward": lambda slope, result: slope * (1.0 - result * result),
     "sigmoid_backward": lambda slope, result: slope * (1.0 - result) * result,

@@ -75,14 +75,14 @@ class Learner:
         """Return the tensors of a saved state besides network and task; they keep their memory."""
         return {"begins": self._begins, "sums": self.sums} | add_prefix("observation", self._observation)
 
-    def shared_tensors(self) -> list[Tensor]:
+    def tensors_of_all_processes(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
         return [*self.network.parameters(), *self.network.buffers(), self.sums]
 
     @torch.no_grad()
     def join(self) -> None:
         """Copy the shared tensors from rank 0."""
-        self.ranks.share_(self.shared_tensors())
+        self.ranks.share_(self.tensors_of_all_processes())
 
 
 def last_observations(info: Mapping[str, Tensor], keys: Iterable[str]) -> dict[str, Tensor]:

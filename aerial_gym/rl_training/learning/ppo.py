@@ -268,6 +268,6 @@ class Ppo(Learner):
         own = {"memory": self._memory, "rate": self._rate}
         return super().state_tensors() | own | add_prefix("adam", self._adam.state_tensors())
 
-    def shared_tensors(self) -> list[Tensor]:
+    def tensors_of_all_processes(self) -> list[Tensor]:
         """Return the tensors that all processes share."""
-        return [*super().shared_tensors(), *self._adam.state_tensors().values(), self._rate]
+        return [*super().tensors_of_all_processes(), *self._adam.state_tensors().values(), self._rate]

@@ -39,10 +39,10 @@ def restore_random_state(state: Mapping[str, Any]) -> None:
     if state["cuda"] and torch.cuda.is_available() and len(state["cuda"]) == torch.cuda.device_count():
         torch.cuda.set_rng_state_all(state["cuda"])
     kind, keys, position, has_gauss, cached = state["numpy"]
-    np.random.set_state((kind, _unsigned_keys(keys), position, has_gauss, cached))
+    np.random.set_state((kind, _keys_as_uint32(keys), position, has_gauss, cached))
     version, words, gauss = state["python"]
     random.setstate((version, tuple(words), gauss))
 
 
-def _unsigned_keys(keys: Tensor) -> np.ndarray:
+def _keys_as_uint32(keys: Tensor) -> np.ndarray:
     return keys.numpy().astype(np.uint32)

@@ -13,7 +13,7 @@ from benchmarks.control.control_flights import (
     DriveCommands,
     holds_shape,
     robots_by_dynamics,
-    settling_and_overshoot,
+    time_to_settle_and_overshoot,
 )
 from benchmarks.control.control_table import (
     BEGIN,
@@ -138,5 +138,5 @@ def test_robots_that_bend_fly_beside_rigid_ones_but_not_on_a_stand() -> None:
 
 
 def test_a_response_with_nan_has_not_settled() -> None:
-    assert settling_and_overshoot([0.5, 1.0, 1.1, 1.0]) == (0.08, 0.10000000000000009)
-    assert settling_and_overshoot([0.5, 1.0, nan, nan]) == (inf, inf)
+    assert time_to_settle_and_overshoot([0.5, 1.0, 1.1, 1.0]) == (0.08, 0.10000000000000009)
+    assert time_to_settle_and_overshoot([0.5, 1.0, nan, nan]) == (inf, inf)
