@@ -98,6 +98,6 @@ def test_predictor_and_rollout_follow_a_new_kind() -> None:
     np.testing.assert_allclose((ducted - bare)[steady, 2], 0.2 * bare[steady, 2], rtol=1e-3)
     vehicle, rows = vehicle_from_config(ROBOT, num_envs=1, dtype=torch.float64), np.array([100, 180, 260])
     run = WindowBatch(vehicle, expand_effects(params, 3), [flight], np.zeros(3, dtype=int), rows)
-    ((_, state, _),) = run.fly(run.reference_state(0), {run.steps(0.1)})
+    ((_, state, _),) = run.simulate_steps(run.state_of_flight(0), {run.num_steps(0.1)})
     np.testing.assert_allclose(state.lin_vel[:, 0], 0.1 * push(rows / RATE + 0.05), rtol=5e-3)
     np.testing.assert_allclose(state.lin_vel[:, 2], 0.1 * G * np.array([0.2, 0.2, 1.2 * 1.21 - 1.0]), rtol=1e-6)
