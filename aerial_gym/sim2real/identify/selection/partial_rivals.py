@@ -109,8 +109,8 @@ def _confusable_effects(fitter: Fitter, best: EffectSetFit, effect: str, names: 
         return []
     own = EFFECTS.get(effect).confused_with
     robot = fitter.predictor.robot
-    confusable = [other for other in names if other in own or effect in EFFECTS.get(other).confused_with]
-    return [other for other in confusable if other not in best.effects and not has_several_starts(other, robot)]
+    confounders = [other for other in names if other in own or effect in EFFECTS.get(other).confused_with]
+    return [other for other in confounders if other not in best.effects and not has_several_starts(other, robot)]
 
 
 def _changes_by_parameter(

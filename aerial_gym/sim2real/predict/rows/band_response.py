@@ -83,26 +83,19 @@ class BandResponse:
         """Return the total forces and torques in the band, (6, T), with a delay [s] per flight."""
         vehicle = model.vehicle
 
-        def rows_in_band_from_cache(
-            name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows
-        ) -> Tensor:
+        def band_rows(name: str, rows: Tensor, law: Callable[[Tensor], Tensor] = lambda rows: rows) -> Tensor:
             return self._rows_in_band(name, late, rows, law)
 
-        terms = rows_in_band_from_cache(
-            "rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2)
-        )  # (K, R, T)
+        terms = band_rows("rotors", rotor_speed, lambda speed: map_terms(vehicle, speed).permute(1, 0, 2))  # (K, R, T)
         maps = (vehicle.thrust_map, vehicle.reverse_thrust_map), (vehicle.torque_map, vehicle.reverse_torque_map)
         coefficients = [torch.cat([rows[0] for rows in pair], dim=1).T[: len(terms), :, None] for pair in maps]
         thrust, drag = ((of_each * terms).sum(0) for of_each in coefficients)
         for name, more in acting.thrusts:
-            thrust = thrust + rows_in_band_from_cache(f"thrust of {name}", more)
+            thrust = thrust + band_rows(f"thrust of {name}", more)
         wrench = rotor_matrix(vehicle).T @ torch.cat((thrust, drag))  # (6, T)
         at_hubs = {effect.name for effect, _ in model.effects[WrenchEffect] if effect.at_hubs}
-        parts = [(name, rows_in_band_from_cache(name, rows)) for name, rows in acting.wrenches]
-        parts += [
-            (name, params[0] @ rows_in_band_from_cache(f"regressor of {name}", rows))
-            for name, rows, params in acting.linear
-        ]
+        parts = [(name, band_rows(name, rows)) for name, rows in acting.wrenches]
+        parts += [(name, params[0] @ band_rows(f"regressor of {name}", rows)) for name, rows, params in acting.linear]
         for name, part in parts:
             wrench = wrench + part
             if about is not None and name in at_hubs:
