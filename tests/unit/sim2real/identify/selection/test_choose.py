@@ -219,7 +219,7 @@ def test_why_what_was_probable_has_no_name(monkeypatch: pytest.MonkeyPatch) -> N
         present=best, fits={best.label: best}, own={}, fresh={best.label}, fitter=fitter, library=None, structures=[],
         sets=None, guard=None,
     )  # fmt: skip
-    refused = chooser.result(view).refused
+    refused = chooser.make_result(view).refused
     assert {name: finding.code for name, finding in refused.items()} == {
         "payload_mass": "flights_disagree",
         "weak_motor": "at_bound",
