@@ -257,7 +257,7 @@ def _link_formula(effect: Effect, num_links: int, link: int, motion: Tensor, par
 
 def _num_links(model: Model) -> int:
     assert model.articulation is not None
-    return len(model.articulation.link_mass)
+    return model.articulation.tree.num_links
 
 
 def acts_on_link(effect: Effect, model: Model, link: int) -> bool:
