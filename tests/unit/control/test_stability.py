@@ -151,7 +151,7 @@ def test_gains_that_do_not_hold_a_vehicle_are_refused_with_the_way_out(caplog: p
         (record,) = caplog.records
         assert record.getMessage() == str(e.value)
         caplog.clear()
-    with pytest.raises(ConfigError, match="if_unstable = 'fly': must be 'refuse' or 'warn'"):
+    with pytest.raises(ConfigError, match="if_unstable = 'fly'"):
         replace(everybodys, if_unstable="fly")
 
 

@@ -229,7 +229,7 @@ def test_what_brescianini_cannot_be_is_refused_by_name() -> None:
         BrescianiniCfg(coll_min=2.0, coll_max=2.0)
     times = ("tau_xy", "tau_z", "tau_rp", "tau_rp_rate", "tau_yaw_rate")
     for name in (*times, "omega_rp_max", "omega_yaw_max", "coll_max"):
-        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0: must be > 0"):
+        with pytest.raises(ConfigError, match=rf"BrescianiniCfg.{name} = 0.0: must be > 0"):
             BrescianiniCfg(**{name: 0.0})
 
 
